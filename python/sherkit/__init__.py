@@ -1,0 +1,75 @@
+"""sherkit finds the physics that a robot's model is missing."""
+
+from ._core import __version__
+from .calibrate import Experiment, Result, calibrate
+from .calibration import Calibration
+from .correction import Correction, choose_correction, fit_grid, fit_polynomial, paper_protocol
+from .errors import (
+    CalibrationError,
+    FitError,
+    MeasurementError,
+    NotConverged,
+    NotFinite,
+    OutOfReach,
+    RobotError,
+    ShapeError,
+    SherkitError,
+    SherkitWarning,
+    Singular,
+)
+from .formats.klipper import import_klipper
+from .identification import Fit, identify, identify_stream
+from .measurements import (
+    Measurements,
+    MeasurementStream,
+    from_frame,
+    read_measurements,
+    stream_measurements,
+)
+from .model import DeltaModel
+from .parameters import Parameter
+from .poses import grid, paper_local, paper_whole
+from .robots import Delta, load_robot, save_robot
+from .simulation import VirtualDelta
+
+__all__ = [
+    "Calibration",
+    "CalibrationError",
+    "Correction",
+    "Delta",
+    "DeltaModel",
+    "Experiment",
+    "Fit",
+    "FitError",
+    "MeasurementError",
+    "MeasurementStream",
+    "Measurements",
+    "NotConverged",
+    "NotFinite",
+    "OutOfReach",
+    "Parameter",
+    "Result",
+    "RobotError",
+    "ShapeError",
+    "SherkitError",
+    "SherkitWarning",
+    "Singular",
+    "VirtualDelta",
+    "__version__",
+    "calibrate",
+    "choose_correction",
+    "fit_grid",
+    "fit_polynomial",
+    "from_frame",
+    "grid",
+    "identify",
+    "identify_stream",
+    "import_klipper",
+    "load_robot",
+    "paper_local",
+    "paper_protocol",
+    "paper_whole",
+    "read_measurements",
+    "save_robot",
+    "stream_measurements",
+]

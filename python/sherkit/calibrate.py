@@ -1,0 +1,222 @@
+"""From measurements to a calibration: identify, hold out, correct, and account for the errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .calibration import Calibration, Part
+from .correction import Choice, PaperProtocol, choose_correction, leftover, paper_protocol
+from .errors import FitError
+from .identification import Fit, identify
+from .measurements import Measurements
+from .measurements.columns import READINGS
+from .robots import Delta
+from .validation import hold_out
+
+Floats = NDArray[np.float64]
+Step = Callable[[str], None]
+
+CORRECTIONS = ("auto", "none", "paper")
+
+
+def _silent(_: str) -> None:
+    """No progress."""
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One run taken through identification, holding out and correction.
+
+    ``held_out_mm`` (n, 4) are residuals of geometric fits that did not see the row's block; ``final_mm`` the same
+    after the correction, chosen and fitted without that block.
+    """
+
+    fit: Fit
+    held_out_mm: Floats
+    choice: Choice | None
+    paper: PaperProtocol | None
+
+    @cached_property
+    def corrected_mm(self) -> Floats:
+        """Held-out residuals after the correction (n, 4); those before where there is no correction."""
+        out = self.held_out_mm.copy()
+        if self.choice is not None and self.choice.correction is not None:
+            rows = leftover(self.fit).rows
+            out[rows, :3] = self.choice.held_out_mm
+        return out
+
+    def rms(self, values_mm: Floats, rows: NDArray[np.bool_] | None = None) -> dict[str, tuple[float, float]]:
+        """RMS and standard deviation per reading, µm, over rows not marked as outliers."""
+        out = {}
+        for k, name in enumerate(READINGS):
+            use = self.fit.data.taken[:, k] & ~self.fit.data.outlier & np.isfinite(values_mm[:, k])
+            if rows is not None:
+                use = use & rows
+            if use.any():
+                v = values_mm[use, k] * 1e3
+                out[name] = (float(np.sqrt(np.mean(v**2))), float(v.std()))
+        return out
+
+    @cached_property
+    def in_region(self) -> NDArray[np.bool_] | None:
+        """Rows inside the region of interest in x and y, as the paper counts them; None without a region."""
+        half = self.fit.model.robot.region_half_width_mm
+        if half is None:
+            return None
+        where = self.fit.predicted_mm[:, :2]
+        return (np.abs(where) <= half * 1.02).all(axis=1) & ~self.fit.data.is_distance
+
+    def part(self) -> Part:
+        """The piece of a calibration that this run gives."""
+        full = self.fit.data.taken[:, :3].all(axis=1) & ~self.fit.data.outlier
+        corrected, uncorrected = self.corrected_mm[full, :3], self.held_out_mm[full, :3]
+        if not full.any():
+            # heights or distances only: the same spread on every axis
+            spread = float(np.nanmean(self.held_out_mm**2))
+            corrected = uncorrected = np.sqrt(3.0 * spread) * np.eye(3)
+        correction = self.choice.correction if self.choice else None
+        return Part.of(self.fit, correction, corrected, uncorrected)
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Everything a calibration run found; ``calibration`` is what to deploy."""
+
+    whole: Experiment
+    local: Experiment | None
+    calibration: Calibration
+
+    @property
+    def converged(self) -> bool:
+        """Whether every identification reached its minimum."""
+        return self.whole.fit.converged and (self.local is None or self.local.fit.converged)
+
+
+def calibrate(
+    robot: Delta,
+    whole: Measurements,
+    local: Measurements | None = None,
+    *,
+    free: Sequence[str] = (),
+    loss: str = "linear",
+    priors: bool = False,
+    linear: bool = False,
+    correction: str = "auto",
+    seed: int = 0,
+    step: Step = _silent,
+) -> Result:
+    """Calibrates a robot from a run over its workspace and, if given, one inside its region of interest.
+
+    ``correction``: ``auto`` chooses a Bernstein polynomial by blocked cross-validation (or none, where none
+    helps); ``paper`` takes the order that the paper's protocol finds on the middle plane, in x and y alone, and
+    fits it to all planes; ``none`` leaves the geometry alone.
+    ``step`` is told what is being done. Raises :class:`~sherkit.errors.FitError`.
+    """
+    if correction not in CORRECTIONS:
+        raise FitError(f"correction: '{correction}' is not known; choose {', '.join(CORRECTIONS)}")
+    if local is not None and robot.region_half_width_mm is None:
+        raise FitError("a local run needs [region_of_interest] half_width_mm in the robot file")
+
+    def experiment(data: Measurements, name: str) -> Experiment:
+        step(f"identifying the {name} run")
+        fit = identify(robot, data, free=free, loss=loss, priors=priors, linear=linear)
+        step(f"holding out blocks of the {name} run")
+        held = hold_out(fit.model, data, seed=seed, loss=loss).residuals_mm
+        choice = paper = None
+        if data.taken[:, :3].all(axis=1).sum() >= _FEWEST and correction != "none":
+            step(f"correcting what the {name} run leaves")
+            if correction == "auto":
+                choice = choose_correction(fit, seed=seed)
+                with suppress(FitError):  # a run without a plane at the middle has no Table III
+                    paper = paper_protocol(fit, seed=seed)
+            else:
+                paper = paper_protocol(fit, seed=seed)
+                n = max(paper.orders.values())
+                choice = choose_correction(fit, orders=(n,), heights=1, seed=seed, keep_none=False)
+        return Experiment(fit, held, choice, paper)
+
+    first = experiment(whole, "whole")
+    second = experiment(local, "local") if local is not None else None
+    return Result(
+        whole=first,
+        local=second,
+        calibration=Calibration(
+            robot=robot,
+            whole=first.part(),
+            local=second.part() if second else None,
+            region_half_width_mm=robot.region_half_width_mm if second else None,
+        ),
+    )
+
+
+#: Fewer full positions than this carry no polynomial worth having.
+_FEWEST = 20
+
+
+def to_json(result: Result) -> dict[str, Any]:
+    """What a program wants to know; see README."""
+    return {
+        "converged": result.converged,
+        "whole": _experiment_json(result.whole),
+        "local": _experiment_json(result.local) if result.local else None,
+        "border_jump_um": None
+        if result.calibration.local is None
+        else 1e3 * float(result.calibration.border_jump_mm() or 0.0),
+    }
+
+
+def _experiment_json(e: Experiment) -> dict[str, Any]:
+    fit = e.fit
+    repeats = fit.data.repeatability
+
+    def um(table: dict[str, tuple[float, float]]) -> dict[str, float]:
+        return {name[:-3]: value[0] for name, value in table.items()}
+
+    def directions(found: Sequence[Any]) -> list[dict[str, Any]]:
+        return [{"text": str(d), "change": d.change, "std_mm": None if np.isinf(d.std_mm) else d.std_mm} for d in found]
+
+    return {
+        "source": fit.data.source,
+        "rows": len(fit.data),
+        "converged": fit.converged,
+        "evaluations": fit.evaluations,
+        "rank": fit.rank,
+        "parameters_free": len(fit.parameters),
+        "condition_number": fit.condition_number,
+        "noise": {
+            "origin": fit.noise.origin,
+            "repeatability_um": {k[:-3]: 1e3 * v for k, v in repeats.sigma_mm.items()} if repeats else None,
+        },
+        "rms_um": {
+            "before": um(e.rms(fit.nominal_residuals_mm)),
+            "after": um(e.rms(fit.residuals_mm)),
+            "held_out": um(e.rms(e.held_out_mm)),
+            "held_out_corrected": um(e.rms(e.corrected_mm)),
+        },
+        "parameters": [
+            {
+                "name": p.name, "value": v, "std": s, "std_from_readings": r, "unit": p.unit,
+            }
+            for p, v, s, r in zip(
+                fit.parameters, fit.values.tolist(), fit.std.tolist(), fit.std_from_readings.tolist(), strict=True
+            )
+        ],
+        "covariance": (fit.covariance + fit.unobserved_covariance).tolist(),
+        "badly_observed": directions(fit.badly_observed),
+        "unobserved": directions(fit.unobserved),
+        "outliers": fit.data.line[fit.outliers].tolist(),
+        "correction": None
+        if e.choice is None or e.choice.correction is None
+        else {"orders": list(e.choice.correction.orders)},
+        "paper_protocol": None
+        if e.paper is None
+        else {"orders": e.paper.orders, "test_um": e.paper.test_um,
+              "other_planes_um": {f"{z:g}": v for z, v in e.paper.other_planes_um.items()}},
+    }  # fmt: skip

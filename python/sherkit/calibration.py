@@ -1,0 +1,295 @@
+"""Calibration: the model to deploy. Forward, inverse and Jacobian of the corrected robot, and its accuracy.
+
+The whole-workspace model holds everywhere; a local one, where there is one, replaces it inside the region of
+interest, blended over a margin so that a commanded position never jumps (the paper switches at the border).
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+from . import _core
+from .correction import Correction
+from .errors import CalibrationError, SherkitError
+from .identification import Fit
+from .model import DeltaModel
+from .robots import Delta
+from .robots.delta import Batch, _vector, matrix
+from .robots.file import robot_from_tables
+
+Floats = NDArray[np.float64]
+
+FORMAT = 1
+#: Width of the blend around the region of interest, as a part of its half width.
+_BLEND = 0.25
+_GEOMETRIC = 18
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One identified model: errors by name, their covariance, a correction, and what it leaves.
+
+    ``covariance`` (p, p) in the order of ``names``; ``residual_covariance_mm2`` (3, 3) of held-out readings about
+    the corrected model and ``uncorrected_covariance_mm2`` about the geometric one, repeatability included.
+    ``low_mm`` and ``high_mm`` (3,) are the corners of the box in which the run measured.
+    """
+
+    names: tuple[str, ...]
+    values: Floats
+    covariance: Floats
+    residual_covariance_mm2: Floats
+    uncorrected_covariance_mm2: Floats
+    low_mm: Floats
+    high_mm: Floats
+    correction: Correction | None
+    made_from: str
+    rows: int
+
+    @classmethod
+    def of(cls, fit: Fit, correction: Correction | None, corrected_mm: Floats, uncorrected_mm: Floats) -> Part:
+        """From a fit, its correction, and held-out residuals (n, 3), mm, with the correction and without."""
+        where = fit.predicted_mm[~fit.data.is_distance & ~fit.data.outlier, :3]
+        if len(where) == 0:
+            where = np.zeros((1, 3))
+        return cls(
+            names=tuple(p.name for p in fit.parameters),
+            values=fit.values,
+            covariance=fit.covariance,
+            residual_covariance_mm2=_second_moment(corrected_mm),
+            uncorrected_covariance_mm2=_second_moment(uncorrected_mm),
+            low_mm=where.min(axis=0),
+            high_mm=where.max(axis=0),
+            correction=correction,
+            made_from=fit.data.source,
+            rows=len(fit.data),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A calibrated delta. Positions are readings of the measured point: the datum of the run is included."""
+
+    robot: Delta
+    whole: Part
+    local: Part | None = None
+    region_half_width_mm: float | None = None
+    blend_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.local is None) != (self.region_half_width_mm is None):
+            raise CalibrationError("a local model needs the half width of its region, and the reverse")
+        _ = self.core  # refuses numbers that do not fit together
+
+    # -- the model ---------------------------------------------------------------------------------------
+
+    def _model(self, part: Part) -> DeltaModel:
+        return DeltaModel(self.robot, part.names)
+
+    def _core_part(self, part: Part) -> tuple[Floats, Floats, _core.Bernstein | None]:
+        full = self._model(part).full(part.values)
+        shift = np.array(self.robot.target_offset_mm) + full[_GEOMETRIC:]
+        correction = part.correction.core if part.correction else None
+        return self.robot.geometry + full[:_GEOMETRIC], shift, correction
+
+    @cached_property
+    def core(self) -> _core.Calibrated:
+        """The compiled model: the same code that a control loop runs."""
+        local = region = None
+        if self.local is not None and self.region_half_width_mm is not None:
+            local = self._core_part(self.local)
+            half = self.region_half_width_mm
+            blend = self.blend_mm if self.blend_mm is not None else _BLEND * half
+            region = (np.full(3, -half), np.full(3, half), blend)
+        return _core.Calibrated(self.robot.assembly_mode, self._core_part(self.whole), local, region)
+
+    def forward(self, joints_mm: ArrayLike) -> Floats:
+        """Position (3,) for joint readings (3,), mm. Raises :class:`~sherkit.errors.OutOfReach`."""
+        return self.core.forward(_vector(joints_mm, "joint readings"))[0]
+
+    def jacobian(self, joints_mm: ArrayLike) -> Floats:
+        """d position / d joints (3, 3) of the whole corrected model. Raises as :meth:`forward`."""
+        return self.core.forward(_vector(joints_mm, "joint readings"))[1]
+
+    def inverse(self, position_mm: ArrayLike) -> Floats:
+        """Joint readings (3,) at which the corrected model gives ``position_mm`` to within 1 nm.
+
+        Raises :class:`~sherkit.errors.OutOfReach`, or ``NotConverged`` where the correction folds over.
+        """
+        return self.core.inverse(_vector(position_mm, "position"))
+
+    def forward_batch(self, joints_mm: ArrayLike) -> Batch:
+        """Positions (n, 3) for joint readings (n, 3); rows out of reach are marked."""
+        values, _, reached = self.core.forward_batch(matrix(joints_mm, "joint readings"))
+        return Batch(values, reached)
+
+    def jacobian_batch(self, joints_mm: ArrayLike) -> Batch:
+        """Jacobians (n, 3, 3) for joint readings (n, 3); rows out of reach are marked."""
+        _, values, reached = self.core.forward_batch(matrix(joints_mm, "joint readings"))
+        return Batch(values, reached)
+
+    def inverse_batch(self, positions_mm: ArrayLike) -> Batch:
+        """Joint readings (n, 3) for positions (n, 3); rows out of reach are marked."""
+        values, reached = self.core.inverse_batch(matrix(positions_mm, "positions"))
+        return Batch(values, reached)
+
+    # -- accuracy ----------------------------------------------------------------------------------------
+
+    def accuracy(self, position_mm: ArrayLike) -> float:
+        """Radius, mm, within which the robot is predicted to be of ``position_mm`` (3,) in 95 of 100 cases.
+
+        Parameter covariance carried to the position, plus the covariance of held-out residuals (repeatability
+        and what the model leaves; without the correction as far as it has faded). Where no pose was measured
+        (:meth:`measured`) this is extrapolation and holds only as far as the model does. The radius of a three-dimensional Gaussian by matching two moments of its
+        squared length (Satterthwaite). Raises as :meth:`inverse`.
+        """
+        x = _vector(position_mm, "position")
+        part = self._part_at(x)
+        model = self._model(part)
+        joints = self.inverse(x)
+        full = model.full(part.values)
+        derivative = model.core.derivatives(full, np.ascontiguousarray(joints[None, :]), None, model.indices)[0][0, :3]
+        share = part.correction.share(x) if part.correction else 1.0
+        left = share * part.residual_covariance_mm2 + (1.0 - share) * part.uncorrected_covariance_mm2
+        covariance = derivative @ part.covariance @ derivative.T + left
+        axes = np.linalg.eigvalsh(covariance).clip(0.0)
+        if axes.sum() <= 0:
+            return 0.0
+        freedom = axes.sum() ** 2 / (axes**2).sum()
+        return float(np.sqrt(axes.sum() / freedom * stats.chi2.ppf(0.95, freedom)))
+
+    def measured(self, position_mm: ArrayLike) -> bool:
+        """Whether ``position_mm`` (3,) lies in the box in which poses were measured, give or take a tenth."""
+        x = _vector(position_mm, "position")
+        part = self._part_at(x)
+        margin = 0.1 * (part.high_mm - part.low_mm)
+        return bool(((x >= part.low_mm - margin) & (x <= part.high_mm + margin)).all())
+
+    def _part_at(self, position_mm: Floats) -> Part:
+        inside = self.region_half_width_mm is not None and bool(
+            (np.abs(position_mm) <= self.region_half_width_mm).all()
+        )
+        return self.local if inside and self.local is not None else self.whole
+
+    def border_jump_mm(self) -> float | None:
+        """Largest difference of local and whole model on the border of the region; None without a local model.
+
+        The blend spreads this difference over its width. A large value says that the two runs had different
+        references.
+        """
+        if self.local is None or self.region_half_width_mm is None:
+            return None
+        ticks = np.linspace(-1.0, 1.0, 5) * self.region_half_width_mm
+        cube = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+        border = cube[np.isclose(np.abs(cube).max(axis=1), self.region_half_width_mm)]
+        whole = Calibration(self.robot, self.whole)
+        local = Calibration(self.robot, self.local)
+        joints = whole.inverse_batch(border)
+        there = local.forward_batch(joints.values[joints.reached]).require()
+        return float(np.linalg.norm(there - border[joints.reached], axis=1).max())
+
+    # -- files -------------------------------------------------------------------------------------------
+
+    def save(self, path: str | Path) -> None:
+        """Writes TOML that :meth:`load` reads back without loss."""
+        parts = {"whole": _part_table(self.whole)}
+        settings: dict[str, Any] = {"format": FORMAT, "made_by": f"sherkit {_core.__version__}"}
+        if self.local is not None:
+            parts["local"] = _part_table(self.local)
+            settings["region_half_width_mm"] = self.region_half_width_mm
+        if self.blend_mm is not None:
+            settings["blend_mm"] = self.blend_mm
+        tables = {"calibration": settings, "robot": self.robot.to_tables(), **parts}
+        Path(path).write_text(tomli_w.dumps(tables), encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Calibration:
+        """Reads what :meth:`save` wrote. Raises :class:`~sherkit.errors.CalibrationError` naming file and key."""
+        path = Path(path)
+        try:
+            tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from None
+        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise CalibrationError(f"{path}: is not valid TOML: {error}") from None
+        settings = tables.get("calibration")
+        if not isinstance(settings, dict) or settings.get("format") != FORMAT:
+            raise CalibrationError(
+                f"{path}: is not a calibration of this version (expected [calibration] format = {FORMAT})"
+            )
+        try:
+            local = _part_from(tables["local"]) if "local" in tables else None
+            return cls(
+                robot=robot_from_tables(tables["robot"], f"{path} [robot]"),
+                whole=_part_from(tables["whole"]),
+                local=local,
+                region_half_width_mm=settings.get("region_half_width_mm"),
+                blend_mm=settings.get("blend_mm"),
+            )
+        except KeyError as error:
+            raise CalibrationError(f"{path}: key {error} is missing") from None
+        except (TypeError, ValueError, SherkitError) as error:
+            raise CalibrationError(f"{path}: {error}") from None
+
+    def __repr__(self) -> str:
+        parts = f"whole from {self.whole.rows} rows"
+        if self.local is not None:
+            parts += f", local from {self.local.rows} rows within ±{self.region_half_width_mm:g} mm"
+        return f"Calibration({parts})"
+
+
+def _part_table(part: Part) -> dict[str, Any]:
+    std = np.sqrt(np.diag(part.covariance).clip(0.0))
+    table: dict[str, Any] = {
+        "made_from": part.made_from,
+        "rows": part.rows,
+        "parameters": [
+            {"name": n, "value": float(v), "std": float(s), "unit": "rad" if "angle" in n else "mm"}
+            for n, v, s in zip(part.names, part.values, std, strict=True)
+        ],
+        "covariance": part.covariance.tolist(),
+        "residual_covariance_mm2": part.residual_covariance_mm2.tolist(),
+        "uncorrected_covariance_mm2": part.uncorrected_covariance_mm2.tolist(),
+        "low_mm": part.low_mm.tolist(),
+        "high_mm": part.high_mm.tolist(),
+    }
+    if part.correction is not None:
+        table["correction"] = part.correction.to_table()
+    return table
+
+
+def _part_from(table: Mapping[str, Any]) -> Part:
+    parameters = table["parameters"]
+    count = len(parameters)
+
+    def numbers(value: Any, what: str, *shape: int) -> Floats:
+        array = np.array(value, dtype=float)
+        if array.shape != shape or not np.isfinite(array).all():
+            raise ValueError(f"{what}: expected finite numbers of shape {shape}")
+        return array
+
+    return Part(
+        names=tuple(p["name"] for p in parameters),
+        values=numbers([p["value"] for p in parameters], "parameters", count),
+        covariance=numbers(table["covariance"], "covariance", count, count),
+        residual_covariance_mm2=numbers(table["residual_covariance_mm2"], "residual_covariance_mm2", 3, 3),
+        uncorrected_covariance_mm2=numbers(table["uncorrected_covariance_mm2"], "uncorrected_covariance_mm2", 3, 3),
+        low_mm=numbers(table["low_mm"], "low_mm", 3),
+        high_mm=numbers(table["high_mm"], "high_mm", 3),
+        correction=Correction.from_table(table["correction"]) if "correction" in table else None,
+        made_from=str(table["made_from"]),
+        rows=int(table["rows"]),
+    )
+
+
+def _second_moment(residuals_mm: Floats) -> Floats:
+    return residuals_mm.T @ residuals_mm / max(len(residuals_mm), 1)

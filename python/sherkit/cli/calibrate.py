@@ -1,0 +1,91 @@
+"""``sherkit calibrate``: from a run to a calibrated model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import numpy as np
+
+from ..calibrate import CORRECTIONS, to_json
+from ..calibrate import calibrate as run_calibration
+from ..errors import MeasurementError
+from ..identification import LOSSES
+from ..measurements import Measurements, read_measurements
+from ..robots import load_robot
+from . import output, tables
+
+NOT_CONVERGED = 3
+
+
+@click.command()
+@click.argument("robot", type=click.Path(path_type=Path))
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--local", type=click.Path(path_type=Path), help="A second run inside the region of interest.")
+@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), help="Write the calibration here.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
+@click.option("--loss", type=click.Choice(LOSSES), default="linear", show_default=True, help="Against outliers.")
+@click.option("--free", default="", help="Parameters to identify, separated by commas; default: 12 and the datum.")
+@click.option("--priors", is_flag=True, help="Take plausible sizes as knowledge, not only where nothing is observed.")
+@click.option("--linear", is_flag=True, help="The paper's single linear step instead of the nonlinear minimum.")
+@click.option("--correction", type=click.Choice(CORRECTIONS), default="auto", show_default=True)
+@click.option("--exclude", default="", help="Lines of RUN to leave out as outliers, separated by commas.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Rules the dealing of blocks to folds.")
+def calibrate(
+    robot: Path,
+    run: Path,
+    local: Path | None,
+    destination: Path | None,
+    as_json: bool,
+    loss: str,
+    free: str,
+    priors: bool,
+    linear: bool,
+    correction: str,
+    exclude: str,
+    seed: int,
+) -> int:
+    """Identify ROBOT (TOML) from the measurements RUN (CSV or Parquet)."""
+    nominal = load_robot(robot)
+    with output.steps(7) as step:
+        step(f"reading {run}")
+        data = _without(read_measurements(run), exclude)
+        inner = read_measurements(local) if local else None
+        result = run_calibration(
+            nominal,
+            data,
+            inner,
+            free=[name.strip() for name in free.split(",") if name.strip()],
+            loss=loss,
+            priors=priors,
+            linear=linear,
+            correction=correction,
+            seed=seed,
+            step=step,
+        )
+    if destination is not None:
+        result.calibration.save(destination)
+    if as_json:
+        output.print_json(to_json(result))
+    else:
+        tables.result(result)
+        if destination is not None:
+            output.out.print(f"calibration written to {destination}")
+    return 0 if result.converged or linear else NOT_CONVERGED
+
+
+def _without(data: Measurements, exclude: str) -> Measurements:
+    """Marks lines as outliers; refuses lines that hold no row."""
+    if not exclude.strip():
+        return data
+    try:
+        lines = [int(part) for part in exclude.split(",")]
+    except ValueError:
+        raise MeasurementError(f"--exclude: expected line numbers separated by commas, got '{exclude}'") from None
+    rows = []
+    for line in lines:
+        found = (data.line == line).nonzero()[0]
+        if len(found) == 0:
+            raise MeasurementError(f"--exclude: {data.source} has no row on {data.counted} {line}")
+        rows.append(found[0])
+    return data.mark_outliers(np.array(rows))

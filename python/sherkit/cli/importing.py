@@ -1,0 +1,29 @@
+"""``sherkit import``: files of other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from ..formats.klipper import import_klipper
+from ..robots import save_robot
+from . import output
+
+
+@click.group("import")
+def import_group() -> None:
+    """Turn files of other programs into robot.toml and run.csv."""
+
+
+@import_group.command("klipper")
+@click.argument("config", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "folder", type=click.Path(path_type=Path), required=True, help="Folder to write to.")
+def klipper(config: Path, folder: Path) -> None:
+    """A linear delta printer: its printer.cfg with a SAVE_CONFIG block."""
+    found = import_klipper(config)
+    folder.mkdir(parents=True, exist_ok=True)
+    save_robot(found.robot, folder / "robot.toml")
+    found.measurements.save(folder / "run.csv")
+    output.out.print(f"{folder / 'robot.toml'}: the printer's own saved calibration")
+    output.out.print(f"{folder / 'run.csv'}: {len(found.measurements)} rows (heights and distances)")

@@ -1,0 +1,51 @@
+"""The ``sherkit`` command."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+
+import click
+
+from .. import _core
+from ..errors import SherkitError
+from . import output
+from .calibrate import calibrate
+from .demo import demo
+from .importing import import_group
+from .simulate import simulate
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(_core.__version__, prog_name="sherkit")
+def cli() -> None:
+    """sherkit finds the physics that a robot's model is missing."""
+
+
+cli.add_command(calibrate)
+cli.add_command(demo)
+cli.add_command(simulate)
+cli.add_command(import_group)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Runs a command; errors become one sentence and an exit code."""
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda message, *_, **__: output.warn(str(message))
+            code = cli.main(args=arguments, prog_name="sherkit", standalone_mode=False)
+    except SherkitError as error:
+        output.fail(str(error))
+        sys.exit(1)
+    except click.exceptions.Abort:
+        output.fail("interrupted")
+        sys.exit(130)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except BrokenPipeError:
+        sys.exit(1)
+    except OSError as error:
+        output.fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        sys.exit(1)
+    sys.exit(code if isinstance(code, int) else 0)

@@ -1,0 +1,187 @@
+"""The tables of the paper, and the account of how well each parameter is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+
+from .. import paper
+from ..calibrate import Experiment, Result
+from ..calibration import Calibration
+from ..errors import SherkitError
+from ..names import listed
+from .output import out, table
+
+Floats = NDArray[np.float64]
+
+_AXES = ("x_mm", "y_mm", "z_mm", "distance_mm")
+
+
+def _pm(value: tuple[float, float] | None) -> str:
+    return "" if value is None else f"{value[0]:.1f} ± {value[1]:.1f}"
+
+
+def errors(e: Experiment, title: str, beside: Mapping[str, Mapping[str, tuple[int, int]]] | None = None) -> Table:
+    """Table I: error per axis before, after the geometry, held out, after the correction."""
+    made = table(title, "µm, RMS ± std", *[a[:-3] for a in _AXES if e.fit.data.taken[:, _AXES.index(a)].any()])
+    lines: list[tuple[str, str, Floats, NDArray[np.bool_] | None]] = [
+        ("before calibration", "before", e.fit.nominal_residuals_mm, None),
+        ("after geometry", "after", e.fit.residuals_mm, None),
+        ("  on poses held out", "", e.held_out_mm, None),
+    ]
+    if e.choice is not None:
+        lines.append(("  held out, corrected", "", e.corrected_mm, None))
+    region = e.in_region
+    if region is not None and region.any() and not region.all():
+        lines += [
+            ("before, region of interest", "before, region", e.fit.nominal_residuals_mm, region),
+            ("after, region of interest", "after, region", e.fit.residuals_mm, region),
+        ]
+        if e.choice is not None:
+            lines.append(("  held out, corrected", "", e.corrected_mm, region))
+    for name, key, values, rows in lines:
+        rms = e.rms(values, rows)
+        made.add_row(name, *[_pm(rms.get(a)) for a in _AXES if a in rms])
+        printed = (beside or {}).get(key)
+        if printed:
+            made.add_row("  the paper's robot", *[f"{v[0]} ± {v[1]}" for v in printed.values()], style="dim")
+    repeats = e.fit.data.repeatability
+    if repeats:
+        made.add_row("repeatability (1 σ)", *[f"± {1e3 * v:.1f}" for v in repeats.sigma_mm.values()])
+    return made
+
+
+def parameters(e: Experiment, title: str) -> Table:
+    """Table II: identified errors with their standard deviations, four per limb."""
+    fit = e.fit
+    note = "± readings: what the readings leave.  ± total: with what they do not tell, from plausible sizes."
+    made = table(title, "parameter", "", "identified error", "± readings", "± total", "unit", note=note)
+    for p, v, r, s in zip(fit.parameters, fit.values, fit.std_from_readings, fit.std, strict=True):
+        angle = p.unit == "rad"
+        factor = np.rad2deg(1.0) if angle else 1.0
+        digits = 4 if angle else 3
+        cells = [f"{x * factor:.{digits}f}" for x in (v, r, s)]
+        made.add_row(p.name, p.symbol, f"{v * factor:+.{digits}f}", *cells[1:], "deg" if angle else "mm")
+    return made
+
+
+def polynomials(e: Experiment, title: str, beside: Mapping[str, tuple[object, ...]] | None = None) -> Table | None:
+    """Table III: order, error on the test part and on the other planes, by the paper's protocol."""
+    p = e.paper
+    if p is None:
+        return None
+    planes = sorted(p.other_planes_um, reverse=True)
+    made = table(title, "µm, RMS ± std", "order", f"test, z = {p.plane_mm:.0f}", *[f"z = {z:.0f}" for z in planes])
+    for axis in "xyz":
+        cells = [_pm((p.other_planes_um[z][axis], p.other_planes_std_um[z][axis])) for z in planes]
+        made.add_row(axis, str(p.orders[axis]), _pm((p.test_um[axis], p.test_std_um[axis])), *cells)
+        if beside:
+            order, *rest = beside[axis]
+            numbers = [f"{v[0]} ± {v[1]}" for v in rest if isinstance(v, tuple)][: 1 + len(planes)]
+            made.add_row("  the paper's robot", str(order), *numbers, style="dim")
+    return made
+
+
+def account(e: Experiment, title: str) -> None:
+    """How well the parameters are known, in sentences."""
+    fit = e.fit
+    out.print(f"[bold]{title}[/]")
+    out.print(
+        f"  {len(fit.data)} rows, {fit.evaluations} evaluations, "
+        f"{'converged' if fit.converged else '[bold red]not converged[/]'}; "
+        f"rank {fit.rank} of {len(fit.parameters)}, condition number {fit.condition_number:.0f}; "
+        f"noise: {_NOISE[fit.noise.origin]}"
+    )
+    if fit.unobserved:
+        out.print(
+            f"  [bold]{len(fit.unobserved)} of {len(fit.parameters)} directions change no reading[/] "
+            "and were left at the smallest plausible change:"
+        )
+        for d in fit.unobserved:
+            out.print(f"    {d}")
+    if fit.badly_observed:
+        out.print("  worst observed directions (one standard deviation):")
+        for d in fit.badly_observed:
+            out.print(f"    {d}")
+    if len(fit.outliers):
+        lines = fit.data.line[fit.outliers]
+        out.print(
+            f"  [bold yellow]{len(lines)} suspected outliers[/], {fit.data.counted}s {listed(lines, 20)}; "
+            "they were used. --loss huber keeps them from deciding; a column 'outlier' = 1 leaves them out."
+        )
+    if fit.data.outlier.any():
+        marked = fit.data.line[fit.data.outlier]
+        out.print(f"  marked as outliers and not fitted: {fit.data.counted}s {listed(marked, 20)}")
+    if e.choice is not None:
+        chosen = e.choice.correction
+        text = "none helps on held-out blocks" if chosen is None else f"order {chosen.orders} in (x, y, z)"
+        out.print(f"  Bernstein correction by blocked cross-validation: {text}")
+
+
+_NOISE = {
+    "declared": "as declared in the file",
+    "repeats": "from repeats of poses",
+    "unknown": "unknown (no repeats, none declared), so its size comes from the residuals",
+}
+
+
+def accuracy(calibration: Calibration) -> None:
+    """Predicted accuracy at the centre and at the rims, against what injection needs."""
+    robot = calibration.robot
+    points = [("centre", (0.0, 0.0, 0.0))]
+    if robot.region_half_width_mm:
+        h = robot.region_half_width_mm
+        points.append(("corner of the region", (h, h, h)))
+    if robot.workspace_radius_mm and robot.workspace_z_mm:
+        points.append(("rim of the workspace", (robot.workspace_radius_mm, 0.0, robot.workspace_z_mm[1])))
+    made = table(
+        f"Predicted accuracy, 95 % (retinal injection needs {paper.REQUIREMENT_UM:.0f} µm)",
+        "at",
+        "x",
+        "y",
+        "z",
+        "µm",
+    )
+    for name, x in points:
+        try:
+            radius = f"{1e3 * calibration.accuracy(x):.1f}"
+            note = "" if calibration.measured(x) else " (extrapolated: no pose was measured there)"
+            made.add_row(name, *[f"{v:.0f}" for v in x], radius + note)
+        except SherkitError as error:  # the rim may be beyond reach: say so in the table
+            made.add_row(name, *[f"{v:.0f}" for v in x], str(error))
+    out.print(made)
+
+
+def result(r: Result, *, demo: bool = False) -> None:
+    """Everything a calibration found."""
+    label = " — simulation" if demo else ""
+    for name, e in (("whole workspace", r.whole), ("local", r.local)):
+        if e is None:
+            continue
+        key = name.split()[0]
+        out.print(errors(e, f"Table I{label}: errors, {name}", paper.TABLE_I[key] if demo else None))
+        out.print(parameters(e, f"Table II{label}: identified errors, {name}"))
+        if demo:
+            out.print(_paper_parameters(key))
+        third = polynomials(
+            e, f"Table III{label}: after the polynomial, {name}", paper.TABLE_III[key] if demo else None
+        )
+        if third is not None:
+            out.print(third)
+        account(e, f"How well the {name} run knows its parameters")
+        out.print()
+    accuracy(r.calibration)
+    jump = r.calibration.border_jump_mm()
+    if jump is not None:
+        out.print(f"local and whole model differ by at most {1e3 * jump:.1f} µm on the region's border; blended there")
+
+
+def _paper_parameters(key: str) -> Table:
+    made = table(f"Table II of the paper, {key} (another robot: sizes may be compared, values not)",
+                 "limb", "δr_b mm", "δθ_b deg", "δL mm", "δl mm")  # fmt: skip
+    for limb, row in enumerate(paper.TABLE_II[key], start=1):
+        made.add_row(str(limb), *[f"{v:+.2f}" for v in row], style="dim")
+    return made

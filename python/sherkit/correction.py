@@ -1,0 +1,341 @@
+"""Bernstein correction: a smooth polynomial for what the physics of the model leaves.
+
+Source: Eqs. 12 and 13 of Xiao et al., ISMR 2022. The coefficients are linear, so one QR solve replaces the paper's
+Levenberg–Marquardt. Order and variables are chosen by blocked cross-validation; the paper's own protocol (one
+plane, a random 70/20/10 split) is kept beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _core
+from .errors import FitError, ShapeError
+from .identification import Fit
+from .validation import spatial_blocks
+
+Floats = NDArray[np.float64]
+Orders = tuple[int, int, int]
+
+MAX_ORDER = 8
+#: Below this, some coefficients are not determined by the poses.
+_DETERMINED = 1e-8
+#: The correction fades to nothing over this part of the box's widest side.
+_FADE = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """A fitted correction in mm over the box ``low_mm`` to ``high_mm`` (x, y, z; infinite for no variable).
+
+    ``orders`` gives the order in x, y, z; zero means that the correction does not depend on that coordinate.
+    ``coefficients_mm`` (k, 3), row-major in (x, y, z). Outside the box the border value is held and fades to
+    zero over ``fade_mm``.
+    """
+
+    orders: Orders
+    low_mm: Floats
+    high_mm: Floats
+    fade_mm: float
+    coefficients_mm: Floats
+
+    def __post_init__(self) -> None:
+        _ = self.core  # refuses numbers that do not fit together
+
+    @cached_property
+    def core(self) -> _core.Bernstein:
+        """The compiled polynomial."""
+        return _core.Bernstein(
+            self.orders, self.low_mm, self.high_mm, self.fade_mm, np.ascontiguousarray(self.coefficients_mm)
+        )
+
+    def __call__(self, positions_mm: Floats) -> Floats:
+        """Correction (n, 3) at positions (n, 3), mm."""
+        return self.core.evaluate(np.ascontiguousarray(positions_mm, dtype=float))[0]
+
+    def derivative(self, positions_mm: Floats) -> Floats:
+        """Derivative (n, 3, 3) of the correction by position."""
+        return self.core.evaluate(np.ascontiguousarray(positions_mm, dtype=float))[1]
+
+    def share(self, position_mm: Floats) -> float:
+        """How much of the correction is left at a position (3,): 1 inside its box, 0 beyond the fade."""
+        return self.core.share(np.ascontiguousarray(position_mm, dtype=float))
+
+    def to_table(self) -> dict[str, Any]:
+        """For TOML, without loss."""
+        return {
+            "orders": list(self.orders),
+            "low_mm": self.low_mm.tolist(),
+            "high_mm": self.high_mm.tolist(),
+            "fade_mm": self.fade_mm,
+            "coefficients_mm": self.coefficients_mm.tolist(),
+        }
+
+    @classmethod
+    def from_table(cls, table: dict[str, Any]) -> Correction:
+        """Back from :meth:`to_table`; raises :class:`ShapeError` where numbers do not fit together."""
+        return cls(
+            orders=tuple(table["orders"]),
+            low_mm=np.array(table["low_mm"], dtype=float),
+            high_mm=np.array(table["high_mm"], dtype=float),
+            fade_mm=float(table["fade_mm"]),
+            coefficients_mm=np.array(table["coefficients_mm"], dtype=float).reshape(-1, 3),
+        )
+
+
+def fit_polynomial(positions_mm: Floats, errors_mm: Floats, orders: Orders, fade_mm: float | None = None) -> Correction:
+    """Least-squares polynomial of the given orders through errors (n, 3) at positions (n, 3), mm.
+
+    On a full grid the fit is done axis by axis. Raises :class:`FitError` where the poses do not determine the
+    coefficients, naming coordinate and order.
+    """
+    x = np.ascontiguousarray(positions_mm, dtype=float)
+    y = np.ascontiguousarray(errors_mm, dtype=float)
+    if x.ndim != 2 or x.shape[1] != 3 or x.shape != y.shape:
+        raise ShapeError(f"positions and errors: expected two arrays (n, 3), got {x.shape} and {y.shape}")
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise FitError("positions and errors: a number is not finite")
+    if len(x) == 0:
+        raise FitError("a polynomial needs at least one pose, got none")
+    low, high = x.min(axis=0), x.max(axis=0)
+    for k, name in enumerate("xyz"):
+        if not 0 <= orders[k] <= MAX_ORDER:
+            raise FitError(f"order in {name}: expected 0 to {MAX_ORDER}, got {orders[k]}")
+        if orders[k] == 0:
+            low[k], high[k] = -np.inf, np.inf
+        elif high[k] - low[k] <= 0:
+            raise FitError(f"order {orders[k]} in {name} needs more than one {name}; all poses share {low[k]:g} mm")
+    coefficients, weakest = _core.bernstein_fit(orders, low, high, x, y)
+    if not weakest > _DETERMINED:
+        counts = ", ".join(f"{n} {len(np.unique(x[:, k].round(3)))}" for k, n in enumerate("xyz"))
+        raise FitError(
+            f"{len(x)} poses do not determine a polynomial of order {orders} "
+            f"({len(coefficients)} coefficients; distinct coordinates: {counts}); lower the order"
+        )
+    span = (high - low)[np.isfinite(high - low)]
+    fade = fade_mm if fade_mm is not None else (_FADE * float(span.max()) if len(span) else 1.0)
+    return Correction(orders, low, high, fade, coefficients)
+
+
+def fit_grid(axes: Sequence[Floats], errors_mm: Floats, orders: Orders, fade_mm: float | None = None) -> Correction:
+    """The same polynomial from errors (n_x, n_y, n_z, 3) on a full grid with the given axes, mm.
+
+    Kronecker form: one small solve per axis, the same result as :func:`fit_polynomial` on all points. Raises
+    :class:`~sherkit.errors.Singular` where an axis has fewer points than coefficients.
+    """
+    low = np.array([float(np.min(a)) for a in axes])
+    high = np.array([float(np.max(a)) for a in axes])
+    unit = []
+    for k in range(3):
+        a = np.asarray(axes[k], dtype=float)
+        unit.append((a - low[k]) / (high[k] - low[k]) if orders[k] else np.zeros(len(a)))
+        if orders[k] == 0:
+            low[k], high[k] = -np.inf, np.inf
+    values = np.ascontiguousarray(errors_mm, dtype=float)
+    coefficients = _core.bernstein_fit_grid(orders, (unit[0], unit[1], unit[2]), values)
+    span = (high - low)[np.isfinite(high - low)]
+    fade = fade_mm if fade_mm is not None else (_FADE * float(span.max()) if len(span) else 1.0)
+    return Correction(orders, low, high, fade, coefficients)
+
+
+# -- which poses and errors a fit leaves ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Leftover:
+    """What a fit leaves at each row with a full position: where (identified position) and how much, mm."""
+
+    positions_mm: Floats
+    errors_mm: Floats
+    rows: NDArray[np.int64]
+
+
+def leftover(fit: Fit) -> Leftover:
+    """Rows with x, y and z, outliers of the user left out."""
+    rows = np.flatnonzero(fit.data.taken[:, :3].all(axis=1) & ~fit.data.outlier)
+    return Leftover(fit.predicted_mm[rows, :3], fit.residuals_mm[rows, :3], rows)
+
+
+# -- blocked cross-validation --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Orders tried, their held-out RMS (µm, x y z together), and the correction chosen; None where none helps."""
+
+    tried: tuple[tuple[Orders | None, float, float], ...]
+    correction: Correction | None
+    held_out_mm: Floats = field(repr=False)
+
+
+def choose_correction(
+    fit: Fit,
+    *,
+    orders: Sequence[int] = (1, 2, 3, 4, 5, 6),
+    heights: int = 3,
+    keep_none: bool = True,
+    folds: int = 6,
+    seed: int = 0,
+) -> Choice:
+    """Orders by blocked cross-validation: the simplest within one standard error of the best.
+
+    Tries each order in x and y with order 0 to ``heights`` - 1 in z, as far as the poses have heights. No
+    correction at all is among the candidates unless ``keep_none`` is false. The geometric fit has seen every
+    row, with a dozen parameters; the polynomials have not. Raises :class:`FitError` where nothing can be fitted.
+    """
+    left = leftover(fit)
+    data = fit.data.select(left.rows)
+    n_groups = len(np.unique(data.groups))
+    found = len(_levels(left.positions_mm[:, 2]))
+    block = spatial_blocks(data, left.positions_mm, folds, seed)
+    candidates: list[Orders | None] = [None] if keep_none else []
+    for n in orders:
+        for nz in range(min(heights, found)):
+            if (n + 1) ** 2 * (nz + 1) <= n_groups // 2:
+                candidates.append((n, n, nz))
+    tried = []
+    squares = {}
+    for candidate in candidates:
+        held = _held_out(left, block, candidate)
+        if held is None:
+            continue
+        per_block = np.array([np.mean((held[block == b] ** 2).sum(axis=1)) for b in np.unique(block)])
+        mean = float(per_block.mean())
+        error = float(per_block.std(ddof=1) / np.sqrt(len(per_block))) if len(per_block) > 1 else 0.0
+        squares[candidate] = (mean, error, held)
+        rms = 1e3 * float(np.sqrt(mean))
+        tried.append((candidate, rms, 1e3 * float(np.sqrt(mean + error)) - rms))
+    if not squares:
+        raise FitError(f"{n_groups} poses do not determine a polynomial of order {min(orders)}")
+    best = min(squares.values(), key=lambda s: s[0])
+    # one-standard-error rule (Breiman et al. 1984): paired with the best, block by block
+    best_held = best[2]
+    chosen: Orders | None = None
+    for candidate in sorted(squares, key=_coefficient_count):
+        difference = np.array(
+            [
+                np.mean((squares[candidate][2][block == b] ** 2 - best_held[block == b] ** 2).sum(axis=1))
+                for b in np.unique(block)
+            ]
+        )
+        error = difference.std(ddof=1) / np.sqrt(len(difference)) if len(difference) > 1 else 0.0
+        if difference.mean() <= error:
+            chosen = candidate
+            break
+    correction = None if chosen is None else fit_polynomial(left.positions_mm, left.errors_mm, chosen)
+    return Choice(tuple(tried), correction, squares[chosen][2])
+
+
+def _coefficient_count(orders: Orders | None) -> int:
+    return 0 if orders is None else int(np.prod([n + 1 for n in orders]))
+
+
+def _held_out(left: Leftover, block: NDArray[np.int64], orders: Orders | None) -> Floats | None:
+    """Errors left at every row by a polynomial that did not see its block; None where it cannot be fitted."""
+    if orders is None:
+        return left.errors_mm
+    held = np.empty_like(left.errors_mm)
+    for b in np.unique(block):
+        inside = block == b
+        try:
+            fitted = fit_polynomial(left.positions_mm[~inside], left.errors_mm[~inside], orders, fade_mm=1e9)
+        except FitError:
+            return None
+        held[inside] = left.errors_mm[inside] - fitted(left.positions_mm[inside])
+    return held
+
+
+# -- the paper's protocol ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class PaperProtocol:
+    """Orders chosen per axis, their errors, and one correction of the highest order that holds all three.
+
+    ``orders`` maps axis to order; ``validation_um`` axis to order to RMS; ``test_um`` axis to RMS on the test
+    part; ``other_planes_um`` plane height to axis to RMS.
+    """
+
+    plane_mm: float
+    orders: dict[str, int]
+    validation_um: dict[str, dict[int, float]]
+    test_um: dict[str, float]
+    test_std_um: dict[str, float]
+    other_planes_um: dict[float, dict[str, float]]
+    other_planes_std_um: dict[float, dict[str, float]]
+    corrections: dict[str, Correction] = field(repr=False)
+
+    def __call__(self, positions_mm: Floats) -> Floats:
+        """Correction (n, 3): each axis from the polynomial of its own order."""
+        return np.stack([self.corrections[a](positions_mm)[:, k] for k, a in enumerate("xyz")], axis=1)
+
+
+def paper_protocol(
+    fit: Fit, *, plane_mm: float = 0.0, orders: Sequence[int] = (2, 3, 4, 5, 6), seed: int = 0
+) -> PaperProtocol:
+    """Section II-B of the paper: one horizontal plane, 70/20/10 at random by pose, the order of 2 to 6 with the
+    lowest validation error for each axis, then the other planes. ``seed`` rules the split.
+
+    Raises :class:`FitError` where no pose lies within 2 mm of ``plane_mm``, or too few do.
+    """
+    left = leftover(fit)
+    heights = left.positions_mm[:, 2]
+    levels = _levels(heights)
+    nearest = levels[np.argmin(np.abs(levels - plane_mm))]
+    if abs(nearest - plane_mm) > 2.0:
+        found = ", ".join(f"{v:.1f}" for v in levels)
+        raise FitError(f"no pose lies within 2 mm of the plane z = {plane_mm:g} mm; heights found: {found} mm")
+    layer = np.argmin(np.abs(heights[:, None] - levels), axis=1)
+    on_plane = np.flatnonzero(levels[layer] == nearest)
+    poses, pose = np.unique(fit.data.groups[left.rows[on_plane]], return_inverse=True)
+    part = np.random.default_rng(seed).permutation(len(poses)) / len(poses)
+    share = part[pose.ravel()]
+    train, validate = on_plane[share < 0.7], on_plane[(share >= 0.7) & (share < 0.9)]
+    test = on_plane[share >= 0.9]
+    if min(len(train), len(validate), len(test)) == 0:
+        raise FitError(f"{len(poses)} poses on the plane z = {plane_mm:g} mm are too few to split 70/20/10")
+
+    x, e = left.positions_mm, left.errors_mm
+    fitted: dict[int, Correction] = {}
+    for n in orders:
+        if (n + 1) ** 2 <= len(np.unique(fit.data.groups[left.rows[train]])):
+            fitted[n] = fit_polynomial(x[train], e[train], (n, n, 0))
+    if not fitted:
+        raise FitError(f"{len(train)} training rows do not determine a polynomial of order {min(orders)}")
+    rest = {n: e - c(x) for n, c in fitted.items()}
+    validation = {a: {n: 1e3 * _rms(r[validate, k]) for n, r in rest.items()} for k, a in enumerate("xyz")}
+    chosen = {a: min(v, key=lambda n: v[n]) for a, v in validation.items()}
+    others = [v for v in levels if v != nearest]
+    left_by_axis = np.stack([rest[chosen[a]][:, k] for k, a in enumerate("xyz")], axis=1)
+
+    def by_axis(rows: NDArray[Any], measure: Any) -> dict[str, float]:
+        return {a: 1e3 * float(measure(left_by_axis[rows, k])) for k, a in enumerate("xyz")}
+
+    plane_rows = {float(v): np.flatnonzero(levels[layer] == v) for v in others}
+    return PaperProtocol(
+        plane_mm=float(nearest),
+        orders=chosen,
+        validation_um=validation,
+        test_um=by_axis(test, _rms),
+        test_std_um=by_axis(test, np.std),
+        other_planes_um={v: by_axis(r, _rms) for v, r in plane_rows.items()},
+        other_planes_std_um={v: by_axis(r, np.std) for v, r in plane_rows.items()},
+        corrections={a: fitted[n] for a, n in chosen.items()},
+    )
+
+
+def _levels(heights: Floats, gap_mm: float = 3.0) -> Floats:
+    """Heights of the planes: means of runs of sorted heights without a gap."""
+    ordered = np.sort(heights)
+    parts = np.split(ordered, np.flatnonzero(np.diff(ordered) > gap_mm) + 1)
+    return np.array([float(p.mean()) for p in parts])
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))

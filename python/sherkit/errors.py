@@ -1,0 +1,55 @@
+"""What can go wrong, as sentences a lab user can act on. All derive from :class:`SherkitError`."""
+
+from __future__ import annotations
+
+
+class SherkitError(Exception):
+    """Base of everything that sherkit raises on purpose."""
+
+
+class SherkitWarning(UserWarning):
+    """Something looks wrong but the work can go on."""
+
+
+class RobotError(SherkitError):
+    """A robot description that is no robot: names file, table and key."""
+
+
+class MeasurementError(SherkitError):
+    """A table of measurements that cannot be used: names file, row and column."""
+
+
+class FitError(SherkitError):
+    """An identification that cannot be carried out on these rows."""
+
+
+class CalibrationError(SherkitError):
+    """A calibration file that cannot be loaded."""
+
+
+class ShapeError(SherkitError, ValueError):
+    """An array of the wrong shape or a name that is not known."""
+
+
+class NotFinite(SherkitError, ValueError):
+    """NaN or infinity where a number is needed."""
+
+
+class Singular(SherkitError):
+    """The joints do not fix the position here."""
+
+
+class NotConverged(SherkitError):
+    """An iteration that did not settle."""
+
+
+class OutOfReach(SherkitError):
+    """A pose that the robot cannot take.
+
+    ``limb`` counts from one; ``miss_mm`` is what its rod lacks (negative: has too much).
+    """
+
+    def __init__(self, message: str, limb: int, miss_mm: float) -> None:
+        super().__init__(message)
+        self.limb = limb
+        self.miss_mm = miss_mm

@@ -1,0 +1,15 @@
+"""Rows of readings with units, repeats and covariates, from files and frames."""
+
+from .frames import from_frame
+from .reader import read_measurements
+from .rows import Measurements, Repeatability
+from .stream import MeasurementStream, stream_measurements
+
+__all__ = [
+    "MeasurementStream",
+    "Measurements",
+    "Repeatability",
+    "from_frame",
+    "read_measurements",
+    "stream_measurements",
+]

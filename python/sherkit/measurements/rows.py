@@ -1,0 +1,281 @@
+"""Measurements: an immutable table of readings."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from ..errors import MeasurementError, SherkitWarning
+from ..names import listed
+from . import columns as c
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+#: Joint and position readings whose spreads differ by more than this are in different units.
+_UNIT_RATIO = 100.0
+
+
+@dataclass(frozen=True)
+class Repeatability:
+    """Spread of repeated readings of the same pose: pooled standard deviation per reading.
+
+    ``sigma_mm`` maps a reading (``x_mm`` …) to its pure error, ``degrees_of_freedom`` to how many
+    readings it rests on beyond one per pose.
+    """
+
+    sigma_mm: dict[str, float]
+    degrees_of_freedom: dict[str, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Rows of readings of a delta. Arrays have one row per reading and are not to be written to.
+
+    ``joints_mm`` (n, 3); ``to_joints_mm`` (n, 3), NaN where the row is no distance; ``readings_mm`` (n, 4) with
+    columns x, y, z, distance, and ``taken`` (n, 4) telling which were taken; ``sigma_mm`` (n, 4), NaN where no
+    noise was declared; ``outlier`` (n,) rows that the user marked as wrong: kept, listed, not fitted.
+    ``line`` (n,) is the line of the row in its file (``counted`` is ``"line"``) or its number from 0 in a frame
+    (``"row"``), for messages.
+    """
+
+    joints_mm: Floats
+    to_joints_mm: Floats
+    readings_mm: Floats
+    taken: Bools
+    sigma_mm: Floats
+    time_s: Floats | None
+    pose: Ints | None
+    repeat: Ints | None
+    outlier: Bools
+    covariates: Mapping[str, Floats]
+    labels: Mapping[str, NDArray[Any]]
+    source: str
+    line: Ints
+    counted: str = "row"
+
+    # -- making ------------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_columns(
+        cls,
+        values: Mapping[str, NDArray[Any]],
+        source: str,
+        line: Ints | None = None,
+        counted: str = "row",
+    ) -> Measurements:
+        """Builds rows from clean columns: floats, NaN only where a reading was not taken.
+
+        Raises :class:`~sherkit.errors.MeasurementError` for a row without any reading, half a distance, or a
+        pose and repeat given twice. Warns where units do not fit.
+        """
+        n = len(values[c.JOINTS[0]])
+        line = np.arange(n, dtype=np.int64) if line is None else line
+        empty = np.full(n, np.nan)
+
+        def stack(names: Iterable[str]) -> Floats:
+            return np.ascontiguousarray(np.stack([values.get(k, empty) for k in names], axis=1), dtype=float)
+
+        to = stack(c.TO_JOINTS)
+        readings = stack(c.READINGS)
+        taken = np.isfinite(readings)
+        whole = {k: values[k].astype(np.int64) if k in values else None for k in (c.POSE, c.REPEAT)}
+        known = set(c.KNOWN)
+        rest = {k: v for k, v in values.items() if k not in known}
+        data = cls(
+            joints_mm=stack(c.JOINTS),
+            to_joints_mm=to,
+            readings_mm=np.where(taken, readings, 0.0),
+            taken=taken,
+            sigma_mm=stack(c.SIGMAS),
+            time_s=np.asarray(values[c.TIME], dtype=float) if c.TIME in values else None,
+            pose=whole[c.POSE],
+            repeat=whole[c.REPEAT],
+            outlier=values[c.OUTLIER] != 0 if c.OUTLIER in values else np.zeros(n, dtype=bool),
+            covariates={k: np.asarray(v, dtype=float) for k, v in rest.items() if v.dtype.kind in "fiub"},
+            labels={k: v for k, v in rest.items() if v.dtype.kind not in "fiub"},
+            source=source,
+            line=line,
+            counted=counted,
+        )
+        data._check()
+        return data
+
+    def _check(self) -> None:
+        none: Bools = ~np.any(self.taken, axis=1)
+        if none.any():
+            raise MeasurementError(
+                f"{self.place(none)}: no reading was taken; expected a number in at least one of "
+                "x_mm, y_mm, z_mm, distance_mm"
+            )
+        ends = np.isfinite(self.to_joints_mm)
+        half = (ends.any(axis=1) & ~ends.all(axis=1)) | (ends.all(axis=1) != self.taken[:, 3])
+        if half.any():
+            raise MeasurementError(
+                f"{self.place(half)}: a distance needs distance_mm and all of to_q1_mm, to_q2_mm, to_q3_mm"
+            )
+        both = self.taken[:, 3] & self.taken[:, :3].any(axis=1)
+        if both.any():
+            raise MeasurementError(
+                f"{self.place(both)}: a row holds a position or a distance, not both; give each its own row"
+            )
+        if self.pose is not None and self.repeat is not None:
+            keys = np.stack([self.pose, self.repeat], axis=1)
+            _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+            again = np.flatnonzero(first[inverse.ravel()] != np.arange(len(keys)))
+            if len(again):
+                row, other = again[0], first[inverse.ravel()[again[0]]]
+                raise MeasurementError(
+                    f"{self.place(again)}: pose {self.pose[row]} repeat {self.repeat[row]} was given before "
+                    f"({self.counted} {self.line[other]}); number repeats of a pose 1, 2, 3, …"
+                )
+        self._warn_of_units()
+
+    def _warn_of_units(self) -> None:
+        position = self.taken[:, :3].all(axis=1) & ~self.outlier
+        if position.sum() < 3:
+            return
+        # robust spreads: one wild row must not look like a wrong unit
+        spread = _spread(self.joints_mm[position])
+        moved = _spread(self.readings_mm[position, :3])
+        if spread <= 0 or moved <= 0:
+            return
+        for ratio, what, unit in (
+            (spread / moved, "x_mm, y_mm, z_mm", "metres"),
+            (moved / spread, "q1_mm, q2_mm, q3_mm", "metres"),
+        ):
+            if ratio > _UNIT_RATIO:
+                warnings.warn(
+                    f"{self.source}: columns {what} vary {ratio:.0f} times less than the other readings; "
+                    f"are they in {unit}? Expected millimetres.",
+                    SherkitWarning,
+                    stacklevel=2,
+                )
+
+    # -- using -------------------------------------------------------------------------------------------
+
+    def __len__(self) -> int:
+        return len(self.joints_mm)
+
+    def __repr__(self) -> str:
+        kinds = [name for name, any_ in zip(c.READINGS, np.any(self.taken, axis=0).tolist(), strict=True) if any_]
+        poses = "" if self.pose is None else f", {len(np.unique(self.pose))} poses"
+        return f"Measurements({len(self)} rows{poses}, {', '.join(kinds)}, from {self.source})"
+
+    def place(self, rows: NDArray[Any]) -> str:
+        """Where rows stand, for a message: file and lines."""
+        lines = self.line[rows]
+        return f"{self.source}: {self.counted}{'s' if len(lines) > 1 else ''} {listed(lines)}"
+
+    def select(self, rows: NDArray[Any]) -> Measurements:
+        """The rows of a mask or of indices, in that order."""
+
+        def pick(value: Any) -> Any:
+            return None if value is None else value[rows]
+
+        return replace(
+            self,
+            **{
+                name: pick(getattr(self, name))
+                for name in (
+                    "joints_mm", "to_joints_mm", "readings_mm", "taken", "sigma_mm",
+                    "time_s", "pose", "repeat", "outlier", "line",
+                )
+            },
+            covariates={k: v[rows] for k, v in self.covariates.items()},
+            labels={k: v[rows] for k, v in self.labels.items()},
+        )  # fmt: skip
+
+    def mark_outliers(self, rows: NDArray[Any]) -> Measurements:
+        """The same rows with the given ones marked as outliers, on top of those marked before."""
+        outlier = self.outlier.copy()
+        outlier[rows] = True
+        return replace(self, outlier=outlier)
+
+    @cached_property
+    def is_distance(self) -> Bools:
+        """Which rows are distances."""
+        return self.taken[:, 3]
+
+    @cached_property
+    def distances_or_none(self) -> Floats | None:
+        """``to_joints_mm`` where any row is a distance, else None, as the core takes it."""
+        return self.to_joints_mm if self.is_distance.any() else None
+
+    @cached_property
+    def groups(self) -> Ints:
+        """A number per row, equal for repeats of the same pose; every row its own where no pose is given."""
+        if self.pose is None:
+            return np.arange(len(self), dtype=np.int64)
+        return np.unique(self.pose, return_inverse=True)[1].ravel().astype(np.int64)
+
+    @cached_property
+    def repeatability(self) -> Repeatability | None:
+        """Pure error from repeats of a pose, pooled over poses; None where no pose was read twice.
+
+        Outliers that the user marked are left out. A pose's readings are compared with their own mean, so
+        the figure is free of any model (Draper and Smith, *Applied Regression Analysis*, 1.5).
+        """
+        if self.pose is None:
+            return None
+        sigma: dict[str, float] = {}
+        freedom: dict[str, int] = {}
+        for k, name in enumerate(c.READINGS):
+            rows = self.taken[:, k] & ~self.outlier
+            if not rows.any():
+                continue
+            group = np.unique(self.groups[rows], return_inverse=True)[1]
+            count = np.bincount(group)
+            value = self.readings_mm[rows, k]
+            mean = np.bincount(group, value) / count
+            free = int((count - 1).sum())
+            if free > 0:
+                sigma[name] = float(np.sqrt(((value - mean[group]) ** 2).sum() / free))
+                freedom[name] = free
+        return Repeatability(sigma, freedom) if sigma else None
+
+    # -- leaving -----------------------------------------------------------------------------------------
+
+    def to_frame(self) -> pl.DataFrame:
+        """A polars frame with the file's column names; what was not taken is null."""
+        columns: dict[str, Any] = {}
+        for name, values in ((c.TIME, self.time_s), (c.POSE, self.pose), (c.REPEAT, self.repeat)):
+            if values is not None:
+                columns[name] = values
+        for k, name in enumerate(c.JOINTS):
+            columns[name] = self.joints_mm[:, k]
+        blocks = (
+            (c.TO_JOINTS, self.to_joints_mm),
+            (c.READINGS, np.where(self.taken, self.readings_mm, np.nan)),
+            (c.SIGMAS, self.sigma_mm),
+        )
+        for names, block in blocks:
+            for k, name in enumerate(names):
+                if np.isfinite(block[:, k]).any():
+                    columns[name] = block[:, k]
+        if self.outlier.any():
+            columns[c.OUTLIER] = self.outlier.astype(np.int64)
+        frame = pl.DataFrame({**columns, **self.covariates, **self.labels})
+        return frame.with_columns(pl.col(pl.Float64).fill_nan(None))
+
+    def save(self, path: str | Path) -> None:
+        """Writes CSV or Parquet, by the ending of the name."""
+        path = Path(path)
+        if path.suffix.lower() in (".parquet", ".pq"):
+            self.to_frame().write_parquet(path)
+        else:
+            self.to_frame().write_csv(path)
+
+
+def _spread(values: Floats) -> float:
+    low, high = np.percentile(values, [5, 95], axis=0)
+    return float((high - low).max())

@@ -1,0 +1,26 @@
+"""Names that people type: the nearest known one when a name is wrong."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+def closest(name: str, known: Iterable[str]) -> str | None:
+    """The known name that looks most like ``name``, where one does."""
+    match = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
+    return match[0] if match else None
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """``"; did you mean 'x'?"``, or nothing where no known name is close."""
+    match = closest(name, known)
+    return f"; did you mean '{match}'?" if match else ""
+
+
+def listed(names: Iterable[object], most: int = 8) -> str:
+    """Names for a sentence, cut after ``most`` with a count of the rest."""
+    items = [str(n) for n in names]
+    if len(items) > most:
+        return ", ".join(items[:most]) + f" and {len(items) - most} more"
+    return ", ".join(items)

@@ -1,0 +1,63 @@
+"""Errors on measurements that were not fitted: blocks of poses held out in turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .identification import identify, residuals
+from .measurements import Measurements
+from .model import DeltaModel
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_TILES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Residuals (n, 4), mm, each from a fit that did not see its block, and the block of each row."""
+
+    residuals_mm: Floats
+    block: Ints
+
+
+def spatial_blocks(data: Measurements, positions_mm: Floats, folds: int = 5, seed: int = 0) -> Ints:
+    """A fold (0 … folds - 1) for every row; repeats of a pose and neighbours in space stay together.
+
+    The workspace is cut into 4 × 4 tiles per height layer and whole tiles are dealt to folds, so that a fold
+    is predicted from its surroundings and never from its own repeats (Roberts et al., "Cross-validation
+    strategies for data with temporal, spatial … structure", Ecography 2017).
+    """
+    centre = _group_means(positions_mm, data.groups)
+    tile = np.zeros(len(centre), dtype=np.int64)
+    for axis in (0, 1, 2):
+        rank = np.argsort(np.argsort(centre[:, axis], kind="stable"), kind="stable")
+        parts = _TILES if axis < 2 else 3
+        tile = tile * parts + rank * parts // len(centre)
+    names, tile = np.unique(tile, return_inverse=True)
+    deal = np.arange(len(names)) % folds
+    np.random.default_rng(seed).shuffle(deal)
+    return deal[tile.ravel()][data.groups]
+
+
+def hold_out(model: DeltaModel, data: Measurements, *, folds: int = 5, seed: int = 0, loss: str = "linear") -> HeldOut:
+    """Refits without each block in turn and predicts it. Raises as :func:`~sherkit.identification.identify`."""
+    nominal = model.predict(data, np.zeros(len(model.free)))[:, :3]
+    block = spatial_blocks(data, np.nan_to_num(nominal), folds, seed)
+    out = np.full(data.readings_mm.shape, np.nan)
+    for fold in np.unique(block):
+        inside = block == fold
+        if inside.all():
+            break
+        fit = identify(model, data.select(~inside), loss=loss)
+        out[inside] = residuals(model, data.select(inside), fit.values)
+    return HeldOut(out, block)
+
+
+def _group_means(values: Floats, groups: Ints) -> Floats:
+    count = np.bincount(groups)
+    return np.stack([np.bincount(groups, v) / count for v in values.T], axis=1)

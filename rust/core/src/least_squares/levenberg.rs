@@ -1,0 +1,223 @@
+//! Gauss–Newton with Levenberg–Marquardt damping, as a state machine.
+//!
+//! The caller evaluates rows at [`Levenberg::trial`], folds them into a stack, and calls
+//! [`Levenberg::advance`]. Damping is zero until a step fails, so that a good start converges quadratically
+//! (Nocedal and Wright, *Numerical Optimization*, 10.3; column scaling as in Moré 1978). Along directions that
+//! no row observes the estimate stays at the smallest deviation from the start, in plausible sizes.
+
+use super::decomposition::{Decomposition, decomposition_len};
+use crate::{Error, Result};
+
+/// Numbers that a [`Levenberg`] of `n` parameters needs.
+#[must_use]
+pub const fn levenberg_len(n: usize) -> usize {
+    5 * n + decomposition_len(n)
+}
+
+/// When to stop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Evaluations allowed, the first included.
+    pub max_evaluations: usize,
+    /// Converged when no parameter moves by more than this fraction of its plausible size.
+    pub step_tolerance: f64,
+    /// Singular values below this fraction of the largest count as zero.
+    pub rank_tolerance: f64,
+    /// Take one undamped step and stop: the linear solution of Eq. 11.
+    pub single_step: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            max_evaluations: 100,
+            step_tolerance: 1e-10,
+            rank_tolerance: 1e-9,
+            single_step: false,
+        }
+    }
+}
+
+/// What to do next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progress {
+    /// Evaluate the rows at the new trial.
+    Evaluate,
+    /// The minimum is reached; the trial is the estimate and the decomposition belongs to it.
+    Converged,
+    /// The evaluations are used up; the trial is the best so far.
+    Exhausted,
+}
+
+/// The iteration. `S` is storage of [`levenberg_len`] numbers.
+#[derive(Clone, Debug)]
+pub struct Levenberg<S> {
+    n: usize,
+    settings: Settings,
+    evaluations: usize,
+    damping: f64,
+    cost: f64,
+    rank: usize,
+    /// start | sizes | best | trial | step | decomposition at best
+    storage: S,
+}
+
+const START: usize = 0;
+const SIZES: usize = 1;
+const BEST: usize = 2;
+const TRIAL: usize = 3;
+const STEP: usize = 4;
+
+impl<S: AsRef<[f64]> + AsMut<[f64]>> Levenberg<S> {
+    /// Starts at `start`; `sizes` are the plausible sizes of the parameters.
+    ///
+    /// # Errors
+    /// [`Error::WrongLength`]; [`Error::NotFinite`] where a size is not a positive number.
+    pub fn new(start: &[f64], sizes: &[f64], settings: Settings, mut storage: S) -> Result<Self> {
+        let n = start.len();
+        for (expected, found) in [(levenberg_len(n), storage.as_ref().len()), (n, sizes.len())] {
+            if expected != found {
+                return Err(Error::WrongLength { expected, found });
+            }
+        }
+        if let Some(index) = sizes.iter().position(|s| !(s.is_finite() && *s > 0.0)) {
+            return Err(Error::NotFinite { index });
+        }
+        let s = storage.as_mut();
+        for (slot, values) in [
+            (START, start),
+            (SIZES, sizes),
+            (BEST, start),
+            (TRIAL, start),
+        ] {
+            s[slot * n..][..n].copy_from_slice(values);
+        }
+        Ok(Self {
+            n,
+            settings,
+            evaluations: 0,
+            damping: 0.0,
+            cost: f64::INFINITY,
+            rank: 0,
+            storage,
+        })
+    }
+
+    fn slot(&self, slot: usize) -> &[f64] {
+        &self.storage.as_ref()[slot * self.n..][..self.n]
+    }
+
+    /// Parameters at which to evaluate the rows; after the end, the estimate.
+    #[must_use]
+    pub fn trial(&self) -> &[f64] {
+        self.slot(TRIAL)
+    }
+
+    /// Where the iteration started.
+    #[must_use]
+    pub fn start(&self) -> &[f64] {
+        self.slot(START)
+    }
+
+    /// Plausible sizes.
+    #[must_use]
+    pub fn sizes(&self) -> &[f64] {
+        self.slot(SIZES)
+    }
+
+    /// Evaluations so far.
+    #[must_use]
+    pub fn evaluations(&self) -> usize {
+        self.evaluations
+    }
+
+    /// Cost at the estimate.
+    #[must_use]
+    pub fn cost(&self) -> f64 {
+        self.cost
+    }
+
+    /// Runs `read` on the decomposition at the estimate.
+    ///
+    /// # Errors
+    /// Those of [`Decomposition::new`], which cannot occur here.
+    pub fn with_decomposition<T>(
+        &mut self,
+        read: impl FnOnce(&Decomposition<&mut [f64]>) -> T,
+    ) -> Result<T> {
+        let n = self.n;
+        let rank = self.rank;
+        let d = Decomposition::restore(n, rank, &mut self.storage.as_mut()[5 * n..])?;
+        Ok(read(&d))
+    }
+
+    /// Takes the triangle and the cost at the trial, and says what to do next. A trial that could not be
+    /// evaluated (a row out of reach) has an infinite cost.
+    ///
+    /// # Errors
+    /// [`Error::NotFinite`] where the very first evaluation failed; those of the decomposition.
+    pub fn advance(&mut self, triangle: &[f64], cost: f64) -> Result<Progress> {
+        let n = self.n;
+        self.evaluations += 1;
+        let first = self.evaluations == 1;
+        if first && !cost.is_finite() {
+            return Err(Error::NotFinite { index: 0 });
+        }
+        let (slots, room) = self.storage.as_mut().split_at_mut(5 * n);
+        // a step that changes the cost by less than rounding is neither better nor worse: accept it
+        let accepted = cost <= self.cost * (1.0 + 1e-12);
+        let mut decomposition;
+        if accepted {
+            self.cost = cost.min(self.cost);
+            slots.copy_within(TRIAL * n..(TRIAL + 1) * n, BEST * n);
+            decomposition = Decomposition::new(n, room)?;
+            decomposition.decompose(
+                triangle,
+                &slots[SIZES * n..][..n],
+                self.settings.rank_tolerance,
+            )?;
+            self.rank = decomposition.rank();
+            self.damping = if self.damping < 1e-9 {
+                0.0
+            } else {
+                self.damping * 0.1
+            };
+        } else {
+            decomposition = Decomposition::restore(n, self.rank, room)?;
+            self.damping = (self.damping * 10.0).max(1e-4);
+        }
+        let done_single = self.settings.single_step && !first;
+        // the last step, taken from the estimate: how far would the next one go?
+        let (head, step) = slots.split_at_mut(STEP * n);
+        let step = &mut step[..n];
+        decomposition.step(self.damping, step);
+        let (head, trial) = head.split_at_mut(TRIAL * n);
+        let (start, rest) = head.split_at(n);
+        let (sizes, best) = rest.split_at(n);
+        let trial = &mut trial[..n];
+        for ((t, s), (b, o)) in trial.iter_mut().zip(&*step).zip(best.iter().zip(start)) {
+            *t = b + s - o;
+        }
+        decomposition.remove_unobserved(trial);
+        for (t, o) in trial.iter_mut().zip(start) {
+            *t += o;
+        }
+        let farthest = trial
+            .iter()
+            .zip(best)
+            .zip(sizes)
+            .map(|((t, b), s)| ((t - b) / s).abs())
+            .fold(0.0, f64::max);
+        let converged = farthest <= self.settings.step_tolerance || done_single;
+        let exhausted = self.evaluations >= self.settings.max_evaluations || self.damping > 1e12;
+        if converged || exhausted {
+            trial.copy_from_slice(&best[..n]);
+            return Ok(if converged {
+                Progress::Converged
+            } else {
+                Progress::Exhausted
+            });
+        }
+        Ok(Progress::Evaluate)
+    }
+}

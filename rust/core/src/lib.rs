@@ -1,0 +1,18 @@
+//! Numerics of sherkit: `no_std`, no allocation, no panics.
+//!
+//! Lengths are millimetres and angles radians throughout. Storage whose size depends on the number of
+//! parameters is lent by the caller, so that the same code serves a control loop and a study of ten
+//! million rows.
+//!
+//! The floors, from below: [`math`] and [`error`]; [`delta`] and [`least_squares`], which know nothing
+//! of each other; [`bernstein`]; [`calibrated`], the model that a control loop runs.
+#![no_std]
+
+pub mod bernstein;
+pub mod calibrated;
+pub mod delta;
+pub mod error;
+pub mod least_squares;
+pub mod math;
+
+pub use error::{Error, Result};

@@ -1,0 +1,48 @@
+//! `NumPy` arrays in and out, with their shapes checked.
+
+use crate::errors::shape;
+use numpy::ndarray::Dimension;
+use numpy::{IntoPyArray, PyArray, PyArrayMethods, PyReadonlyArray, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+
+/// The numbers of a contiguous array of rows of `N`.
+pub fn rows<'a, const N: usize, D: Dimension>(
+    name: &str,
+    array: &'a PyReadonlyArray<'_, f64, D>,
+) -> PyResult<&'a [[f64; N]]> {
+    let dims = array.shape();
+    let expected = || format!("(n, {N}), contiguous");
+    if dims.len() != 2 || dims.last() != Some(&N) {
+        return Err(shape(name, &expected(), dims));
+    }
+    let flat = array
+        .as_slice()
+        .map_err(|_| shape(name, &expected(), dims))?;
+    Ok(flat.as_chunks::<N>().0)
+}
+
+/// A fixed number of numbers.
+pub fn fixed<const N: usize, D: Dimension>(
+    name: &str,
+    array: &PyReadonlyArray<'_, f64, D>,
+) -> PyResult<[f64; N]> {
+    let wrong = || shape(name, &format!("({N},), contiguous"), array.shape());
+    array
+        .as_slice()
+        .map_err(|_| wrong())?
+        .try_into()
+        .map_err(|_| wrong())
+}
+
+/// A new array of the given shape from its numbers.
+pub fn shaped<T: numpy::Element, const K: usize>(
+    py: Python<'_>,
+    numbers: Vec<T>,
+    dims: [usize; K],
+) -> PyResult<Bound<'_, PyArray<T, numpy::ndarray::Dim<[usize; K]>>>>
+where
+    numpy::ndarray::Dim<[usize; K]>: Dimension,
+    [usize; K]: numpy::ndarray::IntoDimension<Dim = numpy::ndarray::Dim<[usize; K]>>,
+{
+    numbers.into_pyarray(py).reshape(dims)
+}

@@ -1,0 +1,188 @@
+//! Bernstein corrections: fit and evaluation.
+
+use crate::arrays::{fixed, rows, shaped};
+use crate::errors::{shape, to_python};
+use nalgebra::Vector3;
+use numpy::{
+    PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use sherkit_core::bernstein::{
+    Correction, Domain, MAX_ORDER, apply_axis, axis_scratch_len, back_substitute, basis,
+    coefficients_len, project_axis, push,
+};
+use sherkit_core::least_squares::{Stack, stack_len};
+
+/// A fitted tensor product with its box and fade.
+#[pyclass(frozen, from_py_object, module = "sherkit._core")]
+#[derive(Clone)]
+pub struct Bernstein {
+    orders: [usize; 3],
+    domain: Domain,
+    coefficients: Vec<[f64; 3]>,
+}
+
+impl Bernstein {
+    /// The core's view of it.
+    pub fn view(&self) -> PyResult<Correction<'_>> {
+        Correction::new(self.orders, self.domain, &self.coefficients).map_err(to_python)
+    }
+}
+
+#[pymethods]
+impl Bernstein {
+    #[new]
+    fn new(
+        orders: [usize; 3],
+        low: PyReadonlyArray1<'_, f64>,
+        high: PyReadonlyArray1<'_, f64>,
+        fade: f64,
+        coefficients: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<Self> {
+        let new = Self {
+            orders,
+            domain: domain(&low, &high, fade)?,
+            coefficients: rows::<3, _>("coefficients", &coefficients)?.to_vec(),
+        };
+        new.view()?;
+        Ok(new)
+    }
+
+    /// Share of the correction that is left at a position.
+    fn share(&self, position: PyReadonlyArray1<'_, f64>) -> PyResult<f64> {
+        Ok(self
+            .domain
+            .share(&Vector3::from(fixed("position", &position)?))
+            .0)
+    }
+
+    /// Correction `(n, 3)` and its derivative by position `(n, 3, 3)`.
+    fn evaluate<'py>(
+        &self,
+        py: Python<'py>,
+        positions: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>)> {
+        let positions = rows::<3, _>("positions", &positions)?;
+        let n = positions.len();
+        let correction = self.view()?;
+        let mut values = Vec::with_capacity(n * 3);
+        let mut derivatives = Vec::with_capacity(n * 9);
+        for x in positions {
+            let (value, derivative) = correction.at(&Vector3::from(*x));
+            values.extend_from_slice(value.as_slice());
+            derivatives.extend_from_slice(derivative.transpose().as_slice());
+        }
+        Ok((
+            shaped(py, values, [n, 3])?,
+            shaped(py, derivatives, [n, 3, 3])?,
+        ))
+    }
+}
+
+/// A box with its fade.
+pub fn domain(
+    low: &PyReadonlyArray1<'_, f64>,
+    high: &PyReadonlyArray1<'_, f64>,
+    fade: f64,
+) -> PyResult<Domain> {
+    Ok(Domain {
+        low: Vector3::from(fixed("low", low)?),
+        high: Vector3::from(fixed("high", high)?),
+        fade,
+    })
+}
+
+/// Basis values `(n, order + 1)` at `t`.
+#[pyfunction]
+pub fn bernstein_basis<'py>(
+    py: Python<'py>,
+    order: usize,
+    t: PyReadonlyArray1<'_, f64>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    if order > MAX_ORDER {
+        return Err(shape("order", &format!("at most {MAX_ORDER}"), &[order]));
+    }
+    let t = t.as_slice()?;
+    let numbers = t
+        .iter()
+        .flat_map(|t| basis(order, *t).into_iter().take(order + 1))
+        .collect();
+    shaped(py, numbers, [t.len(), order + 1])
+}
+
+/// Coefficients `(k, 3)` by one QR solve over scattered points, and how well the points determine them.
+#[pyfunction]
+pub fn bernstein_fit<'py>(
+    py: Python<'py>,
+    orders: [usize; 3],
+    low: PyReadonlyArray1<'_, f64>,
+    high: PyReadonlyArray1<'_, f64>,
+    positions: PyReadonlyArray2<'_, f64>,
+    targets: PyReadonlyArray2<'_, f64>,
+) -> PyResult<(Bound<'py, PyArray2<f64>>, f64)> {
+    if orders.iter().any(|o| *o > MAX_ORDER) {
+        return Err(shape(
+            "orders",
+            &format!("at most {MAX_ORDER} each"),
+            &orders,
+        ));
+    }
+    let domain = domain(&low, &high, 1.0)?;
+    let x = rows::<3, _>("positions", &positions)?;
+    let y = rows::<3, _>("targets", &targets)?;
+    if x.len() != y.len() {
+        return Err(shape(
+            "targets",
+            &format!("({}, 3)", x.len()),
+            targets.shape(),
+        ));
+    }
+    let n = coefficients_len(orders);
+    let mut stack = Stack::new(n, 3, vec![0.0; stack_len(n, 3)]).map_err(to_python)?;
+    for (x, y) in x.iter().zip(y) {
+        push(
+            &mut stack,
+            orders,
+            &domain,
+            &Vector3::from(*x),
+            &Vector3::from(*y),
+        );
+    }
+    let mut solution = vec![0.0; n * 3];
+    let weakest = back_substitute(stack.triangle(), n, 3, &mut solution);
+    Ok((shaped(py, solution, [n, 3])?, weakest))
+}
+
+/// Coefficients `(k, 3)` from values `(n_x, n_y, n_z, 3)` on a grid with the given axes (0 to 1), one small
+/// solve per axis.
+#[pyfunction]
+pub fn bernstein_fit_grid<'py>(
+    py: Python<'py>,
+    orders: [usize; 3],
+    axes: (
+        PyReadonlyArray1<'_, f64>,
+        PyReadonlyArray1<'_, f64>,
+        PyReadonlyArray1<'_, f64>,
+    ),
+    values: PyReadonlyArray4<'_, f64>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let axes = [axes.0.as_slice()?, axes.1.as_slice()?, axes.2.as_slice()?];
+    let expected = [axes[0].len(), axes[1].len(), axes[2].len(), 3];
+    if values.shape() != expected {
+        return Err(shape("values", &format!("{expected:?}"), values.shape()));
+    }
+    let mut current = values.as_slice()?.to_vec();
+    let mut dims = expected;
+    for k in 0..3 {
+        let (points, n) = (axes[k].len(), orders[k] + 1);
+        let mut projector = vec![0.0; n * points];
+        let mut scratch = vec![0.0; axis_scratch_len(points, orders[k])];
+        project_axis(orders[k], axes[k], &mut projector, &mut scratch).map_err(to_python)?;
+        let inner = dims[k + 1..].iter().product();
+        dims[k] = n;
+        let mut next = vec![0.0; dims.iter().product()];
+        apply_axis(&projector, points, n, inner, &current, &mut next);
+        current = next;
+    }
+    shaped(py, current, [coefficients_len(orders), 3])
+}

@@ -1,0 +1,174 @@
+//! `Calibrated`: the model of the control loop, from Python.
+
+use crate::arrays::{fixed, rows, shaped};
+use crate::bernstein::Bernstein;
+use crate::errors::to_python;
+use crate::kinematics::assembly;
+use nalgebra::Vector3;
+use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::prelude::*;
+use sherkit_core::bernstein::Domain;
+use sherkit_core::calibrated::{Branch, Calibrated as Core};
+use sherkit_core::delta::{GEOMETRIC, Geometry, Kinematics, Predictor};
+
+struct OwnedBranch {
+    predictor: Predictor,
+    correction: Option<Bernstein>,
+}
+
+impl OwnedBranch {
+    fn new(
+        geometry: &PyReadonlyArray1<'_, f64>,
+        shift: &PyReadonlyArray1<'_, f64>,
+        mode: &str,
+        correction: Option<Bernstein>,
+    ) -> PyResult<Self> {
+        let p = fixed::<GEOMETRIC, _>("geometry", geometry)?;
+        let geometry = Geometry::from_parameters(&p, assembly(mode)?);
+        Ok(Self {
+            predictor: Predictor {
+                kinematics: Kinematics::new(&geometry).map_err(to_python)?,
+                shift: Vector3::from(fixed("shift", shift)?),
+            },
+            correction,
+        })
+    }
+
+    fn view(&self) -> PyResult<Branch<'_>> {
+        Ok(Branch {
+            predictor: self.predictor,
+            correction: self.correction.as_ref().map(Bernstein::view).transpose()?,
+        })
+    }
+}
+
+/// A calibrated delta: whole-workspace model, and perhaps a local one blended in.
+#[pyclass(frozen, module = "sherkit._core")]
+pub struct Calibrated {
+    whole: OwnedBranch,
+    local: Option<(OwnedBranch, Domain)>,
+}
+
+type Part<'py> = (
+    PyReadonlyArray1<'py, f64>,
+    PyReadonlyArray1<'py, f64>,
+    Option<Bernstein>,
+);
+type Region<'py> = (PyReadonlyArray1<'py, f64>, PyReadonlyArray1<'py, f64>, f64);
+type Single<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<f64>>);
+type Batch<'py> = (
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray1<bool>>,
+);
+
+#[pymethods]
+impl Calibrated {
+    /// `whole` and `local` are (18 geometric parameters, shift to the reading, correction); `region` is
+    /// (low corner, high corner, width of the blend).
+    #[new]
+    fn new(
+        assembly_mode: &str,
+        whole: Part<'_>,
+        local: Option<Part<'_>>,
+        region: Option<Region<'_>>,
+    ) -> PyResult<Self> {
+        let branch = |part: Part<'_>| OwnedBranch::new(&part.0, &part.1, assembly_mode, part.2);
+        let local = match (local, region) {
+            (Some(local), Some((low, high, width))) => Some((
+                branch(local)?,
+                crate::bernstein::domain(&low, &high, width)?,
+            )),
+            _ => None,
+        };
+        Ok(Self {
+            whole: branch(whole)?,
+            local,
+        })
+    }
+
+    /// Position `(3,)` and its derivative by the joints `(3, 3)`.
+    fn forward<'py>(
+        &self,
+        py: Python<'py>,
+        joints: PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<Single<'py>> {
+        let q = Vector3::from(fixed("joints", &joints)?);
+        let (x, j) = self.view()?.forward(&q).map_err(to_python)?;
+        let j = j.transpose().as_slice().to_vec();
+        Ok((
+            PyArray1::from_slice(py, x.as_slice()),
+            shaped(py, j, [3, 3])?,
+        ))
+    }
+
+    /// Joint readings for a position.
+    fn inverse<'py>(
+        &self,
+        py: Python<'py>,
+        position: PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let x = Vector3::from(fixed("position", &position)?);
+        let q = self.view()?.inverse(&x).map_err(to_python)?;
+        Ok(PyArray1::from_slice(py, q.as_slice()))
+    }
+
+    /// Positions, Jacobians, and which rows are in reach; the others are NaN.
+    fn forward_batch<'py>(
+        &self,
+        py: Python<'py>,
+        joints: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<Batch<'py>> {
+        let q = rows::<3, _>("joints", &joints)?;
+        let model = self.view()?;
+        let mut x = vec![f64::NAN; q.len() * 3];
+        let mut j = vec![f64::NAN; q.len() * 9];
+        let mut reached = vec![false; q.len()];
+        for (i, q) in q.iter().enumerate() {
+            if let Ok((position, by_joints)) = model.forward(&Vector3::from(*q)) {
+                x[i * 3..][..3].copy_from_slice(position.as_slice());
+                j[i * 9..][..9].copy_from_slice(by_joints.transpose().as_slice());
+                reached[i] = true;
+            }
+        }
+        Ok((
+            shaped(py, x, [q.len(), 3])?,
+            shaped(py, j, [q.len(), 3, 3])?,
+            PyArray1::from_vec(py, reached),
+        ))
+    }
+
+    /// Joint readings `(n, 3)` for positions, and which are in reach.
+    fn inverse_batch<'py>(
+        &self,
+        py: Python<'py>,
+        positions: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<bool>>)> {
+        let x = rows::<3, _>("positions", &positions)?;
+        let model = self.view()?;
+        let mut out = vec![f64::NAN; x.len() * 3];
+        let mut reached = vec![false; x.len()];
+        for (i, x) in x.iter().enumerate() {
+            if let Ok(joints) = model.inverse(&Vector3::from(*x)) {
+                out[i * 3..][..3].copy_from_slice(joints.as_slice());
+                reached[i] = true;
+            }
+        }
+        Ok((
+            shaped(py, out, [x.len(), 3])?,
+            PyArray1::from_vec(py, reached),
+        ))
+    }
+}
+
+impl Calibrated {
+    fn view(&self) -> PyResult<Core<'_>> {
+        Ok(Core {
+            whole: self.whole.view()?,
+            local: match &self.local {
+                None => None,
+                Some((branch, region)) => Some((branch.view()?, *region)),
+            },
+        })
+    }
+}

@@ -1,0 +1,192 @@
+//! `Solver`: the streaming least-squares iteration, fed by native models or by `NumPy` blocks.
+
+use crate::arrays::shaped;
+use crate::errors::{shape, to_python};
+use numpy::{
+    PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use sherkit_core::least_squares::{
+    Levenberg, Loss, Progress, Settings, Stack, levenberg_len, stack_len,
+};
+
+/// One iteration to the minimum of all rows that are pushed at its trial parameters.
+#[pyclass(module = "sherkit._core")]
+pub struct Solver {
+    levenberg: Levenberg<Vec<f64>>,
+    stack: Stack<Vec<f64>>,
+    loss: Loss,
+    cost: f64,
+}
+
+impl Solver {
+    /// Starts a new evaluation.
+    pub fn begin(&mut self) {
+        self.stack.clear();
+        self.cost = 0.0;
+    }
+
+    /// The parameters at which rows are wanted.
+    pub fn trial_values(&self) -> &[f64] {
+        self.levenberg.trial()
+    }
+
+    /// Adds one reading: its derivatives, residual and 1/σ. Weight zero means not taken.
+    #[inline]
+    pub fn add(&mut self, derivatives: impl Iterator<Item = f64>, residual: f64, weight: f64) {
+        if weight == 0.0 {
+            return;
+        }
+        let u = residual * weight;
+        let (root, cost) = self.loss.root_weight_and_cost(u);
+        self.cost += cost;
+        let w = weight * root;
+        self.stack
+            .push(derivatives.map(|d| d * w).chain(core::iter::once(u * root)));
+    }
+
+    /// Marks the trial as impossible.
+    pub fn fail_trial(&mut self) {
+        self.cost = f64::INFINITY;
+    }
+
+    /// Ends the evaluation.
+    pub fn step(&mut self) -> PyResult<Progress> {
+        let triangle = self.stack.triangle();
+        self.levenberg
+            .advance(triangle, self.cost)
+            .map_err(to_python)
+    }
+
+    /// Adds the rows of a prior: each parameter at its start, give or take its plausible size.
+    pub fn add_priors(&mut self) {
+        let n = self.stack.columns();
+        for k in 0..n {
+            let size = self.levenberg.sizes()[k];
+            let deviation = self.levenberg.start()[k] - self.levenberg.trial()[k];
+            self.cost += (deviation / size).powi(2);
+            let unit = (0..n).map(move |j| if j == k { 1.0 / size } else { 0.0 });
+            self.stack
+                .push(unit.chain(core::iter::once(deviation / size)));
+        }
+    }
+}
+
+#[pymethods]
+impl Solver {
+    #[new]
+    #[pyo3(signature = (start, sizes, *, loss="linear", max_evaluations=100, step_tolerance=1e-10,
+                        rank_tolerance=1e-9, single_step=false))]
+    fn new(
+        start: PyReadonlyArray1<'_, f64>,
+        sizes: PyReadonlyArray1<'_, f64>,
+        loss: &str,
+        max_evaluations: usize,
+        step_tolerance: f64,
+        rank_tolerance: f64,
+        single_step: bool,
+    ) -> PyResult<Self> {
+        let n = start.len();
+        let settings = Settings {
+            max_evaluations,
+            step_tolerance,
+            rank_tolerance,
+            single_step,
+        };
+        let storage = vec![0.0; levenberg_len(n)];
+        Ok(Self {
+            levenberg: Levenberg::new(start.as_slice()?, sizes.as_slice()?, settings, storage)
+                .map_err(to_python)?,
+            stack: Stack::new(n, 1, vec![0.0; stack_len(n, 1)]).map_err(to_python)?,
+            loss: Loss::from_name(loss)
+                .ok_or_else(|| shape("loss", "'linear', 'huber', 'cauchy' or 'tukey'", &[]))?,
+            cost: 0.0,
+        })
+    }
+
+    /// Parameters at which to evaluate the rows; after the end, the estimate.
+    #[getter]
+    fn trial<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        PyArray1::from_slice(py, self.levenberg.trial())
+    }
+
+    /// Forgets the rows of the previous trial.
+    fn clear(&mut self) {
+        self.begin();
+    }
+
+    /// Adds rows: derivatives `(n, m, parameters)`, residuals and weights `(n, m)`.
+    fn push(
+        &mut self,
+        derivatives: PyReadonlyArray3<'_, f64>,
+        residuals: PyReadonlyArray2<'_, f64>,
+        weights: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<()> {
+        let n = self.stack.columns();
+        let dims = residuals.shape();
+        if weights.shape() != dims {
+            return Err(shape("weights", &format!("{dims:?}"), weights.shape()));
+        }
+        let expected = [dims[0], dims[1], n];
+        if derivatives.shape() != expected {
+            return Err(shape(
+                "derivatives",
+                &format!("{expected:?}"),
+                derivatives.shape(),
+            ));
+        }
+        let d = derivatives.as_slice()?;
+        let (r, w) = (residuals.as_slice()?, weights.as_slice()?);
+        for (k, (r, w)) in r.iter().zip(w).enumerate() {
+            self.add(d[k * n..(k + 1) * n].iter().copied(), *r, *w);
+        }
+        Ok(())
+    }
+
+    /// Adds the prior of each parameter: its start, give or take its plausible size.
+    fn push_priors(&mut self) {
+        self.add_priors();
+    }
+
+    /// Marks the trial as impossible: some row could not be evaluated there.
+    fn fail(&mut self) {
+        self.fail_trial();
+    }
+
+    /// Ends an evaluation: `"evaluate"`, `"converged"` or `"exhausted"`.
+    fn advance(&mut self) -> PyResult<&'static str> {
+        Ok(match self.step()? {
+            Progress::Evaluate => "evaluate",
+            Progress::Converged => "converged",
+            Progress::Exhausted => "exhausted",
+        })
+    }
+
+    /// What the triangle at the estimate says, for rows of unit noise.
+    fn result<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let n = self.stack.columns();
+        let mut data = vec![0.0; n * n];
+        let mut unobserved = vec![0.0; n * n];
+        let mut scratch = vec![0.0; n];
+        let (rank, singular, directions) = self
+            .levenberg
+            .with_decomposition(|d| {
+                d.covariance(&mut data, &mut unobserved, &mut scratch);
+                let directions: Vec<f64> = d.unobserved().flatten().copied().collect();
+                (d.rank(), d.singular_values().to_vec(), directions)
+            })
+            .map_err(to_python)?;
+        let out = PyDict::new(py);
+        out.set_item("values", PyArray1::from_slice(py, self.levenberg.trial()))?;
+        out.set_item("covariance", shaped(py, data, [n, n])?)?;
+        out.set_item("unobserved_covariance", shaped(py, unobserved, [n, n])?)?;
+        out.set_item("unobserved", shaped(py, directions, [n - rank, n])?)?;
+        out.set_item("singular_values", PyArray1::from_vec(py, singular))?;
+        out.set_item("rank", rank)?;
+        out.set_item("cost", self.levenberg.cost())?;
+        out.set_item("evaluations", self.levenberg.evaluations())?;
+        out.set_item("rows", self.stack.rows())?;
+        Ok(out)
+    }
+}

@@ -1,0 +1,182 @@
+"""Hidden physical effects. Parameters are flat arrays; all zero means no effect.
+
+Joints, all evaluated at the reading q and added to it (v = (q - q_home) / 20 mm):
+  joint_scale (3)          s_i (q_i - q_home_i), relative
+  encoder_cyclic (6)       a1 b1 a2 b2 a3 b3, mm: a sin(2 pi q / pitch) + b cos(2 pi q / pitch)
+  backlash (3)             b_i, mm: half of it in the direction of the joint's last motion
+  joint_coupling (6) *     k12 k13 k21 k23 k31 k32, mm: q_i error = k_ij v_j v_i
+  joint_crosstalk (6) *    same order, mm: q_i error = k_ij v_j
+Mechanism:
+  rail_lean (6)            radial and tangential lean of rails 1, 2, 3 in turn, rad
+  rod_mismatch (3)         length difference of a limb's two rods, mm
+  gravity_sag (3)          axial compliance of each limb under the platform's weight, mm/N
+Measured point, all evaluated at the point p the mechanism reaches:
+  thermal_growth (1)       a, 1/degC: a (T - 20) p
+  drift (3)                mm/h, linear in time_s from its zero
+  slip (4)                 step x y z in mm, then the time in s after which it is there
+  humidity (3) *           mm per %: v (humidity - 45)
+  periodic_z (4) *         amplitude x y z in mm, then phase: amplitude sin(2 pi p_z / 7.3 + phase)
+Sensor, all evaluated at the point x after the effects above:
+  beam_alignment (9)       M by rows: reading = (I + M) x
+  sensor_linearity (3)     a_k, mm: a_k (x_k / 20 mm)^3
+  datum (3)                constant, mm
+Effects marked * are outside the catalogue a calibration is expected to know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .geometry import Array, Robot, radial, tangential
+
+Columns = Mapping[str, NDArray[Any]]
+Effects = Mapping[str, ArrayLike]
+
+SPAN_MM = 20.0
+PERIOD_Z_MM = 7.3
+STILL_MM = 1e-9  # commanded heights that agree to rounding are no motion
+PAIRS = (np.array([0, 0, 1, 1, 2, 2]), np.array([1, 2, 0, 2, 0, 1]))  # (driven, driving) joint
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Shape of an effect: its amplitudes come first, then ``fixed`` ones that never scale."""
+
+    amplitudes: int
+    typical: float  # order of magnitude of one amplitude, in its own unit
+    positive: bool = False  # physically one-signed
+    fixed: int = 0
+    catalogued: bool = True
+
+    @property
+    def size(self) -> int:
+        return self.amplitudes + self.fixed
+
+
+EFFECTS: dict[str, Effect] = {
+    "joint_scale": Effect(3, 1e-3),
+    "encoder_cyclic": Effect(6, 5e-3),
+    "backlash": Effect(3, 0.01, positive=True),
+    "rail_lean": Effect(6, 1e-3),
+    "rod_mismatch": Effect(3, 0.05),
+    "gravity_sag": Effect(3, 0.01, positive=True),
+    "thermal_growth": Effect(1, 1e-4),
+    "drift": Effect(3, 0.02),
+    "slip": Effect(3, 0.02, fixed=1),
+    "beam_alignment": Effect(9, 1e-3),
+    "sensor_linearity": Effect(3, 0.01),
+    "datum": Effect(3, 0.1),
+    "humidity": Effect(3, 1e-3, catalogued=False),
+    "joint_coupling": Effect(6, 0.01, catalogued=False),
+    "joint_crosstalk": Effect(6, 0.01, catalogued=False),
+    "periodic_z": Effect(3, 0.01, fixed=1, catalogued=False),
+}
+CATALOGUE = tuple(name for name, effect in EFFECTS.items() if effect.catalogued)
+OUTSIDE_CATALOGUE = tuple(name for name, effect in EFFECTS.items() if not effect.catalogued)
+
+
+def complete(effects: Effects | None) -> dict[str, Array]:
+    """Parameters of every effect, zero where none are given."""
+    given = effects or {}
+    if unknown := set(given) - set(EFFECTS):
+        raise ValueError(f"unknown effects {sorted(unknown)}")
+    full = {name: np.zeros(effect.size) for name, effect in EFFECTS.items()}
+    for name, value in given.items():
+        full[name] = np.asarray(value, float).reshape(EFFECTS[name].size)
+    return full
+
+
+def draw_effect(name: str, rng: np.random.Generator, duration_s: float) -> Array:
+    """Random parameters of typical size; a slip falls in the middle of the run."""
+    effect = EFFECTS[name]
+    if effect.positive:
+        amplitudes = rng.uniform(0.5, 1.5, effect.amplitudes)
+    else:
+        amplitudes = rng.normal(size=effect.amplitudes)
+    parameters = effect.typical * amplitudes
+    if name == "slip":
+        return np.append(parameters, duration_s * rng.uniform(0.3, 0.7))
+    if name == "periodic_z":
+        return np.append(parameters, rng.uniform(0.0, 2 * np.pi))
+    return parameters
+
+
+def joint_readings(columns: Columns) -> Array:
+    """Joint readings (n, 3), mm."""
+    return np.stack([columns[f"q{i}_mm"] for i in (1, 2, 3)], axis=1)
+
+
+def motion_direction(q: Array, time_s: Array) -> Array:
+    """Direction (+1 or -1) of the last motion of each joint, (n, 3); +1 before any motion."""
+    order = np.argsort(time_s, kind="stable")
+    step = np.diff(q[order], axis=0, prepend=q[order[:1]])
+    sign = np.where(np.abs(step) > STILL_MM, np.sign(step), 0.0)
+    sign[0] = 1.0
+    row = np.arange(len(q))[:, None]
+    last_moved = np.maximum.accumulate(np.where(sign != 0, row, 0), axis=0)
+    direction = np.empty_like(sign)
+    direction[order] = np.take_along_axis(sign, last_moved, axis=0)
+    return direction
+
+
+def coupling_matrix(k: Array) -> Array:
+    """Matrix whose row is the driven and column the driving joint."""
+    matrix = np.zeros((3, 3))
+    matrix[PAIRS] = k
+    return matrix
+
+
+def true_joints(robot: Robot, home: Array, columns: Columns, effects: Mapping[str, Array]) -> Array:
+    """True carriage heights (n, 3), mm, behind the readings; ``robot`` carries the offsets."""
+    q = joint_readings(columns)
+    v = (q - home) / SPAN_MM
+    phase = 2 * np.pi * q / robot.pole_pitch
+    sine, cosine = effects["encoder_cyclic"].reshape(3, 2).T
+    return (
+        q
+        + robot.joint_offset
+        + effects["joint_scale"] * (q - home)
+        + sine * np.sin(phase)
+        + cosine * np.cos(phase)
+        + 0.5 * effects["backlash"] * motion_direction(q, columns["time_s"])
+        + (v @ coupling_matrix(effects["joint_coupling"]).T) * v
+        + v @ coupling_matrix(effects["joint_crosstalk"]).T
+    )
+
+
+def carriage_points(robot: Robot, home: Array, q: Array, lean: Array) -> Array:
+    """Carriages (n, 3, 3), mm: along leaning rails that pass their true foot at height q_home."""
+    outward, along = radial(robot.base_angle), tangential(robot.base_angle)
+    up = np.array([0.0, 0.0, 1.0])
+    lean = lean.reshape(3, 2)
+    rail = up + lean[:, :1] * outward + lean[:, 1:] * along
+    rail /= np.linalg.norm(rail, axis=1, keepdims=True)
+    foot = robot.base_radius[:, None] * outward + home[:, None] * up
+    return foot + (q - home)[..., None] * rail
+
+
+def disturbed_point(point: Array, columns: Columns, effects: Mapping[str, Array]) -> Array:
+    """Where the measured point really is, (n, 3), mm: growth, humidity, drift, slip, ripple."""
+    time_s = columns["time_s"][:, None]
+    warmth = columns["temperature_c"][:, None] - 20.0
+    damp = columns["humidity_pct"][:, None] - 45.0
+    ripple, phase = effects["periodic_z"][:3], effects["periodic_z"][3]
+    step, when = effects["slip"][:3], effects["slip"][3]
+    return (
+        point * (1 + effects["thermal_growth"] * warmth)
+        + effects["humidity"] * damp
+        + effects["drift"] * time_s / 3600.0
+        + step * (time_s > when)
+        + ripple * np.sin(2 * np.pi * point[:, 2:] / PERIOD_Z_MM + phase)
+    )
+
+
+def sensor_reading(x: Array, effects: Mapping[str, Array]) -> Array:
+    """What the sensor makes of the point x, (n, 3), mm."""
+    beams = np.eye(3) + effects["beam_alignment"].reshape(3, 3)
+    return x @ beams.T + effects["sensor_linearity"] * (x / SPAN_MM) ** 3 + effects["datum"]

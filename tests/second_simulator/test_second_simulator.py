@@ -1,0 +1,302 @@
+"""The simulator against its own physics: constraints, closed forms and hand-written formulas."""
+
+from __future__ import annotations
+
+import time
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from . import (
+    EFFECTS,
+    NOMINAL_CONFIG,
+    Noise,
+    Robot,
+    draw_effect,
+    draw_geometric_errors,
+    fitted_directions,
+    local_grid,
+    make_plan,
+    platform_pose,
+    scaled_effect,
+    simulate,
+    truth,
+    whole_grid,
+    with_errors,
+    write_csv,
+    write_robot_toml,
+)
+from .geometry import Array
+from .solve import PLATFORM_WEIGHT_N
+
+ROBOT = Robot.from_dict()
+PLAN = make_plan(ROBOT, local_grid(), repeats=2)
+Q = np.stack([PLAN[f"q{i}_mm"] for i in (1, 2, 3)], axis=1)
+HOME = 25.0 + np.sqrt(120.0**2 - 60.0**2)
+
+
+def errors(seed: int = 5) -> dict[str, float]:
+    return draw_geometric_errors(np.random.default_rng(seed))
+
+
+def xyz(columns: dict[str, NDArray[Any]]) -> Array:
+    return np.stack([columns[name] for name in ("x_mm", "y_mm", "z_mm")], axis=1)
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def change(name: str, parameters: ArrayLike) -> Array:
+    return truth(ROBOT, PLAN, errors(), {name: parameters}) - truth(ROBOT, PLAN, errors())
+
+
+def three_spheres(centres: Array, radii: Array) -> Array:
+    """Lower intersection of three spheres: centres (n, 3, 3), radii (3)."""
+    first, second, third = np.moveaxis(centres, 1, 0)
+    ex = second - first
+    d = np.linalg.norm(ex, axis=1)
+    ex /= d[:, None]
+    i = np.sum(ex * (third - first), axis=1)
+    ey = third - first - i[:, None] * ex
+    ey /= np.linalg.norm(ey, axis=1, keepdims=True)
+    j = np.sum(ey * (third - first), axis=1)
+    x = (radii[0] ** 2 - radii[1] ** 2 + d**2) / (2 * d)
+    y = (radii[0] ** 2 - radii[2] ** 2 + i**2 + j**2 - 2 * i * x) / (2 * j)
+    z = np.sqrt(radii[0] ** 2 - x**2 - y**2)
+    ez = np.cross(ex, ey)
+    ez *= -np.sign(ez[:, 2:])
+    lower: Array = first + x[:, None] * ex + y[:, None] * ey + z[:, None] * ez
+    return lower
+
+
+def test_nominal_robot_reaches_its_commanded_points() -> None:
+    reached = truth(ROBOT, make_plan(ROBOT, whole_grid()))
+    assert np.abs(reached - whole_grid()).max() < 1e-11
+
+
+def test_six_rods_keep_their_lengths_and_carry_the_platform() -> None:
+    mismatch, compliance = np.array([0.3, -0.2, 0.1]), np.array([0.02, 0.05, 0.01])
+    planted: dict[str, float | Array] = {
+        **errors(),
+        "platform_angle": np.array([0.01, -0.02, 0.005]),
+        "platform_radius_2": 1.0,
+    }
+    effects: dict[str, ArrayLike] = {
+        "rod_mismatch": mismatch,
+        "gravity_sag": compliance,
+        "rail_lean": [0.01] * 6,
+    }
+    carriages, centre, turn = platform_pose(ROBOT, PLAN, planted, effects)
+    real = with_errors(ROBOT, planted)
+    np.testing.assert_allclose(turn @ np.swapaxes(turn, 1, 2), np.tile(np.eye(3), (726, 1, 1)),
+                               atol=1e-13)  # fmt: skip
+    for row in range(0, 726, 25):
+        ends, levers = np.zeros((3, 3)), np.zeros((3, 3))
+        tops = carriages[row]
+        for i in range(3):
+            angle = real.platform_angle[i]
+            levers[i] = real.platform_radius[i] * np.array([np.cos(angle), np.sin(angle), 0])
+            ends[i] = centre[row] + turn[row] @ levers[i]
+        axes = (tops - ends) / np.linalg.norm(tops - ends, axis=1)[:, None]
+        tension = np.linalg.solve(axes.T, [0, 0, PLATFORM_WEIGHT_N])
+        assert tension.min() > 0  # the platform hangs
+        for i in range(3):
+            for sign in (1, -1):
+                pair = np.array([-np.sin(real.pair_angle[i]), np.cos(real.pair_angle[i]), 0])
+                top = tops[i] + sign * 20.0 * pair
+                end = centre[row] + turn[row] @ (levers[i] + sign * 20.0 * pair)
+                length = real.rod_length[i] + sign * mismatch[i] / 2 + compliance[i] * tension[i]
+                assert abs(np.linalg.norm(top - end) - length) < 1e-10
+
+
+def test_only_mismatch_tilts_the_platform() -> None:
+    _, _, turn = platform_pose(ROBOT, PLAN, errors())
+    assert np.abs(turn - np.eye(3)).max() < 1e-12
+    _, _, turn = platform_pose(ROBOT, PLAN, errors(), {"rod_mismatch": [0.1, 0, 0]})
+    assert np.abs(turn - np.eye(3)).max() > 1e-3
+
+
+def test_untilted_robot_is_the_intersection_of_three_spheres() -> None:
+    straight = {name: value for name, value in errors().items() if "angle" not in name}
+    real = with_errors(ROBOT, straight)
+    angle = np.deg2rad([90.0, 210.0, 330.0])
+    reach = real.base_radius - 30.0
+    centres = np.empty((len(Q), 3, 3))
+    centres[..., 0], centres[..., 1] = reach * np.cos(angle), reach * np.sin(angle)
+    centres[..., 2] = Q + real.joint_offset
+    expected = three_spheres(centres, real.rod_length) + ROBOT.target_offset
+    assert np.abs(truth(ROBOT, PLAN, straight) - expected).max() < 1e-11
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_effect_vanishes_with_its_parameters_and_only_then(name: str) -> None:
+    drawn = draw_effect(name, np.random.default_rng(1), float(PLAN["time_s"][-1]))
+    assert np.abs(change(name, drawn)).max() > 1e-4
+    drawn[: EFFECTS[name].amplitudes] = 0
+    assert np.all(change(name, drawn) == 0)
+
+
+def test_point_and_sensor_effects_match_their_formulas() -> None:
+    p, t = truth(ROBOT, PLAN, errors()), PLAN["time_s"][:, None]
+    v = np.array([0.1, -0.2, 0.3])
+    matrix = np.arange(9.0) * 1e-3
+    expected: dict[str, tuple[ArrayLike, Array]] = {
+        "thermal_growth": ([1e-3], 1e-3 * (PLAN["temperature_c"][:, None] - 20) * p),
+        "drift": (v, v * t / 3600),
+        "slip": ([*v, 500.0], np.where(t > 500, v, 0)),
+        "humidity": (v, v * (PLAN["humidity_pct"][:, None] - 45)),
+        "periodic_z": ([*v, 0.4], v * np.sin(2 * np.pi * p[:, 2:] / 7.3 + 0.4)),
+        "beam_alignment": (matrix, p @ matrix.reshape(3, 3).T),
+        "sensor_linearity": (v, v * (p / 20) ** 3),
+        "datum": (v, np.tile(v, (len(p), 1))),
+    }
+    for name, (parameters, moved) in expected.items():
+        np.testing.assert_allclose(change(name, parameters), moved, atol=1e-12, err_msg=name)
+
+
+def test_joint_effects_are_the_matching_shift_of_the_readings() -> None:
+    s, k = (Q - HOME) / 20, np.array([1.0, 2, 3, 4, 5, 6]) * 0.01
+    b = np.array([0.01, 0.02, 0.03])
+    direction = np.ones_like(Q)
+    for row in range(1, len(Q)):
+        step = Q[row] - Q[row - 1]
+        direction[row] = np.where(np.abs(step) > 1e-9, np.sign(step), direction[row - 1])
+    driving = np.stack([
+        k[0] * s[:, 1] + k[1] * s[:, 2],
+        k[2] * s[:, 0] + k[3] * s[:, 2],
+        k[4] * s[:, 0] + k[5] * s[:, 1],
+    ], axis=1)  # fmt: skip
+    expected = {
+        "joint_scale": (b, b * (Q - HOME)),
+        "encoder_cyclic": (k, k[::2] * np.sin(np.pi * Q) + k[1::2] * np.cos(np.pi * Q)),
+        "backlash": (b, 0.5 * b * direction),
+        "joint_crosstalk": (k, driving),
+        "joint_coupling": (k, driving * s),
+    }
+    for name, (parameters, shift) in expected.items():
+        moved = PLAN | {f"q{i + 1}_mm": Q[:, i] + shift[:, i] for i in range(3)}
+        left = truth(ROBOT, PLAN, errors(), {name: parameters}) - truth(ROBOT, moved, errors())
+        assert np.abs(left).max() < 1e-11, name
+
+
+def test_leaning_rail_turns_about_its_home_height() -> None:
+    carriages, _, _ = platform_pose(ROBOT, PLAN, None, {"rail_lean": [0.01, 0.02, 0, 0, 0, 0]})
+    along = carriages[:, 0] - [0, 90, HOME]
+    np.testing.assert_allclose(np.linalg.norm(along, axis=1), np.abs(Q[:, 0] - HOME), atol=1e-11)
+    np.testing.assert_allclose(along[:, 1], 0.01 * along[:, 2], atol=1e-12)
+    np.testing.assert_allclose(along[:, 0], -0.02 * along[:, 2], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", [name for name in EFFECTS if name != "datum"])
+@pytest.mark.parametrize("target", [0.0005, 0.01])
+def test_scaled_effect_leaves_the_target(name: str, target: float) -> None:
+    effect = scaled_effect(ROBOT, PLAN, name, np.random.default_rng(3), target, errors=errors())
+    moved = change(name, effect[name]).ravel()
+    basis = fitted_directions(ROBOT, PLAN, errors())
+    left = moved - basis @ np.linalg.lstsq(basis, moved, rcond=None)[0]
+    assert rms(left) == pytest.approx(target, rel=0.02)
+
+
+def test_constant_shift_cannot_be_scaled() -> None:
+    with pytest.raises(ValueError, match="absorbed"):
+        scaled_effect(ROBOT, PLAN, "datum", np.random.default_rng(3), 0.01)
+
+
+def test_fitted_directions_hold_small_geometric_changes() -> None:
+    small = {name: 1e-4 * value for name, value in errors().items()}
+    moved = (truth(ROBOT, PLAN, small) - truth(ROBOT, PLAN)).ravel()
+    basis = fitted_directions(ROBOT, PLAN)
+    assert rms(moved - basis @ (basis.T @ moved)) < 1e-6 * rms(moved)
+
+
+def test_plan_orders() -> None:
+    together = make_plan(ROBOT, local_grid(), 3, "repeats_together")
+    assert together["pose"][:4].tolist() == [1, 1, 1, 2]
+    assert together["repeat"][:4].tolist() == [1, 2, 3, 1]
+    shuffled = make_plan(ROBOT, local_grid(), 3, "shuffled", seed=1)
+    for plan in (PLAN, together, shuffled):
+        pairs = set(zip(plan["pose"].tolist(), plan["repeat"].tolist(), strict=True))
+        assert len(pairs) == len(plan["pose"])
+        assert np.all(np.diff(plan["time_s"]) > 2.0)
+        assert np.all(np.abs(plan["humidity_pct"] - 45) < 5)
+    assert shuffled["repeat"][shuffled["pose"] == 7].tolist() == [1, 2, 3]
+    assert np.any(np.diff(shuffled["pose"]) < 0)
+
+
+def test_grid_rows_are_serpentine() -> None:
+    assert whole_grid().shape == (588, 3)
+    rows = local_grid().reshape(3, 11, 11, 3)
+    assert np.all(np.diff(rows[:, 0, :, 0]) > 0)
+    assert np.all(np.diff(rows[:, 1, :, 0]) < 0)
+
+
+def test_noise_options() -> None:
+    plan = make_plan(ROBOT, whole_grid(), 6)
+    exact = truth(ROBOT, plan)
+
+    def drawn(noise: Noise) -> Array:
+        return xyz(simulate(ROBOT, plan, noise=noise, seed=2)) - exact
+
+    assert drawn(Noise((0.01, 0.02, 0.0))).std(axis=0) == pytest.approx([0.01, 0.02, 0], rel=0.05)
+    far = np.hypot(exact[:, 0], exact[:, 1]) > 20
+    grown = drawn(Noise(0.01, rim_factor=3.0))
+    assert rms(grown[far]) > 1.5 * rms(grown[np.hypot(exact[:, 0], exact[:, 1]) < 10])
+    heavy = drawn(Noise(0.01, student=True))
+    assert rms(heavy) == pytest.approx(0.01, rel=0.15)
+    assert np.abs(heavy).max() > 0.06
+    spoiled = np.linalg.norm(drawn(Noise(0.01, outlier_fraction=0.02)), axis=1) > 0.12
+    assert np.count_nonzero(spoiled) == round(0.02 * len(exact))
+    slow = drawn(Noise(0.01, rho=0.8))
+    assert rms(slow) == pytest.approx(0.01, rel=0.1)
+    for axis in slow.T:
+        assert np.corrcoef(axis[1:], axis[:-1])[0, 1] == pytest.approx(0.8, abs=0.05)
+
+
+def test_same_seed_same_numbers() -> None:
+    def run(seed: int) -> dict[str, NDArray[Any]]:
+        plan = make_plan(ROBOT, local_grid(), 2, "shuffled", seed=seed)
+        return simulate(ROBOT, plan, errors(), {"backlash": [0.01] * 3}, 0.001, seed=seed)
+
+    first, again, other = run(1), run(1), run(2)
+    assert all(np.array_equal(first[name], again[name]) for name in first)
+    assert not np.array_equal(first["x_mm"], other["x_mm"])
+
+
+def test_encoder_step_rounds_only_the_file() -> None:
+    rounded = simulate(ROBOT, PLAN, encoder_step_mm=0.01)
+    assert np.abs(rounded["q1_mm"] - PLAN["q1_mm"]).max() == pytest.approx(0.005, rel=0.1)
+    assert np.array_equal(xyz(rounded), truth(ROBOT, PLAN))
+
+
+def test_files(tmp_path: Path) -> None:
+    write_robot_toml(tmp_path / "robot.toml")
+    assert tomllib.loads((tmp_path / "robot.toml").read_text()) == NOMINAL_CONFIG
+    columns = simulate(ROBOT, local_grid(), errors(), noise=0.001)
+    write_csv(columns, tmp_path / "run.csv")
+    lines = (tmp_path / "run.csv").read_text().splitlines()
+    assert lines[0] == ",".join(columns)
+    assert lines[1].startswith("1,1,0.0000000000,")
+    table = np.loadtxt(tmp_path / "run.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(table, np.stack(list(columns.values()), axis=1), atol=1e-10)
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(ValueError, match="unknown effects"):
+        truth(ROBOT, PLAN, None, {"magic": 1.0})
+    with pytest.raises(ValueError, match="unknown geometric error"):
+        truth(ROBOT, PLAN, {"base_radius_4": 1.0})
+
+
+def test_speed() -> None:
+    plan = make_plan(ROBOT, whole_grid(), 3)
+    rng = np.random.default_rng(0)
+    for i in (1, 2, 3):  # every row distinct: the worst case
+        plan[f"q{i}_mm"] = plan[f"q{i}_mm"] + rng.normal(0, 1e-3, len(plan["pose"]))
+    start = time.perf_counter()
+    simulate(ROBOT, plan, errors(), {"rod_mismatch": [0.1, 0, 0], "gravity_sag": [0.01] * 3}, 0.001)
+    assert time.perf_counter() - start < 0.15
