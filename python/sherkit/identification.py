@@ -211,8 +211,10 @@ def identify(
             values = solver.trial
             if (moved <= 1e-7 * np.array([p.size for p in model.parameters])).all():
                 break
-    evaluations = solver.result()["evaluations"]
-    result = _information(model, data, weights, values)
+    result = solver.result()
+    evaluations = result["evaluations"]
+    if loss != "linear" or priors:
+        result = _information(model, data, weights, values)
     scale = _scale(model, data, values, weights, result["rank"], loss)
     covariance = result["covariance"] * scale**2
     beyond = result["unobserved_covariance"]

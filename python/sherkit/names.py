@@ -6,9 +6,9 @@ import difflib
 from collections.abc import Iterable
 
 
-def closest(name: str, known: Iterable[str]) -> str | None:
-    """The known name that looks most like ``name``, where one does."""
-    match = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
+def closest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
+    """The known name that looks most like ``name``, where one is as alike as ``cutoff`` (0 to 1)."""
+    match = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
     return match[0] if match else None
 
 

@@ -9,13 +9,14 @@ heights and calliper distances as steps since the end stop; its bed mesh was pro
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import MeasurementError, RobotError
+from ..errors import MeasurementError, OutOfReach, RobotError
 from ..measurements import Measurements
 from ..robots import Delta
 from ..robots.delta import Triple
@@ -26,6 +27,7 @@ _STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
 _ANGLES = {"stepper_a": 210.0, "stepper_b": 330.0, "stepper_c": 90.0}
 _FULL_STEPS = 200.0
 _SAVED = "#*#"
+_COMMENT = re.compile(r"#.*|(^|\s);.*")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +55,14 @@ def import_klipper(path: str | Path) -> KlipperDelta:
     if config.get("printer", "kinematics") != "delta":
         raise RobotError(f"{path}: [printer] kinematics is not 'delta'; only linear deltas can be imported")
     radius = config.number("printer", "delta_radius")
-    arm = [config.number(s, "arm_length") for s in _STEPPERS]
+    if radius <= 0:
+        raise RobotError(f"{path}: [printer] delta_radius: expected a number above zero, found {radius:g}")
+    # as in Klipper, the second and third tower are like the first where nothing else is said
+    arm = [config.number("stepper_a", "arm_length")]
+    arm += [config.number(s, "arm_length", arm[0]) for s in _STEPPERS[1:]]
+    endstop = [config.number("stepper_a", "position_endstop")]
+    endstop += [config.number(s, "position_endstop", endstop[0]) for s in _STEPPERS[1:]]
     angle = [config.number(s, "angle", _ANGLES[s]) for s in _STEPPERS]
-    endstop = [config.number(s, "position_endstop") for s in _STEPPERS]
     for stepper, length in zip(_STEPPERS, arm, strict=True):
         if length <= radius:
             raise RobotError(f"{path}: [{stepper}] arm_length {length:g} is not longer than delta_radius {radius:g}")
@@ -72,15 +79,19 @@ def import_klipper(path: str | Path) -> KlipperDelta:
     steps_per_mm = np.array([_steps_per_mm(config, s) for s in _STEPPERS])
 
     rows: list[tuple[Floats, Floats | None, float, str]] = []
-    for k in config.numbered("delta_calibrate", "height"):
-        at = top - config.numbers("delta_calibrate", f"height{k}_pos", 3) / steps_per_mm
-        rows.append((at, None, config.number("delta_calibrate", f"height{k}"), "height"))
+    for stem in ("height", "manual_height"):
+        for k in config.numbered("delta_calibrate", stem):
+            at = top - config.numbers("delta_calibrate", f"{stem}{k}_pos", 3) / steps_per_mm
+            rows.append((at, None, config.number("delta_calibrate", f"{stem}{k}"), stem))
     for k in config.numbered("delta_calibrate", "distance"):
         ends = [top - config.numbers("delta_calibrate", f"distance{k}_pos{end}", 3) / steps_per_mm for end in (1, 2)]
         rows.append((ends[0], ends[1], config.number("delta_calibrate", f"distance{k}"), "distance"))
     for x, y, z in _mesh_points(config):
         # the nozzle touched the bed (height zero) where the printer believed it to be at z
-        rows.append((robot.inverse((x, y, z)), None, 0.0, "mesh"))
+        try:
+            rows.append((robot.inverse((x, y, z)), None, 0.0, "mesh"))
+        except OutOfReach as error:
+            raise RobotError(f"{path}: [bed_mesh default] the point {x:g}, {y:g} mm cannot be: {error}") from None
     if not rows:
         raise MeasurementError(
             f"{path}: holds no probing; expected [delta_calibrate] heights or a [bed_mesh default] in the "
@@ -102,54 +113,51 @@ def _triple(values: list[float]) -> Triple:
 
 
 def _steps_per_mm(config: _Config, stepper: str) -> float:
-    ratio = 1.0
-    for gear in (config.get(stepper, "gear_ratio") or "1:1").split(","):
-        a, _, b = gear.partition(":")
-        ratio *= float(a) / float(b)
     full = config.number(stepper, "full_steps_per_rotation", _FULL_STEPS)
-    microsteps = config.number(stepper, "microsteps")
-    return full * microsteps * ratio / config.number(stepper, "rotation_distance")
+    steps = full * config.number(stepper, "microsteps") * config.gear_ratio(stepper)
+    travel = config.number(stepper, "rotation_distance")
+    if min(steps, travel) <= 0:
+        raise RobotError(f"{config.path}: [{stepper}] {steps:g} steps move {travel:g} mm; expected more than zero")
+    return steps / travel
 
 
 def _mesh_points(config: _Config) -> list[tuple[float, float, float]]:
-    """Probed points of a round mesh; the file fills the corners of the square with copies, left out here."""
+    """Probed points of the saved mesh; of a round one the file fills the corners with copies, left out here."""
     section = "bed_mesh default"
-    if config.get(section, "points") is None:
+    text = config.get(section, "points")
+    if text is None:
         return []
-    rows = [line for line in (config.get(section, "points") or "").splitlines() if line.strip()]
-    z = np.array([[float(v) for v in line.split(",")] for line in rows])
-    radius = config.number("bed_mesh", "mesh_radius", 0.0)
-    if radius > 0:
-        origin = config.numbers("bed_mesh", "mesh_origin", 2, (0.0, 0.0))
-        x = origin[0] + np.linspace(-radius, radius, z.shape[1])
-        y = origin[1] + np.linspace(-radius, radius, z.shape[0])
-    else:
-        low = config.numbers("bed_mesh", "mesh_min", 2)
-        high = config.numbers("bed_mesh", "mesh_max", 2)
-        x, y = np.linspace(low[0], high[0], z.shape[1]), np.linspace(low[1], high[1], z.shape[0])
-        origin = np.zeros(2)
+    try:
+        z = np.array([[float(v) for v in line.split(",")] for line in text.splitlines() if line.strip()])
+    except ValueError:
+        z = np.zeros(0)
+    if z.ndim != 2 or not np.isfinite(z).all():
+        raise MeasurementError(f"{config.path}: [{section}] points: expected rows of numbers, all of one length")
+    low, high = ([config.number(section, f"{end}_{axis}") for axis in "xy"] for end in ("min", "max"))
+    x, y = np.linspace(low[0], high[0], z.shape[1]), np.linspace(low[1], high[1], z.shape[0])
+    radius = config.number("bed_mesh", "mesh_radius", math.inf)
     return [
         (float(x[i]), float(y[j]), float(z[j, i]))
         for j in range(z.shape[0])
         for i in range(z.shape[1])
-        if radius <= 0 or math.hypot(x[i] - origin[0], y[j] - origin[1]) <= radius * (1 + 1e-9)
+        if math.hypot(x[i] - (low[0] + high[0]) / 2, y[j] - (low[1] + high[1]) / 2) <= radius * (1 + 1e-9)
     ]
 
 
 class _Config:
-    """Sections and options; what SAVE_CONFIG wrote overrides what stands above it."""
+    """Sections and options. As in Klipper, what stands above the SAVE_CONFIG block overrides the block."""
 
     def __init__(self, path: Path, text: str) -> None:
-        self._path = path
+        self.path = path
         self._values: dict[tuple[str, str], str] = {}
         lines = text.splitlines()
-        self._read([line for line in lines if not line.startswith(_SAVED)])
         self._read([line[len(_SAVED) :].removeprefix(" ") for line in lines if line.startswith(_SAVED)])
+        self._read([line for line in lines if not line.startswith(_SAVED)])
 
     def _read(self, lines: list[str]) -> None:
         section, key = "", ""
         for line in lines:
-            body = line.split("#", 1)[0].rstrip()
+            body = _COMMENT.sub("", line).rstrip()
             if not body.strip():
                 continue
             if body.startswith("["):
@@ -167,7 +175,18 @@ class _Config:
 
     def numbered(self, section: str, stem: str) -> list[int]:
         found = [k[len(stem) :] for s, k in self._values if s == section and k.startswith(stem)]
-        return sorted(int(k) for k in found if k.isdigit())
+        return sorted(int(k) for k in found if k.isdecimal())
+
+    def gear_ratio(self, section: str) -> float:
+        """``80:16, 2:1`` as turns of the motor per turn of the belt's pulley; 1 where nothing is said."""
+        text = self.get(section, "gear_ratio")
+        try:
+            pairs = [gear.split(":") for gear in text.split(",")] if text else []
+            return math.prod(float(a) / float(b) for a, b in pairs)
+        except (ValueError, ZeroDivisionError):
+            raise RobotError(
+                f"{self.path}: [{section}] gear_ratio: expected pairs like 80:16, found '{text}'"
+            ) from None
 
     def number(self, section: str, key: str, default: float | None = None) -> float:
         return float(self.numbers(section, key, 1, None if default is None else (default,))[0])
@@ -176,12 +195,12 @@ class _Config:
         text = self.get(section, key)
         if text is None:
             if default is None:
-                raise RobotError(f"{self._path}: [{section}] {key} is missing; expected {count} number(s)")
+                raise RobotError(f"{self.path}: [{section}] {key} is missing; expected {count} number(s)")
             return np.array(default)
         try:
             values = np.array([float(v) for v in text.split(",")])
         except ValueError:
             values = np.array([])
         if len(values) != count or not np.isfinite(values).all():
-            raise RobotError(f"{self._path}: [{section}] {key}: expected {count} number(s), found '{text}'")
+            raise RobotError(f"{self.path}: [{section}] {key}: expected {count} number(s), found '{text}'")
         return values

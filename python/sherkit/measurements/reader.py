@@ -4,71 +4,140 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Iterator
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from ..errors import MeasurementError
+from . import columns as c
 from .frames import clean
 from .rows import Measurements
 
 PARQUET = (".parquet", ".pq")
 
+#: A file with a zero byte among this many is no text.
+_HEAD = 4096
+Ints = NDArray[np.int64]
+#: A line without quotation marks, or the cells of a row with some.
+Row = str | list[str]
+#: A cell with a decimal comma; other commas belong to labels.
+_DECIMAL_COMMA = r"^(\s*[+-]?\d*),(\d*(?:[eE][+-]?\d+)?\s*)$"
+
 
 def read_measurements(path: str | Path) -> Measurements:
-    """Reads a run. CSV may use comma, semicolon (with decimal comma) or tab; lines starting with ``#`` are notes.
+    """Reads a run. CSV may use comma, semicolon or tab (the last two with decimal comma); lines starting with
+    ``#`` are notes, columns without a name are left out.
 
     Raises :class:`~sherkit.errors.MeasurementError` naming file, line, column and what was expected.
     """
-    path = Path(path)
-    if not path.exists():
-        raise MeasurementError(f"{path}: there is no such file")
-    if path.is_dir():
-        raise MeasurementError(f"{path}: is a folder, expected a CSV or Parquet file")
+    path = checked(path)
     if path.suffix.lower() in PARQUET:
         try:
             frame = pl.read_parquet(path)
         except pl.exceptions.PolarsError as error:
-            raise MeasurementError(f"{path}: is not a Parquet file: {error}") from None
-        return clean(frame, str(path), None)
-    frame, line = read_csv(path)
-    return clean(frame, str(path), line)
+            raise not_parquet(path, error) from None
+        return clean(frame, str(path), None, "row")
+    frame, line = next(csv_blocks(path))
+    return clean(frame, str(path), line, "line")
 
 
-def read_csv(path: Path) -> tuple[pl.DataFrame, np.ndarray]:
-    """The cells of a CSV as text, and the line of each row in the file."""
+def checked(path: str | Path) -> Path:
+    """The path of a file that exists. Raises :class:`~sherkit.errors.MeasurementError`."""
+    path = Path(path)
+    if path.is_dir():
+        raise MeasurementError(f"{path}: is a folder, expected a CSV or Parquet file")
+    if not path.exists():
+        raise MeasurementError(f"{path}: there is no such file")
+    return path
+
+
+def not_parquet(path: Path, error: Exception) -> MeasurementError:
+    """What to say of a file that is called Parquet and is none."""
+    return MeasurementError(f"{path}: is not a Parquet file: {str(error).splitlines()[0]}")
+
+
+def csv_blocks(path: Path, rows: int | None = None) -> Iterator[tuple[pl.DataFrame, Ints]]:
+    """The cells of a CSV as text, and the line of each row in the file: ``rows`` at a time, by default all.
+
+    A file without rows gives one empty block. Raises :class:`~sherkit.errors.MeasurementError`.
+    """
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise MeasurementError(f"{path}: byte {error.start} is not UTF-8 text; expected a CSV file") from None
-    lines = text.splitlines()
-    kept = [(n, s) for n, s in enumerate(lines, start=1) if s.strip() and not s.lstrip().startswith("#")]
-    if not kept:
-        raise MeasurementError(f"{path}: is empty; expected a line of column names and rows of measurements")
-    header = kept[0][1]
-    separator = max(",;\t", key=header.count)
-    width = len(next(csv.reader([header], delimiter=separator)))
-    if len(kept) == 1:
-        numbers = np.zeros(0, dtype=np.int64)
-        names = next(csv.reader([header], delimiter=separator))
-        return pl.DataFrame({n: pl.Series([], dtype=pl.String) for n in names}), numbers
-    _check_widths(path, kept, separator, width)
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            lines = enumerate(file, start=1)
+            number, header = next(_data(lines), (0, ""))
+            if not header:
+                raise MeasurementError(f"{path}: is empty; expected a line of column names and rows of measurements")
+            if "\0" in header:
+                raise _not_text(path)
+            separator = max(",;\t", key=header.count)
+            names = [name.strip() for name in _cells(path, number, header, lines, separator)]
+            c.check_unique([name for name in names if name], str(path))
+            found: Iterator[tuple[int, Row]] = (
+                (n, s.rstrip("\r\n") if '"' not in s else _cells(path, n, s, lines, separator)) for n, s in _data(lines)
+            )
+            block = list(islice(found, rows))
+            while True:
+                yield _frame(path, names, separator, block), np.array([n for n, _ in block], dtype=np.int64)
+                block = list(islice(found, rows))
+                if not block:
+                    return
+    except UnicodeDecodeError:
+        raise _not_text(path) from None
+    except OSError as error:
+        raise MeasurementError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _data(lines: Iterator[tuple[int, str]]) -> Iterator[tuple[int, str]]:
+    """Lines that are neither blank nor notes."""
+    return ((n, s) for n, s in lines if s.strip() and not s.lstrip().startswith("#"))
+
+
+def _cells(path: Path, number: int, text: str, lines: Iterator[tuple[int, str]], separator: str) -> list[str]:
+    """The cells of a row that may be quoted; a quoted cell may go on over the next lines."""
     try:
-        frame = pl.read_csv(
-            io.StringIO("\n".join(s for _, s in kept)),
-            separator=separator,
-            infer_schema=False,
-        )
-    except pl.exceptions.PolarsError as error:
-        raise MeasurementError(f"{path}: cannot be read as CSV: {str(error).splitlines()[0]}") from None
-    if separator == ";":
-        frame = frame.with_columns(pl.all().str.replace(",", ".", literal=True))
-    return frame, np.array([n for n, _ in kept[1:]], dtype=np.int64)
+        return next(csv.reader(chain([text], (s for _, s in lines)), delimiter=separator, strict=True))
+    except csv.Error as error:
+        what = "a quotation mark is not closed" if "unexpected end" in str(error) else str(error)
+        raise MeasurementError(f"{path}: line {number} is not CSV: {what}") from None
 
 
-def _check_widths(path: Path, kept: list[tuple[int, str]], separator: str, width: int) -> None:
-    for number, line in kept[1:]:
-        if line.count(separator) + 1 != width and '"' not in line:
-            found = line.count(separator) + 1
-            raise MeasurementError(f"{path}: line {number} has {found} cells, the header has {width}")
+def _frame(path: Path, names: list[str], separator: str, block: list[tuple[int, Row]]) -> pl.DataFrame:
+    for number, row in block:
+        found = row.count(separator) + 1 if isinstance(row, str) else len(row)
+        if found != len(names):
+            hint = "; decimal commas need semicolons between cells" if found > len(names) and separator == "," else ""
+            raise MeasurementError(f"{path}: line {number} has {found} cells, the header has {len(names)}{hint}")
+    # numbered, not named: polars would rename columns without a name
+    schema = {str(k): pl.String for k in range(len(names))}
+    plain = [row for _, row in block if isinstance(row, str)]
+    if plain and len(plain) == len(block):
+        text = io.StringIO("\n".join(plain))
+        try:
+            frame = pl.read_csv(text, separator=separator, schema=schema, has_header=False, quote_char=None)
+        except pl.exceptions.PolarsError as error:
+            raise MeasurementError(f"{path}: cannot be read as CSV: {str(error).splitlines()[0]}") from None
+    else:
+        cells = [row.split(separator) if isinstance(row, str) else row for _, row in block]
+        frame = pl.DataFrame(cells, schema=schema, orient="row")
+    frame = frame.select(pl.col(str(k)).alias(name) for k, name in enumerate(names) if name)
+    if separator != ",":
+        frame = frame.with_columns(pl.all().str.replace(_DECIMAL_COMMA, "$1.$2"))
+    return frame
+
+
+def _not_text(path: Path) -> MeasurementError:
+    """Names the line at which a file stops being UTF-8, unless it never was text."""
+    with path.open("rb") as file:
+        if b"\0" not in file.read(_HEAD):
+            file.seek(0)
+            for number, raw in enumerate(file, start=1):
+                try:
+                    raw.decode("utf-8")
+                except UnicodeDecodeError as error:
+                    byte = raw[error.start]
+                    return MeasurementError(f"{path}: line {number} is not UTF-8 (byte {byte:#04x}); save it as UTF-8")
+    return MeasurementError(f"{path}: is not text; expected CSV as UTF-8, or Parquet in a file named .parquet")

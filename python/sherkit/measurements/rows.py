@@ -149,14 +149,15 @@ class Measurements:
         moved = _spread(self.readings_mm[position, :3])
         if spread <= 0 or moved <= 0:
             return
-        for ratio, what, unit in (
-            (spread / moved, "x_mm, y_mm, z_mm", "metres"),
-            (moved / spread, "q1_mm, q2_mm, q3_mm", "metres"),
+        joints, positions = ", ".join(c.JOINTS), ", ".join(c.POSITION)
+        for ratio, small, large in (
+            (spread / moved, positions, joints),
+            (moved / spread, joints, positions),
         ):
             if ratio > _UNIT_RATIO:
                 warnings.warn(
-                    f"{self.source}: columns {what} vary {ratio:.0f} times less than the other readings; "
-                    f"are they in {unit}? Expected millimetres.",
+                    f"{self.source}: columns {small} vary {ratio:.0f} times less than {large}; are they in metres, "
+                    "or the others in micrometres? Expected millimetres.",
                     SherkitWarning,
                     stacklevel=2,
                 )

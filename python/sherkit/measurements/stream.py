@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 
-from ..errors import MeasurementError
 from .frames import clean
-from .reader import PARQUET
+from .reader import PARQUET, checked, csv_blocks, not_parquet
 from .rows import Measurements
 
 BLOCK_ROWS = 100_000
@@ -25,23 +25,25 @@ class MeasurementStream:
 
 
 def stream_measurements(path: str | Path, block_rows: int = BLOCK_ROWS) -> MeasurementStream:
-    """Streams a CSV (comma-separated) or Parquet file of any length through the fit in constant memory.
+    """Streams a CSV or Parquet file of any length through the fit in constant memory.
 
-    Each block is checked like a file of its own; lines in messages count data rows from 0. Raises
-    :class:`~sherkit.errors.MeasurementError`.
+    Reads what :func:`~sherkit.measurements.read_measurements` reads and names the same places in messages, but
+    checks each block by itself: a pose and repeat given twice far apart go unnoticed. Raises
+    :class:`~sherkit.errors.MeasurementError`, most of it once the blocks are read.
     """
-    path = Path(path)
-    if not path.exists():
-        raise MeasurementError(f"{path}: there is no such file")
+    path = checked(path)
 
     def blocks() -> Iterator[Measurements]:
-        if path.suffix.lower() in PARQUET:
-            scan = pl.scan_parquet(path)
-        else:
-            scan = pl.scan_csv(path, infer_schema=False)
+        if path.suffix.lower() not in PARQUET:
+            for frame, line in csv_blocks(path, block_rows):
+                yield clean(frame, str(path), line, "line")
+            return
         first = 0
-        for frame in scan.collect_batches(chunk_size=block_rows, maintain_order=True):
-            yield clean(frame, str(path), range(first, first + frame.height))
-            first += frame.height
+        try:
+            for frame in pl.scan_parquet(path).collect_batches(chunk_size=block_rows, maintain_order=True):
+                yield clean(frame, str(path), np.arange(first, first + frame.height), "row")
+                first += frame.height
+        except pl.exceptions.PolarsError as error:
+            raise not_parquet(path, error) from None
 
     return MeasurementStream(blocks, str(path))

@@ -18,11 +18,13 @@ def load_robot(path: str | Path) -> Delta:
     """Reads a robot from TOML. Raises :class:`~sherkit.errors.RobotError` naming file, table and key."""
     path = Path(path)
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise RobotError(f"{path}: there is no such robot file") from None
     except IsADirectoryError:
         raise RobotError(f"{path}: is a folder, expected a robot TOML file") from None
+    except OSError as error:
+        raise RobotError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise RobotError(f"{path}: is not a text file, expected a robot TOML file") from None
     except tomllib.TOMLDecodeError as error:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 from ..errors import RobotError
 from ..names import closest, listed, nearest
+
+#: Keys of a table look alike (base_radius_mm, platform_radius_mm); a misspelt one looks more alike still.
+_MISSPELT = 0.75
+_LARGEST = 1e100
 
 
 class Table:
@@ -41,7 +44,7 @@ class Table:
 
     def _missing(self, key: str, expected: str) -> RobotError:
         # a misspelt key is both missing and unknown: say it once, where the user typed it
-        typed = closest(key, [k for k in self._values if k not in self._known])
+        typed = closest(key, [k for k in self._values if k not in self._known], cutoff=_MISSPELT)
         hint = f"; is '{typed}' meant to be it?" if typed else ""
         return RobotError(f"{self._where}: {self._name(key)} is missing; expected {expected}{hint}")
 
@@ -95,4 +98,5 @@ class Table:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    # NaN is not below anything; Python's whole numbers have no end, floats have
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _LARGEST

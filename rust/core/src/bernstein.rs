@@ -205,13 +205,19 @@ pub fn push<S: AsRef<[f64]> + AsMut<[f64]>>(
         basis(orders[1], t[1]),
         basis(orders[2], t[2]),
     ];
-    let products = bx[..=orders[0]].iter().flat_map(|x| {
-        let bz = &bz;
-        by[..=orders[1]]
-            .iter()
-            .flat_map(move |y| bz[..=orders[2]].iter().map(move |z| x * y * z))
-    });
-    stack.push(products.chain(target.iter().copied()));
+    let mut places = stack.next_row();
+    for x in &bx[..=orders[0]] {
+        for y in &by[..=orders[1]] {
+            let xy = x * y;
+            for (z, place) in bz[..=orders[2]].iter().zip(places.by_ref()) {
+                *place = xy * z;
+            }
+        }
+    }
+    for (t, place) in target.iter().zip(places) {
+        *place = *t;
+    }
+    stack.commit_row();
 }
 
 /// Solves the triangle of a stack with `targets` right-hand sides by back substitution.

@@ -25,3 +25,107 @@ pub fn sqrt(x: f64) -> f64 {
 pub fn sin_cos(angle_rad: f64) -> (f64, f64) {
     libm::sincos(angle_rad)
 }
+
+/// A number, or several side by side: what a formula needs that runs in single and in batch.
+pub trait Real:
+    Copy
+    + core::ops::Add<Output = Self>
+    + core::ops::Sub<Output = Self>
+    + core::ops::Mul<Output = Self>
+    + core::ops::Div<Output = Self>
+{
+    /// The same value everywhere.
+    fn splat(value: f64) -> Self;
+    /// Square root.
+    #[must_use]
+    fn root(self) -> Self;
+}
+
+impl Real for f64 {
+    #[inline(always)]
+    fn splat(value: f64) -> Self {
+        value
+    }
+    #[inline(always)]
+    fn root(self) -> Self {
+        sqrt(self)
+    }
+}
+
+/// `L` numbers side by side. Every operation is a loop over the lanes, which the compiler turns into vector
+/// instructions of whatever width the processor has; each lane rounds exactly as a single number does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(align(64))]
+pub struct Lanes<const L: usize>(pub [f64; L]);
+
+macro_rules! lanewise {
+    ($($trait:ident $method:ident $op:tt),*) => {$(
+        impl<const L: usize> core::ops::$trait for Lanes<L> {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(mut self, other: Self) -> Self {
+                for lane in 0..L {
+                    self.0[lane] = self.0[lane] $op other.0[lane];
+                }
+                self
+            }
+        }
+    )*};
+}
+lanewise!(Add add +, Sub sub -, Mul mul *, Div div /);
+
+impl<const L: usize> Real for Lanes<L> {
+    #[inline(always)]
+    fn splat(value: f64) -> Self {
+        Self([value; L])
+    }
+    #[inline(always)]
+    fn root(mut self) -> Self {
+        for lane in 0..L {
+            self.0[lane] = sqrt(self.0[lane]);
+        }
+        self
+    }
+}
+
+/// Three components.
+pub type Triple<T> = [T; 3];
+
+/// `a + b`.
+#[inline(always)]
+#[must_use]
+pub fn add<T: Real>(a: Triple<T>, b: Triple<T>) -> Triple<T> {
+    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
+}
+
+/// `a - b`.
+#[inline(always)]
+#[must_use]
+pub fn subtract<T: Real>(a: Triple<T>, b: Triple<T>) -> Triple<T> {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// `s a`.
+#[inline(always)]
+#[must_use]
+pub fn scale<T: Real>(a: Triple<T>, s: T) -> Triple<T> {
+    [a[0] * s, a[1] * s, a[2] * s]
+}
+
+/// `a · b`.
+#[inline(always)]
+#[must_use]
+pub fn dot<T: Real>(a: Triple<T>, b: Triple<T>) -> T {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// `a × b`.
+#[inline(always)]
+#[must_use]
+pub fn cross<T: Real>(a: Triple<T>, b: Triple<T>) -> Triple<T> {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}

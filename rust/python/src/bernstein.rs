@@ -13,6 +13,9 @@ use sherkit_core::bernstein::{
 };
 use sherkit_core::least_squares::{Stack, stack_len};
 
+/// Design elements below which a second thread costs more than it brings.
+const WORTH_A_THREAD: usize = 200_000;
+
 /// A fitted tensor product with its box and fade.
 #[pyclass(frozen, from_py_object, module = "sherkit._core")]
 #[derive(Clone)]
@@ -138,16 +141,28 @@ pub fn bernstein_fit<'py>(
         ));
     }
     let n = coefficients_len(orders);
-    let mut stack = Stack::new(n, 3, vec![0.0; stack_len(n, 3)]).map_err(to_python)?;
-    for (x, y) in x.iter().zip(y) {
-        push(
-            &mut stack,
-            orders,
-            &domain,
-            &Vector3::from(*x),
-            &Vector3::from(*y),
-        );
+    let fold = |x: &[[f64; 3]], y: &[[f64; 3]]| {
+        let mut stack = Stack::new(n, 3, vec![0.0; stack_len(n, 3)])?;
+        for (x, y) in x.iter().zip(y) {
+            push(&mut stack, orders, &domain, &Vector3::from(*x), &Vector3::from(*y));
+        }
+        Ok(stack)
+    };
+    let mut stack = if x.len() * n < WORTH_A_THREAD {
+        fold(x, y)
+    } else {
+        let half = x.len() / 2;
+        std::thread::scope(|scope| {
+            let other = scope.spawn(|| fold(&x[half..], &y[half..]));
+            let mut stack = fold(&x[..half], &y[..half])?;
+            match other.join() {
+                Ok(other) => stack.absorb(other?.triangle(), x.len() - half),
+                Err(_) => return fold(x, y),
+            }
+            Ok(stack)
+        })
     }
+    .map_err(to_python)?;
     let mut solution = vec![0.0; n * 3];
     let weakest = back_substitute(stack.triangle(), n, 3, &mut solution);
     Ok((shaped(py, solution, [n, 3])?, weakest))

@@ -110,7 +110,7 @@ impl DeltaKinematics {
             .zip(&mut reached)
         {
             if let Ok(pose) = self.0.pose(&Vector3::from(*q)) {
-                out.copy_from_slice(self.0.by_parameters(&pose).transpose().as_slice());
+                out.copy_from_slice(self.0.by_parameters::<GEOMETRIC>(&pose).transpose().as_slice());
                 *ok = true;
             }
         }
@@ -136,65 +136,99 @@ enum Map<'a> {
     Inverse(&'a Kinematics),
 }
 
-/// Runs the lanes with the widest vectors this processor has; every choice gives the same bits.
+/// Poses below which a second thread costs more than it brings.
+const WORTH_A_THREAD: usize = 50_000;
+
+/// Runs the lanes, on all cores where there are many poses. The interpreter lock is held, so that nobody
+/// writes the input meanwhile.
 fn in_lanes(input: &[[f64; 3]], map: Map<'_>) -> (Vec<f64>, Vec<bool>) {
+    let mut out = vec![0.0; input.len() * 3];
+    let mut reached = vec![false; input.len()];
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = cores.min(input.len() / WORTH_A_THREAD).max(1);
+    let share = input.len().div_ceil(threads).next_multiple_of(LANES).max(LANES);
+    let parts = input
+        .chunks(share)
+        .zip(out.as_chunks_mut::<3>().0.chunks_mut(share))
+        .zip(reached.chunks_mut(share));
+    if threads == 1 {
+        for ((input, out), reached) in parts {
+            widest(input, out, reached, map);
+        }
+    } else {
+        std::thread::scope(|scope| {
+            for ((input, out), reached) in parts {
+                scope.spawn(move || widest(input, out, reached, map));
+            }
+        });
+    }
+    (out, reached)
+}
+
+/// The widest vectors that this processor has; every choice gives the same bits.
+fn widest(input: &[[f64; 3]], out: &mut [[f64; 3]], reached: &mut [bool], map: Map<'_>) {
     #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor was just asked for the feature.
-        return unsafe { in_lanes_avx2(input, map) };
-    }
-    run(input, map)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn in_lanes_avx2(input: &[[f64; 3]], map: Map<'_>) -> (Vec<f64>, Vec<bool>) {
-    run(input, map)
-}
-
-#[inline(always)]
-fn run(input: &[[f64; 3]], map: Map<'_>) -> (Vec<f64>, Vec<bool>) {
-    match map {
-        Map::Forward(k) => lanes(input, |block| k.forward_lanes::<LANES>(block)),
-        Map::Inverse(k) => lanes(input, |block| k.inverse_lanes::<LANES>(block)),
-    }
-}
-
-type Block = [[f64; LANES]; 3];
-
-#[inline(always)]
-fn lanes(
-    input: &[[f64; 3]],
-    compute: impl Fn(&Block) -> (Block, [bool; LANES]),
-) -> (Vec<f64>, Vec<bool>) {
-    let mut out = Vec::with_capacity(input.len() * 3);
-    let mut reached = Vec::with_capacity(input.len());
-    let mut one = |rows: &[[f64; 3]; LANES], used: usize| {
-        let mut block = [[0.0; LANES]; 3];
-        for lane in 0..LANES {
-            for axis in 0..3 {
-                block[axis][lane] = rows[lane][axis];
-            }
+    {
+        #[target_feature(enable = "avx512f")]
+        fn avx512(input: &[[f64; 3]], out: &mut [[f64; 3]], reached: &mut [bool], map: Map<'_>) {
+            run(input, out, reached, map);
         }
-        let (values, ok) = compute(&block);
-        let mut result = [0.0; LANES * 3];
-        for lane in 0..LANES {
-            for axis in 0..3 {
-                let value = values[axis][lane];
-                result[lane * 3 + axis] = if ok[lane] { value } else { f64::NAN };
-            }
+        #[target_feature(enable = "avx2")]
+        fn avx2(input: &[[f64; 3]], out: &mut [[f64; 3]], reached: &mut [bool], map: Map<'_>) {
+            run(input, out, reached, map);
         }
-        out.extend_from_slice(&result[..used * 3]);
-        reached.extend_from_slice(&ok[..used]);
-    };
+        if std::arch::is_x86_feature_detected!("avx512f") {
+            // SAFETY: the processor was just asked for the feature.
+            return unsafe { avx512(input, out, reached, map) };
+        }
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor was just asked for the feature.
+            return unsafe { avx2(input, out, reached, map) };
+        }
+    }
+    run(input, out, reached, map);
+}
+
+// everything below must end up inside the functions above to be compiled with their features: no closures
+#[inline(always)]
+fn run(input: &[[f64; 3]], out: &mut [[f64; 3]], reached: &mut [bool], map: Map<'_>) {
     let (blocks, rest) = input.as_chunks::<LANES>();
-    for rows in blocks {
-        one(rows, LANES);
+    let (out_blocks, out_rest) = out.as_chunks_mut::<LANES>();
+    let (ok_blocks, ok_rest) = reached.as_chunks_mut::<LANES>();
+    for ((rows, out), ok) in blocks.iter().zip(out_blocks).zip(ok_blocks) {
+        compute(rows, out, ok, map);
     }
     if !rest.is_empty() {
         let mut rows = [[0.0; 3]; LANES];
         rows[..rest.len()].copy_from_slice(rest);
-        one(&rows, rest.len());
+        let (mut values, mut ok) = ([[0.0; 3]; LANES], [false; LANES]);
+        compute(&rows, &mut values, &mut ok, map);
+        out_rest.copy_from_slice(&values[..out_rest.len()]);
+        ok_rest.copy_from_slice(&ok[..ok_rest.len()]);
     }
-    (out, reached)
+}
+
+#[inline(always)]
+fn compute(
+    rows: &[[f64; 3]; LANES],
+    out: &mut [[f64; 3]; LANES],
+    reached: &mut [bool; LANES],
+    map: Map<'_>,
+) {
+    let mut block = [[0.0; LANES]; 3];
+    for axis in 0..3 {
+        for lane in 0..LANES {
+            block[axis][lane] = rows[lane][axis];
+        }
+    }
+    let (values, ok) = match map {
+        Map::Forward(k) => k.forward_lanes::<LANES>(&block),
+        Map::Inverse(k) => k.inverse_lanes::<LANES>(&block),
+    };
+    for lane in 0..LANES {
+        for axis in 0..3 {
+            out[lane][axis] = if ok[lane] { values[axis][lane] } else { f64::NAN };
+        }
+    }
+    *reached = ok;
 }

@@ -18,6 +18,8 @@ pub struct Solver {
     stack: Stack<Vec<f64>>,
     loss: Loss,
     cost: f64,
+    /// One weighted row with its residual, on its way into the stack.
+    row: Vec<f64>,
 }
 
 impl Solver {
@@ -42,8 +44,13 @@ impl Solver {
         let (root, cost) = self.loss.root_weight_and_cost(u);
         self.cost += cost;
         let w = weight * root;
-        self.stack
-            .push(derivatives.map(|d| d * w).chain(core::iter::once(u * root)));
+        let n = self.stack.columns();
+        let (row, target) = self.row.split_at_mut(n);
+        for (place, d) in row.iter_mut().zip(derivatives) {
+            *place = d * w;
+        }
+        target.fill(u * root);
+        self.stack.push(self.row.iter().copied());
     }
 
     /// Marks the trial as impossible.
@@ -76,7 +83,7 @@ impl Solver {
 #[pymethods]
 impl Solver {
     #[new]
-    #[pyo3(signature = (start, sizes, *, loss="linear", max_evaluations=100, step_tolerance=1e-10,
+    #[pyo3(signature = (start, sizes, *, loss="linear", max_evaluations=100, step_tolerance=1e-5,
                         rank_tolerance=1e-9, single_step=false))]
     fn new(
         start: PyReadonlyArray1<'_, f64>,
@@ -102,6 +109,7 @@ impl Solver {
             loss: Loss::from_name(loss)
                 .ok_or_else(|| shape("loss", "'linear', 'huber', 'cauchy' or 'tukey'", &[]))?,
             cost: 0.0,
+            row: vec![0.0; n + 1],
         })
     }
 

@@ -8,7 +8,7 @@
 
 use super::geometry::{Assembly, GEOMETRIC, Geometry, LIMBS, PER_LIMB};
 use super::trilateration::{culprit, meet};
-use crate::math::{sin_cos, sqrt};
+use crate::math::{Lanes, Real, Triple, sin_cos, sqrt};
 use crate::{Error, Result};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
@@ -19,6 +19,8 @@ const SINGULAR: f64 = 1e-9;
 #[derive(Clone, Copy, Debug)]
 pub struct Kinematics {
     assembly: Assembly,
+    /// Side of the plane of the carriages on which the platform is, along `d_2 × d_3` of the trilateration.
+    side: f64,
     /// Horizontal sphere centre and joint offset: `s_i = anchor_i + q_i ẑ`.
     anchors: [Vector3<f64>; LIMBS],
     rods: [f64; LIMBS],
@@ -50,6 +52,7 @@ impl Kinematics {
         let zero = [Vector3::zeros(); LIMBS];
         let mut k = Self {
             assembly: geometry.assembly,
+            side: 0.0,
             anchors: zero,
             rods: geometry.limbs.map(|l| l.rod_length_mm),
             by_base_radius: zero,
@@ -67,16 +70,22 @@ impl Kinematics {
             k.by_platform_radius[i] = Vector3::new(-cp, -sp, 0.0);
             k.by_platform_angle[i] = Vector3::new(rp * sp, -rp * cp, 0.0);
         }
+        // rails are vertical, so the normal of the carriages' plane never turns from up to down
+        let [a1, a2, a3] = k.anchors;
+        let up = (a2 - a1).cross(&(a3 - a1)).z;
+        k.side = if up >= 0.0 { -1.0 } else { 1.0 } * geometry.assembly.sign();
         Ok(k)
     }
 
+    /// Sphere centres `s_i` for joint readings, one or many side by side.
     #[inline(always)]
-    fn centres(&self, joints: [f64; LIMBS]) -> [Vector3<f64>; LIMBS] {
-        let centre = |i: usize| {
+    fn centres<T: Real>(&self, joints: [T; LIMBS]) -> [Triple<T>; LIMBS] {
+        let mut centres = [[T::splat(0.0); 3]; LIMBS];
+        for i in 0..LIMBS {
             let a = &self.anchors[i];
-            Vector3::new(a.x, a.y, a.z + joints[i])
-        };
-        [centre(0), centre(1), centre(2)]
+            centres[i] = [T::splat(a.x), T::splat(a.y), T::splat(a.z) + joints[i]];
+        }
+        centres
     }
 
     /// Platform centre for the given joint readings (Eq. 3 solved for x, y, z).
@@ -87,21 +96,21 @@ impl Kinematics {
     pub fn forward(&self, joints: &Vector3<f64>) -> Result<Vector3<f64>> {
         finite(joints)?;
         let centres = self.centres([joints.x, joints.y, joints.z]);
-        let meeting = meet(&centres, &self.rods, self.assembly.sign());
+        let meeting = meet(&centres, &self.rods, self.side);
         if meeting.height_squared.is_nan() {
             return Err(Error::Singular);
         }
         if meeting.height_squared < 0.0 {
-            let (limb, miss_mm) = culprit(&centres, &self.rods);
+            let (limb, miss_mm) = culprit(&centres.map(Vector3::from), &self.rods);
             return Err(Error::OutOfReach { limb, miss_mm });
         }
         for (limb, centre) in centres.iter().enumerate() {
-            let beyond_mm = self.assembly.sign() * (meeting.point.z - centre.z);
+            let beyond_mm = self.assembly.sign() * (meeting.point[2] - centre[2]);
             if beyond_mm > 0.0 {
                 return Err(Error::LimbReversed { limb, beyond_mm });
             }
         }
-        Ok(meeting.point)
+        Ok(Vector3::from(meeting.point))
     }
 
     /// [`Self::forward`] for `L` poses at once, laid out as lanes so that it vectorises.
@@ -114,23 +123,20 @@ impl Kinematics {
         &self,
         joints: &[[f64; L]; LIMBS],
     ) -> ([[f64; L]; 3], [bool; L]) {
-        let mut out = [[0.0; L]; 3];
-        let mut reached = [false; L];
+        let centres = self.centres([Lanes(joints[0]), Lanes(joints[1]), Lanes(joints[2])]);
+        let meeting = meet(&centres, &self.rods, self.side);
         let sign = self.assembly.sign();
+        let z = meeting.point[2].0;
+        let mut reached = [false; L];
         for lane in 0..L {
-            let centres = self.centres([joints[0][lane], joints[1][lane], joints[2][lane]]);
-            let meeting = meet(&centres, &self.rods, sign);
-            let z = meeting.point.z;
-            out[0][lane] = meeting.point.x;
-            out[1][lane] = meeting.point.y;
-            out[2][lane] = z;
             // written with >= so that a NaN is never in reach
-            reached[lane] = (meeting.height_squared >= 0.0)
-                & (sign * (centres[0].z - z) >= 0.0)
-                & (sign * (centres[1].z - z) >= 0.0)
-                & (sign * (centres[2].z - z) >= 0.0);
+            reached[lane] = (meeting.height_squared.0[lane] >= 0.0)
+                & (sign * (centres[0][2].0[lane] - z[lane]) >= 0.0)
+                & (sign * (centres[1][2].0[lane] - z[lane]) >= 0.0)
+                & (sign * (centres[2][2].0[lane] - z[lane]) >= 0.0);
         }
-        (out, reached)
+        let [x, y, z] = meeting.point;
+        ([x.0, y.0, z.0], reached)
     }
 
     /// Joint readings that bring the platform centre to `position`.
@@ -190,9 +196,9 @@ impl Kinematics {
         let position = self.forward(joints)?;
         let centres = self.centres([joints.x, joints.y, joints.z]);
         let rods = [
-            position - centres[0],
-            position - centres[1],
-            position - centres[2],
+            position - Vector3::from(centres[0]),
+            position - Vector3::from(centres[1]),
+            position - Vector3::from(centres[2]),
         ];
         // rows of A are the rods, so the columns of A⁻¹ are their cross products over the triple product
         let crosses = [
@@ -219,10 +225,12 @@ impl Kinematics {
         })
     }
 
-    /// Derivative of the position by the 18 geometric parameters, one column each (Eq. 8).
+    /// Derivative of the position by the 18 geometric parameters (Eq. 8), in the first columns of `N`.
     #[must_use]
-    pub fn by_parameters(&self, pose: &Pose) -> SMatrix<f64, 3, GEOMETRIC> {
-        let mut d = SMatrix::<f64, 3, GEOMETRIC>::zeros();
+    #[inline]
+    pub fn by_parameters<const N: usize>(&self, pose: &Pose) -> SMatrix<f64, 3, N> {
+        const { assert!(N >= GEOMETRIC) }
+        let mut d = SMatrix::<f64, 3, N>::zeros();
         for limb in 0..LIMBS {
             let rod = &pose.rods[limb];
             let answer = pose.answers.column(limb);
@@ -235,7 +243,9 @@ impl Kinematics {
                 rod.dot(&self.by_platform_angle[limb]),
             ];
             for (k, gain) in gains.iter().enumerate() {
-                d.set_column(limb * PER_LIMB + k, &(answer * *gain));
+                for axis in 0..3 {
+                    d[(axis, limb * PER_LIMB + k)] = answer[axis] * gain;
+                }
             }
         }
         d

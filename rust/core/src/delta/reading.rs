@@ -101,13 +101,10 @@ impl Predictor {
     /// As [`Kinematics::pose`].
     pub fn predict(&self, kind: &Kind) -> Result<Prediction> {
         let at = |q: &[f64; LIMBS]| self.kinematics.pose(&Vector3::from(*q));
-        let mut derivative = SMatrix::<f64, 3, PARAMETERS>::zeros();
         match kind {
             Kind::Position { joints } => {
                 let pose: Pose = at(joints)?;
-                derivative
-                    .fixed_columns_mut::<GEOMETRIC>(0)
-                    .copy_from(&self.kinematics.by_parameters(&pose));
+                let mut derivative = self.kinematics.by_parameters::<PARAMETERS>(&pose);
                 derivative
                     .fixed_columns_mut::<3>(GEOMETRIC)
                     .fill_with_identity();
@@ -126,10 +123,10 @@ impl Predictor {
                 } else {
                     Vector3::zeros()
                 };
-                let change = self.kinematics.by_parameters(&b) - self.kinematics.by_parameters(&a);
-                derivative
-                    .fixed_view_mut::<1, GEOMETRIC>(0, 0)
-                    .copy_from(&along.tr_mul(&change));
+                let change = self.kinematics.by_parameters::<PARAMETERS>(&b)
+                    - self.kinematics.by_parameters::<PARAMETERS>(&a);
+                let mut derivative = SMatrix::<f64, 3, PARAMETERS>::zeros();
+                derivative.set_row(0, &along.tr_mul(&change));
                 Ok(Prediction {
                     value: Vector3::new(distance, 0.0, 0.0),
                     derivative,

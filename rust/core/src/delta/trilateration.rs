@@ -5,36 +5,40 @@
 //! `x = s_1 + [k_2 (d_3 × n) + k_3 (n × d_2)]/|n|² ± t n`, `t² = (l_1² - |…|²)/|n|²`.
 //! Branch-free, so that loops over lanes vectorise. A negative or NaN `t²` means that the spheres miss.
 
-use crate::math::sqrt;
+use crate::math::{Real, Triple, add, cross, dot, scale, sqrt, subtract};
 use nalgebra::Vector3;
 
-/// The two solutions' midpoint, the half distance between them along the unit normal, squared.
+/// Where the spheres meet.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Meeting {
+pub(super) struct Meeting<T> {
     /// The chosen solution; NaN where the spheres miss.
-    pub point: Vector3<f64>,
-    /// Negative where the spheres miss; NaN where the centres lie on a line.
-    pub height_squared: f64,
+    pub point: Triple<T>,
+    /// Squared distance of the solution from the plane of the centres: negative where the spheres miss, NaN
+    /// where the centres lie on a line.
+    pub height_squared: T,
 }
 
-/// Intersection of three spheres on the side given by `sign`: +1 the lower, -1 the upper one.
+/// Intersection of three spheres. `side` is +1 or -1: along the normal `d_2 × d_3` or against it.
 #[inline(always)]
-pub(super) fn meet(centres: &[Vector3<f64>; 3], radii: &[f64; 3], sign: f64) -> Meeting {
-    let [s1, s2, s3] = centres;
-    let d2 = s2 - s1;
-    let d3 = s3 - s1;
-    let n = d2.cross(&d3);
-    let n_squared = n.norm_squared();
-    let k2 = 0.5 * (d2.norm_squared() + (radii[0] - radii[1]) * (radii[0] + radii[1]));
-    let k3 = 0.5 * (d3.norm_squared() + (radii[0] - radii[2]) * (radii[0] + radii[2]));
-    let inverse = 1.0 / n_squared;
-    let foot = (d3.cross(&n) * k2 + n.cross(&d2) * k3) * inverse;
-    let height_squared = radii[0] * radii[0] - foot.norm_squared();
-    let t = sqrt(height_squared * inverse);
-    // n points up or down with the order of the limbs; "below" is against +z whatever that order
-    let side = if n.z >= 0.0 { -sign } else { sign };
+pub(super) fn meet<T: Real>(centres: &[Triple<T>; 3], radii: &[f64; 3], side: f64) -> Meeting<T> {
+    let [s1, s2, s3] = *centres;
+    let d2 = subtract(s2, s1);
+    let d3 = subtract(s3, s1);
+    let n = cross(d2, d3);
+    let half = T::splat(0.5);
+    let e2 = 0.5 * (radii[0] - radii[1]) * (radii[0] + radii[1]);
+    let e3 = 0.5 * (radii[0] - radii[2]) * (radii[0] + radii[2]);
+    let k2 = half * dot(d2, d2) + T::splat(e2);
+    let k3 = half * dot(d3, d3) + T::splat(e3);
+    let inverse = T::splat(1.0) / dot(n, n);
+    let foot = scale(
+        add(scale(cross(d3, n), k2), scale(cross(n, d2), k3)),
+        inverse,
+    );
+    let height_squared = T::splat(radii[0] * radii[0]) - dot(foot, foot);
+    let t = T::splat(side) * (height_squared * inverse).root();
     Meeting {
-        point: s1 + foot + n * (side * t),
+        point: add(s1, add(foot, scale(n, t))),
         height_squared,
     }
 }
@@ -56,8 +60,14 @@ pub(super) fn culprit(centres: &[Vector3<f64>; 3], radii: &[f64; 3]) -> (usize, 
     let axis = between / gap;
     let along = 0.5 * (gap + (radii[i] - radii[j]) * (radii[i] + radii[j]) / gap);
     let circle_squared = radii[i] * radii[i] - along * along;
+    // the nearer end of what would do: just beyond the edge of reach the miss is a rounding error
+    let miss = |limb: usize, shortest: f64, longest: f64| {
+        let middle = 0.5 * (shortest + longest);
+        let wanted = if radii[limb] < middle { shortest } else { longest };
+        (limb, wanted - radii[limb])
+    };
     if circle_squared < 0.0 {
-        return (i, gap - radii[i] - radii[j]);
+        return miss(i, (gap - radii[j]).abs(), gap + radii[j]);
     }
     let circle = sqrt(circle_squared);
     let from_middle = centres[k] - (centres[i] + axis * along);
@@ -65,11 +75,7 @@ pub(super) fn culprit(centres: &[Vector3<f64>; 3], radii: &[f64; 3]) -> (usize, 
     let radial = (from_middle - axis * height).norm();
     let nearest = sqrt(height * height + (radial - circle) * (radial - circle));
     let farthest = sqrt(height * height + (radial + circle) * (radial + circle));
-    if radii[k] < nearest {
-        (k, nearest - radii[k])
-    } else {
-        (k, farthest - radii[k])
-    }
+    miss(k, nearest, farthest)
 }
 
 fn others(k: usize) -> (usize, usize) {

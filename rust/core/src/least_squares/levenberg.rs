@@ -19,7 +19,8 @@ pub const fn levenberg_len(n: usize) -> usize {
 pub struct Settings {
     /// Evaluations allowed, the first included.
     pub max_evaluations: usize,
-    /// Converged when no parameter moves by more than this fraction of its plausible size.
+    /// Converged when the next step moves no parameter by more than this fraction of its plausible size. That
+    /// step is still taken, so the error left is of second order in it.
     pub step_tolerance: f64,
     /// Singular values below this fraction of the largest count as zero.
     pub rank_tolerance: f64,
@@ -31,7 +32,7 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             max_evaluations: 100,
-            step_tolerance: 1e-10,
+            step_tolerance: 1e-5,
             rank_tolerance: 1e-9,
             single_step: false,
         }
@@ -43,7 +44,8 @@ impl Default for Settings {
 pub enum Progress {
     /// Evaluate the rows at the new trial.
     Evaluate,
-    /// The minimum is reached; the trial is the estimate and the decomposition belongs to it.
+    /// The minimum is reached and the trial is the estimate. The decomposition was taken one last step away
+    /// from it, which is below the tolerance.
     Converged,
     /// The evaluations are used up; the trial is the best so far.
     Exhausted,
@@ -208,15 +210,19 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Levenberg<S> {
             .zip(sizes)
             .map(|((t, b), s)| ((t - b) / s).abs())
             .fold(0.0, f64::max);
-        let converged = farthest <= self.settings.step_tolerance || done_single;
+        let converged = farthest <= self.settings.step_tolerance;
         let exhausted = self.evaluations >= self.settings.max_evaluations || self.damping > 1e12;
-        if converged || exhausted {
+        if done_single || (exhausted && !converged) {
             trial.copy_from_slice(&best[..n]);
-            return Ok(if converged {
+            return Ok(if done_single {
                 Progress::Converged
             } else {
                 Progress::Exhausted
             });
+        }
+        if converged {
+            // the last step is too small to be worth an evaluation, and still brings the minimum closer
+            return Ok(Progress::Converged);
         }
         Ok(Progress::Evaluate)
     }

@@ -12,7 +12,7 @@ use crate::math::sqrt;
 use crate::{Error, Result};
 
 /// Rows folded at a time.
-pub const BLOCK_ROWS: usize = 64;
+pub const BLOCK_ROWS: usize = 128;
 
 /// Numbers that a [`Stack`] of `columns` parameters and `targets` right-hand sides needs.
 #[must_use]
@@ -80,17 +80,41 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Stack<S> {
     /// iterator leaves out is zero.
     #[inline]
     pub fn push(&mut self, row: impl IntoIterator<Item = f64>) {
+        for (place, x) in self.next_row().zip(row) {
+            *place = x;
+        }
+        self.commit_row();
+    }
+
+    /// The places of the next row, zero until they are written; [`Self::commit_row`] adds it.
+    #[inline]
+    pub fn next_row(&mut self) -> impl Iterator<Item = &mut f64> {
         let n = self.width();
         let at = self.pending;
-        let block = &mut self.storage.as_mut()[n * n..];
-        for (column, x) in block.chunks_exact_mut(BLOCK_ROWS).zip(row) {
-            column[at] = x;
-        }
+        self.storage.as_mut()[n * n..]
+            .iter_mut()
+            .skip(at)
+            .step_by(BLOCK_ROWS)
+    }
+
+    /// Adds the row that was written into [`Self::next_row`].
+    #[inline]
+    pub fn commit_row(&mut self) {
         self.pending += 1;
         self.rows += 1;
         if self.pending == BLOCK_ROWS {
             self.fold();
         }
+    }
+
+    /// Adds all rows of another stack of the same shape, given its triangle and how many they were.
+    pub fn absorb(&mut self, triangle: &[f64], rows: usize) {
+        let n = self.width();
+        let before = self.rows;
+        for row in triangle.chunks_exact(n) {
+            self.push(row.iter().copied());
+        }
+        self.rows = before + rows;
     }
 
     /// Folds what is pending and returns the triangle of `[R | Qᵀr]`, `columns + targets` squared, row by row.
@@ -107,39 +131,101 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Stack<S> {
         let n = self.width();
         let (triangle, block) = self.storage.as_mut().split_at_mut(n * n);
         let used = self.pending.next_multiple_of(LANES);
-        for (k, row) in triangle.chunks_exact_mut(n).enumerate() {
-            let Some((v, rest)) = block[k * BLOCK_ROWS..].split_at_mut_checked(BLOCK_ROWS) else {
-                break;
-            };
-            let v = &mut v[..used];
-            let below = dot(v, v);
-            if below == 0.0 {
-                continue;
-            }
-            let alpha = row[k];
-            let norm = sqrt(alpha * alpha + below);
-            let beta = if alpha >= 0.0 { -norm } else { norm };
-            let scale = 1.0 / (alpha - beta);
-            let tau = (beta - alpha) / beta;
-            for x in v.iter_mut() {
-                *x *= scale;
-            }
-            row[k] = beta;
-            for (r, column) in row[k + 1..]
-                .iter_mut()
-                .zip(rest.chunks_exact_mut(BLOCK_ROWS))
-            {
-                let column = &mut column[..used];
-                let w = tau * (*r + dot(v, column));
-                *r -= w;
-                for (c, x) in column.iter_mut().zip(v.iter()) {
-                    *c -= w * x;
-                }
-            }
-        }
+        fold_widest(triangle, block, n, used);
         block.fill(0.0);
         self.pending = 0;
     }
+}
+
+/// [`fold_block`] with the widest vectors of this processor. Each sum runs in the same lanes whatever their
+/// width, and nothing is fused, so every choice gives the same bits.
+fn fold_widest(triangle: &mut [f64], block: &mut [f64], n: usize, used: usize) {
+    #[cfg(all(feature = "std", target_arch = "x86_64"))]
+    {
+        extern crate std;
+        #[target_feature(enable = "avx512f")]
+        fn fold_avx512(triangle: &mut [f64], block: &mut [f64], n: usize, used: usize) {
+            fold_block(triangle, block, n, used);
+        }
+        #[target_feature(enable = "avx2")]
+        fn fold_avx2(triangle: &mut [f64], block: &mut [f64], n: usize, used: usize) {
+            fold_block(triangle, block, n, used);
+        }
+        if std::arch::is_x86_feature_detected!("avx512f") {
+            // SAFETY: the processor was just asked for the feature.
+            return unsafe { fold_avx512(triangle, block, n, used) };
+        }
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor was just asked for the feature.
+            return unsafe { fold_avx2(triangle, block, n, used) };
+        }
+    }
+    fold_block(triangle, block, n, used);
+}
+
+/// Reflects the block into the triangle, two columns at a time. `used` rows of each block column hold data,
+/// the rest of its lanes is zero.
+///
+/// Two reflectors are applied to a column in one pass over it: with `g = v_2·v_1`, the second one's weight is
+/// `τ_2 (r_2 + v_2·c - w_1 g)` (the compact WY form for two; Golub and Van Loan, 5.1.7).
+#[inline(always)]
+fn fold_block(triangle: &mut [f64], block: &mut [f64], n: usize, used: usize) {
+    let mut k = 0;
+    while k + 1 < n {
+        let (done, rest) = block.split_at_mut((k + 2) * BLOCK_ROWS);
+        let (_, two) = done.split_at_mut(k * BLOCK_ROWS);
+        let (v1, v2) = two.split_at_mut(BLOCK_ROWS);
+        let (v1, v2) = (&mut v1[..used], &mut v2[..used]);
+        let (above, below) = triangle.split_at_mut((k + 1) * n);
+        let (r1, r2) = (&mut above[k * n..], &mut below[..n]);
+
+        let tau1 = reflector(&mut r1[k], v1);
+        let w = tau1 * (r1[k + 1] + dot(v1, v2));
+        r1[k + 1] -= w;
+        for (b, a) in v2.iter_mut().zip(v1.iter()) {
+            *b -= w * a;
+        }
+        let tau2 = reflector(&mut r2[k + 1], v2);
+        let g = dot(v1, v2);
+
+        let heads = r1[k + 2..].iter_mut().zip(&mut r2[k + 2..]);
+        for ((r1, r2), column) in heads.zip(rest.chunks_exact_mut(BLOCK_ROWS)) {
+            let column = &mut column[..used];
+            let (d1, d2) = dot_two(column, v1, v2);
+            let w1 = tau1 * (*r1 + d1);
+            let w2 = tau2 * (*r2 + d2 - w1 * g);
+            *r1 -= w1;
+            *r2 -= w2;
+            for ((c, a), b) in column.iter_mut().zip(v1.iter()).zip(v2.iter()) {
+                *c -= w1 * a + w2 * b;
+            }
+        }
+        k += 2;
+    }
+    if k < n {
+        reflector(
+            &mut triangle[k * n + k],
+            &mut block[k * BLOCK_ROWS..][..used],
+        );
+    }
+}
+
+/// Turns a column below `alpha` into a reflector (first component one, the rest in `v`); returns its τ.
+#[inline(always)]
+fn reflector(alpha: &mut f64, v: &mut [f64]) -> f64 {
+    let below = dot(v, v);
+    if below == 0.0 {
+        return 0.0;
+    }
+    let norm = sqrt(*alpha * *alpha + below);
+    let beta = if *alpha >= 0.0 { -norm } else { norm };
+    let scale = 1.0 / (*alpha - beta);
+    let tau = (beta - *alpha) / beta;
+    for x in v.iter_mut() {
+        *x *= scale;
+    }
+    *alpha = beta;
+    tau
 }
 
 const LANES: usize = 8;
@@ -161,4 +247,19 @@ pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
         }
     }
     lanes.iter().sum::<f64>() + tail
+}
+
+/// `(v·a, v·b)` for lengths that are multiples of the lanes.
+#[inline(always)]
+fn dot_two(v: &[f64], a: &[f64], b: &[f64]) -> (f64, f64) {
+    let (mut sa, mut sb) = ([0.0; LANES], [0.0; LANES]);
+    let lanes = v.as_chunks::<LANES>().0.iter();
+    let columns = a.as_chunks::<LANES>().0.iter().zip(b.as_chunks::<LANES>().0);
+    for (v, (a, b)) in lanes.zip(columns) {
+        for lane in 0..LANES {
+            sa[lane] += v[lane] * a[lane];
+            sb[lane] += v[lane] * b[lane];
+        }
+    }
+    (sa.iter().sum(), sb.iter().sum())
 }

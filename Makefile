@@ -1,0 +1,70 @@
+# make demo   the paper's experiments on a virtual robot, calibrated
+# make test   everything that must hold before a commit lands
+# Both set up all they need in .venv; a Python >= 3.11, a Rust toolchain and a C compiler must be there.
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+WHEELS := target/wheels
+STAMP  := $(VENV)/.installed
+SOURCES := Cargo.toml Cargo.lock pyproject.toml README.md $(shell find rust python -type f -not -name '*.so' -not -path '*/__pycache__/*')
+
+.PHONY: demo test test-rust test-python test-slow lint no-std bench format clean check-tools
+
+demo: $(STAMP)
+	$(BIN)/sherkit demo
+
+test: lint test-rust no-std test-python
+
+check-tools:
+	@command -v $(PYTHON) >/dev/null || { echo "sherkit needs Python 3.11 or later: '$(PYTHON)' was not found (set PYTHON=...)"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "sherkit needs Python 3.11 or later: '$(PYTHON)' is $$($(PYTHON) -V)"; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { echo "sherkit needs Python's venv module (Debian: apt-get install python3-venv)"; exit 1; }
+	@command -v cargo >/dev/null || { echo "sherkit needs a Rust toolchain (1.89 or later): 'cargo' was not found"; exit 1; }
+	@command -v cc >/dev/null || { echo "sherkit needs a C compiler: 'cc' was not found (Debian: apt-get install gcc)"; exit 1; }
+
+$(BIN)/python: | check-tools
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+
+# the wheel that a user would install, not the source tree; its dependencies come with it
+$(STAMP): $(BIN)/python $(SOURCES)
+	$(BIN)/python -m pip install --quiet 'maturin>=1.9,<2'
+	rm -f $(WHEELS)/sherkit-*.whl
+	$(BIN)/maturin build --quiet --release --locked --out $(WHEELS)
+	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps $(WHEELS)/sherkit-*.whl
+	$(BIN)/python -m pip install --quiet "$$(ls $(WHEELS)/sherkit-*.whl)[test,dev]"
+	touch $@
+
+lint: $(STAMP)
+	cargo fmt --all --check
+	cargo clippy --quiet --locked --all-targets -- -D warnings
+	$(BIN)/ruff check python tests benchmarks
+	$(BIN)/ruff format --check --quiet python tests benchmarks
+	$(BIN)/mypy
+	cd $(VENV) && bin/python -m mypy.stubtest sherkit._core
+
+test-rust: | check-tools
+	cargo test --quiet --locked --release -p sherkit-core
+
+# links the core into a program without std: does not build if anything below it needs std
+no-std: | check-tools
+	RUSTFLAGS="-C panic=abort -C link-arg=-nostartfiles -C link-arg=-nostdlib" cargo build --quiet --locked --release \
+		-p sherkit-no-std-check --target $$(rustc -vV | sed -n 's/^host: //p') --target-dir target/no_std
+
+test-python: $(STAMP)
+	$(BIN)/python -m pytest -n 2 -m "not slow"
+
+test-slow: $(STAMP)
+	$(BIN)/python -m pytest -n 2 -m slow
+
+bench: $(STAMP)
+	$(BIN)/python benchmarks/bench.py
+
+format: $(STAMP)
+	cargo fmt --all
+	$(BIN)/ruff check --fix --quiet python tests benchmarks
+	$(BIN)/ruff format --quiet python tests benchmarks
+
+clean:
+	rm -rf target $(VENV) demo

@@ -1,0 +1,157 @@
+"""Speed, side by side in one run: sherkit against what a user would pick instead. Run by ``make bench``.
+
+Every pair is timed in turns, so that a noisy machine is noisy for both; medians and their ratio are printed.
+"""
+
+from __future__ import annotations
+
+import gc
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy_delta import forward, forward_plain
+from rich.console import Console
+from rich.table import Table
+from scipy.optimize import least_squares
+
+import sherkit as sk
+from sherkit.cli.demo import EXAMPLE as ROBOT
+
+
+def medians(pairs: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
+    """Median seconds of each, timed in turns."""
+    times: dict[str, list[float]] = {name: [] for name in pairs}
+    for run in pairs.values():
+        run()
+    gc.disable()
+    for _ in range(rounds):
+        for name, run in pairs.items():
+            start = time.perf_counter()
+            run()
+            times[name].append(time.perf_counter() - start)
+    gc.enable()
+    return {name: statistics.median(t) for name, t in times.items()}
+
+
+def show(title: str, goal: str, ours: str, times: dict[str, float]) -> None:
+    """One table: medians, and how many times faster ours is."""
+    table = Table("", "median", "ours is faster by", title=title, title_justify="left", caption=f"goal: {goal}")
+    for name, t in times.items():
+        table.add_row(name, f"{1e3 * t:.3f} ms", "" if name == ours else f"{t / times[ours]:.1f} ×")
+    Console(width=100).print(table)
+
+
+def kinematics() -> None:
+    q = np.random.default_rng(0).uniform(118, 140, (1_000_000, 3))
+    kin = ROBOT.kinematics()
+    out = np.empty_like(q)
+    for other in (forward, forward_plain):
+        assert np.abs(other(ROBOT.geometry, q) - kin.forward_batch(q)[0]).max() < 1e-10
+    times = medians(
+        {
+            "sherkit forward_batch": lambda: kin.forward_batch(q),
+            "vectorised NumPy, as usually written": lambda: forward_plain(ROBOT.geometry, q),
+            "vectorised NumPy, algebra by hand": lambda: forward(ROBOT.geometry, q),
+            "memcpy of the same bytes into a new array": lambda: q.copy(),
+            "memcpy of the same bytes into an old array": lambda: np.copyto(out, q),
+        },
+        15,
+    )
+    show("Forward kinematics of 1,000,000 poses", "≥ 30 × NumPy", "sherkit forward_batch", times)
+
+
+def identification() -> None:
+    virtual = sk.VirtualDelta.draw(ROBOT, 1)
+    data = virtual.measure(sk.paper_whole(), repeats=1, seed=1)
+    model = sk.DeltaModel(ROBOT)
+    free = np.array([6 * limb + k for limb in range(3) for k in range(4)])
+    offset = np.array(ROBOT.target_offset_mm)
+    measured = data.readings_mm[:, :3]
+
+    def residual(p: np.ndarray) -> np.ndarray:
+        full = ROBOT.geometry.copy()
+        full[free] += p[:12]
+        return (measured - forward(full, data.joints_mm) - offset - p[12:]).ravel()
+
+    def scipy_fit() -> object:
+        return least_squares(residual, np.zeros(15), method="lm", x_scale=np.maximum(1e-3, np.ones(15)))
+
+    fit = sk.identify(model, data)
+    cost = float((residual(scipy_fit().x) ** 2).sum())  # type: ignore[attr-defined]
+    ours = float(np.nansum(fit.residuals_mm**2))
+    assert ours <= cost * (1 + 1e-6), (ours, cost)
+    times = medians({"sherkit identify": lambda: sk.identify(model, data), "scipy least_squares lm": scipy_fit}, 15)
+    show("Identification of 588 poses to the nonlinear minimum, from Python", "≥ 20 ×", "sherkit identify", times)
+
+
+def streaming() -> None:
+    """Peak memory in processes of their own, so that one run does not hide behind another."""
+    table = Table("rows", "time", "peak memory", title="Streaming solve", title_justify="left", caption="goal: flat")
+    for rows in (100_000, 1_000_000, 10_000_000):
+        command = [sys.executable, __file__, "--stream", str(rows)]
+        out = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+        table.add_row(f"{rows:,}", f"{float(out[0]):.2f} s", f"{float(out[1]):.0f} MB")
+    Console(width=100).print(table)
+
+
+def stream(rows: int) -> None:
+    import resource
+
+    virtual = sk.VirtualDelta.draw(ROBOT, 1)
+    block = virtual.measure(sk.paper_whole(), repeats=170, seed=1)
+
+    def blocks() -> Iterator[sk.Measurements]:
+        left = rows
+        while left > 0:
+            yield block if left >= len(block) else block.select(np.arange(left))
+            left -= len(block)
+
+    start = time.perf_counter()
+    fit = sk.identify_stream(ROBOT, sk.MeasurementStream(blocks, "bench"))
+    assert fit.converged
+    assert fit.rows == rows
+    print(time.perf_counter() - start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+
+
+def bernstein() -> None:
+    rng = np.random.default_rng(2)
+    x = rng.uniform(-20, 20, (10_000, 3))
+    x[:2] = [[-20, -20, -20], [20, 20, 20]]
+    y = np.stack([np.sin(x[:, 0] / 9), np.cos(x[:, 1] / 7), x[:, 2] * x[:, 0] / 400], axis=1)
+    y += 0.005 * rng.normal(size=y.shape)
+    orders = (5, 5, 5)
+
+    def lstsq() -> object:
+        t = (x + 20) / 40
+        b = [sk._core.bernstein_basis(5, np.ascontiguousarray(t[:, k])) for k in range(3)]
+        design = (b[0][:, :, None, None] * b[1][:, None, :, None] * b[2][:, None, None, :]).reshape(len(x), -1)
+        return np.linalg.lstsq(design, y, rcond=None)[0]
+
+    ours = sk.fit_polynomial(x, y, orders)
+    assert np.abs(ours.coefficients_mm - lstsq()).max() < 1e-6
+    ticks = np.linspace(-20, 20, 22)
+    axes = [ticks, ticks, np.linspace(-20, 20, 21)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    values = np.stack([np.sin(grid[..., 0] / 9), np.cos(grid[..., 1] / 7), grid[..., 2] ** 2 / 400], axis=-1)
+    times = medians(
+        {
+            "sherkit, scattered": lambda: sk.fit_polynomial(x, y, orders),
+            "numpy.linalg.lstsq, scattered": lstsq,
+            "sherkit, grid form (10,164 poses)": lambda: sk.fit_grid(axes, values, orders),
+        },
+        7,
+    )
+    show("Bernstein of degree 5³ over 10,000 poses", "no slower than lstsq", "sherkit, scattered", times)
+    show("The same on a grid", "≥ 20 ×", "sherkit, grid form (10,164 poses)", times)
+
+
+if __name__ == "__main__":
+    if "--stream" in sys.argv:
+        stream(int(sys.argv[-1]))
+    else:
+        for part in (kinematics, identification, bernstein, streaming):
+            part()

@@ -1,0 +1,143 @@
+//! What the integration tests share: random robots, a seeded random source, Richardson differences.
+#![allow(dead_code, reason = "each test binary uses its own part")]
+
+use nalgebra::{SVector, Vector3};
+use proptest::prelude::*;
+use sherkit_core::delta::{Assembly, Geometry, LIMBS, Limb};
+use std::f64::consts::TAU;
+
+/// Proptest's defaults (the environment may ask for more cases), without files of past failures: the
+/// failing input is printed in full.
+pub fn config() -> ProptestConfig {
+    ProptestConfig {
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    }
+}
+
+/// A robot and one pose of it, computed here from the drawing and not by the crate.
+#[derive(Clone, Copy, Debug)]
+pub struct Robot {
+    pub geometry: Geometry,
+    pub position: Vector3<f64>,
+    pub joints: Vector3<f64>,
+}
+
+/// Where a limb's carriage would stand at joint reading zero if the platform joint were its centre.
+pub fn anchor(limb: &Limb) -> Vector3<f64> {
+    let base = Vector3::new(limb.base_angle_rad.cos(), limb.base_angle_rad.sin(), 0.0);
+    let platform = Vector3::new(
+        limb.platform_angle_rad.cos(),
+        limb.platform_angle_rad.sin(),
+        0.0,
+    );
+    base * limb.base_radius_mm - platform * limb.platform_radius_mm
+        + Vector3::z() * limb.joint_offset_mm
+}
+
+/// Vectors from the carriages to the platform joints for a platform centre and joint readings.
+pub fn rods(
+    geometry: &Geometry,
+    position: &Vector3<f64>,
+    joints: &Vector3<f64>,
+) -> [Vector3<f64>; LIMBS] {
+    std::array::from_fn(|i| position - anchor(&geometry.limbs[i]) - Vector3::z() * joints[i])
+}
+
+/// Random robots of both assembly modes and both limb orders, each in a pose that is not near-singular.
+pub fn robots() -> impl Strategy<Value = Robot> {
+    let unit = || prop::array::uniform3(-1.0..1.0_f64);
+    let shape = (
+        any::<bool>(),
+        any::<bool>(),
+        0.0..TAU,
+        160.0..400.0_f64,
+        20.0..90.0_f64,
+        1.05..2.0_f64,
+    );
+    let deviations = (unit(), unit(), unit(), unit(), unit(), unit());
+    let place = (0.0..0.6_f64, 0.0..TAU, -500.0..500.0_f64);
+    (shape, deviations, place).prop_filter_map(
+        "a pose within reach and far from singular",
+        |((above, clockwise, turn, base, platform, ratio), deviations, (share, direction, z))| {
+            let reach = base - platform;
+            let (rb, tb, dq, l, rp, tp) = deviations;
+            let limbs = std::array::from_fn(|i| {
+                let third = i as f64 * TAU / 3.0;
+                let angle = turn + if clockwise { -third } else { third };
+                Limb {
+                    base_radius_mm: base + 20.0 * rb[i],
+                    base_angle_rad: angle + 0.1 * tb[i],
+                    joint_offset_mm: 50.0 * dq[i],
+                    rod_length_mm: 1.6 * ratio * reach + 10.0 * l[i],
+                    platform_radius_mm: platform + 10.0 * rp[i],
+                    platform_angle_rad: angle + 0.1 * tp[i],
+                }
+            });
+            let assembly = if above {
+                Assembly::Above
+            } else {
+                Assembly::Below
+            };
+            let geometry = Geometry { limbs, assembly };
+            let (x, y) = (direction.cos(), direction.sin());
+            let position = Vector3::new(share * reach * x, share * reach * y, z);
+            let joints = joints_at(&geometry, &position, [assembly.sign(); LIMBS])?;
+            let [a, b, c] = rods(&geometry, &position, &joints).map(|r| r.normalize());
+            let steep = [a, b, c].iter().all(|r| r.z.abs() > 0.2);
+            (steep && a.cross(&b).dot(&c).abs() > 0.1).then_some(Robot {
+                geometry,
+                position,
+                joints,
+            })
+        },
+    )
+}
+
+/// Joint readings that put the carriages above (+1) or below (-1) the platform joints, by Pythagoras.
+pub fn joints_at(
+    geometry: &Geometry,
+    position: &Vector3<f64>,
+    sides: [f64; LIMBS],
+) -> Option<Vector3<f64>> {
+    let mut joints = Vector3::zeros();
+    for (i, limb) in geometry.limbs.iter().enumerate() {
+        let away = position - anchor(limb);
+        let rise_squared = limb.rod_length_mm.powi(2) - away.x.powi(2) - away.y.powi(2);
+        if rise_squared < 0.0 {
+            return None;
+        }
+        joints[i] = away.z + sides[i] * rise_squared.sqrt();
+    }
+    Some(joints)
+}
+
+/// Central difference extrapolated once (Richardson): error of fourth order in `h`.
+pub fn derivative<const N: usize>(f: impl Fn(f64) -> SVector<f64, N>, h: f64) -> SVector<f64, N> {
+    let central = |h: f64| (f(h) - f(-h)) / (2.0 * h);
+    (central(0.5 * h) * 4.0 - central(h)) / 3.0
+}
+
+/// Splitmix64: random numbers from one seed, so that a failing case shrinks to a seed and not to a thousand
+/// numbers.
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// Uniform between -1 and 1.
+    pub fn unit(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+
+    /// Log-uniform between `10^-decades` and `10^decades`.
+    pub fn magnitude(&mut self, decades: f64) -> f64 {
+        10.0_f64.powf(decades * self.unit())
+    }
+}

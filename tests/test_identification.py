@@ -1,0 +1,653 @@
+"""Identification on virtual robots: what was planted comes back, and the stated uncertainty is the true one.
+
+Levels: a statistical test here fails by chance with the probability in its docstring, over the choice of its seed;
+the seed is fixed, so it does not fail at random.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.optimize import least_squares, minimize_scalar
+
+from second_simulator import Robot, draw_geometric_errors, make_plan, simulate, whole_grid
+from sherkit import (
+    FitError,
+    Measurements,
+    MeasurementStream,
+    VirtualDelta,
+    from_frame,
+    grid,
+    identify,
+    identify_stream,
+    read_measurements,
+)
+from sherkit.identification import Fit
+from sherkit.model import DeltaModel
+from sherkit.validation import hold_out
+from strategies import EXAMPLE
+
+Floats = NDArray[np.float64]
+
+ALL = DeltaModel(EXAMPLE)
+#: The twelve alone: every combination of them is observed.
+TWELVE = DeltaModel(EXAMPLE, tuple(n for n in ALL.free if not n.startswith("datum")))
+GEOMETRIC = tuple(EXAMPLE.parameter_names)
+POSES = grid(20.0, 7, (-20.0, 0.0, 20.0))
+SIGMA_MM = 0.005
+JOINTS = ("q1_mm", "q2_mm", "q3_mm")
+AXES = ("x_mm", "y_mm", "z_mm")
+ROBUST = pytest.mark.parametrize("loss", ["huber", "cauchy", "tukey"])
+
+
+def sizes(model: DeltaModel) -> Floats:
+    return np.array([p.size for p in model.parameters])
+
+
+def planted(model: DeltaModel, rng: np.random.Generator, scale: float = 1.0) -> Floats:
+    """Errors (p,) drawn from the plausible sizes."""
+    return scale * sizes(model) * rng.normal(size=len(model.free))
+
+
+def exact(model: DeltaModel, values: Floats, joints_mm: Floats) -> Floats:
+    """Readings (n, 3) of the robot with these errors, from Newton's method in NumPy and never from the core."""
+    errors = dict(zip(model.free, values.tolist(), strict=True))
+    datum = np.array([errors.pop(f"datum_{a}", 0.0) for a in "xyz"])
+    return VirtualDelta(model.robot, errors).true_reading(joints_mm) + datum
+
+
+def table(joints_mm: Floats, readings_mm: Floats, **columns: Any) -> Measurements:
+    named = dict(zip(JOINTS, joints_mm.T, strict=True)) | dict(zip(AXES, readings_mm.T, strict=True))
+    return from_frame(named | columns)
+
+
+def declared(count: int, sigma_mm: float) -> dict[str, Floats]:
+    return {f"sigma_{a}": np.full(count, sigma_mm) for a in AXES}
+
+
+def run(
+    model: DeltaModel,
+    values: Floats,
+    rng: np.random.Generator,
+    sigma_mm: float | Floats = SIGMA_MM,
+    poses: Floats = POSES,
+    **columns: Any,
+) -> Measurements:
+    q = EXAMPLE.inverse_batch(poses).require()
+    clean = exact(model, values, q)
+    return table(q, clean + sigma_mm * rng.normal(size=clean.shape), **columns)
+
+
+def distances(values: Floats, count: int, rng: np.random.Generator, sigma_mm: float = SIGMA_MM) -> Measurements:
+    """Distances between random pairs of poses, of a robot whose twelve have these errors."""
+    q = EXAMPLE.inverse_batch(POSES).require()
+    a = rng.integers(len(q), size=count)
+    b = (a + rng.integers(1, len(q), size=count)) % len(q)
+    d = np.linalg.norm(exact(TWELVE, values, q[a]) - exact(TWELVE, values, q[b]), axis=1)
+    columns = dict(zip(JOINTS, q[a].T, strict=True)) | {f"to_{n}": c for n, c in zip(JOINTS, q[b].T, strict=True)}
+    return from_frame(columns | {"distance_mm": d + sigma_mm * rng.normal(size=count)})
+
+
+def together(*runs: Measurements) -> Measurements:
+    """Rows of several runs one after the other."""
+    return from_frame(pl.concat([r.to_frame() for r in runs], how="diagonal"))
+
+
+# -- what was planted comes back -----------------------------------------------------------------------------
+
+
+@cache
+def fits(model: DeltaModel, sigma_mm: float, count: int) -> tuple[tuple[Floats, Fit], ...]:
+    """Random robots: what was planted, and what was found."""
+    out = []
+    for seed in range(count):
+        rng = np.random.default_rng([seed, 1])
+        values = planted(model, rng)
+        out.append((values, identify(model, run(model, values, rng, sigma_mm))))
+    return tuple(out)
+
+
+def test_planted_parameters_come_back_within_four_deviations() -> None:
+    """Catches a wrong parameter, or a standard deviation that is too small. 40 robots × 12 values: level 3 %."""
+    for values, fit in fits(TWELVE, SIGMA_MM, 200)[:40]:
+        assert fit.converged
+        assert (np.abs(fit.values - values) < 4.0 * fit.std).all()
+
+
+def test_errors_of_the_twelve_follow_chi_squared() -> None:
+    """Catches a covariance of wrong size or shape. Kolmogorov's test on 200 robots, level 0.1 %."""
+    p = []
+    for values, fit in fits(TWELVE, SIGMA_MM, 200):
+        assert fit.rank == 12
+        assert fit.unobserved_covariance.max() == 0.0
+        e = fit.values - values
+        p.append(stats.f.sf(e @ np.linalg.solve(fit.covariance, e) / 12, 12, 3 * len(POSES) - 12))
+    assert stats.kstest(p, "uniform").pvalue > 1e-3
+
+
+def test_errors_of_all_parameters_follow_chi_squared() -> None:
+    """Catches an honest covariance spoilt by what no reading tells: the twelve and the datum, planted at their
+    plausible sizes. Noise is coarse, because along directions that no reading fixes the model is curved. Level 0.1 %.
+    """
+    p = []
+    for values, fit in fits(ALL, 0.5, 200):
+        assert fit.rank == 12
+        e = fit.values - values
+        p.append(stats.chi2.sf(e @ np.linalg.solve(fit.covariance + fit.unobserved_covariance, e), 15))
+    assert stats.kstest(p, "uniform").pvalue > 1e-3
+
+
+def test_errors_in_the_observed_directions_follow_chi_squared() -> None:
+    """Catches plausible sizes that leak into what the readings fix: rank 12 of the same fits. Level 0.1 %."""
+    size, p = sizes(ALL), []
+    for values, fit in fits(ALL, 0.5, 200):
+        # in units of plausible size the unobserved directions are orthogonal to the observed ones
+        variance, axes = np.linalg.eigh(fit.covariance / np.outer(size, size))
+        assert variance[2] < 1e-9 * variance[-1] < variance[3] * 1e3
+        z = axes[:, 3:].T @ ((fit.values - values) / size) / np.sqrt(variance[3:])
+        p.append(stats.f.sf(z @ z / 12, 12, 3 * len(POSES) - 12))
+    assert stats.kstest(p, "uniform").pvalue > 1e-3
+
+
+def test_fitted_readings_err_by_the_rank() -> None:
+    """Catches a fit that is not the minimum: at 5 µm noise the fitted readings miss the true ones by χ² with twelve
+    degrees of freedom, whatever the datum, which is ten millimetres here. Level 0.1 %.
+    """
+    p = []
+    for values, fit in fits(ALL, SIGMA_MM, 200):
+        missed = fit.predicted_mm[:, :3] - exact(ALL, values, fit.data.joints_mm)
+        p.append(stats.chi2.sf((missed**2).sum() / SIGMA_MM**2, 12))
+    assert stats.kstest(p, "uniform").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("loss", ["linear", "huber", "cauchy", "tukey"])
+def test_covariance_is_that_of_repeated_runs(loss: str) -> None:
+    """Catches a covariance that is right on average over robots only, or not corrected for a robust loss: 400 runs
+    of one robot, sum of squares (trace) and generalised variance (determinant). Level 0.1 % each.
+    """
+    count, p = 400, 12
+    values = planted(TWELVE, np.random.default_rng(11))
+    found = [identify(TWELVE, run(TWELVE, values, np.random.default_rng([12, k])), loss=loss) for k in range(count)]
+    predicted = np.mean([f.covariance for f in found], axis=0)
+    deviation = np.array([f.values for f in found])
+    z = np.linalg.solve(np.linalg.cholesky(predicted), (deviation - deviation.mean(axis=0)).T).T
+    trace = stats.chi2((count - 1) * p).cdf((z**2).sum())
+    assert 5e-4 < trace < 1 - 5e-4
+    # log determinant of a Wishart matrix: a sum of log χ², nearly Gaussian
+    logs = [stats.loggamma((count - k) / 2) for k in range(1, p + 1)]
+    mean = sum(d.mean() + np.log(2) for d in logs)
+    deviation_of_log = np.sqrt(sum(d.var() for d in logs))
+    assert abs(np.linalg.slogdet(z.T @ z)[1] - mean) < stats.norm.isf(5e-4) * deviation_of_log
+
+
+def test_scale_is_the_noise() -> None:
+    """Catches degrees of freedom miscounted: scale² is the noise variance, χ² over 200 robots. Level 0.1 %."""
+    freedom = 3 * len(POSES) - 12
+    total = sum(fit.scale**2 * freedom / SIGMA_MM**2 for _, fit in fits(TWELVE, SIGMA_MM, 200))
+    assert 5e-4 < stats.chi2(200 * freedom).cdf(total) < 1 - 5e-4
+
+
+# -- the same numbers another way ----------------------------------------------------------------------------
+
+
+def test_single_step_is_the_least_squares_solution_of_numpy() -> None:
+    """Catches a step that is not that of Eq. 11, or one along unobserved directions: shortest in plausible sizes."""
+    rng = np.random.default_rng(21)
+    values = planted(ALL, rng, 0.1)
+    data = run(ALL, values, rng)
+    fit = identify(ALL, data, linear=True)
+    jacobian = ALL.derivatives(data, np.zeros(15))[:, :3].reshape(-1, 15)
+    left = (data.readings_mm - ALL.predict(data, np.zeros(15)))[:, :3].ravel()
+    any_solution = np.linalg.lstsq(jacobian, left, rcond=1e-10)[0]
+    np.testing.assert_allclose(jacobian @ fit.values, jacobian @ any_solution, rtol=0, atol=1e-9)
+    shortest = sizes(ALL) * np.linalg.lstsq(jacobian * sizes(ALL), left, rcond=1e-10)[0]
+    np.testing.assert_allclose(fit.values, shortest, rtol=0, atol=1e-9)
+    assert fit.rank == 12
+
+
+@pytest.mark.xfail(strict=True, reason="a single step that fails is thrown away: zeros, and 'converged'")
+def test_single_step_is_not_silently_dropped() -> None:
+    """Catches a linear fit that moves nothing and says nothing: errors so large that the step leaves the reach."""
+    data, fit = _far_off(), identify(ALL, _far_off())
+    assert max(fit.rms_um().values()) < 10.0  # the iterated fit gets there
+    linear = identify(ALL, data, linear=True)
+    assert linear.values.any() or not linear.converged
+
+
+@pytest.mark.parametrize("rows", [7, 64, 100, 10_000])
+def test_stream_equals_memory(rows: int) -> None:
+    """Catches rows lost or counted twice between blocks, and blocks that weigh otherwise than rows in memory."""
+    rng = np.random.default_rng(31)
+    sigma = {f"sigma_{a}": rng.uniform(0.003, 0.02, len(POSES)) for a in AXES}
+    data = run(ALL, planted(ALL, rng), rng, **sigma).mark_outliers(np.array([5, 70]))
+    blocks = [data.select(np.arange(k, min(k + rows, len(data)))) for k in range(0, len(data), rows)]
+    streamed = identify_stream(ALL, MeasurementStream(lambda: iter(blocks), "blocks"))
+    fit = identify(ALL, data)
+    assert streamed.converged
+    assert (streamed.rows, streamed.rank) == (len(data), fit.rank)
+    np.testing.assert_allclose(streamed.values, fit.values, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(streamed.scale, fit.scale, rtol=1e-9)
+    for mine, theirs in (
+        (streamed.covariance, fit.covariance),
+        (streamed.unobserved_covariance, fit.unobserved_covariance),
+    ):
+        np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-7 * np.abs(theirs).max())
+    np.testing.assert_allclose(streamed.singular_values[:12], fit.singular_values[:12], rtol=1e-7)
+
+
+@pytest.mark.xfail(strict=True, reason="identify_stream refuses a trial that is out of reach instead of damping it")
+def test_stream_steps_back_where_memory_does() -> None:
+    """Catches a stream that gives up where a trial, not the drawing, is out of reach."""
+    data = _far_off()
+    fit = identify(ALL, data)
+    streamed = identify_stream(ALL, MeasurementStream(lambda: iter([data]), "blocks"))
+    np.testing.assert_allclose(ALL.predict(data, streamed.values), fit.predicted_mm, rtol=0, atol=1e-6)
+
+
+def test_minimum_is_that_of_scipy_on_the_simulator() -> None:
+    """Catches a wrong model or a minimum that is none: SciPy, differences, and Newton instead of the core."""
+    rng = np.random.default_rng(41)
+    data = run(ALL, planted(ALL, rng), rng, poses=grid(20.0, 4, (-15.0, 15.0)))
+    fit = identify(ALL, data)
+
+    def miss(values: Floats) -> Floats:
+        return (data.readings_mm[:, :3] - exact(ALL, values, data.joints_mm)).ravel()
+
+    other = least_squares(miss, np.zeros(15), jac="3-point", x_scale=sizes(ALL), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    assert (fit.residuals_mm[:, :3] ** 2).sum() == pytest.approx(2 * other.cost, rel=1e-6)
+    np.testing.assert_allclose(fit.residuals_mm[:, :3].ravel(), miss(other.x), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(fit.residuals_mm[:, :3].ravel(), miss(fit.values), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["position", "distance"])
+def test_derivatives_of_readings_against_differences(kind: str) -> None:
+    """Catches a wrong column of any of the 21 parameters, and a datum that moves a distance."""
+    rng = np.random.default_rng(51)
+    model = DeltaModel(EXAMPLE, (*GEOMETRIC, "datum_x", "datum_y", "datum_z"))
+    at = 0.1 * planted(model, rng)
+    data = distances(np.zeros(12), 20, rng) if kind == "distance" else run(TWELVE, np.zeros(12), rng, poses=POSES[::8])
+    analytic = model.derivatives(data, at)
+    for k, name in enumerate(model.free):
+        h = (2e-4 if "angle" in name else 0.02) * np.eye(21)[k]
+        one, two, three = (model.predict(data, at + m * h) - model.predict(data, at - m * h) for m in (1, 2, 3))
+        numeric = (45 * one - 9 * two + three) / (60 * h[k])
+        scale = 1e-7 * np.abs(numeric).max() + 1e-9
+        np.testing.assert_allclose(analytic[:, :, k], numeric, rtol=0, atol=scale, err_msg=name)
+
+
+def test_order_of_names_does_not_matter() -> None:
+    """Catches a column that goes by its place instead of its name."""
+    rng = np.random.default_rng(55)
+    data = run(ALL, planted(ALL, rng), rng)
+    fit, other = identify(ALL, data), identify(EXAMPLE, data, free=ALL.free[::-1])
+    for name, value in fit.by_name.items():
+        assert other.by_name[name] == pytest.approx(value, abs=1e-7), name
+    np.testing.assert_allclose(other.std[::-1], fit.std, rtol=1e-6)
+
+
+# -- what is observed, and what is not -----------------------------------------------------------------------
+
+
+def test_full_geometry_has_rank_twelve() -> None:
+    """Catches platform and base taken for independent, which the reconstruction of Eq. 9 rules out."""
+    rng = np.random.default_rng(61)
+    fit = identify(EXAMPLE, run(TWELVE, planted(TWELVE, rng), rng), free=GEOMETRIC)
+    assert fit.rank == 12
+    assert len(fit.unobserved) == 6
+    assert fit.rms_um()["x_mm"] == pytest.approx(1e3 * SIGMA_MM, rel=0.3)
+    _check_unobserved(fit)
+
+
+def test_datum_is_reported_as_unobserved() -> None:
+    """Catches a datum reported as known: shifting the sensor is shifting the base, and rising is all offsets."""
+    fit = fits(ALL, SIGMA_MM, 200)[0][1]
+    assert len(fit.unobserved) == 3
+    for axis in "xyz":
+        assert sum(f"datum_{axis}" in d.change for d in fit.unobserved) == 1, axis
+    (rise,) = (d for d in fit.unobserved if "datum_z" in d.change)
+    assert set(rise.change) == {"datum_z", "joint_offset_1", "joint_offset_2", "joint_offset_3"}
+    assert [rise.change[f"joint_offset_{k}"] / rise.change["datum_z"] for k in (1, 2, 3)] == pytest.approx([-1.0] * 3)
+    assert all(np.isinf(d.std_mm) for d in fit.unobserved)
+    _check_unobserved(fit)
+
+
+@pytest.mark.parametrize("planes", [(0.0,), (-20.0, 0.0, 20.0)])
+def test_heights_alone_give_rank_nine(planes: tuple[float, ...]) -> None:
+    """Catches an exception, or certainty, where only z is read: all of x, y and turning about z stays open."""
+    rng = np.random.default_rng(71)
+    full = run(ALL, planted(ALL, rng), rng, poses=grid(20.0, 7, planes))
+    data = from_frame(full.to_frame().select(*JOINTS, "z_mm"))
+    fit = identify(ALL, data)
+    assert fit.rank == 9
+    scaled = ALL.derivatives(data, fit.values)[:, 2] * sizes(ALL)
+    assert np.linalg.matrix_rank(scaled, tol=1e-9 * np.linalg.norm(scaled, 2)) == 9
+    assert len(fit.unobserved) == 6
+    assert {"datum_x alone", "datum_y alone"} <= {str(d) for d in fit.unobserved}
+    assert fit.rms_um().keys() == {"z_mm"}
+    assert np.isfinite(fit.std).all()
+    assert (fit.residuals_mm[:, 2] ** 2).sum() < (fit.nominal_residuals_mm[:, 2] ** 2).sum() / 1e4
+    _check_unobserved(fit)
+
+
+def test_distances_alone_give_rank_eight() -> None:
+    """Catches a distance that is taken to know where the robot stands: shifts and the turn about z stay open."""
+    rng = np.random.default_rng(81)
+    values = planted(TWELVE, rng)
+    fit = identify(TWELVE, distances(values, 200, rng))
+    assert fit.rank == 8
+    assert len(fit.unobserved) == 4
+    assert fit.rms_um()["distance_mm"] == pytest.approx(1e3 * SIGMA_MM, rel=0.3)
+    _check_unobserved(fit)
+
+
+def test_distances_add_to_positions() -> None:
+    """Catches distance rows that are dropped or weigh nothing: every parameter gets better known, and stays right."""
+    rng = np.random.default_rng(82)
+    values = planted(TWELVE, rng)
+    few = run(TWELVE, values, rng, poses=POSES[::10])
+    both = together(few, distances(values, 300, rng))
+    alone, more = identify(TWELVE, few), identify(TWELVE, both)
+    assert both.is_distance.sum() == 300
+    assert (more.std / more.scale < 0.95 * alone.std / alone.scale).all()
+    # level 0.1 %: what is found with both is what was planted
+    e = more.values - values
+    assert stats.chi2.sf(e @ np.linalg.solve(more.covariance, e), 12) > 1e-3
+
+
+# -- outliers ------------------------------------------------------------------------------------------------
+
+
+def spoilt(seed: int, share: float = 0.05) -> tuple[Floats, Measurements, NDArray[np.int64]]:
+    """A run of which some rows are off by 20 to 100 times the noise: what was planted, the rows, which are off."""
+    rng = np.random.default_rng(seed)
+    values = planted(TWELVE, rng)
+    data = run(TWELVE, values, rng)
+    rows = np.sort(rng.choice(len(data), round(share * len(data)), replace=False))
+    jump = rng.normal(size=(len(rows), 3))
+    jump *= SIGMA_MM * rng.uniform(20.0, 100.0, (len(rows), 1)) / np.linalg.norm(jump, axis=1, keepdims=True)
+    readings = data.readings_mm[:, :3].copy()
+    readings[rows] += jump
+    return values, table(data.joints_mm, readings), rows
+
+
+@ROBUST
+@pytest.mark.parametrize("seed", range(5))
+def test_robust_losses_withstand_gross_outliers(loss: str, seed: int) -> None:
+    """Catches a loss that does not hold outliers back: 5 % of the rows are far off. 60 values a loss: level 0.004 %."""
+    values, data, _ = spoilt(seed)
+    fit = identify(TWELVE, data, loss=loss)
+    assert (np.abs(fit.values - values) < 5 * fit.std).all()
+    # and the stated deviation is near that of a clean run, not blown up until anything fits
+    clean = identify(TWELVE, run(TWELVE, values, np.random.default_rng(seed)))
+    assert (fit.std < 2.0 * clean.std).all()
+    # plain squares miss by much more than the noise allows
+    plain = identify(TWELVE, data)
+    z = np.linalg.solve(np.linalg.cholesky(clean.covariance), np.stack([plain.values, fit.values], 1) - values[:, None])
+    assert np.linalg.norm(z[:, 0]) > 2 * np.linalg.norm(z[:, 1])
+    assert np.abs(z[:, 0]).max() > 5
+
+
+@ROBUST
+@pytest.mark.parametrize("seed", range(5))
+def test_suspects_are_the_spoilt_rows(loss: str, seed: int) -> None:
+    """Catches rows missed, or good rows accused, in the list of suspects. A good row of 147 is accused in 4 % of runs."""
+    _, data, rows = spoilt(seed)
+    assert identify(TWELVE, data, loss=loss).outliers.tolist() == rows.tolist()
+
+
+@pytest.mark.xfail(strict=True, reason="the spread of few residuals is itself uncertain: 10 % of such runs, not 1 %")
+def test_clean_runs_have_few_suspects() -> None:
+    """Catches a threshold far from the 1 % of clean runs that it promises: of 200 runs at most 8. Level 0.1 %."""
+    accused = 0
+    for seed in range(200):
+        rng = np.random.default_rng([seed, 2])
+        data = run(TWELVE, planted(TWELVE, rng), rng, poses=POSES[::3])
+        accused += len(identify(TWELVE, data).outliers) > 0
+    assert accused <= 8
+
+
+def test_marked_outliers_are_not_fitted_and_stay() -> None:
+    """Catches a mark that is ignored: rows marked by the user change nothing, not even where out of reach."""
+    _, data, rows = spoilt(7)
+    kept = np.setdiff1d(np.arange(len(data)), rows)
+    joints = data.joints_mm.copy()
+    joints[rows[0]] += np.array([500.0, 0.0, 0.0])
+    fit = identify(TWELVE, table(joints, data.readings_mm[:, :3]).mark_outliers(rows))
+    without = identify(TWELVE, data.select(kept))
+    np.testing.assert_allclose(fit.values, without.values, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(fit.covariance, without.covariance, rtol=1e-9)
+    assert fit.rms_um() == pytest.approx(without.rms_um(), rel=1e-9)
+    assert len(fit.data) == len(data)
+    assert np.isfinite(fit.residuals_mm[rows[1:], :3]).all()
+
+
+def test_mark_in_the_table_counts() -> None:
+    """Catches a column 'outlier' that is read but not obeyed."""
+    _, data, rows = spoilt(7)
+    mark = np.zeros(len(data), dtype=int)
+    mark[rows] = 1
+    fit = identify(TWELVE, table(data.joints_mm, data.readings_mm[:, :3], outlier=mark))
+    np.testing.assert_array_equal(fit.values, identify(TWELVE, data.mark_outliers(rows)).values)
+
+
+# -- priors --------------------------------------------------------------------------------------------------
+
+
+def test_priors_decide_where_rows_are_few() -> None:
+    """Catches a prior of wrong size or place: two poses against SciPy's minimum with the sizes as further rows."""
+    rng = np.random.default_rng(91)
+    poses = POSES[[3, 100]]
+    data = run(ALL, planted(ALL, rng), rng, 0.05, poses, **declared(2, 0.05))
+    fit = identify(ALL, data, priors=True)
+
+    def miss(values: Floats) -> Floats:
+        left = data.readings_mm[:, :3] - exact(ALL, values, data.joints_mm)
+        return np.concatenate([left.ravel() / 0.05, values / sizes(ALL)])
+
+    other = least_squares(miss, np.zeros(15), jac="3-point", x_scale=sizes(ALL), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    np.testing.assert_allclose(fit.values / sizes(ALL), other.x / sizes(ALL), rtol=0, atol=1e-6)
+    expected = np.linalg.inv(other.jac.T @ other.jac)
+    np.testing.assert_allclose(fit.covariance, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
+    assert (np.linalg.eigvalsh(fit.covariance) > 0).all()
+    assert (fit.std < sizes(ALL) * (1 + 1e-9)).all()
+    assert fit.unobserved_covariance.max() == 0.0
+
+
+def test_priors_pull_towards_the_drawing() -> None:
+    """Catches a prior that pushes: with more noise the estimate shrinks, and without readings' say it is zero."""
+    rng = np.random.default_rng(92)
+    values = planted(ALL, rng)
+    q = EXAMPLE.inverse_batch(POSES[::30]).require()
+    clean = exact(ALL, values, q)
+    length = []
+    for sigma in (0.01, 1.0, 10.0, 1e4):
+        fit = identify(ALL, table(q, clean, **declared(len(q), sigma)), priors=True)
+        length.append(float(np.linalg.norm(fit.values / sizes(ALL))))
+    assert length == sorted(length, reverse=True)
+    assert length[-1] < 1e-2 < 1.0 < length[0]
+
+
+def test_priors_leave_a_full_run_alone() -> None:
+    """Catches a prior that outweighs declared noise of 5 µm on 147 poses."""
+    rng = np.random.default_rng(93)
+    data = run(TWELVE, planted(TWELVE, rng), rng, **declared(len(POSES), SIGMA_MM))
+    plain, fit = identify(TWELVE, data), identify(TWELVE, data, priors=True)
+    assert (np.abs(plain.values - fit.values) < 0.2 * plain.std).all()
+
+
+@pytest.mark.xfail(strict=True, reason="with unknown noise, priors are weighed against readings of 1 mm noise")
+def test_priors_do_not_need_declared_noise() -> None:
+    """Catches a prior weighed against the placeholder of 1 mm: 147 poses at 5 µm without repeats must still fit."""
+    rng = np.random.default_rng(93)
+    data = run(TWELVE, planted(TWELVE, rng), rng)
+    assert max(identify(TWELVE, data, priors=True).rms_um().values()) < 1.2e3 * SIGMA_MM
+
+
+@pytest.mark.xfail(strict=True, reason="the prior is centred at the start of the iteration, not at the drawing")
+def test_start_does_not_move_the_prior() -> None:
+    """Catches a minimum that depends on where the search began."""
+    rng = np.random.default_rng(94)
+    data = run(ALL, planted(ALL, rng), rng, 0.05, POSES[[3, 100]], **declared(2, 0.05))
+    fit, other = (identify(ALL, data, priors=True, start=s) for s in (np.zeros(15), 0.5 * sizes(ALL)))
+    np.testing.assert_allclose(fit.values, other.values, rtol=0, atol=1e-6)
+
+
+@pytest.mark.xfail(strict=True, reason="each robust round centres the prior at the last estimate, so it has no effect")
+@ROBUST
+def test_priors_hold_with_a_robust_loss(loss: str) -> None:
+    """Catches a prior that is forgotten: one rod, nine poses, noise as large as the prior."""
+    model = DeltaModel(EXAMPLE, ("rod_length_1",))
+    rng = np.random.default_rng(5)
+    data = run(model, np.array([2.0]), rng, 2.0, grid(20.0, 3, (0.0,)), **declared(9, 2.0))
+    free, held = identify(model, data, loss=loss), identify(model, data, loss=loss, priors=True)
+    spread = [1.482602218505602 * np.median(np.abs(held.residuals_mm[:, k])) for k in range(3)]
+    rho: dict[str, Callable[[Floats], Floats]] = {
+        "huber": lambda u: np.where(np.abs(u) < 1.345, u**2, 1.345 * (2 * np.abs(u) - 1.345)),
+        "cauchy": lambda u: 2.385**2 * np.log1p((u / 2.385) ** 2),
+        "tukey": lambda u: 4.685**2 / 3 * (1 - (1 - np.minimum((u / 4.685) ** 2, 1)) ** 3),
+    }
+
+    def cost(value: float) -> float:
+        left = data.readings_mm[:, :3] - exact(model, np.array([value]), data.joints_mm)
+        return float(rho[loss](left / spread).sum() + (value / 2.0) ** 2)
+
+    best = minimize_scalar(cost, bracket=(0.0, 4.0)).x
+    assert abs(best - free.values[0]) > 0.05  # the prior has a say here
+    assert held.values[0] == pytest.approx(best, abs=1e-3)
+
+
+# -- noise ---------------------------------------------------------------------------------------------------
+
+
+def uneven(seed: int) -> tuple[Floats, Measurements, Floats]:
+    """A run whose noise differs by 20 from row to row and axis to axis, and says so."""
+    rng = np.random.default_rng([seed, 101])
+    values = planted(TWELVE, rng, 0.1)
+    sigma = 0.002 * 20.0 ** rng.uniform(size=(len(POSES), 3))
+    columns = {f"sigma_{a}": s for a, s in zip(AXES, sigma.T, strict=True)}
+    return values, run(TWELVE, values, rng, sigma, **columns), sigma
+
+
+def test_declared_noise_weighs_as_in_numpy() -> None:
+    """Catches weights that are variances, or belong to another axis or row."""
+    _, data, sigma = uneven(0)
+    fit = identify(TWELVE, data, linear=True)
+    jacobian = TWELVE.derivatives(data, np.zeros(12))[:, :3].reshape(-1, 12)
+    left = fit.nominal_residuals_mm[:, :3].ravel()
+    weighted = np.linalg.lstsq(jacobian / sigma.reshape(-1, 1), left / sigma.ravel(), rcond=None)[0]
+    np.testing.assert_allclose(fit.values, weighted, rtol=0, atol=1e-9)
+    assert fit.noise.origin == "declared"
+
+
+def test_declared_noise_gives_better_estimates() -> None:
+    """Catches weights that do harm: 40 robots with noise from 2 to 40 µm, errors in the unit of the best possible.
+
+    Weighted, they follow χ²; alike, they are twice as large. Level 0.1 %.
+    """
+    weighted, alike = [], []
+    for seed in range(40):
+        values, data, _ = uneven(seed)
+        fit = identify(TWELVE, data)
+        root = np.linalg.cholesky(fit.covariance / fit.scale**2)
+        unweighted = identify(TWELVE, table(data.joints_mm, data.readings_mm[:, :3]))
+        for found, into in ((fit, weighted), (unweighted, alike)):
+            into.append(float((np.linalg.solve(root, found.values - values) ** 2).sum()))
+    assert 5e-4 < stats.chi2(12 * 40).cdf(sum(weighted)) < 1 - 5e-4
+    assert sum(alike) > 2 * sum(weighted)
+
+
+def test_repeats_tell_the_noise_of_each_axis() -> None:
+    """Catches axes that weigh alike although repeats say that one is ten times worse."""
+    rng = np.random.default_rng(111)
+    values = planted(TWELVE, rng, 0.1)
+    poses = np.repeat(np.arange(len(POSES)), 3)
+    sigma = np.array([0.002, 0.002, 0.02])
+    data = run(TWELVE, values, rng, sigma, POSES[poses], pose=poses)
+    fit = identify(TWELVE, data)
+    assert fit.noise.origin == "repeats"
+    # 294 degrees of freedom: 15 % is 3.6 deviations, level 0.1 % over three axes
+    np.testing.assert_allclose(fit.noise.sigma_mm[:, :3], np.broadcast_to(sigma, (len(data), 3)), rtol=0.15)
+    assert fit.scale == pytest.approx(1.0, abs=0.15)
+
+
+# -- what goes wrong -----------------------------------------------------------------------------------------
+
+
+def test_row_out_of_reach_is_named(tmp_path: Any) -> None:
+    """Catches a file that fails without saying where: line, limb and distance, comments and header counted."""
+    q = EXAMPLE.inverse_batch(POSES[:5]).require()
+    q[3, 1] += 400.0
+    lines = ["# a note", ",".join((*JOINTS, *AXES))]
+    lines += [",".join(map(str, [*row, *pose])) for row, pose in zip(q, POSES[:5], strict=True)]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(lines))
+    with pytest.raises(FitError, match=r"run\.csv: line 6: .*limb 2 is \d+\.\d+ mm too short.*outlier") as caught:
+        identify(ALL, read_measurements(path))
+    assert "lines" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"), [("base_radius1", "base_radius_1"), ("rod_lenght_2", "rod_length_2"), ("datumx", "datum_x")]
+)
+def test_misspelt_parameter_is_recognised(name: str, meant: str) -> None:
+    """Catches an unknown name that is passed over, or refused without help."""
+    with pytest.raises(FitError, match=f"'{name}' is not a parameter of this robot; did you mean '{meant}'"):
+        identify(EXAMPLE, run(ALL, np.zeros(15), np.random.default_rng(0)), free=[name])
+
+
+def test_other_mistakes_are_refused_in_words() -> None:
+    """Catches a wrong loss, a name given twice, or a run without a row left that ends in a traceback."""
+    data = run(ALL, np.zeros(15), np.random.default_rng(0))
+    with pytest.raises(FitError, match="loss: 'hubert' is not known; choose linear, huber, cauchy, tukey"):
+        identify(ALL, data, loss="hubert")
+    with pytest.raises(FitError, match="freed twice"):
+        identify(EXAMPLE, data, free=("datum_x", "datum_x"))
+    with pytest.raises(FitError, match="every row is marked as an outlier"):
+        identify(ALL, data.mark_outliers(np.arange(len(data))))
+
+
+# -- held out ------------------------------------------------------------------------------------------------
+
+
+def test_held_out_residuals_are_the_noise() -> None:
+    """Catches a fit that errs by itself, and a hold-out that sees its block: 588 poses × 5 at 5 µm, from the second
+    simulator. 2940 readings an axis: 3 % is 2.3 deviations, level 6 % over three axes.
+    """
+    robot = Robot.from_dict()
+    columns = simulate(
+        robot, make_plan(robot, whole_grid(), 5, seed=1), draw_geometric_errors(np.random.default_rng(1)), noise=0.005
+    )
+    data = from_frame({k: v for k, v in columns.items() if k not in ("temperature_c", "humidity_pct")})
+    held = hold_out(ALL, data)
+    rms = np.sqrt((held.residuals_mm[:, :3] ** 2).mean(axis=0))
+    np.testing.assert_allclose(rms, 0.005, rtol=0.03)
+    # a block is never split within a pose, and none is the whole run
+    assert all(len(np.unique(held.block[data.pose == p])) == 1 for p in (1, 17, 588))
+    assert len(np.unique(held.block)) == 5
+
+
+# -- helpers -------------------------------------------------------------------------------------------------
+
+
+def _check_unobserved(fit: Fit) -> None:
+    """The reported null space is orthonormal in plausible sizes and changes no reading to the first order."""
+    size = sizes(fit.model)
+    jacobian = fit.model.derivatives(fit.data, fit.values)[fit.data.taken] * size
+    assert np.abs(jacobian @ fit.unobserved_basis.T).max() < 1e-6 * np.abs(jacobian).max()
+    np.testing.assert_allclose(
+        fit.unobserved_basis @ fit.unobserved_basis.T, np.eye(len(size) - fit.rank), rtol=0, atol=1e-9
+    )
+
+
+def _far_off() -> Measurements:
+    """Twelve poses of a robot with errors of six times their plausible sizes: the first step goes too far."""
+    rng = np.random.default_rng(2843)
+    values = 6.0 * planted(TWELVE, rng)
+    return run(TWELVE, values, rng, poses=rng.uniform(-1.0, 1.0, (12, 3)) * np.array([40.0, 40.0, 20.0]))
