@@ -397,7 +397,7 @@ def test_robust_losses_withstand_gross_outliers(loss: str, seed: int) -> None:
 @ROBUST
 @pytest.mark.parametrize("seed", range(5))
 def test_suspects_are_the_spoilt_rows(loss: str, seed: int) -> None:
-    """Catches rows missed, or good rows accused, in the list of suspects. A good row of 147 is accused in 4 % of runs."""
+    """Catches rows missed, or good rows accused, in the list of suspects. 4 % of such runs accuse a good row."""
     _, data, rows = spoilt(seed)
     assert identify(TWELVE, data, loss=loss).outliers.tolist() == rows.tolist()
 

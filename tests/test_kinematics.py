@@ -97,11 +97,11 @@ def test_parameter_derivative_against_sixth_order_differences(case: tuple[Delta,
     q = robot.inverse(x)
     analytic = robot.parameter_jacobian(q[None, :]).require()[0]
     for k, name in enumerate(robot.parameter_names):
-        step = 2e-4 if "angle" in name else 0.02
+        step, least = (2e-4, 1.0) if "angle" in name else (0.02, 0.05)
         numeric = _difference(lambda t, name=name: robot.kinematics({name: t}).forward(q), step)
-        np.testing.assert_allclose(
-            analytic[:, k], numeric, rtol=0, atol=1e-7 * np.abs(numeric).max() + 1e-9, err_msg=name
-        )
+        # a column may be zero but for rounding
+        scale = max(np.abs(numeric).max(), least)
+        np.testing.assert_allclose(analytic[:, k], numeric, rtol=0, atol=1e-7 * scale, err_msg=name)
 
 
 @MANY
@@ -147,6 +147,9 @@ def test_forward_against_newton_of_the_virtual_delta(case: tuple[Delta, Floats])
 def test_forward_against_the_second_simulator(case: tuple[Delta, Floats], seed: int) -> None:
     """Catches a misread drawing: six single rods, platform free to tilt, written by other hands; errors in all 18."""
     robot, x = case
+    # its home is where the measured point is at zero: the platform's centre can always be there
+    x = x - np.array(robot.target_offset_mm)
+    robot = Delta(**_fields(robot))
     q = robot.inverse_batch(x).require()
     rng = np.random.default_rng(seed)
     errors = {n: rng.normal() * (1e-3 if "angle" in n else 0.1) for n in robot.parameter_names}
@@ -154,10 +157,9 @@ def test_forward_against_the_second_simulator(case: tuple[Delta, Floats], seed: 
     config["geometry"]["rod_spacing_mm"] = 40.0  # what keeps its platform level
     still = {name: np.zeros(len(q)) for name in ("time_s", "humidity_pct", "temperature_c")}
     there = truth(Robot.from_dict(config), still | {f"q{k + 1}_mm": q[:, k] for k in range(3)}, errors)
-    # its joints count from the home of the drawing, which without effects makes no difference
     here, reached = robot.kinematics(errors).forward_batch(q)
     assert reached.all()
-    np.testing.assert_allclose(here + np.array(robot.target_offset_mm), there, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(here, there, rtol=0, atol=1e-9)
 
 
 # -- batches -------------------------------------------------------------------------------------------------
@@ -246,7 +248,6 @@ def test_forward_out_of_reach_names_limb_and_distance(robot: Delta, limb: int, f
     assert _limb_short(robot.kinematics({name: miss + 1e-6}).forward, q) is None
 
 
-@pytest.mark.xfail(strict=True, reason="culprit(): at the very border the far touch is taken for the near one")
 def test_miss_at_the_very_border_is_small() -> None:
     """Catches a miss of hundreds of mm reported where rounding alone keeps the spheres apart."""
     rng = np.random.default_rng(0)
@@ -264,7 +265,6 @@ def test_miss_at_the_very_border_is_small() -> None:
     assert max(misses, default=0.0) < 1e-6
 
 
-@pytest.mark.xfail(strict=True, reason="culprit(): a sphere inside another is treated as one beside it")
 def test_sphere_inside_another_is_not_called_apart() -> None:
     """Catches a rod called too long by more than its own length: here sphere 1 lies inside sphere 2."""
     robot = Delta((70.0, 80.0, 80.0), (90.0, 210.0, 330.0), (30.0,) * 3, (90.0, 210.0, 330.0), (45.0, 150.0, 150.0))

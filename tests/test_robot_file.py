@@ -15,6 +15,7 @@ import pytest
 import tomli_w
 from hypothesis import given
 
+from bad_inputs import README
 from second_simulator import write_robot_toml
 from sherkit import Delta, RobotError, load_robot, save_robot
 from strategies import EXAMPLE, between, deltas
@@ -102,6 +103,13 @@ def test_the_second_simulator_means_the_same_robot(tmp_path: Path) -> None:
     assert load_robot(tmp_path / NAME) == EXAMPLE
 
 
+def test_the_readme_shows_the_example(tmp_path: Path) -> None:
+    """Catches a README whose robot file is refused."""
+    shown = re.search(r"```toml\n(kind = .*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    assert shown is not None
+    assert load_robot(saved(tmp_path, shown[1])) == EXAMPLE
+
+
 def test_windows_files_are_read(tmp_path: Path) -> None:
     """Catches a byte order mark or carriage returns refused as broken TOML."""
     assert load_robot(saved(tmp_path, TEXT.replace("\n", "\r\n").encode("utf-8-sig"))) == EXAMPLE
@@ -169,12 +177,15 @@ def test_unknown_keys_are_refused(table: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("table", "key"), KEYS)
-@pytest.mark.parametrize("value", ["90", True, {"a": 1.0}, math.nan, math.inf, 10**400, [], [True, True, True]])
+@pytest.mark.parametrize(
+    "value", ["90", True, {"a": 1.0}, math.nan, math.inf, 10**400, [], [True, True, True]], ids=lambda v: repr(v)[:12]
+)
 def test_values_of_the_wrong_kind_are_refused(table: str, key: str, value: Any, tmp_path: Path) -> None:
     """Catches text, truth values, NaN, infinity and endless integers taken for lengths."""
     message = refusal(tmp_path, changed(table, key, value))
     assert message.startswith(f"[{table}] {key}: expected ")
     assert ", found " in message
+    assert len(message) < 250
 
 
 @pytest.mark.parametrize(("table", "key"), LISTS)

@@ -4,8 +4,10 @@ from ._core import __version__
 from .calibrate import Experiment, Result, calibrate
 from .calibration import Calibration
 from .correction import Correction, choose_correction, fit_grid, fit_polynomial, paper_protocol
+from .effects import CATALOGUE, Effect, effect
 from .errors import (
     CalibrationError,
+    EffectError,
     FitError,
     MeasurementError,
     NotConverged,
@@ -33,11 +35,14 @@ from .robots import Delta, load_robot, save_robot
 from .simulation import VirtualDelta
 
 __all__ = [
+    "CATALOGUE",
     "Calibration",
     "CalibrationError",
     "Correction",
     "Delta",
     "DeltaModel",
+    "Effect",
+    "EffectError",
     "Experiment",
     "Fit",
     "FitError",
@@ -58,6 +63,7 @@ __all__ = [
     "__version__",
     "calibrate",
     "choose_correction",
+    "effect",
     "fit_grid",
     "fit_polynomial",
     "from_frame",

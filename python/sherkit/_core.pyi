@@ -8,7 +8,18 @@ from numpy.typing import NDArray
 _Floats = NDArray[np.float64]
 _Bools = NDArray[np.bool_]
 
-__all__: list[str]
+__all__ = [
+    "Bernstein",
+    "Calibrated",
+    "DeltaKinematics",
+    "DeltaModel",
+    "Solver",
+    "__version__",
+    "bernstein_basis",
+    "bernstein_fit",
+    "bernstein_fit_grid",
+]
+
 __version__: str
 
 @final
@@ -21,31 +32,27 @@ class DeltaKinematics:
     def jacobian_batch(self, joints: _Floats) -> tuple[_Floats, _Bools]: ...
     def by_parameters_batch(self, joints: _Floats) -> tuple[_Floats, _Bools]: ...
 
+_Block = tuple[_Floats, _Floats | None, _Floats | None, _Floats | None]
+
 @final
 class DeltaModel:
     PARAMETERS: int
-    def __new__(cls, geometry: _Floats, target_offset: _Floats, assembly_mode: str) -> DeltaModel: ...
-    def predict(self, errors: _Floats, joints: _Floats, to_joints: _Floats | None) -> tuple[_Floats, _Bools]: ...
+    def __new__(
+        cls, geometry: _Floats, target_offset: _Floats, assembly_mode: str, settings: _Floats
+    ) -> DeltaModel: ...
+    def predict(self, values: _Floats, block: _Block) -> tuple[_Floats, _Bools]: ...
     def derivatives(
-        self, errors: _Floats, joints: _Floats, to_joints: _Floats | None, free: list[int]
-    ) -> tuple[_Floats, _Bools]: ...
+        self, values: _Floats, block: _Block, free: list[int]
+    ) -> tuple[_Floats, _Floats, _Floats, _Bools]: ...
     def accumulate(
-        self,
-        solver: Solver,
-        errors: _Floats,
-        free: list[int],
-        joints: _Floats,
-        to_joints: _Floats | None,
-        readings: _Floats,
-        weights: _Floats,
+        self, solver: Solver, values: _Floats, free: list[int], block: _Block, readings: _Floats, weights: _Floats
     ) -> list[int]: ...
     def solve(
         self,
         solver: Solver,
-        errors: _Floats,
+        values: _Floats,
         free: list[int],
-        joints: _Floats,
-        to_joints: _Floats | None,
+        block: _Block,
         readings: _Floats,
         weights: _Floats,
         priors: bool,
@@ -85,15 +92,14 @@ class Bernstein:
 class Calibrated:
     def __new__(
         cls,
-        assembly_mode: str,
-        whole: tuple[_Floats, _Floats, Bernstein | None],
-        local: tuple[_Floats, _Floats, Bernstein | None] | None,
+        whole: tuple[DeltaModel, _Floats, Bernstein | None],
+        local: tuple[DeltaModel, _Floats, Bernstein | None] | None,
         region: tuple[_Floats, _Floats, float] | None,
     ) -> Calibrated: ...
-    def forward(self, joints: _Floats) -> tuple[_Floats, _Floats]: ...
-    def inverse(self, position: _Floats) -> _Floats: ...
-    def forward_batch(self, joints: _Floats) -> tuple[_Floats, _Floats, _Bools]: ...
-    def inverse_batch(self, positions: _Floats) -> tuple[_Floats, _Bools]: ...
+    def forward(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats]: ...
+    def inverse(self, position: _Floats, covariates: list[float]) -> _Floats: ...
+    def forward_batch(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats, _Bools]: ...
+    def inverse_batch(self, positions: _Floats, covariates: list[float]) -> tuple[_Floats, _Bools]: ...
 
 def bernstein_basis(order: int, t: _Floats) -> _Floats: ...
 def bernstein_fit(

@@ -7,7 +7,7 @@ interest, blended over a margin so that a commanded position never jumps (the pa
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,9 +22,11 @@ from . import _core
 from .correction import Correction
 from .errors import CalibrationError, SherkitError
 from .identification import Fit
-from .model import DeltaModel
+from .measurements.columns import TEMPERATURE
+from .model import DeltaModel, effects_by_name
+from .parameters import Parameter
 from .robots import Delta
-from .robots.delta import Batch, _vector, matrix
+from .robots.delta import Batch, matrix, vector
 from .robots.file import robot_from_tables
 
 Floats = NDArray[np.float64]
@@ -32,19 +34,26 @@ Floats = NDArray[np.float64]
 FORMAT = 1
 #: Width of the blend around the region of interest, as a part of its half width.
 _BLEND = 0.25
-_GEOMETRIC = 18
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
     """One identified model: errors by name, their covariance, a correction, and what it leaves.
 
-    ``covariance`` (p, p) in the order of ``names``; ``residual_covariance_mm2`` (3, 3) of held-out readings about
+    ``free`` and ``effects`` say what was identified, ``settings`` the settings of the effects; effects given in NumPy
+    do not run in a control loop and are listed in ``left_out``. ``now`` holds time, temperature and directions that
+    stand for the covariates where the loop does not give its own: the end of the run, its mean temperature, the
+    middle of the backlash. ``covariance`` (p, p) in the order of ``values``; ``residual_covariance_mm2`` (3, 3) of
+    held-out readings about
     the corrected model and ``uncorrected_covariance_mm2`` about the geometric one, repeatability included.
     ``low_mm`` and ``high_mm`` (3,) are the corners of the box in which the run measured.
     """
 
-    names: tuple[str, ...]
+    free: tuple[str, ...]
+    effects: tuple[str, ...]
+    settings: dict[str, float]
+    left_out: tuple[str, ...]
+    now: tuple[float, float, float, float, float]
     values: Floats
     covariance: Floats
     residual_covariance_mm2: Floats
@@ -61,10 +70,27 @@ class Part:
         where = fit.predicted_mm[~fit.data.is_distance & ~fit.data.outlier, :3]
         if len(where) == 0:
             where = np.zeros((1, 3))
+        model = fit.model
+        core = len(model.indices)
+        time, temperature = fit.data.time_s, fit.data.covariates.get(TEMPERATURE)
         return cls(
-            names=tuple(p.name for p in fit.parameters),
-            values=fit.values,
-            covariance=fit.covariance,
+            free=model.free,
+            effects=tuple(e.name for e in model.built_in),
+            settings={
+                "period_mm": model.period_mm or 0.0,
+                "slip_time_s": model.slip_time_s,
+                "time_origin_s": model.time_origin_s,
+            },
+            left_out=tuple(e.name for e in model.own),
+            now=(
+                float(time.max()) if time is not None else 0.0,
+                float(temperature.mean()) if temperature is not None else 20.0,
+                0.0,
+                0.0,
+                0.0,
+            ),
+            values=fit.values[:core],
+            covariance=fit.covariance[:core, :core],
             residual_covariance_mm2=_second_moment(corrected_mm),
             uncorrected_covariance_mm2=_second_moment(uncorrected_mm),
             low_mm=where.min(axis=0),
@@ -93,13 +119,28 @@ class Calibration:
     # -- the model ---------------------------------------------------------------------------------------
 
     def _model(self, part: Part) -> DeltaModel:
-        return DeltaModel(self.robot, part.names)
+        s = part.settings
+        return DeltaModel(
+            self.robot,
+            part.free,
+            effects_by_name(part.effects),
+            period_mm=s["period_mm"] or None,
+            slip_time_s=s["slip_time_s"],
+            time_origin_s=s["time_origin_s"],
+        )
 
-    def _core_part(self, part: Part) -> tuple[Floats, Floats, _core.Bernstein | None]:
-        full = self._model(part).full(part.values)
-        shift = np.array(self.robot.target_offset_mm) + full[_GEOMETRIC:]
-        correction = part.correction.core if part.correction else None
-        return self.robot.geometry + full[:_GEOMETRIC], shift, correction
+    def _core_part(self, part: Part) -> tuple[_core.DeltaModel, Floats, _core.Bernstein | None]:
+        model = self._model(part)
+        return model.core, model.full(part.values), part.correction.core if part.correction else None
+
+    def _now(self, temperature_c: float | None, direction: ArrayLike | None) -> list[float]:
+        """Covariates for the core: those given, else those that stand in for them."""
+        now = list(self.whole.now)
+        if temperature_c is not None:
+            now[1] = float(temperature_c)
+        if direction is not None:
+            now[2:] = [float(d) for d in vector(direction, "direction")]
+        return now
 
     @cached_property
     def core(self) -> _core.Calibrated:
@@ -110,36 +151,48 @@ class Calibration:
             half = self.region_half_width_mm
             blend = self.blend_mm if self.blend_mm is not None else _BLEND * half
             region = (np.full(3, -half), np.full(3, half), blend)
-        return _core.Calibrated(self.robot.assembly_mode, self._core_part(self.whole), local, region)
+        return _core.Calibrated(self._core_part(self.whole), local, region)
 
-    def forward(self, joints_mm: ArrayLike) -> Floats:
-        """Position (3,) for joint readings (3,), mm. Raises :class:`~sherkit.errors.OutOfReach`."""
-        return self.core.forward(_vector(joints_mm, "joint readings"))[0]
+    def forward(
+        self, joints_mm: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None
+    ) -> Floats:
+        """Position (3,) for joint readings (3,), mm.
 
-    def jacobian(self, joints_mm: ArrayLike) -> Floats:
-        """d position / d joints (3, 3) of the whole corrected model. Raises as :meth:`forward`."""
-        return self.core.forward(_vector(joints_mm, "joint readings"))[1]
+        ``temperature_c`` and ``direction`` (sign of the last motion of each joint) matter only where the model holds
+        an effect that needs them; left out, :attr:`Part.now` stands for them. Raises
+        :class:`~sherkit.errors.OutOfReach`.
+        """
+        return self.core.forward(vector(joints_mm, "joint readings"), self._now(temperature_c, direction))[0]
 
-    def inverse(self, position_mm: ArrayLike) -> Floats:
+    def jacobian(
+        self, joints_mm: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None
+    ) -> Floats:
+        """d position / d joints (3, 3) of the whole corrected model. Arguments and errors as :meth:`forward`."""
+        return self.core.forward(vector(joints_mm, "joint readings"), self._now(temperature_c, direction))[1]
+
+    def inverse(
+        self, position_mm: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None
+    ) -> Floats:
         """Joint readings (3,) at which the corrected model gives ``position_mm`` to within 1 nm.
 
-        Raises :class:`~sherkit.errors.OutOfReach`, or ``NotConverged`` where the correction folds over.
+        Arguments as :meth:`forward`. Raises :class:`~sherkit.errors.OutOfReach`, or ``NotConverged`` where
+        the correction folds over.
         """
-        return self.core.inverse(_vector(position_mm, "position"))
+        return self.core.inverse(vector(position_mm, "position"), self._now(temperature_c, direction))
 
     def forward_batch(self, joints_mm: ArrayLike) -> Batch:
         """Positions (n, 3) for joint readings (n, 3); rows out of reach are marked."""
-        values, _, reached = self.core.forward_batch(matrix(joints_mm, "joint readings"))
+        values, _, reached = self.core.forward_batch(matrix(joints_mm, "joint readings"), self._now(None, None))
         return Batch(values, reached)
 
     def jacobian_batch(self, joints_mm: ArrayLike) -> Batch:
         """Jacobians (n, 3, 3) for joint readings (n, 3); rows out of reach are marked."""
-        _, values, reached = self.core.forward_batch(matrix(joints_mm, "joint readings"))
+        _, values, reached = self.core.forward_batch(matrix(joints_mm, "joint readings"), self._now(None, None))
         return Batch(values, reached)
 
     def inverse_batch(self, positions_mm: ArrayLike) -> Batch:
         """Joint readings (n, 3) for positions (n, 3); rows out of reach are marked."""
-        values, reached = self.core.inverse_batch(matrix(positions_mm, "positions"))
+        values, reached = self.core.inverse_batch(matrix(positions_mm, "positions"), self._now(None, None))
         return Batch(values, reached)
 
     # -- accuracy ----------------------------------------------------------------------------------------
@@ -149,15 +202,17 @@ class Calibration:
 
         Parameter covariance carried to the position, plus the covariance of held-out residuals (repeatability
         and what the model leaves; without the correction as far as it has faded). Where no pose was measured
-        (:meth:`measured`) this is extrapolation and holds only as far as the model does. The radius of a three-dimensional Gaussian by matching two moments of its
-        squared length (Satterthwaite). Raises as :meth:`inverse`.
+        (:meth:`measured`) this is extrapolation and holds only as far as the model does.
+        The radius of a three-dimensional Gaussian by matching two moments of its squared length (Satterthwaite).
+        Raises as :meth:`inverse`.
         """
-        x = _vector(position_mm, "position")
+        x = vector(position_mm, "position")
         part = self._part_at(x)
         model = self._model(part)
         joints = self.inverse(x)
-        full = model.full(part.values)
-        derivative = model.core.derivatives(full, np.ascontiguousarray(joints[None, :]), None, model.indices)[0][0, :3]
+        now = np.array([self._now(None, None)])
+        block = (np.ascontiguousarray(joints[None, :]), None, now, None)
+        derivative = model.core.derivatives(model.full(part.values), block, model.indices)[0][0, :3]
         share = part.correction.share(x) if part.correction else 1.0
         left = share * part.residual_covariance_mm2 + (1.0 - share) * part.uncorrected_covariance_mm2
         covariance = derivative @ part.covariance @ derivative.T + left
@@ -169,7 +224,7 @@ class Calibration:
 
     def measured(self, position_mm: ArrayLike) -> bool:
         """Whether ``position_mm`` (3,) lies in the box in which poses were measured, give or take a tenth."""
-        x = _vector(position_mm, "position")
+        x = vector(position_mm, "position")
         part = self._part_at(x)
         margin = 0.1 * (part.high_mm - part.low_mm)
         return bool(((x >= part.low_mm - margin) & (x <= part.high_mm + margin)).all())
@@ -201,10 +256,10 @@ class Calibration:
 
     def save(self, path: str | Path) -> None:
         """Writes TOML that :meth:`load` reads back without loss."""
-        parts = {"whole": _part_table(self.whole)}
+        parts = {"whole": _part_table(self.whole, self._model(self.whole).parameters)}
         settings: dict[str, Any] = {"format": FORMAT, "made_by": f"sherkit {_core.__version__}"}
         if self.local is not None:
-            parts["local"] = _part_table(self.local)
+            parts["local"] = _part_table(self.local, self._model(self.local).parameters)
             settings["region_half_width_mm"] = self.region_half_width_mm
         if self.blend_mm is not None:
             settings["blend_mm"] = self.blend_mm
@@ -247,14 +302,21 @@ class Calibration:
         return f"Calibration({parts})"
 
 
-def _part_table(part: Part) -> dict[str, Any]:
+_NOW = ("time_s", "temperature_c", "direction_1", "direction_2", "direction_3")
+
+
+def _part_table(part: Part, parameters: Sequence[Parameter]) -> dict[str, Any]:
     std = np.sqrt(np.diag(part.covariance).clip(0.0))
     table: dict[str, Any] = {
         "made_from": part.made_from,
         "rows": part.rows,
+        "effects": list(part.effects),
+        "left_out": list(part.left_out),
+        "settings": dict(part.settings),
+        "now": dict(zip(_NOW, part.now, strict=True)),
         "parameters": [
-            {"name": n, "value": float(v), "std": float(s), "unit": "rad" if "angle" in n else "mm"}
-            for n, v, s in zip(part.names, part.values, std, strict=True)
+            {"name": p.name, "value": float(v), "std": float(s), "unit": p.unit}
+            for p, v, s in zip(parameters, part.values, std, strict=True)
         ],
         "covariance": part.covariance.tolist(),
         "residual_covariance_mm2": part.residual_covariance_mm2.tolist(),
@@ -277,8 +339,14 @@ def _part_from(table: Mapping[str, Any]) -> Part:
             raise ValueError(f"{what}: expected finite numbers of shape {shape}")
         return array
 
+    effects = tuple(str(name) for name in table["effects"])
+    now = numbers([table["now"][name] for name in _NOW], "now", len(_NOW))
     return Part(
-        names=tuple(p["name"] for p in parameters),
+        free=tuple(p["name"] for p in parameters if "." not in p["name"]),
+        effects=effects,
+        settings={k: float(table["settings"][k]) for k in ("period_mm", "slip_time_s", "time_origin_s")},
+        left_out=tuple(str(name) for name in table["left_out"]),
+        now=(now[0], now[1], now[2], now[3], now[4]),
         values=numbers([p["value"] for p in parameters], "parameters", count),
         covariance=numbers(table["covariance"], "covariance", count, count),
         residual_covariance_mm2=numbers(table["residual_covariance_mm2"], "residual_covariance_mm2", 3, 3),

@@ -23,6 +23,10 @@ class FitError(SherkitError):
     """An identification that cannot be carried out on these rows."""
 
 
+class EffectError(SherkitError):
+    """An effect that is not known, lacks what it needs, or is not what an effect must be."""
+
+
 class CalibrationError(SherkitError):
     """A calibration file that cannot be loaded."""
 

@@ -219,7 +219,8 @@ def identify(
     covariance = result["covariance"] * scale**2
     beyond = result["unobserved_covariance"]
     if priors:
-        covariance, beyond = _with_priors(model, data, weights / scale, values)
+        known = _information(model, data, weights / scale, values, priors=True)
+        covariance, beyond = known["covariance"], known["unobserved_covariance"]
     return Fit(
         model=model,
         data=data,
@@ -244,7 +245,7 @@ def identify_stream(robot: Delta | DeltaModel, stream: MeasurementStream, *, fre
     Readings weigh by their declared sigma, or all the same. Raises as :func:`identify`.
     """
     model = robot if isinstance(robot, DeltaModel) else DeltaModel(robot, tuple(free))
-    solver = _new_solver(model, np.zeros(len(model.free)))
+    solver = _new_solver(model, np.zeros(len(model.parameters)))
     rows = 0
     while True:
         solver.clear()
@@ -253,8 +254,8 @@ def identify_stream(robot: Delta | DeltaModel, stream: MeasurementStream, *, fre
             noise = np.where(np.isfinite(block.sigma_mm), block.sigma_mm, 1.0)
             weights = np.where(block.taken & ~block.outlier[:, None], 1.0 / noise, 0.0)
             missing = model.core.accumulate(
-                solver, np.zeros(len(model.all_parameters)), model.indices,
-                block.joints_mm, block.distances_or_none, block.readings_mm, weights,
+                solver, np.zeros(len(model.core_parameters)), model.indices,
+                model.block(block), block.readings_mm, weights,
             )  # fmt: skip
             model.require(block, np.array(missing, dtype=np.int64), solver.trial)
             rows += len(block)
@@ -294,33 +295,52 @@ def _solve(
     loss: str = "linear",
 ) -> tuple[_core.Solver, str]:
     solver = _new_solver(model, start, loss=loss, single_step=linear)
+    if model.own:
+        return solver, _iterate(model, data, weights, solver, priors=priors)
     ended, missing = model.core.solve(
-        solver, np.zeros(len(model.all_parameters)), model.indices,
-        data.joints_mm, data.distances_or_none, data.readings_mm, weights, priors,
+        solver, np.zeros(len(model.core_parameters)), model.indices,
+        model.block(data), data.readings_mm, weights, priors,
     )  # fmt: skip
     model.require(data, np.array(missing, dtype=np.int64), start)
     return solver, ended
 
 
-def _information(model: DeltaModel, data: Measurements, weights: Floats, values: Floats) -> dict[str, Any]:
-    """What the readings alone say at ``values``: no prior, no robust weights."""
+def _iterate(model: DeltaModel, data: Measurements, weights: Floats, solver: _core.Solver, *, priors: bool) -> str:
+    """The same iteration for models with effects given in NumPy: rows come from Python."""
+    first = True
+    while True:
+        solver.clear()
+        try:
+            values = solver.trial
+            left = np.where(weights > 0, data.readings_mm - model.predict(data, values), 0.0)
+            columns = np.ascontiguousarray(model.derivatives(data, values))
+        except FitError:
+            if first:
+                raise
+            solver.fail()
+        else:
+            solver.push(columns, left, weights)
+            if priors:
+                solver.push_priors()
+        first = False
+        ended = solver.advance()
+        if ended != "evaluate":
+            return ended
+
+
+def _information(
+    model: DeltaModel, data: Measurements, weights: Floats, values: Floats, *, priors: bool = False
+) -> dict[str, Any]:
+    """What the readings say at ``values``, all with their full weight; with ``priors`` the plausible sizes too."""
     solver = _new_solver(model, values, max_evaluations=1)
-    model.core.solve(
-        solver, np.zeros(len(model.all_parameters)), model.indices,
-        data.joints_mm, data.distances_or_none, data.readings_mm, weights, False,
-    )  # fmt: skip
+    if model.own:
+        _iterate(model, data, weights, solver, priors=priors)
+    else:
+        model.core.solve(
+            solver, np.zeros(len(model.core_parameters)), model.indices,
+            model.block(data), data.readings_mm, weights, priors,
+        )  # fmt: skip
     return solver.result()
-
-
-def _with_priors(model: DeltaModel, data: Measurements, weights: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Covariance of the readings and the plausible sizes together; the second part is zero."""
-    solver = _new_solver(model, values, max_evaluations=1)
-    model.core.solve(
-        solver, np.zeros(len(model.all_parameters)), model.indices,
-        data.joints_mm, data.distances_or_none, data.readings_mm, weights, True,
-    )  # fmt: skip
-    result = solver.result()
-    return result["covariance"], result["unobserved_covariance"]
 
 
 def _spread(model: DeltaModel, data: Measurements, values: Floats, weights: Floats) -> Floats:

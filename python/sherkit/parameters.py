@@ -7,16 +7,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Parameter:
-    """One identifiable error. Its value is a deviation from the drawing, zero where the drawing is right.
+    """One identifiable quantity. Its value is a deviation from the drawing, zero where the drawing is right.
 
     ``size`` is a plausible size in ``unit``: it weighs directions that no measurement observes and, where
-    priors are asked for, is the standard deviation of the prior. ``lever_mm`` turns an angle (or any other
-    unit) into the millimetres it moves, so that directions of mixed units can be compared.
+    priors are asked for, is the standard deviation of the prior. ``lever_mm`` turns the unit into the millimetres
+    it moves in this robot, so that directions of mixed units can be compared.
     """
 
     name: str
     symbol: str
     unit: str
     size: float
-    nominal: float = 0.0
     lever_mm: float = 1.0

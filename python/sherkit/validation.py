@@ -46,7 +46,7 @@ def spatial_blocks(data: Measurements, positions_mm: Floats, folds: int = 5, see
 
 def hold_out(model: DeltaModel, data: Measurements, *, folds: int = 5, seed: int = 0, loss: str = "linear") -> HeldOut:
     """Refits without each block in turn and predicts it. Raises as :func:`~sherkit.identification.identify`."""
-    nominal = model.predict(data, np.zeros(len(model.free)))[:, :3]
+    nominal = model.predict(data, np.zeros(len(model.parameters)))[:, :3]
     block = spatial_blocks(data, np.nan_to_num(nominal), folds, seed)
     out = np.full(data.readings_mm.shape, np.nan)
     for fold in np.unique(block):

@@ -45,7 +45,8 @@ class Measurements:
     columns x, y, z, distance, and ``taken`` (n, 4) telling which were taken; ``sigma_mm`` (n, 4), NaN where no
     noise was declared; ``outlier`` (n,) rows that the user marked as wrong: kept, listed, not fitted.
     ``line`` (n,) is the line of the row in its file (``counted`` is ``"line"``) or its number from 0 in a frame
-    (``"row"``), for messages.
+    (``"row"``), for messages. ``direction`` (n, 3) is the sign of the last motion of each joint, from the columns
+    ``direction_1`` … or from the order in time; NaN where neither is known.
     """
 
     joints_mm: Floats
@@ -61,7 +62,8 @@ class Measurements:
     labels: Mapping[str, NDArray[Any]]
     source: str
     line: Ints
-    counted: str = "row"
+    counted: str
+    direction: Floats
 
     # -- making ------------------------------------------------------------------------------------------
 
@@ -106,6 +108,7 @@ class Measurements:
             source=source,
             line=line,
             counted=counted,
+            direction=_directions(values, stack(c.JOINTS)),
         )
         data._check()
         return data
@@ -189,7 +192,7 @@ class Measurements:
                 name: pick(getattr(self, name))
                 for name in (
                     "joints_mm", "to_joints_mm", "readings_mm", "taken", "sigma_mm",
-                    "time_s", "pose", "repeat", "outlier", "line",
+                    "time_s", "pose", "repeat", "outlier", "line", "direction",
                 )
             },
             covariates={k: v[rows] for k, v in self.covariates.items()},
@@ -275,6 +278,22 @@ class Measurements:
             self.to_frame().write_parquet(path)
         else:
             self.to_frame().write_csv(path)
+
+
+def _directions(values: Mapping[str, NDArray[Any]], joints: Floats) -> Floats:
+    """Sign of the last motion of each joint: as the file says, else from the order in time, +1 at the start."""
+    out = np.full(joints.shape, np.nan)
+    if c.TIME in values:
+        order = np.argsort(np.asarray(values[c.TIME], dtype=float), kind="stable")
+        step = np.sign(np.diff(joints[order], axis=0, prepend=joints[order[:1]]))
+        step[0] = 1.0
+        # where a joint did not move, the direction of the motion before still holds
+        last = np.maximum.accumulate(np.where(step != 0, np.arange(len(step))[:, None], 0), axis=0)
+        out[order] = np.take_along_axis(step, last, axis=0)
+    for k, name in enumerate(c.DIRECTIONS):
+        if name in values:
+            out[:, k] = np.sign(np.asarray(values[name], dtype=float))
+    return out
 
 
 def _spread(values: Floats) -> float:

@@ -175,12 +175,12 @@ class Delta:
 
         Raises :class:`~sherkit.errors.OutOfReach` naming limb and distance, :class:`NotFinite`.
         """
-        q = _vector(joints_mm, "joint readings")
+        q = vector(joints_mm, "joint readings")
         return self._nominal.forward(q) + np.array(self.target_offset_mm)
 
     def inverse(self, position_mm: ArrayLike) -> Floats:
         """Joint readings (3,) that bring the measured point to ``position_mm`` (3,). Raises as :meth:`forward`."""
-        x = _vector(position_mm, "position") - np.array(self.target_offset_mm)
+        x = vector(position_mm, "position") - np.array(self.target_offset_mm)
         return self._nominal.inverse(x)
 
     def forward_batch(self, joints_mm: ArrayLike) -> Batch:
@@ -198,7 +198,7 @@ class Delta:
 
     def jacobian(self, joints_mm: ArrayLike) -> Floats:
         """Velocity Jacobian (3, 3) d position / d joints. Raises as :meth:`forward`, and ``Singular``."""
-        q = _vector(joints_mm, "joint readings")
+        q = vector(joints_mm, "joint readings")
         values, reached = self._nominal.jacobian_batch(q[None, :])
         if not reached[0]:
             self._nominal.forward(q)  # raises the reason
@@ -226,7 +226,8 @@ class Delta:
         return tuple(reasons)
 
 
-def _vector(value: ArrayLike, what: str) -> Floats:
+def vector(value: ArrayLike, what: str) -> Floats:
+    """Three finite numbers, contiguous. Raises :class:`~sherkit.errors.ShapeError`, :class:`NotFinite`."""
     v = np.ascontiguousarray(value, dtype=float)
     if v.shape != (3,):
         raise ShapeError(f"{what}: expected 3 numbers, got an array of shape {v.shape}")

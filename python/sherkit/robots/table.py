@@ -12,6 +12,8 @@ from ..names import closest, listed, nearest
 #: Keys of a table look alike (base_radius_mm, platform_radius_mm); a misspelt one looks more alike still.
 _MISSPELT = 0.75
 _LARGEST = 1e100
+#: Characters of a wrong value that a message repeats.
+_LONGEST = 100
 
 
 class Table:
@@ -32,6 +34,7 @@ class Table:
     def fail(self, key: str, expected: str) -> RobotError:
         """The error for a key, in words."""
         found = repr(self._values[key]) if key in self._values else "nothing"
+        found = found if len(found) <= _LONGEST else f"{found[:_LONGEST]} …"
         return RobotError(f"{self._where}: {self._name(key)}: expected {expected}, found {found}")
 
     def _get(self, key: str, expected: str, default: Any) -> Any:

@@ -4,7 +4,7 @@
 //! allocates; an iteration is bounded. NaN input gives [`Error::NotFinite`].
 
 use crate::bernstein::{Correction, Domain};
-use crate::delta::{Kinematics, Predictor};
+use crate::delta::{Chain, Covariates, Wanted};
 use crate::{Error, Result};
 use nalgebra::{Matrix3, Vector3};
 
@@ -13,11 +13,11 @@ use nalgebra::{Matrix3, Vector3};
 const INVERSE_TOLERANCE_MM: f64 = 1e-9;
 const INVERSE_ITERATIONS: usize = 30;
 
-/// A calibrated model of one region: identified geometry and what it leaves.
+/// A calibrated model of one region: identified robot with its effects, and what they leave.
 #[derive(Clone, Copy, Debug)]
 pub struct Branch<'a> {
     /// Identified robot.
-    pub predictor: Predictor,
+    pub chain: Chain,
     /// Correction by where the identified robot says the point is.
     pub correction: Option<Correction<'a>>,
 }
@@ -26,11 +26,15 @@ impl Branch<'_> {
     /// Position and its derivative by the joints.
     ///
     /// # Errors
-    /// As [`Kinematics::pose`].
-    pub fn forward(&self, joints: &Vector3<f64>) -> Result<(Vector3<f64>, Matrix3<f64>)> {
-        let pose = self.predictor.kinematics.pose(joints)?;
-        let position = pose.position + self.predictor.shift;
-        let by_joints = pose.by_joints();
+    /// As [`Chain::predict`].
+    pub fn forward(
+        &self,
+        joints: &Vector3<f64>,
+        now: &Covariates,
+    ) -> Result<(Vector3<f64>, Matrix3<f64>)> {
+        let still = Vector3::zeros();
+        let predicted = self.chain.predict(joints, now, &still, Wanted::default())?;
+        let (position, by_joints) = (predicted.value, predicted.by_joints);
         Ok(match &self.correction {
             None => (position, by_joints),
             Some(correction) => {
@@ -54,9 +58,13 @@ impl Calibrated<'_> {
     /// Position for joint readings, and its derivative by them.
     ///
     /// # Errors
-    /// As [`Kinematics::pose`].
-    pub fn forward(&self, joints: &Vector3<f64>) -> Result<(Vector3<f64>, Matrix3<f64>)> {
-        let (position, by_joints) = self.whole.forward(joints)?;
+    /// As [`Chain::predict`].
+    pub fn forward(
+        &self,
+        joints: &Vector3<f64>,
+        now: &Covariates,
+    ) -> Result<(Vector3<f64>, Matrix3<f64>)> {
+        let (position, by_joints) = self.whole.forward(joints, now)?;
         let Some((local, region)) = &self.local else {
             return Ok((position, by_joints));
         };
@@ -64,7 +72,7 @@ impl Calibrated<'_> {
         if share == 0.0 {
             return Ok((position, by_joints));
         }
-        let (inner, inner_by_joints) = local.forward(joints)?;
+        let (inner, inner_by_joints) = local.forward(joints, now)?;
         let difference = inner - position;
         Ok((
             position + difference * share,
@@ -78,11 +86,10 @@ impl Calibrated<'_> {
     ///
     /// # Errors
     /// [`Error::OutOfReach`] names limb and distance; [`Error::NotConverged`] where the model folds over.
-    pub fn inverse(&self, position: &Vector3<f64>) -> Result<Vector3<f64>> {
-        let kinematics: &Kinematics = &self.whole.predictor.kinematics;
-        let mut joints = kinematics.inverse(&(position - self.whole.predictor.shift))?;
+    pub fn inverse(&self, position: &Vector3<f64>, now: &Covariates) -> Result<Vector3<f64>> {
+        let mut joints = self.whole.chain.rough_inverse(position)?;
         for _ in 0..INVERSE_ITERATIONS {
-            let (reached, by_joints) = self.forward(&joints)?;
+            let (reached, by_joints) = self.forward(&joints, now)?;
             let miss = position - reached;
             if miss.norm() < INVERSE_TOLERANCE_MM {
                 return Ok(joints);

@@ -63,6 +63,7 @@ macro_rules! lanewise {
         impl<const L: usize> core::ops::$trait for Lanes<L> {
             type Output = Self;
             #[inline(always)]
+            #[allow(clippy::assign_op_pattern, reason = "one macro for all four operators")]
             fn $method(mut self, other: Self) -> Self {
                 for lane in 0..L {
                     self.0[lane] = self.0[lane] $op other.0[lane];

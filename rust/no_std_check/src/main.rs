@@ -6,7 +6,8 @@
 use core::panic::PanicInfo;
 use nalgebra::Vector3;
 use sherkit_core::calibrated::{Branch, Calibrated};
-use sherkit_core::delta::{Assembly, GEOMETRIC, Geometry, Kinematics, Predictor};
+use sherkit_core::delta::parameters::PARAMETERS;
+use sherkit_core::delta::{Assembly, Covariates, GEOMETRIC, Geometry, Model};
 
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
@@ -20,23 +21,27 @@ pub extern "C" fn loop_step(
     joints: &[f64; 3],
     target: &mut [f64; 3],
 ) -> i32 {
-    let geometry = Geometry::from_parameters(parameters, Assembly::Below);
-    let Ok(kinematics) = Kinematics::new(&geometry) else {
+    let model = Model {
+        geometry: Geometry::from_parameters(parameters, Assembly::Below),
+        target_offset: Vector3::zeros(),
+        rod_spacing: 40.0,
+        pole_pitch: 2.0,
+        home: [0.0; 3],
+        time_origin_s: 0.0,
+        slip_time_s: 0.0,
+    };
+    let Ok(chain) = model.with(&[0.0; PARAMETERS]) else {
         return 1;
     };
-    let predictor = Predictor {
-        kinematics,
-        shift: Vector3::zeros(),
-    };
     let whole = Branch {
-        predictor,
+        chain,
         correction: None,
     };
     let robot = Calibrated { whole, local: None };
-    let Ok((position, _)) = robot.forward(&Vector3::from(*joints)) else {
+    let Ok((position, _)) = robot.forward(&Vector3::from(*joints), &Covariates::NONE) else {
         return 2;
     };
-    let Ok(next) = robot.inverse(&position) else {
+    let Ok(next) = robot.inverse(&position, &Covariates::NONE) else {
         return 3;
     };
     target.copy_from_slice(next.as_slice());

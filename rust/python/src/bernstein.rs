@@ -144,7 +144,13 @@ pub fn bernstein_fit<'py>(
     let fold = |x: &[[f64; 3]], y: &[[f64; 3]]| {
         let mut stack = Stack::new(n, 3, vec![0.0; stack_len(n, 3)])?;
         for (x, y) in x.iter().zip(y) {
-            push(&mut stack, orders, &domain, &Vector3::from(*x), &Vector3::from(*y));
+            push(
+                &mut stack,
+                orders,
+                &domain,
+                &Vector3::from(*x),
+                &Vector3::from(*y),
+            );
         }
         Ok(stack)
     };

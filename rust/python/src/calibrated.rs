@@ -3,40 +3,23 @@
 use crate::arrays::{fixed, rows, shaped};
 use crate::bernstein::Bernstein;
 use crate::errors::to_python;
-use crate::kinematics::assembly;
+use crate::model::DeltaModel;
 use nalgebra::Vector3;
 use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use sherkit_core::bernstein::Domain;
 use sherkit_core::calibrated::{Branch, Calibrated as Core};
-use sherkit_core::delta::{GEOMETRIC, Geometry, Kinematics, Predictor};
+use sherkit_core::delta::{Chain, Covariates};
 
 struct OwnedBranch {
-    predictor: Predictor,
+    chain: Chain,
     correction: Option<Bernstein>,
 }
 
 impl OwnedBranch {
-    fn new(
-        geometry: &PyReadonlyArray1<'_, f64>,
-        shift: &PyReadonlyArray1<'_, f64>,
-        mode: &str,
-        correction: Option<Bernstein>,
-    ) -> PyResult<Self> {
-        let p = fixed::<GEOMETRIC, _>("geometry", geometry)?;
-        let geometry = Geometry::from_parameters(&p, assembly(mode)?);
-        Ok(Self {
-            predictor: Predictor {
-                kinematics: Kinematics::new(&geometry).map_err(to_python)?,
-                shift: Vector3::from(fixed("shift", shift)?),
-            },
-            correction,
-        })
-    }
-
     fn view(&self) -> PyResult<Branch<'_>> {
         Ok(Branch {
-            predictor: self.predictor,
+            chain: self.chain,
             correction: self.correction.as_ref().map(Bernstein::view).transpose()?,
         })
     }
@@ -49,8 +32,9 @@ pub struct Calibrated {
     local: Option<(OwnedBranch, Domain)>,
 }
 
+/// A model, the values of all its parameters, and a correction.
 type Part<'py> = (
-    PyReadonlyArray1<'py, f64>,
+    PyRef<'py, DeltaModel>,
     PyReadonlyArray1<'py, f64>,
     Option<Bernstein>,
 );
@@ -62,18 +46,29 @@ type Batch<'py> = (
     Bound<'py, PyArray1<bool>>,
 );
 
+/// Covariates from (time s, temperature °C, three directions).
+fn now(numbers: [f64; 5]) -> Covariates {
+    let [time_s, temperature_c, d1, d2, d3] = numbers;
+    Covariates {
+        time_s,
+        temperature_c,
+        direction: [d1, d2, d3],
+    }
+}
+
 #[pymethods]
 impl Calibrated {
-    /// `whole` and `local` are (18 geometric parameters, shift to the reading, correction); `region` is
-    /// (low corner, high corner, width of the blend).
+    /// `whole` and `local` are (model, values of all parameters, correction); `region` is (low corner, high
+    /// corner, width of the blend).
     #[new]
-    fn new(
-        assembly_mode: &str,
-        whole: Part<'_>,
-        local: Option<Part<'_>>,
-        region: Option<Region<'_>>,
-    ) -> PyResult<Self> {
-        let branch = |part: Part<'_>| OwnedBranch::new(&part.0, &part.1, assembly_mode, part.2);
+    fn new(whole: Part<'_>, local: Option<Part<'_>>, region: Option<Region<'_>>) -> PyResult<Self> {
+        let branch = |part: Part<'_>| -> PyResult<OwnedBranch> {
+            let values = fixed("values", &part.1)?;
+            Ok(OwnedBranch {
+                chain: part.0.model().with(&values).map_err(to_python)?,
+                correction: part.2,
+            })
+        };
         let local = match (local, region) {
             (Some(local), Some((low, high, width))) => Some((
                 branch(local)?,
@@ -92,9 +87,13 @@ impl Calibrated {
         &self,
         py: Python<'py>,
         joints: PyReadonlyArray1<'_, f64>,
+        covariates: [f64; 5],
     ) -> PyResult<Single<'py>> {
         let q = Vector3::from(fixed("joints", &joints)?);
-        let (x, j) = self.view()?.forward(&q).map_err(to_python)?;
+        let (x, j) = self
+            .view()?
+            .forward(&q, &now(covariates))
+            .map_err(to_python)?;
         let j = j.transpose().as_slice().to_vec();
         Ok((
             PyArray1::from_slice(py, x.as_slice()),
@@ -107,9 +106,13 @@ impl Calibrated {
         &self,
         py: Python<'py>,
         position: PyReadonlyArray1<'_, f64>,
+        covariates: [f64; 5],
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let x = Vector3::from(fixed("position", &position)?);
-        let q = self.view()?.inverse(&x).map_err(to_python)?;
+        let q = self
+            .view()?
+            .inverse(&x, &now(covariates))
+            .map_err(to_python)?;
         Ok(PyArray1::from_slice(py, q.as_slice()))
     }
 
@@ -118,6 +121,7 @@ impl Calibrated {
         &self,
         py: Python<'py>,
         joints: PyReadonlyArray2<'_, f64>,
+        covariates: [f64; 5],
     ) -> PyResult<Batch<'py>> {
         let q = rows::<3, _>("joints", &joints)?;
         let model = self.view()?;
@@ -125,7 +129,7 @@ impl Calibrated {
         let mut j = vec![f64::NAN; q.len() * 9];
         let mut reached = vec![false; q.len()];
         for (i, q) in q.iter().enumerate() {
-            if let Ok((position, by_joints)) = model.forward(&Vector3::from(*q)) {
+            if let Ok((position, by_joints)) = model.forward(&Vector3::from(*q), &now(covariates)) {
                 x[i * 3..][..3].copy_from_slice(position.as_slice());
                 j[i * 9..][..9].copy_from_slice(by_joints.transpose().as_slice());
                 reached[i] = true;
@@ -143,13 +147,14 @@ impl Calibrated {
         &self,
         py: Python<'py>,
         positions: PyReadonlyArray2<'_, f64>,
+        covariates: [f64; 5],
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<bool>>)> {
         let x = rows::<3, _>("positions", &positions)?;
         let model = self.view()?;
         let mut out = vec![f64::NAN; x.len() * 3];
         let mut reached = vec![false; x.len()];
         for (i, x) in x.iter().enumerate() {
-            if let Ok(joints) = model.inverse(&Vector3::from(*x)) {
+            if let Ok(joints) = model.inverse(&Vector3::from(*x), &now(covariates)) {
                 out[i * 3..][..3].copy_from_slice(joints.as_slice());
                 reached[i] = true;
             }

@@ -110,7 +110,7 @@ impl DeltaKinematics {
             .zip(&mut reached)
         {
             if let Ok(pose) = self.0.pose(&Vector3::from(*q)) {
-                out.copy_from_slice(self.0.by_parameters::<GEOMETRIC>(&pose).transpose().as_slice());
+                out.copy_from_slice(self.0.by_parameters(&pose).transpose().as_slice());
                 *ok = true;
             }
         }
@@ -146,7 +146,11 @@ fn in_lanes(input: &[[f64; 3]], map: Map<'_>) -> (Vec<f64>, Vec<bool>) {
     let mut reached = vec![false; input.len()];
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = cores.min(input.len() / WORTH_A_THREAD).max(1);
-    let share = input.len().div_ceil(threads).next_multiple_of(LANES).max(LANES);
+    let share = input
+        .len()
+        .div_ceil(threads)
+        .next_multiple_of(LANES)
+        .max(LANES);
     let parts = input
         .chunks(share)
         .zip(out.as_chunks_mut::<3>().0.chunks_mut(share))
@@ -227,7 +231,11 @@ fn compute(
     };
     for lane in 0..LANES {
         for axis in 0..3 {
-            out[lane][axis] = if ok[lane] { values[axis][lane] } else { f64::NAN };
+            out[lane][axis] = if ok[lane] {
+                values[axis][lane]
+            } else {
+                f64::NAN
+            };
         }
     }
     *reached = ok;

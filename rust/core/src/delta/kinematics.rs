@@ -8,7 +8,7 @@
 
 use super::geometry::{Assembly, GEOMETRIC, Geometry, LIMBS, PER_LIMB};
 use super::trilateration::{culprit, meet};
-use crate::math::{Lanes, Real, Triple, sin_cos, sqrt};
+use crate::math::{Lanes, Real, Triple, dot, sin_cos, sqrt, subtract};
 use crate::{Error, Result};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
@@ -21,14 +21,28 @@ pub struct Kinematics {
     assembly: Assembly,
     /// Side of the plane of the carriages on which the platform is, along `d_2 × d_3` of the trilateration.
     side: f64,
-    /// Horizontal sphere centre and joint offset: `s_i = anchor_i + q_i ẑ`.
-    anchors: [Vector3<f64>; LIMBS],
+    /// Sphere centres: `s_i = origin_i + q_i rail_i`.
+    origins: [Vector3<f64>; LIMBS],
+    rails: [Vector3<f64>; LIMBS],
     rods: [f64; LIMBS],
-    /// Derivatives of `anchor` by base radius, base angle, platform radius, platform angle.
-    by_base_radius: [Vector3<f64>; LIMBS],
-    by_base_angle: [Vector3<f64>; LIMBS],
-    by_platform_radius: [Vector3<f64>; LIMBS],
-    by_platform_angle: [Vector3<f64>; LIMBS],
+    /// Radial and tangential unit vectors at the base; the same at the platform, times its radius.
+    base: [[Vector3<f64>; 2]; LIMBS],
+    platform: [[Vector3<f64>; 2]; LIMBS],
+    base_radius: [f64; LIMBS],
+    platform_radius: [f64; LIMBS],
+    joint_offset: [f64; LIMBS],
+    lean: [[f64; 2]; LIMBS],
+    pivot: [f64; LIMBS],
+}
+
+/// How the sphere centre of a limb moves with each of its parameters.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ByLimb {
+    pub base_radius: Vector3<f64>,
+    pub base_angle: Vector3<f64>,
+    pub joint: Vector3<f64>,
+    pub platform_radius: Vector3<f64>,
+    pub platform_angle: Vector3<f64>,
 }
 
 /// A solved pose, from which every derivative follows.
@@ -36,6 +50,8 @@ pub struct Kinematics {
 pub struct Pose {
     /// Platform centre, base frame, mm.
     pub position: Vector3<f64>,
+    joints: Vector3<f64>,
+    rails: [Vector3<f64>; LIMBS],
     rods: [Vector3<f64>; LIMBS],
     lengths: [f64; LIMBS],
     /// Column i: change of position when `(x - s_i)·dx` of limb i grows by one.
@@ -48,30 +64,53 @@ impl Kinematics {
     /// # Errors
     /// [`Error::InvalidGeometry`] where a number is not finite or a rod has no length.
     pub fn new(geometry: &Geometry) -> Result<Self> {
+        Self::leaning(geometry, [[0.0; 2]; LIMBS], [0.0; LIMBS])
+    }
+
+    /// Prepares a geometry whose rails lean radially and tangentially, rad, each about its point at the height
+    /// `pivot`, mm.
+    ///
+    /// # Errors
+    /// [`Error::InvalidGeometry`] where a number is not finite or a rod has no length.
+    pub fn leaning(
+        geometry: &Geometry,
+        lean: [[f64; 2]; LIMBS],
+        pivot: [f64; LIMBS],
+    ) -> Result<Self> {
         geometry.check()?;
         let zero = [Vector3::zeros(); LIMBS];
+        let limbs = &geometry.limbs;
         let mut k = Self {
             assembly: geometry.assembly,
             side: 0.0,
-            anchors: zero,
-            rods: geometry.limbs.map(|l| l.rod_length_mm),
-            by_base_radius: zero,
-            by_base_angle: zero,
-            by_platform_radius: zero,
-            by_platform_angle: zero,
+            origins: zero,
+            rails: zero,
+            rods: limbs.map(|l| l.rod_length_mm),
+            base: [[Vector3::zeros(); 2]; LIMBS],
+            platform: [[Vector3::zeros(); 2]; LIMBS],
+            base_radius: limbs.map(|l| l.base_radius_mm),
+            platform_radius: limbs.map(|l| l.platform_radius_mm),
+            joint_offset: limbs.map(|l| l.joint_offset_mm),
+            lean,
+            pivot,
         };
-        for (i, limb) in geometry.limbs.iter().enumerate() {
-            let (sb, cb) = sin_cos(limb.base_angle_rad);
-            let (sp, cp) = sin_cos(limb.platform_angle_rad);
-            let (rb, rp) = (limb.base_radius_mm, limb.platform_radius_mm);
-            k.anchors[i] = Vector3::new(rb * cb - rp * cp, rb * sb - rp * sp, limb.joint_offset_mm);
-            k.by_base_radius[i] = Vector3::new(cb, sb, 0.0);
-            k.by_base_angle[i] = Vector3::new(-rb * sb, rb * cb, 0.0);
-            k.by_platform_radius[i] = Vector3::new(-cp, -sp, 0.0);
-            k.by_platform_angle[i] = Vector3::new(rp * sp, -rp * cp, 0.0);
+        for (i, limb) in limbs.iter().enumerate() {
+            if !lean[i].iter().chain(&[pivot[i]]).all(|v| v.is_finite()) {
+                let what = "the lean of the rail is not a finite number";
+                return Err(Error::InvalidGeometry { limb: i, what });
+            }
+            k.base[i] = unit_vectors(limb.base_angle_rad);
+            k.platform[i] = unit_vectors(limb.platform_angle_rad);
+            let [out, along] = &k.base[i];
+            let rail = Vector3::z() + out * lean[i][0] + along * lean[i][1];
+            k.rails[i] = rail / rail.norm();
+            k.origins[i] = out * limb.base_radius_mm
+                + Vector3::z() * pivot[i]
+                + k.rails[i] * (limb.joint_offset_mm - pivot[i])
+                - k.platform[i][0] * limb.platform_radius_mm;
         }
-        // rails are vertical, so the normal of the carriages' plane never turns from up to down
-        let [a1, a2, a3] = k.anchors;
+        // rails lean by little, so the normal of the carriages' plane never turns from up to down
+        let [a1, a2, a3] = k.origins;
         let up = (a2 - a1).cross(&(a3 - a1)).z;
         k.side = if up >= 0.0 { -1.0 } else { 1.0 } * geometry.assembly.sign();
         Ok(k)
@@ -82,10 +121,64 @@ impl Kinematics {
     fn centres<T: Real>(&self, joints: [T; LIMBS]) -> [Triple<T>; LIMBS] {
         let mut centres = [[T::splat(0.0); 3]; LIMBS];
         for i in 0..LIMBS {
-            let a = &self.anchors[i];
-            centres[i] = [T::splat(a.x), T::splat(a.y), T::splat(a.z) + joints[i]];
+            for axis in 0..3 {
+                let origin = T::splat(self.origins[i][axis]);
+                centres[i][axis] = origin + joints[i] * T::splat(self.rails[i][axis]);
+            }
         }
         centres
+    }
+
+    pub(super) fn sphere_centres(&self, joints: &Vector3<f64>) -> [Vector3<f64>; LIMBS] {
+        self.centres([joints.x, joints.y, joints.z])
+            .map(Vector3::from)
+    }
+
+    /// Platform joint of a limb, seen from the platform centre.
+    pub(super) fn platform_joint(&self, limb: usize) -> Vector3<f64> {
+        self.platform[limb][0] * self.platform_radius[limb]
+    }
+
+    pub(super) fn rods(&self) -> &[f64; LIMBS] {
+        &self.rods
+    }
+
+    /// Derivatives of a limb's sphere centre at a joint reading.
+    #[inline]
+    pub(super) fn by_limb(&self, limb: usize, joint: f64) -> ByLimb {
+        let ([out, along], [lr, lt]) = (&self.base[limb], self.lean[limb]);
+        let [platform_out, platform_along] = &self.platform[limb];
+        let mut base_angle = along * self.base_radius[limb];
+        if lr != 0.0 || lt != 0.0 {
+            base_angle += self.across(limb, joint, &(along * lr - out * lt));
+        }
+        ByLimb {
+            base_radius: *out,
+            base_angle,
+            joint: self.rails[limb],
+            platform_radius: -platform_out,
+            platform_angle: -platform_along * self.platform_radius[limb],
+        }
+    }
+
+    /// Derivatives of a limb's sphere centre by the radial and the tangential lean of its rail.
+    #[inline]
+    pub(super) fn by_lean(&self, limb: usize, joint: f64) -> [Vector3<f64>; 2] {
+        let [out, along] = &self.base[limb];
+        [
+            self.across(limb, joint, out),
+            self.across(limb, joint, along),
+        ]
+    }
+
+    /// Movement of a carriage when `r = ẑ + λ_r e_r + λ_t e_t` changes by `v`: the rail is `r/|r|`, so it turns by
+    /// the part of `v` across it, over `|r|`.
+    #[inline]
+    fn across(&self, limb: usize, joint: f64, v: &Vector3<f64>) -> Vector3<f64> {
+        let rail = &self.rails[limb];
+        let [lr, lt] = self.lean[limb];
+        let height = joint + self.joint_offset[limb] - self.pivot[limb];
+        (v - rail * rail.dot(v)) * (height / sqrt(1.0 + lr * lr + lt * lt))
     }
 
     /// Platform centre for the given joint readings (Eq. 3 solved for x, y, z).
@@ -105,7 +198,8 @@ impl Kinematics {
             return Err(Error::OutOfReach { limb, miss_mm });
         }
         for (limb, centre) in centres.iter().enumerate() {
-            let beyond_mm = self.assembly.sign() * (meeting.point[2] - centre[2]);
+            let up = Vector3::from(meeting.point) - Vector3::from(*centre);
+            let beyond_mm = self.assembly.sign() * up.dot(&self.rails[limb]);
             if beyond_mm > 0.0 {
                 return Err(Error::LimbReversed { limb, beyond_mm });
             }
@@ -126,14 +220,22 @@ impl Kinematics {
         let centres = self.centres([Lanes(joints[0]), Lanes(joints[1]), Lanes(joints[2])]);
         let meeting = meet(&centres, &self.rods, self.side);
         let sign = self.assembly.sign();
-        let z = meeting.point[2].0;
         let mut reached = [false; L];
+        // written with >= and <= so that a NaN is never in reach
         for lane in 0..L {
-            // written with >= so that a NaN is never in reach
-            reached[lane] = (meeting.height_squared.0[lane] >= 0.0)
-                & (sign * (centres[0][2].0[lane] - z[lane]) >= 0.0)
-                & (sign * (centres[1][2].0[lane] - z[lane]) >= 0.0)
-                & (sign * (centres[2][2].0[lane] - z[lane]) >= 0.0);
+            reached[lane] = meeting.height_squared.0[lane] >= 0.0;
+        }
+        for i in 0..LIMBS {
+            let up = subtract(meeting.point, centres[i]);
+            let rail = [
+                Lanes::splat(self.rails[i].x),
+                Lanes::splat(self.rails[i].y),
+                Lanes::splat(self.rails[i].z),
+            ];
+            let beyond = dot(up, rail).0;
+            for lane in 0..L {
+                reached[lane] &= sign * beyond[lane] <= 0.0;
+            }
         }
         let [x, y, z] = meeting.point;
         ([x.0, y.0, z.0], reached)
@@ -147,18 +249,16 @@ impl Kinematics {
         finite(position)?;
         let mut joints = Vector3::zeros();
         for limb in 0..LIMBS {
-            let (dx, dy) = (
-                position.x - self.anchors[limb].x,
-                position.y - self.anchors[limb].y,
-            );
-            let horizontal_squared = dx * dx + dy * dy;
-            let rise_squared = self.rods[limb] * self.rods[limb] - horizontal_squared;
+            let rail = &self.rails[limb];
+            let from_origin = position - self.origins[limb];
+            let along = from_origin.dot(rail);
+            let across_squared = (from_origin - rail * along).norm_squared();
+            let rise_squared = self.rods[limb] * self.rods[limb] - across_squared;
             if rise_squared < 0.0 {
-                let miss_mm = sqrt(horizontal_squared) - self.rods[limb];
+                let miss_mm = sqrt(across_squared) - self.rods[limb];
                 return Err(Error::OutOfReach { limb, miss_mm });
             }
-            joints[limb] =
-                position.z + self.assembly.sign() * sqrt(rise_squared) - self.anchors[limb].z;
+            joints[limb] = along + self.assembly.sign() * sqrt(rise_squared);
         }
         Ok(joints)
     }
@@ -174,15 +274,24 @@ impl Kinematics {
         let mut reached = [true; L];
         let sign = self.assembly.sign();
         for limb in 0..LIMBS {
-            let a = self.anchors[limb];
+            let (origin, rail) = (&self.origins[limb], &self.rails[limb]);
             let rod_squared = self.rods[limb] * self.rods[limb];
             for lane in 0..L {
-                let dx = position[0][lane] - a.x;
-                let dy = position[1][lane] - a.y;
-                let rise_squared = rod_squared - (dx * dx + dy * dy);
-                out[limb][lane] = position[2][lane] + sign * sqrt(rise_squared) - a.z;
-                // the second test is false where z is not finite
-                reached[lane] &= (rise_squared >= 0.0) & (position[2][lane].abs() < f64::INFINITY);
+                let v = [
+                    position[0][lane] - origin.x,
+                    position[1][lane] - origin.y,
+                    position[2][lane] - origin.z,
+                ];
+                let along = v[0] * rail.x + v[1] * rail.y + v[2] * rail.z;
+                let across = [
+                    v[0] - rail.x * along,
+                    v[1] - rail.y * along,
+                    v[2] - rail.z * along,
+                ];
+                let rise_squared = rod_squared - dot(across, across);
+                out[limb][lane] = along + sign * sqrt(rise_squared);
+                // the second test is false where the height is not finite
+                reached[lane] &= (rise_squared >= 0.0) & (along.abs() < f64::INFINITY);
             }
         }
         (out, reached)
@@ -219,33 +328,32 @@ impl Kinematics {
         ]);
         Ok(Pose {
             position,
+            joints: *joints,
+            rails: self.rails,
             rods,
             lengths: self.rods,
             answers,
         })
     }
 
-    /// Derivative of the position by the 18 geometric parameters (Eq. 8), in the first columns of `N`.
+    /// Derivative of the position by the 18 geometric parameters (Eq. 8), one column each.
     #[must_use]
-    #[inline]
-    pub fn by_parameters<const N: usize>(&self, pose: &Pose) -> SMatrix<f64, 3, N> {
-        const { assert!(N >= GEOMETRIC) }
-        let mut d = SMatrix::<f64, 3, N>::zeros();
+    pub fn by_parameters(&self, pose: &Pose) -> SMatrix<f64, 3, GEOMETRIC> {
+        let mut d = SMatrix::<f64, 3, GEOMETRIC>::zeros();
         for limb in 0..LIMBS {
             let rod = &pose.rods[limb];
             let answer = pose.answers.column(limb);
+            let by = self.by_limb(limb, pose.joints[limb]);
             let gains = [
-                rod.dot(&self.by_base_radius[limb]),
-                rod.dot(&self.by_base_angle[limb]),
-                rod.z,
+                rod.dot(&by.base_radius),
+                rod.dot(&by.base_angle),
+                rod.dot(&by.joint),
                 pose.lengths[limb],
-                rod.dot(&self.by_platform_radius[limb]),
-                rod.dot(&self.by_platform_angle[limb]),
+                rod.dot(&by.platform_radius),
+                rod.dot(&by.platform_angle),
             ];
             for (k, gain) in gains.iter().enumerate() {
-                for axis in 0..3 {
-                    d[(axis, limb * PER_LIMB + k)] = answer[axis] * gain;
-                }
+                d.set_column(limb * PER_LIMB + k, &(answer * *gain));
             }
         }
         d
@@ -253,16 +361,30 @@ impl Kinematics {
 }
 
 impl Pose {
+    pub(super) fn rods(&self) -> &[Vector3<f64>; LIMBS] {
+        &self.rods
+    }
+
+    pub(super) fn answers(&self) -> &Matrix3<f64> {
+        &self.answers
+    }
+
     /// Velocity Jacobian: derivative of the position by the joint readings.
     #[must_use]
     pub fn by_joints(&self) -> Matrix3<f64> {
         let mut d = self.answers;
         for limb in 0..LIMBS {
-            let gain = self.rods[limb].z;
+            let gain = self.rods[limb].dot(&self.rails[limb]);
             d.column_mut(limb).scale_mut(gain);
         }
         d
     }
+}
+
+/// Radial and tangential unit vectors at an angle, rad.
+fn unit_vectors(angle_rad: f64) -> [Vector3<f64>; 2] {
+    let (sin, cos) = sin_cos(angle_rad);
+    [Vector3::new(cos, sin, 0.0), Vector3::new(-sin, cos, 0.0)]
 }
 
 fn finite(v: &Vector3<f64>) -> Result<()> {

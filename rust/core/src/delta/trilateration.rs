@@ -63,7 +63,11 @@ pub(super) fn culprit(centres: &[Vector3<f64>; 3], radii: &[f64; 3]) -> (usize, 
     // the nearer end of what would do: just beyond the edge of reach the miss is a rounding error
     let miss = |limb: usize, shortest: f64, longest: f64| {
         let middle = 0.5 * (shortest + longest);
-        let wanted = if radii[limb] < middle { shortest } else { longest };
+        let wanted = if radii[limb] < middle {
+            shortest
+        } else {
+            longest
+        };
         (limb, wanted - radii[limb])
     };
     if circle_squared < 0.0 {

@@ -22,6 +22,9 @@ pub const fn decomposition_len(n: usize) -> usize {
 const SWEEPS: usize = 60;
 /// Columns are orthogonal when their cosine is below this.
 const ORTHOGONAL: f64 = 1e-15;
+/// A vector of less than this squared length is zero: the scaled columns are of unit length. Rotated further,
+/// what is only rounding would shrink until its products underflow, and never be orthogonal.
+const NOTHING: f64 = 1e-60;
 
 /// Singular value decomposition of a column-scaled triangle. `S` is storage of [`decomposition_len`].
 #[derive(Clone, Debug)]
@@ -251,7 +254,7 @@ fn rotate(vectors: &mut [f64], n: usize) -> Result<()> {
             for b in tail.chunks_exact_mut(width) {
                 let (aa, bb) = (dot(&a[..n], &a[..n]), dot(&b[..n], &b[..n]));
                 let ab = dot(&a[..n], &b[..n]);
-                if ab * ab <= ORTHOGONAL * ORTHOGONAL * aa * bb || ab == 0.0 {
+                if ab * ab <= ORTHOGONAL * ORTHOGONAL * aa * bb || aa.min(bb) <= NOTHING {
                     continue;
                 }
                 settled = false;

@@ -50,16 +50,16 @@ impl Loss {
             }
             Self::Cauchy => {
                 const K: f64 = 2.385;
-                let s = 1.0 + (u / K) * (u / K);
-                (1.0 / sqrt(s), K * K * libm::log(s))
+                let v = (u / K) * (u / K);
+                (1.0 / sqrt(1.0 + v), K * K * libm::log1p(v))
             }
             Self::Tukey => {
                 const K: f64 = 4.685;
                 if a >= K {
                     (0.0, K * K / 3.0)
                 } else {
-                    let s = 1.0 - (u / K) * (u / K);
-                    (s, K * K / 3.0 * (1.0 - s * s * s))
+                    let v = (u / K) * (u / K);
+                    (1.0 - v, K * K / 3.0 * v * (3.0 - v * (3.0 - v)))
                 }
             }
         }

@@ -254,7 +254,11 @@ pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
 fn dot_two(v: &[f64], a: &[f64], b: &[f64]) -> (f64, f64) {
     let (mut sa, mut sb) = ([0.0; LANES], [0.0; LANES]);
     let lanes = v.as_chunks::<LANES>().0.iter();
-    let columns = a.as_chunks::<LANES>().0.iter().zip(b.as_chunks::<LANES>().0);
+    let columns = a
+        .as_chunks::<LANES>()
+        .0
+        .iter()
+        .zip(b.as_chunks::<LANES>().0);
     for (v, (a, b)) in lanes.zip(columns) {
         for lane in 0..LANES {
             sa[lane] += v[lane] * a[lane];

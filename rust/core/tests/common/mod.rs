@@ -3,7 +3,11 @@
 
 use nalgebra::{SVector, Vector3};
 use proptest::prelude::*;
-use sherkit_core::delta::{Assembly, Geometry, LIMBS, Limb};
+use sherkit_core::delta::parameters::{
+    BACKLASH, BEAM_ALIGNMENT, DATUM, DRIFT, ENCODER_CYCLIC, GEOMETRY, GRAVITY_SAG, JOINT_SCALE,
+    PARAMETERS, RAIL_LEAN, ROD_MISMATCH, SENSOR_LINEARITY, SLIP, THERMAL_GROWTH, Values,
+};
+use sherkit_core::delta::{Assembly, Covariates, Geometry, LIMBS, Limb, Model, PER_LIMB};
 use std::f64::consts::TAU;
 
 /// Proptest's defaults (the environment may ask for more cases), without files of past failures: the
@@ -11,6 +15,8 @@ use std::f64::consts::TAU;
 pub fn config() -> ProptestConfig {
     ProptestConfig {
         failure_persistence: None,
+        max_global_rejects: 1_000_000,
+        max_local_rejects: 1_000_000,
         ..ProptestConfig::default()
     }
 }
@@ -94,6 +100,25 @@ pub fn robots() -> impl Strategy<Value = Robot> {
     )
 }
 
+/// A robot as on a drawing: three equal limbs a third of a turn apart.
+pub fn drawing() -> Geometry {
+    let limbs = std::array::from_fn(|i| {
+        let angle = i as f64 * TAU / 3.0;
+        Limb {
+            base_radius_mm: 200.0,
+            base_angle_rad: angle,
+            joint_offset_mm: 0.0,
+            rod_length_mm: 300.0,
+            platform_radius_mm: 50.0,
+            platform_angle_rad: angle,
+        }
+    });
+    Geometry {
+        limbs,
+        assembly: Assembly::Below,
+    }
+}
+
 /// Joint readings that put the carriages above (+1) or below (-1) the platform joints, by Pythagoras.
 pub fn joints_at(
     geometry: &Geometry,
@@ -110,6 +135,65 @@ pub fn joints_at(
         joints[i] = away.z + sides[i] * rise_squared.sqrt();
     }
     Some(joints)
+}
+
+/// The chain's model of a robot: a target off the platform centre, rods in pairs, home where it stands.
+pub fn model_of(robot: &Robot) -> Model {
+    Model {
+        geometry: robot.geometry,
+        target_offset: Vector3::new(7.0, -11.0, -30.0),
+        rod_spacing: 40.0,
+        pole_pitch: 16.0,
+        home: [robot.joints.x, robot.joints.y - 40.0, robot.joints.z + 90.0],
+        time_origin_s: 100.0,
+        slip_time_s: 2000.0,
+    }
+}
+
+/// A row of which everything is known: warm, after the slip, the joints moving up, down and not at all.
+pub fn some_covariates() -> Covariates {
+    Covariates {
+        time_s: 5000.0,
+        temperature_c: 24.0,
+        direction: [1.0, -1.0, 0.0],
+    }
+}
+
+/// Plausible size of each parameter of the chain.
+pub fn plausible() -> Values {
+    let mut size = [0.0; PARAMETERS];
+    for p in GEOMETRY {
+        size[p] = if matches!(p % PER_LIMB, 1 | 5) {
+            1e-3
+        } else {
+            0.3
+        };
+    }
+    for (range, s) in [
+        (DATUM, 3.0),
+        (JOINT_SCALE, 1e-3),
+        (ENCODER_CYCLIC, 0.02),
+        (BACKLASH, 0.05),
+        (RAIL_LEAN, 2e-3),
+        (ROD_MISMATCH, 0.1),
+        (GRAVITY_SAG, 0.2),
+        (THERMAL_GROWTH, 2e-5),
+        (DRIFT, 0.01),
+        (SLIP, 0.1),
+        (BEAM_ALIGNMENT, 1e-3),
+        (SENSOR_LINEARITY, 1e-5),
+    ] {
+        size[range].fill(s);
+    }
+    size
+}
+
+/// Random values of all parameters, each within its plausible size.
+pub fn effects() -> impl Strategy<Value = Values> {
+    any::<u64>().prop_map(|seed| {
+        let mut random = Random(seed);
+        plausible().map(|s| s * random.unit())
+    })
 }
 
 /// Central difference extrapolated once (Richardson): error of fourth order in `h`.

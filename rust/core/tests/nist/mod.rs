@@ -1,6 +1,7 @@
 //! Problems of the NIST Statistical Reference Datasets for nonlinear regression (public domain):
 //! <https://www.itl.nist.gov/div898/strd/nls/nls_main.shtml>. The residual sum of squares of these rows at the
 //! certified parameters agrees with the certified one to all printed digits.
+#![allow(clippy::unreadable_literal, reason = "digits as printed")]
 
 /// A problem: its rows, two starts, the certified parameters and the certified residual sum of squares.
 pub struct Problem<const N: usize> {
@@ -47,10 +48,7 @@ pub const THURBER: Problem<7> = Problem {
         let y = over / under;
         let [a, c] = [1.0 / under, -y / under];
         let x2 = x * x;
-        (
-            y,
-            [a, a * x, a * x2, a * x2 * x, c * x, c * x2, c * x2 * x],
-        )
+        (y, [a, a * x, a * x2, a * x2 * x, c * x, c * x2, c * x2 * x])
     },
 };
 
@@ -80,11 +78,7 @@ pub const MGH09: Problem<4> = Problem {
 pub const ECKERLE4: Problem<3> = Problem {
     rows: &ECKERLE4_ROWS,
     starts: [[1.0, 10.0, 500.0], [1.5, 5.0, 450.0]],
-    certified: [
-        1.554_382_717_8,
-        4.088_832_175_4,
-        4.515_412_184_4e2,
-    ],
+    certified: [1.554_382_717_8, 4.088_832_175_4, 4.515_412_184_4e2],
     sum_of_squares: 1.463_588_748_7e-3,
     model: |b, x| {
         let u = (x - b[2]) / b[1];
@@ -98,11 +92,7 @@ pub const ECKERLE4: Problem<3> = Problem {
 pub const BENNETT5: Problem<3> = Problem {
     rows: &BENNETT5_ROWS,
     starts: [[-2000.0, 50.0, 0.8], [-1500.0, 45.0, 0.85]],
-    certified: [
-        -2.523_505_804_3e3,
-        4.673_656_464_4e1,
-        9.321_848_319_3e-1,
-    ],
+    certified: [-2.523_505_804_3e3, 4.673_656_464_4e1, 9.321_848_319_3e-1],
     sum_of_squares: 5.240_474_407_3e-4,
     model: |b, x| {
         let base = b[1] + x;
@@ -385,4 +375,3 @@ const BENNETT5_ROWS: [(f64, f64); 154] = [
     (-31.7897, 12.26575),
     (-31.7868, 12.27224),
 ];
-

@@ -1,0 +1,314 @@
+//! The calibrated robot: its inverse, its Jacobian, and what happens where models and corrections end.
+
+mod common;
+
+use common::{
+    Random, Robot, config, derivative, effects, model_of, plausible, robots, some_covariates,
+};
+use nalgebra::Vector3;
+use proptest::prelude::*;
+use sherkit_core::Error;
+use sherkit_core::bernstein::{Correction, Domain, coefficients_len};
+use sherkit_core::calibrated::{Branch, Calibrated};
+use sherkit_core::delta::Wanted;
+use sherkit_core::delta::parameters::{PARAMETERS, Values};
+
+/// What a random calibrated robot is made of; [`Parts::with`] puts it together.
+#[derive(Clone, Debug)]
+struct Parts {
+    robot: Robot,
+    whole: Values,
+    local: Values,
+    orders: [[usize; 3]; 2],
+    coefficients: [Vec<[f64; 3]>; 2],
+    /// Boxes of the two corrections and of the region, about the robot's position.
+    boxes: [Domain; 3],
+    corrected: [bool; 2],
+    has_local: bool,
+}
+
+impl Parts {
+    fn with<T>(&self, use_it: impl FnOnce(&Calibrated<'_>) -> T) -> T {
+        let model = model_of(&self.robot);
+        let branch = |k: usize, values: &Values| Branch {
+            chain: model.with(values).expect("plausible values"),
+            correction: self.corrected[k].then(|| {
+                Correction::new(self.orders[k], self.boxes[k], &self.coefficients[k])
+                    .expect("coefficients that fit")
+            }),
+        };
+        use_it(&Calibrated {
+            whole: branch(0, &self.whole),
+            local: self
+                .has_local
+                .then(|| (branch(1, &self.local), self.boxes[2])),
+        })
+    }
+
+    /// Where the identified robots say the point is: the coordinates in which boxes are meant.
+    fn identified(&self, joints: &Vector3<f64>) -> [Vector3<f64>; 3] {
+        self.with(|c| {
+            let of = |branch: &Branch<'_>| {
+                let still = Vector3::zeros();
+                let wanted = Wanted::default();
+                branch
+                    .chain
+                    .predict(joints, &some_covariates(), &still, wanted)
+                    .expect("in reach")
+                    .value
+            };
+            let whole = of(&c.whole);
+            let local = c.local.as_ref().map_or(whole, |(branch, _)| of(branch));
+            let corrected = c
+                .whole
+                .forward(joints, &some_covariates())
+                .expect("in reach")
+                .0;
+            [whole, local, corrected]
+        })
+    }
+
+    /// Smallest distance of a pose from where a slope or a curvature jumps.
+    fn distance_to_edges(&self, joints: &Vector3<f64>) -> f64 {
+        let mut nearest = f64::INFINITY;
+        for (position, domain) in self.identified(joints).iter().zip(&self.boxes) {
+            for k in 0..3 {
+                for edge in edges(domain, k) {
+                    nearest = nearest.min((position[k] - edge).abs());
+                }
+            }
+        }
+        nearest
+    }
+}
+
+fn edges(domain: &Domain, k: usize) -> [f64; 4] {
+    [
+        domain.low[k],
+        domain.high[k],
+        domain.low[k] - domain.fade,
+        domain.high[k] + domain.fade,
+    ]
+}
+
+fn parts() -> impl Strategy<Value = Parts> {
+    let flags = (any::<bool>(), any::<bool>(), any::<bool>());
+    (robots(), effects(), any::<u64>(), flags).prop_map(
+        |(robot, whole, seed, (corrected, corrected_inside, has_local))| {
+            let mut random = Random(seed);
+            // the local model differs by a tenth of what is plausible
+            let mut local = whole;
+            for (l, size) in local.iter_mut().zip(plausible()) {
+                *l += 0.1 * size * random.unit();
+            }
+            let orders = [(); 2]
+                .map(|()| [(); 3].map(|()| usize::try_from(random.next() % 4).expect("small")));
+            let coefficients = orders.map(|o| {
+                (0..coefficients_len(o))
+                    .map(|_| std::array::from_fn(|_| 0.2 * random.unit()))
+                    .collect()
+            });
+            let centre = robot.position + model_of(&robot).target_offset;
+            let boxes = [60.0, 25.0, 20.0].map(|size| Domain {
+                low: centre - Vector3::from_fn(|_, _| size * (1.0 + 0.4 * random.unit())),
+                high: centre + Vector3::from_fn(|_, _| size * (1.0 + 0.4 * random.unit())),
+                fade: 12.0 + 5.0 * random.unit(),
+            });
+            Parts {
+                robot,
+                whole,
+                local,
+                orders,
+                coefficients,
+                boxes,
+                corrected: [corrected, corrected_inside],
+                has_local,
+            }
+        },
+    )
+}
+
+/// Joint readings of the calibrated robot near a place of the drawing, shifted by `away`; none beyond reach.
+fn joints_near(parts: &Parts, away: &Vector3<f64>) -> Option<Vector3<f64>> {
+    let model = model_of(&parts.robot);
+    let place = parts.robot.position + model.target_offset + away;
+    let joints = model.with(&parts.whole).ok()?.rough_inverse(&place).ok()?;
+    let [position, ..] = parts
+        .with(|c| {
+            c.whole
+                .chain
+                .value(&joints, &some_covariates(), &Vector3::zeros())
+        })
+        .ok()
+        .map(|p| [p])?;
+    // far from the end of the workspace, where nothing is well conditioned
+    ((position - place).norm() < 10.0
+        && parts
+            .with(|c| c.forward(&joints, &some_covariates()))
+            .is_ok_and(|(_, j)| j.norm() < 8.0 && j.determinant().abs() > 0.2))
+    .then_some(joints)
+}
+
+fn aways(reach: f64) -> impl Strategy<Value = Vector3<f64>> {
+    prop::array::uniform3(-reach..reach).prop_map(Vector3::from)
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    /// An inverse that solves another model than the forward one, or that stops too early: inside a region, in its
+    /// blend, in the fade of a correction, beyond both.
+    #[test]
+    fn forward_and_inverse_undo_each_other(parts in parts(), away in aways(60.0)) {
+        let Some(joints) = joints_near(&parts, &away) else { return Ok(()) };
+        let now = some_covariates();
+        parts.with(|c| {
+            let (position, _) = c.forward(&joints, &now).unwrap();
+            let back = c.inverse(&position, &now).unwrap();
+            let (again, _) = c.forward(&back, &now).unwrap();
+            prop_assert!((again - position).norm() < 1e-9, "{}", (again - position).norm());
+            prop_assert!((back - joints).amax() < 1e-8, "{}", (back - joints).amax());
+            Ok(())
+        })?;
+    }
+
+    /// A Jacobian that forgets the correction's slope, the local model's share, or the gradient of that share.
+    #[test]
+    fn jacobian_is_that_of_the_forward_model(parts in parts(), away in aways(50.0)) {
+        let Some(joints) = joints_near(&parts, &away) else { return Ok(()) };
+        let h = 0.02;
+        prop_assume!(parts.distance_to_edges(&joints) > 0.2);
+        parts.with(|c| {
+            let at = |q: &Vector3<f64>| c.forward(q, &some_covariates()).unwrap();
+            let (_, jacobian) = at(&joints);
+            for k in 0..3 {
+                let differences = derivative(|h| at(&(joints + Vector3::ith(k, h))).0, h);
+                let difference = (jacobian.column(k) - differences).norm();
+                prop_assert!(difference < 1e-7, "{difference}");
+            }
+            Ok(())
+        })?;
+    }
+
+    /// A step of the model where a box, a fade, a region or a blend begins or ends: the robot would jump.
+    #[test]
+    fn walking_over_a_border_has_no_jump(
+        parts in parts(),
+        away in aways(15.0),
+        which in 0..3_usize,
+        axis in 0..3_usize,
+        side in 0..4_usize,
+    ) {
+        let edge = edges(&parts.boxes[which], axis)[side];
+        // a walk along one axis, long enough to cross the edge; found by bisection down to rounding
+        let centre = model_of(&parts.robot).target_offset[axis] + parts.robot.position[axis];
+        let mut beyond = away;
+        beyond[axis] = 1.2 * (edge - centre);
+        let (Some(from), Some(to)) = (joints_near(&parts, &away), joints_near(&parts, &beyond)) else {
+            return Ok(());
+        };
+        let place = |s: f64| from + (to - from) * s;
+        let past = |s: f64| parts.identified(&place(s))[which][axis] - edge;
+        let (mut near, mut far) = (0.0, 1.0);
+        prop_assume!(past(near) * past(far) < 0.0);
+        let sign = past(far).signum();
+        for _ in 0..80 {
+            let middle = 0.5 * (near + far);
+            if past(middle) * sign > 0.0 { far = middle } else { near = middle }
+        }
+        parts.with(|c| {
+            let at = |s: f64| c.forward(&place(s), &some_covariates()).unwrap();
+            let (before, after) = (near - 1e-10, far + 1e-10);
+            let jump = (at(after).0 - at(before).0).norm();
+            let way = (to - from).norm() * (after - before);
+            prop_assert!(jump < 20.0 * way + 1e-11, "{jump} over {way}");
+            Ok(())
+        })?;
+    }
+
+    /// A correction or a local model that reaches farther than its margin, or does not hold in its own region.
+    #[test]
+    fn models_hold_where_they_should(parts in parts(), away in aways(80.0)) {
+        let Some(joints) = joints_near(&parts, &away) else { return Ok(()) };
+        let now = some_covariates();
+        parts.with(|c| {
+            let all = c.forward(&joints, &now).unwrap();
+            let whole = c.whole.forward(&joints, &now).unwrap();
+            let Some((local, region)) = &c.local else {
+                prop_assert_eq!(all, whole);
+                return Ok(());
+            };
+            let inner = local.forward(&joints, &now).unwrap();
+            let beyond = |k: usize| (region.low[k] - whole.0[k]).max(whole.0[k] - region.high[k]);
+            let farthest = (0..3).map(beyond).fold(f64::NEG_INFINITY, f64::max);
+            if farthest <= 0.0 {
+                prop_assert!((all.0 - inner.0).amax() < 1e-11 && (all.1 - inner.1).amax() < 1e-11);
+            } else if farthest >= region.fade {
+                prop_assert_eq!(all, whole);
+            } else {
+                // in between: no farther from either than they are from each other
+                let apart = (inner.0 - whole.0).norm() + 1e-12;
+                prop_assert!((all.0 - inner.0).norm() <= apart && (all.0 - whole.0).norm() <= apart);
+            }
+            Ok(())
+        })?;
+    }
+
+    /// A panic or a number from input that is none; an inverse that claims to reach what it does not.
+    #[test]
+    fn any_bits_are_answered(
+        parts in parts(),
+        bits in prop::array::uniform3(prop_oneof![prop::num::f64::ANY, -2000.0..2000.0_f64]),
+    ) {
+        let (input, now) = (Vector3::from(bits), some_covariates());
+        parts.with(|c| {
+            let (forward, inverse) = (c.forward(&input, &now), c.inverse(&input, &now));
+            if input.iter().any(|v| !v.is_finite()) {
+                prop_assert!(forward.is_err() && inverse.is_err());
+                let refused = matches!(inverse, Err(Error::NotFinite { .. }));
+                prop_assert!(refused || !input.iter().any(|v| v.is_nan()));
+            }
+            if let Ok((position, _)) = forward {
+                prop_assert!(position.iter().all(|v| v.is_finite()));
+            }
+            if let Ok(joints) = inverse {
+                let (position, _) = c.forward(&joints, &now).unwrap();
+                prop_assert!((position - input).norm() < 1e-9);
+            }
+            Ok(())
+        })?;
+    }
+}
+
+/// A robot without effects, correction or region that is not the identified robot.
+#[test]
+fn a_bare_calibration_is_the_identified_robot() {
+    let robot = Robot {
+        geometry: common::drawing(),
+        position: Vector3::zeros(),
+        joints: Vector3::repeat(200.0),
+    };
+    let chain = model_of(&robot).with(&[0.0; PARAMETERS]).unwrap();
+    let bare = Calibrated {
+        whole: Branch {
+            chain,
+            correction: None,
+        },
+        local: None,
+    };
+    let now = some_covariates();
+    let joints = Vector3::new(200.0, 210.0, 190.0);
+    let (position, by_joints) = bare.forward(&joints, &now).unwrap();
+    let predicted = chain
+        .predict(&joints, &now, &Vector3::zeros(), Wanted::default())
+        .unwrap();
+    assert_eq!(
+        (position, by_joints),
+        (predicted.value, predicted.by_joints)
+    );
+    let far = Vector3::new(5000.0, 0.0, 0.0);
+    assert!(matches!(
+        bare.inverse(&far, &now),
+        Err(Error::OutOfReach { .. })
+    ));
+}

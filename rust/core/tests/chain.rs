@@ -1,0 +1,218 @@
+//! The whole measurement chain: derivatives by every parameter, and what it is without effects.
+
+mod common;
+
+use common::{config, derivative, drawing, effects, joints_at, model_of, robots, some_covariates};
+use nalgebra::Vector3;
+use proptest::prelude::*;
+use sherkit_core::Error;
+use sherkit_core::delta::parameters::{
+    BACKLASH, BEAM_ALIGNMENT, DATUM, DRIFT, GEOMETRY, JOINT_SCALE, PARAMETERS, RAIL_LEAN,
+    SENSOR_LINEARITY, SLIP, THERMAL_GROWTH, Values,
+};
+use sherkit_core::delta::{Covariates, Kind, LIMBS, PER_LIMB, Row, Wanted};
+
+/// Step for differences: a few hundredths of a millimetre of movement.
+fn step_of(parameter: usize) -> f64 {
+    match parameter {
+        p if GEOMETRY.contains(&p) && matches!(p % PER_LIMB, 1 | 5) => 2e-4,
+        p if JOINT_SCALE.contains(&p) || RAIL_LEAN.contains(&p) => 1e-4,
+        p if THERMAL_GROWTH.contains(&p) || BEAM_ALIGNMENT.contains(&p) => 5e-5,
+        p if SENSOR_LINEARITY.contains(&p) => 2e-6,
+        _ => 0.02,
+    }
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    /// A column of the 64 that forgets a link behind its own, a sign, or the other end of a distance; at zero
+    /// effects, where many columns come from formulas of their own, and at effects of plausible size.
+    #[test]
+    fn derivatives_are_exact(
+        robot in robots(),
+        values in effects(),
+        quiet in any::<bool>(),
+        moves in prop::array::uniform3(3.0..8.0_f64),
+        push in prop::array::uniform3(-1.0..1.0_f64),
+    ) {
+        let values = if quiet { [0.0; PARAMETERS] } else { values };
+        let model = model_of(&robot);
+        let joints = [robot.joints.x, robot.joints.y, robot.joints.z];
+        let to = std::array::from_fn(|i| joints[i] + moves[i]);
+        let row = |kind| Row { joints, covariates: some_covariates(), push: Vector3::from(push), kind };
+        let chain = model.with(&values).unwrap();
+        for row in [row(Kind::Position), row(Kind::Distance { to })] {
+            let predicted = chain.row_predict(&row, Wanted::ALL).unwrap();
+            prop_assert_eq!(predicted.value, chain.row_value(&row).unwrap());
+            for p in 0..PARAMETERS {
+                let differences = derivative(|h| {
+                    let mut v = values;
+                    v[p] += h;
+                    model.with(&v).unwrap().row_value(&row).unwrap()
+                }, step_of(p));
+                let column = predicted.by_parameters.column(p).into_owned();
+                let difference = (column - differences).norm() / column.norm().max(1.0);
+                prop_assert!(difference < 1e-7, "{:?} parameter {p}: {difference}", row.kind);
+            }
+            for axis in 0..3 {
+                let differences = derivative(|h| {
+                    let mut r = row;
+                    r.push[axis] += h;
+                    chain.row_value(&r).unwrap()
+                }, 0.1);
+                prop_assert!((predicted.by_body.column(axis) - differences).norm() < 1e-7);
+                let differences = derivative(|h| {
+                    let mut r = row;
+                    r.joints[axis] += h;
+                    if let Kind::Distance { to } = &mut r.kind {
+                        to[axis] += h;
+                    }
+                    chain.row_value(&r).unwrap()
+                }, 0.02);
+                let column = predicted.by_joints.column(axis);
+                let difference = (column - differences).norm() / column.norm().max(1.0);
+                prop_assert!(difference < 1e-7, "{:?} joint {axis}: {difference}", row.kind);
+            }
+        }
+    }
+
+    /// A derivative that is wanted and left out, or that depends on what else is wanted.
+    #[test]
+    fn wanted_derivatives_do_not_depend_on_each_other(
+        robot in robots(),
+        values in effects(),
+        wanted in prop::collection::vec(0..PARAMETERS, 0..6),
+    ) {
+        let chain = model_of(&robot).with(&values).unwrap();
+        let predict = |w| chain.predict(&robot.joints, &some_covariates(), &Vector3::zeros(), w).unwrap();
+        let (all, some) = (predict(Wanted::ALL), predict(Wanted::of(&wanted)));
+        prop_assert_eq!((all.value, all.by_joints, all.by_body), (some.value, some.by_joints, some.by_body));
+        for p in 0..PARAMETERS {
+            let (all, some) = (all.by_parameters.column(p), some.by_parameters.column(p));
+            prop_assert!(some == all || (!wanted.contains(&p) && some.amax() == 0.0), "{p}");
+        }
+    }
+
+    /// A reading without effects that is not where the platform, the target and the datum put it; a distance
+    /// that is none.
+    #[test]
+    fn without_effects_readings_are_where_the_drawing_says(
+        robot in robots(),
+        datum in prop::array::uniform3(-5.0..5.0_f64),
+        away in prop::array::uniform3(-20.0..20.0_f64),
+    ) {
+        let mut values = [0.0; PARAMETERS];
+        values[DATUM].copy_from_slice(&datum);
+        let (model, datum, away) = (model_of(&robot), Vector3::from(datum), Vector3::from(away));
+        let chain = model.with(&values).unwrap();
+        let (nothing, still) = (Covariates::NONE, Vector3::zeros());
+        let found = chain.value(&robot.joints, &nothing, &still).unwrap();
+        prop_assert!((found - robot.position - model.target_offset - datum).amax() < 1e-9);
+        prop_assert!((chain.rough_inverse(&found).unwrap() - robot.joints).amax() < 1e-9);
+        let sides = [robot.geometry.assembly.sign(); LIMBS];
+        if let Some(to) = joints_at(&robot.geometry, &(robot.position + away), sides) {
+            let joints = [robot.joints.x, robot.joints.y, robot.joints.z];
+            let kind = Kind::Distance { to: [to.x, to.y, to.z] };
+            let row = Row { joints, covariates: nothing, push: still, kind };
+            let found = chain.row_value(&row).unwrap();
+            prop_assert!((found - Vector3::new(away.norm(), 0.0, 0.0)).amax() < 1e-8);
+        }
+    }
+
+    /// Values or joints of any bits that panic or give a reading that is not finite.
+    #[test]
+    fn any_bits_are_answered_finitely(
+        robot in robots(),
+        values in effects(),
+        wild in prop::collection::vec((0..PARAMETERS, any::<u64>()), 0..3),
+        joints in prop::array::uniform3(prop_oneof![-300.0..300.0_f64, prop::num::f64::ANY]),
+    ) {
+        let mut values = values;
+        for (p, bits) in wild {
+            values[p] = f64::from_bits(bits);
+        }
+        let finite = values.iter().all(|v| v.is_finite());
+        let Ok(chain) = model_of(&robot).with(&values) else { return Ok(()) };
+        prop_assert!(finite);
+        let joints = robot.joints + Vector3::from(joints);
+        for now in [some_covariates(), Covariates::NONE] {
+            if let Ok(value) = chain.value(&joints, &now, &Vector3::zeros()) {
+                prop_assert!(value.iter().all(|v| v.is_finite()), "{value}");
+            }
+            if let Ok(p) = chain.predict(&joints, &now, &Vector3::zeros(), Wanted::default()) {
+                prop_assert!(p.value.iter().all(|v| v.is_finite()));
+            }
+        }
+    }
+}
+
+/// A distance between two equal places divided by itself.
+#[test]
+fn a_distance_of_zero_has_a_finite_derivative() {
+    let joints = [200.0; LIMBS];
+    let robot = common::Robot {
+        geometry: drawing(),
+        position: Vector3::zeros(),
+        joints: Vector3::from(joints),
+    };
+    let row = Row {
+        joints,
+        covariates: some_covariates(),
+        push: Vector3::zeros(),
+        kind: Kind::Distance { to: joints },
+    };
+    let chain = model_of(&robot).with(&[0.0; PARAMETERS]).unwrap();
+    let predicted = chain.row_predict(&row, Wanted::ALL).unwrap();
+    assert_eq!(predicted.value, Vector3::zeros());
+    assert_eq!(predicted.by_parameters.amax(), 0.0);
+}
+
+/// An effect whose covariate is missing and that is quietly left out, or one at zero that spoils the reading.
+#[test]
+fn an_effect_without_its_covariate_is_refused() {
+    let robot = common::Robot {
+        geometry: drawing(),
+        position: Vector3::zeros(),
+        joints: Vector3::repeat(200.0),
+    };
+    let model = model_of(&robot);
+    let value = |values: &Values| {
+        model
+            .with(values)
+            .unwrap()
+            .value(&robot.joints, &Covariates::NONE, &Vector3::zeros())
+    };
+    assert!(value(&[0.0; PARAMETERS]).is_ok());
+    for p in [
+        BACKLASH.start,
+        THERMAL_GROWTH.start,
+        DRIFT.start,
+        SLIP.start,
+    ] {
+        let mut values = [0.0; PARAMETERS];
+        values[p] = 1e-3;
+        assert!(
+            matches!(value(&values), Err(Error::NotFinite { .. })),
+            "{p}"
+        );
+    }
+}
+
+/// A value that is no number and goes into every reading, or the wrong one blamed.
+#[test]
+fn a_value_that_is_no_number_is_named() {
+    let robot = common::Robot {
+        geometry: drawing(),
+        position: Vector3::zeros(),
+        joints: Vector3::repeat(200.0),
+    };
+    for index in 0..PARAMETERS {
+        for bad in [f64::NAN, f64::INFINITY] {
+            let mut values = [0.0; PARAMETERS];
+            values[index] = bad;
+            let refused = model_of(&robot).with(&values).err();
+            assert_eq!(refused, Some(Error::NotFinite { index }));
+        }
+    }
+}

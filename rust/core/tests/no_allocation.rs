@@ -1,0 +1,208 @@
+//! What a control loop calls never asks the allocator for anything.
+//!
+//! The counter is the thread's own, so that the test harness may do as it likes on its threads.
+
+mod common;
+
+use common::{Robot, drawing, model_of, some_covariates};
+use nalgebra::{SMatrix, Vector3};
+use sherkit_core::bernstein::{
+    Correction, Domain, apply_axis, axis_scratch_len, project_axis, push,
+};
+use sherkit_core::calibrated::{Branch, Calibrated};
+use sherkit_core::delta::{GEOMETRIC, Kind, Kinematics, Row, Wanted};
+use sherkit_core::least_squares::{
+    Levenberg, Loss, Progress, Settings, Stack, levenberg_len, stack_len,
+};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::hint::black_box;
+
+struct Counting;
+
+thread_local! {
+    static REQUESTS: Cell<usize> = const { Cell::new(0) };
+}
+
+fn count() {
+    // a thread that is ending has no counter any more, and nothing to count
+    let _ = REQUESTS.try_with(|r| r.set(r.get() + 1));
+}
+
+// SAFETY: every request goes to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller keeps the contract of `alloc`.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller keeps the contract of `alloc_zeroed`.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn realloc(&self, place: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: the caller keeps the contract of `realloc`.
+        unsafe { System.realloc(place, layout, size) }
+    }
+
+    unsafe fn dealloc(&self, place: *mut u8, layout: Layout) {
+        count();
+        // SAFETY: the caller keeps the contract of `dealloc`.
+        unsafe { System.dealloc(place, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Runs `body` and returns how often it asked the allocator.
+fn requests(body: impl FnOnce()) -> usize {
+    let before = REQUESTS.get();
+    body();
+    REQUESTS.get() - before
+}
+
+/// A counter that counts nothing would pass everything below.
+#[test]
+fn the_counter_counts() {
+    assert_eq!(requests(|| drop(black_box(vec![1_u8; black_box(100)]))), 2);
+}
+
+/// A vector that grows, a boxed closure or a message that is formatted, in the kinematics, in reach or out of it.
+#[test]
+fn kinematics_allocate_nothing() {
+    let geometry = drawing();
+    let found = requests(|| {
+        let k = Kinematics::new(&geometry).unwrap();
+        for height in 0..500 {
+            let joints = Vector3::new(200.0, 210.0, 2.0 * f64::from(height));
+            let position = black_box(k.forward(&joints));
+            if let Ok(position) = position {
+                black_box(k.inverse(&position)).unwrap();
+                let pose = k.pose(&joints).unwrap();
+                let by_parameters: SMatrix<f64, 3, GEOMETRIC> = k.by_parameters(&pose);
+                black_box((pose.by_joints(), by_parameters));
+            }
+            black_box(k.forward_lanes(&[[200.0; 8], [210.0; 8], [joints.z; 8]]));
+            black_box(k.inverse_lanes(&[[0.0; 8], [joints.z; 8], [-300.0; 8]]));
+        }
+    });
+    assert_eq!(found, 0);
+}
+
+/// As above, for the chain with its effects and the calibrated robot with corrections and a region.
+#[test]
+fn the_calibrated_robot_allocates_nothing() {
+    let robot = Robot {
+        geometry: drawing(),
+        position: Vector3::zeros(),
+        joints: Vector3::repeat(200.0),
+    };
+    let now = some_covariates();
+    let coefficients = [[0.01, -0.02, 0.03]; 64];
+    let found = requests(|| {
+        let model = model_of(&robot);
+        let sizes = common::plausible();
+        let chain = model.with(&sizes.map(|s| 0.3 * s)).unwrap();
+        let other = model.with(&sizes.map(|s| 0.4 * s)).unwrap();
+        let domain = Domain {
+            low: Vector3::new(-30.0, -40.0, -200.0),
+            high: Vector3::new(40.0, 30.0, -20.0),
+            fade: 20.0,
+        };
+        let correction = Correction::new([3; 3], domain, &coefficients).unwrap();
+        let branch = |chain| Branch {
+            chain,
+            correction: Some(correction),
+        };
+        let calibrated = Calibrated {
+            whole: branch(chain),
+            local: Some((branch(other), domain)),
+        };
+        let mut reached = 0;
+        for step in 0..400 {
+            let joints = Vector3::new(200.0, 210.0 - 0.1 * f64::from(step), 190.0);
+            black_box(correction.at(&Vector3::new(f64::from(step) - 200.0, 0.0, -90.0)));
+            if let Ok((position, _)) = calibrated.forward(&joints, &now) {
+                let back = calibrated.inverse(&position, &now).unwrap();
+                assert!((back - joints).amax() < 1e-6);
+                reached += 1;
+            }
+            let row = Row {
+                joints: [joints.x, joints.y, joints.z],
+                covariates: now,
+                push: Vector3::zeros(),
+                kind: Kind::Distance { to: [200.0; 3] },
+            };
+            let _ = black_box(chain.row_predict(&row, Wanted::ALL));
+            let _ = black_box(chain.row_value(&row));
+        }
+        assert!(reached > 300);
+        // far beyond reach: errors are values
+        assert!(calibrated.inverse(&Vector3::repeat(1e4), &now).is_err());
+    });
+    assert_eq!(found, 0);
+}
+
+/// As above, for the least squares: rows into the stack, the iteration, covariance, the Bernstein fit.
+#[test]
+fn least_squares_allocate_nothing() {
+    const N: usize = 3;
+    let mut storage = vec![0.0; stack_len(N, 1)];
+    let mut state = vec![0.0; levenberg_len(N)];
+    let domain = Domain {
+        low: Vector3::zeros(),
+        high: Vector3::repeat(1.0),
+        fade: 1.0,
+    };
+    let mut fit_storage = vec![0.0; stack_len(8, 3)];
+    let mut axis_scratch = vec![0.0; axis_scratch_len(5, 2)];
+    let found = requests(|| {
+        let mut stack = Stack::new(N, 1, storage.as_mut_slice()).unwrap();
+        let start = [0.5, 0.5, 1.0];
+        let mut iteration =
+            Levenberg::new(&start, &[1.0; N], Settings::default(), state.as_mut_slice()).unwrap();
+        loop {
+            let [a, b, c] = [0, 1, 2].map(|k| iteration.trial()[k]);
+            stack.clear();
+            let mut total = 0.0;
+            for i in 0..300 {
+                let x = 0.01 * f64::from(i);
+                let y = c * ((a + b) * x).exp();
+                let u = 1.5 * (0.7 * x).exp() - y;
+                let (root, cost) = Loss::Cauchy.root_weight_and_cost(u);
+                total += cost;
+                stack.push([root * x * y, root * x * y, root * y / c, root * u]);
+            }
+            let progress = iteration.advance(stack.triangle(), total).unwrap();
+            if progress != Progress::Evaluate {
+                assert_eq!(progress, Progress::Converged);
+                break;
+            }
+        }
+        let (mut data, mut unobserved) = ([0.0; N * N], [0.0; N * N]);
+        iteration
+            .with_decomposition(|d| d.covariance(&mut data, &mut unobserved, &mut [0.0; N]))
+            .unwrap();
+        black_box((data, unobserved));
+        // an evaluation that failed
+        black_box(iteration.advance(stack.triangle(), f64::INFINITY)).unwrap();
+
+        let mut fit = Stack::new(8, 3, fit_storage.as_mut_slice()).unwrap();
+        for i in 0..300 {
+            let x = Vector3::new(0.003 * f64::from(i), 0.01 * f64::from(i % 100), 0.1);
+            push(&mut fit, [1; 3], &domain, &x, &x);
+        }
+        black_box(fit.triangle());
+        let (mut projector, mut line) = ([0.0; 15], [0.0; 3]);
+        let points = [0.0, 0.2, 0.5, 0.7, 1.0];
+        project_axis(2, &points, &mut projector, &mut axis_scratch).unwrap();
+        apply_axis(&projector, 5, 3, 1, &points, &mut line);
+        black_box(line);
+    });
+    assert_eq!(found, 0);
+}

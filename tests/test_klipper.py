@@ -1,0 +1,383 @@
+"""Klipper's printer.cfg: a simulated printer of known errors, broken files, and a real one."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from numpy.typing import NDArray
+
+from sherkit import DeltaModel, Measurements, SherkitError, identify, import_klipper, load_robot, read_measurements
+
+Floats = NDArray[np.float64]
+
+REAL = Path(__file__).parents[2] / "shared" / "data" / "delta_flsun_v400_b"
+SHERKIT = str(Path(sys.executable).with_name("sherkit"))
+
+
+# -- a printer, written from Klipper's documentation and not from the importer -------------------------------
+
+
+@dataclass(frozen=True)
+class Printer:
+    """A delta as Klipper sees it: one radius; angle, arm and end stop per tower."""
+
+    radius: float
+    angle: tuple[float, float, float]
+    arm: tuple[float, float, float]
+    endstop: tuple[float, float, float]
+
+    @property
+    def towers(self) -> Floats:
+        """Feet of the towers (3, 2), mm."""
+        return self.radius * np.stack([np.cos(np.deg2rad(self.angle)), np.sin(np.deg2rad(self.angle))], axis=1)
+
+    @property
+    def top(self) -> Floats:
+        """Heights of the carriages at their end stops (3,), mm."""
+        return np.array(self.endstop) + np.sqrt(np.square(self.arm) - self.radius**2)
+
+    def carriages(self, at: Floats) -> Floats:
+        """Heights of the carriages (3,) with the nozzle at ``at`` (3,), mm."""
+        return at[2] + np.sqrt(np.square(self.arm) - ((self.towers - at[:2]) ** 2).sum(axis=1))
+
+    def nozzle(self, carriages: Floats) -> Floats:
+        """Where the nozzle is (3,), mm, by Newton's method."""
+        at = np.array([0.0, 0.0, carriages.mean() - np.sqrt(np.mean(self.arm) ** 2 - self.radius**2)])
+        for _ in range(8):
+            rod = np.column_stack([at[:2] - self.towers, at[2] - carriages])
+            at = at - np.linalg.solve(2 * rod, (rod**2).sum(axis=1) - np.square(self.arm))
+        return at
+
+
+SAVED = Printer(100.0, (210.5, 329.7, 90.0), (220.1, 219.6, 220.4), (250.2, 249.9, 250.4))
+TRUE = Printer(101.2, (210.1, 330.4, 90.6), (221.3, 219.9, 219.5), (249.1, 250.5, 250.1))
+#: What the importer's robot lacks to be the true one.
+ERRORS = {
+    **{f"base_radius_{i}": TRUE.radius - SAVED.radius for i in (1, 2, 3)},
+    **{f"base_angle_{i + 1}": math.radians(TRUE.angle[i] - SAVED.angle[i]) for i in range(3)},
+    **{f"rod_length_{i + 1}": TRUE.arm[i] - SAVED.arm[i] for i in range(3)},
+    **{f"joint_offset_{i + 1}": float(TRUE.top[i] - SAVED.top[i]) for i in range(3)},
+}
+#: 200 full steps · 16 · 5/40, 400 · 32/(40), 200 · 16 / 32: three ways to say it.
+STEPS = np.array([400.0, 320.0, 100.0])
+STEPS_TEXT = (
+    "microsteps: 16\nrotation_distance: 40\ngear_ratio: 80:16",
+    "microsteps = 32   ; half as fine\nfull_steps_per_rotation = 400\nrotation_distance = 40",
+    "microsteps: 16\nrotation_distance: 32 # mm",
+)
+EDGE, COUNT = 69.99, 7  # of a mesh of radius 70: Klipper rounds its step down to hundredths
+
+
+def steps(true: Printer, at: Floats) -> str:
+    """Steps down from the end stops at a true position, as Klipper writes them."""
+    return ",".join(f"{v:.3f}" for v in (true.top - true.carriages(at)) * STEPS)
+
+
+def touched(true: Printer, saved: Printer, x: float, y: float) -> float:
+    """Where the printer believes the nozzle to be when it touches the bed at commanded x, y."""
+    z = 0.0
+    for _ in range(6):
+        # the printer counts from the end stops, where it believes the carriages to be at its own top
+        z -= float(true.nozzle(saved.carriages(np.array([x, y, z])) - saved.top + true.top)[2])
+    return z
+
+
+@cache
+def config(true: Printer, saved: Printer, *, square: bool = False) -> str:
+    """A printer.cfg after DELTA_CALIBRATE, BED_MESH_CALIBRATE and SAVE_CONFIG."""
+    lines = ["[include mainsail.cfg]", "[printer]", "kinematics: delta", "#delta_radius: 99 ; old", "print_radius: 80"]
+    for name, text in zip("abc", STEPS_TEXT, strict=True):
+        lines += ["", f"[stepper_{name}]", "step_pin: PE3 # not read", "#arm_length: 1", text]
+    lines += ["", "[bed_mesh]", "mesh_min: -60, -50\nmesh_max: 60, 50" if square else "mesh_radius: 70", ""]
+    block = ["[printer]", f"delta_radius = {saved.radius:.6f}", ""]
+    for k, name in enumerate("abc"):
+        block += [f"[stepper_{name}]", f"angle = {saved.angle[k]:.6f}", f"arm_length = {saved.arm[k]:.6f}"]
+        block += [f"position_endstop = {saved.endstop[k]:.6f}", ""]
+    block.append("[delta_calibrate]")
+    for k, at in enumerate(heights()):
+        block += [f"height{k} = {at[2]}", f"height{k}_pos = {steps(true, at)}"]
+    block += ["manual_height0 = 12.5", f"manual_height0_pos = {steps(true, np.array([20.0, -30.0, 12.5]))}"]
+    for k, (start, end) in enumerate(distances()):
+        block += [f"distance{k} = {np.linalg.norm(start - end)}"]
+        block += [f"distance{k}_pos1 = {steps(true, start)}", f"distance{k}_pos2 = {steps(true, end)}"]
+    block += ["", "[bed_mesh default]", "version = 1", "points ="]
+    across, along = mesh(square=square)
+    for y in along:
+        block.append("\t" + ", ".join(f"{touched(true, saved, x, y):.6f}" for x in across))
+    block += [f"min_x = {across[0]}", f"max_x = {across[-1]}", f"min_y = {along[0]}", f"max_y = {along[-1]}"]
+    saved_lines = ["<---------------------- SAVE_CONFIG ---------------------->", "DO NOT EDIT", "", *block]
+    return "\n".join(lines) + "\n" + "".join(f"#*# {line}".rstrip() + "\n" for line in saved_lines)
+
+
+def heights() -> list[Floats]:
+    """Probed points of a known height: twelve, so that two-digit numbers are sorted as numbers."""
+    turn = np.deg2rad(30.0 * np.arange(12))
+    return [np.array([(40 + 3 * k) * np.cos(t), (40 + 3 * k) * np.sin(t), 8.5]) for k, t in enumerate(turn)]
+
+
+def distances() -> list[tuple[Floats, Floats]]:
+    """Ends of measured distances on the bed."""
+    turn = np.deg2rad(60.0 * np.arange(6))
+    ends = [np.array([np.cos(t), np.sin(t), 0.0]) for t in turn]
+    return [(4.5 * e, 69.5 * e) for e in ends] + [(60.0 * a, 60.0 * b) for a, b in zip(ends, ends[2:], strict=False)]
+
+
+def mesh(*, square: bool = False) -> tuple[Floats, Floats]:
+    """x and y of the probed grid."""
+    if square:
+        return np.linspace(-60.0, 60.0, 5), np.linspace(-50.0, 50.0, 3)
+    return np.linspace(-EDGE, EDGE, COUNT), np.linspace(-EDGE, EDGE, COUNT)
+
+
+def saved(folder: Path, text: str | bytes) -> Path:
+    """A printer.cfg in ``folder``."""
+    path = folder / "printer.cfg"
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return path
+
+
+def misses(data: Measurements, predicted: Floats) -> Floats:
+    """Readings minus predictions where something was read, mm."""
+    return (data.readings_mm - predicted)[data.taken]
+
+
+# -- the simulated printer -----------------------------------------------------------------------------------
+
+
+def test_the_printer_is_consistent() -> None:
+    """Catches a mistake in this file's printer, with which the others would agree or disagree for nothing."""
+    at = np.array([30.0, -20.0, 5.0])
+    assert np.abs(TRUE.nozzle(TRUE.carriages(at)) - at).max() < 1e-10
+    z = touched(TRUE, SAVED, 30.0, 40.0)
+    assert abs(z) > 0.1
+    assert abs(TRUE.nozzle(SAVED.carriages(np.array([30.0, 40.0, z])) - SAVED.top + TRUE.top)[2]) < 1e-10
+
+
+def test_a_calibrated_printer_reads_as_nominal(tmp_path: Path) -> None:
+    """Catches wrong towers, end stops, gears or steps: a printer without errors predicts all that it measured."""
+    found = import_klipper(saved(tmp_path, config(TRUE, TRUE)))
+    data = found.measurements
+    model = DeltaModel(found.robot)
+    # steps are written to a thousandth, probed heights to a nanometre
+    assert np.abs(misses(data, model.predict(data, np.zeros(len(model.free))))).max() < 2e-5
+    assert found.robot.workspace_radius_mm == 80.0
+
+
+@pytest.mark.parametrize("square", [False, True])
+def test_errors_of_the_saved_calibration_reproduce_the_rows(square: bool, tmp_path: Path) -> None:
+    """Catches rows that are right only for a perfect printer: steps count from the end stop, meshes do not."""
+    found = import_klipper(saved(tmp_path, config(TRUE, SAVED, square=square)))
+    data = found.measurements
+    model = DeltaModel(found.robot, tuple(ERRORS))
+    values = np.array(list(ERRORS.values()))
+    assert np.abs(misses(data, model.predict(data, values))).max() < 2e-5
+    assert np.sqrt(np.mean(misses(data, model.predict(data, 0 * values)) ** 2)) > 0.1
+    fit = identify(found.robot, data)
+    assert np.nanmax(np.abs(fit.residuals_mm)) < 2e-5
+
+
+@pytest.mark.parametrize(("square", "points"), [(False, 29), (True, 15)])
+def test_kinds_of_rows(square: bool, points: int, tmp_path: Path) -> None:
+    """Catches copies in the corners of a round mesh taken for probed, and manual heights left out."""
+    found = import_klipper(saved(tmp_path, config(TRUE, SAVED, square=square)))
+    kinds, counts = np.unique(found.measurements.labels["probe"], return_counts=True)
+    assert dict(zip(kinds.tolist(), counts.tolist(), strict=True)) == {
+        "distance": 10,
+        "height": 12,
+        "manual_height": 1,
+        "mesh": points,
+    }
+    believed = found.robot.forward_batch(found.measurements.joints_mm[found.measurements.labels["probe"] == "mesh"])
+    across, along = mesh(square=square)
+    assert np.unique(believed.require()[:, 0].round(6)).tolist() == pytest.approx(across)
+    assert np.unique(believed.require()[:, 1].round(6)).tolist() == pytest.approx(along)
+
+
+def test_what_stands_above_the_saved_block_counts(tmp_path: Path) -> None:
+    """Catches the saved block preferred to a value set by hand, where Klipper itself prefers the latter."""
+    text = config(TRUE, SAVED).replace("#arm_length: 1", "arm_length: 230", 1)
+    assert import_klipper(saved(tmp_path, text)).robot.rod_length_mm == (230.0, SAVED.arm[1], SAVED.arm[2])
+
+
+def test_towers_are_like_the_first_where_nothing_is_said(tmp_path: Path) -> None:
+    """Catches a printer refused for leaving out what Klipper does not ask for."""
+    text = config(TRUE, SAVED)
+    for k in (1, 2):
+        text = text.replace(f"#*# arm_length = {SAVED.arm[k]:.6f}\n", "")
+        text = text.replace(f"#*# position_endstop = {SAVED.endstop[k]:.6f}\n", "")
+    found = import_klipper(saved(tmp_path, re.sub(r"#\*# angle = .*\n", "", text)))
+    assert found.robot.rod_length_mm == (SAVED.arm[0],) * 3
+    assert found.robot.base_angle_deg == (210.0, 330.0, 90.0)
+
+
+def test_the_command_writes_what_the_function_reads(tmp_path: Path) -> None:
+    """Catches rows lost between ``sherkit import`` and ``sherkit calibrate``."""
+    path = saved(tmp_path, config(TRUE, SAVED))
+    subprocess.run([SHERKIT, "import", "klipper", str(path), "-o", str(tmp_path / "out")], check=True, timeout=60)
+    found = import_klipper(path)
+    assert load_robot(tmp_path / "out" / "robot.toml") == found.robot
+    read = read_measurements(tmp_path / "out" / "run.csv")
+    assert np.array_equal(read.joints_mm, found.measurements.joints_mm)
+    assert np.array_equal(read.readings_mm, found.measurements.readings_mm)
+    assert np.array_equal(read.taken, found.measurements.taken)
+    assert read.labels["probe"].tolist() == found.measurements.labels["probe"].tolist()
+
+
+# -- files that are refused ----------------------------------------------------------------------------------
+
+Change = Callable[[str], str]
+
+
+def swap(old: str, new: str) -> Change:
+    """Replaces a piece of the config that must be there."""
+
+    def change(text: str) -> str:
+        assert old in text
+        return text.replace(old, new, 1)
+
+    return change
+
+
+def without(stem: str) -> Change:
+    """Leaves out the saved lines that start with ``stem``."""
+    return lambda text: re.sub(rf"#\*# {stem}.*\n", "", text)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (swap("kinematics: delta", "kinematics: corexy"), "[printer] kinematics is not 'delta'"),
+        (lambda _: "", "[printer] kinematics is not 'delta'"),
+        (without("delta_radius"), "[printer] delta_radius is missing"),
+        (swap("delta_radius = 100.000000", "delta_radius = 0"), "[printer] delta_radius: expected a number above zero"),
+        (without("arm_length"), "[stepper_a] arm_length is missing"),
+        (without("position_endstop"), "[stepper_a] position_endstop is missing"),
+        (
+            swap("arm_length = 219.6", "arm_length = 100.0"),
+            "[stepper_b] arm_length 100 is not longer than delta_radius",
+        ),
+        (swap("arm_length = 219.6", "arm_length = long"), "[stepper_b] arm_length: expected 1 number(s), found 'long"),
+        (swap("arm_length = 219.6", "arm_length = nan "), "[stepper_b] arm_length: expected 1 number(s), found 'nan"),
+        (swap("rotation_distance = 40", ""), "[stepper_b] rotation_distance is missing"),
+        (swap("rotation_distance = 40", "rotation_distance = 0"), "[stepper_b] 12800 steps move 0 mm"),
+        (swap("microsteps = 32", "microsteps = -32"), "[stepper_b] -12800 steps move 40 mm"),
+        (swap("80:16", "80"), "[stepper_a] gear_ratio: expected pairs like 80:16, found '80'"),
+        (swap("80:16", "80:0"), "[stepper_a] gear_ratio: expected pairs like 80:16, found '80:0'"),
+        (swap("height3_pos =", "height3_pos = 1,"), "[delta_calibrate] height3_pos: expected 3 number(s)"),
+        (without("height3_pos"), "[delta_calibrate] height3_pos is missing"),
+        (without("distance2_pos2"), "[delta_calibrate] distance2_pos2 is missing"),
+        (swap("distance2 =", "distance2 = about"), "[delta_calibrate] distance2: expected 1 number(s), found 'about"),
+        (without("min_x"), "[bed_mesh default] min_x is missing"),
+        (swap("points =\n", "points =\n#*# \t0.1, 0.2\n"), "[bed_mesh default] points: expected rows of numbers"),
+        (swap("points =\n", "points =\n#*# \thigh\n"), "[bed_mesh default] points: expected rows of numbers"),
+        (
+            lambda text: swap("max_x = 69.99", "max_x = 400")(text.replace("mesh_radius: 70", "")),
+            "[bed_mesh default] the point 165.005, -69.99 mm cannot be",
+        ),
+        (
+            lambda text: re.sub(r"#\*# \[(delta_calibrate|bed_mesh)[^\0]*", "", text),
+            "holds no probing; expected [delta_calibrate]",
+        ),
+    ],
+)
+def test_bad_configs_are_refused_in_words(change: Change, says: str, tmp_path: Path) -> None:
+    """Catches a crash, or a printer read wrongly, and messages without file, section and option."""
+    path = saved(tmp_path, change(config(TRUE, SAVED)))
+    with pytest.raises(SherkitError) as refused:
+        import_klipper(path)
+    assert str(refused.value).startswith(f"{path}: ")
+    assert says in str(refused.value)
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    """Catches a traceback for a wrong name, a folder or a picture."""
+    for path in (tmp_path / "other.cfg", tmp_path):
+        with pytest.raises(SherkitError, match=re.escape(f"{path}: cannot be read")):
+            import_klipper(path)
+    with pytest.raises(SherkitError, match="is not a text file, expected a Klipper"):
+        import_klipper(saved(tmp_path, b"\x89PNG\r\n\x1a\n\xff"))
+
+
+# -- the real printer ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def real() -> Path:
+    """The folder of the real printer; it is not part of the repository."""
+    if not (REAL / "printer.cfg").exists():
+        pytest.skip(f"the real printer's data are not here: {REAL}")
+    return REAL
+
+
+def test_the_real_printer_is_read_as_it_was_saved(real: Path) -> None:
+    """Catches a robot that is not the one that the printer itself saved."""
+    robot = import_klipper(real / "printer.cfg").robot
+    told = json.loads((real / "saved_parameters.json").read_text())
+    assert robot.base_radius_mm == robot.base_radius_mm[:1] * 3 == (told["delta_radius_mm"],) * 3
+    assert list(robot.base_angle_deg) == told["tower_angle_deg"]
+    assert list(robot.rod_length_mm) == told["arm_length_mm"]
+
+
+def test_the_real_rows_are_those_read_by_hand(real: Path) -> None:
+    """Catches rows swapped, lost or converted by another rule than the one that made the three tables."""
+    data = import_klipper(real / "printer.cfg").measurements
+    told = json.loads((real / "saved_parameters.json").read_text())
+    arm, radius = np.array(told["arm_length_mm"]), told["delta_radius_mm"]
+    top = np.array(told["position_endstop_mm"]) + np.sqrt(arm**2 - radius**2)
+    kind = data.labels["probe"]
+
+    def columns(table: pl.DataFrame, *names: str) -> Floats:
+        return table.select(names).to_numpy()
+
+    heights_, distances_, mesh_ = (pl.read_csv(real / f"{n}.csv") for n in ("heights", "distances", "meshes"))
+    rows = kind == "height"
+    down = columns(heights_, "steps_a", "steps_b", "steps_c") / columns(heights_, "steps_per_mm")
+    assert np.abs(data.joints_mm[rows] - (top - down)).max() < 1e-9
+    assert data.readings_mm[rows, 2].tolist() == heights_["height_mm"].to_list()
+    rows = kind == "distance"
+    for joints, end in ((data.joints_mm, "p1"), (data.to_joints_mm, "p2")):
+        down = columns(distances_, *(f"{end}_steps_{a}" for a in "abc")) / columns(distances_, "steps_per_mm")
+        assert np.abs(joints[rows] - (top - down)).max() < 1e-9
+    assert data.readings_mm[rows, 3].tolist() == distances_["distance_mm"].to_list()
+    rows = kind == "mesh"
+    travel = columns(mesh_, "travel_a_mm", "travel_b_mm", "travel_c_mm")
+    assert np.abs(top - data.joints_mm[rows] - travel).max() < 1e-5  # five decimals in the table
+    assert (data.readings_mm[rows, 2] == 0.0).all()
+    assert len(data) == len(heights_) + len(distances_) + len(mesh_)
+
+
+def test_the_real_printer_is_calibrated(real: Path, tmp_path: Path) -> None:
+    """Catches a fit that does not end, keeps silent on what heights do not tell, or is worse than Klipper's own."""
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([SHERKIT, *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+
+    assert run("import", "klipper", str(real / "printer.cfg"), "-o", ".").returncode == 0
+    done = run("calibrate", "robot.toml", "run.csv", "-o", "calibrated.toml", "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    said = json.loads(done.stdout)["whole"]
+    assert said["rank"] == 9
+    assert len(said["unobserved"]) == said["parameters_free"] - said["rank"] == 6
+    assert {"datum_x alone", "datum_y alone"} < {d["text"] for d in said["unobserved"]}
+    before, after = said["rms_um"]["before"], said["rms_um"]["after"]
+    assert set(before) == {"z", "distance"}
+    for reading in before:
+        assert after[reading] <= before[reading]
+    fit = identify(load_robot(tmp_path / "robot.toml"), read_measurements(tmp_path / "run.csv"))
+    assert np.nansum(fit.residuals_mm**2) < 0.5 * np.nansum(fit.nominal_residuals_mm**2)
+    text = run("calibrate", "robot.toml", "run.csv")
+    assert text.returncode == 0
+    assert "rank 9 of 15" in text.stdout
+    assert "6 of 15 directions change no reading" in text.stdout
+    assert "datum_x alone" in text.stdout
