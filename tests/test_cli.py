@@ -213,7 +213,7 @@ def test_excluded_lines_are_named_and_not_fitted(work: Path, whole: Measurements
     after = calibrate(load_robot("robot.toml"), clean, correction="none").whole.fit.rms_um()
     assert " ± ".join([f"{after['x_mm']:.1f}"] * 2) in done.stdout
     used = sherkit(work, "calibrate", "robot.toml", "spoilt.csv", "--correction", "none").stdout
-    assert re.search(r"suspected outliers, lines [^;]*\b13\b[^;]*; they were used", re.sub(r"\s+", " ", used))
+    assert re.search(r"suspected outliers?, lines? [^;]*\b13\b[^;]*; they were used", re.sub(r"\s+", " ", used))
 
 
 # -- exit codes and errors -----------------------------------------------------------------------------------
@@ -342,7 +342,6 @@ def _when(ready: Callable[[], int], patience_s: float = 60.0) -> int:
 # -- known faults: each of these tests fails today, and says so when it no longer does ------------------------
 
 
-@pytest.mark.xfail(strict=True, reason="held-out residuals of a single block are NaN: traceback, and a file with NaN")
 def test_a_single_row_is_calibrated_or_refused(work: Path) -> None:
     """Catches a LinAlgError, or a calibration written that cannot be loaded."""
     lines = Path("whole.csv").read_text().splitlines()
@@ -353,7 +352,6 @@ def test_a_single_row_is_calibrated_or_refused(work: Path) -> None:
         assert Calibration.load("one.toml").accuracy([0.0, 0.0, 0.0]) > 0
 
 
-@pytest.mark.xfail(strict=True, reason="condition_number is infinite at rank 0, which JSON cannot say")
 def test_json_of_a_fit_of_nothing(work: Path) -> None:
     """Catches a traceback where none of the freed parameters changes any reading: distances know no datum."""
     names = ["q1_mm", "q2_mm", "q3_mm", "to_q1_mm", "to_q2_mm", "to_q3_mm", "distance_mm"]
@@ -364,10 +362,10 @@ def test_json_of_a_fit_of_nothing(work: Path) -> None:
     assert json.loads(done.stdout)["whole"]["rank"] == 0
 
 
-@pytest.mark.xfail(strict=True, reason="file names are printed as rich markup")
 @pytest.mark.parametrize("name", ["[red].toml", "[/red].toml"])
 def test_brackets_in_file_names_are_letters(name: str, work: Path) -> None:
     """Catches a file name that loses its brackets on the screen, or that ends the command with a MarkupError."""
+    (work / name).parent.mkdir(exist_ok=True)
     done = sherkit(work, "calibrate", "robot.toml", "whole.csv", "--correction", "none", "-o", name)
     assert "Traceback" not in done.stderr
     assert f"written to {name}" in done.stdout

@@ -5,6 +5,7 @@ Levels: as in test_identification, the chance of failure over the choice of the 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import hypothesis.strategies as st
@@ -19,7 +20,6 @@ from sherkit import (
     FitError,
     ShapeError,
     SherkitError,
-    Singular,
     VirtualDelta,
     _core,
     choose_correction,
@@ -280,11 +280,10 @@ def test_wrong_arrays_are_refused() -> None:
 def test_grid_with_too_few_ticks_is_refused() -> None:
     """Catches a square solve without a solution on a grid: three ticks, or four of which two are one."""
     for ticks in (np.array([-1.0, 0.0, 1.0]), np.array([-1.0, 0.0, 0.0, 1.0])):
-        with pytest.raises(Singular):
+        with pytest.raises(FitError, match="needs 4 different x"):
             fit_grid([ticks, np.arange(4.0), np.arange(2.0)], np.zeros((len(ticks), 4, 2, 3)), (3, 1, 1))
 
 
-@pytest.mark.xfail(strict=True, reason="fit_grid checks nothing: NaN passes, level axes divide by zero, wrong words")
 @pytest.mark.parametrize("what", ["nan", "level axis", "message", "shape"])
 def test_grid_is_as_careful_as_scattered(what: str) -> None:
     """Catches bad input that the scattered form refuses and the grid form lets through or answers with a traceback."""
@@ -369,6 +368,43 @@ def test_choice_is_good_on_a_smooth_error() -> None:
         x = np.random.default_rng(seed).uniform(-19.0, 19.0, (200, 3))
         left = wave(x) - choice.correction(x) - fit.values
         assert 1e3 * np.sqrt((left**2).mean()) < 4.0
+
+
+def test_simpler_choice_wins_within_one_standard_error() -> None:
+    """Catches the best of many taken where a simpler one is as good: an error of 1 µm under noise of 5 µm.
+
+    Never more coefficients than the best tried, and fewer in some of 40 runs: 10 here, none without the rule.
+    """
+
+    def faint(x: Floats) -> Floats:
+        u, v = x[:, 0] / 20.0, x[:, 1] / 20.0
+        return 0.002 * np.stack([u**2, v**2, u * v], axis=1)
+
+    simpler = 0
+    for seed in range(40):
+        choice = choose_correction(measured(faint, seed), seed=seed)
+        best = min(choice.tried, key=lambda t: t[1])[0]
+        chosen = choice.correction.orders if choice.correction else None
+        size, least = (0 if o is None else int(np.prod(np.array(o) + 1)) for o in (best, chosen))
+        assert least <= size
+        simpler += least < size
+    assert simpler >= 3
+
+
+def test_marked_outliers_do_not_bend_the_correction() -> None:
+    """Catches rows that the user has marked, taken out of the fit but not out of the polynomial."""
+    fit = measured(wave, 5)
+    readings = fit.data.readings_mm.copy()
+    bad = np.arange(0, len(readings), 50)
+    readings[bad] += 1.0
+    spoilt = replace(fit.data, readings_mm=readings).mark_outliers(bad)
+    choice = choose_correction(identify(fit.model, spoilt), seed=5)
+    assert choice.correction is not None
+    assert len(choice.held_out_mm) == len(readings) - len(bad)
+    clean = choose_correction(fit, seed=5).correction
+    assert clean is not None
+    x = np.random.default_rng(5).uniform(-19.0, 19.0, (200, 3))
+    np.testing.assert_allclose(choice.correction(x), clean(x), rtol=0, atol=0.01)
 
 
 def test_choice_can_be_told_to_correct() -> None:

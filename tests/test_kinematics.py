@@ -299,7 +299,6 @@ def test_rails_in_one_plane_are_singular() -> None:
     assert not line.parameter_jacobian(q[None, :]).reached[0]
 
 
-@pytest.mark.xfail(strict=True, reason="Delta.jacobian raises bare SherkitError although it promises Singular")
 def test_jacobian_at_a_singular_pose_says_so() -> None:
     """Catches a singular pose that raises something else than promised: here all rods lie level."""
     with pytest.raises(Singular):

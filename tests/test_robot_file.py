@@ -206,7 +206,6 @@ def test_lengths_below_zero_are_refused(table: str, key: str, tmp_path: Path) ->
     assert refusal(tmp_path, changed(table, key, negative)).startswith(f"[{table}] {key}: expected ")
 
 
-@pytest.mark.xfail(strict=True, reason="robots/delta.py takes these lengths as they come")
 @pytest.mark.parametrize(
     ("table", "key"), [("joints", "pole_pitch_mm"), ("workspace", "radius_mm"), ("region_of_interest", "half_width_mm")]
 )
@@ -287,7 +286,6 @@ def test_a_rod_spans_from_its_own_angle(tmp_path: Path) -> None:
     assert "expected rod 1 longer than 120.000 mm" in refusal(tmp_path, turned)
 
 
-@pytest.mark.xfail(strict=True, reason="robots/delta.py loads geometries that are singular everywhere")
 @pytest.mark.parametrize(
     ("key", "value"),
     [("platform_radius_mm", [90, 90, 90]), ("base_angle_deg", [90, 90, 330])],

@@ -4,6 +4,7 @@ from ._core import __version__
 from .calibrate import Experiment, Result, calibrate
 from .calibration import Calibration
 from .correction import Correction, choose_correction, fit_grid, fit_polynomial, paper_protocol
+from .diagnosis import Diagnosis, diagnose, play
 from .effects import CATALOGUE, Effect, effect
 from .errors import (
     CalibrationError,
@@ -33,6 +34,7 @@ from .parameters import Parameter
 from .poses import grid, paper_local, paper_whole
 from .robots import Delta, load_robot, save_robot
 from .simulation import VirtualDelta
+from .study import Step, Study
 
 __all__ = [
     "CATALOGUE",
@@ -41,6 +43,7 @@ __all__ = [
     "Correction",
     "Delta",
     "DeltaModel",
+    "Diagnosis",
     "Effect",
     "EffectError",
     "Experiment",
@@ -59,10 +62,13 @@ __all__ = [
     "SherkitError",
     "SherkitWarning",
     "Singular",
+    "Step",
+    "Study",
     "VirtualDelta",
     "__version__",
     "calibrate",
     "choose_correction",
+    "diagnose",
     "effect",
     "fit_grid",
     "fit_polynomial",
@@ -75,6 +81,7 @@ __all__ = [
     "paper_local",
     "paper_protocol",
     "paper_whole",
+    "play",
     "read_measurements",
     "save_robot",
     "stream_measurements",

@@ -189,7 +189,7 @@ def _experiment_json(e: Experiment) -> dict[str, Any]:
         "evaluations": fit.evaluations,
         "rank": fit.rank,
         "parameters_free": len(fit.parameters),
-        "condition_number": fit.condition_number,
+        "condition_number": fit.condition_number if np.isfinite(fit.condition_number) else None,
         "noise": {
             "origin": fit.noise.origin,
             "repeatability_um": {k[:-3]: 1e3 * v for k, v in repeats.sigma_mm.items()} if repeats else None,

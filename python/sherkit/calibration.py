@@ -72,6 +72,9 @@ class Part:
             where = np.zeros((1, 3))
         model = fit.model
         core = len(model.indices)
+        # the fit took all misfit for noise; what the correction has removed of it is none
+        left, before = _second_moment(corrected_mm), _second_moment(uncorrected_mm)
+        shrink = min(1.0, float(np.trace(left) / max(np.trace(before), 1e-300)))
         time, temperature = fit.data.time_s, fit.data.covariates.get(TEMPERATURE)
         return cls(
             free=model.free,
@@ -90,9 +93,9 @@ class Part:
                 0.0,
             ),
             values=fit.values[:core],
-            covariance=fit.covariance[:core, :core],
-            residual_covariance_mm2=_second_moment(corrected_mm),
-            uncorrected_covariance_mm2=_second_moment(uncorrected_mm),
+            covariance=fit.covariance[:core, :core] * shrink,
+            residual_covariance_mm2=left,
+            uncorrected_covariance_mm2=before,
             low_mm=where.min(axis=0),
             high_mm=where.max(axis=0),
             correction=correction,

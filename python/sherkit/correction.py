@@ -46,6 +46,18 @@ class Correction:
     coefficients_mm: Floats
 
     def __post_init__(self) -> None:
+        for name in ("low_mm", "high_mm", "coefficients_mm"):
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), dtype=float))
+        if not np.isfinite(self.coefficients_mm).all():
+            raise ShapeError("correction: a coefficient is not a finite number")
+        if not (np.isfinite(self.fade_mm) and self.fade_mm > 0):
+            raise ShapeError(f"correction: fade_mm must be a positive number, got {self.fade_mm}")
+        for k, axis in enumerate("xyz"):
+            low, high = self.low_mm.ravel()[k : k + 1], self.high_mm.ravel()[k : k + 1]
+            bounded = bool(np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all())
+            endless = bool((low == -np.inf).all() and (high == np.inf).all())
+            if not (bounded or (endless and self.orders[k] == 0)):
+                raise ShapeError(f"correction: low_mm must be below high_mm in {axis}, got {low} and {high}")
         _ = self.core  # refuses numbers that do not fit together
 
     @cached_property
@@ -127,17 +139,29 @@ def fit_grid(axes: Sequence[Floats], errors_mm: Floats, orders: Orders, fade_mm:
     """The same polynomial from errors (n_x, n_y, n_z, 3) on a full grid with the given axes, mm.
 
     Kronecker form: one small solve per axis, the same result as :func:`fit_polynomial` on all points. Raises
-    :class:`~sherkit.errors.Singular` where an axis has fewer points than coefficients.
+    :class:`FitError` where an axis has fewer points than coefficients or a number is not finite, ``ShapeError``.
     """
-    low = np.array([float(np.min(a)) for a in axes])
-    high = np.array([float(np.max(a)) for a in axes])
+    values = np.ascontiguousarray(errors_mm, dtype=float)
+    ticks = [np.ascontiguousarray(a, dtype=float) for a in axes]
+    if len(ticks) != 3 or any(t.ndim != 1 or len(t) == 0 for t in ticks):
+        raise ShapeError("axes: expected three lists of coordinates, one per axis")
+    if values.shape != (*(len(t) for t in ticks), 3):
+        raise ShapeError(f"errors: expected an array of shape {(*(len(t) for t in ticks), 3)}, got {values.shape}")
+    if not all(np.isfinite(t).all() for t in (*ticks, values)):
+        raise FitError("axes and errors: a number is not finite")
+    low, high = np.array([t.min() for t in ticks]), np.array([t.max() for t in ticks])
     unit = []
-    for k in range(3):
-        a = np.asarray(axes[k], dtype=float)
-        unit.append((a - low[k]) / (high[k] - low[k]) if orders[k] else np.zeros(len(a)))
+    for k, name in enumerate("xyz"):
+        if not 0 <= orders[k] <= MAX_ORDER:
+            raise FitError(f"order in {name}: expected 0 to {MAX_ORDER}, got {orders[k]}")
         if orders[k] == 0:
             low[k], high[k] = -np.inf, np.inf
-    values = np.ascontiguousarray(errors_mm, dtype=float)
+            unit.append(np.zeros(len(ticks[k])))
+        elif len(np.unique(ticks[k])) <= orders[k]:
+            found = len(np.unique(ticks[k]))
+            raise FitError(f"order {orders[k]} in {name} needs {orders[k] + 1} different {name}; the grid has {found}")
+        else:
+            unit.append((ticks[k] - low[k]) / (high[k] - low[k]))
     coefficients = _core.bernstein_fit_grid(orders, (unit[0], unit[1], unit[2]), values)
     span = (high - low)[np.isfinite(high - low)]
     fade = fade_mm if fade_mm is not None else (_FADE * float(span.max()) if len(span) else 1.0)

@@ -30,6 +30,7 @@ Floats = NDArray[np.float64]
 
 LOSSES = ("linear", "huber", "cauchy", "tukey")
 _ROBUST_ROUNDS = 10
+_MAD_EFFICIENCY = 0.37
 _MAD = 1.482602218505602  # standard deviation of a Gaussian per median absolute deviation
 #: Chance that a run without outliers has any row listed as one.
 _OUTLIER_LEVEL = 0.01
@@ -120,13 +121,14 @@ class Fit:
         """
         suspect = np.zeros(len(self.data), dtype=bool)
         count = int(self.data.taken.sum())
-        threshold = float(stats.norm.isf(0.5 * _OUTLIER_LEVEL / max(count, 1)))
         for k in range(len(READINGS)):
             rows = self.data.taken[:, k] & ~self.data.outlier
             if rows.sum() < 5:
                 continue
             u = self.residuals_mm[rows, k] / self.noise.sigma_mm[rows, k]
             spread = _MAD * float(np.median(np.abs(u - np.median(u))))
+            # a median deviation of few residuals is itself uncertain, with about 0.37 of their number as freedom
+            threshold = float(stats.t.isf(0.5 * _OUTLIER_LEVEL / count, max(_MAD_EFFICIENCY * len(u), 1.0)))
             if spread > 0:
                 suspect[np.flatnonzero(rows)[np.abs(u - np.median(u)) > threshold * spread]] = True
         return np.flatnonzero(suspect)
@@ -179,7 +181,7 @@ def identify(
     loss: str = "linear",
     priors: bool = False,
     linear: bool = False,
-    start: Sequence[float] | None = None,
+    start: Sequence[float] | Floats | None = None,
     noise: Noise | None = None,
 ) -> Fit:
     """Fits the free parameters to the readings.
@@ -200,6 +202,10 @@ def identify(
     weights = np.where(used, 1.0 / noise.sigma_mm, 0.0)
     values = model.starting_at(start)
 
+    if priors and noise.origin == "unknown":
+        # a prior is weighed against the noise, which only the residuals tell
+        loose, _ = _solve(model, data, weights, values, priors=False, linear=linear)
+        weights = weights / max(_scale(model, data, loose.trial, weights, loose.result()["rank"], loss), 1e-12)
     solver, ended = _solve(model, data, weights, values, priors=priors, linear=linear)
     values = solver.trial
     if loss != "linear":
@@ -247,6 +253,7 @@ def identify_stream(robot: Delta | DeltaModel, stream: MeasurementStream, *, fre
     model = robot if isinstance(robot, DeltaModel) else DeltaModel(robot, tuple(free))
     solver = _new_solver(model, np.zeros(len(model.parameters)))
     rows = 0
+    first = True
     while True:
         solver.clear()
         rows = 0
@@ -257,8 +264,13 @@ def identify_stream(robot: Delta | DeltaModel, stream: MeasurementStream, *, fre
                 solver, np.zeros(len(model.core_parameters)), model.indices,
                 model.block(block), block.readings_mm, weights,
             )  # fmt: skip
-            model.require(block, np.array(missing, dtype=np.int64), solver.trial)
             rows += len(block)
+            if missing:
+                if first:
+                    model.require(block, np.array(missing, dtype=np.int64), solver.trial)
+                solver.fail()
+                break
+        first = False
         if rows == 0:
             raise FitError(f"{stream.source}: the stream holds no row")
         ended = solver.advance()

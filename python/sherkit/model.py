@@ -188,35 +188,32 @@ class DeltaModel:
         self.require(data, np.flatnonzero(~reached & ~data.outlier), values)
         if not self.own:
             return out
-        rows = Rows(data, self.core.predict(full, self.block(data))[0][:, :3])
-        return np.concatenate([out, *self._own_columns(data, rows, values, by_joints, by_body)], axis=2)
+        columns = self.own_columns(data, self.rows(data, values), values, by_joints, by_body)
+        return np.concatenate([out, *columns], axis=2)
 
     def covariates(self, data: Measurements) -> dict[str, Floats]:
         """What the residuals may depend on besides the pose: time, directions, every numeric column."""
         out = {} if data.time_s is None else {"time_s": data.time_s}
         return out | dict(data.covariates)
 
-    def _own_columns(
+    def rows(self, data: Measurements, values: Floats) -> Rows:
+        """The rows as a user's effect sees them, with the position that the built-in model gives."""
+        return Rows(data, self.core.predict(self.full(values), self.block(data))[0][:, :3])
+
+    def own_columns(
         self, data: Measurements, rows: Rows, values: Floats, by_joints: Floats, by_body: Floats
     ) -> list[Floats]:
-        columns = []
-        for effect in self.own:
-            inner = effect.columns(rows, np.asarray(values)[self.owns(effect)])
-            if effect.link == "joints":
-                columns.append(by_joints @ inner)
-            elif effect.link == "body":
-                columns.append(by_body @ inner)
-            else:
-                column = np.zeros((len(data), 4, inner.shape[2]))
-                column[~data.is_distance, :3] = inner[~data.is_distance]
-                columns.append(column)
-        return columns
+        """Derivatives (n, 4, p) by the parameters of each of the user's effects."""
+        return [
+            carry(effect, effect.columns(rows, np.asarray(values)[self.owns(effect)]), data, by_joints, by_body)
+            for effect in self.own
+        ]
 
     def _own_block(self, data: Measurements, full: Floats, values: Floats) -> tuple[Block, Floats | None]:
         """The rows with the user's effects at joints and body put in, and what those at the sensor add."""
         if not self.own:
             return self.block(data), None
-        rows = Rows(data, self.core.predict(full, self.block(data))[0][:, :3])
+        rows = self.rows(data, values)
         sums = {link: np.zeros((len(data), 3)) for link in ("joints", "body", "sensor")}
         for effect in self.own:
             sums[effect.link] += effect.evaluate(rows, np.asarray(values)[self.owns(effect)])
@@ -247,7 +244,7 @@ class DeltaModel:
             "(column 'outlier' = 1)."
         )
 
-    def starting_at(self, values: Iterable[float] | None) -> Floats:
+    def starting_at(self, values: Iterable[float] | Floats | None) -> Floats:
         """Start values for the identified parameters; zero, the drawing, by default."""
         if values is None:
             return np.zeros(len(self.parameters))
@@ -255,6 +252,17 @@ class DeltaModel:
         if start.shape != (len(self.parameters),) or not np.isfinite(start).all():
             raise ShapeError(f"start: expected {len(self.parameters)} finite numbers")
         return start
+
+
+def carry(effect: Effect, inner: Floats, data: Measurements, by_joints: Floats, by_body: Floats) -> Floats:
+    """Derivatives (n, 3, p) of a NumPy effect at its link, carried on to the readings (n, 4, p)."""
+    if effect.link == "joints":
+        return by_joints @ inner
+    if effect.link == "body":
+        return by_body @ inner
+    out = np.zeros((len(data), 4, inner.shape[2]))
+    out[~data.is_distance, :3] = inner[~data.is_distance]
+    return out
 
 
 def lacks(effect: Effect, data: Measurements) -> tuple[str, ...]:

@@ -70,7 +70,7 @@ def calibrate(
     else:
         tables.result(result)
         if destination is not None:
-            output.out.print(f"calibration written to {destination}")
+            output.say(f"calibration written to {destination}")
     return 0 if result.converged or linear else NOT_CONVERGED
 
 

@@ -55,7 +55,7 @@ def demo(folder: Path, seed: int) -> None:
         "robot, so sizes may be compared and values may not.\n"
     )
     tables.result(result, demo=True)
-    output.out.print(
+    output.say(
         f"\nrobot.toml, whole.csv, local.csv and calibrated.toml are in {folder}/. Try:\n"
         f"  sherkit calibrate {folder}/robot.toml {folder}/whole.csv --local {folder}/local.csv"
     )

@@ -25,5 +25,5 @@ def klipper(config: Path, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     save_robot(found.robot, folder / "robot.toml")
     found.measurements.save(folder / "run.csv")
-    output.out.print(f"{folder / 'robot.toml'}: the printer's own saved calibration")
-    output.out.print(f"{folder / 'run.csv'}: {len(found.measurements)} rows (heights and distances)")
+    output.say(f"{folder / 'robot.toml'}: the printer's own saved calibration")
+    output.say(f"{folder / 'run.csv'}: {len(found.measurements)} rows (heights, bed mesh, distances)")

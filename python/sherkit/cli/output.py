@@ -31,6 +31,11 @@ def warn(message: str) -> None:
     err.print(f"[bold yellow]warning:[/] {escape(message)}", soft_wrap=True)
 
 
+def say(message: str) -> None:
+    """Plain text to stdout: nothing in it is markup."""
+    out.print(escape(message), soft_wrap=True)
+
+
 def print_json(value: Any) -> None:
     """JSON for programs; no NaN ever leaves."""
     print(json.dumps(value, indent=2, allow_nan=False))

@@ -43,7 +43,7 @@ def simulate(
     )
     data = virtual.measure(POSES[poses](), repeats=repeats, order=order, seed=seed + 1)
     data.save(destination)
-    output.out.print(f"{len(data)} rows written to {destination}")
+    output.say(f"{len(data)} rows written to {destination}")
     if truth is not None:
         truth.write_text(tomli_w.dumps({"errors": dict(virtual.errors)}), encoding="utf-8")
-        output.out.print(f"planted errors written to {truth}")
+        output.say(f"planted errors written to {truth}")

@@ -74,7 +74,9 @@ def polynomials(e: Experiment, title: str, beside: Mapping[str, tuple[object, ..
     if p is None:
         return None
     planes = sorted(p.other_planes_um, reverse=True)
-    made = table(title, "µm, RMS ± std", "order", f"test, z = {p.plane_mm:.0f}", *[f"z = {z:.0f}" for z in planes])
+    made = table(
+        title, "µm, RMS ± std", "order", f"test, z = {round(p.plane_mm)}", *[f"z = {round(z)}" for z in planes]
+    )
     for axis in "xyz":
         cells = [_pm((p.other_planes_um[z][axis], p.other_planes_std_um[z][axis])) for z in planes]
         made.add_row(axis, str(p.orders[axis]), _pm((p.test_um[axis], p.test_std_um[axis])), *cells)
@@ -108,8 +110,10 @@ def account(e: Experiment, title: str) -> None:
             out.print(f"    {d}")
     if len(fit.outliers):
         lines = fit.data.line[fit.outliers]
+        plural = "s" if len(lines) > 1 else ""
         out.print(
-            f"  [bold yellow]{len(lines)} suspected outliers[/], {fit.data.counted}s {listed(lines, 20)}; "
+            f"  [bold yellow]{len(lines)} suspected outlier{plural}[/], "
+            f"{fit.data.counted}{plural} {listed(lines, 20)}; "
             "they were used. --loss huber keeps them from deciding; a column 'outlier' = 1 leaves them out."
         )
     if fit.data.outlier.any():

@@ -20,7 +20,7 @@ POSE = "pose"
 REPEAT = "repeat"
 OUTLIER = "outlier"
 
-KNOWN = (*JOINTS, *TO_JOINTS, *READINGS, *SIGMAS, TIME, POSE, REPEAT, OUTLIER)
+KNOWN = (*JOINTS, *TO_JOINTS, *READINGS, *SIGMAS, *DIRECTIONS, TIME, POSE, REPEAT, OUTLIER)
 #: Columns where an empty cell means "not taken here".
 MAY_BE_EMPTY = (*TO_JOINTS, *READINGS, *SIGMAS)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import chain, islice
 from pathlib import Path
 
@@ -22,8 +23,6 @@ PARQUET = (".parquet", ".pq")
 #: A file with a zero byte among this many is no text.
 _HEAD = 4096
 Ints = NDArray[np.int64]
-#: A line without quotation marks, or the cells of a row with some.
-Row = str | list[str]
 #: A cell with a decimal comma; other commas belong to labels.
 _DECIMAL_COMMA = r"^(\s*[+-]?\d*),(\d*(?:[eE][+-]?\d+)?\s*)$"
 
@@ -60,8 +59,8 @@ def not_parquet(path: Path, error: Exception) -> MeasurementError:
     return MeasurementError(f"{path}: is not a Parquet file: {str(error).splitlines()[0]}")
 
 
-def csv_blocks(path: Path, rows: int | None = None) -> Iterator[tuple[pl.DataFrame, Ints]]:
-    """The cells of a CSV as text, and the line of each row in the file: ``rows`` at a time, by default all.
+def csv_blocks(path: Path, most: int | None = None) -> Iterator[tuple[pl.DataFrame, Ints]]:
+    """The cells of a CSV as text, and the line of each row in the file: at ``most`` so many at once, by default all.
 
     A file without rows gives one empty block. Raises :class:`~sherkit.errors.MeasurementError`.
     """
@@ -76,15 +75,14 @@ def csv_blocks(path: Path, rows: int | None = None) -> Iterator[tuple[pl.DataFra
             separator = max(",;\t", key=header.count)
             names = [name.strip() for name in _cells(path, number, header, lines, separator)]
             c.check_unique([name for name in names if name], str(path))
-            found: Iterator[tuple[int, Row]] = (
-                (n, s.rstrip("\r\n") if '"' not in s else _cells(path, n, s, lines, separator)) for n, s in _data(lines)
-            )
-            block = list(islice(found, rows))
-            while True:
-                yield _frame(path, names, separator, block), np.array([n for n, _ in block], dtype=np.int64)
-                block = list(islice(found, rows))
-                if not block:
-                    return
+            found = False
+            while part := list(islice(lines, most)):
+                frame, line = _block(path, names, separator, part, lines)
+                if len(line):
+                    found = True
+                    yield frame, line
+            if not found:
+                yield _frame([], names, separator), np.zeros(0, dtype=np.int64)
     except UnicodeDecodeError:
         raise _not_text(path) from None
     except OSError as error:
@@ -105,24 +103,40 @@ def _cells(path: Path, number: int, text: str, lines: Iterator[tuple[int, str]],
         raise MeasurementError(f"{path}: line {number} is not CSV: {what}") from None
 
 
-def _frame(path: Path, names: list[str], separator: str, block: list[tuple[int, Row]]) -> pl.DataFrame:
-    for number, row in block:
-        found = row.count(separator) + 1 if isinstance(row, str) else len(row)
-        if found != len(names):
-            hint = "; decimal commas need semicolons between cells" if found > len(names) and separator == "," else ""
-            raise MeasurementError(f"{path}: line {number} has {found} cells, the header has {len(names)}{hint}")
+def _block(
+    path: Path, names: list[str], separator: str, part: list[tuple[int, str]], rest: Iterator[tuple[int, str]]
+) -> tuple[pl.DataFrame, Ints]:
+    """Cells and lines of a part of the file; a quoted cell at its end takes from the ``rest``."""
+    texts = [s for _, s in part]
+    text = "".join(texts).replace("\r\n", "\n")
+    special = any(mark in text for mark in '"#\r') or any(map(str.isspace, texts))
+    if not special and text.count(separator) == len(part) * (len(names) - 1):
+        # as nearly always: every line is a row
+        with suppress(pl.exceptions.PolarsError):  # a row too long beside one too short; found below
+            return _frame(text, names, separator), np.arange(part[0][0], part[0][0] + len(part))
+    lines, cells = [], []
+    own = iter(part)
+    for number, line in _data(own):
+        row = line.rstrip("\r\n").split(separator)
+        if '"' in line:
+            row = _cells(path, number, line, chain(own, rest), separator)
+        found, wanted = len(row), len(names)
+        if found != wanted:
+            hint = "; decimal commas need semicolons between cells" if found > wanted and separator == "," else ""
+            raise MeasurementError(f"{path}: line {number} has {found} cells, the header has {wanted}{hint}")
+        lines.append(number)
+        cells.append(row)
+    return _frame(cells, names, separator), np.array(lines, dtype=np.int64)
+
+
+def _frame(rows: str | list[list[str]], names: list[str], separator: str) -> pl.DataFrame:
     # numbered, not named: polars would rename columns without a name
     schema = {str(k): pl.String for k in range(len(names))}
-    plain = [row for _, row in block if isinstance(row, str)]
-    if plain and len(plain) == len(block):
-        text = io.StringIO("\n".join(plain))
-        try:
-            frame = pl.read_csv(text, separator=separator, schema=schema, has_header=False, quote_char=None)
-        except pl.exceptions.PolarsError as error:
-            raise MeasurementError(f"{path}: cannot be read as CSV: {str(error).splitlines()[0]}") from None
+    if isinstance(rows, str):
+        text = io.StringIO(rows)
+        frame = pl.read_csv(text, separator=separator, schema=schema, has_header=False, quote_char=None)
     else:
-        cells = [row.split(separator) if isinstance(row, str) else row for _, row in block]
-        frame = pl.DataFrame(cells, schema=schema, orient="row")
+        frame = pl.DataFrame(rows, schema=schema, orient="row")
     frame = frame.select(pl.col(str(k)).alias(name) for k, name in enumerate(names) if name)
     if separator != ",":
         frame = frame.with_columns(pl.all().str.replace(_DECIMAL_COMMA, "$1.$2"))

@@ -266,10 +266,20 @@ class Measurements:
             for k, name in enumerate(names):
                 if np.isfinite(block[:, k]).any():
                     columns[name] = block[:, k]
+        # a selection of rows no longer shows how the joints came there
+        columns |= {name: self.direction[:, k] for k, name in enumerate(c.DIRECTIONS) if self._remembers(k)}
         if self.outlier.any():
             columns[c.OUTLIER] = self.outlier.astype(np.int64)
         frame = pl.DataFrame({**columns, **self.covariates, **self.labels})
         return frame.with_columns(pl.col(pl.Float64).fill_nan(None))
+
+    def _remembers(self, joint: int) -> bool:
+        """Whether the direction of a joint is known and does not follow from time and joints of these rows."""
+        known = self.direction[:, joint]
+        if not np.isfinite(known).all():
+            return False
+        values = {} if self.time_s is None else {c.TIME: self.time_s}
+        return not np.array_equal(_directions(values, self.joints_mm)[:, joint], known)
 
     def save(self, path: str | Path) -> None:
         """Writes CSV or Parquet, by the ending of the name."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
-from ..errors import NotFinite, OutOfReach, ShapeError, SherkitError
+from ..errors import NotFinite, OutOfReach, ShapeError, SherkitError, Singular
 from ..names import listed
 from .table import Table
 
@@ -96,20 +96,18 @@ class Delta:
             }
             _check_shape(g, geometry)
         with table.table("joints", optional=True) as j:
-            pitch = j.number("pole_pitch_mm", 0.0)
+            pitch = j.positive("pole_pitch_mm")
         with table.table("workspace", optional=True) as w:
-            radius = w.number("radius_mm", 0.0)
-            z = w.numbers("z_mm", 2, (0.0, 0.0))
-            if z[1] < z[0]:
-                raise w.fail("z_mm", "two heights, the lower first")
+            radius = w.positive("radius_mm")
+            z = w.heights("z_mm")
         with table.table("region_of_interest", optional=True) as r:
-            half = r.number("half_width_mm", 0.0)
+            half = r.positive("half_width_mm")
         return cls(
             **geometry,
-            pole_pitch_mm=pitch or None,
-            workspace_radius_mm=radius or None,
-            workspace_z_mm=(z[0], z[1]) if z[1] > z[0] else None,
-            region_half_width_mm=half or None,
+            pole_pitch_mm=pitch,
+            workspace_radius_mm=radius,
+            workspace_z_mm=z,
+            region_half_width_mm=half,
         )
 
     def to_tables(self) -> dict[str, Any]:
@@ -202,7 +200,7 @@ class Delta:
         values, reached = self._nominal.jacobian_batch(q[None, :])
         if not reached[0]:
             self._nominal.forward(q)  # raises the reason
-            raise SherkitError("singular: the three rods lie in one plane here")
+            raise Singular("singular: the three rods lie in one plane here")
         return values[0]
 
     def parameter_jacobian(self, joints_mm: ArrayLike) -> Batch:
@@ -260,3 +258,12 @@ def _check_shape(table: Table, geometry: Mapping[str, Any]) -> None:
                 "rod_length_mm",
                 f"rod {limb + 1} longer than {span:.3f} mm, the horizontal distance it spans at the centre",
             )
+    spans = np.array(geometry["base_radius_mm"]) * np.exp(1j * np.deg2rad(geometry["base_angle_deg"]))
+    spans -= np.array(geometry["platform_radius_mm"]) * np.exp(1j * np.deg2rad(geometry["platform_angle_deg"]))
+    first, second = spans[1] - spans[0], spans[2] - spans[0]
+    area = abs(first.real * second.imag - first.imag * second.real)
+    if area <= 1e-6 * max(geometry["rod_length_mm"]) ** 2:
+        raise table.fail(
+            "base_radius_mm",
+            "rails at three corners of a triangle as seen from the platform's joints; these lie in line",
+        )

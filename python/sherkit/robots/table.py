@@ -84,6 +84,21 @@ class Table:
             raise self.fail(key, kind)
         return float(value)
 
+    def heights(self, key: str) -> tuple[float, float] | None:
+        """Two heights, the lower first, or None where the key is not given."""
+        self._known.add(key)
+        if key not in self._values:
+            return None
+        low, high = self.numbers(key, 2)
+        if not low < high:
+            raise self.fail(key, "two heights, the lower first")
+        return (low, high)
+
+    def positive(self, key: str) -> float | None:
+        """A positive number, or None where the key is not given."""
+        self._known.add(key)
+        return self.number(key, positive=True) if key in self._values else None
+
     def numbers(
         self, key: str, count: int, default: tuple[float, ...] | None = None, *, positive: bool = False
     ) -> tuple[float, ...]:

@@ -2,15 +2,20 @@
 
 mod common;
 
-use common::{config, derivative, drawing, effects, joints_at, model_of, robots, some_covariates};
-use nalgebra::Vector3;
+use common::{
+    anchor, config, derivative, drawing, effects, joints_at, model_of, robots, rods,
+    some_covariates,
+};
+use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3, Vector6};
 use proptest::prelude::*;
 use sherkit_core::Error;
 use sherkit_core::delta::parameters::{
-    BACKLASH, BEAM_ALIGNMENT, DATUM, DRIFT, GEOMETRY, JOINT_SCALE, PARAMETERS, RAIL_LEAN,
-    SENSOR_LINEARITY, SLIP, THERMAL_GROWTH, Values,
+    BACKLASH, BEAM_ALIGNMENT, DATUM, DRIFT, ENCODER_CYCLIC, GEOMETRY, GRAVITY_SAG, JOINT_SCALE,
+    PARAMETERS, RAIL_LEAN, ROD_MISMATCH, SENSOR_LINEARITY, SLIP, THERMAL_GROWTH, Values,
 };
-use sherkit_core::delta::{Covariates, Kind, LIMBS, PER_LIMB, Row, Wanted};
+use sherkit_core::delta::{Covariates, Kind, Kinematics, LIMBS, PER_LIMB, Row, Wanted};
+use std::f64::consts::TAU;
+use std::ops::Range;
 
 /// Step for differences: a few hundredths of a millimetre of movement.
 fn step_of(parameter: usize) -> f64 {
@@ -118,6 +123,102 @@ proptest! {
             let found = chain.row_value(&row).unwrap();
             prop_assert!((found - Vector3::new(away.norm(), 0.0, 0.0)).amax() < 1e-8);
         }
+    }
+
+    /// An effect of joints, body or sensors with a wrong sign, size or centre: each written out by hand.
+    #[test]
+    fn simple_effects_are_what_they_say(robot in robots(), values in effects()) {
+        let (model, now) = (model_of(&robot), some_covariates());
+        let mut quiet = values;
+        for range in [JOINT_SCALE, ENCODER_CYCLIC, BACKLASH, THERMAL_GROWTH, DRIFT, SLIP, BEAM_ALIGNMENT, SENSOR_LINEARITY, DATUM] {
+            quiet[range].fill(0.0);
+        }
+        let v = |range: Range<usize>, k: usize| values[range.start + k];
+        let joints = Vector3::from_fn(|i, _| {
+            let q = robot.joints[i];
+            let (sin, cos) = (TAU * q / model.pole_pitch).sin_cos();
+            q + v(JOINT_SCALE, i) * (q - model.home[i])
+                + v(ENCODER_CYCLIC, 2 * i) * sin
+                + v(ENCODER_CYCLIC, 2 * i + 1) * cos
+                // the full width between the two directions
+                + v(BACKLASH, i) * now.direction[i] / 2.0
+        });
+        let still = Vector3::zeros();
+        let body = model.with(&quiet).unwrap().value(&joints, &now, &still).unwrap()
+            * (1.0 + v(THERMAL_GROWTH, 0) * (now.temperature_c - 20.0));
+        let hours = (now.time_s - model.time_origin_s) / 3600.0;
+        let push = Vector3::new(0.3, -0.2, 0.1);
+        let body = body + push + Vector3::from_fn(|i, _| v(DRIFT, i) * hours + v(SLIP, i));
+        let expected = Vector3::from_fn(|i, _| {
+            let seen = body[i] + (0..3).map(|k| v(BEAM_ALIGNMENT, 3 * i + k) * body[k]).sum::<f64>();
+            seen + v(SENSOR_LINEARITY, i) * (seen / 20.0).powi(3) + v(DATUM, i)
+        });
+        let found = model.with(&values).unwrap().value(&robot.joints, &now, &push).unwrap();
+        prop_assert!((found - expected).amax() < 1e-9, "{}", found - expected);
+        // before its time there is no slip
+        let mut early = now;
+        early.time_s = model.slip_time_s - 1.0;
+        let mut only = [0.0; PARAMETERS];
+        only[SLIP].fill(0.1);
+        let of = |values| model.with(values).unwrap().value(&robot.joints, &early, &still).unwrap();
+        prop_assert_eq!(of(&only), of(&[0.0; PARAMETERS]));
+    }
+
+    /// Sag that goes up, or with the wrong share of the weight: against forces from statics and rods that stretch.
+    #[test]
+    fn sag_is_the_stretch_of_rods_under_their_share(robot in robots(), stretch in prop::array::uniform3(0.0..0.3_f64)) {
+        let model = model_of(&robot);
+        let mut values = [0.0; PARAMETERS];
+        values[GRAVITY_SAG].copy_from_slice(&stretch);
+        let of = |v| model.with(v).unwrap().value(&robot.joints, &Covariates::NONE, &Vector3::zeros()).unwrap();
+        let moved = of(&values) - of(&[0.0; PARAMETERS]);
+        // tensions that hold a unit weight: the sum of T ρ/|ρ|, from carriage to platform, points down
+        let directions = rods(&robot.geometry, &robot.position, &robot.joints).map(|r| r.normalize());
+        let tensions = Matrix3::from_columns(&directions).lu().solve(&-Vector3::z()).unwrap();
+        let k = Kinematics::new(&robot.geometry).unwrap();
+        let by_parameters = k.by_parameters(&k.pose(&robot.joints).unwrap());
+        let expected: Vector3<f64> = (0..LIMBS)
+            .map(|i| by_parameters.column(i * PER_LIMB + 3) * (stretch[i] * tensions[i]))
+            .sum();
+        prop_assert!((moved - expected).amax() < 1e-10, "{}", moved - expected);
+        prop_assert!(moved.z <= 0.0);
+    }
+
+    /// A platform that tilts the other way, about the wrong centre, or not at all: against six rods solved here.
+    #[test]
+    fn unequal_rods_tilt_the_platform(robot in robots(), mismatch in prop::array::uniform3(-0.5..0.5_f64)) {
+        let model = model_of(&robot);
+        let mut values = [0.0; PARAMETERS];
+        values[ROD_MISMATCH].copy_from_slice(&mismatch);
+        let now = Covariates::NONE;
+        let found = model.with(&values).unwrap().value(&robot.joints, &now, &Vector3::zeros()).unwrap();
+        let turn_of = |pose: &Vector6<f64>| Rotation3::from_scaled_axis(Vector3::new(pose[3], pose[4], pose[5]));
+        let misses = |pose: &Vector6<f64>| {
+            let (centre, turn) = (Vector3::new(pose[0], pose[1], pose[2]), turn_of(pose));
+            Vector6::from_fn(|row, _| {
+                let (i, side) = (row / 2, if row % 2 == 0 { 1.0 } else { -1.0 });
+                let limb = &robot.geometry.limbs[i];
+                let (sin, cos) = limb.platform_angle_rad.sin_cos();
+                let ball = Vector3::new(cos, sin, 0.0) * limb.platform_radius_mm;
+                let along = Vector3::new(-sin, cos, 0.0) * (side * 0.5 * model.rod_spacing);
+                let carriage = anchor(limb) + ball + Vector3::z() * robot.joints[i];
+                (centre + turn * (ball + along) - carriage - along).norm()
+                    - limb.rod_length_mm - 0.5 * side * mismatch[i]
+            })
+        };
+        let mut pose = Vector6::zeros();
+        pose.fixed_rows_mut::<3>(0).copy_from(&robot.position);
+        for _ in 0..12 {
+            let h = 1e-5;
+            let columns: [Vector6<f64>; 6] = std::array::from_fn(|k| {
+                let step = Vector6::ith(k, h);
+                (misses(&(pose + step)) - misses(&(pose - step))) / (2.0 * h)
+            });
+            pose -= Matrix6::from_columns(&columns).lu().solve(&misses(&pose)).unwrap();
+        }
+        prop_assume!(misses(&pose).amax() < 1e-11);
+        let expected = Vector3::new(pose[0], pose[1], pose[2]) + turn_of(&pose) * model.target_offset;
+        prop_assert!((found - expected).amax() < 1e-8, "{}", found - expected);
     }
 
     /// Values or joints of any bits that panic or give a reading that is not finite.

@@ -66,12 +66,12 @@ impl Solver {
             .map_err(to_python)
     }
 
-    /// Adds the rows of a prior: each parameter at its start, give or take its plausible size.
+    /// Adds the rows of a prior: each parameter at zero, the drawing, give or take its plausible size.
     pub fn add_priors(&mut self) {
         let n = self.stack.columns();
         for k in 0..n {
             let size = self.levenberg.sizes()[k];
-            let deviation = self.levenberg.start()[k] - self.levenberg.trial()[k];
+            let deviation = -self.levenberg.trial()[k];
             self.cost += (deviation / size).powi(2);
             let unit = (0..n).map(move |j| if j == k { 1.0 / size } else { 0.0 });
             self.stack
@@ -152,7 +152,7 @@ impl Solver {
         Ok(())
     }
 
-    /// Adds the prior of each parameter: its start, give or take its plausible size.
+    /// Adds the prior of each parameter: zero, give or take its plausible size.
     fn push_priors(&mut self) {
         self.add_priors();
     }

@@ -188,7 +188,6 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Levenberg<S> {
             decomposition = Decomposition::restore(n, self.rank, room)?;
             self.damping = (self.damping * 10.0).max(1e-4);
         }
-        let done_single = self.settings.single_step && !first;
         // the last step, taken from the estimate: how far would the next one go?
         let (head, step) = slots.split_at_mut(STEP * n);
         let step = &mut step[..n];
@@ -212,13 +211,13 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Levenberg<S> {
             .fold(0.0, f64::max);
         let converged = farthest <= self.settings.step_tolerance;
         let exhausted = self.evaluations >= self.settings.max_evaluations || self.damping > 1e12;
-        if done_single || (exhausted && !converged) {
+        if self.settings.single_step {
+            // the linear solution, whatever it would cost: that is what was asked for
+            return Ok(Progress::Converged);
+        }
+        if exhausted && !converged {
             trial.copy_from_slice(&best[..n]);
-            return Ok(if done_single {
-                Progress::Converged
-            } else {
-                Progress::Exhausted
-            });
+            return Ok(Progress::Exhausted);
         }
         if converged {
             // the last step is too small to be worth an evaluation, and still brings the minimum closer

@@ -1,0 +1,7 @@
+"""Diagnosis: what a fit misses, where, which effect, what it cannot be told from, what to measure next."""
+
+from .diagnose import Diagnosis, diagnose
+from .shapes import play
+from .template import sentence, template
+
+__all__ = ["Diagnosis", "diagnose", "play", "sentence", "template"]

@@ -1,0 +1,71 @@
+"""Held-out error of a fit and of each single addition, by blocks, in linear approximation around the fit.
+
+Every fold needs only the Gram matrix of all columns over its rows; leaving a block out is a subtraction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .scan import Columns
+from .stage import Stage
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def held_out_um(stage: Stage, block: Ints) -> tuple[float, list[float]]:
+    """Held-out RMS (µm, axes together) of the fit itself and with each candidate. ``block`` (n,) of each row."""
+    view = stage.view
+    n, m = view.residual.shape
+    physical: list[Floats] = []
+    places: list[list[int]] = []
+    p = view.fitted.shape[2]
+    for candidate in stage.candidates:
+        columns = _unwhitened(stage, candidate.columns)
+        first = p + sum(c.shape[2] for c in physical)
+        physical.append(columns)
+        places.append(list(range(first, first + columns.shape[2])))
+    z = np.concatenate([view.fitted, *physical, view.residual[:, :, None]], axis=2)
+    z = z * stage.sigma[None, :, None]  # in mm, so that axes count by their error
+    scale = np.linalg.norm(z.reshape(n * m, -1), axis=0)
+    scale[-1] = 1.0
+    z = z / np.where(scale > 0, scale, 1.0)
+    grams = []
+    for fold in np.unique(block):
+        part = z[block == fold].reshape(-1, z.shape[2])
+        grams.append(part.T @ part)
+    total = np.sum(grams, axis=0)
+    fitted = list(range(p))
+    base = _error(grams, total, fitted, n * m)
+    return base, [_error(grams, total, fitted + place, n * m) for place in places]
+
+
+def _unwhitened(stage: Stage, columns: Columns) -> Floats:
+    """A candidate's columns before the filter in time."""
+    n, m = stage.view.residual.shape
+    if columns.functions:
+        out = np.zeros((n, m, m * len(columns.functions)))
+        for a in range(m):
+            for j, k in enumerate(columns.functions):
+                out[:, a, a * len(columns.functions) + j] = stage.family.functions[:, k]
+        return out
+    return stage.physical[:, :, list(columns.dense)]
+
+
+def _error(grams: Sequence[Floats], total: Floats, columns: list[int], count: int) -> float:
+    """Root mean square of what blocks left out in turn show, µm."""
+    square = 0.0
+    last = total.shape[0] - 1
+    index = np.ix_(columns, columns)
+    for gram in grams:
+        rest = total - gram
+        a = rest[index]
+        value, vector = np.linalg.eigh(a)
+        keep = value > 1e-11 * max(value[-1], 1e-300)
+        x = vector[:, keep] @ ((vector[:, keep].T @ rest[columns, last]) / value[keep])
+        square += float(gram[last, last] - 2 * x @ gram[columns, last] + x @ gram[index] @ x)
+    return float(1e3 * np.sqrt(max(square, 0.0) / count))

@@ -1,0 +1,408 @@
+"""Diagnosis: is anything missing, where, which effect, what it cannot be told from, what to measure next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from ..effects import CATALOGUE, Effect
+from ..errors import SherkitError
+from ..identification import Fit, identify
+from ..measurements.columns import READINGS
+from ..noise import noise_of
+from ..validation import spatial_blocks
+from .crossvalidation import held_out_um
+from .next_poses import next_poses
+from .power import smallest_found
+from .search import Found, Search, is_plausible
+from .shapes import Shape
+from .stage import Candidate, Stage, stage_of, suspected_outliers, used_axes
+from .where import Dependence, neighbour_correlation, where
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+LEVEL = 0.01
+#: Part of the data locked away before the search.
+_LOCKED = 1.0 / 3.0
+#: Fewer rows than this are not split.
+_SPLIT_FROM = 90
+_FOLDS = 6
+_HIDDEN_FROM = 0.97
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateReport:
+    """One effect as an addition to the fit: what it would bring and whether that can be believed."""
+
+    effect: str
+    link: str
+    held_out_rms_um: float
+    p_value: float
+    plausible: bool
+    parameters: tuple[dict[str, Any], ...]
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """One step of the fall: the effect added (None: the model as it came) and the error that held."""
+
+    effect: str | None
+    held_out_rms_um: float
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The answers, in the order a person asks.
+
+    ``verdict`` is ``adequate``, ``explained``, ``partly explained`` or ``unexplained``. ``ties`` are groups of
+    effects that these rows cannot tell apart, the leading one first. ``fit`` is the model with the named effects
+    on all rows.
+    """
+
+    verdict: str
+    noise_um: dict[str, float]
+    noise_origin: str
+    correlation_in_time: float
+    p_missing: float
+    effects: tuple[str, ...]
+    ties: tuple[tuple[str, ...], ...]
+    steps: tuple[StepReport, ...]
+    candidates: tuple[CandidateReport, ...]
+    untestable: dict[str, str]
+    smallest_found: dict[str, tuple[float, float]]
+    where: tuple[Dependence, ...]
+    neighbour_correlation: float
+    confirmed: float | None
+    signature: dict[str, Any] | None
+    hides_in: dict[str, tuple[str, ...]]
+    outliers: Ints
+    next_poses: tuple[dict[str, float], ...]
+    notes: tuple[str, ...]
+    fit: Fit = field(repr=False)
+    base: Fit = field(repr=False)
+    stage: Stage = field(repr=False)
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs; see the README."""
+        return {
+            "verdict": self.verdict,
+            "noise_um": self.noise_um,
+            "noise_origin": self.noise_origin,
+            "p_missing": self.p_missing,
+            "effects": list(self.effects),
+            "ties": [list(t) for t in self.ties],
+            "steps": [{"effect": s.effect, "held_out_rms_um": s.held_out_rms_um} for s in self.steps],
+            "candidates": [
+                {
+                    "effect": c.effect,
+                    "link": c.link,
+                    "held_out_rms_um": c.held_out_rms_um,
+                    "p_value": c.p_value,
+                    "plausible": c.plausible,
+                    "parameters": list(c.parameters),
+                }
+                for c in self.candidates
+            ],
+            "untestable": self.untestable,
+            "smallest_found": {
+                name: {"plausible_sizes": _finite(size), "rms_um": _finite(rms)}
+                for name, (size, rms) in self.smallest_found.items()
+            },
+            "where": [{"variable": d.variable, "rms_um": list(d.rms_um), "p_value": d.p_value} for d in self.where],
+            "confirmed_p_value": self.confirmed,
+            "signature": self.signature,
+            "hides_in": {k: list(v) for k, v in self.hides_in.items()},
+            "outliers": self.fit.data.line[self.outliers].tolist(),
+            "next_poses": list(self.next_poses),
+            "notes": list(self.notes),
+        }
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def diagnose(
+    fit: Fit,
+    *,
+    effects: Sequence[Effect] = (),
+    level: float = LEVEL,
+    seed: int = 0,
+    step: Callable[[str], None] = lambda _: None,
+) -> Diagnosis:
+    """Diagnoses what a fit leaves. ``effects`` are the user's own, beside the catalogue.
+
+    Raises :class:`~sherkit.errors.FitError` where there is too little to diagnose.
+    """
+    every = (*CATALOGUE.values(), *effects)
+    data = fit.data
+    axes = used_axes(data)
+    notes: list[str] = []
+
+    step("noise and outliers")
+    sigma, origin = _noise(fit, axes)
+    rows = np.flatnonzero(~data.outlier & data.taken[:, axes].all(axis=1))
+    first = stage_of(fit, (), rows, sigma, rho=0.0)
+    wild = suspected_outliers(first)
+    if len(wild):
+        data = data.mark_outliers(wild)
+        sigma, origin = _noise(fit, axes, wild)
+        fit = identify(fit.model, data, noise=fit.noise, start=fit.values)
+        rows = np.flatnonzero(~data.outlier & data.taken[:, axes].all(axis=1))
+        notes.append(f"{len(wild)} suspected outliers are listed and left out of the tests")
+    if origin == "unknown":
+        sigma = _residual_sigma(fit, axes)
+        notes.append(
+            "neither repeats nor a declared noise: how much of the rest is noise cannot be known, only whether "
+            "it has structure; repeat some poses or add sigma columns"
+        )
+    block = spatial_blocks(data, np.nan_to_num(fit.predicted_mm[:, :3]), _FOLDS, seed)
+    split = len(rows) >= _SPLIT_FROM
+    locked = np.isin(block[rows], np.arange(round(_FOLDS * _LOCKED))) if split else np.zeros(len(rows), dtype=bool)
+
+    search = Search(fit, every, rows[~locked], sigma, level=level, seed=seed, step=step)
+    found = search.run()
+
+    step("fitting all rows")
+    model = search.with_candidates(fit.model, found.added)
+    final = identify(model, data, noise=fit.noise) if found.added else fit
+    stage = stage_of(final, every, rows, sigma, rho=search.rho, nuisance=found.stages[-1].nuisance)
+    base_stage = stage_of(fit, every, rows, sigma, rho=search.rho) if found.added else stage
+    confirmed = _confirm(search, found, fit, rows[locked]) if found.added and locked.any() else None
+
+    step("held-out errors")
+    base_error, gains = held_out_um(base_stage, block[base_stage.rows])
+    steps = [StepReport(None, base_error)]
+    partial = fit.model
+    for k, candidate in enumerate(found.added):
+        partial = search.with_candidates(partial, (candidate,))
+        last = k == len(found.added) - 1
+        here = stage if last else stage_of(identify(partial, data, noise=fit.noise), (), rows, sigma, rho=search.rho)
+        steps.append(StepReport(candidate.name, held_out_um(here, block[here.rows])[0]))
+
+    verdict = _verdict(found, level)
+    ties = _ties(found)
+    reports = _candidate_reports(search, base_stage, gains, final, found)
+    threshold = float(np.quantile(found.stages[0].plain.null(199, seed), 1 - level))
+    smallest = (
+        {c.name: smallest_found(stage, c, threshold) for c in search.strongest_settings(stage)}
+        if verdict == "adequate"
+        else {}
+    )
+    signature = _signature(found, found.stages[-1]) if found.signature else None
+    hidden = {c.name: hides_in(base_stage, c) for c in base_stage.candidates}
+    return Diagnosis(
+        verdict=verdict,
+        noise_um={READINGS[a][:-3]: 1e3 * float(sigma[a]) for a in axes},
+        noise_origin=origin,
+        correlation_in_time=float(search.rho or 0.0),
+        p_missing=found.p_first,
+        effects=tuple(c.name for c in found.added),
+        ties=ties,
+        steps=tuple(steps),
+        candidates=reports,
+        untestable=dict(base_stage.untestable),
+        smallest_found=smallest,
+        where=where(base_stage),
+        neighbour_correlation=neighbour_correlation(base_stage),
+        confirmed=confirmed,
+        signature=signature,
+        hides_in={k: v for k, v in hidden.items() if v},
+        outliers=wild,
+        next_poses=_next(found, sigma) if ties else (),
+        notes=tuple(notes),
+        fit=final,
+        base=fit,
+        stage=stage,
+    )
+
+
+def _next(found: Found, sigma: Floats) -> tuple[dict[str, float], ...]:
+    """Poses that would tell the leading set from those tied with it."""
+    lead = found.stages[-1].fit
+    return next_poses(lead, [other.stage.fit for other in found.alternatives], sigma)
+
+
+def _noise(fit: Fit, axes: Sequence[int], wild: Ints | None = None) -> tuple[Floats, str]:
+    """Noise per reading column, mm, and its origin."""
+    data = fit.data if wild is None else fit.data.mark_outliers(wild)
+    noise = noise_of(data)
+    sigma = np.ones(4)
+    for a in axes:
+        used = data.taken[:, a] & ~data.outlier
+        sigma[a] = float(np.sqrt(np.mean(noise.sigma_mm[used, a] ** 2)))
+    return sigma, noise.origin
+
+
+def _residual_sigma(fit: Fit, axes: Sequence[int]) -> Floats:
+    sigma = np.ones(4)
+    for a in axes:
+        used = fit.data.taken[:, a] & ~fit.data.outlier
+        sigma[a] = max(float(np.std(fit.residuals_mm[used, a])), 1e-12)
+    return sigma
+
+
+def _verdict(found: Found, level: float) -> str:
+    if not found.added and not found.signature:
+        return "adequate" if found.p_left > level else "unexplained"
+    if found.explained:
+        return "explained"
+    return "partly explained" if found.added else "unexplained"
+
+
+def _ties(found: Found) -> tuple[tuple[str, ...], ...]:
+    """Groups of effects each of which could stand in for the first, everything else as it is."""
+    lead = [c.name for c in found.added]
+    groups: dict[str, list[str]] = {}
+    for other in found.alternatives:
+        names = set(other.names)
+        shared = names & set(found.replaced)
+        out = [n for n in found.replaced if n not in shared]
+        new = [n for n in other.names if n not in shared]
+        if out and new:
+            groups.setdefault(out[0], [out[0]]).extend(n for n in new if n not in groups[out[0]])
+    return tuple(tuple(g) for name, g in groups.items() if name in lead and len(g) > 1)
+
+
+def _candidate_reports(
+    search: Search, base: Stage, gains: list[float], final: Fit, found: Found
+) -> tuple[CandidateReport, ...]:
+    """Every effect that could be tried, the named ones first, then by held-out error."""
+    z = base.deviates[base.n_shapes :]
+    best: dict[str, tuple[float, float, Candidate]] = {}
+    for score, error, candidate in zip(z.tolist(), gains, base.candidates, strict=True):
+        if candidate.name not in best or error < best[candidate.name][1]:
+            best[candidate.name] = (score, error, candidate)
+    fits = {c.name: final for c in found.added}
+    for alternative in found.alternatives:
+        for candidate in alternative.candidates:
+            fits.setdefault(candidate.name, alternative.stage.fit)
+    out = []
+    for name, (score, error, candidate) in best.items():
+        p = min(1.0, len(best) * float(special.ndtr(-score))) if np.isfinite(score) else 1.0
+        values, std, ok = _parameters(base, candidate, fits.get(name))
+        parameters = tuple(
+            {"name": q.name, "value": v, "std": s, "unit": q.unit}
+            for q, v, s in zip(candidate.effect.parameters, values.tolist(), std.tolist(), strict=True)
+        )
+        out.append(CandidateReport(name, candidate.effect.link, error, p, ok, parameters))
+    named = [c.name for c in found.added]
+    out.sort(key=lambda c: (named.index(c.effect) if c.effect in named else len(named), c.held_out_rms_um))
+    return tuple(out)
+
+
+def _parameters(base: Stage, candidate: Candidate, fit: Fit | None) -> tuple[Floats, Floats, bool]:
+    """Values, deviations and plausibility of a candidate: from its full fit, else in linear approximation."""
+    effect = candidate.effect
+    if fit is not None:
+        place = fit.model.owns(effect)
+        return fit.values[place], fit.std_from_readings[place], is_plausible(fit, effect)
+    scan = base.scan
+    columns = scan.take(candidate.columns)
+    columns = columns - scan.basis @ (scan.basis.T @ columns)
+    gram = columns.T @ columns
+    length = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    value, vector = np.linalg.eigh(gram / np.outer(length, length))
+    keep = value > 1e-10
+    inverse = (vector[:, keep] / value[keep]) @ vector[:, keep].T / np.outer(length, length)
+    x = inverse @ (columns.T @ scan.residual)
+    std = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    if candidate.columns.functions:
+        unit = base.sigma / np.sqrt(scan.n / 4.0)
+        x, std = x * unit, std * unit
+    size = np.array([p.size for p in effect.parameters])
+    return x, std, bool((np.abs(x) - 2 * std <= 5 * size).all())
+
+
+def _confirm(search: Search, found: Found, fit: Fit, locked: Ints) -> float:
+    """One-sided p that the added effects help on the rows that were locked away, coefficients frozen.
+
+    Paired differences of squared error, signs flipped over whole poses.
+    """
+    data = fit.data.select(locked)
+    before = search.base
+    after = search.refit(search.with_candidates(search.base.model, found.added), None)
+    axes = used_axes(fit.data)
+    sigma = search.sigma_mm[list(axes)]
+
+    def squares(one: Fit) -> Floats:
+        left = (data.readings_mm - one.model.predict(data, one.values))[:, axes] / sigma
+        return (left**2).sum(axis=1)
+
+    try:
+        gain = squares(before) - squares(after)
+    except SherkitError:
+        return 1.0
+    per_pose = np.bincount(np.unique(data.groups, return_inverse=True)[1], gain)
+    signs = np.random.default_rng(search.seed).integers(0, 2, (1999, len(per_pose))) * 2.0 - 1.0
+    return float((1 + (signs @ per_pose >= per_pose.sum()).sum()) / 2000)
+
+
+def hides_in(stage: Stage, candidate: Candidate) -> tuple[str, ...]:
+    """Fitted parameters that cover most of an effect on these poses; empty where most of it is to be seen."""
+    columns = stage.scan.take(candidate.columns)
+    size = np.array([p.size for p in candidate.effect.parameters])
+    whole = columns @ size if not candidate.columns.functions else columns.sum(axis=1)
+    inside = stage.scan.basis.T @ whole
+    if float(inside @ inside) < _HIDDEN_FROM * float(whole @ whole):
+        return ()
+    fitted = stage.view.fitted.reshape(stage.scan.n * stage.scan.m, -1)
+    order = np.argsort(stage.view.group, kind="stable")
+    target = np.empty_like(whole).reshape(stage.scan.n, stage.scan.m)
+    target[order] = whole.reshape(stage.scan.n, stage.scan.m)
+    scale = np.array([p.size for p in stage.fit.parameters])
+    length = fitted.shape[1]
+    x = np.linalg.lstsq(fitted * scale[:length], target.reshape(-1), rcond=1e-9)[0]
+    names = [p.name for p in stage.fit.parameters]
+    top = np.argsort(-np.abs(x))
+    return tuple(names[k] for k in top[:6] if abs(x[k]) >= 0.3 * abs(x[top[0]]))
+
+
+def _signature(found: Found, stage: Stage) -> dict[str, Any]:
+    """The leading shape of what no effect explains, in words and numbers."""
+    shape: Shape = found.signature[0]
+    before = next(s for s in reversed(found.stages) if not s.nuisance or s is found.stages[-1])
+    plain = before.plain
+    given = before.scan.condition(before.scan.take(_columns(shape)))
+    noise = before.scan.n * before.scan.m - before.scan.basis.shape[1]
+    gain = plain.sum_of_squares - given.sum_of_squares
+    excess = max(plain.sum_of_squares - noise, gain)
+    axis = [READINGS[before.axes[shape.axis]][:-3]] if shape.axis is not None else _axes_of(before, shape)
+    return {
+        "depends_on": list(shape.depends_on),
+        "shape": shape.shape,
+        "order": shape.order,
+        "period": shape.period,
+        "axis": axis,
+        "share_explained": float(np.clip(gain / excess, 0.0, 1.0)),
+        "at": shape.setting,
+        "joint": shape.pattern,
+        "ranges": {name: _range(before.view.variables[name]) for name in shape.depends_on},
+    }
+
+
+def _range(values: Floats) -> tuple[float, float]:
+    """Middle and half width of a variable's values."""
+    low, high = float(values.min()), float(values.max())
+    return (0.5 * (low + high), 0.5 * (high - low) or 1.0)
+
+
+def _columns(shape: Shape) -> Any:
+    from .stage import columns_of
+
+    return columns_of(shape)
+
+
+def _axes_of(stage: Stage, shape: Shape) -> list[str]:
+    """Axes on which a shape takes a fair part of what is left."""
+    explained = stage.scan.take(_columns(shape))
+    explained = explained - stage.scan.basis @ (stage.scan.basis.T @ explained)
+    x = np.linalg.lstsq(explained, stage.scan.residual, rcond=1e-9)[0]
+    by_axis = ((explained @ x).reshape(stage.scan.n, stage.scan.m) ** 2).sum(axis=0)
+    return [READINGS[stage.axes[k]][:-3] for k in range(stage.scan.m) if by_axis[k] >= 0.1 * by_axis.max()]

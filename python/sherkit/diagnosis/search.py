@@ -1,0 +1,257 @@
+"""The search for what is missing: explanation sets first, single shapes last.
+
+An effect *explains* where, once it is added, the largest score of the whole family, generic shapes included, is no
+longer significant. Among sets that explain, the smallest and then the lowest BIC leads and the others are tied with
+it. Only where no effect and no pair explains does the best single candidate enter: an effect, if it does better than
+every shape; else the shape, as the description of something that is in no catalogue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effects import Effect
+from ..errors import SherkitError
+from ..identification import Fit, identify
+from ..model import DeltaModel
+from ..noise import Noise
+from .scan import Given
+from .shapes import Shape
+from .stage import Candidate, Stage, stage_of
+
+Floats = NDArray[np.float64]
+
+#: A set that explains must take at least this part of what the best candidate takes.
+_TAKES = 0.85
+#: Deviates beyond which no flip is needed to know that something is left.
+_PLAINLY_LEFT = 15.0
+_MOST_REFITS = 4
+_MOST_PAIRS = 6
+_MOST_STEPS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A set of effects that was refitted in full. ``p_left`` is the familywise p of what it leaves."""
+
+    candidates: tuple[Candidate, ...]
+    stage: Stage
+    p_left: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(c.name for c in self.candidates)
+
+
+@dataclass(eq=False)
+class Found:
+    """What a search found. ``added`` effects in order; ``alternatives`` sets that explain as well as the leading one;
+    ``signature`` shapes that describe what no effect explains; ``p_first`` the familywise p before anything."""
+
+    stages: list[Stage]
+    p_first: float
+    p_left: float
+    added: list[Candidate] = field(default_factory=list)
+    alternatives: list[Explanation] = field(default_factory=list)
+    replaced: tuple[str, ...] = ()
+    signature: list[Shape] = field(default_factory=list)
+    explained: bool = False
+
+
+class Search:
+    """Carries what stays the same through a search: data, noise, effects, level."""
+
+    def __init__(
+        self,
+        base: Fit,
+        effects: Sequence[Effect],
+        rows: NDArray[np.int64],
+        sigma_mm: Floats,
+        *,
+        level: float,
+        seed: int = 0,
+        step: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.effects = tuple(effects)
+        self.rows = rows
+        self.sigma_mm = sigma_mm
+        self.level = level
+        self.seed = seed
+        self.step = step
+        self.data = base.data.select(rows)
+        self.noise = Noise(np.where(self.data.taken, sigma_mm, 1.0), base.noise.origin)
+        self.rho: float | None = None
+        self.base = self.refit(base.model, start=base.values)
+
+    def refit(self, model: DeltaModel, start: Floats | None = None) -> Fit:
+        """The full nonlinear fit on the rows of the search."""
+        return identify(model, self.data, noise=self.noise, start=start)
+
+    def stage(self, fit: Fit, nuisance: Sequence[Shape] = ()) -> Stage:
+        """The stage of a fit; the correlation of the noise is estimated once, at the first."""
+        stage = stage_of(fit, self.effects, np.arange(len(self.data)), self.sigma_mm, rho=self.rho, nuisance=nuisance)
+        self.rho = stage.rho
+        return stage
+
+    def left(self, given: Given) -> float:
+        """Familywise p of what is left."""
+        largest = float(given.deviates().max())
+        if largest > _PLAINLY_LEFT:
+            return 1.0 / 2000.0
+        return given.p_value(largest, seed=self.seed, decisive=self.level)
+
+    # -- the search --------------------------------------------------------------------------------------
+
+    def run(self) -> Found:
+        """Searches until nothing significant is left, or nothing explains what is."""
+        stage = self.stage(self.base)
+        p = self.left(stage.plain)
+        found = Found([stage], p_first=p, p_left=p)
+        while p <= self.level and len(found.added) + len(found.signature) < _MOST_STEPS:
+            explanations = self.explanations(stage)
+            if explanations:
+                lead, *others = explanations
+                found.added += lead.candidates
+                found.alternatives = others
+                found.replaced = lead.names
+                stage, p = lead.stage, lead.p_left
+                found.stages.append(stage)
+                break
+            best = self.best_single(stage)
+            if isinstance(best, Candidate):
+                self.step(f"adding {best.name}")
+                found.added.append(best)
+                stage = self.stage(self.refit(self.with_candidates(stage.fit.model, (best,))), stage.nuisance)
+                found.stages.append(stage)
+            elif best is not None:
+                found.signature.append(best)
+                stage = self.stage(stage.fit, (*stage.nuisance, best))
+            else:
+                break
+            p = self.left(stage.plain)
+        found.p_left = p
+        self._prune(found)
+        found.explained = p > self.level and not found.signature and bool(found.added)
+        return found
+
+    def with_candidates(self, model: DeltaModel, candidates: Sequence[Candidate]) -> DeltaModel:
+        """A model with these effects, at the settings they were found with."""
+        for c in candidates:
+            setting = {"slip_time_s": c.setting} if c.effect.search == "time_s" and c.setting is not None else {}
+            model = model.with_effect(c.effect, **setting)
+        return model
+
+    def explanations(self, stage: Stage) -> list[Explanation]:
+        """Sets of effects that explain what is left: singles, or else pairs; the leading one first."""
+        candidates = self.strongest_settings(stage)
+        singles = self._confirm(stage, [(c,) for c in candidates], _MOST_REFITS)
+        if singles:
+            return singles
+        pairs = [pair for pair in combinations(candidates, 2) if pair[0].name != pair[1].name]
+        return self._confirm(stage, pairs, _MOST_PAIRS)
+
+    def _confirm(self, stage: Stage, sets: Sequence[tuple[Candidate, ...]], most: int) -> list[Explanation]:
+        """Screens sets by what they take in linear approximation, then refits and tests the best in full."""
+        largest = float(stage.plain.gains()[0].max())
+        screened = []
+        for members in sets:
+            given = stage.given(*members)
+            taken = stage.plain.sum_of_squares - given.sum_of_squares
+            if taken >= _TAKES * largest:
+                screened.append((bic(given, members), members))
+        screened.sort(key=lambda s: s[0])
+        out = []
+        for _, members in screened[:most]:
+            self.step("refitting with " + " and ".join(c.name for c in members))
+            try:
+                fit = self.refit(self.with_candidates(stage.fit.model, members))
+            except SherkitError:
+                continue
+            after = self.stage(fit, stage.nuisance)
+            p = self.left(after.plain)
+            if p > self.level:
+                out.append(Explanation(members, after, p))
+        out.sort(key=lambda e: (not plausible(e), bic(e.stage.plain, e.candidates)))
+        return out
+
+    def strongest_settings(self, stage: Stage) -> list[Candidate]:
+        """One candidate per effect: where a setting is searched for, the one that takes most, made finer."""
+        gains = stage.plain.gains()[0][stage.n_shapes :]
+        best: dict[str, tuple[float, Candidate]] = {}
+        for gain, candidate in zip(gains.tolist(), stage.candidates, strict=True):
+            if candidate.name not in best or gain > best[candidate.name][0]:
+                best[candidate.name] = (gain, candidate)
+        return [self._finer(stage, c) for _, c in best.values()]
+
+    def _finer(self, stage: Stage, candidate: Candidate) -> Candidate:
+        """The moment of a slip to the row: the cut that leaves least."""
+        if candidate.effect.search != "time_s" or candidate.setting is None or stage.view.time is None:
+            return candidate
+        time, e = stage.view.time, stage.view.residual
+        n = len(e)
+        near = int(np.searchsorted(time, candidate.setting))
+        reach = n // 20 + 2
+        cuts = np.arange(max(near - reach, 2), min(near + reach, n - 2))
+        total, sums = e.sum(axis=0), np.cumsum(e, axis=0)
+        before = sums[cuts - 1]
+        gain = ((before - cuts[:, None] / n * total) ** 2).sum(axis=1) / (cuts * (n - cuts) / n)
+        cut = int(cuts[np.argmax(gain)])
+        # between the last reading before and the first after
+        return Candidate(candidate.effect, candidate.columns, float(0.5 * (time[cut - 1] + time[cut])))
+
+    def best_single(self, stage: Stage) -> Candidate | Shape | None:
+        """The candidate or shape with the lowest BIC; None where nothing gains."""
+        gain, rank = stage.plain.gains()
+        n = stage.scan.n * stage.scan.m
+        total = stage.plain.sum_of_squares
+        with np.errstate(divide="ignore"):
+            score = n * np.log(np.maximum(total - gain, 1e-300) / total) + rank * np.log(n)
+        score = np.where(rank > 0, score, np.inf)
+        best = int(np.argmin(score))
+        if not score[best] < 0:
+            return None
+        # an effect that does as well as the best shape goes before it
+        effects = score[stage.n_shapes :]
+        if len(effects) and effects.min() <= score[best] + 2.0 * np.log(n):
+            candidate = stage.candidates[int(np.argmin(effects))]
+            return self._finer(stage, candidate)
+        return stage.family.shapes[best]
+
+    def _prune(self, found: Found) -> None:
+        """Takes out effects that later ones have made needless."""
+        if len(found.added) < 2:
+            return
+        for candidate in list(found.added[:-1]):
+            rest = [c for c in found.added if c is not candidate]
+            stage = self.stage(self.refit(self.with_candidates(self.base.model, rest)), found.stages[-1].nuisance)
+            p = self.left(stage.plain)
+            if p > self.level:
+                found.added = rest
+                found.stages.append(stage)
+                found.p_left = p
+
+
+def bic(given: Given, members: Sequence[Candidate]) -> float:
+    """Schwarz's criterion of a model whose residual is ``given``, for the added effects."""
+    n = given.scan.n * given.scan.m
+    count = sum(len(c.effect.parameters) + (c.effect.search is not None) for c in members)
+    return float(n * np.log(given.sum_of_squares / n) + count * np.log(n))
+
+
+def plausible(explanation: Explanation) -> bool:
+    """Whether every added effect came out with a plausible size."""
+    fit = explanation.stage.fit
+    return all(is_plausible(fit, c.effect) for c in explanation.candidates)
+
+
+def is_plausible(fit: Fit, effect: Effect, times: float = 5.0) -> bool:
+    """Whether no parameter of an effect is beyond ``times`` its plausible size, give or take two deviations."""
+    place = fit.model.owns(effect)
+    size = np.array([p.size for p in effect.parameters])
+    return bool((np.abs(fit.values[place]) - 2 * fit.std_from_readings[place] <= times * size).all())

@@ -1,0 +1,299 @@
+"""One stage of the search: a fit, what it leaves, and every candidate's score."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from ..effects import Effect
+from ..errors import EffectError, FitError
+from ..identification import Fit
+from ..measurements import Measurements
+from ..measurements.columns import JOINTS, POSITION
+from ..model import DeltaModel, carry, lacks
+from .scan import Columns, Given, Scan
+from .shapes import Family, Shape, build
+from .view import View, correlation_in_time, orthonormal, whiten
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_MAD = 1.482602218505602
+#: Chance that a run without outliers has a row taken for one.
+_OUTLIER_LEVEL = 0.01
+#: Periods closer than this are one shape at two stages.
+_SAME_PERIOD = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A physical effect to try, with the setting it is tried at (period or time)."""
+
+    effect: Effect
+    columns: Columns
+    setting: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.effect.name
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A fit on some rows, seen by diagnosis.
+
+    ``rows`` are indices of the rows used, in the order of time; ``sigma`` (m,) the noise of each axis in mm;
+    ``rho`` the correlation of the noise from row to row; ``candidates`` the effects that can be tried;
+    ``untestable`` effect to the reason why it cannot.
+    """
+
+    fit: Fit
+    rows: NDArray[np.int64]
+    axes: tuple[int, ...]
+    sigma: Floats
+    rho: float
+    view: View
+    family: Family
+    scan: Scan
+    candidates: tuple[Candidate, ...]
+    untestable: dict[str, str]
+    nuisance: tuple[Shape, ...]
+    #: Columns of the effects (n, m, k), not filtered in time.
+    physical: Floats = field(repr=False)
+
+    @cached_property
+    def plain(self) -> Given:
+        """Nothing added, besides the nuisance shapes."""
+        return self.scan.condition(self.nuisance_columns)
+
+    @cached_property
+    def nuisance_columns(self) -> Floats:
+        """Columns of shapes that were accepted as a description of what no effect explains."""
+        parts = [self.scan.take(columns_of(s)) for s in self.nuisance]
+        return np.concatenate(parts, axis=1) if parts else np.zeros((self.scan.n * self.scan.m, 0))
+
+    def given(self, *added: Candidate) -> Given:
+        """The family once these effects are added, in linear approximation."""
+        parts = [self.nuisance_columns] + [self.scan.take(c.columns) for c in added]
+        return self.scan.condition(np.concatenate(parts, axis=1))
+
+    @cached_property
+    def deviates(self) -> Floats:
+        """Scores of shapes, then of candidates."""
+        return self.plain.deviates()
+
+    @property
+    def n_shapes(self) -> int:
+        """How many of the scores belong to shapes."""
+        return len(self.family.shapes)
+
+
+def columns_of(shape: Shape) -> Columns:
+    """A shape's columns for the scan."""
+    return Columns(shape.functions, shape.axis, shape.dense)
+
+
+def stage_of(
+    fit: Fit,
+    effects: Sequence[Effect],
+    rows: NDArray[np.int64],
+    sigma_mm: Floats,
+    *,
+    rho: float | None = None,
+    nuisance: Sequence[Shape] = (),
+) -> Stage:
+    """Builds the stage for a fit on the given rows of its data. ``sigma_mm`` (4,) is the noise per reading.
+
+    Raises :class:`FitError` where no row has all readings.
+    """
+    data = fit.data
+    axes = used_axes(data)
+    whole = data.taken[:, axes].all(axis=1) & ~data.outlier
+    rows = rows[whole[rows]]
+    if data.time_s is not None:
+        rows = rows[np.argsort(data.time_s[rows], kind="stable")]
+    if len(rows) < 10:
+        raise FitError(
+            f"{data.source}: {len(rows)} rows with all readings are too few to diagnose; expected 10 or more"
+        )
+    part = data.select(rows)
+    sigma = sigma_mm[list(axes)]
+    residual = (part.readings_mm - fit.model.predict(part, fit.values))[:, axes] / sigma
+
+    active = {e.name for e in fit.model.effects}
+    tried: list[Effect] = []
+    untestable: dict[str, str] = {}
+    for effect in effects:
+        if effect.name in active or effect.name == "datum":
+            continue
+        missing = lacks(effect, part)
+        if missing:
+            untestable[effect.name] = f"needs the column {' and '.join(missing)}"
+        else:
+            tried.append(effect)
+    # everything at once: derivatives by what is fitted, by every effect, and by the joints
+    built_in = [e for e in tried if e.function is None and e.search != "time_s"]
+    own = [e for e in tried if e.function is not None]
+    everything = fit.model
+    for effect in built_in:
+        everything = everything.with_effect(effect)
+    values = dict(zip((p.name for p in fit.parameters), fit.values.tolist(), strict=True))
+    start = np.array([values.get(p.name, 0.0) for p in everything.parameters])
+    full = everything.full(start)
+    columns, by_joints, by_body, _ = everything.core.derivatives(full, everything.block(part), everything.indices)
+    scaled = columns[:, axes] / sigma[:, None]
+    fitted_names = {p.name for p in fit.parameters}
+    is_fitted = np.array([p.name in fitted_names for p in everything.parameters if p.name in _core_names(everything)])
+    fitted = scaled[:, :, is_fitted]
+    rows_view = everything.rows(part, start)
+    if everything.own:
+        extra = everything.own_columns(part, rows_view, start, by_joints, by_body)
+        fitted = np.concatenate([fitted, *[c[:, axes] / sigma[:, None] for c in extra]], axis=2)
+
+    dense: list[Floats] = []
+    candidates: list[Candidate] = []
+    for effect in built_in:
+        place = everything.owns(effect)
+        first = len(dense)
+        dense += [scaled[:, :, k] for k in range(place.start, place.stop)]
+        candidates.append(Candidate(effect, Columns(dense=tuple(range(first, len(dense))), exact=True)))
+    for effect in own:
+        try:
+            zero = np.zeros(len(effect.parameters))
+            inner = carry(effect, effect.columns(rows_view, zero), part, by_joints, by_body)
+        except EffectError as error:
+            untestable[effect.name] = str(error)
+            continue
+        first = len(dense)
+        dense += [inner[:, axes][:, :, k] / sigma[:, None] for k in range(inner.shape[2])]
+        candidates.append(Candidate(effect, Columns(dense=tuple(range(first, len(dense))), exact=True)))
+
+    view = _view(part, residual, fitted, by_joints[:, axes] / sigma[:, None], fit, values=fit.values)
+    family = build(view)
+    for effect in tried:
+        if effect.search == "time_s":
+            for shape in family.shapes:
+                if shape.shape == "step" and shape.axis is None:
+                    about = Columns(functions=shape.functions, exact=True)
+                    candidates.append(Candidate(effect, about, shape.setting))
+
+    physical = np.stack(dense, axis=2) if dense else np.zeros((len(part), len(axes), 0))
+    if rho is None:
+        rho = correlation_in_time(residual, _rich_basis(fitted, physical, family))
+    offset = physical.shape[2]
+    scan = Scan(
+        whiten(residual, rho),
+        whiten(fitted, rho),
+        whiten(family.functions, rho),
+        whiten(np.concatenate([physical, family.dense], axis=2), rho),
+        [Columns(s.functions, s.axis, tuple(k + offset for k in s.dense)) for s in family.shapes]
+        + [c.columns for c in candidates],
+        view.group,
+    )
+    shifted = tuple(_shift(s, offset) for s in family.shapes)
+    return Stage(
+        fit=fit,
+        rows=rows,
+        axes=axes,
+        sigma=sigma,
+        rho=rho,
+        view=view,
+        family=Family(shifted, family.functions, family.dense),
+        scan=scan,
+        candidates=tuple(candidates),
+        untestable=untestable,
+        nuisance=tuple(_again(n, shifted) for n in nuisance),
+        physical=physical,
+    )
+
+
+def used_axes(data: Measurements) -> tuple[int, ...]:
+    """Readings that diagnosis looks at: the coordinates that were taken."""
+    axes = tuple(k for k in range(3) if data.taken[:, k].any())
+    if not axes:
+        raise FitError(f"{data.source}: diagnosis needs coordinates; these rows are distances only")
+    return axes
+
+
+def suspected_outliers(stage: Stage) -> NDArray[np.int64]:
+    """Rows (indices of the data) with a residual that neither noise nor any smooth shape explains."""
+    e = stage.view.residual
+    n, m = e.shape
+    basis = _rich_basis(stage.view.fitted, np.zeros((n, m, 0)), stage.family)
+    left = e.reshape(-1)
+    for _ in range(3):
+        # what is smooth is estimated from residuals whose wild rows are cut to size
+        limit = _limit(left)
+        tame = e.reshape(-1) - left + np.clip(left, -limit, limit)
+        left = e.reshape(-1) - basis @ (basis.T @ tame)
+    rest: Floats = left.reshape(n, m)
+    center = np.median(rest, axis=0)
+    spread = _MAD * np.median(np.abs(rest - center), axis=0)
+    threshold = float(stats.norm.isf(0.5 * _OUTLIER_LEVEL / (n * m)))
+    wild = (np.abs(rest - center) > threshold * np.maximum(spread, 1e-12)).any(axis=1)
+    return stage.rows[wild]
+
+
+def _limit(values: Floats) -> float:
+    return 4.0 * _MAD * float(np.median(np.abs(values)))
+
+
+def _rich_basis(fitted: Floats, physical: Floats, family: Family) -> Floats:
+    """What is fitted, every effect, and the smooth shapes: all that noise is not."""
+    n, m = fitted.shape[:2]
+    smooth = sorted({k for s in family.shapes if s.shape in ("smooth", "interaction") for k in s.functions})
+    functions = family.functions[:, smooth]
+    spread = np.zeros((n, m, m * len(smooth)))
+    for a in range(m):
+        spread[:, a, a * len(smooth) : (a + 1) * len(smooth)] = functions
+    columns = np.concatenate([fitted, physical, spread], axis=2)
+    # never so many that little is left to see the noise in
+    most = max(columns.shape[2] and (n * m) // 4, 1)
+    return orthonormal(columns[:, :, :most], 1e-6)
+
+
+def _view(part: Measurements, residual: Floats, fitted: Floats, by_joints: Floats, fit: Fit, *, values: Floats) -> View:
+    position = fit.model.predict(part, values)
+    variables: dict[str, Floats] = {name: part.joints_mm[:, k] for k, name in enumerate(JOINTS)}
+    variables |= {name: position[:, k] for k, name in enumerate(POSITION)}
+    variables |= fit.model.covariates(part)
+    patterns = {name: by_joints[:, :, k] for k, name in enumerate(JOINTS)}
+    constant = [name for name, v in variables.items() if not np.ptp(v) > 0]
+    for name in constant:
+        del variables[name]
+    return View(
+        residual=residual,
+        fitted=fitted,
+        variables=variables,
+        patterns=patterns,
+        group=part.groups,
+        pattern_of={name: name for name in JOINTS if name in variables},
+        time=part.time_s,
+    )
+
+
+def _core_names(model: DeltaModel) -> set[str]:
+    return {p.name for p in model.core_parameters}
+
+
+def _shift(shape: Shape, offset: int) -> Shape:
+    return replace(shape, dense=tuple(k + offset for k in shape.dense))
+
+
+def _again(old: Shape, shapes: Sequence[Shape]) -> Shape:
+    """The shape of this stage that is the same as one of an earlier stage."""
+
+    def same(s: Shape) -> bool:
+        alike = (s.depends_on, s.shape, s.order, s.axis, s.pattern) == (
+            old.depends_on, old.shape, old.order, old.axis, old.pattern,
+        )  # fmt: skip
+        near = s.period is None or old.period is None or abs(s.period / old.period - 1) < _SAME_PERIOD
+        return alike and near and s.setting == old.setting
+
+    return next((s for s in shapes if same(s)), old)

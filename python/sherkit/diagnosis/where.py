@@ -1,0 +1,67 @@
+"""Where the model fails: error against everything, each with its own test."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from .stage import Stage
+
+Floats = NDArray[np.float64]
+
+_BINS = 6
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """Error against one variable: bin edges, RMS per bin (µm, axes together), and the p that it is all the same
+    mean, corrected for the shapes tried on this variable."""
+
+    variable: str
+    edges: tuple[float, ...]
+    rms_um: tuple[float, ...]
+    p_value: float
+
+
+def where(stage: Stage) -> tuple[Dependence, ...]:
+    """One line for each variable (joints, coordinates, time, directions, covariates), the clearest first."""
+    out = []
+    z = stage.deviates[: stage.n_shapes]
+    micrometres = stage.view.residual * stage.sigma * 1e3
+    for name, values in stage.view.variables.items():
+        scores = [s for s, shape in zip(z.tolist(), stage.family.shapes, strict=True) if shape.depends_on == (name,)]
+        if not scores:
+            continue
+        p = min(1.0, len(scores) * float(special.ndtr(-max(scores))))
+        edges = np.unique(np.quantile(values, np.linspace(0, 1, _BINS + 1)))
+        if len(edges) < 2:
+            continue
+        which = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+        rms = [
+            float(np.sqrt(np.mean(micrometres[which == k] ** 2))) for k in range(len(edges) - 1) if (which == k).any()
+        ]
+        out.append(Dependence(name, tuple(edges.tolist()), tuple(rms), p))
+    return tuple(sorted(out, key=lambda d: d.p_value))
+
+
+def neighbour_correlation(stage: Stage) -> float:
+    """Correlation of what is left at a pose with what is left at its nearest neighbour in the workspace."""
+    names = [n for n in ("x_mm", "y_mm", "z_mm") if n in stage.view.variables]
+    if not names:
+        return 0.0
+    group = np.unique(stage.view.group, return_inverse=True)[1]
+    count = np.bincount(group)
+    if len(count) < 10:
+        return 0.0
+    place = np.stack([np.bincount(group, stage.view.variables[n]) / count for n in names], axis=1)
+    mean = np.stack([np.bincount(group, e) / count for e in stage.view.residual.T], axis=1)
+    mean -= mean.mean(axis=0)
+    nearest = np.empty(len(place), dtype=np.int64)
+    for k in range(0, len(place), 256):
+        distance = ((place[k : k + 256, None, :] - place[None, :, :]) ** 2).sum(axis=2)
+        distance[np.arange(len(distance)), np.arange(k, k + len(distance))] = np.inf
+        nearest[k : k + 256] = distance.argmin(axis=1)
+    return float((mean * mean[nearest]).sum() / max(float((mean**2).sum()), 1e-300))

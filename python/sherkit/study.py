@@ -1,0 +1,284 @@
+"""A study: fit, diagnose, add, again; with the history of the error."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from .calibrate import Experiment
+from .calibration import Calibration
+from .correction import choose_correction
+from .diagnosis import Diagnosis, diagnose
+from .diagnosis.search import Search
+from .effects import CATALOGUE, Effect, check_user_effect
+from .errors import EffectError, SherkitError
+from .identification import Fit, identify
+from .measurements import Measurements, from_frame
+from .model import DeltaModel, effects_by_name, lacks
+from .names import listed
+from .robots import Delta
+from .robots.file import robot_from_tables
+from .validation import hold_out
+
+_FORMAT = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One state of a study: what was done, and the error it left, µm per axis, fitted and held out."""
+
+    action: str
+    effects: tuple[str, ...]
+    training_rms_um: dict[str, float]
+    held_out_rms_um: dict[str, float]
+    parameters: dict[str, float]
+    rows: int
+    fit: Fit
+
+    @property
+    def held_out_um(self) -> float:
+        """Held-out RMS of all axes together, µm."""
+        values = list(self.held_out_rms_um.values())
+        return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
+
+
+class Study:
+    """Compares a robot with its measurements, step by step.
+
+    ``effects`` are the user's own, beside the catalogue. Every change refits all parameters and takes the held-out
+    error anew; :attr:`history` holds each step. Raises :class:`~sherkit.errors.FitError` where the rows cannot be
+    fitted.
+    """
+
+    def __init__(self, robot: Delta, data: Measurements, *, effects: Sequence[Effect] = (), seed: int = 0) -> None:
+        self.robot = robot
+        self.data = data
+        self.seed = seed
+        self.own: dict[str, Effect] = {}
+        self.history: list[Step] = []
+        self._undone: list[tuple[DeltaModel, Measurements]] = []
+        self._diagnosis: Diagnosis | None = None
+        for effect in effects:
+            self._register(effect)
+        self.model = DeltaModel(robot)
+        self._record("the geometric model")
+
+    # -- state -------------------------------------------------------------------------------------------
+
+    @property
+    def fit(self) -> Fit:
+        """The current fit."""
+        return self.history[-1].fit
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects in the model."""
+        return tuple(e.name for e in self.model.effects)
+
+    def _record(self, action: str) -> Step:
+        fit = identify(self.model, self.data)
+        held = hold_out(self.model, self.data, seed=self.seed)
+        names = [p.name for p in fit.parameters]
+        step = Step(
+            action=action,
+            effects=self.effects,
+            training_rms_um=fit.rms_um(),
+            held_out_rms_um=fit.rms_um(held.residuals_mm),
+            parameters=dict(zip(names, fit.values.tolist(), strict=True)),
+            rows=len(self.data),
+            fit=fit,
+        )
+        self.history.append(step)
+        self._diagnosis = None
+        return step
+
+    def _change(self, model: DeltaModel, data: Measurements, action: str) -> Step:
+        before = (self.model, self.data)
+        self.model, self.data = model, data
+        try:
+            step = self._record(action)
+        except SherkitError:
+            self.model, self.data = before
+            raise
+        self._undone.append(before)
+        return step
+
+    # -- what a person does ------------------------------------------------------------------------------
+
+    def diagnose(self, *, level: float = 0.01, step: Callable[[str], None] = lambda _: None) -> Diagnosis:
+        """What is missing now. The answer is kept until something changes."""
+        if self._diagnosis is None:
+            self._diagnosis = diagnose(
+                self.fit, effects=tuple(self.own.values()), level=level, seed=self.seed, step=step
+            )
+        return self._diagnosis
+
+    def add(self, effect: str | Effect, *, period_mm: float | None = None, slip_time_s: float | None = None) -> Step:
+        """Adds an effect by name, or a user's own, and refits.
+
+        A slip's time is taken from the diagnosis where it is not given, else searched for. Raises
+        :class:`~sherkit.errors.EffectError` for an unknown or doubled effect, or one whose columns the rows lack.
+        """
+        if isinstance(effect, Effect):
+            self._register(effect)
+            chosen = effect
+        else:
+            (chosen,) = effects_by_name((effect,), tuple(self.own.values()))
+        if chosen.name in self.effects or chosen.name == "datum":
+            raise EffectError(f"'{chosen.name}' is in the model already")
+        missing = lacks(chosen, self.data)
+        if missing:
+            raise EffectError(f"'{chosen.name}' needs the column {listed(missing)}, which these rows lack")
+        settings: dict[str, float] = {}
+        if chosen.search == "time_s":
+            settings["slip_time_s"] = self._slip_time() if slip_time_s is None else slip_time_s
+        if chosen.search == "period_mm" and period_mm is not None:
+            settings["period_mm"] = period_mm
+        return self._change(self.model.with_effect(chosen, **settings), self.data, f"added {chosen.name}")
+
+    def remove(self, name: str) -> Step:
+        """Takes an effect out and refits. Raises :class:`~sherkit.errors.EffectError` where it is not in the model."""
+        if name not in self.effects:
+            raise EffectError(f"'{name}' is not in the model; it has {listed(self.effects) or 'no effects'}")
+        return self._change(self.model.without_effect(name), self.data, f"removed {name}")
+
+    def undo(self) -> Step:
+        """Takes the last change back. Raises :class:`~sherkit.errors.EffectError` where there is none."""
+        if not self._undone:
+            raise EffectError("there is nothing to undo")
+        self.model, self.data = self._undone.pop()
+        return self._record("undone")
+
+    def extend(self, more: Measurements) -> Step:
+        """Joins new measurements to the study and refits; time must go on where both runs have it."""
+        return self._change(self.model, joined(self.data, more), f"{len(more)} rows joined")
+
+    def mark_outliers(self, rows: Sequence[int]) -> Step:
+        """Marks rows (by number from 0) as outliers: kept, listed, not fitted."""
+        marked = self.data.mark_outliers(np.asarray(rows, dtype=np.int64))
+        return self._change(self.model, marked, f"{len(rows)} rows marked as outliers")
+
+    def calibration(self) -> Calibration:
+        """The model to deploy: what was identified, and a Bernstein correction where one helps on held-out blocks."""
+        held = hold_out(self.model, self.data, seed=self.seed).residuals_mm
+        full = self.data.taken[:, :3].all(axis=1) & ~self.data.outlier
+        choice = choose_correction(self.fit, seed=self.seed) if full.sum() >= 20 else None
+        return Calibration(self.robot, Experiment(self.fit, held, choice, None).part())
+
+    def _register(self, effect: Effect) -> None:
+        if effect.name in CATALOGUE:
+            raise EffectError(f"'{effect.name}' is the name of a built-in effect; give yours another")
+        plain = DeltaModel(self.robot)
+        check_user_effect(effect, plain.rows(self.data, np.zeros(len(plain.parameters))))
+        self.own[effect.name] = effect
+
+    def _slip_time(self) -> float:
+        rows = np.flatnonzero(~self.data.outlier & self.data.taken[:, :3].all(axis=1))
+        search = Search(self.fit, (CATALOGUE["slip"],), rows, np.ones(4), level=0.01)
+        stage = search.stage(search.base)
+        found = [c for c in search.strongest_settings(stage) if c.name == "slip"]
+        if not found or found[0].setting is None:
+            raise EffectError("'slip': no moment can be searched for in these rows; give slip_time_s")
+        return found[0].setting
+
+    # -- files -------------------------------------------------------------------------------------------
+
+    def save(self, folder: str | Path) -> None:
+        """Writes robot, rows and steps into a folder that :meth:`load` reads back without loss."""
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        self.data.save(folder / "rows.parquet")
+        state = {
+            "format": _FORMAT,
+            "robot": self.robot.to_tables(),
+            "source": self.data.source,
+            "free": list(self.model.free),
+            "effects": list(self.effects),
+            "period_mm": self.model.period_mm,
+            "slip_time_s": self.model.slip_time_s,
+            "time_origin_s": self.model.time_origin_s,
+            "seed": self.seed,
+            "history": [
+                {
+                    "action": s.action,
+                    "effects": list(s.effects),
+                    "training_rms_um": s.training_rms_um,
+                    "held_out_rms_um": s.held_out_rms_um,
+                    "parameters": s.parameters,
+                    "rows": s.rows,
+                }
+                for s in self.history
+            ],
+        }
+        (folder / "study.json").write_text(json.dumps(state, indent=2), encoding="utf-8")
+
+    @classmethod
+    def load(cls, folder: str | Path, *, effects: Sequence[Effect] = ()) -> Study:
+        """Reads a study. User effects must be given again; no code is ever loaded from the folder.
+
+        Raises :class:`~sherkit.errors.EffectError` where one is missing, :class:`~sherkit.errors.SherkitError`.
+        """
+        folder = Path(folder)
+        try:
+            state: dict[str, Any] = json.loads((folder / "study.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise SherkitError(f"{folder}: holds no study that can be read: {error}") from None
+        if state.get("format") != _FORMAT:
+            raise SherkitError(f"{folder}: is not a study of this version (expected format {_FORMAT})")
+        robot = robot_from_tables(state["robot"], f"{folder} [robot]")
+        study = cls.__new__(cls)
+        study.robot, study.seed = robot, int(state["seed"])
+        study.data = from_frame(pl.read_parquet(folder / "rows.parquet"), state["source"])
+        study.own, study._undone, study._diagnosis = {}, [], None
+        for effect in effects:
+            study._register(effect)
+        study.model = DeltaModel(
+            robot,
+            tuple(state["free"]),
+            effects_by_name(state["effects"], tuple(study.own.values())),
+            period_mm=state["period_mm"],
+            slip_time_s=state["slip_time_s"],
+            time_origin_s=state["time_origin_s"],
+        )
+        fit = identify(study.model, study.data)
+        study.history = [
+            Step(
+                action=s["action"],
+                effects=tuple(s["effects"]),
+                training_rms_um=s["training_rms_um"],
+                held_out_rms_um=s["held_out_rms_um"],
+                parameters=s["parameters"],
+                rows=s["rows"],
+                fit=fit,
+            )
+            for s in state["history"]
+        ]
+        return study
+
+    def __repr__(self) -> str:
+        lines = [f"Study of {self.data.source}: {len(self.data)} rows"]
+        for s in self.history:
+            axes = ", ".join(f"{k[:-3]} {v:.1f}" for k, v in s.held_out_rms_um.items())
+            lines.append(f"  {s.action:<32} held out {axes} µm")
+        return "\n".join(lines)
+
+
+def joined(first: Measurements, second: Measurements) -> Measurements:
+    """Both runs as one. Poses of the second get numbers of their own; columns that only one has are left out."""
+    a, b = first.to_frame(), second.to_frame()
+    if "pose" in a.columns and "pose" in b.columns:
+        b = b.with_columns(pl.col("pose") + int(np.asarray(first.pose).max()))
+    common = [c for c in a.columns if c in b.columns]
+    both = pl.concat([a.select(common), b.select(common)], how="vertical_relaxed")
+    # directions are those of each run by itself
+    for k in range(3):
+        direction = np.concatenate([first.direction[:, k], second.direction[:, k]])
+        if np.isfinite(direction).all():
+            both = both.with_columns(pl.Series(f"direction_{k + 1}", direction))
+    return from_frame(both, first.source)
