@@ -19,11 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from . import _core
-from .correction import Correction
+from .correction import MAX_ORDER, Correction
 from .errors import CalibrationError, SherkitError
 from .identification import Fit
 from .measurements.columns import TEMPERATURE
 from .model import DeltaModel, effects_by_name
+from .names import listed
 from .parameters import Parameter
 from .robots import Delta
 from .robots.delta import Batch, matrix, vector
@@ -117,6 +118,10 @@ class Calibration:
     def __post_init__(self) -> None:
         if (self.local is None) != (self.region_half_width_mm is None):
             raise CalibrationError("a local model needs the half width of its region, and the reverse")
+        for name in ("region_half_width_mm", "blend_mm"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise CalibrationError(f"{name}: expected a positive number, got {value}")
         _ = self.core  # refuses numbers that do not fit together
 
     # -- the model ---------------------------------------------------------------------------------------
@@ -151,7 +156,7 @@ class Calibration:
         local = region = None
         if self.local is not None and self.region_half_width_mm is not None:
             local = self._core_part(self.local)
-            half = self.region_half_width_mm
+            half = float(self.region_half_width_mm)
             blend = self.blend_mm if self.blend_mm is not None else _BLEND * half
             region = (np.full(3, -half), np.full(3, half), blend)
         return _core.Calibrated(self._core_part(self.whole), local, region)
@@ -285,18 +290,21 @@ class Calibration:
                 f"{path}: is not a calibration of this version (expected [calibration] format = {FORMAT})"
             )
         try:
-            local = _part_from(tables["local"]) if "local" in tables else None
-            return cls(
-                robot=robot_from_tables(tables["robot"], f"{path} [robot]"),
-                whole=_part_from(tables["whole"]),
-                local=local,
-                region_half_width_mm=settings.get("region_half_width_mm"),
-                blend_mm=settings.get("blend_mm"),
+            robot = robot_from_tables(_Keys(tables, "").table("robot").values, f"{path} [robot]")
+            keys = _Keys(tables, "")
+            made = cls(
+                robot=robot,
+                whole=_part_from(keys.table("whole")),
+                local=_part_from(keys.table("local")) if "local" in tables else None,
+                region_half_width_mm=_Keys(settings, "calibration").optional_number("region_half_width_mm"),
+                blend_mm=_Keys(settings, "calibration").optional_number("blend_mm"),
             )
-        except KeyError as error:
-            raise CalibrationError(f"{path}: key {error} is missing") from None
-        except (TypeError, ValueError, SherkitError) as error:
+            for name, part in (("whole", made.whole), ("local", made.local)):
+                if part is not None:
+                    _check_names(made._model(part), keys.table(name))
+        except (TypeError, ValueError, OverflowError, SherkitError) as error:
             raise CalibrationError(f"{path}: {error}") from None
+        return made
 
     def __repr__(self) -> str:
         parts = f"whole from {self.whole.rows} rows"
@@ -332,34 +340,119 @@ def _part_table(part: Part, parameters: Sequence[Parameter]) -> dict[str, Any]:
     return table
 
 
-def _part_from(table: Mapping[str, Any]) -> Part:
-    parameters = table["parameters"]
-    count = len(parameters)
+class _Keys:
+    """A table of a calibration file: every value checked, every error with its key. Raises ``ValueError``."""
 
-    def numbers(value: Any, what: str, *shape: int) -> Floats:
-        array = np.array(value, dtype=float)
-        if array.shape != shape or not np.isfinite(array).all():
-            raise ValueError(f"{what}: expected finite numbers of shape {shape}")
+    def __init__(self, values: Any, path: str) -> None:
+        if not isinstance(values, Mapping):
+            raise ValueError(f"[{path}]: expected a table, found {values!r}")
+        self.values: dict[str, Any] = dict(values)
+        self.path = path
+
+    def _fail(self, key: str, expected: str) -> ValueError:
+        if key not in self.values:
+            return ValueError(f"[{self.path}] '{key}' is missing; expected {expected}")
+        found = self.values[key]
+        return ValueError(f"[{self.path}] {key}: expected {expected}, found {str(found)[:80]}")
+
+    def get(self, key: str, kind: type | tuple[type, ...], expected: str) -> Any:
+        value = self.values.get(key)
+        if not isinstance(value, kind) or isinstance(value, bool):
+            raise self._fail(key, expected)
+        return value
+
+    def table(self, key: str) -> _Keys:
+        path = f"{self.path}.{key}" if self.path else key
+        if key not in self.values:
+            raise ValueError(f"[{path}] is missing")
+        return _Keys(self.values[key], path)
+
+    def number(self, key: str) -> float:
+        value = float(self.get(key, (int, float), "a number"))
+        if not np.isfinite(value):
+            raise self._fail(key, "a finite number")
+        return value
+
+    def optional_number(self, key: str) -> float | None:
+        return self.number(key) if key in self.values else None
+
+    def names(self, key: str) -> tuple[str, ...]:
+        value = self.get(key, list, "a list of names")
+        if not all(isinstance(v, str) for v in value):
+            raise self._fail(key, "a list of names")
+        return tuple(value)
+
+    def array(self, key: str, *shape: int, finite: bool = True) -> Floats:
+        expected = f"{'finite ' if finite else ''}numbers of shape {shape}"
+        try:
+            array = np.array(self.get(key, list, expected), dtype=float)
+        except (TypeError, ValueError):
+            raise self._fail(key, expected) from None
+        if array.shape != shape or np.isnan(array).any() or (finite and not np.isfinite(array).all()):
+            raise self._fail(key, expected)
         return array
 
-    effects = tuple(str(name) for name in table["effects"])
-    now = numbers([table["now"][name] for name in _NOW], "now", len(_NOW))
+    def covariance(self, key: str, size: int) -> Floats:
+        matrix = self.array(key, size, size)
+        if size and np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[0] < -1e-9 * max(float(np.trace(matrix)), 1e-300):
+            raise self._fail(key, "a covariance (symmetric, no negative variance)")
+        return matrix
+
+
+def _part_from(keys: _Keys) -> Part:
+    parameters = [_Keys(p, f"{keys.path}.parameters") for p in keys.get("parameters", list, "a list of tables")]
+    count = len(parameters)
+    names = [p.get("name", str, "a name") for p in parameters]
+    settings, now = keys.table("settings"), keys.table("now")
+    time, temperature, *directions = (now.number(name) for name in _NOW)
+    low, high = keys.array("low_mm", 3), keys.array("high_mm", 3)
+    if (low > high).any():
+        raise ValueError(f"[{keys.path}] low_mm: expected nothing above high_mm, found {low.tolist()}")
+    rows = keys.get("rows", int, "a whole number")
+    if rows < 0:
+        raise ValueError(f"[{keys.path}] rows: expected a whole number, found {rows}")
     return Part(
-        free=tuple(p["name"] for p in parameters if "." not in p["name"]),
-        effects=effects,
-        settings={k: float(table["settings"][k]) for k in ("period_mm", "slip_time_s", "time_origin_s")},
-        left_out=tuple(str(name) for name in table["left_out"]),
-        now=(now[0], now[1], now[2], now[3], now[4]),
-        values=numbers([p["value"] for p in parameters], "parameters", count),
-        covariance=numbers(table["covariance"], "covariance", count, count),
-        residual_covariance_mm2=numbers(table["residual_covariance_mm2"], "residual_covariance_mm2", 3, 3),
-        uncorrected_covariance_mm2=numbers(table["uncorrected_covariance_mm2"], "uncorrected_covariance_mm2", 3, 3),
-        low_mm=numbers(table["low_mm"], "low_mm", 3),
-        high_mm=numbers(table["high_mm"], "high_mm", 3),
-        correction=Correction.from_table(table["correction"]) if "correction" in table else None,
-        made_from=str(table["made_from"]),
-        rows=int(table["rows"]),
+        free=tuple(name for name in names if "." not in name),
+        effects=keys.names("effects"),
+        settings={k: settings.number(k) for k in ("period_mm", "slip_time_s", "time_origin_s")},
+        left_out=keys.names("left_out"),
+        now=(time, temperature, directions[0], directions[1], directions[2]),
+        values=np.array([p.number("value") for p in parameters], dtype=float),
+        covariance=keys.covariance("covariance", count),
+        residual_covariance_mm2=keys.covariance("residual_covariance_mm2", 3),
+        uncorrected_covariance_mm2=keys.covariance("uncorrected_covariance_mm2", 3),
+        low_mm=low,
+        high_mm=high,
+        correction=_correction_from(keys.table("correction")) if "correction" in keys.values else None,
+        made_from=keys.get("made_from", str, "a file name"),
+        rows=rows,
     )
+
+
+def _correction_from(keys: _Keys) -> Correction:
+    orders = keys.get("orders", list, f"three orders from 0 to {MAX_ORDER}")
+    if len(orders) != 3 or not all(type(o) is int and 0 <= o <= MAX_ORDER for o in orders):
+        raise ValueError(f"[{keys.path}] orders: expected three orders from 0 to {MAX_ORDER}, found {orders}")
+    count = int(np.prod([o + 1 for o in orders]))
+    try:
+        return Correction(
+            orders=(orders[0], orders[1], orders[2]),
+            low_mm=keys.array("low_mm", 3, finite=False),
+            high_mm=keys.array("high_mm", 3, finite=False),
+            fade_mm=keys.number("fade_mm"),
+            coefficients_mm=keys.array("coefficients_mm", count, 3),
+        )
+    except SherkitError as error:
+        raise ValueError(f"[{keys.path}] {error}") from None
+
+
+def _check_names(model: DeltaModel, keys: _Keys) -> None:
+    """Refuses a file whose parameters are not those of its effects, in their order."""
+    found = [p["name"] for p in keys.values["parameters"]]
+    expected = [p.name for p in model.parameters]
+    if found != expected:
+        wrong = next((f for f, e in zip(found, expected, strict=False) if f != e), "a missing one")
+        raise ValueError(f"[{keys.path}] parameters: expected {listed(expected, 30)}; '{wrong}' does not belong there")
 
 
 def _second_moment(residuals_mm: Floats) -> Floats:

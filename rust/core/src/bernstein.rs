@@ -94,6 +94,10 @@ impl Domain {
             } else if position[k] < self.low[k] {
                 (self.low[k] - position[k], -1.0)
             } else {
+                // a coordinate that is no number must not look like one inside
+                if position[k].is_nan() {
+                    value[k] = f64::NAN;
+                }
                 continue;
             };
             let t = beyond / self.fade;
@@ -199,6 +203,7 @@ pub fn push<S: AsRef<[f64]> + AsMut<[f64]>>(
     position: &Vector3<f64>,
     target: &Vector3<f64>,
 ) {
+    let orders = orders.map(|o| o.min(MAX_ORDER));
     let (t, _) = domain.normalised(position, orders);
     let [bx, by, bz] = [
         basis(orders[0], t[0]),

@@ -155,6 +155,20 @@ impl Model {
         if let Some(index) = values.iter().position(|v| !v.is_finite()) {
             return Err(Error::NotFinite { index });
         }
+        let settings = [
+            self.rod_spacing,
+            self.pole_pitch,
+            self.time_origin_s,
+            self.slip_time_s,
+        ];
+        let settings = settings.iter().chain(&self.home).chain(&self.target_offset);
+        if let Some(index) = settings.clone().position(|v| !v.is_finite()) {
+            return Err(Error::NotFinite { index });
+        }
+        if self.pole_pitch <= 0.0 {
+            let what = "the period of the encoders must be positive";
+            return Err(Error::InvalidGeometry { limb: 0, what });
+        }
         let mut geometry = self.geometry.parameters();
         for (g, e) in geometry.iter_mut().zip(values) {
             *g += e;

@@ -143,6 +143,11 @@ impl Kinematics {
         &self.rods
     }
 
+    pub(super) fn with_rods(mut self, rods: [f64; LIMBS]) -> Self {
+        self.rods = rods;
+        self
+    }
+
     /// Derivatives of a limb's sphere centre at a joint reading.
     #[inline]
     pub(super) fn by_limb(&self, limb: usize, joint: f64) -> ByLimb {

@@ -1,13 +1,14 @@
 //! The structure link: from carriages to the measured point, and how that answers to any small change.
 //!
-//! With equal rods the platform stays parallel and three spheres fix it. With unequal rods it tilts: then all
-//! six rods `|x + R a - c|² = l²` are solved for position and rotation by Newton's method. Either way every
-//! parameter acts by moving the carriage end of a limb by `dv` or lengthening its rods by `dl`, so one small
-//! inverse gives all derivatives: `ρ·(dx + dw × R a) = ρ·dv + l dl` for each rod ρ.
+//! With equal rods the platform stays parallel and three spheres fix it. Under the platform's weight limb i
+//! carries the share `f_i = -L_i g_iz` of it, with `g_i` the columns of `A⁻¹` and the rods as rows of `A` (force
+//! balance: `Aᵀφ = -ẑ`), and its rods are longer by `c_i f_i`; lengths and pose are brought to agree. With unequal
+//! rods the platform also tilts: then all six rods `|x + R a - c|² = L²` are solved by Newton's method.
 //!
-//! Sag is linear elasticity on top: with `g_i` the columns of `A⁻¹` (rows of `A` are the rods), limb i carries the
-//! share `-l_i g_iz` of the weight, stretches by `c_i` times that, and the platform moves by
-//! `-Σ c_i l_i² g_iz g_i`. Derivation: force balance `Aᵀφ = -ẑ` and the constraint above.
+//! Every parameter acts by moving a carriage end by `dv` or lengthening rods by `dl`. With
+//! `dx = Σ g_k (r_k·dv_k + L_k dL_k)` and `dg_i = -Σ_k g_k (g_i·(dx - dv_k))`, the rods answer by
+//! `(I - C M) dL = dl + C h`, `M_ij = L_i s_z (g_i·g_j) L_j - g_iz δ_ij`,
+//! `h_i = L_i (s_z g_i·dx₀ - Σ_k g_kz g_i·dv_k)`, `s = Σ g_k`, `dx₀ = Σ g_k r_k·dv_k`.
 
 use super::geometry::LIMBS;
 use super::kinematics::Kinematics;
@@ -15,9 +16,9 @@ use crate::math::sqrt;
 use crate::{Error, Result};
 use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3, Vector6};
 
-const NEWTON_ITERATIONS: usize = 25;
-/// Newton stops when no rod is wrong by more than this, mm.
-const NEWTON_TOLERANCE_MM: f64 = 1e-12;
+const ITERATIONS: usize = 60;
+/// Lengths and Newton steps are settled when nothing moves by more than this, mm.
+const TOLERANCE_MM: f64 = 1e-12;
 /// Pivot ratio below which the six rods do not fix the platform.
 const SINGULAR: f64 = 1e-12;
 
@@ -30,14 +31,18 @@ pub(super) struct Extras {
     pub half_pair: [Vector3<f64>; LIMBS],
     /// Difference of the two rods of a limb, mm.
     pub mismatch: [f64; LIMBS],
-    /// Stretch under the whole weight, mm.
+    /// Stretch of a limb under the whole weight, mm.
     pub compliance: [f64; LIMBS],
 }
 
 impl Extras {
     /// Whether three spheres are all there is.
     pub fn is_plain(&self) -> bool {
-        self.mismatch == [0.0; LIMBS] && self.compliance == [0.0; LIMBS]
+        self.mismatch == [0.0; LIMBS] && self.is_stiff()
+    }
+
+    fn is_stiff(&self) -> bool {
+        self.compliance == [0.0; LIMBS]
     }
 }
 
@@ -50,201 +55,176 @@ struct Rod {
     turn: Vector3<f64>,
 }
 
+/// How the rods answer to load: shares of the weight, and `(I - C M)⁻¹`.
+#[derive(Clone, Copy, Debug)]
+struct Loaded {
+    shares: Vector3<f64>,
+    compliance: Vector3<f64>,
+    answer: Matrix3<f64>,
+}
+
+/// The platform tilted by unequal rods.
+#[derive(Clone, Copy, Debug)]
+struct Tilted {
+    rods: [[Rod; 2]; LIMBS],
+    turn: Rotation3<f64>,
+    arm: Vector3<f64>,
+}
+
 /// The solved structure.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Structure {
-    /// Measured point, base frame, mm, sag included.
+    /// Measured point, base frame, mm.
     pub point: Vector3<f64>,
-    /// Mean rod of each limb.
-    means: [Vector3<f64>; LIMBS],
-    /// Both rods of each limb, where the platform tilts.
-    pairs: Option<[[Rod; 2]; LIMBS]>,
-    /// From the platform centre to the measured point, base frame.
-    arm: Vector3<f64>,
-    turn: Rotation3<f64>,
-    /// Columns `g_i` of the inverse of the mean rods, and the mean rods' lengths.
+    /// Rods of the parallel platform.
+    rods: [Vector3<f64>; LIMBS],
+    /// Columns `g_i` of the inverse of the rods.
     answers: Matrix3<f64>,
     lengths: [f64; LIMBS],
-    compliance: [f64; LIMBS],
-}
-
-/// A small change at one limb: of its carriage end against its platform end, and of the length of its rods.
-#[derive(Clone, Copy, Debug)]
-struct Change {
-    end: Vector3<f64>,
-    length: f64,
+    loaded: Option<Loaded>,
+    tilted: Option<Tilted>,
 }
 
 impl Structure {
     #[inline]
     pub fn solve(kinematics: &Kinematics, extras: &Extras, joints: &Vector3<f64>) -> Result<Self> {
+        if extras.is_stiff() {
+            return Self::unloaded(kinematics, extras, joints);
+        }
+        let stretched = stretched(kinematics, &extras.compliance, joints)?;
+        let mut structure = Self::unloaded(&stretched, extras, joints)?;
+        structure.load(&extras.compliance)?;
+        Ok(structure)
+    }
+
+    #[inline]
+    fn unloaded(kinematics: &Kinematics, extras: &Extras, joints: &Vector3<f64>) -> Result<Self> {
         let pose = kinematics.pose(joints)?;
         let mut structure = Self {
             point: pose.position + extras.target,
-            means: *pose.rods(),
-            pairs: None,
-            arm: extras.target,
-            turn: Rotation3::identity(),
+            rods: *pose.rods(),
             answers: *pose.answers(),
             lengths: *kinematics.rods(),
-            compliance: extras.compliance,
+            loaded: None,
+            tilted: None,
         };
         if extras.mismatch != [0.0; LIMBS] {
-            let centres = kinematics.sphere_centres(joints);
-            structure.tilt(kinematics, extras, &centres, &pose.position)?;
-        }
-        if extras.compliance != [0.0; LIMBS] {
-            structure.point += structure.sag();
+            let (centre, tilted) = six_rods(kinematics, extras, joints, &pose.position)?;
+            structure.point = centre + tilted.arm;
+            structure.tilted = Some(tilted);
         }
         Ok(structure)
     }
 
-    /// Replaces the parallel platform by the one that six rods hold.
-    fn tilt(
-        &mut self,
-        kinematics: &Kinematics,
-        extras: &Extras,
-        centres: &[Vector3<f64>; LIMBS],
-        start: &Vector3<f64>,
-    ) -> Result<()> {
-        let (centre, turn, pairs) = six_rods(kinematics, extras, centres, start)?;
-        self.turn = turn;
-        self.arm = turn * extras.target;
-        self.point = centre + self.arm;
-        self.means = [
-            centre - centres[0],
-            centre - centres[1],
-            centre - centres[2],
-        ];
-        let rows = Matrix3::from_columns(&self.means).transpose();
-        self.answers = rows.try_inverse().ok_or(Error::Singular)?;
-        self.pairs = Some(pairs);
-        Ok(())
-    }
-
-    /// Movement of the measured point under the weight.
-    fn sag(&self) -> Vector3<f64> {
-        let mut sum = Vector3::zeros();
-        for limb in 0..LIMBS {
-            sum += self.by_compliance(limb) * self.compliance[limb];
+    /// Keeps what the derivatives under load need.
+    fn load(&mut self, compliance: &[f64; LIMBS]) -> Result<()> {
+        let all = self.answers.column_sum();
+        let mut system = Matrix3::identity();
+        for i in 0..LIMBS {
+            let gi = self.answers.column(i);
+            for j in 0..LIMBS {
+                let gj = self.answers.column(j);
+                let m = self.lengths[i] * all.z * gi.dot(&gj) * self.lengths[j];
+                system[(i, j)] -= compliance[i] * m;
+            }
+            system[(i, i)] += compliance[i] * gi.z;
         }
-        sum
-    }
-
-    /// Derivative by the compliance of a limb.
-    pub fn by_compliance(&self, limb: usize) -> Vector3<f64> {
-        let g = self.answers.column(limb);
-        g * (-self.lengths[limb] * self.lengths[limb] * g.z)
+        self.loaded = Some(Loaded {
+            shares: shares(&self.answers, &self.lengths),
+            compliance: Vector3::from(*compliance),
+            answer: system.try_inverse().ok_or(Error::Singular)?,
+        });
+        Ok(())
     }
 
     /// Derivative of the measured point by a movement of the carriage end of a limb.
     #[inline]
     pub fn by_carriage(&self, limb: usize, moved: &Vector3<f64>) -> Vector3<f64> {
-        let change = Change {
-            end: *moved,
-            length: 0.0,
+        let stiff = match &self.tilted {
+            None => self.answers.column(limb) * self.rods[limb].dot(moved),
+            Some(tilted) => tilted.by_end(limb, moved),
         };
-        match &self.pairs {
-            None => self.parallel(limb, self.means[limb].dot(moved), &change),
-            Some(pairs) => self.tilted(&pairs[limb], limb, &change, &change),
-        }
+        stiff + self.by_load(limb, moved)
     }
 
     /// Derivative by a movement of the platform end of a limb, given in the platform frame.
     #[inline]
     pub fn by_platform(&self, limb: usize, moved: &Vector3<f64>) -> Vector3<f64> {
-        let sphere = Change {
-            end: -moved,
-            length: 0.0,
+        let sphere = -moved;
+        let stiff = match &self.tilted {
+            None => self.answers.column(limb) * self.rods[limb].dot(&sphere),
+            Some(tilted) => tilted.by_end(limb, &(tilted.turn * sphere)),
         };
-        match &self.pairs {
-            None => self.parallel(limb, -self.means[limb].dot(moved), &sphere),
-            Some(pairs) => {
-                let rod = Change {
-                    end: -(self.turn * moved),
-                    length: 0.0,
-                };
-                self.tilted(&pairs[limb], limb, &rod, &sphere)
-            }
-        }
+        stiff + self.by_load(limb, &sphere)
     }
 
     /// Derivative by the length of the rods of a limb.
     #[inline]
     pub fn by_length(&self, limb: usize) -> Vector3<f64> {
-        let change = Change {
-            end: Vector3::zeros(),
-            length: 1.0,
-        };
-        match &self.pairs {
-            None => self.parallel(limb, self.lengths[limb], &change),
-            Some(pairs) => self.tilted(&pairs[limb], limb, &change, &change),
+        match &self.loaded {
+            None => self.by_true_length(limb),
+            Some(loaded) => self.by_true_lengths(&loaded.answer.column(limb).into_owned()),
         }
     }
 
-    #[inline]
-    fn parallel(&self, limb: usize, gain: f64, change: &Change) -> Vector3<f64> {
-        let centre = self.answers.column(limb) * gain;
-        centre + self.sag_change(&centre, Some((limb, change)))
-    }
-
-    /// `rod` is the change as the six rods see it, `sphere` as the mean rod does, on which sag depends.
-    fn tilted(&self, pair: &[Rod; 2], limb: usize, rod: &Change, sphere: &Change) -> Vector3<f64> {
-        let (mut centre, mut turn) = (Vector3::zeros(), Vector3::zeros());
-        for one in pair {
-            let gain = one.vector.dot(&rod.end) + one.length * rod.length;
-            centre += one.centre * gain;
-            turn += one.turn * gain;
+    /// Derivative by the compliance of a limb: its share of the weight lengthens its rods.
+    pub fn by_compliance(&self, limb: usize) -> Vector3<f64> {
+        match &self.loaded {
+            None => {
+                let share = shares(&self.answers, &self.lengths)[limb];
+                self.by_true_length(limb) * share
+            }
+            Some(loaded) => {
+                let longer = loaded.answer.column(limb) * loaded.shares[limb];
+                self.by_true_lengths(&longer)
+            }
         }
-        let sag = self.sag_change(&centre, Some((limb, sphere)));
-        centre + turn.cross(&self.arm) + sag
     }
 
-    /// Derivative of the measured point by the difference of the two rods of each limb, one column a limb.
+    /// Derivative by the difference of the two rods of each limb, one column a limb.
     pub fn by_rod_mismatch(&self, kinematics: &Kinematics, extras: &Extras) -> Matrix3<f64> {
-        match &self.pairs {
+        match &self.tilted {
             None => self.mismatch_of_parallel(kinematics, extras),
-            Some(pairs) => self.mismatch_of_rods(pairs),
+            Some(tilted) => tilted.by_mismatch(),
         }
     }
 
-    /// How sag changes when the platform centre moves and a limb changes:
-    /// `dg_i = -Σ_k g_k (dρ_k·g_i)` with `dρ_k = dx - dv_k`.
+    /// By the length that the rods of a limb have under load.
     #[inline]
-    fn sag_change(&self, centre: &Vector3<f64>, at: Option<(usize, &Change)>) -> Vector3<f64> {
-        let mut sum = Vector3::zeros();
-        if self.compliance == [0.0; LIMBS] {
-            return sum;
+    fn by_true_length(&self, limb: usize) -> Vector3<f64> {
+        match &self.tilted {
+            None => self.answers.column(limb) * self.lengths[limb],
+            Some(tilted) => tilted.by_length(limb),
         }
+    }
+
+    fn by_true_lengths(&self, longer: &Vector3<f64>) -> Vector3<f64> {
+        (0..LIMBS).fold(Vector3::zeros(), |sum, k| {
+            sum + self.by_true_length(k) * longer[k]
+        })
+    }
+
+    /// What a movement of a sphere centre does by way of the loads.
+    #[inline]
+    fn by_load(&self, limb: usize, moved: &Vector3<f64>) -> Vector3<f64> {
+        let Some(loaded) = &self.loaded else {
+            return Vector3::zeros();
+        };
+        let first = self.answers.column(limb) * self.rods[limb].dot(moved);
         let all = self.answers.column_sum();
+        let lift = self.answers[(2, limb)];
+        let mut load = Vector3::zeros();
         for i in 0..LIMBS {
-            let c = self.compliance[i];
-            if c == 0.0 {
-                continue;
-            }
-            let g: Vector3<f64> = self.answers.column(i).into_owned();
-            let l = self.lengths[i];
-            let mut dg = -all * g.dot(centre);
-            let mut stretch = 0.0;
-            if let Some((limb, change)) = at {
-                dg += self.answers.column(limb) * g.dot(&change.end);
-                if limb == i {
-                    stretch = 2.0 * l * change.length;
-                }
-            }
-            sum -= (dg * g.z + g * dg.z) * (c * l * l) + g * (c * stretch * g.z);
+            let g = self.answers.column(i);
+            load[i] = self.lengths[i] * (all.z * g.dot(&first) - lift * g.dot(moved));
         }
-        sum
+        self.by_true_lengths(&(loaded.answer * loaded.compliance.component_mul(&load)))
     }
 
     /// Around the parallel platform the two rods of a limb differ only by a turn:
-    /// `(e_i × ρ_i)·dw = l_i m_i / |pair|`, and the centre follows.
+    /// `(pair × ρ_i)·dw = L_i m_i`, and the centre follows.
     fn mismatch_of_parallel(&self, kinematics: &Kinematics, extras: &Extras) -> Matrix3<f64> {
-        let row = |i: usize| {
-            (extras.half_pair[i] * 2.0)
-                .cross(&self.means[i])
-                .transpose()
-        };
+        let row = |i: usize| (extras.half_pair[i] * 2.0).cross(&self.rods[i]).transpose();
         let Some(turn) = Matrix3::from_rows(&[row(0), row(1), row(2)]).try_inverse() else {
             return Matrix3::zeros(); // rods without a distance between them cannot tilt the platform
         };
@@ -254,36 +234,84 @@ impl Structure {
             let mut centre = Vector3::zeros();
             for k in 0..LIMBS {
                 let lever = dw.cross(&kinematics.platform_joint(k));
-                centre -= self.answers.column(k) * self.means[k].dot(&lever);
+                centre -= self.answers.column(k) * self.rods[k].dot(&lever);
             }
-            let moved = centre + dw.cross(&self.arm) + self.sag_change(&centre, None);
-            out.set_column(limb, &moved);
+            out.set_column(limb, &(centre + dw.cross(&extras.target)));
         }
         out
+    }
+}
+
+impl Tilted {
+    fn by_gains(&self, limb: usize, gain: impl Fn(&Rod, f64) -> f64) -> Vector3<f64> {
+        let (mut centre, mut turn) = (Vector3::zeros(), Vector3::zeros());
+        for (rod, side) in self.rods[limb].iter().zip([1.0, -1.0]) {
+            let gain = gain(rod, side);
+            centre += rod.centre * gain;
+            turn += rod.turn * gain;
+        }
+        centre + turn.cross(&self.arm)
     }
 
-    fn mismatch_of_rods(&self, pairs: &[[Rod; 2]; LIMBS]) -> Matrix3<f64> {
-        let mut out = Matrix3::zeros();
-        for (limb, [plus, minus]) in pairs.iter().enumerate() {
-            let centre = plus.centre * (0.5 * plus.length) - minus.centre * (0.5 * minus.length);
-            let turn = plus.turn * (0.5 * plus.length) - minus.turn * (0.5 * minus.length);
-            let moved = centre + turn.cross(&self.arm) + self.sag_change(&centre, None);
-            out.set_column(limb, &moved);
-        }
-        out
+    fn by_end(&self, limb: usize, moved: &Vector3<f64>) -> Vector3<f64> {
+        self.by_gains(limb, |rod, _| rod.vector.dot(moved))
     }
+
+    fn by_length(&self, limb: usize) -> Vector3<f64> {
+        self.by_gains(limb, |rod, _| rod.length)
+    }
+
+    fn by_mismatch(&self) -> Matrix3<f64> {
+        let column = |limb: usize| self.by_gains(limb, |rod, side| 0.5 * side * rod.length);
+        Matrix3::from_columns(&[column(0), column(1), column(2)])
+    }
+}
+
+/// Shares of the weight that the limbs carry.
+fn shares(answers: &Matrix3<f64>, lengths: &[f64; LIMBS]) -> Vector3<f64> {
+    -answers
+        .row(2)
+        .transpose()
+        .component_mul(&Vector3::from(*lengths))
+}
+
+/// The kinematics with rods as long as they are under the weight.
+fn stretched(
+    kinematics: &Kinematics,
+    compliance: &[f64; LIMBS],
+    joints: &Vector3<f64>,
+) -> Result<Kinematics> {
+    let mut current = *kinematics;
+    for _ in 0..ITERATIONS {
+        let pose = current.pose(joints)?;
+        let share = shares(pose.answers(), current.rods());
+        let mut lengths = *kinematics.rods();
+        let mut moved = 0.0_f64;
+        for i in 0..LIMBS {
+            lengths[i] += compliance[i] * share[i];
+            moved = moved.max((lengths[i] - current.rods()[i]).abs());
+        }
+        current = current.with_rods(lengths);
+        if moved <= TOLERANCE_MM {
+            return Ok(current);
+        }
+    }
+    Err(Error::NotConverged {
+        iterations: ITERATIONS,
+    })
 }
 
 /// Newton on six rods from the parallel platform.
 fn six_rods(
     kinematics: &Kinematics,
     extras: &Extras,
-    centres: &[Vector3<f64>; LIMBS],
+    joints: &Vector3<f64>,
     start: &Vector3<f64>,
-) -> Result<(Vector3<f64>, Rotation3<f64>, [[Rod; 2]; LIMBS])> {
+) -> Result<(Vector3<f64>, Tilted)> {
+    let centres = kinematics.sphere_centres(joints);
     let mut centre = *start;
     let mut turn = Rotation3::identity();
-    for _ in 0..NEWTON_ITERATIONS {
+    for _ in 0..ITERATIONS {
         let mut system = Matrix6::zeros();
         let mut miss = Vector6::zeros();
         let mut rods = [[Rod::default(); 2]; LIMBS];
@@ -308,17 +336,13 @@ fn six_rods(
             }
         }
         let lu = system.full_piv_lu();
-        let u = lu.u();
-        let pivots = u.diagonal();
-        if pivots.amin() <= SINGULAR * pivots.amax() {
+        let pivots = lu.u().diagonal();
+        let worst = miss.amax();
+        if pivots.amin() <= SINGULAR * pivots.amax() || !worst.is_finite() {
             return Err(Error::Singular);
         }
         let inverse = lu.try_inverse().ok_or(Error::Singular)?;
-        let worst = miss.amax();
-        if !worst.is_finite() {
-            return Err(Error::Singular);
-        }
-        if worst <= NEWTON_TOLERANCE_MM * sqrt(rods[0][0].vector.norm_squared()) {
+        if worst <= TOLERANCE_MM * sqrt(rods[0][0].vector.norm_squared()) {
             for (limb, pair) in rods.iter_mut().enumerate() {
                 for (k, rod) in pair.iter_mut().enumerate() {
                     let column = inverse.column(2 * limb + k);
@@ -326,13 +350,14 @@ fn six_rods(
                     rod.turn = column.fixed_rows::<3>(3).into_owned();
                 }
             }
-            return Ok((centre, turn, rods));
+            let arm = turn * extras.target;
+            return Ok((centre, Tilted { rods, turn, arm }));
         }
         let step = inverse * miss;
         centre += step.fixed_rows::<3>(0);
         turn = Rotation3::from_scaled_axis(step.fixed_rows::<3>(3).into_owned()) * turn;
     }
     Err(Error::NotConverged {
-        iterations: NEWTON_ITERATIONS,
+        iterations: ITERATIONS,
     })
 }

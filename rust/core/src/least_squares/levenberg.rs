@@ -191,6 +191,13 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Levenberg<S> {
         // the last step, taken from the estimate: how far would the next one go?
         let (head, step) = slots.split_at_mut(STEP * n);
         let step = &mut step[..n];
+        // the minimum is where the undamped step is small too: a damped one is small at every wall
+        decomposition.step(0.0, step);
+        let undamped = step
+            .iter()
+            .zip(&head[SIZES * n..])
+            .map(|(t, s)| (t / s).abs())
+            .fold(0.0, f64::max);
         decomposition.step(self.damping, step);
         let (head, trial) = head.split_at_mut(TRIAL * n);
         let (start, rest) = head.split_at(n);
@@ -209,7 +216,7 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Levenberg<S> {
             .zip(sizes)
             .map(|((t, b), s)| ((t - b) / s).abs())
             .fold(0.0, f64::max);
-        let converged = farthest <= self.settings.step_tolerance;
+        let converged = farthest.max(undamped) <= self.settings.step_tolerance;
         let exhausted = self.evaluations >= self.settings.max_evaluations || self.damping > 1e12;
         if self.settings.single_step {
             // the linear solution, whatever it would cost: that is what was asked for
