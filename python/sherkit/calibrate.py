@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 
 from .calibration import Calibration, Part
 from .correction import Choice, PaperProtocol, choose_correction, leftover, paper_protocol
-from .errors import FitError
+from .diagnosis.search import slip_time
+from .effects import Effect
+from .errors import EffectError, FitError
 from .identification import Fit, identify
 from .measurements import Measurements
 from .measurements.columns import READINGS
+from .model import DeltaModel, lacks
+from .names import listed
 from .robots import Delta
 from .validation import hold_out
 
@@ -105,6 +109,7 @@ def calibrate(
     local: Measurements | None = None,
     *,
     free: Sequence[str] = (),
+    effects: Sequence[Effect] = (),
     loss: str = "linear",
     priors: bool = False,
     linear: bool = False,
@@ -114,9 +119,9 @@ def calibrate(
 ) -> Result:
     """Calibrates a robot from a run over its workspace and, if given, one inside its region of interest.
 
-    ``correction``: ``auto`` chooses a Bernstein polynomial by blocked cross-validation (or none, where none
-    helps); ``paper`` takes the order that the paper's protocol finds on the middle plane, in x and y alone, and
-    fits it to all planes; ``none`` leaves the geometry alone.
+    ``effects`` are identified together with the geometry. ``correction``: ``auto`` chooses a Bernstein polynomial by
+    blocked cross-validation (or none, where none helps); ``paper`` takes the order that the paper's protocol finds on
+    the middle plane, in x and y alone, and fits it to all planes; ``none`` leaves the geometry alone.
     ``step`` is told what is being done. Raises :class:`~sherkit.errors.FitError`.
     """
     if correction not in CORRECTIONS:
@@ -126,7 +131,14 @@ def calibrate(
 
     def experiment(data: Measurements, name: str) -> Experiment:
         step(f"identifying the {name} run")
-        fit = identify(robot, data, free=free, loss=loss, priors=priors, linear=linear)
+        model = DeltaModel(robot, tuple(free))
+        for effect in effects:
+            missing = lacks(effect, data)
+            if missing:
+                raise EffectError(f"{data.source}: '{effect.name}' needs the column {listed(missing)}")
+            setting = {"slip_time_s": slip_time(identify(model, data))} if effect.search == "time_s" else {}
+            model = model.with_effect(effect, **setting)
+        fit = identify(model, data, loss=loss, priors=priors, linear=linear)
         step(f"holding out blocks of the {name} run")
         held = hold_out(fit.model, data, seed=seed, loss=loss).residuals_mm
         choice = paper = None

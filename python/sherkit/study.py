@@ -15,7 +15,7 @@ from .calibrate import Experiment
 from .calibration import Calibration
 from .correction import choose_correction
 from .diagnosis import Diagnosis, diagnose
-from .diagnosis.search import Search
+from .diagnosis.search import slip_time
 from .effects import CATALOGUE, Effect, check_user_effect
 from .errors import EffectError, SherkitError
 from .identification import Fit, identify
@@ -137,7 +137,7 @@ class Study:
             raise EffectError(f"'{chosen.name}' needs the column {listed(missing)}, which these rows lack")
         settings: dict[str, float] = {}
         if chosen.search == "time_s":
-            settings["slip_time_s"] = self._slip_time() if slip_time_s is None else slip_time_s
+            settings["slip_time_s"] = slip_time(self.fit) if slip_time_s is None else slip_time_s
         if chosen.search == "period_mm" and period_mm is not None:
             settings["period_mm"] = period_mm
         return self._change(self.model.with_effect(chosen, **settings), self.data, f"added {chosen.name}")
@@ -177,15 +177,6 @@ class Study:
         plain = DeltaModel(self.robot)
         check_user_effect(effect, plain.rows(self.data, np.zeros(len(plain.parameters))))
         self.own[effect.name] = effect
-
-    def _slip_time(self) -> float:
-        rows = np.flatnonzero(~self.data.outlier & self.data.taken[:, :3].all(axis=1))
-        search = Search(self.fit, (CATALOGUE["slip"],), rows, np.ones(4), level=0.01)
-        stage = search.stage(search.base)
-        found = [c for c in search.strongest_settings(stage) if c.name == "slip"]
-        if not found or found[0].setting is None:
-            raise EffectError("'slip': no moment can be searched for in these rows; give slip_time_s")
-        return found[0].setting
 
     # -- files -------------------------------------------------------------------------------------------
 

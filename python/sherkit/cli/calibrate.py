@@ -9,9 +9,11 @@ import numpy as np
 
 from ..calibrate import CORRECTIONS, to_json
 from ..calibrate import calibrate as run_calibration
+from ..effects.file import load_effects
 from ..errors import MeasurementError
 from ..identification import LOSSES
 from ..measurements import Measurements, read_measurements
+from ..model import effects_by_name
 from ..robots import load_robot
 from . import output, tables
 
@@ -26,6 +28,8 @@ NOT_CONVERGED = 3
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 @click.option("--loss", type=click.Choice(LOSSES), default="linear", show_default=True, help="Against outliers.")
 @click.option("--free", default="", help="Parameters to identify, separated by commas; default: 12 and the datum.")
+@click.option("--effect", "added", multiple=True, help="A physical effect to identify too; see sherkit effects.")
+@click.option("--effects", "files", type=click.Path(path_type=Path), multiple=True, help="Python file of your effects.")
 @click.option("--priors", is_flag=True, help="Take plausible sizes as knowledge, not only where nothing is observed.")
 @click.option("--linear", is_flag=True, help="The paper's single linear step instead of the nonlinear minimum.")
 @click.option("--correction", type=click.Choice(CORRECTIONS), default="auto", show_default=True)
@@ -39,6 +43,8 @@ def calibrate(
     as_json: bool,
     loss: str,
     free: str,
+    added: tuple[str, ...],
+    files: tuple[Path, ...],
     priors: bool,
     linear: bool,
     correction: str,
@@ -56,6 +62,7 @@ def calibrate(
             data,
             inner,
             free=[name.strip() for name in free.split(",") if name.strip()],
+            effects=effects_by_name(added, [e for path in files for e in load_effects(path)]),
             loss=loss,
             priors=priors,
             linear=linear,

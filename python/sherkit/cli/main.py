@@ -12,6 +12,8 @@ from ..errors import SherkitError
 from . import output
 from .calibrate import calibrate
 from .demo import demo
+from .diagnose import diagnose
+from .effects import effects
 from .importing import import_group
 from .simulate import simulate
 
@@ -24,6 +26,8 @@ def cli() -> None:
 
 cli.add_command(calibrate)
 cli.add_command(demo)
+cli.add_command(diagnose)
+cli.add_command(effects)
 cli.add_command(simulate)
 cli.add_command(import_group)
 

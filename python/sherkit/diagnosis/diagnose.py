@@ -148,7 +148,7 @@ def diagnose(
     step("noise and outliers")
     sigma, origin = _noise(fit, axes)
     rows = np.flatnonzero(~data.outlier & data.taken[:, axes].all(axis=1))
-    first = stage_of(fit, (), rows, sigma, rho=0.0)
+    first = stage_of(fit, every, rows, sigma, rho=0.0, thorough=False)
     wild = suspected_outliers(first)
     if len(wild):
         data = data.mark_outliers(wild)
@@ -172,8 +172,8 @@ def diagnose(
     step("fitting all rows")
     model = search.with_candidates(fit.model, found.added)
     final = identify(model, data, noise=fit.noise) if found.added else fit
-    stage = stage_of(final, every, rows, sigma, rho=search.rho, nuisance=found.stages[-1].nuisance)
-    base_stage = stage_of(fit, every, rows, sigma, rho=search.rho) if found.added else stage
+    base_stage = stage_of(fit, every, rows, sigma, rho=search.rho, thorough=False)
+    stage = stage_of(final, every, rows, sigma, rho=search.rho, thorough=False) if found.added else base_stage
     confirmed = _confirm(search, found, fit, rows[locked]) if found.added and locked.any() else None
 
     step("held-out errors")
@@ -183,9 +183,15 @@ def diagnose(
     for k, candidate in enumerate(found.added):
         partial = search.with_candidates(partial, (candidate,))
         last = k == len(found.added) - 1
-        here = stage if last else stage_of(identify(partial, data, noise=fit.noise), (), rows, sigma, rho=search.rho)
+        here = (
+            stage
+            if last
+            else stage_of(identify(partial, data, noise=fit.noise), (), rows, sigma, rho=search.rho, thorough=False)
+        )
         steps.append(StepReport(candidate.name, held_out_um(here, block[here.rows])[0]))
 
+    if origin != "declared":
+        sigma = _noise_left(final, axes, sigma)
     verdict = _verdict(found, level)
     ties = _ties(found)
     reports = _candidate_reports(search, base_stage, gains, final, found)
@@ -238,6 +244,25 @@ def _noise(fit: Fit, axes: Sequence[int], wild: Ints | None = None) -> tuple[Flo
         used = data.taken[:, a] & ~data.outlier
         sigma[a] = float(np.sqrt(np.mean(noise.sigma_mm[used, a] ** 2)))
     return sigma, noise.origin
+
+
+def _noise_left(fit: Fit, axes: Sequence[int], sigma: Floats) -> Floats:
+    """Noise once what was found is in the model: repeats of a pose then differ by noise alone, whatever varied
+    between them; without repeats, what is left."""
+    data = fit.data
+    out = sigma.copy()
+    for a in axes:
+        used = data.taken[:, a] & ~data.outlier
+        group = np.unique(data.groups[used], return_inverse=True)[1]
+        count = np.bincount(group)
+        free = int((count - 1).sum())
+        left = fit.residuals_mm[used, a]
+        if free >= 5:
+            mean = np.bincount(group, left) / count
+            out[a] = np.sqrt(((left - mean[group]) ** 2).sum() / free)
+        else:
+            out[a] = left.std()
+    return out
 
 
 def _residual_sigma(fit: Fit, axes: Sequence[int]) -> Floats:

@@ -15,8 +15,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..effects import Effect
-from ..errors import SherkitError
+from ..effects import CATALOGUE, Effect
+from ..errors import EffectError, SherkitError
 from ..identification import Fit, identify
 from ..model import DeltaModel
 from ..noise import Noise
@@ -255,3 +255,13 @@ def is_plausible(fit: Fit, effect: Effect, times: float = 5.0) -> bool:
     place = fit.model.owns(effect)
     size = np.array([p.size for p in effect.parameters])
     return bool((np.abs(fit.values[place]) - 2 * fit.std_from_readings[place] <= times * size).all())
+
+
+def slip_time(fit: Fit) -> float:
+    """The moment at which a step of the measured point leaves least. Raises :class:`EffectError` without time."""
+    rows = np.flatnonzero(~fit.data.outlier & fit.data.taken[:, :3].all(axis=1))
+    search = Search(fit, (CATALOGUE["slip"],), rows, np.ones(4), level=0.01)
+    found = [c for c in search.strongest_settings(search.stage(search.base)) if c.effect.search == "time_s"]
+    if not found or found[0].setting is None:
+        raise EffectError("'slip': no moment can be searched for in these rows")
+    return found[0].setting

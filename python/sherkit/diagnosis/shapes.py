@@ -79,8 +79,8 @@ class _Builder:
             self.shapes.append(Shape(depends_on, shape, axis=axis, functions=functions, **about))  # type: ignore[arg-type]
 
 
-def build(view: View) -> Family:
-    """All shapes for the variables of a view."""
+def build(view: View, *, thorough: bool = True) -> Family:
+    """All shapes for the variables of a view; periods and hysteresis only where ``thorough``."""
     b = _Builder(view)
     unit = {name: _unit(v) for name, v in view.variables.items() if len(np.unique(v)) >= _FEWEST_VALUES}
     poses = [name for name in unit if name in view.pattern_of or name.startswith(("x_", "y_", "z_"))]
@@ -96,7 +96,7 @@ def build(view: View) -> Family:
         if pattern is not None and orders > 1:
             dense = tuple(b.column(pattern, legendre[:, k]) for k in range(orders))
             b.shapes.append(Shape((name,), "smooth", order=orders, pattern=pattern, dense=dense))
-    for name in poses:
+    for name in poses if thorough else ():
         _periodic(b, name, unit[name])
     for k, first in enumerate(poses):
         for second in poses[k + 1 :]:
@@ -113,7 +113,8 @@ def build(view: View) -> Family:
                 t, u = unit[joint], unit[other]
                 dense = tuple(b.column(pattern, v) for v in (u, u * u, t * u))
                 b.shapes.append(Shape((joint, other), "interaction", pattern=pattern, dense=dense))
-    _hysteretic(b)
+    if thorough:
+        _hysteretic(b)
     _steps(b)
     n, m = len(view), view.axes
     functions = np.stack(b.functions, axis=1) if b.functions else np.zeros((n, 0))

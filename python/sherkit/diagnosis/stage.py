@@ -107,8 +107,11 @@ def stage_of(
     *,
     rho: float | None = None,
     nuisance: Sequence[Shape] = (),
+    thorough: bool = True,
 ) -> Stage:
     """Builds the stage for a fit on the given rows of its data. ``sigma_mm`` (4,) is the noise per reading.
+
+    Only a ``thorough`` one has the shapes that cost time: periods and hysteresis.
 
     Raises :class:`FitError` where no row has all readings.
     """
@@ -171,11 +174,11 @@ def stage_of(
             untestable[effect.name] = str(error)
             continue
         first = len(dense)
-        dense += [inner[:, axes][:, :, k] / sigma[:, None] for k in range(inner.shape[2])]
+        dense += [inner[:, axes, k] / sigma for k in range(inner.shape[2])]
         candidates.append(Candidate(effect, Columns(dense=tuple(range(first, len(dense))), exact=True)))
 
     view = _view(part, residual, fitted, by_joints[:, axes] / sigma[:, None], fit, values=fit.values)
-    family = build(view)
+    family = build(view, thorough=thorough)
     for effect in tried:
         if effect.search == "time_s":
             for shape in family.shapes:
@@ -222,10 +225,14 @@ def used_axes(data: Measurements) -> tuple[int, ...]:
 
 
 def suspected_outliers(stage: Stage) -> NDArray[np.int64]:
-    """Rows (indices of the data) with a residual that neither noise nor any smooth shape explains."""
+    """Rows (indices of the data) that neither noise, nor any effect, nor a smooth shape explains.
+
+    A row of a pose that was read three times or more must also stand apart from the other readings of its pose: what
+    all of them show is the model's failing, not theirs.
+    """
     e = stage.view.residual
     n, m = e.shape
-    basis = _rich_basis(stage.view.fitted, np.zeros((n, m, 0)), stage.family)
+    basis = _rich_basis(stage.view.fitted, stage.physical, stage.family)
     left = e.reshape(-1)
     for _ in range(3):
         # what is smooth is estimated from residuals whose wild rows are cut to size
@@ -236,8 +243,27 @@ def suspected_outliers(stage: Stage) -> NDArray[np.int64]:
     center = np.median(rest, axis=0)
     spread = _MAD * np.median(np.abs(rest - center), axis=0)
     threshold = float(stats.norm.isf(0.5 * _OUTLIER_LEVEL / (n * m)))
-    wild = (np.abs(rest - center) > threshold * np.maximum(spread, 1e-12)).any(axis=1)
-    return stage.rows[wild]
+    wild = np.abs(rest - center) > threshold * np.maximum(spread, 1e-12)
+    return stage.rows[(wild & _apart(rest, stage.view.group, threshold)).any(axis=1)]
+
+
+def _apart(values: Floats, group: NDArray[np.int64], threshold: float) -> Bools:
+    """Which values stand apart from the median of their group; all of a group of fewer than three."""
+    order = np.argsort(group, kind="stable")
+    ordered, ids = values[order], np.unique(group[order], return_inverse=True)[1]
+    steps = np.diff(ordered, axis=0)[np.diff(ids) == 0]
+    if len(steps) < 5:
+        return np.ones(values.shape, dtype=bool)
+    noise = _MAD * np.median(np.abs(steps), axis=0) / np.sqrt(2.0)
+    count = np.bincount(ids)
+    starts = np.concatenate([[0], np.cumsum(count)[:-1]])
+    out = np.ones(values.shape, dtype=bool)
+    for size in np.unique(count[count >= 3]):
+        rows = starts[count == size][:, None] + np.arange(size)
+        block = ordered[rows]
+        far = np.abs(block - np.median(block, axis=1, keepdims=True)) > threshold * np.maximum(noise, 1e-12)
+        out[order[rows.ravel()]] = far.reshape(-1, values.shape[1])
+    return out
 
 
 def _limit(values: Floats) -> float:

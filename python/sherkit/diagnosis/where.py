@@ -64,4 +64,5 @@ def neighbour_correlation(stage: Stage) -> float:
         distance = ((place[k : k + 256, None, :] - place[None, :, :]) ** 2).sum(axis=2)
         distance[np.arange(len(distance)), np.arange(k, k + len(distance))] = np.inf
         nearest[k : k + 256] = distance.argmin(axis=1)
-    return float((mean * mean[nearest]).sum() / max(float((mean**2).sum()), 1e-300))
+    other = mean[nearest]
+    return float((mean * other).sum() / max(float(np.sqrt((mean**2).sum() * (other**2).sum())), 1e-300))

@@ -75,7 +75,7 @@ THERMAL_GROWTH = Effect(
 DRIFT = Effect(
     name="drift",
     link="body",
-    parameters=_each("rate", "mm/h", 0.02, 1.0, over="xyz"),
+    parameters=_each("rate", "mm/h", 0.1, 1.0, over="xyz"),
     needs=("time_s",),
     physics="The point wanders steadily while the run lasts: creep, settling supports, warming electronics.",
     residuals="A straight line over time, whatever the pose.",
@@ -84,7 +84,7 @@ DRIFT = Effect(
 SLIP = Effect(
     name="slip",
     link="body",
-    parameters=_each("step", "mm", 0.05, 1.0, over="xyz"),
+    parameters=_each("step", "mm", 0.1, 1.0, over="xyz"),
     needs=("time_s",),
     search="time_s",
     physics="Something let go at one moment: a clamp, a magnet, the calibration cube.",

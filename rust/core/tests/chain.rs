@@ -13,7 +13,7 @@ use sherkit_core::delta::parameters::{
     BACKLASH, BEAM_ALIGNMENT, DATUM, DRIFT, ENCODER_CYCLIC, GEOMETRY, GRAVITY_SAG, JOINT_SCALE,
     PARAMETERS, RAIL_LEAN, ROD_MISMATCH, SENSOR_LINEARITY, SLIP, THERMAL_GROWTH, Values,
 };
-use sherkit_core::delta::{Covariates, Kind, Kinematics, LIMBS, PER_LIMB, Row, Wanted};
+use sherkit_core::delta::{Covariates, Kind, LIMBS, PER_LIMB, Row, Wanted};
 use std::f64::consts::TAU;
 use std::ops::Range;
 

@@ -1,0 +1,51 @@
+"""``sherkit diagnose``: which effect is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from ..diagnosis import diagnose as run_diagnosis
+from ..diagnosis import template
+from ..effects.file import load_effects
+from ..identification import identify
+from ..measurements import read_measurements
+from ..model import DeltaModel, effects_by_name
+from ..robots import load_robot
+from . import output
+from .diagnosis_tables import diagnosis as print_diagnosis
+
+
+@click.command()
+@click.argument("robot", type=click.Path(path_type=Path))
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
+@click.option("--effects", "files", type=click.Path(path_type=Path), multiple=True, help="Python file of your effects.")
+@click.option("--effect", "added", multiple=True, help="An effect that is in the model already.")
+@click.option("--template", "destination", type=click.Path(path_type=Path), help="Write an effect of the shape found.")
+@click.option("--level", type=click.FloatRange(0.0005, 0.2), default=0.01, show_default=True, help="Of the test.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Rules folds and flips.")
+def diagnose(
+    robot: Path, run: Path, as_json: bool, files: tuple[Path, ...], added: tuple[str, ...],
+    destination: Path | None, level: float, seed: int,
+) -> None:  # fmt: skip
+    """Say what ROBOT (TOML) is missing on the measurements RUN (CSV or Parquet)."""
+    nominal = load_robot(robot)
+    own = tuple(effect for path in files for effect in load_effects(path))
+    with output.steps(12) as step:
+        step(f"reading {run}")
+        data = read_measurements(run)
+        step("identifying the model as it is")
+        fit = identify(DeltaModel(nominal, effects=effects_by_name(added, own)), data)
+        found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)
+    if as_json:
+        output.print_json(found.to_json())
+    else:
+        print_diagnosis(found)
+    if destination is not None and found.signature is not None:
+        destination.write_text(template(found.signature, file=str(destination)), encoding="utf-8")
+        if not as_json:
+            output.say(f"\na template of this effect is in {destination}")
+    elif destination is not None and not as_json:
+        output.say("\nnothing is left that would need a template")

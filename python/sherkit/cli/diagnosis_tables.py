@@ -1,0 +1,134 @@
+"""A diagnosis for people: the five questions, in their order."""
+
+from __future__ import annotations
+
+from rich.markup import escape
+from rich.table import Table
+
+from ..diagnosis import Diagnosis, sentence
+from ..names import listed
+from .output import out, table
+
+_ORIGIN = {
+    "declared": "as declared in the file",
+    "repeats": "from repeats of poses",
+    "unknown": "unknown; this is what the model leaves",
+}
+_VERDICT = {
+    "adequate": "[bold green]adequate[/]: nothing significant is missing",
+    "explained": "[bold green]explained[/]: with these effects nothing significant is missing any more",
+    "partly explained": "[bold yellow]partly explained[/]: these effects help, and something is left",
+    "unexplained": "[bold red]unexplained[/]: something is missing that is in no catalogue",
+}
+_MOST = 8
+
+
+def _p(value: float) -> str:
+    return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
+
+
+def diagnosis(d: Diagnosis) -> None:
+    """Everything a diagnosis found."""
+    noise = ", ".join(f"{axis} {value:.1f}" for axis, value in d.noise_um.items())
+    out.print(f"[bold]1. Is anything missing?[/]  noise {noise} µm ({_ORIGIN[d.noise_origin]})")
+    if d.correlation_in_time:
+        out.print(
+            f"   the noise is correlated in time, {d.correlation_in_time:.2f} from row to row; taken into account"
+        )
+    missing = "something is" if d.p_missing <= 0.01 else "nothing significant"
+    out.print(f"   {missing}: familywise p = {d.p_missing:.4g} over all effects and shapes")
+    for note in d.notes:
+        out.print(f"   {escape(note)}")
+    if len(d.outliers):
+        lines = d.fit.data.line[d.outliers]
+        out.print(f"   suspected outliers: {d.fit.data.counted}s {listed(lines, 20)}")
+    if d.smallest_found:
+        out.print(_power(d))
+    out.print("\n[bold]2. Where?[/]")
+    out.print(_where(d))
+    out.print("[bold]3. Which effect?[/]")
+    out.print(_candidates(d))
+    if d.confirmed is not None:
+        word = "confirmed" if d.confirmed <= 0.05 else "suspected only: measure more"
+        out.print(f"   on a third of the rows, locked away before the search: {word} (p = {d.confirmed:.4g})")
+    out.print("\n[bold]4. What can these data not tell apart?[/]")
+    if not d.ties and not d.hides_in and not d.untestable:
+        out.print("   nothing of what was tried")
+    for tie in d.ties:
+        out.print(f"   [bold]{' or '.join(tie)}[/]: these poses cannot tell")
+    for name, parameters in d.hides_in.items():
+        out.print(f"   {name} hides almost entirely in {listed(parameters)}: a small rest may mean a large effect")
+    for name, reason in d.untestable.items():
+        out.print(f"   {escape(f'{name} could not be tried: it {reason}')}")
+    out.print("\n[bold]5. What next?[/]")
+    for line in _next(d):
+        out.print(f"   {line}")
+    if d.next_poses:
+        out.print(_poses(d))
+    out.print(f"\n[bold]Verdict:[/] {_VERDICT[d.verdict]}")
+    out.print(falling(d))
+
+
+def falling(d: Diagnosis) -> Table:
+    """The error on poses held out, step by step."""
+    made = table("Error on poses held out", "model", "µm RMS")
+    for s in d.steps:
+        made.add_row("as it came" if s.effect is None else f"+ {s.effect}", f"{s.held_out_rms_um:.2f}")
+    made.add_row("noise", f"{(sum(v**2 for v in d.noise_um.values()) / len(d.noise_um)) ** 0.5:.2f}", style="dim")
+    return made
+
+
+def _where(d: Diagnosis) -> Table:
+    made = table("", "against", "p", "µm RMS from its lowest to its highest sixth")
+    for line in d.where[:_MOST]:
+        made.add_row(line.variable, _p(line.p_value), "  ".join(f"{v:.1f}" for v in line.rms_um))
+    made.caption = f"correlation with the nearest neighbour in space: {d.neighbour_correlation:.2f}"
+    return made
+
+
+def _candidates(d: Diagnosis) -> Table:
+    made = table("", "effect", "link", "held out µm", "p", "size", "largest parameter")
+    for c in d.candidates:
+        worst = max(c.parameters, key=lambda q: abs(q["value"]) / max(q["std"], 1e-300))
+        value = f"{worst['name']} = {worst['value']:.3g} ± {worst['std']:.1g} {worst['unit']}"
+        named = c.effect in d.effects
+        mark = "plausible" if c.plausible else "implausible"
+        made.add_row(
+            f"[bold]{escape(c.effect)}[/]" if named else escape(c.effect),
+            c.link, f"{c.held_out_rms_um:.2f}", _p(c.p_value), mark, value,
+        )  # fmt: skip
+    return made
+
+
+def _power(d: Diagnosis) -> Table:
+    made = table(
+        "Smallest effects that would have been found (80 % power)", "effect", "× plausible size", "leaves µm RMS"
+    )
+    for name, (size, rms) in d.smallest_found.items():
+        made.add_row(escape(name), f"{size:.2g}" if size < 1e6 else "never", f"{rms:.2f}" if rms < 1e6 else "")
+    return made
+
+
+def _poses(d: Diagnosis) -> Table:
+    made = table("Poses to measure next, in this order", "", "x", "y", "z", "separation, σ")
+    for k, pose in enumerate(d.next_poses, start=1):
+        cells = [f"{pose[a]:.1f}" for a in ("x_mm", "y_mm", "z_mm")]
+        made.add_row(str(k), *cells, f"{pose['separation_sigma']:.1f}")
+    return made
+
+
+def _next(d: Diagnosis) -> list[str]:
+    if d.ties and d.next_poses:
+        return ["measure the poses below, some time after this run, and diagnose both runs together"]
+    if d.ties:
+        return ["no reachable pose separates the tie; change the order of the poses, the temperature or the load"]
+    if d.verdict == "explained":
+        return [
+            f"add it: sherkit calibrate ROBOT RUN {' '.join(f'--effect {e}' for e in d.effects)} -o calibrated.toml"
+        ]
+    if d.signature is not None:
+        return [
+            escape(sentence(d.signature)),
+            "write a template of an effect with this shape: sherkit diagnose … --template my_effects.py",
+        ]
+    return ["nothing; go on with the model as it is"]
