@@ -271,17 +271,22 @@ def _limit(values: Floats) -> float:
 
 
 def _rich_basis(fitted: Floats, physical: Floats, family: Family) -> Floats:
-    """What is fitted, every effect, and the smooth shapes: all that noise is not."""
+    """Orthonormal columns of what is fitted, of every effect, and of the smooth shapes: all that noise is not.
+
+    Functions on single axes are orthonormal on all axes once they are on one, so only the rest costs time.
+    """
     n, m = fitted.shape[:2]
     smooth = sorted({k for s in family.shapes if s.shape in ("smooth", "interaction") for k in s.functions})
-    functions = family.functions[:, smooth]
-    spread = np.zeros((n, m, m * len(smooth)))
-    for a in range(m):
-        spread[:, a, a * len(smooth) : (a + 1) * len(smooth)] = functions
-    columns = np.concatenate([fitted, physical, spread], axis=2)
     # never so many that little is left to see the noise in
-    most = max(columns.shape[2] and (n * m) // 4, 1)
-    return orthonormal(columns[:, :, :most], 1e-6)
+    f = orthonormal(family.functions[:, smooth[: n // 4]], 1e-6)
+    columns = np.concatenate([fitted, physical], axis=2)
+    rest = columns - np.einsum("nf,fmk->nmk", f, np.einsum("nf,nmk->fmk", f, columns, optimize=True), optimize=True)
+    q = orthonormal(rest, 1e-6)[:, : max((n * m) // 8, 1)]
+    out = np.zeros((n, m, m * f.shape[1] + q.shape[1]))
+    for a in range(m):
+        out[:, a, a * f.shape[1] : (a + 1) * f.shape[1]] = f
+    out[:, :, m * f.shape[1] :] = q.reshape(n, m, -1)
+    return out.reshape(n * m, -1)
 
 
 def _view(part: Measurements, residual: Floats, fitted: Floats, by_joints: Floats, fit: Fit, *, values: Floats) -> View:

@@ -69,7 +69,8 @@ def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:
 
 
 def correlation_in_time(residual: Floats, basis: Floats) -> float:
-    """ρ of AR(1) noise, from residuals (n, m) in the order of time after ``basis`` (n·m, k) was projected out.
+    """ρ of AR(1) noise, from residuals (n, m) in the order of time after an orthonormal ``basis`` (n·m, k) was
+    projected out.
 
     What projection alone does to neighbours is taken out (restricted estimate), and the estimate is repeated on
     filtered rows. Zero where it is within three standard errors of it.
@@ -78,7 +79,7 @@ def correlation_in_time(residual: Floats, basis: Floats) -> float:
     rho = 0.0
     for _ in range(4):
         e = whiten(residual, rho)
-        q = orthonormal(whiten(basis.reshape(n, m, -1), rho)) if basis.shape[1] else np.zeros((n * m, 0))
+        q = basis if rho == 0.0 or not basis.shape[1] else orthonormal(whiten(basis.reshape(n, m, -1), rho))
         flat = e.reshape(-1)
         flat = flat - q @ (q.T @ flat)
         left = flat.reshape(n, m)
