@@ -21,7 +21,7 @@ from .next_poses import next_poses
 from .power import smallest_found
 from .search import Found, Search, is_plausible
 from .shapes import Shape
-from .stage import Candidate, Stage, stage_of, suspected_outliers, used_axes
+from .stage import Candidate, Stage, columns_of, stage_of, suspected_outliers, used_axes
 from .where import Dependence, neighbour_correlation, where
 
 Floats = NDArray[np.float64]
@@ -34,6 +34,8 @@ _LOCKED = 1.0 / 3.0
 _SPLIT_FROM = 90
 _FOLDS = 6
 _HIDDEN_FROM = 0.97
+#: One-sided level of the confirmation on the locked rows.
+_CONFIRMED = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,12 +171,17 @@ def diagnose(
     search = Search(fit, every, rows[~locked], sigma, level=level, seed=seed, step=step)
     found = search.run()
 
+    confirmed = _confirm(search, found, fit, rows[locked]) if found.added and locked.any() else None
+    if found.added and not found.explained and confirmed is not None and confirmed > _CONFIRMED:
+        # effects that leave something and do not help on the locked rows have not earned their names
+        found = search.without_effects(found)
+        confirmed = None
+
     step("fitting all rows")
     model = search.with_candidates(fit.model, found.added)
     final = identify(model, data, noise=fit.noise) if found.added else fit
     base_stage = stage_of(fit, every, rows, sigma, rho=search.rho, thorough=False)
     stage = stage_of(final, every, rows, sigma, rho=search.rho, thorough=False) if found.added else base_stage
-    confirmed = _confirm(search, found, fit, rows[locked]) if found.added and locked.any() else None
 
     step("held-out errors")
     base_error, gains = held_out_um(base_stage, block[base_stage.rows])
@@ -390,14 +397,14 @@ def hides_in(stage: Stage, candidate: Candidate) -> tuple[str, ...]:
 
 
 def _signature(found: Found, stage: Stage) -> dict[str, Any]:
-    """The leading shape of what no effect explains, in words and numbers."""
-    shape: Shape = found.signature[0]
-    before = next(s for s in reversed(found.stages) if not s.nuisance or s is found.stages[-1])
-    plain = before.plain
-    given = before.scan.condition(before.scan.take(_columns(shape)))
-    noise = before.scan.n * before.scan.m - before.scan.basis.shape[1]
+    """The leading shape of what no effect explains, in words and numbers. ``stage`` has it among its shapes."""
+    shape: Shape = stage.nuisance[0]
+    before = stage
+    plain = stage.scan.condition(np.zeros((stage.scan.n * stage.scan.m, 0)))
+    given = stage.scan.condition(stage.scan.take(columns_of(shape)))
     gain = plain.sum_of_squares - given.sum_of_squares
-    excess = max(plain.sum_of_squares - noise, gain)
+    # what is left once every shape that was found is in the model stands for the noise
+    excess = max(plain.sum_of_squares - stage.plain.sum_of_squares * plain.free / stage.plain.free, gain)
     axis = [READINGS[before.axes[shape.axis]][:-3]] if shape.axis is not None else _axes_of(before, shape)
     return {
         "depends_on": list(shape.depends_on),
@@ -418,15 +425,9 @@ def _range(values: Floats) -> tuple[float, float]:
     return (0.5 * (low + high), 0.5 * (high - low) or 1.0)
 
 
-def _columns(shape: Shape) -> Any:
-    from .stage import columns_of
-
-    return columns_of(shape)
-
-
 def _axes_of(stage: Stage, shape: Shape) -> list[str]:
     """Axes on which a shape takes a fair part of what is left."""
-    explained = stage.scan.take(_columns(shape))
+    explained = stage.scan.take(columns_of(shape))
     explained = explained - stage.scan.basis @ (stage.scan.basis.T @ explained)
     x = np.linalg.lstsq(explained, stage.scan.residual, rcond=1e-9)[0]
     by_axis = ((explained @ x).reshape(stage.scan.n, stage.scan.m) ** 2).sum(axis=0)

@@ -9,7 +9,7 @@ every shape; else the shape, as the description of something that is in no catal
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -21,8 +21,9 @@ from ..identification import Fit, identify
 from ..model import DeltaModel
 from ..noise import Noise
 from .scan import Given
-from .shapes import Shape
-from .stage import Candidate, Stage, stage_of
+from .shapes import Shape, wave
+from .stage import Candidate, Stage, columns_of, stage_of
+from .view import whiten
 
 Floats = NDArray[np.float64]
 
@@ -33,6 +34,8 @@ _PLAINLY_LEFT = 15.0
 _MOST_REFITS = 4
 _MOST_PAIRS = 6
 _MOST_STEPS = 4
+#: Difference of Schwarz's criterion that counts as clear (Kass and Raftery, "Bayes factors", JASA 1995).
+_CLEARLY = 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +118,8 @@ class Search:
         found = Found([stage], p_first=p, p_left=p)
         while p <= self.level and len(found.added) + len(found.signature) < _MOST_STEPS:
             explanations = self.explanations(stage)
-            if explanations:
+            shape = self.simpler_shape(stage, explanations)
+            if explanations and shape is None:
                 lead, *others = explanations
                 found.added += lead.candidates
                 found.alternatives = others
@@ -123,15 +127,16 @@ class Search:
                 stage, p = lead.stage, lead.p_left
                 found.stages.append(stage)
                 break
-            best = self.best_single(stage)
+            best = shape or self.best_single(stage)
             if isinstance(best, Candidate):
                 self.step(f"adding {best.name}")
                 found.added.append(best)
                 stage = self.stage(self.refit(self.with_candidates(stage.fit.model, (best,))), stage.nuisance)
                 found.stages.append(stage)
             elif best is not None:
-                found.signature.append(best)
-                stage = self.stage(stage.fit, (*stage.nuisance, best))
+                found.signature.append(self.refined(stage, best))
+                stage = self.stage(stage.fit, found.signature)
+                found.stages.append(stage)
             else:
                 break
             p = self.left(stage.plain)
@@ -139,6 +144,87 @@ class Search:
         self._prune(found)
         found.explained = p > self.level and not found.signature and bool(found.added)
         return found
+
+    def without_effects(self, found: Found) -> Found:
+        """The same search with every effect taken back: shapes alone describe what is left."""
+        stage = found.stages[0]
+        out = Found([stage], p_first=found.p_first, p_left=found.p_first)
+        p = found.p_first
+        while p <= self.level and len(out.signature) < _MOST_STEPS:
+            shape = self.best_shape(stage)
+            if shape is None:
+                break
+            out.signature.append(self.refined(stage, shape))
+            stage = self.stage(stage.fit, out.signature)
+            out.stages.append(stage)
+            p = self.left(stage.plain)
+        out.p_left = p
+        return out
+
+    def simpler_shape(self, stage: Stage, explanations: Sequence[Explanation]) -> Shape | None:
+        """A single shape that explains alone what only a pair of effects does, and with clearly fewer parameters.
+
+        Two effects that together imitate one simple cause are no explanation of it.
+        """
+        if not explanations or len(explanations[0].candidates) < 2:
+            return None
+        shape = self.best_shape(stage)
+        if shape is None:
+            return None
+        given = stage.scan.condition(
+            np.concatenate([stage.nuisance_columns, stage.scan.take(columns_of(shape))], axis=1)
+        )
+        n = stage.scan.n * stage.scan.m
+        count = len(stage.scan.numbers(columns_of(shape)))
+        of_shape = n * np.log(given.sum_of_squares / n) + count * np.log(n)
+        of_pair = min(bic(stage.given(*e.candidates), e.candidates) for e in explanations)
+        if of_shape < of_pair - _CLEARLY and self.left(given) > self.level:
+            return shape
+        return None
+
+    def scores(self, stage: Stage) -> Floats:
+        """Change of Schwarz's criterion by each shape, then by each candidate; infinite where nothing is left of it."""
+        gain, rank = stage.plain.gains()
+        n = stage.scan.n * stage.scan.m
+        total = stage.plain.sum_of_squares
+        score = n * np.log(np.maximum(total - gain, 1e-300) / total) + rank * np.log(n)
+        return np.where(rank > 0, score, np.inf)
+
+    def best_shape(self, stage: Stage) -> Shape | None:
+        """The shape with the lowest criterion, where one gains."""
+        score = self.scores(stage)[: stage.n_shapes]
+        return stage.family.shapes[int(np.argmin(score))] if len(score) and score.min() < 0 else None
+
+    def refined(self, stage: Stage, shape: Shape) -> Shape:
+        """A periodic shape at the period that takes most, between its neighbours on the grid."""
+        if shape.period is None:
+            return shape
+        name = shape.depends_on[0]
+        values = stage.view.variables[name]
+        spacing = 1.0 / (1.5 * float(np.ptp(values)))
+        pattern = stage.view.patterns[shape.pattern] if shape.pattern else None
+        axes = range(stage.scan.m) if shape.axis is None else (shape.axis,)
+        order = np.argsort(stage.view.group, kind="stable")
+
+        def taken(frequency: float) -> float:
+            columns = []
+            for w in wave(values, 1.0 / frequency):
+                centred = (w - w.mean())[:, None]
+                if pattern is not None:
+                    columns.append(pattern * centred)
+                else:
+                    for a in axes:
+                        columns.append(np.where(np.arange(stage.scan.m) == a, centred, 0.0))
+            stacked = whiten(np.stack(columns, axis=2), stage.rho)[order].reshape(stage.scan.n * stage.scan.m, -1)
+            given = stage.scan.condition(np.concatenate([stage.nuisance_columns, stacked], axis=1))
+            return -given.sum_of_squares
+
+        grid = 1.0 / shape.period + spacing * np.linspace(-1.0, 1.0, 17)
+        grid = grid[grid > 0]
+        best = max(grid, key=taken)
+        fine = best + spacing * np.linspace(-0.125, 0.125, 9)
+        best = max(fine, key=taken)
+        return replace(shape, period=float(1.0 / best))
 
     def with_candidates(self, model: DeltaModel, candidates: Sequence[Candidate]) -> DeltaModel:
         """A model with these effects, at the settings they were found with."""
@@ -206,22 +292,13 @@ class Search:
         return Candidate(candidate.effect, candidate.columns, float(0.5 * (time[cut - 1] + time[cut])))
 
     def best_single(self, stage: Stage) -> Candidate | Shape | None:
-        """The candidate or shape with the lowest BIC; None where nothing gains."""
-        gain, rank = stage.plain.gains()
-        n = stage.scan.n * stage.scan.m
-        total = stage.plain.sum_of_squares
-        with np.errstate(divide="ignore"):
-            score = n * np.log(np.maximum(total - gain, 1e-300) / total) + rank * np.log(n)
-        score = np.where(rank > 0, score, np.inf)
-        best = int(np.argmin(score))
-        if not score[best] < 0:
-            return None
-        # an effect that does as well as the best shape goes before it
+        """The candidate or shape with the lowest criterion; None where nothing gains."""
+        score = self.scores(stage)
         effects = score[stage.n_shapes :]
-        if len(effects) and effects.min() <= score[best] + 2.0 * np.log(n):
-            candidate = stage.candidates[int(np.argmin(effects))]
-            return self._finer(stage, candidate)
-        return stage.family.shapes[best]
+        # an effect goes before a shape only where it does better: it does not explain, so its name must be earned
+        if len(effects) and effects.min() < 0 and effects.min() <= score[: stage.n_shapes].min(initial=np.inf):
+            return self._finer(stage, stage.candidates[int(np.argmin(effects))])
+        return self.best_shape(stage)
 
     def _prune(self, found: Found) -> None:
         """Takes out effects that later ones have made needless."""

@@ -5,6 +5,7 @@ They test whether something is left, and describe it; they never compete for the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -79,8 +80,11 @@ class _Builder:
             self.shapes.append(Shape(depends_on, shape, axis=axis, functions=functions, **about))  # type: ignore[arg-type]
 
 
-def build(view: View, *, thorough: bool = True) -> Family:
-    """All shapes for the variables of a view; periods and hysteresis only where ``thorough``."""
+def build(view: View, *, thorough: bool = True, periods: Sequence[tuple[str, float]] = ()) -> Family:
+    """All shapes for the variables of a view; periods and hysteresis only where ``thorough``.
+
+    ``periods`` (variable, period) are looked at besides those of the grid.
+    """
     b = _Builder(view)
     unit = {name: _unit(v) for name, v in view.variables.items() if len(np.unique(v)) >= _FEWEST_VALUES}
     poses = [name for name in unit if name in view.pattern_of or name.startswith(("x_", "y_", "z_"))]
@@ -97,7 +101,10 @@ def build(view: View, *, thorough: bool = True) -> Family:
             dense = tuple(b.column(pattern, legendre[:, k]) for k in range(orders))
             b.shapes.append(Shape((name,), "smooth", order=orders, pattern=pattern, dense=dense))
     for name in poses if thorough else ():
-        _periodic(b, name, unit[name])
+        _periodic(b, name)
+    for name, period in periods:
+        if name in unit:
+            _wave(b, name, period)
     for k, first in enumerate(poses):
         for second in poses[k + 1 :]:
             if (first in view.pattern_of) == (second in view.pattern_of):
@@ -122,25 +129,30 @@ def build(view: View, *, thorough: bool = True) -> Family:
     return Family(tuple(b.shapes), functions, full)
 
 
-def _periodic(b: _Builder, name: str, t: Floats) -> None:
+def _periodic(b: _Builder, name: str) -> None:
     """Sine and cosine over a fine grid of frequencies, as far as the values of the variable can tell them."""
     values = b.view.variables[name]
     span = float(values.max() - values.min())
-    shortest = span * _SHORTEST
-    pattern = b.view.pattern_of.get(name)
     count = int(_OVERSAMPLING / _SHORTEST)
     for k in range(int(_OVERSAMPLING * 2), count + 1):
-        period = _OVERSAMPLING * span / k
-        if period < shortest:
-            break
-        angle = 2 * np.pi * (values - values.min()) / period
-        waves = (np.sin(angle), np.cos(angle))
-        if pattern is not None:
-            dense = tuple(b.column(pattern, w) for w in waves)
-            b.shapes.append(Shape((name,), "periodic", period=period, pattern=pattern, dense=dense))
-        else:
-            functions = tuple(b.function(w) for w in waves)
-            b.on_axes(functions, (name,), "periodic", period=period)
+        _wave(b, name, _OVERSAMPLING * span / k)
+
+
+def _wave(b: _Builder, name: str, period: float) -> None:
+    waves = wave(b.view.variables[name], period)
+    pattern = b.view.pattern_of.get(name)
+    if pattern is not None:
+        dense = tuple(b.column(pattern, w) for w in waves)
+        b.shapes.append(Shape((name,), "periodic", period=period, pattern=pattern, dense=dense))
+    else:
+        functions = tuple(b.function(w) for w in waves)
+        b.on_axes(functions, (name,), "periodic", period=period)
+
+
+def wave(values: Floats, period: float) -> tuple[Floats, Floats]:
+    """Sine and cosine of a variable."""
+    angle = 2 * np.pi * (values - values.min()) / period
+    return np.sin(angle), np.cos(angle)
 
 
 def _hysteretic(b: _Builder) -> None:

@@ -26,8 +26,6 @@ Bools = NDArray[np.bool_]
 _MAD = 1.482602218505602
 #: Chance that a run without outliers has a row taken for one.
 _OUTLIER_LEVEL = 0.01
-#: Periods closer than this are one shape at two stages.
-_SAME_PERIOD = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +176,8 @@ def stage_of(
         candidates.append(Candidate(effect, Columns(dense=tuple(range(first, len(dense))), exact=True)))
 
     view = _view(part, residual, fitted, by_joints[:, axes] / sigma[:, None], fit, values=fit.values)
-    family = build(view, thorough=thorough)
+    periods = [(n.depends_on[0], n.period) for n in nuisance if n.period is not None]
+    family = build(view, thorough=thorough, periods=periods)
     for effect in tried:
         if effect.search == "time_s":
             for shape in family.shapes:
@@ -321,10 +320,11 @@ def _again(old: Shape, shapes: Sequence[Shape]) -> Shape:
     """The shape of this stage that is the same as one of an earlier stage."""
 
     def same(s: Shape) -> bool:
-        alike = (s.depends_on, s.shape, s.order, s.axis, s.pattern) == (
-            old.depends_on, old.shape, old.order, old.axis, old.pattern,
+        return (s.depends_on, s.shape, s.order, s.axis, s.pattern, s.setting) == (
+            old.depends_on, old.shape, old.order, old.axis, old.pattern, old.setting,
         )  # fmt: skip
-        near = s.period is None or old.period is None or abs(s.period / old.period - 1) < _SAME_PERIOD
-        return alike and near and s.setting == old.setting
 
-    return next((s for s in shapes if same(s)), old)
+    alike = [s for s in shapes if same(s)]
+    if old.period is not None:
+        return min(alike, key=lambda s: abs((s.period or 0.0) - (old.period or 0.0)), default=old)
+    return alike[0] if alike else old
