@@ -6,7 +6,7 @@ import importlib.util
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +137,7 @@ def silent(case: Case, seed: int) -> sk.Diagnosis:
 # -- one of each ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("k", "name"), enumerate(EFFECTS))
+@pytest.mark.parametrize(("k", "name"), list(enumerate(EFFECTS)))
 def test_each_effect_is_found_by_name(k: int, name: str) -> None:
     """Catches an effect that is never tried, tried with wrong columns, or outranked; and a wrong held-out error.
 
@@ -167,7 +167,7 @@ def test_nothing_is_found_where_nothing_is(seed: int) -> None:
     """
     d = silent(CASES["3 repeats"], seed)
     assert d.verdict == "adequate"
-    assert d.effects == () and d.ties == () and d.signature is None and d.next_poses == ()
+    assert (d.effects, d.ties, d.signature, d.next_poses) == ((), (), None, ())
     assert d.p_missing > LEVEL
     assert set(d.smallest_found) == set(EFFECTS)
     assert all(rms > 0 for _, rms in d.smallest_found.values())
@@ -192,7 +192,7 @@ def test_humidity_is_described_and_not_explained() -> None:
     assert d.signature["depends_on"] == ["humidity_pct"]
     assert d.signature["shape"] == "smooth"
     assert d.signature["share_explained"] > 0.9
-    assert d.where[0].variable == "humidity_pct"
+    assert {w.variable: w.p_value for w in d.where}["humidity_pct"] < 1e-10
 
 
 @sk.effect(at="body", parameters={"amplitude": ("mm", 0.05)}, workshop="Measure on a floor at rest.")
@@ -273,7 +273,175 @@ def test_a_tie_is_reported_and_the_next_poses_settle_it(name: str, where: str, r
     assert {name} < set(d.ties[0])
     assert 0 < len(d.next_poses) <= 12
     reached = [p["separation_sigma"] for p in d.next_poses]
-    assert all(b >= a - 1e-6 for a, b in zip(reached, reached[1:], strict=False))
+    assert all(b >= a - 1e-6 for a, b in pairwise(reached))
     after = settled(run, d, seed)
     assert after.effects == (name,)
     assert len(after.ties[0] if after.ties else ()) < len(d.ties[0])
+
+
+# -- outside the catalogue -----------------------------------------------------------------------------------------
+
+
+def cloud(seed: int) -> Floats:
+    """500 poses at random, so that every height is there: on three planes no period can be known."""
+    return np.random.default_rng([seed, 3]).uniform(-18.0, 18.0, (500, 3))
+
+
+def filled_in(d: sk.Diagnosis, folder: Path) -> sk.Effect:
+    """The effect that a signature writes, loaded as a user's file is."""
+    assert d.signature is not None
+    path = folder / "my_effects.py"
+    path.write_text(template(d.signature, "unknown_effect", path.name), encoding="utf-8")
+    spec = importlib.util.spec_from_file_location("my_effects", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    effect = module.unknown_effect
+    assert isinstance(effect, sk.Effect)
+    return effect
+
+
+def compensated_um(run: Run, d: sk.Diagnosis, folder: Path) -> float:
+    """Held-out RMS, µm, once the template of the signature is part of the model."""
+    study = sk.Study(DELTA, run.data)
+    study.add(filled_in(d, folder))
+    return study.history[-1].held_out_um
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize("where", ["whole", "local"])
+def test_humidity_is_never_explained_and_its_template_mends_it(where: str, ratio: float, tmp_path: Path) -> None:
+    """Catches a covariate of no effect pressed into the catalogue, and a template that does not run or does not help.
+
+    Seeds 200 to 209 of each cell; all must be named.
+    """
+    for seed in range(200, 210):
+        run = measured(GRIDS[where], seed, scaled={"humidity": ratio * NOISE_UM})
+        d = run.diagnose()
+        assert d.verdict != "explained"
+        assert d.signature is not None
+        assert d.signature["depends_on"] == ["humidity_pct"]
+        assert d.signature["shape"] == "smooth"
+        assert compensated_um(run, d, tmp_path) < 1.1 * NOISE_UM
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("k", range(6))
+def test_a_coupling_of_two_joints_is_described(k: int, tmp_path: Path) -> None:
+    """Catches a coupling explained by catalogue effects, or described at the wrong joint. Seeds 200 to 204, 0.06 mm."""
+    driven, driving = ((1, 2), (1, 3), (2, 1), (2, 3), (3, 1), (3, 2))[k]
+    for seed in range(200, 205):
+        run = measured(GRIDS["whole"], seed, {"joint_coupling": 0.06 * np.eye(6)[k]})
+        d = run.diagnose()
+        assert d.verdict != "explained"
+        assert d.signature is not None
+        assert d.signature["joint"] == f"q{driven}_mm"
+        assert set(d.signature["depends_on"]) == {f"q{driven}_mm", f"q{driving}_mm"}
+        assert d.signature["shape"] == "interaction"
+        assert compensated_um(run, d, tmp_path) < 1.1 * NOISE_UM
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("where", ["whole", "local"])
+@pytest.mark.parametrize("name", ["joint_coupling", "periodic_z"])
+def test_what_is_in_no_catalogue_is_never_explained(name: str, where: str) -> None:
+    """Catches an unknown cause of several parts pressed into the catalogue, or a diagnosis that breaks on it.
+
+    Seeds 200 to 204, ratio 2 and 5. On three planes the period of a ripple in z cannot be known, only that z matters.
+    """
+    for ratio in (2, 5):
+        for seed in range(200, 205):
+            d = measured(GRIDS[where], seed, scaled={name: ratio * NOISE_UM}).diagnose()
+            assert d.verdict != "explained"
+            assert d.signature is not None
+            if name == "periodic_z":
+                assert d.signature["depends_on"] == ["z_mm"]
+            else:
+                assert set(d.signature["depends_on"]) <= {"q1_mm", "q2_mm", "q3_mm"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_crosstalk_of_joints_is_not_explained_away(ratio: float) -> None:
+    """Catches a linear mixing of joints, which is nearly scale, lean and beams, called explained by physical effects.
+
+    Seeds 200 to 209.
+    """
+    verdicts = Counter(
+        measured(GRIDS["whole"], seed, scaled={"joint_crosstalk": ratio * NOISE_UM}).diagnose().verdict
+        for seed in range(200, 210)
+    )
+    assert verdicts["explained"] == 0, verdicts
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_a_ripple_in_height_is_described_with_its_period(ratio: float, tmp_path: Path) -> None:
+    """Catches a period that is off by more than a template can bear. Seeds 200 to 209, 500 random poses."""
+    for seed in range(200, 210):
+        run = measured(cloud(seed), seed, scaled={"periodic_z": ratio * NOISE_UM})
+        d = run.diagnose()
+        assert d.verdict != "explained"
+        assert d.signature is not None
+        assert (d.signature["depends_on"], d.signature["shape"]) == (["z_mm"], "periodic")
+        assert abs(d.signature["period"] / 7.3 - 1) < 0.1
+        assert compensated_um(run, d, tmp_path) < 1.1 * NOISE_UM
+
+
+# -- rates ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("where", ["whole", "local"])
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_the_right_effect_is_named_in_98_of_100(ratio: float, where: str) -> None:
+    """Catches any weakness of the search that shows on some draws only, and sizes that do not fit the cause.
+
+    20 seeds of each of 11 effects: the true effect leads or is tied in 98 %, "explained" without it in 1 % at most,
+    each with a binomial allowance of 1 in 1,000; held-out errors are at the noise. Gravity's sag on the local grid is
+    capped at a ratio of 2, beyond which it would have to stretch limbs by centimetres.
+    """
+    outcome: Counter[str] = Counter()
+    off = []
+    for name in EFFECTS:
+        for seed in range(20):
+            d = hidden(name, ratio, where, seed)
+            kind = "right" if name in named(d) else "wrong" if d.verdict == "explained" else "missed"
+            outcome[kind] += 1
+            if kind == "right" and abs(d.steps[-1].held_out_rms_um / NOISE_UM - 1) > held_out_allowance(d):
+                off.append((name, seed, d.steps[-1].held_out_rms_um))
+    count = outcome.total()
+    assert count - outcome["right"] <= stats.binom.isf(RARE, count, 0.02), outcome
+    assert outcome["wrong"] <= stats.binom.isf(RARE, count, 0.01), outcome
+    assert not off
+
+
+@pytest.mark.slow
+def test_pairs_are_named_in_95_of_100() -> None:
+    """Catches pairs of which one effect hides the other. All 55 pairs, seeds 0 to 2, each at a ratio of 2.
+
+    At least 95 % both named, binomial allowance of 1 in 1,000.
+    """
+    missed = []
+    count = 0
+    for pair in combinations(EFFECTS, 2):
+        for seed in range(3):
+            count += 1
+            d = measured(GRIDS["whole"], seed, scaled=dict.fromkeys(pair, 2 * NOISE_UM)).diagnose()
+            if not set(pair) <= named(d):
+                missed.append((pair, seed, d.effects))
+    assert len(missed) <= stats.binom.isf(RARE, count, 0.05), missed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_false_alarms_stay_at_the_level(case: str) -> None:
+    """Catches a test whose level depends on the shape, size or correlation of the noise.
+
+    1,000 runs of each case, seeds 0 to 999, level 1 %. At most 1.5 %; more than 27 alarms would come by chance in one
+    of 1,000 such counts at 1.5 %.
+    """
+    alarms = [seed for seed in range(1000) if silent(CASES[case], seed).verdict != "adequate"]
+    assert len(alarms) <= stats.binom.isf(RARE, 1000, 0.015), alarms

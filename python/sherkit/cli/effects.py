@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
 from ..effects import CATALOGUE
 from ..model import effects_by_name
+from ..robots import load_robot
+from ..signatures import signature_map
 from . import output
+from .demo import EXAMPLE
 
 
 @click.command()
 @click.argument("name", required=False)
-def effects(name: str | None) -> None:
+@click.option("--robot", type=click.Path(path_type=Path), help="The robot to draw the effect on; default: an example.")
+@click.option("--picture", type=click.Path(path_type=Path), help="Draw what the effect leaves on this robot (SVG).")
+def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
     """List the physical effects that can be found and added; with NAME, show one."""
     if name is None:
         made = output.table("Effects of the linear delta", "effect", "link", "parameters", "needs")
@@ -36,3 +43,6 @@ def effects(name: str | None) -> None:
     for p in effect.parameters:
         made.add_row(p.name, f"{p.size:g}", p.unit)
     output.out.print(made)
+    if picture is not None:
+        picture.write_text(signature_map(effect, load_robot(robot) if robot else EXAMPLE), encoding="utf-8")
+        output.say(f"what {effect.name} leaves on this robot is drawn in {picture}")

@@ -1,6 +1,6 @@
 """Diagnosis: what a fit misses, where, which effect, what it cannot be told from, what to measure next."""
 
-from .diagnose import Diagnosis, diagnose
+from .questions import Diagnosis, diagnose
 from .shapes import play
 from .template import sentence, template
 

@@ -17,7 +17,6 @@ from ..errors import FitError
 from ..identification import Fit
 from ..measurements import Measurements
 from ..measurements.columns import TEMPERATURE
-from ..model import DeltaModel
 
 Floats = NDArray[np.float64]
 
@@ -128,9 +127,7 @@ def _reachable(fit: Fit) -> tuple[Floats, Measurements] | None:
         poses = poses[np.hypot(poses[:, 0], poses[:, 1]) <= robot.workspace_radius_mm * (1 + 1e-9)]
     batch = robot.inverse_batch(poses)
     poses, joints = poses[batch.reached], batch.values[batch.reached]
-    model = DeltaModel(robot, fit.model.free)
-    there, reached = model.core.predict(fit.model.full(fit.values), model.block(_rows(fit.data, joints)))
-    del there
+    reached = fit.model.core.predict(fit.model.full(fit.values), fit.model.block(_rows(fit.data, joints)))[1]
     poses, joints = poses[reached], joints[reached]
     return (poses, _rows(fit.data, joints)) if len(poses) else None
 

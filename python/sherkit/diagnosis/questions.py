@@ -22,6 +22,7 @@ from .power import smallest_found
 from .search import Found, Search, is_plausible
 from .shapes import Shape
 from .stage import Candidate, Stage, columns_of, stage_of, suspected_outliers, used_axes
+from .template import sentence
 from .where import Dependence, neighbour_correlation, where
 
 Floats = NDArray[np.float64]
@@ -89,6 +90,19 @@ class Diagnosis:
     fit: Fit = field(repr=False)
     base: Fit = field(repr=False)
     stage: Stage = field(repr=False)
+
+    def __repr__(self) -> str:
+        lines = [f"{self.verdict}: {', '.join(self.effects) or 'no effect added'}"]
+        lines += [f"  these rows cannot tell {' from '.join(tie)}" for tie in self.ties]
+        for s in self.steps:
+            lines.append(
+                f"  {'as it came' if s.effect is None else '+ ' + s.effect:<24} {s.held_out_rms_um:8.2f} µm held out"
+            )
+        noise = float(np.sqrt(np.mean(np.square(list(self.noise_um.values())))))
+        lines.append(f"  {'noise':<24} {noise:8.2f} µm ({self.noise_origin})")
+        if self.signature is not None:
+            lines.append(f"  {sentence(self.signature)}")
+        return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
         """For programs; see the README."""

@@ -1,0 +1,245 @@
+"""README, CONTRIBUTING and the tutorial: what they show runs, what they name exists."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import re
+import shlex
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sherkit import load_robot
+from sherkit.cli import main
+from sherkit.cli.demo import EXAMPLE
+from sherkit.diagnosis import Diagnosis
+from test_klipper import SAVED, TRUE, config
+
+HERE = Path(__file__).parents[1]
+DOCS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/tutorial.md")
+
+_BLOCK = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
+_INLINE = re.compile(r"`([^`\n]+)`")
+_NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+MACHINE = re.compile(r"(?<![\w.:/])(?:/(?:home|root|tmp|work|usr|var|opt|mnt|Users)/|[A-Z]:\\|~/)[^\s)`]*")
+_BOX = re.compile(r"[─━│┃┏┓┗┛┡┩└┘├┤┼╇┴┳]+")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: where it starts, its language, its text."""
+
+    place: str
+    language: str
+    text: str
+
+
+def text_of(name: str) -> str:
+    """A document."""
+    return (HERE / name).read_text(encoding="utf-8")
+
+
+def blocks(name: str) -> list[Block]:
+    """Fenced blocks of a document, in order."""
+    text = text_of(name)
+    out = []
+    for found in _BLOCK.finditer(text):
+        indent = found[1]
+        body = "".join(line.removeprefix(indent) for line in found[3].splitlines(keepends=True))
+        out.append(Block(f"{name}:{text[: found.start()].count(chr(10)) + 1}", found[2], body))
+    return out
+
+
+def prose(name: str) -> str:
+    """A document without its fenced blocks."""
+    return _BLOCK.sub("", text_of(name))
+
+
+def command(line: str) -> list[str] | None:
+    """Arguments of a line that calls sherkit, without its comment; None for another line."""
+    words = shlex.split(line, comments=True)
+    return words[1:] if words[:1] == ["sherkit"] else None
+
+
+def commands(name: str) -> list[list[str]]:
+    """Every call of sherkit in a document, each once: those of its blocks in order, then those in its prose."""
+    fenced = [line for b in blocks(name) if b.language in ("", "sh") for line in b.text.splitlines()]
+    found = [command(line) for line in (*fenced, *(m[1] for m in _INLINE.finditer(prose(name))))]
+    out: list[list[str]] = []
+    for arguments in found:
+        if arguments and arguments not in out:
+            out.append(arguments)
+    return out
+
+
+def sherkit(arguments: list[str], folder: Path) -> str:
+    """What the command says in ``folder``; it must go well. In this process, since starting one takes longer."""
+    said, wrong = io.StringIO(), io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(said), contextlib.redirect_stderr(wrong):
+        with pytest.raises(SystemExit) as end:
+            main(arguments)
+    assert end.value.code == 0, f"sherkit {shlex.join(arguments)}: {wrong.getvalue()}"
+    return said.getvalue()
+
+
+def run_python(block: Block, names: dict[str, Any]) -> str:
+    """What a block prints. A block that starts with ``# name.py`` is also written to that file."""
+    file = re.match(r"# (\w+\.py)\n", block.text)
+    if file:
+        Path(file[1]).write_text(block.text, encoding="utf-8")
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        exec(compile(block.text, block.place, "exec"), names)
+    return said.getvalue()
+
+
+def plain(text: str) -> str:
+    """Text with every number as ``#``, without rules and boxes, and with single spaces."""
+    return " ".join(_BOX.sub(" ", _NUMBER.sub("#", text)).split())
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a reader has after ``make demo``, and the files that the documents name as the reader's own."""
+    folder = tmp_path_factory.mktemp("made")
+    sherkit(["demo"], folder)
+    shutil.copy(folder / "demo" / "robot.toml", folder / "robot.toml")
+    shutil.copy(folder / "demo" / "local.csv", folder / "run.csv")
+    (folder / "printer.cfg").write_text(config(TRUE, SAVED), encoding="utf-8")
+    return folder
+
+
+@pytest.fixture
+def work(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A fresh copy of it, as the current folder."""
+    shutil.copytree(made, tmp_path / "work")
+    monkeypatch.chdir(tmp_path / "work")
+    return tmp_path / "work"
+
+
+# -- what they show runs -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md"])
+def test_what_is_shown_runs(name: str, work: Path) -> None:
+    """Catches an example that a rename has broken: a reader copies it first."""
+    names: dict[str, Any] = {}
+    said = [run_python(b, names) for b in blocks(name) if b.language == "python"]
+    assert said, "no Python was found; has the fence changed?"
+    if name == "README.md":
+        assert said[0].startswith("explained ('rail_lean',)\n")
+        assert "adequate\n" in said[1]
+    shown = commands(name)
+    assert shown, "no command was found"
+    for arguments in shown:
+        # a command that is only named must exist; the demo has been run
+        if arguments == ["demo"]:
+            continue
+        sherkit([*arguments, "--help"] if arguments in (["diagnose"], ["simulate"]) else arguments, work)
+
+
+def test_the_tutorial_is_a_story_that_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a tutorial that stops working half way, or that promises another verdict than sherkit gives."""
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    said = ""
+    quoted = 0
+    for block in blocks("docs/tutorial.md"):
+        if block.language == "python":
+            said = run_python(block, names)
+        elif block.language == "sh":
+            calls = [command(line) for line in block.text.splitlines()]
+            assert None not in calls, f"{block.place}: a line that is no call of sherkit"
+            said = "\n".join(sherkit(arguments, tmp_path) for arguments in calls if arguments)
+        else:
+            assert block.language == "text", f"{block.place}: neither run nor compared"
+            for line in block.text.splitlines():
+                assert plain(line) in plain(said), f"{block.place}: '{line}' is not what was printed:\n{said}"
+                quoted += 1
+    assert quoted > 15
+    # names of the signature's keys, as the README lists them
+    sentences = next(line for line in text_of("README.md").splitlines() if line.startswith("| `signature`"))
+    found: Diagnosis = names["found"]
+    assert found.signature is not None
+    assert set(found.signature) == set(_INLINE.findall(sentences)) - {"signature"}
+
+
+def shape(value: Any) -> Any:
+    """A JSON value with its numbers left out and its lists of objects cut to their first entry."""
+    if isinstance(value, dict):
+        return {key: shape(v) for key, v in value.items()}
+    if isinstance(value, list):
+        return [shape(v) for v in (value[:1] if value and isinstance(value[0], dict) else value)]
+    return "number" if isinstance(value, float) else value
+
+
+def test_the_json_is_what_is_printed(made: Path) -> None:
+    """Catches a key of the JSON that the README does not tell of, or tells of under another name."""
+    (block,) = (b for b in blocks("README.md") if b.language == "json")
+    told = json.loads(block.text)
+    printed = json.loads(sherkit(["diagnose", "demo/robot.toml", "demo/whole.csv", "--json"], made))
+    for one in (told, printed):  # which parameters an effect hides in depends on the last digits
+        one["hides_in"] = sorted(one["hides_in"])
+    assert shape(told) == shape(printed)
+    text = prose("README.md")
+    rows = text[text.index("| key | meaning |") :].split("\n\n")[0].splitlines()[2:]
+    keys = [k for row in rows for k in _INLINE.findall(row.split("|")[1])]
+    assert sorted(keys) == sorted(printed)
+
+
+def test_the_robot_of_the_readme_is_the_demos(tmp_path: Path) -> None:
+    """Catches a robot file in the README that sherkit refuses, or that is another robot than the demo's."""
+    (block,) = (b for b in blocks("README.md") if b.language == "toml")
+    (tmp_path / "robot.toml").write_text(block.text, encoding="utf-8")
+    assert load_robot(tmp_path / "robot.toml") == EXAMPLE
+
+
+# -- what they name exists -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", DOCS)
+def test_links_lead_somewhere(name: str) -> None:
+    """Catches a link to a file that was moved or never written, and a heading that is not there."""
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(name)):
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, heading = target.partition("#")
+        file = (HERE / name).parent / path if path else HERE / name
+        assert file.exists(), f"{name} links to {target}"
+        if heading:
+            titles = re.findall(r"^#+ (.+)$", file.read_text(encoding="utf-8"), re.MULTILINE)
+            assert heading in {re.sub(r"[^\w -]", "", t).lower().replace(" ", "-") for t in titles}
+
+
+@pytest.mark.parametrize("name", DOCS)
+def test_targets_of_make_exist(name: str) -> None:
+    """Catches ``make`` with a target that the Makefile does not have."""
+    targets = set(re.findall(r"^([\w-]+):(?!=)", text_of("Makefile"), re.MULTILINE))
+    fenced = "\n".join(b.text for b in blocks(name))
+    named = set(re.findall(r"^make ([\w-]+)", fenced, re.MULTILINE))
+    named |= {m[1].split()[1] for m in _INLINE.finditer(prose(name)) if m[1].startswith("make ")}
+    assert named <= targets
+
+
+@pytest.mark.parametrize("name", DOCS)
+def test_files_that_are_named_exist(name: str) -> None:
+    """Catches a file of the source tree that was renamed since; the reader's own files have no folder in the tree."""
+    roots = ("rust/", "python/", "tests/", "docs/", "benchmarks/", ".ci/")
+    for named in _INLINE.findall(prose(name)):
+        if named.startswith(roots) and " " not in named:
+            if named == "python/sherkit/instruments/":
+                continue  # told as a plan
+            assert (HERE / named).exists(), f"{name} names {named}"
+
+
+@pytest.mark.parametrize("name", DOCS)
+def test_no_path_of_a_machine(name: str) -> None:
+    """Catches a path that exists on the writer's machine alone."""
+    found = MACHINE.search(text_of(name))
+    assert found is None, f"{name}: {found and found[0]}"

@@ -1,0 +1,167 @@
+"""Every effect of the catalogue: what it says of itself, its readings by an independent way, its derivatives."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from numpy.typing import NDArray
+
+import sherkit as sk
+from second_simulator import NOMINAL_CONFIG, Robot, draw_effect, draw_geometric_errors, grid, make_plan, simulate
+from second_simulator.effects import EFFECTS as SIMULATED
+from sherkit.effects.effect import LINKS
+from strategies import EXAMPLE
+
+Floats = NDArray[np.float64]
+
+ROBOT = Robot.from_dict(NOMINAL_CONFIG)
+#: Parameters and link of each effect.
+EXPECTED = {
+    "joint_scale": (3, "joints", ()),
+    "encoder_cyclic": (6, "joints", ()),
+    "backlash": (3, "joints", ("direction",)),
+    "rail_lean": (6, "structure", ()),
+    "rod_mismatch": (3, "structure", ()),
+    "gravity_sag": (3, "body", ()),
+    "thermal_growth": (1, "body", ("temperature_c",)),
+    "drift": (3, "body", ("time_s",)),
+    "slip": (3, "body", ("time_s",)),
+    "beam_alignment": (9, "sensor", ()),
+    "sensor_linearity": (3, "sensor", ()),
+    "datum": (3, "sensor", ()),
+}
+#: The value of ours for one unit of the simulator's: stretch under all of the weight (5 N) instead of per newton.
+UNITS = {"gravity_sag": 5.0}
+
+
+def test_the_catalogue_says_what_each_effect_is() -> None:
+    """Catches an effect that was renamed, moved to another link, lost a parameter, or has nothing to tell a person."""
+    found = {name: (len(e.parameters), e.link, e.needs) for name, e in sk.CATALOGUE.items()}
+    assert found == EXPECTED
+    for name, effect in sk.CATALOGUE.items():
+        assert effect.name == name
+        assert effect.link in LINKS
+        for text in (effect.physics, effect.residuals, effect.workshop):
+            assert text.strip().endswith(".")
+        assert len({p.name for p in effect.parameters}) == len(effect.parameters)
+        for p in effect.parameters:
+            assert p.unit in ("mm", "rad", "mm/mm", "mm/h", "1/°C")
+            assert p.size > 0
+            assert p.lever_mm > 0
+        assert [p.name for p in effect.qualified()] == [f"{name}.{p.name}" for p in effect.parameters]
+    assert {n for n, e in sk.CATALOGUE.items() if e.search} == {"encoder_cyclic", "slip"}
+
+
+def run(seed: int, effects: dict[str, Any] | None = None) -> tuple[sk.Measurements, dict[str, float]]:
+    """A run without noise, shuffled so that joints turn back and forth, and the errors planted in it."""
+    plan = make_plan(ROBOT, grid(18.0, 4, (-18.0, 0.0, 18.0)), repeats=2, order="shuffled", seed=seed)
+    errors = draw_geometric_errors(np.random.default_rng(seed))
+    return sk.from_frame(pl.DataFrame(simulate(ROBOT, plan, errors, effects))), errors
+
+
+def model_of(names: tuple[str, ...], slip_time_s: float = 0.0) -> sk.DeltaModel:
+    effects = tuple(sk.CATALOGUE[n] for n in names if n != "datum")
+    return sk.DeltaModel(EXAMPLE, (), effects, slip_time_s=slip_time_s)
+
+
+def values_of(model: sk.DeltaModel, errors: dict[str, float], planted: dict[str, Floats]) -> Floats:
+    """The model's values for what was planted in the simulator."""
+    by_name = dict(errors)
+    for name, parameters in planted.items():
+        names = [p.name for p in sk.CATALOGUE[name].parameters]
+        names = [f"datum_{a}" for a in "xyz"] if name == "datum" else [f"{name}.{n}" for n in names]
+        by_name |= dict(zip(names, UNITS.get(name, 1.0) * parameters[: len(names)], strict=True))
+    return np.array([by_name.get(p.name, 0.0) for p in model.parameters])
+
+
+def drawn(names: tuple[str, ...], seed: int, times: float) -> dict[str, Floats]:
+    """Random parameters, ``times`` the typical size."""
+    rng = np.random.default_rng([seed, 9])
+    out = {}
+    for name in names:
+        parameters = draw_effect(name, rng, 300.0)
+        parameters[: SIMULATED[name].amplitudes] *= times
+        out[name] = parameters
+    return out
+
+
+def agree(names: tuple[str, ...], seed: int, times: float) -> None:
+    planted = drawn(names, seed, times)
+    data, errors = run(seed, planted)
+    when = planted["slip"][3] if "slip" in planted else 0.0
+    model = model_of(names, when)
+    predicted = model.predict(data, values_of(model, errors, planted))[:, :3]
+    assert np.abs(predicted - data.readings_mm[:, :3]).max() < 1e-9
+    without = model.predict(data, values_of(model, errors, {}))[:, :3]
+    assert np.abs(without - predicted).max() > 1e-4
+
+
+@pytest.mark.parametrize("times", [1.0, 5.0])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("name", EXPECTED)
+def test_readings_are_those_of_the_independent_simulator(name: str, seed: int, times: float) -> None:
+    """Catches a wrong sign, order, unit, lever or link of an effect: two programs agree to 1e-9 mm, errors planted."""
+    agree((name,), seed, times)
+
+
+@pytest.mark.parametrize("names", [*combinations(EXPECTED, 2), tuple(EXPECTED)], ids="+".join)
+def test_effects_together_act_in_the_order_of_the_chain(names: tuple[str, ...]) -> None:
+    """Catches links in another order: a datum before beams, growth after drift, lean before joint errors."""
+    agree(names, 5, 3.0)
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_an_effect_at_zero_is_none(name: str) -> None:
+    """Catches an effect that acts without having been given a size."""
+    data, errors = run(3)
+    plain, model = model_of(()), model_of((name,), 100.0)
+    values = values_of(plain, errors, {})
+    padded = np.concatenate([values, np.zeros(len(model.parameters) - len(values))])
+    np.testing.assert_array_equal(model.predict(data, padded)[:, :3], plain.predict(data, values)[:, :3])
+
+
+def richardson(model: sk.DeltaModel, data: sk.Measurements, values: Floats, k: int) -> Floats:
+    """Derivative of the readings by the k-th value: central differences at three steps, extrapolated to zero."""
+    # the step moves the point by about 0.1 mm
+    h = 0.1 / model.parameters[k].lever_mm
+    if model.parameters[k].unit == "1/°C":
+        h = 5e-3
+    table = []
+    for step in (h, h / 2, h / 4):
+        ahead, behind = values.copy(), values.copy()
+        ahead[k] += step
+        behind[k] -= step
+        table.append((model.predict(data, ahead) - model.predict(data, behind))[:, :3] / (2 * step))
+    once = [(4 * b - a) / 3 for a, b in zip(table, table[1:], strict=False)]
+    return (16 * once[1] - once[0]) / 15
+
+
+@pytest.mark.parametrize("names", [*((n,) for n in EXPECTED), tuple(EXPECTED)], ids="+".join)
+def test_derivatives_are_those_of_the_readings(names: tuple[str, ...]) -> None:
+    """Catches a derivative that forgets a link after its own, to 1e-7 of its largest entry."""
+    planted = drawn(names, 7, 3.0)
+    data, errors = run(7, planted)
+    model = model_of(names, planted["slip"][3] if "slip" in planted else 0.0)
+    values = values_of(model, errors, planted)
+    exact = model.derivatives(data, values)[:, :3]
+    for k, parameter in enumerate(model.parameters):
+        difference = richardson(model, data, values, k)
+        scale = np.abs(difference).max()
+        assert scale > 0, parameter.name
+        assert np.abs(exact[:, :, k] - difference).max() < 1e-7 * scale, parameter.name
+
+
+def test_a_missing_column_is_named() -> None:
+    """Catches an effect that takes a missing temperature for a number: the rows are refused with the reason."""
+    data, errors = run(1, drawn(("thermal_growth",), 1, 1.0))
+    bare = sk.from_frame(data.to_frame().drop("temperature_c"))
+    model = model_of(("thermal_growth",))
+    values = values_of(model, errors, {"thermal_growth": np.array([1e-4])})
+    with pytest.raises(sk.FitError, match="needs a column that these rows lack"):
+        model.predict(bare, values)
+    with pytest.raises(sk.EffectError, match="temperature_c"):
+        sk.Study(EXAMPLE, bare).add("thermal_growth")

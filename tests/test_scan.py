@@ -1,0 +1,269 @@
+"""The statistics under diagnosis, one by one, against brute force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from sherkit.diagnosis import play
+from sherkit.diagnosis.scan import Columns, Scan, deviate
+from sherkit.diagnosis.shapes import build
+from sherkit.diagnosis.view import View, correlation_in_time, orthonormal, whiten
+
+Floats = NDArray[np.float64]
+
+N, M, P, F, D = 60, 3, 5, 4, 3
+CANDIDATES = (
+    Columns(functions=(0,), axis=1),
+    Columns(functions=(0, 1, 2), axis=0),
+    Columns(functions=(1, 3)),
+    Columns(dense=(0,)),
+    Columns(dense=(0, 1, 2), exact=True),
+    Columns(functions=(2,)),
+)
+
+
+def problem(seed: int = 0) -> tuple[Scan, dict[str, Floats]]:
+    """A scan of random columns, poses of three rows each scattered over the run, and what it was made of."""
+    rng = np.random.default_rng(seed)
+    parts = {
+        "residual": rng.normal(size=(N, M)) * [1.0, 2.0, 0.5],
+        "fitted": rng.normal(size=(N, M, P)),
+        "functions": rng.normal(size=(N, F)),
+        "dense": rng.normal(size=(N, M, D)),
+        "group": rng.permutation(np.repeat(np.arange(N // 3), 3)) * 7 + 2,
+    }
+    # a fitted parameter that repeats another must not break anything
+    parts["fitted"][:, :, 4] = parts["fitted"][:, :, 0] - 2 * parts["fitted"][:, :, 1]
+    scan = Scan(
+        parts["residual"], parts["fitted"], parts["functions"], parts["dense"], CANDIDATES, parts["group"]
+    )  # fmt: skip
+    return scan, parts
+
+
+def columns_of(candidate: Columns, parts: dict[str, Floats]) -> Floats:
+    """A candidate's columns (N·M, k), written out."""
+    out = []
+    for axis in range(M) if candidate.axis is None else (candidate.axis,):
+        for k in candidate.functions:
+            column = np.zeros((N, M))
+            column[:, axis] = parts["functions"][:, k]
+            out.append(column.ravel())
+    out += [parts["dense"][:, :, k].ravel() for k in candidate.dense]
+    return np.stack(out, axis=1)
+
+
+def left(target: Floats, columns: Floats) -> Floats:
+    """What a least-squares fit leaves."""
+    return target - columns @ np.linalg.lstsq(columns, target, rcond=1e-10)[0]
+
+
+def brute_f(residual: Floats, model: Floats, extra: Floats) -> tuple[float, int, int]:
+    """F statistic of extra columns beside a model, with its degrees of freedom."""
+    both = np.concatenate([model, extra], axis=1)
+    before, after = (float((left(residual, c) ** 2).sum()) for c in (model, both))
+    rank_before, rank_after = (int(np.linalg.matrix_rank(c)) for c in (model, both))
+    k, free = rank_after - rank_before, len(residual) - rank_after
+    return (before - after) / k / (after / free), k, free
+
+
+@pytest.mark.parametrize("added", [(), (2,), (3, 1)])
+def test_deviates_are_those_of_least_squares(added: tuple[int, ...]) -> None:
+    """Catches a wrong projection, Gram matrix, rank, order of rows or degrees of freedom, with and without columns
+    taken into the model: conditioning must equal a refit with the columns added."""
+    scan, parts = problem()
+    extra = [columns_of(CANDIDATES[i], parts) for i in added]
+    model = np.concatenate([parts["fitted"].reshape(N * M, P), *extra], axis=1)
+    taken = [scan.take(CANDIDATES[i]) for i in added]
+    given = scan.condition(np.concatenate([np.zeros((N * M, 0)), *taken], axis=1))
+    residual = parts["residual"].ravel()
+    assert given.sum_of_squares == pytest.approx(float((left(residual, model) ** 2).sum()), rel=1e-10)
+    assert given.free == N * M - np.linalg.matrix_rank(model)
+    deviates = given.deviates()
+    gains, ranks = given.gains()
+    for i, candidate in enumerate(CANDIDATES):
+        columns = columns_of(candidate, parts)
+        if np.linalg.matrix_rank(np.concatenate([model, columns], axis=1)) == np.linalg.matrix_rank(model):
+            assert deviates[i] == -np.inf
+            assert ranks[i] == 0
+            continue
+        f, k, free = brute_f(residual, model, columns)
+        assert ranks[i] == k
+        expected = wilson_hilferty(f, k, free)
+        assert deviates[i] == pytest.approx(expected, rel=1e-8, abs=1e-8)
+        assert gains[i] > 0
+
+
+def wilson_hilferty(f: float, k: int, free: int) -> float:
+    """The textbook's transformation of an F ratio to a normal deviate."""
+    a, b = 2 / (9 * k), 2 / (9 * free)
+    return float(((1 - b) * f ** (1 / 3) - (1 - a)) / np.sqrt(b * f ** (2 / 3) + a))
+
+
+@pytest.mark.parametrize(("k", "free"), [(1, 200), (3, 500), (9, 1000), (27, 300)])
+def test_a_deviate_has_the_tail_of_its_f(k: int, free: int) -> None:
+    """Catches candidates of different size that are not comparable: within 0.3 of the exact deviate (0.1 beyond one
+    column) from the 1 % point to the 1e-6 point; the approximation is known to be worst for one column."""
+    for p in (1e-2, 1e-4, 1e-6):
+        f = stats.f.isf(p, k, free)
+        gain = k * f / (free + k * f) * 7.0  # of a total of 7
+        z = float(deviate(np.array([gain]), np.array([k]), 7.0, free + k)[0])
+        assert z == pytest.approx(stats.norm.isf(p), abs=0.1 if k > 1 else 0.3)
+
+
+def test_flips_are_flips_of_whole_poses_fitted_again() -> None:
+    """Catches a null distribution without the fit after each flip, or with repeats of a pose flipped apart.
+
+    The same signs, each flipped residual projected anew and scored by brute force, 8 flips.
+    """
+    scan, parts = problem(3)
+    extra = columns_of(CANDIDATES[0], parts)
+    given = scan.condition(scan.take(CANDIDATES[0]))
+    model = np.concatenate([parts["fitted"].reshape(N * M, P), extra], axis=1)
+    residual = left(parts["residual"].ravel(), model).reshape(N, M)
+    poses = np.unique(parts["group"])
+    signs = np.random.default_rng(11).integers(0, 2, (len(poses), 8)) * 2.0 - 1.0
+    expected = []
+    for flip in range(8):
+        sign = signs[np.searchsorted(poses, parts["group"]), flip]
+        flipped = (residual * sign[:, None]).ravel()
+        scores = []
+        for candidate in CANDIDATES[1:]:
+            f, k, free = brute_f(flipped, model, columns_of(candidate, parts))
+            scores.append(wilson_hilferty(f, k, free))
+        expected.append(max(scores))
+    np.testing.assert_allclose(given.null(8, 11), expected, rtol=1e-7, atol=1e-8)
+
+
+def test_nothing_left_scores_minus_infinity() -> None:
+    """Catches rounding noise of a column that the fit already holds, scored as if it were a cause."""
+    rng = np.random.default_rng(1)
+    fitted = rng.normal(size=(N, M, 4))
+    functions = rng.normal(size=(N, 1))
+    dense = np.stack([fitted[:, :, 0], fitted[:, :, 1] + 3 * fitted[:, :, 2], rng.normal(size=(N, M))], axis=2)
+    near = fitted[:, :, 3] + 1e-3 * rng.normal(size=(N, M))
+    dense = np.concatenate([dense, near[:, :, None], np.zeros((N, M, 1))], axis=2)
+    candidates = [Columns(dense=(0,), exact=True), Columns(dense=(0, 1)), Columns(dense=(2,)), Columns(dense=(3,)),
+                  Columns(dense=(3,), exact=True), Columns(dense=(4,)), Columns(functions=(0,))]  # fmt: skip
+    scan = Scan(rng.normal(size=(N, M)), fitted, functions, dense, candidates, np.arange(N))
+    deviates = scan.condition(np.zeros((N * M, 0))).deviates()
+    # a part of 1e-3 left is too little for a shape and enough for an effect, whose derivative is exact
+    assert (deviates == -np.inf).tolist() == [True, True, False, True, False, True, False]
+    gone = scan.condition(scan.take(candidates[2])).deviates()
+    assert gone[2] == -np.inf
+
+
+def test_p_values_of_noise_are_uniform() -> None:
+    """Catches a test that is wrong on noise of unequal size, repeats sharing an error among them.
+
+    300 runs, seeds 0 to 299, level 5 %: 4 to 29 below 0.05 (a correct program fails with less than 1 in 1,000).
+    """
+    below = 0
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        group = np.repeat(np.arange(N // 3), 3)
+        common = rng.standard_t(3, size=(N // 3, M))[group]
+        noise = (rng.normal(size=(N, M)) + common) * [1.0, 5.0, 0.3] * rng.choice([0.5, 3.0], N // 3)[group, None]
+        scan = Scan(noise, rng.normal(size=(N, M, P)), rng.normal(size=(N, F)), rng.normal(size=(N, M, D)),
+                    CANDIDATES, group)  # fmt: skip
+        given = scan.condition(np.zeros((N * M, 0)))
+        largest = float(given.deviates().max())
+        below += (1 + (given.null(199, seed) >= largest).sum()) / 200 <= 0.05
+    assert stats.binom.ppf(5e-4, 300, 0.05) <= below <= stats.binom.isf(5e-4, 300, 0.05)
+
+
+def test_an_orthonormal_basis_spans_its_columns() -> None:
+    """Catches a rank taken wrong where columns repeat, differ in scale by powers of ten, or are zero."""
+    rng = np.random.default_rng(0)
+    columns = rng.normal(size=(80, 6)) * 10.0 ** np.arange(-6, 6, 2)
+    columns[:, 3] = columns[:, 0] * 1e5 + columns[:, 5]
+    columns[:, 2] = 0.0
+    q = orthonormal(columns)
+    assert q.shape == (80, 4)
+    np.testing.assert_allclose(q.T @ q, np.eye(4), atol=1e-12)
+    rest = columns - q @ (q.T @ columns)
+    assert (np.linalg.norm(rest, axis=0) <= 1e-7 * np.linalg.norm(columns, axis=0).clip(1e-300)).all()
+
+
+@pytest.mark.parametrize("rho", [0.0, -0.4, 0.3, 0.7, 0.9])
+def test_the_correlation_in_time_is_recovered(rho: float) -> None:
+    """Catches an estimate that the fit's own projection biases, or a correlation found in white noise.
+
+    20 seeds each, 800 rows of 3 readings with 60 columns projected out: the mean within 4 standard errors and 0.01;
+    zero for white noise in 18 of 20 (the threshold is three standard errors).
+    """
+    n, found = 800, []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        e = rng.normal(size=(n, 3))
+        for k in range(1, n):
+            e[k] = rho * e[k - 1] + np.sqrt(1 - rho * rho) * e[k]
+        t = np.linspace(-1, 1, n)
+        smooth = np.polynomial.legendre.legvander(t, 7)[:, 1:]
+        columns = np.concatenate([rng.normal(size=(n, 3, 39)), np.zeros((n, 3, 21))], axis=2)
+        for axis in range(3):
+            columns[:, axis, 39 + 7 * axis : 46 + 7 * axis] = smooth
+        q = orthonormal(columns)
+        flat = e.ravel()
+        found.append(correlation_in_time((flat - q @ (q.T @ flat)).reshape(n, 3), q))
+    if rho == 0.0:
+        assert sum(f == 0.0 for f in found) >= 18
+    else:
+        error = np.sqrt((1 - rho * rho) / (3 * n))
+        assert abs(np.mean(found) - rho) < 4 * error / np.sqrt(20) + 0.01
+        assert np.abs(np.array(found) - rho).max() < 6 * error
+
+
+def test_the_filter_in_time_whitens() -> None:
+    """Catches a filter that leaves a correlation or changes the variance, at the first row too."""
+    rng = np.random.default_rng(4)
+    rho = 0.7
+    e = rng.normal(size=(3, 40_000))
+    for k in range(1, 3):
+        e[k] = rho * e[k - 1] + np.sqrt(1 - rho * rho) * e[k]
+    covariance = np.cov(whiten(e, rho))
+    np.testing.assert_allclose(covariance, np.eye(3), atol=0.03)
+    assert whiten(e, 0.0) is e
+
+
+def test_play_follows_with_its_dead_zone() -> None:
+    """Catches a play operator that forgets where it was, moves inside its zone, or lags by another width."""
+    assert play(np.array([0.0, 0.4, 1.0, 0.9, 0.3, -1.0, -0.8]), 1.0).tolist() == pytest.approx(
+        [0.0, 0.0, 0.5, 0.5, 0.5, -0.5, -0.5]
+    )
+    q = np.cumsum(np.random.default_rng(0).normal(size=500))
+    for width in (0.1, 2.0):
+        out = play(q, width)
+        assert np.abs(out - q).max() <= 0.5 * width + 1e-12
+        moved = np.diff(out) != 0
+        assert (np.diff(out)[moved] * np.diff(q)[moved] > 0).all()
+        np.testing.assert_allclose(np.abs(out - q)[1:][moved], 0.5 * width, atol=1e-12)
+    np.testing.assert_array_equal(play(q, 0.0), q)
+
+
+def test_shapes_follow_from_the_variables_alone() -> None:
+    """Catches shapes of a variable that never changes, a missing family, and columns that are not of unit length."""
+    rng = np.random.default_rng(2)
+    n = 200
+    time = np.sort(rng.uniform(0, 100, n))
+    q = {f"q{k}_mm": rng.uniform(0, 40, n) for k in (1, 2, 3)}
+    view = View(
+        residual=rng.normal(size=(n, 3)),
+        fitted=rng.normal(size=(n, 3, 2)),
+        variables={**q, "x_mm": rng.uniform(-20, 20, n), "time_s": time, "lamp": np.full(n, 3.0)},
+        patterns={name: rng.normal(size=(n, 3)) for name in q},
+        group=np.arange(n),
+        pattern_of={name: name for name in q},
+        time=time,
+    )
+    family = build(view)
+    kinds = {s.shape for s in family.shapes}
+    assert kinds == {"smooth", "periodic", "interaction", "hysteretic", "step"}
+    assert not any("lamp" in s.depends_on for s in family.shapes)
+    np.testing.assert_allclose(np.linalg.norm(family.functions, axis=0), 1.0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(family.dense.reshape(3 * n, -1), axis=0), 1.0, atol=1e-12)
+    np.testing.assert_allclose(family.functions.mean(axis=0), 0.0, atol=1e-12)
+    assert {s.depends_on for s in family.shapes if s.shape == "step"} == {("time_s",)}
+    assert {s.pattern for s in family.shapes if s.shape == "hysteretic" and s.pattern} == set(q)
