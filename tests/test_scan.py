@@ -104,13 +104,13 @@ def wilson_hilferty(f: float, k: int, free: int) -> float:
 
 @pytest.mark.parametrize(("k", "free"), [(1, 200), (3, 500), (9, 1000), (27, 300)])
 def test_a_deviate_has_the_tail_of_its_f(k: int, free: int) -> None:
-    """Catches candidates of different size that are not comparable: within 0.3 of the exact deviate (0.1 beyond one
+    """Catches candidates of different size that are not comparable: within 0.3 of the exact deviate (0.2 beyond one
     column) from the 1 % point to the 1e-6 point; the approximation is known to be worst for one column."""
     for p in (1e-2, 1e-4, 1e-6):
         f = stats.f.isf(p, k, free)
         gain = k * f / (free + k * f) * 7.0  # of a total of 7
         z = float(deviate(np.array([gain]), np.array([k]), 7.0, free + k)[0])
-        assert z == pytest.approx(stats.norm.isf(p), abs=0.1 if k > 1 else 0.3)
+        assert z == pytest.approx(stats.norm.isf(p), abs=0.2 if k > 1 else 0.3)
 
 
 def test_flips_are_flips_of_whole_poses_fitted_again() -> None:

@@ -169,74 +169,88 @@ fn in_lanes(input: &[[f64; 3]], map: Map<'_>) -> (Vec<f64>, Vec<bool>) {
     (out, reached)
 }
 
-/// The widest vectors that this processor has; every choice gives the same bits.
+/// Coordinates of [`LANES`] poses, side by side.
+type Block = [[f64; LANES]; 3];
+
+/// Blocks that are turned from rows to lanes and back at a time; they stay in the first cache.
+const BLOCKS: usize = 32;
+
+/// Turns rows into lanes, runs the kernel, and turns the result back. The three steps are kept apart: only a loop
+/// that reads and writes lanes becomes vector instructions.
 fn widest(input: &[[f64; 3]], out: &mut [[f64; 3]], reached: &mut [bool], map: Map<'_>) {
+    let kernel = kernel();
+    let mut from = [[[0.0; LANES]; 3]; BLOCKS];
+    let mut to = [[[0.0; LANES]; 3]; BLOCKS];
+    let mut ok = [[false; LANES]; BLOCKS];
+    let chunks = input
+        .chunks(BLOCKS * LANES)
+        .zip(out.chunks_mut(BLOCKS * LANES))
+        .zip(reached.chunks_mut(BLOCKS * LANES));
+    for ((rows, out), reached) in chunks {
+        let used = rows.len().div_ceil(LANES);
+        for (rows, block) in rows.chunks(LANES).zip(&mut from) {
+            for (lane, row) in rows.iter().enumerate() {
+                for axis in 0..3 {
+                    block[axis][lane] = row[axis];
+                }
+            }
+        }
+        kernel(&from[..used], &mut to[..used], &mut ok[..used], map);
+        let results = to.iter().zip(&ok);
+        let places = out.chunks_mut(LANES).zip(reached.chunks_mut(LANES));
+        for ((block, ok), (out, reached)) in results.zip(places) {
+            for (lane, (out, reached)) in out.iter_mut().zip(reached).enumerate() {
+                for axis in 0..3 {
+                    out[axis] = if ok[lane] {
+                        block[axis][lane]
+                    } else {
+                        f64::NAN
+                    };
+                }
+                *reached = ok[lane];
+            }
+        }
+    }
+}
+
+type Kernel = fn(&[Block], &mut [Block], &mut [[bool; LANES]], Map<'_>);
+
+/// The kernel with the widest vectors that this processor has; every choice gives the same bits.
+fn kernel() -> Kernel {
     #[cfg(target_arch = "x86_64")]
     {
         #[target_feature(enable = "avx512f")]
-        fn avx512(input: &[[f64; 3]], out: &mut [[f64; 3]], reached: &mut [bool], map: Map<'_>) {
-            run(input, out, reached, map);
+        fn avx512(from: &[Block], to: &mut [Block], ok: &mut [[bool; LANES]], map: Map<'_>) {
+            run(from, to, ok, map);
         }
         #[target_feature(enable = "avx2")]
-        fn avx2(input: &[[f64; 3]], out: &mut [[f64; 3]], reached: &mut [bool], map: Map<'_>) {
-            run(input, out, reached, map);
+        fn avx2(from: &[Block], to: &mut [Block], ok: &mut [[bool; LANES]], map: Map<'_>) {
+            run(from, to, ok, map);
         }
         if std::arch::is_x86_feature_detected!("avx512f") {
             // SAFETY: the processor was just asked for the feature.
-            return unsafe { avx512(input, out, reached, map) };
+            return |from, to, ok, map| unsafe { avx512(from, to, ok, map) };
         }
         if std::arch::is_x86_feature_detected!("avx2") {
             // SAFETY: the processor was just asked for the feature.
-            return unsafe { avx2(input, out, reached, map) };
+            return |from, to, ok, map| unsafe { avx2(from, to, ok, map) };
         }
     }
-    run(input, out, reached, map);
-}
-
-// everything below must end up inside the functions above to be compiled with their features: no closures
-#[inline(always)]
-fn run(input: &[[f64; 3]], out: &mut [[f64; 3]], reached: &mut [bool], map: Map<'_>) {
-    let (blocks, rest) = input.as_chunks::<LANES>();
-    let (out_blocks, out_rest) = out.as_chunks_mut::<LANES>();
-    let (ok_blocks, ok_rest) = reached.as_chunks_mut::<LANES>();
-    for ((rows, out), ok) in blocks.iter().zip(out_blocks).zip(ok_blocks) {
-        compute(rows, out, ok, map);
-    }
-    if !rest.is_empty() {
-        let mut rows = [[0.0; 3]; LANES];
-        rows[..rest.len()].copy_from_slice(rest);
-        let (mut values, mut ok) = ([[0.0; 3]; LANES], [false; LANES]);
-        compute(&rows, &mut values, &mut ok, map);
-        out_rest.copy_from_slice(&values[..out_rest.len()]);
-        ok_rest.copy_from_slice(&ok[..ok_rest.len()]);
-    }
+    run
 }
 
 #[inline(always)]
-fn compute(
-    rows: &[[f64; 3]; LANES],
-    out: &mut [[f64; 3]; LANES],
-    reached: &mut [bool; LANES],
-    map: Map<'_>,
-) {
-    let mut block = [[0.0; LANES]; 3];
-    for axis in 0..3 {
-        for lane in 0..LANES {
-            block[axis][lane] = rows[lane][axis];
+fn run(from: &[Block], to: &mut [Block], reached: &mut [[bool; LANES]], map: Map<'_>) {
+    match map {
+        Map::Forward(k) => {
+            for ((from, to), reached) in from.iter().zip(to).zip(reached) {
+                (*to, *reached) = k.forward_lanes::<LANES>(from);
+            }
+        }
+        Map::Inverse(k) => {
+            for ((from, to), reached) in from.iter().zip(to).zip(reached) {
+                (*to, *reached) = k.inverse_lanes::<LANES>(from);
+            }
         }
     }
-    let (values, ok) = match map {
-        Map::Forward(k) => k.forward_lanes::<LANES>(&block),
-        Map::Inverse(k) => k.inverse_lanes::<LANES>(&block),
-    };
-    for lane in 0..LANES {
-        for axis in 0..3 {
-            out[lane][axis] = if ok[lane] {
-                values[axis][lane]
-            } else {
-                f64::NAN
-            };
-        }
-    }
-    *reached = ok;
 }
