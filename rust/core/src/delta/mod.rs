@@ -16,4 +16,4 @@ pub use chain::{
 };
 pub use geometry::{Assembly, GEOMETRIC, Geometry, IDENTIFIABLE, LIMBS, Limb, PER_LIMB};
 pub use kinematics::{Kinematics, Pose};
-pub use row::{Kind, Row, RowPrediction};
+pub use row::{Kind, Row};

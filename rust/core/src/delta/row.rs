@@ -1,6 +1,6 @@
 //! Rows of a run: a position, or a distance between two places, in which the datum cancels.
 
-use super::chain::{Chain, Covariates, Wanted};
+use super::chain::{Chain, Covariates, Prediction, Wanted};
 use super::geometry::LIMBS;
 use super::parameters::PARAMETERS;
 use crate::Result;
@@ -31,19 +31,6 @@ pub struct Row {
     pub kind: Kind,
 }
 
-/// Predicted readings of a row: a position, or a distance in the first component alone.
-#[derive(Clone, Copy, Debug)]
-pub struct RowPrediction {
-    /// Position (x, y, z) or distance, mm.
-    pub value: Vector3<f64>,
-    /// By the joint readings.
-    pub by_joints: Matrix3<f64>,
-    /// By a displacement of the measured point.
-    pub by_body: Matrix3<f64>,
-    /// By the parameters, one column each; columns that were not wanted are zero.
-    pub by_parameters: SMatrix<f64, 3, PARAMETERS>,
-}
-
 impl Chain {
     /// Predicts a row without derivatives.
     ///
@@ -58,24 +45,19 @@ impl Chain {
         }
     }
 
-    /// Predicts a row with the wanted derivatives.
+    /// Predicts a row with the wanted derivatives; a distance fills the first component alone, and columns that were
+    /// not wanted are zero.
     ///
     /// # Errors
     /// As [`Chain::predict`].
     #[inline]
-    pub fn row_predict(&self, row: &Row, wanted: Wanted) -> Result<RowPrediction> {
+    pub fn row_predict(&self, row: &Row, wanted: Wanted) -> Result<Prediction> {
         let at =
             |q: &[f64; LIMBS]| self.predict(&Vector3::from(*q), &row.covariates, &row.push, wanted);
-        let a = at(&row.joints)?;
         let Kind::Distance { to } = &row.kind else {
-            return Ok(RowPrediction {
-                value: a.value,
-                by_joints: a.by_joints,
-                by_body: a.by_body,
-                by_parameters: a.by_parameters,
-            });
+            return at(&row.joints);
         };
-        let b = at(to)?;
+        let (a, b) = (at(&row.joints)?, at(to)?);
         let between = b.value - a.value;
         let distance = between.norm();
         // two equal places have no direction; their distance is stationary at zero
@@ -91,7 +73,7 @@ impl Chain {
             out.set_row(0, &along.tr_mul(&m));
             out
         };
-        Ok(RowPrediction {
+        Ok(Prediction {
             value: Vector3::new(distance, 0.0, 0.0),
             by_joints: first(b.by_joints - a.by_joints),
             by_body: first(b.by_body - a.by_body),
