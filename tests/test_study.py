@@ -22,7 +22,6 @@ Floats = NDArray[np.float64]
 ROBOT = Robot.from_dict()
 NOISE_MM = 0.005
 POINTS = grid(18.0, 6, (-18.0, -6.0, 6.0, 18.0))
-CATALOGUED = ("joint_scale", "rail_lean", "drift", "slip", "sensor_linearity")
 
 
 def planted(seed: int, *names: str) -> tuple[dict[str, float], dict[str, Any]]:
@@ -241,6 +240,20 @@ def test_a_calibration_deploys_the_effects() -> None:
     assert misses(without).max() > 5 * NOISE_MM
 
 
+def test_declared_noise_survives_a_run_that_declares_none() -> None:
+    """Catches a join that silently forgets what one run knew of its noise or of its repeats."""
+    errors = draw_geometric_errors(np.random.default_rng(6))
+    first, second = run(6, errors), run(7, errors)
+    frame = first.to_frame().with_columns(pl.lit(0.005).alias(n) for n in ("sigma_x_mm", "sigma_y_mm", "sigma_z_mm"))
+    study = sk.Study(EXAMPLE, sk.from_frame(frame))
+    study.extend(second)
+    n = len(first)
+    np.testing.assert_allclose(study.data.sigma_mm[:n, :3], 0.005)
+    other = sk.Study(EXAMPLE, first)
+    other.extend(sk.from_frame(second.to_frame().drop("pose", "repeat")))
+    assert other.data.repeatability is not None
+
+
 @pytest.mark.parametrize(
     ("name", "message"),
     [
@@ -317,6 +330,28 @@ def test_a_users_mistake_is_named(function: Any, message: str, leaning: sk.Measu
     for use in (lambda: sk.Study(EXAMPLE, leaning, effects=[made]), lambda: sk.Study(EXAMPLE, leaning).add(made)):
         with pytest.raises(sk.EffectError, match=message):
             use()
+
+
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        (sk.effect(at="body", parameters={"a": "mm"})(lifted), "not zero where its parameters are zero"),
+        (sk.effect(at="body", parameters={"a": "mm"}, derivative=lambda r, p: p.no)(broken), "'broken'"),
+        (dataclasses.replace(wave, name="drift"), "name of a built-in effect"),
+    ],
+    ids=["lifted", "derivative", "name"],
+)
+def test_diagnosis_without_a_study_checks_users_effects_too(
+    made: sk.Effect, message: str, leaning: sk.Measurements
+) -> None:
+    """Catches an effect that acts at zero, breaks, or takes the place of a built-in one in ``sk.diagnose``: it must be
+    refused or reported untestable with the reason."""
+    try:
+        d = sk.diagnose(sk.identify(EXAMPLE, leaning), effects=(made,))
+    except sk.EffectError as error:
+        assert message in str(error)  # noqa: PT017
+    else:
+        assert message in d.untestable.get(made.name, "")
 
 
 def test_a_wrong_declaration_is_named(leaning: sk.Measurements) -> None:

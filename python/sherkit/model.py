@@ -283,8 +283,13 @@ def lacks(effect: Effect, data: Measurements) -> tuple[str, ...]:
 def effects_by_name(names: Sequence[str], own: Sequence[Effect] = ()) -> tuple[Effect, ...]:
     """Effects of the catalogue and the user's by name. Raises :class:`EffectError` with the nearest name."""
     known = {**CATALOGUE, **{e.name: e for e in own}}
+    for effect in own:
+        if effect.name in CATALOGUE:
+            raise EffectError(f"'{effect.name}' is the name of a built-in effect; give yours another")
     out = []
     for name in names:
+        if name == "datum":
+            raise EffectError("'datum' is in the model already: it belongs to the default model")
         if name not in known:
             raise EffectError(f"'{name}' is not a known effect{nearest(name, known)}; known: {listed(known, 30)}")
         out.append(known[name])

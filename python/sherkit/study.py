@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from .correction import choose_correction
 from .diagnosis import Diagnosis, diagnose
 from .diagnosis.search import slip_time
 from .effects import CATALOGUE, Effect, check_user_effect
-from .errors import EffectError, SherkitError
+from .errors import EffectError, MeasurementError, SherkitError, SherkitWarning
 from .identification import Fit, identify
 from .measurements import Measurements, from_frame
 from .model import DeltaModel, effects_by_name, lacks
@@ -40,6 +41,10 @@ class Step:
     parameters: dict[str, float]
     rows: int
     fit: Fit
+
+    def __repr__(self) -> str:
+        axes = ", ".join(f"{k[:-3]} {v:.1f}" for k, v in self.held_out_rms_um.items())
+        return f"Step({self.action}: held out {axes} µm)"
 
     @property
     def held_out_um(self) -> float:
@@ -156,7 +161,11 @@ class Study:
         return self._record("undone")
 
     def extend(self, more: Measurements) -> Step:
-        """Joins new measurements to the study and refits; time must go on where both runs have it."""
+        """Joins new measurements to the study and refits.
+
+        Raises :class:`~sherkit.errors.MeasurementError` where the new run starts before the old one ends; warns of
+        columns that only one of them has.
+        """
         return self._change(self.model, joined(self.data, more), f"{len(more)} rows joined")
 
     def mark_outliers(self, rows: Sequence[int]) -> Step:
@@ -261,11 +270,27 @@ class Study:
 
 
 def joined(first: Measurements, second: Measurements) -> Measurements:
-    """Both runs as one. Poses of the second get numbers of their own; columns that only one has are left out."""
+    """Both runs as one, the second after the first. Poses of the second get numbers of their own.
+
+    Raises :class:`~sherkit.errors.MeasurementError` where time does not go on; warns of columns that are left out
+    because only one run has them.
+    """
+    if first.time_s is not None and second.time_s is not None and second.time_s.min() <= first.time_s.max():
+        raise MeasurementError(
+            f"{second.source}: starts at {second.time_s.min():g} s, before {first.source} ends "
+            f"({first.time_s.max():g} s); count its time_s on from there, or drift and direction would be wrong"
+        )
     a, b = first.to_frame(), second.to_frame()
     if "pose" in a.columns and "pose" in b.columns:
         b = b.with_columns(pl.col("pose") + int(np.asarray(first.pose).max()))
     common = [c for c in a.columns if c in b.columns]
+    lost = [c for c in (*a.columns, *b.columns) if c not in common and not c.startswith("direction_")]
+    if lost:
+        warnings.warn(
+            f"{first.source} and {second.source}: column {listed(lost)} is left out, since only one run has it",
+            SherkitWarning,
+            stacklevel=3,
+        )
     both = pl.concat([a.select(common), b.select(common)], how="vertical_relaxed")
     # directions are those of each run by itself
     for k in range(3):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from pathlib import Path
 
 import click
@@ -13,13 +14,14 @@ from ..identification import identify
 from ..measurements import read_measurements
 from ..model import DeltaModel, effects_by_name
 from ..robots import load_robot
+from ..study import joined
 from . import output
 from .diagnosis_tables import diagnosis as print_diagnosis
 
 
 @click.command()
 @click.argument("robot", type=click.Path(path_type=Path))
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("runs", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RUN [MORE]...")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 @click.option("--effects", "files", type=click.Path(path_type=Path), multiple=True, help="Python file of your effects.")
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model already.")
@@ -27,15 +29,15 @@ from .diagnosis_tables import diagnosis as print_diagnosis
 @click.option("--level", type=click.FloatRange(0.0005, 0.2), default=0.01, show_default=True, help="Of the test.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Rules folds and flips.")
 def diagnose(
-    robot: Path, run: Path, as_json: bool, files: tuple[Path, ...], added: tuple[str, ...],
+    robot: Path, runs: tuple[Path, ...], as_json: bool, files: tuple[Path, ...], added: tuple[str, ...],
     destination: Path | None, level: float, seed: int,
 ) -> None:  # fmt: skip
-    """Say what ROBOT (TOML) is missing on the measurements RUN (CSV or Parquet)."""
+    """Say what ROBOT (TOML) is missing on the measurements RUN (CSV or Parquet), joined with MORE measured later."""
     nominal = load_robot(robot)
     own = tuple(effect for path in files for effect in load_effects(path))
     with output.steps(12) as step:
-        step(f"reading {run}")
-        data = read_measurements(run)
+        step(f"reading {runs[0]}")
+        data = reduce(joined, (read_measurements(run) for run in runs))
         step("identifying the model as it is")
         fit = identify(DeltaModel(nominal, effects=effects_by_name(added, own)), data)
         found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)

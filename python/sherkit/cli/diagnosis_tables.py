@@ -35,7 +35,7 @@ def diagnosis(d: Diagnosis) -> None:
         out.print(
             f"   the noise is correlated in time, {d.correlation_in_time:.2f} from row to row; taken into account"
         )
-    missing = "something is" if d.p_missing <= 0.01 else "nothing significant"
+    missing = "something is" if d.p_missing <= d.level else "nothing significant"
     out.print(f"   {missing}: familywise p = {d.p_missing:.4g} over all effects and shapes")
     for note in d.notes:
         out.print(f"   {escape(note)}")
@@ -57,9 +57,9 @@ def diagnosis(d: Diagnosis) -> None:
     for tie in d.ties:
         out.print(f"   [bold]{' or '.join(tie)}[/]: these poses cannot tell")
     for name, parameters in d.hides_in.items():
-        out.print(f"   {name} hides almost entirely in {listed(parameters)}: a small rest may mean a large effect")
+        out.print(f"   {name}, if there is any, hides almost entirely in {listed(parameters)}")
     for name, reason in d.untestable.items():
-        out.print(f"   {escape(f'{name} could not be tried: it {reason}')}")
+        out.print(f"   {escape(f'{name} could not be tried: {reason}')}")
     out.print("\n[bold]5. What next?[/]")
     for line in _next(d):
         out.print(f"   {line}")
@@ -119,7 +119,7 @@ def _poses(d: Diagnosis) -> Table:
 
 def _next(d: Diagnosis) -> list[str]:
     if d.ties and d.next_poses:
-        return ["measure the poses below, some time after this run, and diagnose both runs together"]
+        return ["measure the poses below, some time after this run, and diagnose both: sherkit diagnose ROBOT RUN MORE"]
     if d.ties:
         return ["no reachable pose separates the tie; change the order of the poses, the temperature or the load"]
     if d.verdict == "explained":

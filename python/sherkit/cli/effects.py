@@ -27,7 +27,7 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
         output.out.print(made)
         output.say("sherkit effects NAME shows one; your own go into a Python file: --effects my_effects.py")
         return
-    (effect,) = effects_by_name((name,))
+    effect = CATALOGUE["datum"] if name == "datum" else effects_by_name((name,))[0]
     output.out.print(f"[bold]{effect.name}[/], at the link '{effect.link}'")
     for title, text in (
         ("physics", effect.physics),
@@ -43,6 +43,6 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
     for p in effect.parameters:
         made.add_row(p.name, f"{p.size:g}", p.unit)
     output.out.print(made)
-    if picture is not None:
+    if picture is not None and name != "datum":
         picture.write_text(signature_map(effect, load_robot(robot) if robot else EXAMPLE), encoding="utf-8")
         output.say(f"what {effect.name} leaves on this robot is drawn in {picture}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
+import numpy as np
 import tomli_w
 
 from ..poses import paper_local, paper_whole
@@ -45,5 +46,10 @@ def simulate(
     data.save(destination)
     output.say(f"{len(data)} rows written to {destination}")
     if truth is not None:
-        truth.write_text(tomli_w.dumps({"errors": dict(virtual.errors)}), encoding="utf-8")
+        planted = {
+            "errors": dict(virtual.errors),
+            "rail_lean_rad": np.asarray(virtual.rail_lean_rad, dtype=float).tolist(),
+            "beam_matrix": np.asarray(virtual.beam_matrix, dtype=float).tolist(),
+        }
+        truth.write_text(tomli_w.dumps(planted), encoding="utf-8")
         output.say(f"planted errors written to {truth}")

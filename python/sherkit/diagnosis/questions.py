@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from ..effects import CATALOGUE, Effect
-from ..errors import SherkitError
+from ..effects import CATALOGUE, Effect, check_user_effect
+from ..errors import EffectError, SherkitError
 from ..identification import Fit, identify
 from ..measurements.columns import READINGS
+from ..model import lacks
 from ..noise import noise_of
 from ..validation import spatial_blocks
 from .crossvalidation import held_out_um
@@ -35,6 +36,7 @@ _LOCKED = 1.0 / 3.0
 _SPLIT_FROM = 90
 _FOLDS = 6
 _HIDDEN_FROM = 0.97
+_SMALLEST_P = 1e-300
 #: One-sided level of the confirmation on the locked rows.
 _CONFIRMED = 0.05
 
@@ -72,6 +74,7 @@ class Diagnosis:
     noise_um: dict[str, float]
     noise_origin: str
     correlation_in_time: float
+    level: float
     p_missing: float
     effects: tuple[str, ...]
     ties: tuple[tuple[str, ...], ...]
@@ -110,6 +113,9 @@ class Diagnosis:
             "verdict": self.verdict,
             "noise_um": self.noise_um,
             "noise_origin": self.noise_origin,
+            "correlation_in_time": self.correlation_in_time,
+            "neighbour_correlation": self.neighbour_correlation,
+            "level": self.level,
             "p_missing": self.p_missing,
             "effects": list(self.effects),
             "ties": [list(t) for t in self.ties],
@@ -154,10 +160,16 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnoses what a fit leaves. ``effects`` are the user's own, beside the catalogue.
 
-    Raises :class:`~sherkit.errors.FitError` where there is too little to diagnose.
+    Raises :class:`~sherkit.errors.FitError` where there is too little to diagnose, and
+    :class:`~sherkit.errors.EffectError` for a user's effect that is none.
     """
     every = (*CATALOGUE.values(), *effects)
     data = fit.data
+    for effect in effects:
+        if effect.name in CATALOGUE:
+            raise EffectError(f"'{effect.name}' is the name of a built-in effect; give yours another")
+        if not lacks(effect, data):
+            check_user_effect(effect, fit.model.rows(data, fit.values))
     axes = used_axes(data)
     notes: list[str] = []
 
@@ -229,6 +241,7 @@ def diagnose(
         noise_um={READINGS[a][:-3]: 1e3 * float(sigma[a]) for a in axes},
         noise_origin=origin,
         correlation_in_time=float(search.rho or 0.0),
+        level=level,
         p_missing=found.p_first,
         effects=tuple(c.name for c in found.added),
         ties=ties,
@@ -331,7 +344,8 @@ def _candidate_reports(
             fits.setdefault(candidate.name, alternative.stage.fit)
     out = []
     for name, (score, error, candidate) in best.items():
-        p = min(1.0, len(best) * float(special.ndtr(-score))) if np.isfinite(score) else 1.0
+        # kept above what a float can tell from zero: a p of zero would claim too much
+        p = min(1.0, max(len(best) * float(special.ndtr(-score)), _SMALLEST_P)) if np.isfinite(score) else 1.0
         values, std, ok = _parameters(base, candidate, fits.get(name))
         parameters = tuple(
             {"name": q.name, "value": v, "std": s, "unit": q.unit}

@@ -135,7 +135,7 @@ def stage_of(
             continue
         missing = lacks(effect, part)
         if missing:
-            untestable[effect.name] = f"needs the column {' and '.join(missing)}"
+            untestable[effect.name] = f"it needs the column {' and '.join(missing)}"
         else:
             tried.append(effect)
     # everything at once: derivatives by what is fitted, by every effect, and by the joints

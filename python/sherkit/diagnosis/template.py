@@ -45,7 +45,9 @@ def template(signature: Mapping[str, Any], name: str = "unknown_effect", file: s
     labels = [f"{n}_{'q' + str(t + 1) if joint else 'xyz'[t]}" for t in targets for n in names]
     parameters = ", ".join(f'"{label}": ("mm", 0.05)' for label in labels)
     lines = [_HEAD.format(sentence=sentence(signature), file=file), ""]
-    lines += [f'@sk.effect(at="{at}", parameters={{{parameters}}})', f"def {name}(rows, p):"]
+    needs = [n for n in signature["depends_on"] if n not in (*JOINTS, *POSITION)]
+    needed = f", needs=({', '.join(repr(n) for n in needs)},)" if needs else ""
+    lines += [f'@sk.effect(at="{at}", parameters={{{parameters}}}{needed})', f"def {name}(rows, p):"]
     lines += [f'    """{sentence(signature)}"""', *[f"    {line}" for line in _variables(signature)]]
     lines.append("    out = np.zeros((len(rows), 3))")
     for target in targets:
