@@ -99,11 +99,10 @@ def run_python(block: Block, names: dict[str, Any]) -> str:
     if file:
         Path(file[1]).write_text(block.text, encoding="utf-8")
     said = io.StringIO()
-    with contextlib.redirect_stdout(said):
-        # what is left out of a calibration is warned of, and the tutorial says so
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SherkitWarning)
-            exec(compile(block.text, block.place, "exec"), names)
+    # what is left out of a calibration is warned of, and the tutorial says so
+    with contextlib.redirect_stdout(said), warnings.catch_warnings():
+        warnings.simplefilter("ignore", SherkitWarning)
+        exec(compile(block.text, block.place, "exec"), names)
     return said.getvalue()
 
 
