@@ -21,6 +21,7 @@ from .effects import CATALOGUE, Effect, check_user_effect
 from .errors import EffectError, MeasurementError, SherkitError, SherkitWarning
 from .identification import Fit, identify
 from .measurements import Measurements, from_frame
+from .measurements.columns import MAY_BE_EMPTY, OUTLIER
 from .model import DeltaModel, effects_by_name, lacks
 from .names import listed
 from .robots import Delta
@@ -32,7 +33,10 @@ _FORMAT = 1
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One state of a study: what was done, and the error it left, µm per axis, fitted and held out."""
+    """One state of a study: what was done, and the error it left, µm per axis, fitted and held out.
+
+    ``fit`` is None for the earlier steps of a study that was loaded: their rows were not kept.
+    """
 
     action: str
     effects: tuple[str, ...]
@@ -40,7 +44,7 @@ class Step:
     held_out_rms_um: dict[str, float]
     parameters: dict[str, float]
     rows: int
-    fit: Fit
+    fit: Fit | None
 
     def __repr__(self) -> str:
         axes = ", ".join(f"{k[:-3]} {v:.1f}" for k, v in self.held_out_rms_um.items())
@@ -79,7 +83,7 @@ class Study:
     @property
     def fit(self) -> Fit:
         """The current fit."""
-        return self.history[-1].fit
+        return self._fit
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -100,6 +104,7 @@ class Study:
             fit=fit,
         )
         self.history.append(step)
+        self._fit = fit
         self._diagnosis = None
         return step
 
@@ -118,7 +123,7 @@ class Study:
 
     def diagnose(self, *, level: float = 0.01, step: Callable[[str], None] = lambda _: None) -> Diagnosis:
         """What is missing now. The answer is kept until something changes."""
-        if self._diagnosis is None:
+        if self._diagnosis is None or self._diagnosis.level != level:
             self._diagnosis = diagnose(
                 self.fit, effects=tuple(self.own.values()), level=level, seed=self.seed, step=step
             )
@@ -246,7 +251,8 @@ class Study:
             slip_time_s=state["slip_time_s"],
             time_origin_s=state["time_origin_s"],
         )
-        fit = identify(study.model, study.data)
+        study._fit = identify(study.model, study.data)
+        last = len(state["history"]) - 1
         study.history = [
             Step(
                 action=s["action"],
@@ -255,9 +261,9 @@ class Study:
                 held_out_rms_um=s["held_out_rms_um"],
                 parameters=s["parameters"],
                 rows=s["rows"],
-                fit=fit,
+                fit=study._fit if k == last else None,
             )
-            for s in state["history"]
+            for k, s in enumerate(state["history"])
         ]
         return study
 
@@ -283,6 +289,7 @@ def joined(first: Measurements, second: Measurements) -> Measurements:
     a, b = first.to_frame(), second.to_frame()
     if "pose" in a.columns and "pose" in b.columns:
         b = b.with_columns(pl.col("pose") + int(np.asarray(first.pose).max()))
+    a, b = _complete(a, b.columns), _complete(b, a.columns)
     common = [c for c in a.columns if c in b.columns]
     lost = [c for c in (*a.columns, *b.columns) if c not in common and not c.startswith("direction_")]
     if lost:
@@ -298,3 +305,15 @@ def joined(first: Measurements, second: Measurements) -> Measurements:
         if np.isfinite(direction).all():
             both = both.with_columns(pl.Series(f"direction_{k + 1}", direction))
     return from_frame(both, first.source)
+
+
+def _complete(frame: pl.DataFrame, wanted: Sequence[str]) -> pl.DataFrame:
+    """A run with the columns of another whose absence says something: nothing marked, not declared, not taken."""
+    for name in wanted:
+        if name in frame.columns:
+            continue
+        if name == OUTLIER:
+            frame = frame.with_columns(pl.lit(0, dtype=pl.Int64).alias(name))
+        elif name in MAY_BE_EMPTY:
+            frame = frame.with_columns(pl.lit(None, dtype=pl.Float64).alias(name))
+    return frame

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from ..validation import spatial_blocks
 from .crossvalidation import held_out_um
 from .next_poses import next_poses
 from .power import smallest_found
-from .search import Found, Search, is_plausible
+from .search import Found, Search, is_plausible, slip_time
 from .shapes import Shape
 from .stage import Candidate, Stage, columns_of, stage_of, suspected_outliers, used_axes
 from .template import sentence
@@ -37,6 +37,8 @@ _SPLIT_FROM = 90
 _FOLDS = 6
 _HIDDEN_FROM = 0.97
 _SMALLEST_P = 1e-300
+#: Level at which an axis takes part in a signature.
+_AXIS_LEVEL = 1e-3
 #: One-sided level of the confirmation on the locked rows.
 _CONFIRMED = 0.05
 
@@ -194,7 +196,9 @@ def diagnose(
     split = len(rows) >= _SPLIT_FROM
     locked = np.isin(block[rows], np.arange(round(_FOLDS * _LOCKED))) if split else np.zeros(len(rows), dtype=bool)
 
-    search = Search(fit, every, rows[~locked], sigma, level=level, seed=seed, step=step)
+    # on all rows: among those that are left after locking some away, neighbours are rare
+    rho = stage_of(fit, every, rows, sigma, thorough=False).rho
+    search = Search(fit, every, rows[~locked], sigma, level=level, rho=rho, seed=seed, step=step)
     found = search.run()
 
     confirmed = _confirm(search, found, fit, rows[locked]) if found.added and locked.any() else None
@@ -204,6 +208,7 @@ def diagnose(
         confirmed = None
 
     step("fitting all rows")
+    found.added = [_at_its_moment(search, fit, found.added, c) for c in found.added]
     model = search.with_candidates(fit.model, found.added)
     final = identify(model, data, noise=fit.noise) if found.added else fit
     base_stage = stage_of(fit, every, rows, sigma, rho=search.rho, thorough=False)
@@ -278,6 +283,15 @@ def _noise(fit: Fit, axes: Sequence[int], wild: Ints | None = None) -> tuple[Flo
         used = data.taken[:, a] & ~data.outlier
         sigma[a] = float(np.sqrt(np.mean(noise.sigma_mm[used, a] ** 2)))
     return sigma, noise.origin
+
+
+def _at_its_moment(search: Search, fit: Fit, added: Sequence[Candidate], candidate: Candidate) -> Candidate:
+    """A slip at the moment that all rows give, with the other effects in the model."""
+    if candidate.effect.search != "time_s":
+        return candidate
+    others = [c for c in added if c is not candidate]
+    model = search.with_candidates(fit.model, others)
+    return replace(candidate, setting=slip_time(identify(model, fit.data, noise=fit.noise)))
 
 
 def _noise_left(fit: Fit, axes: Sequence[int], sigma: Floats) -> Floats:
@@ -454,9 +468,13 @@ def _range(values: Floats) -> tuple[float, float]:
 
 
 def _axes_of(stage: Stage, shape: Shape) -> list[str]:
-    """Axes on which a shape takes a fair part of what is left."""
-    explained = stage.scan.take(columns_of(shape))
-    explained = explained - stage.scan.basis @ (stage.scan.basis.T @ explained)
-    x = np.linalg.lstsq(explained, stage.scan.residual, rcond=1e-9)[0]
-    by_axis = ((explained @ x).reshape(stage.scan.n, stage.scan.m) ** 2).sum(axis=0)
-    return [READINGS[stage.axes[k]][:-3] for k in range(stage.scan.m) if by_axis[k] >= 0.1 * by_axis.max()]
+    """Axes on which a shape takes more than noise would."""
+    columns = stage.scan.take(columns_of(shape))
+    columns = columns - stage.scan.basis @ (stage.scan.basis.T @ columns)
+    x = np.linalg.lstsq(columns, stage.scan.residual, rcond=1e-9)[0]
+    by_axis = ((columns @ x).reshape(stage.scan.n, stage.scan.m) ** 2).sum(axis=0)
+    noise = stage.plain.sum_of_squares / stage.plain.free
+    count = max(len(shape.functions), len(shape.dense))
+    enough = noise * float(special.chdtri(count, _AXIS_LEVEL))
+    axes = [READINGS[stage.axes[k]][:-3] for k in range(stage.scan.m) if by_axis[k] > enough]
+    return axes or [READINGS[stage.axes[int(np.argmax(by_axis))]][:-3]]

@@ -78,6 +78,7 @@ class Search:
         sigma_mm: Floats,
         *,
         level: float,
+        rho: float | None = None,
         seed: int = 0,
         step: Callable[[str], None] = lambda _: None,
     ) -> None:
@@ -89,7 +90,7 @@ class Search:
         self.step = step
         self.data = base.data.select(rows)
         self.noise = Noise(np.where(self.data.taken, sigma_mm, 1.0), base.noise.origin)
-        self.rho: float | None = None
+        self.rho = rho
         self.base = self.refit(base.model, start=base.values)
 
     def refit(self, model: DeltaModel, start: Floats | None = None) -> Fit:
@@ -215,7 +216,9 @@ class Search:
                 else:
                     for a in axes:
                         columns.append(np.where(np.arange(stage.scan.m) == a, centred, 0.0))
-            stacked = whiten(np.stack(columns, axis=2), stage.rho)[order].reshape(stage.scan.n * stage.scan.m, -1)
+            stacked = whiten(np.stack(columns, axis=2), stage.rho, stage.lag)[order].reshape(
+                stage.scan.n * stage.scan.m, -1
+            )
             given = stage.scan.condition(np.concatenate([stage.nuisance_columns, stacked], axis=1))
             return -given.sum_of_squares
 

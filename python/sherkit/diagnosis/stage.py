@@ -26,6 +26,8 @@ Bools = NDArray[np.bool_]
 _MAD = 1.482602218505602
 #: Chance that a run without outliers has a row taken for one.
 _OUTLIER_LEVEL = 0.01
+#: So many wild rows one after another are not taken for outliers.
+_IN_A_ROW = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +49,8 @@ class Stage:
     """A fit on some rows, seen by diagnosis.
 
     ``rows`` are indices of the rows used, in the order of time; ``sigma`` (m,) the noise of each axis in mm;
-    ``rho`` the correlation of the noise from row to row; ``candidates`` the effects that can be tried;
+    ``rho`` the correlation of the noise from row to row and ``lag`` how many rows of the run it is from one row here to
+    the next; ``candidates`` the effects that can be tried;
     ``untestable`` effect to the reason why it cannot.
     """
 
@@ -56,6 +59,7 @@ class Stage:
     axes: tuple[int, ...]
     sigma: Floats
     rho: float
+    lag: NDArray[np.int64]
     view: View
     family: Family
     scan: Scan
@@ -188,12 +192,13 @@ def stage_of(
     physical = np.stack(dense, axis=2) if dense else np.zeros((len(part), len(axes), 0))
     if rho is None:
         rho = correlation_in_time(residual, _rich_basis(fitted, physical, family))
+    lag = _lags(data, rows)
     offset = physical.shape[2]
     scan = Scan(
-        whiten(residual, rho),
-        whiten(fitted, rho),
-        whiten(family.functions, rho),
-        whiten(np.concatenate([physical, family.dense], axis=2), rho),
+        whiten(residual, rho, lag),
+        whiten(fitted, rho, lag),
+        whiten(family.functions, rho, lag),
+        whiten(np.concatenate([physical, family.dense], axis=2), rho, lag),
         [Columns(s.functions, s.axis, tuple(k + offset for k in s.dense)) for s in family.shapes]
         + [c.columns for c in candidates],
         view.group,
@@ -205,6 +210,7 @@ def stage_of(
         axes=axes,
         sigma=sigma,
         rho=rho,
+        lag=lag,
         view=view,
         family=Family(shifted, family.functions, family.dense),
         scan=scan,
@@ -213,6 +219,12 @@ def stage_of(
         nuisance=tuple(_again(n, shifted) for n in nuisance),
         physical=physical,
     )
+
+
+def _lags(data: Measurements, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How many rows of the run it is from one of these rows to the next."""
+    place = data.order[rows]
+    return np.concatenate([[1], np.maximum(np.diff(place), 1)])
 
 
 def used_axes(data: Measurements) -> tuple[int, ...]:
@@ -243,7 +255,13 @@ def suspected_outliers(stage: Stage) -> NDArray[np.int64]:
     spread = _MAD * np.median(np.abs(rest - center), axis=0)
     threshold = float(stats.norm.isf(0.5 * _OUTLIER_LEVEL / (n * m)))
     wild = np.abs(rest - center) > threshold * np.maximum(spread, 1e-12)
-    return stage.rows[(wild & _apart(rest, stage.view.group, threshold)).any(axis=1)]
+    alone: Bools = np.any(wild & _apart(rest, stage.view.group, threshold), axis=1)
+    # rows that are wild one after another are no accident, they are news
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], alone.astype(int), [0]])))
+    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if end - first >= _IN_A_ROW:
+            alone[first:end] = False
+    return stage.rows[alone]
 
 
 def _apart(values: Floats, group: NDArray[np.int64], threshold: float) -> Bools:

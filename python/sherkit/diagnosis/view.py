@@ -22,8 +22,8 @@ class View:
 
     ``residual`` (n, m) measured minus predicted over the noise; ``fitted`` (n, m, p) derivatives by the fitted
     parameters, over the noise; ``variables`` name to values (n,), what a residual may depend on; ``patterns`` name to
-    (n, m), how the readings answer to an error at one input (a joint); ``products`` pairs of names of variables;
-    ``group`` (n,) equal for repeats of a pose. ``gap`` (n,) is False where a row follows its predecessor in one run.
+    (n, m), how the readings answer to an error at one input (a joint); ``pattern_of`` variable to the pattern of its
+    input; ``group`` (n,) equal for repeats of a pose.
     """
 
     residual: Floats
@@ -43,14 +43,20 @@ class View:
         return self.residual.shape[1]
 
 
-def whiten(values: Floats, rho: float) -> Floats:
-    """The AR(1) filter along the first axis; the first row keeps its variance."""
+def whiten(values: Floats, rho: float, lag: Ints | None = None) -> Floats:
+    """The AR(1) filter along the first axis; every row keeps its variance.
+
+    ``lag`` (n,) is how many rows of the run lie between a row and the one before it here (1 where it follows at once):
+    across a gap the correlation is ``rho`` to that power.
+    """
     if rho == 0.0:
         return values
-    out = values.copy()
-    out[1:] -= rho * values[:-1]
-    out[0] *= np.sqrt(1.0 - rho * rho)
-    return out / np.sqrt(1.0 - rho * rho)
+    steps = np.ones(len(values), dtype=np.int64) if lag is None else lag
+    carried = np.sign(rho) ** steps * np.abs(rho) ** steps
+    carried[0] = 0.0
+    shape = (-1,) + (1,) * (values.ndim - 1)
+    before = np.concatenate([values[:1], values[:-1]])
+    return (values - carried.reshape(shape) * before) / np.sqrt(1.0 - carried**2).reshape(shape)
 
 
 def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:
@@ -72,8 +78,8 @@ def correlation_in_time(residual: Floats, basis: Floats) -> float:
     """ρ of AR(1) noise, from residuals (n, m) in the order of time after an orthonormal ``basis`` (n·m, k) was
     projected out.
 
-    What projection alone does to neighbours is taken out (restricted estimate), and the estimate is repeated on
-    filtered rows. Zero where it is within three standard errors of it.
+    The rows must be all of a run. What projection alone does to neighbours is taken out (restricted estimate), and the
+    estimate is repeated on filtered rows. Zero where it is within two standard errors of it.
     """
     n, m = residual.shape
     rho = 0.0
@@ -99,4 +105,4 @@ def correlation_in_time(residual: Floats, basis: Floats) -> float:
         rho = float(np.clip(rho + step * (1 - rho * rho), -0.95, 0.95))
         if abs(step) < 1e-3:
             break
-    return rho if abs(rho) > 3.0 / np.sqrt(n * m) else 0.0
+    return rho if abs(rho) > 2.0 / np.sqrt(n * m) else 0.0

@@ -75,7 +75,12 @@ class Effect:
         names = [p.name for p in self.parameters]
         if self.derivative is not None:
             p = SimpleNamespace(**dict(zip(names, values.tolist(), strict=True)))
-            out = np.asarray(self.derivative(rows, p), dtype=float)
+            try:
+                out = np.asarray(self.derivative(rows, p), dtype=float)
+            except Exception as error:
+                raise EffectError(
+                    f"effect '{self.name}': its derivative failed: {type(error).__name__}: {error}"
+                ) from error
             expected = (len(rows), 3, len(names))
             if out.shape != expected or not np.isfinite(out).all():
                 raise EffectError(f"effect '{self.name}': derivative: expected finite numbers of shape {expected}")

@@ -47,6 +47,7 @@ class Measurements:
     ``line`` (n,) is the line of the row in its file (``counted`` is ``"line"``) or its number from 0 in a frame
     (``"row"``), for messages. ``direction`` (n, 3) is the sign of the last motion of each joint, from the columns
     ``direction_1`` … or from the order in time; NaN where neither is known.
+    ``order`` (n,) is the place of the row in the run it was taken from, by time where that is known.
     """
 
     joints_mm: Floats
@@ -64,6 +65,7 @@ class Measurements:
     line: Ints
     counted: str
     direction: Floats
+    order: Ints
 
     # -- making ------------------------------------------------------------------------------------------
 
@@ -109,6 +111,7 @@ class Measurements:
             line=line,
             counted=counted,
             direction=_directions(values, stack(c.JOINTS)),
+            order=_order(values, n),
         )
         data._check()
         return data
@@ -192,7 +195,7 @@ class Measurements:
                 name: pick(getattr(self, name))
                 for name in (
                     "joints_mm", "to_joints_mm", "readings_mm", "taken", "sigma_mm",
-                    "time_s", "pose", "repeat", "outlier", "line", "direction",
+                    "time_s", "pose", "repeat", "outlier", "line", "direction", "order",
                 )
             },
             covariates={k: v[rows] for k, v in self.covariates.items()},
@@ -303,6 +306,14 @@ def _directions(values: Mapping[str, NDArray[Any]], joints: Floats) -> Floats:
     for k, name in enumerate(c.DIRECTIONS):
         if name in values:
             out[:, k] = np.sign(np.asarray(values[name], dtype=float))
+    return out
+
+
+def _order(values: Mapping[str, NDArray[Any]], n: int) -> Ints:
+    """Places of the rows in time, from 0; as they stand where no time is known."""
+    out = np.arange(n, dtype=np.int64)
+    if c.TIME in values:
+        out[np.argsort(np.asarray(values[c.TIME], dtype=float), kind="stable")] = np.arange(n)
     return out
 
 
