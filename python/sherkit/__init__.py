@@ -4,7 +4,7 @@ from ._core import __version__
 from .calibrate import Experiment, Result, calibrate
 from .calibration import Calibration
 from .correction import Correction, choose_correction, fit_grid, fit_polynomial, paper_protocol
-from .diagnosis import Diagnosis, diagnose, play
+from .diagnosis import Diagnosis, diagnose, play, sentence
 from .effects import CATALOGUE, Effect, effect
 from .errors import (
     CalibrationError,
@@ -32,6 +32,7 @@ from .measurements import (
 from .model import DeltaModel
 from .parameters import Parameter
 from .poses import grid, paper_local, paper_whole
+from .readings import Model, ModelFit, Readings, fit_model
 from .robots import Delta, load_robot, save_robot
 from .simulation import VirtualDelta
 from .study import Step, Study
@@ -52,10 +53,13 @@ __all__ = [
     "MeasurementError",
     "MeasurementStream",
     "Measurements",
+    "Model",
+    "ModelFit",
     "NotConverged",
     "NotFinite",
     "OutOfReach",
     "Parameter",
+    "Readings",
     "Result",
     "RobotError",
     "ShapeError",
@@ -71,6 +75,7 @@ __all__ = [
     "diagnose",
     "effect",
     "fit_grid",
+    "fit_model",
     "fit_polynomial",
     "from_frame",
     "grid",
@@ -84,5 +89,6 @@ __all__ = [
     "play",
     "read_measurements",
     "save_robot",
+    "sentence",
     "stream_measurements",
 ]

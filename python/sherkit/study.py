@@ -72,7 +72,7 @@ class Study:
         self.own: dict[str, Effect] = {}
         self.history: list[Step] = []
         self._undone: list[tuple[DeltaModel, Measurements]] = []
-        self._diagnosis: Diagnosis | None = None
+        self._diagnosis: Diagnosis[Fit] | None = None
         for effect in effects:
             self._register(effect)
         self.model = DeltaModel(robot)
@@ -121,7 +121,7 @@ class Study:
 
     # -- what a person does ------------------------------------------------------------------------------
 
-    def diagnose(self, *, level: float = 0.01, step: Callable[[str], None] = lambda _: None) -> Diagnosis:
+    def diagnose(self, *, level: float = 0.01, step: Callable[[str], None] = lambda _: None) -> Diagnosis[Fit]:
         """What is missing now. The answer is kept until something changes."""
         if self._diagnosis is None or self._diagnosis.level != level:
             self._diagnosis = diagnose(

@@ -26,22 +26,27 @@ class HeldOut:
 
 
 def spatial_blocks(data: Measurements, positions_mm: Floats, folds: int = 5, seed: int = 0) -> Ints:
-    """A fold (0 … folds - 1) for every row; repeats of a pose and neighbours in space stay together.
+    """A fold (0 … folds - 1) for every row; repeats of a pose and neighbours in space stay together."""
+    return deal_tiles(positions_mm, data.groups, folds, seed)
 
-    The workspace is cut into 4 × 4 tiles per height layer and whole tiles are dealt to folds, so that a fold
-    is predicted from its surroundings and never from its own repeats (Roberts et al., "Cross-validation
+
+def deal_tiles(places: Floats, groups: Ints, folds: int = 5, seed: int = 0) -> Ints:
+    """A fold (0 … folds - 1) for every row of ``places`` (n, d); equal ``groups`` (n,) and neighbours stay together.
+
+    The first two coordinates are cut into 4 × 4 tiles, a third one into 3 layers, and whole tiles are dealt to folds,
+    so that a fold is predicted from its surroundings and never from its own repeats (Roberts et al., "Cross-validation
     strategies for data with temporal, spatial … structure", Ecography 2017).
     """
-    centre = _group_means(positions_mm, data.groups)
+    centre = _group_means(places, groups)
     tile = np.zeros(len(centre), dtype=np.int64)
-    for axis in (0, 1, 2):
+    for axis in range(min(centre.shape[1], 3)):
         rank = np.argsort(np.argsort(centre[:, axis], kind="stable"), kind="stable")
         parts = _TILES if axis < 2 else 3
         tile = tile * parts + rank * parts // len(centre)
     names, tile = np.unique(tile, return_inverse=True)
     deal = np.arange(len(names)) % folds
     np.random.default_rng(seed).shuffle(deal)
-    return deal[tile.ravel()][data.groups]
+    return deal[tile.ravel()][groups]
 
 
 def hold_out(model: DeltaModel, data: Measurements, *, folds: int = 5, seed: int = 0, loss: str = "linear") -> HeldOut:

@@ -6,6 +6,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from ..diagnosis import Diagnosis, sentence
+from ..identification import Fit
 from ..names import listed
 from .output import out, table
 
@@ -27,7 +28,7 @@ def _p(value: float) -> str:
     return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
 
 
-def diagnosis(d: Diagnosis) -> None:
+def diagnosis(d: Diagnosis[Fit]) -> None:
     """Everything a diagnosis found."""
     noise = ", ".join(f"{axis} {value:.1f}" for axis, value in d.noise_um.items())
     out.print(f"[bold]1. Is anything missing?[/]  noise {noise} µm ({_ORIGIN[d.noise_origin]})")
@@ -69,7 +70,7 @@ def diagnosis(d: Diagnosis) -> None:
     out.print(falling(d))
 
 
-def falling(d: Diagnosis) -> Table:
+def falling(d: Diagnosis[Fit]) -> Table:
     """The error on poses held out, step by step."""
     made = table("Error on poses held out", "model", "µm RMS")
     for s in d.steps:
@@ -78,7 +79,7 @@ def falling(d: Diagnosis) -> Table:
     return made
 
 
-def _where(d: Diagnosis) -> Table:
+def _where(d: Diagnosis[Fit]) -> Table:
     made = table("", "against", "p", "µm RMS from its lowest to its highest sixth")
     for line in d.where[:_MOST]:
         made.add_row(line.variable, _p(line.p_value), "  ".join(f"{v:.1f}" for v in line.rms_um))
@@ -86,7 +87,7 @@ def _where(d: Diagnosis) -> Table:
     return made
 
 
-def _candidates(d: Diagnosis) -> Table:
+def _candidates(d: Diagnosis[Fit]) -> Table:
     made = table("", "effect", "link", "held out µm", "p", "size", "largest parameter")
     for c in d.candidates:
         worst = max(c.parameters, key=lambda q: abs(q["value"]) / max(q["std"], 1e-300))
@@ -100,7 +101,7 @@ def _candidates(d: Diagnosis) -> Table:
     return made
 
 
-def _power(d: Diagnosis) -> Table:
+def _power(d: Diagnosis[Fit]) -> Table:
     made = table(
         "Smallest effects that would have been found (80 % power)", "effect", "× plausible size", "leaves µm RMS"
     )
@@ -109,7 +110,7 @@ def _power(d: Diagnosis) -> Table:
     return made
 
 
-def _poses(d: Diagnosis) -> Table:
+def _poses(d: Diagnosis[Fit]) -> Table:
     made = table("Poses to measure next, in this order", "", "x", "y", "z", "separation, σ")
     for k, pose in enumerate(d.next_poses, start=1):
         cells = [f"{pose[a]:.1f}" for a in ("x_mm", "y_mm", "z_mm")]
@@ -117,7 +118,7 @@ def _poses(d: Diagnosis) -> Table:
     return made
 
 
-def _next(d: Diagnosis) -> list[str]:
+def _next(d: Diagnosis[Fit]) -> list[str]:
     if d.ties and d.next_poses:
         return ["measure the poses below, some time after this run, and diagnose both: sherkit diagnose ROBOT RUN MORE"]
     if d.ties:

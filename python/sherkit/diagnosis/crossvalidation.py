@@ -17,8 +17,11 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def held_out_um(stage: Stage, block: Ints) -> tuple[float, list[float]]:
-    """Held-out RMS (µm, axes together) of the fit itself and with each candidate. ``block`` (n,) of each row."""
+def held_out(stage: Stage, block: Ints) -> tuple[float, list[float]]:
+    """Held-out RMS (in the unit of the case, axes together) of the fit itself and with each candidate.
+
+    ``block`` (n,) is the fold of each row.
+    """
     view = stage.view
     n, m = view.residual.shape
     physical: list[Floats] = []
@@ -30,7 +33,7 @@ def held_out_um(stage: Stage, block: Ints) -> tuple[float, list[float]]:
         physical.append(columns)
         places.append(list(range(first, first + columns.shape[2])))
     z = np.concatenate([view.fitted, *physical, view.residual[:, :, None]], axis=2)
-    z = z * stage.sigma[None, :, None]  # in mm, so that axes count by their error
+    z = z * stage.sigma[None, :, None]  # in the unit of the readings, so that axes count by their error
     scale = np.linalg.norm(z.reshape(n * m, -1), axis=0)
     scale[-1] = 1.0
     z = z / np.where(scale > 0, scale, 1.0)
@@ -40,8 +43,9 @@ def held_out_um(stage: Stage, block: Ints) -> tuple[float, list[float]]:
         grams.append(part.T @ part)
     total = np.sum(grams, axis=0)
     fitted = list(range(p))
-    base = _error(grams, total, fitted, n * m)
-    return base, [_error(grams, total, fitted + place, n * m) for place in places]
+    unit = stage.case.per_unit
+    base = unit * _error(grams, total, fitted, n * m)
+    return base, [unit * _error(grams, total, fitted + place, n * m) for place in places]
 
 
 def _unwhitened(stage: Stage, columns: Columns) -> Floats:
@@ -57,7 +61,7 @@ def _unwhitened(stage: Stage, columns: Columns) -> Floats:
 
 
 def _error(grams: Sequence[Floats], total: Floats, columns: list[int], count: int) -> float:
-    """Root mean square of what blocks left out in turn show, µm."""
+    """Root mean square of what blocks left out in turn show."""
     square = 0.0
     last = total.shape[0] - 1
     index = np.ix_(columns, columns)
@@ -68,4 +72,4 @@ def _error(grams: Sequence[Floats], total: Floats, columns: list[int], count: in
         keep = value > 1e-11 * max(value[-1], 1e-300)
         x = vector[:, keep] @ ((vector[:, keep].T @ rest[columns, last]) / value[keep])
         square += float(gram[last, last] - 2 * x @ gram[columns, last] + x @ gram[index] @ x)
-    return float(1e3 * np.sqrt(max(square, 0.0) / count))
+    return float(np.sqrt(max(square, 0.0) / count))

@@ -34,7 +34,7 @@ def noncentrality(threshold: float, rank: int, free: int) -> float:
 
 
 def smallest_found(stage: Stage, candidate: Candidate, threshold: float) -> tuple[float, float]:
-    """The effect that would have been found with 80 % power: in plausible sizes, and in µm RMS of what it leaves.
+    """The effect that would have been found with 80 % power: in plausible sizes, and as the RMS of what it leaves.
 
     All parameters at a random sign of the same multiple of their plausible sizes.
     """
@@ -50,5 +50,5 @@ def smallest_found(stage: Stage, candidate: Candidate, threshold: float) -> tupl
     if at_size <= 0:
         return float("inf"), float("inf")
     times = float(np.sqrt(needed / at_size))
-    rms = float(np.sqrt(needed / (stage.scan.n * stage.scan.m)) * np.sqrt(np.mean(stage.sigma**2)) * 1e3)
-    return times, rms
+    rms = float(np.sqrt(needed / (stage.scan.n * stage.scan.m)) * np.sqrt(np.mean(stage.sigma**2)))
+    return times, rms * stage.case.per_unit

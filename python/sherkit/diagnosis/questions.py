@@ -4,30 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from ..effects import CATALOGUE, Effect, check_user_effect
-from ..errors import EffectError, SherkitError
-from ..identification import Fit, identify
-from ..measurements.columns import READINGS
-from ..model import lacks
-from ..noise import noise_of
-from ..validation import spatial_blocks
-from .crossvalidation import held_out_um
-from .next_poses import next_poses
+from ..effects import Effect
+from ..errors import SherkitError
+from ..identification import Fit
+from ..readings import ModelFit
+from .case import Case
+from .crossvalidation import held_out
+from .delta import DeltaCase
+from .general import ModelCase
 from .power import smallest_found
-from .search import Found, Search, is_plausible, slip_time
+from .search import Found, Search, is_plausible, moment_of_step, refit
 from .shapes import Shape
-from .stage import Candidate, Stage, columns_of, stage_of, suspected_outliers, used_axes
+from .stage import Candidate, Stage, columns_of, stage_of, suspected_outliers
 from .template import sentence
 from .where import Dependence, neighbour_correlation, where
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+F = TypeVar("F", Fit, ModelFit)
 
 LEVEL = 0.01
 #: Part of the data locked away before the search.
@@ -49,10 +49,15 @@ class CandidateReport:
 
     effect: str
     link: str
-    held_out_rms_um: float
+    held_out_rms: float
     p_value: float
     plausible: bool
     parameters: tuple[dict[str, Any], ...]
+
+    @property
+    def held_out_rms_um(self) -> float:
+        """The same, for a machine that is measured in µm."""
+        return self.held_out_rms
 
 
 @dataclass(frozen=True)
@@ -60,20 +65,26 @@ class StepReport:
     """One step of the fall: the effect added (None: the model as it came) and the error that held."""
 
     effect: str | None
-    held_out_rms_um: float
+    held_out_rms: float
+
+    @property
+    def held_out_rms_um(self) -> float:
+        """The same, for a machine that is measured in µm."""
+        return self.held_out_rms
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Diagnosis(Generic[F]):
     """The answers, in the order a person asks.
 
     ``verdict`` is ``adequate``, ``explained``, ``partly explained`` or ``unexplained``. ``ties`` are groups of
     effects that these rows cannot tell apart, the leading one first. ``fit`` is the model with the named effects
-    on all rows.
+    on all rows. Errors are RMS of single readings in ``unit``: µm for a delta.
     """
 
     verdict: str
-    noise_um: dict[str, float]
+    unit: str
+    noise: dict[str, float]
     noise_origin: str
     correlation_in_time: float
     level: float
@@ -92,28 +103,33 @@ class Diagnosis:
     outliers: Ints
     next_poses: tuple[dict[str, float], ...]
     notes: tuple[str, ...]
-    fit: Fit = field(repr=False)
-    base: Fit = field(repr=False)
+    fit: F = field(repr=False)
+    base: F = field(repr=False)
     stage: Stage = field(repr=False)
 
     def __repr__(self) -> str:
         lines = [f"{self.verdict}: {', '.join(self.effects) or 'no effect added'}"]
         lines += [f"  these rows cannot tell {' from '.join(tie)}" for tie in self.ties]
         for s in self.steps:
-            lines.append(
-                f"  {'as it came' if s.effect is None else '+ ' + s.effect:<24} {s.held_out_rms_um:8.2f} µm held out"
-            )
-        noise = float(np.sqrt(np.mean(np.square(list(self.noise_um.values())))))
-        lines.append(f"  {'noise':<24} {noise:8.2f} µm ({self.noise_origin})")
+            name = "as it came" if s.effect is None else "+ " + s.effect
+            lines.append(f"  {name:<24} {s.held_out_rms:8.2f} {self.unit} held out")
+        noise = float(np.sqrt(np.mean(np.square(list(self.noise.values())))))
+        lines.append(f"  {'noise':<24} {noise:8.2f} {self.unit} ({self.noise_origin})")
         if self.signature is not None:
             lines.append(f"  {sentence(self.signature)}")
         return "\n".join(lines)
 
+    @property
+    def noise_um(self) -> dict[str, float]:
+        """The noise of each reading, for a machine that is measured in µm."""
+        return self.noise
+
     def to_json(self) -> dict[str, Any]:
-        """For programs; see the README."""
-        return {
+        """For programs; see the README. Keys end in ``_um`` where errors are in µm; else ``unit`` says in what."""
+        um = "_um" if self.unit == "µm" else ""
+        return ({} if um else {"unit": self.unit}) | {
             "verdict": self.verdict,
-            "noise_um": self.noise_um,
+            f"noise{um}": self.noise,
             "noise_origin": self.noise_origin,
             "correlation_in_time": self.correlation_in_time,
             "neighbour_correlation": self.neighbour_correlation,
@@ -121,12 +137,12 @@ class Diagnosis:
             "p_missing": self.p_missing,
             "effects": list(self.effects),
             "ties": [list(t) for t in self.ties],
-            "steps": [{"effect": s.effect, "held_out_rms_um": s.held_out_rms_um} for s in self.steps],
+            "steps": [{"effect": s.effect, f"held_out_rms{um}": s.held_out_rms} for s in self.steps],
             "candidates": [
                 {
                     "effect": c.effect,
                     "link": c.link,
-                    "held_out_rms_um": c.held_out_rms_um,
+                    f"held_out_rms{um}": c.held_out_rms,
                     "p_value": c.p_value,
                     "plausible": c.plausible,
                     "parameters": list(c.parameters),
@@ -135,10 +151,10 @@ class Diagnosis:
             ],
             "untestable": self.untestable,
             "smallest_found": {
-                name: {"plausible_sizes": _finite(size), "rms_um": _finite(rms)}
+                name: {"plausible_sizes": _finite(size), f"rms{um}": _finite(rms)}
                 for name, (size, rms) in self.smallest_found.items()
             },
-            "where": [{"variable": d.variable, "rms_um": list(d.rms_um), "p_value": d.p_value} for d in self.where],
+            "where": [{"variable": d.variable, f"rms{um}": list(d.rms), "p_value": d.p_value} for d in self.where],
             "confirmed_p_value": self.confirmed,
             "signature": self.signature,
             "hides_in": {k: list(v) for k, v in self.hides_in.items()},
@@ -152,84 +168,76 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
+def case_of(fit: Fit | ModelFit) -> Case:
+    """A fit as diagnosis sees it."""
+    return DeltaCase(fit) if isinstance(fit, Fit) else ModelCase(fit)
+
+
 def diagnose(
-    fit: Fit,
+    fit: F,
     *,
     effects: Sequence[Effect] = (),
     level: float = LEVEL,
     seed: int = 0,
     step: Callable[[str], None] = lambda _: None,
-) -> Diagnosis:
-    """Diagnoses what a fit leaves. ``effects`` are the user's own, beside the catalogue.
+) -> Diagnosis[F]:
+    """Diagnoses what a fit leaves. ``effects`` are the user's own, beside the catalogue or the model's candidates.
 
     Raises :class:`~sherkit.errors.FitError` where there is too little to diagnose, and
     :class:`~sherkit.errors.EffectError` for a user's effect that is none.
     """
-    every = (*CATALOGUE.values(), *effects)
-    data = fit.data
+    case: Case = case_of(fit)
     for effect in effects:
-        if effect.name in CATALOGUE:
-            raise EffectError(f"'{effect.name}' is the name of a built-in effect; give yours another")
-        if not lacks(effect, data):
-            check_user_effect(effect, fit.model.rows(data, fit.values))
-    axes = used_axes(data)
+        case.check(effect)
+    every = (*case.catalogue, *effects)
+    axes = case.axes
     notes: list[str] = []
 
     step("noise and outliers")
-    sigma, origin = _noise(fit, axes)
-    rows = np.flatnonzero(~data.outlier & data.taken[:, axes].all(axis=1))
-    first = stage_of(fit, every, rows, sigma, rho=0.0, thorough=False)
-    wild = suspected_outliers(first)
+    case, wild = _without_outliers(case, every)
+    sigma, origin = case.noise()
+    rows = np.flatnonzero(case.whole)
     if len(wild):
-        data = data.mark_outliers(wild)
-        sigma, origin = _noise(fit, axes, wild)
-        fit = identify(fit.model, data, noise=fit.noise, start=fit.values)
-        rows = np.flatnonzero(~data.outlier & data.taken[:, axes].all(axis=1))
         notes.append(f"{len(wild)} suspected outliers are listed and left out of the tests")
     if origin == "unknown":
-        sigma = _residual_sigma(fit, axes)
+        sigma = _residual_sigma(case)
         notes.append(
             "neither repeats nor a declared noise: how much of the rest is noise cannot be known, only whether "
             "it has structure; repeat some poses or add sigma columns"
         )
-    block = spatial_blocks(data, np.nan_to_num(fit.predicted_mm[:, :3]), _FOLDS, seed)
+    block = case.blocks(_FOLDS, seed)
     split = len(rows) >= _SPLIT_FROM
     locked = np.isin(block[rows], np.arange(round(_FOLDS * _LOCKED))) if split else np.zeros(len(rows), dtype=bool)
 
     # on all rows: among those that are left after locking some away, neighbours are rare
-    rho = stage_of(fit, every, rows, sigma, thorough=False).rho
-    search = Search(fit, every, rows[~locked], sigma, level=level, rho=rho, seed=seed, step=step)
+    rho = stage_of(case, every, rows, sigma, thorough=False).rho
+    search = Search(case, every, rows[~locked], sigma, level=level, rho=rho, seed=seed, step=step)
     found = search.run()
 
-    confirmed = _confirm(search, found, fit, rows[locked]) if found.added and locked.any() else None
+    confirmed = _confirm(search, found, case, rows[locked]) if found.added and locked.any() else None
     if found.added and not found.explained and confirmed is not None and confirmed > _CONFIRMED:
         # effects that leave something and do not help on the locked rows have not earned their names
         found = search.without_effects(found)
         confirmed = None
 
     step("fitting all rows")
-    found.added = [_at_its_moment(search, fit, found.added, c) for c in found.added]
-    model = search.with_candidates(fit.model, found.added)
-    final = identify(model, data, noise=fit.noise) if found.added else fit
-    base_stage = stage_of(fit, every, rows, sigma, rho=search.rho, thorough=False)
+    found.added = [_at_its_moment(case, found.added, c) for c in found.added]
+    final = refit(case, found.added) if found.added else case
+    base_stage = stage_of(case, every, rows, sigma, rho=search.rho, thorough=False)
     stage = stage_of(final, every, rows, sigma, rho=search.rho, thorough=False) if found.added else base_stage
 
     step("held-out errors")
-    base_error, gains = held_out_um(base_stage, block[base_stage.rows])
+    base_error, gains = held_out(base_stage, block[base_stage.rows])
     steps = [StepReport(None, base_error)]
-    partial = fit.model
+    partial = case
     for k, candidate in enumerate(found.added):
-        partial = search.with_candidates(partial, (candidate,))
         last = k == len(found.added) - 1
-        here = (
-            stage
-            if last
-            else stage_of(identify(partial, data, noise=fit.noise), (), rows, sigma, rho=search.rho, thorough=False)
-        )
-        steps.append(StepReport(candidate.name, held_out_um(here, block[here.rows])[0]))
+        partial = final if last else refit(partial, (candidate,))
+        here = stage if last else stage_of(partial, (), rows, sigma, rho=search.rho, thorough=False)
+        steps.append(StepReport(candidate.name, held_out(here, block[here.rows])[0]))
 
     if origin != "declared":
-        sigma = _noise_left(final, axes, sigma)
+        sigma = _noise_left(final, sigma)
     verdict = _verdict(found, level)
     ties = _ties(found)
     reports = _candidate_reports(search, base_stage, gains, final, found)
@@ -243,7 +251,8 @@ def diagnose(
     hidden = {c.name: hides_in(base_stage, c) for c in base_stage.candidates}
     return Diagnosis(
         verdict=verdict,
-        noise_um={READINGS[a][:-3]: 1e3 * float(sigma[a]) for a in axes},
+        unit=case.unit,
+        noise={case.names[a]: case.per_unit * float(sigma[a]) for a in axes},
         noise_origin=origin,
         correlation_in_time=float(search.rho or 0.0),
         level=level,
@@ -262,49 +271,50 @@ def diagnose(
         outliers=wild,
         next_poses=_next(found, sigma) if ties else (),
         notes=tuple(notes),
-        fit=final,
-        base=fit,
+        fit=final.fit,
+        base=case.fit,
         stage=stage,
     )
 
 
+def _without_outliers(case: Case, effects: Sequence[Effect]) -> tuple[Case, Ints]:
+    """The fit without the rows that are suspected to be outliers, and these rows."""
+    wild = np.zeros(0, dtype=np.int64)
+    while True:
+        rows = np.flatnonzero(case.whole)
+        first = stage_of(case, effects, rows, case.noise()[0], rho=0.0, thorough=False)
+        more = suspected_outliers(first, case.worst_first)
+        if not len(more):
+            return case, wild
+        case, wild = case.without(more), np.sort(np.concatenate([wild, more]))
+        if not case.worst_first:
+            return case, wild
+
+
 def _next(found: Found, sigma: Floats) -> tuple[dict[str, float], ...]:
     """Poses that would tell the leading set from those tied with it."""
-    lead = found.stages[-1].fit
-    return next_poses(lead, [other.stage.fit for other in found.alternatives], sigma)
+    return found.stages[-1].case.next_poses([other.stage.case for other in found.alternatives], sigma)
 
 
-def _noise(fit: Fit, axes: Sequence[int], wild: Ints | None = None) -> tuple[Floats, str]:
-    """Noise per reading column, mm, and its origin."""
-    data = fit.data if wild is None else fit.data.mark_outliers(wild)
-    noise = noise_of(data)
-    sigma = np.ones(4)
-    for a in axes:
-        used = data.taken[:, a] & ~data.outlier
-        sigma[a] = float(np.sqrt(np.mean(noise.sigma_mm[used, a] ** 2)))
-    return sigma, noise.origin
-
-
-def _at_its_moment(search: Search, fit: Fit, added: Sequence[Candidate], candidate: Candidate) -> Candidate:
+def _at_its_moment(case: Case, added: Sequence[Candidate], candidate: Candidate) -> Candidate:
     """A slip at the moment that all rows give, with the other effects in the model."""
     if candidate.effect.search != "time_s":
         return candidate
     others = [c for c in added if c is not candidate]
-    model = search.with_candidates(fit.model, others)
-    return replace(candidate, setting=slip_time(identify(model, fit.data, noise=fit.noise)))
+    moment = moment_of_step(refit(case, others) if others else case, candidate.effect)
+    return candidate if moment is None else replace(candidate, setting=moment)
 
 
-def _noise_left(fit: Fit, axes: Sequence[int], sigma: Floats) -> Floats:
+def _noise_left(case: Case, sigma: Floats) -> Floats:
     """Noise once what was found is in the model: repeats of a pose then differ by noise alone, whatever varied
     between them; without repeats, what is left."""
-    data = fit.data
     out = sigma.copy()
-    for a in axes:
-        used = data.taken[:, a] & ~data.outlier
-        group = np.unique(data.groups[used], return_inverse=True)[1]
+    for a in case.axes:
+        used = case.used[:, a]
+        group = np.unique(case.groups[used], return_inverse=True)[1]
         count = np.bincount(group)
         free = int((count - 1).sum())
-        left = fit.residuals_mm[used, a]
+        left = case.residuals[used, a]
         if free >= 5:
             mean = np.bincount(group, left) / count
             out[a] = np.sqrt(((left - mean[group]) ** 2).sum() / free)
@@ -313,11 +323,10 @@ def _noise_left(fit: Fit, axes: Sequence[int], sigma: Floats) -> Floats:
     return out
 
 
-def _residual_sigma(fit: Fit, axes: Sequence[int]) -> Floats:
-    sigma = np.ones(4)
-    for a in axes:
-        used = fit.data.taken[:, a] & ~fit.data.outlier
-        sigma[a] = max(float(np.std(fit.residuals_mm[used, a])), 1e-12)
+def _residual_sigma(case: Case) -> Floats:
+    sigma = np.ones(len(case.names))
+    for a in case.axes:
+        sigma[a] = max(float(np.std(case.residuals[case.used[:, a], a])), 1e-12)
     return sigma
 
 
@@ -344,7 +353,7 @@ def _ties(found: Found) -> tuple[tuple[str, ...], ...]:
 
 
 def _candidate_reports(
-    search: Search, base: Stage, gains: list[float], final: Fit, found: Found
+    search: Search, base: Stage, gains: list[float], final: Case, found: Found
 ) -> tuple[CandidateReport, ...]:
     """Every effect that could be tried, the named ones first, then by held-out error."""
     z = base.deviates[base.n_shapes :]
@@ -355,7 +364,7 @@ def _candidate_reports(
     fits = {c.name: final for c in found.added}
     for alternative in found.alternatives:
         for candidate in alternative.candidates:
-            fits.setdefault(candidate.name, alternative.stage.fit)
+            fits.setdefault(candidate.name, alternative.stage.case)
     out = []
     for name, (score, error, candidate) in best.items():
         # kept above what a float can tell from zero: a p of zero would claim too much
@@ -367,16 +376,16 @@ def _candidate_reports(
         )
         out.append(CandidateReport(name, candidate.effect.link, error, p, ok, parameters))
     named = [c.name for c in found.added]
-    out.sort(key=lambda c: (named.index(c.effect) if c.effect in named else len(named), c.held_out_rms_um))
+    out.sort(key=lambda c: (named.index(c.effect) if c.effect in named else len(named), c.held_out_rms))
     return tuple(out)
 
 
-def _parameters(base: Stage, candidate: Candidate, fit: Fit | None) -> tuple[Floats, Floats, bool]:
+def _parameters(base: Stage, candidate: Candidate, case: Case | None) -> tuple[Floats, Floats, bool]:
     """Values, deviations and plausibility of a candidate: from its full fit, else in linear approximation."""
     effect = candidate.effect
-    if fit is not None:
-        place = fit.model.owns(effect)
-        return fit.values[place], fit.std_from_readings[place], is_plausible(fit, effect)
+    if case is not None:
+        place = case.owns(effect)
+        return case.fit.values[place], case.fit.std_from_readings[place], is_plausible(case, effect)
     scan = base.scan
     columns = scan.take(candidate.columns)
     columns = columns - scan.basis @ (scan.basis.T @ columns)
@@ -394,26 +403,24 @@ def _parameters(base: Stage, candidate: Candidate, fit: Fit | None) -> tuple[Flo
     return x, std, bool((np.abs(x) - 2 * std <= 5 * size).all())
 
 
-def _confirm(search: Search, found: Found, fit: Fit, locked: Ints) -> float:
+def _confirm(search: Search, found: Found, case: Case, locked: Ints) -> float:
     """One-sided p that the added effects help on the rows that were locked away, coefficients frozen.
 
     Paired differences of squared error, signs flipped over whole poses.
     """
-    data = fit.data.select(locked)
     before = search.base
-    after = search.refit(search.with_candidates(search.base.model, found.added), None)
-    axes = used_axes(fit.data)
-    sigma = search.sigma_mm[list(axes)]
+    after = refit(before, found.added)
+    axes = case.axes
+    sigma = search.sigma[list(axes)]
 
-    def squares(one: Fit) -> Floats:
-        left = (data.readings_mm - one.model.predict(data, one.values))[:, axes] / sigma
-        return (left**2).sum(axis=1)
+    def squares(one: Case) -> Floats:
+        return ((case.left_on(locked, one)[:, axes] / sigma) ** 2).sum(axis=1)
 
     try:
         gain = squares(before) - squares(after)
     except SherkitError:
         return 1.0
-    per_pose = np.bincount(np.unique(data.groups, return_inverse=True)[1], gain)
+    per_pose = np.bincount(np.unique(case.groups[locked], return_inverse=True)[1], gain)
     signs = np.random.default_rng(search.seed).integers(0, 2, (1999, len(per_pose))) * 2.0 - 1.0
     return float((1 + (signs @ per_pose >= per_pose.sum()).sum()) / 2000)
 
@@ -430,10 +437,10 @@ def hides_in(stage: Stage, candidate: Candidate) -> tuple[str, ...]:
     order = np.argsort(stage.view.group, kind="stable")
     target = np.empty_like(whole).reshape(stage.scan.n, stage.scan.m)
     target[order] = whole.reshape(stage.scan.n, stage.scan.m)
-    scale = np.array([p.size for p in stage.fit.parameters])
+    scale = np.array([p.size for p in stage.case.fit.parameters])
     length = fitted.shape[1]
     x = np.linalg.lstsq(fitted * scale[:length], target.reshape(-1), rcond=1e-9)[0]
-    names = [p.name for p in stage.fit.parameters]
+    names = [p.name for p in stage.case.fit.parameters]
     top = np.argsort(-np.abs(x))
     return tuple(names[k] for k in top[:6] if abs(x[k]) >= 0.3 * abs(x[top[0]]))
 
@@ -447,7 +454,7 @@ def _signature(found: Found, stage: Stage) -> dict[str, Any]:
     gain = plain.sum_of_squares - given.sum_of_squares
     # what is left once every shape that was found is in the model stands for the noise
     excess = max(plain.sum_of_squares - stage.plain.sum_of_squares * plain.free / stage.plain.free, gain)
-    axis = [READINGS[before.axes[shape.axis]][:-3]] if shape.axis is not None else _axes_of(before, shape)
+    axis = [before.case.names[before.axes[shape.axis]]] if shape.axis is not None else _axes_of(before, shape)
     return {
         "depends_on": list(shape.depends_on),
         "shape": shape.shape,
@@ -476,5 +483,5 @@ def _axes_of(stage: Stage, shape: Shape) -> list[str]:
     noise = stage.plain.sum_of_squares / stage.plain.free
     count = max(len(shape.functions), len(shape.dense))
     enough = noise * float(special.chdtri(count, _AXIS_LEVEL))
-    axes = [READINGS[stage.axes[k]][:-3] for k in range(stage.scan.m) if by_axis[k] > enough]
-    return axes or [READINGS[stage.axes[int(np.argmax(by_axis))]][:-3]]
+    axes = [stage.case.names[stage.axes[k]] for k in range(stage.scan.m) if by_axis[k] > enough]
+    return axes or [stage.case.names[stage.axes[int(np.argmax(by_axis))]]]

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from ..effects import CATALOGUE, Effect
 from ..errors import EffectError, SherkitError
-from ..identification import Fit, identify
-from ..model import DeltaModel
-from ..noise import Noise
+from ..identification import Fit
+from .case import Case
+from .delta import DeltaCase
 from .scan import Given
 from .shapes import Shape, wave
 from .stage import Candidate, Stage, columns_of, stage_of
@@ -72,10 +72,10 @@ class Search:
 
     def __init__(
         self,
-        base: Fit,
+        base: Case,
         effects: Sequence[Effect],
         rows: NDArray[np.int64],
-        sigma_mm: Floats,
+        sigma: Floats,
         *,
         level: float,
         rho: float | None = None,
@@ -84,22 +84,16 @@ class Search:
     ) -> None:
         self.effects = tuple(effects)
         self.rows = rows
-        self.sigma_mm = sigma_mm
+        self.sigma = sigma
         self.level = level
         self.seed = seed
         self.step = step
-        self.data = base.data.select(rows)
-        self.noise = Noise(np.where(self.data.taken, sigma_mm, 1.0), base.noise.origin)
         self.rho = rho
-        self.base = self.refit(base.model, start=base.values)
+        self.base = base.on(rows, sigma)
 
-    def refit(self, model: DeltaModel, start: Floats | None = None) -> Fit:
-        """The full nonlinear fit on the rows of the search."""
-        return identify(model, self.data, noise=self.noise, start=start)
-
-    def stage(self, fit: Fit, nuisance: Sequence[Shape] = ()) -> Stage:
-        """The stage of a fit; the correlation of the noise is estimated once, at the first."""
-        stage = stage_of(fit, self.effects, np.arange(len(self.data)), self.sigma_mm, rho=self.rho, nuisance=nuisance)
+    def stage(self, case: Case, nuisance: Sequence[Shape] = ()) -> Stage:
+        """The stage of a case; the correlation of the noise is estimated once, at the first."""
+        stage = stage_of(case, self.effects, np.arange(len(self.rows)), self.sigma, rho=self.rho, nuisance=nuisance)
         self.rho = stage.rho
         return stage
 
@@ -132,11 +126,11 @@ class Search:
             if isinstance(best, Candidate):
                 self.step(f"adding {best.name}")
                 found.added.append(best)
-                stage = self.stage(self.refit(self.with_candidates(stage.fit.model, (best,))), stage.nuisance)
+                stage = self.stage(refit(stage.case, (best,)), stage.nuisance)
                 found.stages.append(stage)
             elif best is not None:
                 found.signature.append(self.refined(stage, best))
-                stage = self.stage(stage.fit, found.signature)
+                stage = self.stage(stage.case, found.signature)
                 found.stages.append(stage)
             else:
                 break
@@ -156,7 +150,7 @@ class Search:
             if shape is None:
                 break
             out.signature.append(self.refined(stage, shape))
-            stage = self.stage(stage.fit, out.signature)
+            stage = self.stage(stage.case, out.signature)
             out.stages.append(stage)
             p = self.left(stage.plain)
         out.p_left = p
@@ -229,13 +223,6 @@ class Search:
         best = max(fine, key=taken)
         return replace(shape, period=float(1.0 / best))
 
-    def with_candidates(self, model: DeltaModel, candidates: Sequence[Candidate]) -> DeltaModel:
-        """A model with these effects, at the settings they were found with."""
-        for c in candidates:
-            setting = {"slip_time_s": c.setting} if c.effect.search == "time_s" and c.setting is not None else {}
-            model = model.with_effect(c.effect, **setting)
-        return model
-
     def explanations(self, stage: Stage) -> list[Explanation]:
         """Sets of effects that explain what is left: singles, or else pairs; the leading one first."""
         candidates = self.strongest_settings(stage)
@@ -259,10 +246,10 @@ class Search:
         for _, members in screened[:most]:
             self.step("refitting with " + " and ".join(c.name for c in members))
             try:
-                fit = self.refit(self.with_candidates(stage.fit.model, members))
+                case = refit(stage.case, members)
             except SherkitError:
                 continue
-            after = self.stage(fit, stage.nuisance)
+            after = self.stage(case, stage.nuisance)
             p = self.left(after.plain)
             if p > self.level:
                 out.append(Explanation(members, after, p))
@@ -309,12 +296,17 @@ class Search:
             return
         for candidate in list(found.added[:-1]):
             rest = [c for c in found.added if c is not candidate]
-            stage = self.stage(self.refit(self.with_candidates(self.base.model, rest)), found.stages[-1].nuisance)
+            stage = self.stage(refit(self.base, rest), found.stages[-1].nuisance)
             p = self.left(stage.plain)
             if p > self.level:
                 found.added = rest
                 found.stages.append(stage)
                 found.p_left = p
+
+
+def refit(case: Case, candidates: Sequence[Candidate]) -> Case:
+    """The full fit with these candidates, at the settings they were found with."""
+    return case.refit([c.addition for c in candidates])
 
 
 def bic(given: Given, members: Sequence[Candidate]) -> float:
@@ -326,22 +318,28 @@ def bic(given: Given, members: Sequence[Candidate]) -> float:
 
 def plausible(explanation: Explanation) -> bool:
     """Whether every added effect came out with a plausible size."""
-    fit = explanation.stage.fit
-    return all(is_plausible(fit, c.effect) for c in explanation.candidates)
+    case = explanation.stage.case
+    return all(is_plausible(case, c.effect) for c in explanation.candidates)
 
 
-def is_plausible(fit: Fit, effect: Effect, times: float = 5.0) -> bool:
+def is_plausible(case: Case, effect: Effect, times: float = 5.0) -> bool:
     """Whether no parameter of an effect is beyond ``times`` its plausible size, give or take two deviations."""
-    place = fit.model.owns(effect)
+    place, fit = case.owns(effect), case.fit
     size = np.array([p.size for p in effect.parameters])
     return bool((np.abs(fit.values[place]) - 2 * fit.std_from_readings[place] <= times * size).all())
 
 
+def moment_of_step(case: Case, effect: Effect) -> float | None:
+    """The moment at which a step takes most of what a case leaves; None where no moment can be searched for."""
+    rows = np.flatnonzero(case.whole)
+    search = Search(case, (effect,), rows, case.noise()[0], level=0.01, rho=0.0)
+    found = [c for c in search.strongest_settings(search.stage(search.base)) if c.effect.search == "time_s"]
+    return found[0].setting if found else None
+
+
 def slip_time(fit: Fit) -> float:
     """The moment at which a step of the measured point leaves least. Raises :class:`EffectError` without time."""
-    rows = np.flatnonzero(~fit.data.outlier & fit.data.taken[:, :3].all(axis=1))
-    search = Search(fit, (CATALOGUE["slip"],), rows, np.ones(4), level=0.01)
-    found = [c for c in search.strongest_settings(search.stage(search.base)) if c.effect.search == "time_s"]
-    if not found or found[0].setting is None:
+    moment = moment_of_step(DeltaCase(fit), CATALOGUE["slip"])
+    if moment is None:
         raise EffectError("'slip': no moment can be searched for in these rows")
-    return found[0].setting
+    return moment

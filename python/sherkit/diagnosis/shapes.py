@@ -87,7 +87,7 @@ def build(view: View, *, thorough: bool = True, periods: Sequence[tuple[str, flo
     """
     b = _Builder(view)
     unit = {name: _unit(v) for name, v in view.variables.items() if len(np.unique(v)) >= _FEWEST_VALUES}
-    poses = [name for name in unit if name in view.pattern_of or name.startswith(("x_", "y_", "z_"))]
+    poses = [name for name in unit if name in view.pattern_of or name in view.place]
     others = [name for name in unit if name not in poses]
     for name, t in unit.items():
         orders = min(_ORDERS, len(np.unique(t)) - 1)

@@ -11,11 +11,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from ..effects import Effect
-from ..errors import EffectError, FitError
-from ..identification import Fit
-from ..measurements import Measurements
-from ..measurements.columns import JOINTS, POSITION
-from ..model import DeltaModel, carry, lacks
+from ..errors import FitError
+from .case import Case
 from .scan import Columns, Given, Scan
 from .shapes import Family, Shape, build
 from .view import View, correlation_in_time, orthonormal, whiten
@@ -43,18 +40,25 @@ class Candidate:
         """Name of the effect."""
         return self.effect.name
 
+    @property
+    def addition(self) -> tuple[Effect, dict[str, float]]:
+        """What a refit adds: the effect at the setting that was found."""
+        if self.effect.search != "time_s" or self.setting is None:
+            return self.effect, {}
+        return self.effect, {"time_s": self.setting}
+
 
 @dataclass(frozen=True, eq=False)
 class Stage:
     """A fit on some rows, seen by diagnosis.
 
-    ``rows`` are indices of the rows used, in the order of time; ``sigma`` (m,) the noise of each axis in mm;
+    ``rows`` are indices of the rows used, in the order of time; ``sigma`` (m,) the noise of each axis;
     ``rho`` the correlation of the noise from row to row and ``lag`` how many rows of the run it is from one row here to
     the next; ``candidates`` the effects that can be tried;
     ``untestable`` effect to the reason why it cannot.
     """
 
-    fit: Fit
+    case: Case
     rows: NDArray[np.int64]
     axes: tuple[int, ...]
     sigma: Floats
@@ -102,97 +106,51 @@ def columns_of(shape: Shape) -> Columns:
 
 
 def stage_of(
-    fit: Fit,
+    case: Case,
     effects: Sequence[Effect],
     rows: NDArray[np.int64],
-    sigma_mm: Floats,
+    sigma: Floats,
     *,
     rho: float | None = None,
     nuisance: Sequence[Shape] = (),
     thorough: bool = True,
 ) -> Stage:
-    """Builds the stage for a fit on the given rows of its data. ``sigma_mm`` (4,) is the noise per reading.
+    """Builds the stage for a case on the given ones of its rows. ``sigma`` (columns,) is the noise per reading.
 
     Only a ``thorough`` one has the shapes that cost time: periods and hysteresis.
 
     Raises :class:`FitError` where no row has all readings.
     """
-    data = fit.data
-    axes = used_axes(data)
-    whole = data.taken[:, axes].all(axis=1) & ~data.outlier
-    rows = rows[whole[rows]]
-    if data.time_s is not None:
-        rows = rows[np.argsort(data.time_s[rows], kind="stable")]
+    axes = case.axes
+    rows = rows[case.whole[rows]]
+    if case.time_s is not None:
+        rows = rows[np.argsort(case.time_s[rows], kind="stable")]
     if len(rows) < 10:
         raise FitError(
-            f"{data.source}: {len(rows)} rows with all readings are too few to diagnose; expected 10 or more"
+            f"{case.source}: {len(rows)} rows with all readings are too few to diagnose; expected 10 or more"
         )
-    part = data.select(rows)
-    sigma = sigma_mm[list(axes)]
-    residual = (part.readings_mm - fit.model.predict(part, fit.values))[:, axes] / sigma
-
-    active = {e.name for e in fit.model.effects}
-    tried: list[Effect] = []
-    untestable: dict[str, str] = {}
-    for effect in effects:
-        if effect.name in active or effect.name == "datum":
-            continue
-        missing = lacks(effect, part)
-        if missing:
-            untestable[effect.name] = f"it needs the column {' and '.join(missing)}"
-        else:
-            tried.append(effect)
-    # everything at once: derivatives by what is fitted, by every effect, and by the joints
-    built_in = [e for e in tried if e.function is None and e.search != "time_s"]
-    own = [e for e in tried if e.function is not None]
-    everything = fit.model
-    for effect in built_in:
-        everything = everything.with_effect(effect)
-    values = dict(zip((p.name for p in fit.parameters), fit.values.tolist(), strict=True))
-    start = np.array([values.get(p.name, 0.0) for p in everything.parameters])
-    full = everything.full(start)
-    columns, by_joints, by_body, _ = everything.core.derivatives(full, everything.block(part), everything.indices)
-    scaled = columns[:, axes] / sigma[:, None]
-    fitted_names = {p.name for p in fit.parameters}
-    is_fitted = np.array([p.name in fitted_names for p in everything.parameters if p.name in _core_names(everything)])
-    fitted = scaled[:, :, is_fitted]
-    rows_view = everything.rows(part, start)
-    if everything.own:
-        extra = everything.own_columns(part, rows_view, start, by_joints, by_body)
-        fitted = np.concatenate([fitted, *[c[:, axes] / sigma[:, None] for c in extra]], axis=2)
-
+    sigma = sigma[list(axes)]
+    seen = case.see(rows, effects, sigma)
+    view = seen.view
+    residual, fitted = view.residual, view.fitted
     dense: list[Floats] = []
     candidates: list[Candidate] = []
-    for effect in built_in:
-        place = everything.owns(effect)
+    for effect, columns in seen.columns:
         first = len(dense)
-        dense += [scaled[:, :, k] for k in range(place.start, place.stop)]
+        dense += [columns[:, :, k] for k in range(columns.shape[2])]
         candidates.append(Candidate(effect, Columns(dense=tuple(range(first, len(dense))), exact=True)))
-    for effect in own:
-        try:
-            zero = np.zeros(len(effect.parameters))
-            inner = carry(effect, effect.columns(rows_view, zero), part, by_joints, by_body)
-        except EffectError as error:
-            untestable[effect.name] = str(error)
-            continue
-        first = len(dense)
-        dense += [inner[:, axes, k] / sigma for k in range(inner.shape[2])]
-        candidates.append(Candidate(effect, Columns(dense=tuple(range(first, len(dense))), exact=True)))
-
-    view = _view(part, residual, fitted, by_joints[:, axes] / sigma[:, None], fit, values=fit.values)
     periods = [(n.depends_on[0], n.period) for n in nuisance if n.period is not None]
     family = build(view, thorough=thorough, periods=periods)
-    for effect in tried:
-        if effect.search == "time_s":
-            for shape in family.shapes:
-                if shape.shape == "step" and shape.axis is None:
-                    about = Columns(functions=shape.functions, exact=True)
-                    candidates.append(Candidate(effect, about, shape.setting))
+    for effect in seen.in_time:
+        for shape in family.shapes:
+            if shape.shape == "step" and shape.axis is None:
+                about = Columns(functions=shape.functions, exact=True)
+                candidates.append(Candidate(effect, about, shape.setting))
 
-    physical = np.stack(dense, axis=2) if dense else np.zeros((len(part), len(axes), 0))
+    physical = np.stack(dense, axis=2) if dense else np.zeros((len(rows), len(axes), 0))
     if rho is None:
         rho = correlation_in_time(residual, _rich_basis(fitted, physical, family))
-    lag = _lags(data, rows)
+    lag = _lags(case.order[rows])
     offset = physical.shape[2]
     scan = Scan(
         whiten(residual, rho, lag),
@@ -205,7 +163,7 @@ def stage_of(
     )
     shifted = tuple(_shift(s, offset) for s in family.shapes)
     return Stage(
-        fit=fit,
+        case=case,
         rows=rows,
         axes=axes,
         sigma=sigma,
@@ -215,31 +173,22 @@ def stage_of(
         family=Family(shifted, family.functions, family.dense),
         scan=scan,
         candidates=tuple(candidates),
-        untestable=untestable,
+        untestable=seen.untestable,
         nuisance=tuple(_again(n, shifted) for n in nuisance),
         physical=physical,
     )
 
 
-def _lags(data: Measurements, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def _lags(place: NDArray[np.int64]) -> NDArray[np.int64]:
     """How many rows of the run it is from one of these rows to the next."""
-    place = data.order[rows]
     return np.concatenate([[1], np.maximum(np.diff(place), 1)])
 
 
-def used_axes(data: Measurements) -> tuple[int, ...]:
-    """Readings that diagnosis looks at: the coordinates that were taken."""
-    axes = tuple(k for k in range(3) if data.taken[:, k].any())
-    if not axes:
-        raise FitError(f"{data.source}: diagnosis needs coordinates; these rows are distances only")
-    return axes
-
-
-def suspected_outliers(stage: Stage) -> NDArray[np.int64]:
+def suspected_outliers(stage: Stage, part: float = 0.0) -> NDArray[np.int64]:
     """Rows (indices of the data) that neither noise, nor any effect, nor a smooth shape explains.
 
     A row of a pose that was read three times or more must also stand apart from the other readings of its pose: what
-    all of them show is the model's failing, not theirs.
+    all of them show is the model's failing, not theirs. Only rows as far off as ``part`` of the farthest are listed.
     """
     e = stage.view.residual
     n, m = e.shape
@@ -254,8 +203,10 @@ def suspected_outliers(stage: Stage) -> NDArray[np.int64]:
     center = np.median(rest, axis=0)
     spread = _MAD * np.median(np.abs(rest - center), axis=0)
     threshold = float(stats.norm.isf(0.5 * _OUTLIER_LEVEL / (n * m)))
-    wild = np.abs(rest - center) > threshold * np.maximum(spread, 1e-12)
-    alone: Bools = np.any(wild & _apart(rest, stage.view.group, threshold), axis=1)
+    far = np.abs(rest - center) / np.maximum(spread, 1e-12)
+    wild = (far > threshold) & _apart(rest, stage.view.group, threshold)
+    farthest = part * far.max(where=wild, initial=0.0)
+    alone: Bools = np.any(wild & (far >= farthest), axis=1)
     # rows that are wild one after another are no accident, they are news
     edges = np.flatnonzero(np.diff(np.concatenate([[0], alone.astype(int), [0]])))
     for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
@@ -304,30 +255,6 @@ def _rich_basis(fitted: Floats, physical: Floats, family: Family) -> Floats:
         out[:, a, a * f.shape[1] : (a + 1) * f.shape[1]] = f
     out[:, :, m * f.shape[1] :] = q.reshape(n, m, -1)
     return out.reshape(n * m, -1)
-
-
-def _view(part: Measurements, residual: Floats, fitted: Floats, by_joints: Floats, fit: Fit, *, values: Floats) -> View:
-    position = fit.model.predict(part, values)
-    variables: dict[str, Floats] = {name: part.joints_mm[:, k] for k, name in enumerate(JOINTS)}
-    variables |= {name: position[:, k] for k, name in enumerate(POSITION)}
-    variables |= fit.model.covariates(part)
-    patterns = {name: by_joints[:, :, k] for k, name in enumerate(JOINTS)}
-    constant = [name for name, v in variables.items() if not np.ptp(v) > 0]
-    for name in constant:
-        del variables[name]
-    return View(
-        residual=residual,
-        fitted=fitted,
-        variables=variables,
-        patterns=patterns,
-        group=part.groups,
-        pattern_of={name: name for name in JOINTS if name in variables},
-        time=part.time_s,
-    )
-
-
-def _core_names(model: DeltaModel) -> set[str]:
-    return {p.name for p in model.core_parameters}
 
 
 def _shift(shape: Shape, offset: int) -> Shape:

@@ -22,8 +22,9 @@ class View:
 
     ``residual`` (n, m) measured minus predicted over the noise; ``fitted`` (n, m, p) derivatives by the fitted
     parameters, over the noise; ``variables`` name to values (n,), what a residual may depend on; ``patterns`` name to
-    (n, m), how the readings answer to an error at one input (a joint); ``pattern_of`` variable to the pattern of its
-    input; ``group`` (n,) equal for repeats of a pose.
+    (n, m), how the readings answer to an error at one input (a joint), and ``pattern_of`` names that of a variable
+    which is one; ``place`` names the variables that say where the machine is; ``group`` (n,) is equal for repeats of a
+    pose.
     """
 
     residual: Floats
@@ -32,6 +33,7 @@ class View:
     patterns: Mapping[str, Floats]
     group: Ints
     pattern_of: Mapping[str, str] = field(default_factory=dict)
+    place: tuple[str, ...] = ()
     time: Floats | None = None
 
     def __len__(self) -> int:

@@ -17,20 +17,25 @@ _BINS = 6
 
 @dataclass(frozen=True)
 class Dependence:
-    """Error against one variable: bin edges, RMS per bin (µm, axes together), and the p that it is all the same
-    mean, corrected for the shapes tried on this variable."""
+    """Error against one variable: bin edges, RMS per bin (in the unit of the diagnosis, axes together), and the p that
+    it is all the same mean, corrected for the shapes tried on this variable."""
 
     variable: str
     edges: tuple[float, ...]
-    rms_um: tuple[float, ...]
+    rms: tuple[float, ...]
     p_value: float
+
+    @property
+    def rms_um(self) -> tuple[float, ...]:
+        """The same, for a machine that is measured in µm."""
+        return self.rms
 
 
 def where(stage: Stage) -> tuple[Dependence, ...]:
     """One line for each variable (joints, coordinates, time, directions, covariates), the clearest first."""
     out = []
     z = stage.deviates[: stage.n_shapes]
-    micrometres = stage.view.residual * stage.sigma * 1e3
+    error = stage.view.residual * stage.sigma * stage.case.per_unit
     for name, values in stage.view.variables.items():
         scores = [s for s, shape in zip(z.tolist(), stage.family.shapes, strict=True) if shape.depends_on == (name,)]
         if not scores:
@@ -40,16 +45,14 @@ def where(stage: Stage) -> tuple[Dependence, ...]:
         if len(edges) < 2:
             continue
         which = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
-        rms = [
-            float(np.sqrt(np.mean(micrometres[which == k] ** 2))) for k in range(len(edges) - 1) if (which == k).any()
-        ]
+        rms = [float(np.sqrt(np.mean(error[which == k] ** 2))) for k in range(len(edges) - 1) if (which == k).any()]
         out.append(Dependence(name, tuple(edges.tolist()), tuple(rms), p))
     return tuple(sorted(out, key=lambda d: d.p_value))
 
 
 def neighbour_correlation(stage: Stage) -> float:
     """Correlation of what is left at a pose with what is left at its nearest neighbour in the workspace."""
-    names = [n for n in ("x_mm", "y_mm", "z_mm") if n in stage.view.variables]
+    names = stage.view.place
     if not names:
         return 0.0
     group = np.unique(stage.view.group, return_inverse=True)[1]

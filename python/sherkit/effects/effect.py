@@ -49,8 +49,11 @@ class Effect:
             Parameter(f"{self.name}.{p.name}", p.symbol or p.name, p.unit, p.size, p.lever_mm) for p in self.parameters
         )
 
-    def evaluate(self, rows: Any, values: Floats) -> Floats:
-        """What a NumPy effect adds (n, 3), mm. Raises :class:`EffectError` naming effect and what is wrong."""
+    def evaluate(self, rows: Any, values: Floats, axes: int = 3) -> Floats:
+        """What a NumPy effect adds (n, axes), mm, or in the unit of another machine's readings.
+
+        Raises :class:`EffectError` naming effect and what is wrong.
+        """
         if self.function is None:
             raise EffectError(f"effect '{self.name}' is built in and computed by the core")
         names = [p.name for p in self.parameters]
@@ -62,16 +65,16 @@ class Effect:
         except Exception as error:
             raise EffectError(f"effect '{self.name}' failed: {type(error).__name__}: {error}") from error
         n = len(rows)
-        if out.shape != (n, 3):
-            raise EffectError(f"effect '{self.name}': expected an array of shape ({n}, 3), got {out.shape}")
+        if out.shape != (n, axes):
+            raise EffectError(f"effect '{self.name}': expected an array of shape ({n}, {axes}), got {out.shape}")
         out = out.astype(float)
         if not np.isfinite(out).all():
             row = int(np.argmax(~np.isfinite(out).all(axis=1)))
             raise EffectError(f"effect '{self.name}' is not finite at row {row}")
         return out
 
-    def columns(self, rows: Any, values: Floats) -> Floats:
-        """Derivatives (n, 3, p) of a NumPy effect: the user's own, or central differences of fourth order."""
+    def columns(self, rows: Any, values: Floats, axes: int = 3) -> Floats:
+        """Derivatives (n, axes, p) of a NumPy effect: the user's own, or central differences of fourth order."""
         names = [p.name for p in self.parameters]
         if self.derivative is not None:
             p = SimpleNamespace(**dict(zip(names, values.tolist(), strict=True)))
@@ -81,34 +84,34 @@ class Effect:
                 raise EffectError(
                     f"effect '{self.name}': its derivative failed: {type(error).__name__}: {error}"
                 ) from error
-            expected = (len(rows), 3, len(names))
+            expected = (len(rows), axes, len(names))
             if out.shape != expected or not np.isfinite(out).all():
                 raise EffectError(f"effect '{self.name}': derivative: expected finite numbers of shape {expected}")
             return out
-        out = np.empty((len(rows), 3, len(names)))
+        out = np.empty((len(rows), axes, len(names)))
         for k, parameter in enumerate(self.parameters):
             h = 1e-3 * parameter.size
             at = []
             for step in (-2, -1, 1, 2):
                 moved = values.copy()
                 moved[k] += step * h
-                at.append(self.evaluate(rows, moved))
+                at.append(self.evaluate(rows, moved, axes))
             out[:, :, k] = (at[0] - 8 * at[1] + 8 * at[2] - at[3]) / (12 * h)
         return out
 
 
-def check_user_effect(effect: Effect, rows: Any) -> None:
+def check_user_effect(effect: Effect, rows: Any, axes: int = 3) -> None:
     """What a user's effect must pass on these rows: zero at zero, right shape, finite, derivative that agrees.
 
     Raises :class:`~sherkit.errors.EffectError` with a sentence on what is wrong.
     """
     zero = np.zeros(len(effect.parameters))
-    if np.abs(effect.evaluate(rows, zero)).max(initial=0.0) > 0:
+    if np.abs(effect.evaluate(rows, zero, axes)).max(initial=0.0) > 0:
         raise EffectError(f"effect '{effect.name}' is not zero where its parameters are zero")
     if effect.derivative is not None:
         sizes = np.array([p.size for p in effect.parameters])
-        numeric = replace(effect, derivative=None).columns(rows, 0.3 * sizes)
-        given = effect.columns(rows, 0.3 * sizes)
+        numeric = replace(effect, derivative=None).columns(rows, 0.3 * sizes, axes)
+        given = effect.columns(rows, 0.3 * sizes, axes)
         scale = np.abs(numeric).max(initial=1e-300)
         if np.abs(given - numeric).max(initial=0.0) > 1e-4 * scale:
             raise EffectError(f"effect '{effect.name}': its derivative does not agree with a difference")
