@@ -119,7 +119,7 @@ def differences(a: Measurements, b: Measurements) -> list[str]:
     """Fields in which two runs differ, exactly; where they came from does not count."""
     out = []
     for name in (f.name for f in fields(Measurements)):
-        if name in ("source", "line", "counted"):
+        if name in ("source", "line", "counted", "order"):
             continue
         one, two = getattr(a, name), getattr(b, name)
         pairs = [(one, two)]

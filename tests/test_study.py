@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -244,6 +245,9 @@ def test_declared_noise_survives_a_run_that_declares_none() -> None:
     """Catches a join that silently forgets what one run knew of its noise or of its repeats."""
     errors = draw_geometric_errors(np.random.default_rng(6))
     first, second = run(6, errors), run(7, errors)
+    assert first.time_s is not None
+    assert second.time_s is not None
+    second = replace(second, time_s=second.time_s + first.time_s.max() + 60.0)
     frame = first.to_frame().with_columns(pl.lit(0.005).alias(n) for n in ("sigma_x_mm", "sigma_y_mm", "sigma_z_mm"))
     study = sk.Study(EXAMPLE, sk.from_frame(frame))
     study.extend(second)

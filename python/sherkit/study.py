@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from .effects import CATALOGUE, Effect, check_user_effect
 from .errors import EffectError, MeasurementError, SherkitError, SherkitWarning
 from .identification import Fit, identify
 from .measurements import Measurements, from_frame
-from .measurements.columns import MAY_BE_EMPTY, OUTLIER
+from .measurements.columns import MAY_BE_EMPTY, OUTLIER, POSE, REPEAT
 from .model import DeltaModel, effects_by_name, lacks
 from .names import listed
 from .robots import Delta
@@ -35,7 +35,7 @@ _FORMAT = 1
 class Step:
     """One state of a study: what was done, and the error it left, µm per axis, fitted and held out.
 
-    ``fit`` is None for the earlier steps of a study that was loaded: their rows were not kept.
+    ``fit`` is None for steps of a loaded study whose rows were others than the last ones: those were not kept.
     """
 
     action: str
@@ -252,7 +252,6 @@ class Study:
             time_origin_s=state["time_origin_s"],
         )
         study._fit = identify(study.model, study.data)
-        last = len(state["history"]) - 1
         study.history = [
             Step(
                 action=s["action"],
@@ -261,11 +260,21 @@ class Study:
                 held_out_rms_um=s["held_out_rms_um"],
                 parameters=s["parameters"],
                 rows=s["rows"],
-                fit=study._fit if k == last else None,
+                fit=study._fit_of(s["effects"], s["training_rms_um"]),
             )
-            for k, s in enumerate(state["history"])
+            for s in state["history"]
         ]
         return study
+
+    def _fit_of(self, effects: Sequence[str], training_rms_um: dict[str, float]) -> Fit | None:
+        """The fit of an earlier step, where the rows of today give what it left."""
+        model = replace(self.model, effects=effects_by_name(effects, tuple(self.own.values())))
+        fit = identify(model, self.data)
+        rms = fit.rms_um()
+        same = rms.keys() == training_rms_um.keys() and np.allclose(
+            list(rms.values()), [training_rms_um[k] for k in rms], rtol=1e-9
+        )
+        return fit if same else None
 
     def __repr__(self) -> str:
         lines = [f"Study of {self.data.source}: {len(self.data)} rows"]
@@ -287,8 +296,12 @@ def joined(first: Measurements, second: Measurements) -> Measurements:
             f"({first.time_s.max():g} s); count its time_s on from there, or drift and direction would be wrong"
         )
     a, b = first.to_frame(), second.to_frame()
-    if "pose" in a.columns and "pose" in b.columns:
-        b = b.with_columns(pl.col("pose") + int(np.asarray(first.pose).max()))
+    if first.pose is not None:
+        # poses of the second run are others, whatever their numbers; without numbers each row is a pose of its own
+        number = pl.col(POSE) if second.pose is not None else pl.int_range(1, pl.len() + 1, dtype=pl.Int64)
+        b = b.with_columns((number + int(first.pose.max())).alias(POSE))
+        if REPEAT in a.columns and REPEAT not in b.columns:
+            b = b.with_columns(pl.lit(1, dtype=pl.Int64).alias(REPEAT))
     a, b = _complete(a, b.columns), _complete(b, a.columns)
     common = [c for c in a.columns if c in b.columns]
     lost = [c for c in (*a.columns, *b.columns) if c not in common and not c.startswith("direction_")]

@@ -23,8 +23,11 @@ Bools = NDArray[np.bool_]
 _MAD = 1.482602218505602
 #: Chance that a run without outliers has a row taken for one.
 _OUTLIER_LEVEL = 0.01
-#: So many wild rows one after another are not taken for outliers.
-_IN_A_ROW = 4
+#: A pause between two visits, in usual steps of time; and what part of a visit, of how many rows at least, is wild
+#: where it is taken for news.
+_PAUSE = 20.0
+_WILD_VISIT = 0.5
+_FEWEST_OF_A_VISIT = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,12 +210,22 @@ def suspected_outliers(stage: Stage, part: float = 0.0) -> NDArray[np.int64]:
     wild = (far > threshold) & _apart(rest, stage.view.group, threshold)
     farthest = part * far.max(where=wild, initial=0.0)
     alone: Bools = np.any(wild & (far >= farthest), axis=1)
-    # rows that are wild one after another are no accident, they are news
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], alone.astype(int), [0]])))
-    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        if end - first >= _IN_A_ROW:
-            alone[first:end] = False
-    return stage.rows[alone]
+    return stage.rows[alone & ~_visits(stage.view.time, alone)]
+
+
+def _visits(time: Floats | None, wild: Bools) -> Bools:
+    """Rows of visits to the machine (stretches of time with a long pause on either side) that are wild as a whole.
+
+    When all that was read after a pause is off, that is no accident of single readings, it is news.
+    """
+    out = np.zeros(len(wild), dtype=bool)
+    if time is None or len(wild) < 2:
+        return out
+    steps = np.diff(time)
+    visit = np.concatenate([[0], np.cumsum(steps > _PAUSE * max(float(np.median(steps)), 1e-12))])
+    count = np.bincount(visit)
+    share = np.bincount(visit, wild) / count
+    return ((share >= _WILD_VISIT) & (count >= _FEWEST_OF_A_VISIT))[visit]
 
 
 def _apart(values: Floats, group: NDArray[np.int64], threshold: float) -> Bools:
