@@ -119,11 +119,21 @@ impl Kinematics {
     /// Sphere centres `s_i` for joint readings, one or many side by side.
     #[inline(always)]
     fn centres<T: Real>(&self, joints: [T; LIMBS]) -> [Triple<T>; LIMBS] {
+        self.centres_of::<T, false>(joints)
+    }
+
+    /// The same with vertical rails, whose horizontal parts need no computing; both give the same bits there.
+    #[inline(always)]
+    fn centres_of<T: Real, const VERTICAL: bool>(&self, joints: [T; LIMBS]) -> [Triple<T>; LIMBS] {
         let mut centres = [[T::splat(0.0); 3]; LIMBS];
         for i in 0..LIMBS {
             for axis in 0..3 {
                 let origin = T::splat(self.origins[i][axis]);
-                centres[i][axis] = origin + joints[i] * T::splat(self.rails[i][axis]);
+                centres[i][axis] = match (VERTICAL, axis) {
+                    (true, 0 | 1) => origin,
+                    (true, _) => origin + joints[i],
+                    (false, _) => origin + joints[i] * T::splat(self.rails[i][axis]),
+                };
             }
         }
         centres
@@ -222,7 +232,20 @@ impl Kinematics {
         &self,
         joints: &[[f64; L]; LIMBS],
     ) -> ([[f64; L]; 3], [bool; L]) {
-        let centres = self.centres([Lanes(joints[0]), Lanes(joints[1]), Lanes(joints[2])]);
+        if self.lean == [[0.0; 2]; LIMBS] {
+            self.lanes::<L, true>(joints)
+        } else {
+            self.lanes::<L, false>(joints)
+        }
+    }
+
+    #[inline(always)]
+    fn lanes<const L: usize, const VERTICAL: bool>(
+        &self,
+        joints: &[[f64; L]; LIMBS],
+    ) -> ([[f64; L]; 3], [bool; L]) {
+        let joints = [Lanes(joints[0]), Lanes(joints[1]), Lanes(joints[2])];
+        let centres = self.centres_of::<_, VERTICAL>(joints);
         let meeting = meet(&centres, &self.rods, self.side);
         let sign = self.assembly.sign();
         let mut reached = [false; L];
@@ -237,7 +260,7 @@ impl Kinematics {
                 Lanes::splat(self.rails[i].y),
                 Lanes::splat(self.rails[i].z),
             ];
-            let beyond = dot(up, rail).0;
+            let beyond = if VERTICAL { up[2].0 } else { dot(up, rail).0 };
             for lane in 0..L {
                 reached[lane] &= sign * beyond[lane] <= 0.0;
             }
