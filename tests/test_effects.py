@@ -172,3 +172,28 @@ def test_a_missing_column_is_named() -> None:
         model.predict(bare, values)
     with pytest.raises(sk.EffectError, match="temperature_c"):
         sk.Study(EXAMPLE, bare).add("thermal_growth")
+
+
+def test_rows_of_both_kinds_do_not_leak_into_each_other() -> None:
+    """Catches derivatives of a distance that stay behind in the position after it, where rows share their room."""
+    rng = np.random.default_rng(8)
+    q = 128.0 + rng.uniform(-5, 5, (40, 3))
+    robot = sk.Delta(
+        (90.0,) * 3, (90.0, 210.0, 330.0), (30.0,) * 3, (90.0, 210.0, 330.0), (120.0,) * 3,
+        rod_spacing_mm=40.0, target_offset_mm=(0.0, 0.0, -25.0),
+    )  # fmt: skip
+    model = sk.DeltaModel(robot, effects=(sk.CATALOGUE["beam_alignment"],))
+    places = robot.forward_batch(q).values
+    far = np.arange(40) % 2 == 0
+    other = np.roll(q, 1, axis=0)
+    distance = np.linalg.norm(robot.forward_batch(other).values - places, axis=1)
+    columns = {f"q{k + 1}_mm": q[:, k] for k in range(3)}
+    columns |= {f"to_q{k + 1}_mm": np.where(far, other[:, k], np.nan) for k in range(3)}
+    columns |= {
+        f"{a}_mm": np.where(far, np.nan, places[:, k] + 1e-3 * rng.normal(size=40)) for k, a in enumerate("xyz")
+    }
+    columns |= {"distance_mm": np.where(far, distance, np.nan)}
+    mixed = sk.from_frame(columns)
+    sorted_rows = mixed.select(np.argsort(far, kind="stable"))
+    one, two = sk.identify(model, mixed), sk.identify(model, sorted_rows)
+    np.testing.assert_allclose(one.values, two.values, rtol=0, atol=1e-9)

@@ -10,7 +10,7 @@ use numpy::{
 };
 use pyo3::prelude::*;
 use sherkit_core::delta::parameters::{PARAMETERS, Values};
-use sherkit_core::delta::{Covariates, GEOMETRIC, Geometry, Kind, Model, Row, Wanted};
+use sherkit_core::delta::{Covariates, GEOMETRIC, Geometry, Kind, Model, Prediction, Row, Wanted};
 use sherkit_core::least_squares::Progress;
 
 /// Readings a row may have: x, y, z, distance.
@@ -335,15 +335,19 @@ fn evaluate(
         return Ok((0..rows.len()).collect());
     };
     let wanted = Wanted::of(free);
+    let mut prediction = Prediction::new();
     let mut missing = Vec::new();
     for (i, ((row, reading), weight)) in rows.iter().zip(readings).zip(weights).enumerate() {
         if weight.iter().all(|w| *w == 0.0) {
             continue;
         }
-        let Ok(prediction) = chain.row_predict(row, wanted) else {
+        if chain
+            .row_predict_into(row, wanted, &mut prediction)
+            .is_err()
+        {
             missing.push(i);
             continue;
-        };
+        }
         let (at, count) = place(&row.kind);
         for axis in 0..count {
             let residual = reading[at + axis] - prediction.value[axis];

@@ -116,6 +116,25 @@ pub struct Prediction {
     pub by_parameters: SMatrix<f64, 3, PARAMETERS>,
 }
 
+impl Prediction {
+    /// Room for a prediction.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            value: Vector3::zeros(),
+            by_joints: Matrix3::zeros(),
+            by_body: Matrix3::zeros(),
+            by_parameters: SMatrix::zeros(),
+        }
+    }
+}
+
+impl Default for Prediction {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 /// A robot with given errors and effects, ready to predict.
 #[derive(Clone, Copy, Debug)]
 pub struct Chain {
@@ -322,14 +341,32 @@ impl Chain {
         push: &Vector3<f64>,
         wanted: Wanted,
     ) -> Result<Prediction> {
+        let mut out = Prediction::new();
+        self.predict_into(readings, row, push, wanted, &mut out)?;
+        Ok(out)
+    }
+
+    /// [`Self::predict`] into a prediction that is used again: only wanted columns are written.
+    ///
+    /// # Errors
+    /// As [`Self::value`].
+    #[inline]
+    pub fn predict_into(
+        &self,
+        readings: &Vector3<f64>,
+        row: &Covariates,
+        push: &Vector3<f64>,
+        wanted: Wanted,
+        out: &mut Prediction,
+    ) -> Result<()> {
         let joints = self.joints(readings, row, wanted);
         let structure = Structure::solve(&self.kinematics, &self.extras, &joints.value)?;
         let (growth, shift) = self.body(row);
         let body = structure.point * growth + shift + push;
         let (value, by_body, cubes) = self.sensor(&body);
         let by_structure = by_body * growth;
-        let mut d = SMatrix::<f64, 3, PARAMETERS>::zeros();
-        let by_joints = self.by_structure(&mut d, &joints, &structure, &by_structure, wanted);
+        let d = &mut out.by_parameters;
+        let by_joints = self.by_structure(d, &joints, &structure, &by_structure, wanted);
         if wanted.has(Wanted::BODY) {
             let warmer = row.temperature_c - REFERENCE_TEMPERATURE_C;
             d.set_column(THERMAL_GROWTH.start, &(by_body * structure.point * warmer));
@@ -340,6 +377,10 @@ impl Chain {
             }
         }
         if wanted.has(Wanted::SENSOR) {
+            // a sensor's parameters touch its own axis alone: clear what an earlier row left on the others
+            for range in [DATUM, BEAM_ALIGNMENT, SENSOR_LINEARITY] {
+                d.columns_range_mut(range).fill(0.0);
+            }
             let seen = body + self.beams * body;
             for axis in 0..3 {
                 let t = seen[axis] / LINEARITY_SPAN_MM;
@@ -351,12 +392,10 @@ impl Chain {
                 }
             }
         }
-        Ok(Prediction {
-            value: checked(value)?,
-            by_joints,
-            by_body,
-            by_parameters: d,
-        })
+        out.value = checked(value)?;
+        out.by_joints = by_joints;
+        out.by_body = by_body;
+        Ok(())
     }
 
     /// Writes the columns of joints and structure, carried on by `by_structure`; returns the derivative by the

@@ -51,6 +51,19 @@ impl Chain {
     /// # Errors
     /// As [`Chain::predict`].
     #[inline]
+    pub fn row_predict_into(&self, row: &Row, wanted: Wanted, out: &mut Prediction) -> Result<()> {
+        if let Kind::Position = row.kind {
+            let joints = Vector3::from(row.joints);
+            return self.predict_into(&joints, &row.covariates, &row.push, wanted, out);
+        }
+        *out = self.row_predict(row, wanted)?;
+        Ok(())
+    }
+
+    /// [`Self::row_predict_into`] as a value of its own.
+    ///
+    /// # Errors
+    /// As [`Chain::predict`].
     pub fn row_predict(&self, row: &Row, wanted: Wanted) -> Result<Prediction> {
         let at =
             |q: &[f64; LIMBS]| self.predict(&Vector3::from(*q), &row.covariates, &row.push, wanted);
