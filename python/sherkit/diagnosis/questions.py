@@ -210,8 +210,8 @@ def diagnose(
     locked = np.isin(block[rows], np.arange(round(_FOLDS * _LOCKED))) if split else np.zeros(len(rows), dtype=bool)
 
     # on all rows: among those that are left after locking some away, neighbours are rare
-    rho = stage_of(case, every, rows, sigma, thorough=False).rho
-    search = Search(case, every, rows[~locked], sigma, level=level, rho=rho, seed=seed, step=step)
+    base_stage = stage_of(case, every, rows, sigma, thorough=False)
+    search = Search(case, every, rows[~locked], sigma, level=level, rho=base_stage.rho, seed=seed, step=step)
     found = search.run()
 
     confirmed = _confirm(search, found, case, rows[locked]) if found.added and locked.any() else None
@@ -223,7 +223,6 @@ def diagnose(
     step("fitting all rows")
     found.added = [_at_its_moment(case, found.added, c) for c in found.added]
     final = refit(case, found.added) if found.added else case
-    base_stage = stage_of(case, every, rows, sigma, rho=search.rho, thorough=False)
     stage = stage_of(final, every, rows, sigma, rho=search.rho, thorough=False) if found.added else base_stage
 
     step("held-out errors")
