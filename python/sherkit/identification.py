@@ -19,6 +19,7 @@ from scipy import stats
 from . import _core
 from .directions import Direction, badly_observed, unobserved
 from .errors import FitError
+from .iteration import iterate
 from .measurements import Measurements, MeasurementStream
 from .measurements.columns import READINGS
 from .model import DeltaModel
@@ -318,26 +319,14 @@ def _solve(
 
 
 def _iterate(model: DeltaModel, data: Measurements, weights: Floats, solver: _core.Solver, *, priors: bool) -> str:
-    """The same iteration for models with effects given in NumPy: rows come from Python."""
-    first = True
-    while True:
-        solver.clear()
-        try:
-            values = solver.trial
-            left = np.where(weights > 0, data.readings_mm - model.predict(data, values), 0.0)
-            columns = np.ascontiguousarray(model.derivatives(data, values))
-        except FitError:
-            if first:
-                raise
-            solver.fail()
-        else:
-            solver.push(columns, left, weights)
-            if priors:
-                solver.push_priors()
-        first = False
-        ended = solver.advance()
-        if ended != "evaluate":
-            return ended
+    """The same iteration for models with effects given in NumPy."""
+    return iterate(
+        solver,
+        weights,
+        lambda values: data.readings_mm - model.predict(data, values),
+        lambda values: model.derivatives(data, values),
+        priors=priors,
+    )
 
 
 def _information(

@@ -19,6 +19,7 @@ from . import _core
 from .effects import Effect
 from .errors import EffectError, FitError, NotFinite, ShapeError
 from .identification import LOSSES
+from .iteration import iterate
 from .names import listed, nearest
 from .parameters import Parameter
 
@@ -309,23 +310,13 @@ def _solve(
 ) -> tuple[_core.Solver, str]:
     sizes = np.array([p.size for p in model.parameters])
     solver = _core.Solver(start, sizes, loss=loss, max_evaluations=evaluations)
-    first = True
-    while True:
-        solver.clear()
-        try:
-            values = solver.trial
-            left = np.where(weights > 0, data.readings - model.predict(data, values), 0.0)
-            columns = np.ascontiguousarray(model.derivatives(data, values))
-        except FitError:
-            if first:
-                raise
-            solver.fail()
-        else:
-            solver.push(columns, left, weights)
-        first = False
-        ended = solver.advance()
-        if ended != "evaluate":
-            return solver, ended
+    ended = iterate(
+        solver,
+        weights,
+        lambda values: data.readings - model.predict(data, values),
+        lambda values: model.derivatives(data, values),
+    )
+    return solver, ended
 
 
 def _spread(model: Extended, data: Readings, weights: Floats, values: Floats) -> Floats:
