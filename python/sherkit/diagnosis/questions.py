@@ -240,12 +240,10 @@ def diagnose(
     verdict = _verdict(found, level)
     ties = _ties(found)
     reports = _candidate_reports(search, base_stage, gains, final, found)
-    threshold = float(np.quantile(found.stages[0].plain.null(199, seed), 1 - level))
-    smallest = (
-        {c.name: smallest_found(stage, c, threshold) for c in search.strongest_settings(stage)}
-        if verdict == "adequate"
-        else {}
-    )
+    smallest: dict[str, tuple[float, float]] = {}
+    if verdict == "adequate":
+        threshold = float(np.quantile(found.stages[0].plain.null(199, seed), 1 - level))
+        smallest = {c.name: smallest_found(stage, c, threshold) for c in search.strongest_settings(stage)}
     signature = _signature(found, found.stages[-1]) if found.signature else None
     hidden = {c.name: hides_in(base_stage, c) for c in base_stage.candidates}
     return Diagnosis(

@@ -21,7 +21,7 @@ from ..identification import Fit
 from .case import Case
 from .delta import DeltaCase
 from .scan import Given
-from .shapes import Shape, wave
+from .shapes import OVERSAMPLING, Shape, wave
 from .stage import Candidate, Stage, columns_of, stage_of
 from .view import whiten
 
@@ -196,7 +196,7 @@ class Search:
             return shape
         name = shape.depends_on[0]
         values = stage.view.variables[name]
-        spacing = 1.0 / (1.5 * float(np.ptp(values)))
+        spacing = 1.0 / (OVERSAMPLING * float(np.ptp(values)))
         pattern = stage.view.patterns[shape.pattern] if shape.pattern else None
         axes = range(stage.scan.m) if shape.axis is None else (shape.axis,)
         order = np.argsort(stage.view.group, kind="stable")

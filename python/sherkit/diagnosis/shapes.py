@@ -22,7 +22,7 @@ _STEPS = 24
 _PLAY_WIDTHS = (0.02, 0.1, 0.5, 2.0)
 #: Shortest period looked for, as a part of the range of a variable.
 _SHORTEST = 1.0 / 22.0
-_OVERSAMPLING = 1.5
+OVERSAMPLING = 1.5
 #: A variable with fewer different values than this has no shape.
 _FEWEST_VALUES = 2
 
@@ -133,9 +133,9 @@ def _periodic(b: _Builder, name: str) -> None:
     """Sine and cosine over a fine grid of frequencies, as far as the values of the variable can tell them."""
     values = b.view.variables[name]
     span = float(values.max() - values.min())
-    count = int(_OVERSAMPLING / _SHORTEST)
-    for k in range(int(_OVERSAMPLING * 2), count + 1):
-        _wave(b, name, _OVERSAMPLING * span / k)
+    count = int(OVERSAMPLING / _SHORTEST)
+    for k in range(int(OVERSAMPLING * 2), count + 1):
+        _wave(b, name, OVERSAMPLING * span / k)
 
 
 def _wave(b: _Builder, name: str, period: float) -> None:
