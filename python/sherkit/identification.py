@@ -23,7 +23,7 @@ from .iteration import iterate
 from .measurements import Measurements, MeasurementStream
 from .measurements.columns import READINGS
 from .model import DeltaModel
-from .noise import Noise, noise_of
+from .noise import MAD, Noise, noise_of
 from .parameters import Parameter
 from .robots import Delta
 
@@ -32,7 +32,6 @@ Floats = NDArray[np.float64]
 LOSSES = ("linear", "huber", "cauchy", "tukey")
 _ROBUST_ROUNDS = 10
 _MAD_EFFICIENCY = 0.37
-_MAD = 1.482602218505602  # standard deviation of a Gaussian per median absolute deviation
 #: Chance that a run without outliers has any row listed as one.
 _OUTLIER_LEVEL = 0.01
 
@@ -127,7 +126,7 @@ class Fit:
             if rows.sum() < 5:
                 continue
             u = self.residuals_mm[rows, k] / self.noise.sigma_mm[rows, k]
-            spread = _MAD * float(np.median(np.abs(u - np.median(u))))
+            spread = MAD * float(np.median(np.abs(u - np.median(u))))
             # a median deviation of few residuals is itself uncertain, with about 0.37 of their number as freedom
             threshold = float(stats.t.isf(0.5 * _OUTLIER_LEVEL / count, max(_MAD_EFFICIENCY * len(u), 1.0)))
             if spread > 0:
@@ -351,7 +350,7 @@ def _spread(model: DeltaModel, data: Measurements, values: Floats, weights: Floa
     for k in range(len(READINGS)):
         used = weights[:, k] > 0
         if used.any():
-            mad = _MAD * float(np.median(np.abs(u[used, k])))
+            mad = MAD * float(np.median(np.abs(u[used, k])))
             spread[k] = mad if mad > 0 else 1.0
     return spread
 

@@ -12,6 +12,8 @@ from .measurements.columns import READINGS
 
 Floats = NDArray[np.float64]
 
+#: Standard deviation of a Gaussian per median absolute deviation.
+MAD = 1.482602218505602
 #: Fewer degrees of freedom than this from repeats say too little about the noise to weigh by.
 _MIN_FREEDOM = 5
 

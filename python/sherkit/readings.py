@@ -21,6 +21,7 @@ from .errors import EffectError, FitError, NotFinite, ShapeError
 from .identification import LOSSES
 from .iteration import iterate
 from .names import listed, nearest
+from .noise import MAD
 from .parameters import Parameter
 
 Floats = NDArray[np.float64]
@@ -28,7 +29,6 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 _ROBUST_ROUNDS = 30
-_MAD = 1.482602218505602  # standard deviation of a Gaussian per median absolute deviation
 #: Fewer degrees of freedom than this from repeats say too little about the noise to weigh by.
 _MIN_FREEDOM = 5
 
@@ -324,6 +324,6 @@ def _spread(model: Extended, data: Readings, weights: Floats, values: Floats) ->
     u = (data.readings - model.predict(data, values)) * weights
     spread = np.ones(u.shape[1])
     for k, (column, weight) in enumerate(zip(u.T, weights.T, strict=True)):
-        mad = _MAD * float(np.median(np.abs(column[weight > 0]))) if (weight > 0).any() else 0.0
+        mad = MAD * float(np.median(np.abs(column[weight > 0]))) if (weight > 0).any() else 0.0
         spread[k] = mad if mad > 0 else 1.0
     return spread

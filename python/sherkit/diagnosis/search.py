@@ -169,9 +169,7 @@ class Search:
         given = stage.scan.condition(
             np.concatenate([stage.nuisance_columns, stage.scan.take(columns_of(shape))], axis=1)
         )
-        n = stage.scan.n * stage.scan.m
-        count = len(stage.scan.numbers(columns_of(shape)))
-        of_shape = n * np.log(given.sum_of_squares / n) + count * np.log(n)
+        of_shape = schwarz(given, len(stage.scan.numbers(columns_of(shape))))
         of_pair = min(bic(stage.given(*e.candidates), e.candidates) for e in explanations)
         if of_shape < of_pair - _CLEARLY and self.left(given) > self.level:
             return shape
@@ -311,8 +309,12 @@ def refit(case: Case, candidates: Sequence[Candidate]) -> Case:
 
 def bic(given: Given, members: Sequence[Candidate]) -> float:
     """Schwarz's criterion of a model whose residual is ``given``, for the added effects."""
+    return schwarz(given, sum(len(c.effect.parameters) + (c.effect.search is not None) for c in members))
+
+
+def schwarz(given: Given, count: int) -> float:
+    """Schwarz's criterion of a model whose residual is ``given``, for ``count`` added parameters."""
     n = given.scan.n * given.scan.m
-    count = sum(len(c.effect.parameters) + (c.effect.search is not None) for c in members)
     return float(n * np.log(given.sum_of_squares / n) + count * np.log(n))
 
 

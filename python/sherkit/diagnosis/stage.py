@@ -12,6 +12,7 @@ from scipy import stats
 
 from ..effects import Effect
 from ..errors import FitError
+from ..noise import MAD
 from .case import Case
 from .scan import Columns, Given, Scan
 from .shapes import Family, Shape, build
@@ -20,7 +21,6 @@ from .view import View, correlation_in_time, orthonormal, whiten
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-_MAD = 1.482602218505602
 #: Chance that a run without outliers has a row taken for one.
 _OUTLIER_LEVEL = 0.01
 #: A pause between two visits, in usual steps of time; and what part of a visit, of how many rows at least, is wild
@@ -204,7 +204,7 @@ def suspected_outliers(stage: Stage, part: float = 0.0) -> NDArray[np.int64]:
         left = e.reshape(-1) - basis @ (basis.T @ tame)
     rest: Floats = left.reshape(n, m)
     center = np.median(rest, axis=0)
-    spread = _MAD * np.median(np.abs(rest - center), axis=0)
+    spread = MAD * np.median(np.abs(rest - center), axis=0)
     threshold = float(stats.norm.isf(0.5 * _OUTLIER_LEVEL / (n * m)))
     far = np.abs(rest - center) / np.maximum(spread, 1e-12)
     wild = (far > threshold) & _apart(rest, stage.view.group, threshold)
@@ -235,7 +235,7 @@ def _apart(values: Floats, group: NDArray[np.int64], threshold: float) -> Bools:
     steps = np.diff(ordered, axis=0)[np.diff(ids) == 0]
     if len(steps) < 5:
         return np.ones(values.shape, dtype=bool)
-    noise = _MAD * np.median(np.abs(steps), axis=0) / np.sqrt(2.0)
+    noise = MAD * np.median(np.abs(steps), axis=0) / np.sqrt(2.0)
     count = np.bincount(ids)
     starts = np.concatenate([[0], np.cumsum(count)[:-1]])
     out = np.ones(values.shape, dtype=bool)
@@ -248,7 +248,7 @@ def _apart(values: Floats, group: NDArray[np.int64], threshold: float) -> Bools:
 
 
 def _limit(values: Floats) -> float:
-    return 4.0 * _MAD * float(np.median(np.abs(values)))
+    return 4.0 * MAD * float(np.median(np.abs(values)))
 
 
 def _rich_basis(fitted: Floats, physical: Floats, family: Family) -> Floats:
