@@ -215,20 +215,30 @@ class Calibration:
         Raises as :meth:`inverse`.
         """
         x = vector(position_mm, "position")
-        part = self._part_at(x)
-        model = self._model(part)
-        joints = self.inverse(x)
-        now = np.array([self._now(None, None)])
-        block = (np.ascontiguousarray(joints[None, :]), None, now, None)
-        derivative = model.core.derivatives(model.full(part.values), block, model.indices)[0][0, :3]
-        share = part.correction.share(x) if part.correction else 1.0
-        left = share * part.residual_covariance_mm2 + (1.0 - share) * part.uncorrected_covariance_mm2
-        covariance = derivative @ part.covariance @ derivative.T + left
-        axes = np.linalg.eigvalsh(covariance).clip(0.0)
-        if axes.sum() <= 0:
-            return 0.0
-        freedom = axes.sum() ** 2 / (axes**2).sum()
-        return float(np.sqrt(axes.sum() / freedom * stats.chi2.ppf(0.95, freedom)))
+        self.inverse(x)  # says why where it cannot be reached
+        return float(self.accuracy_batch(x[None, :]).require("position")[0])
+
+    def accuracy_batch(self, positions_mm: ArrayLike) -> Batch:
+        """:meth:`accuracy` at every one of ``positions_mm`` (n, 3): values (n,), mm; those out of reach are marked."""
+        x = matrix(positions_mm, "positions")
+        joints = self.inverse_batch(x)
+        out = np.full(len(x), np.nan)
+        inside = np.array([self._part_at(one) is self.local for one in x]) & (self.local is not None)
+        for part, here in ((self.whole, ~inside), (self.local, inside)):
+            rows = np.flatnonzero(here & joints.reached)
+            if part is None or not len(rows):
+                continue
+            model = self._model(part)
+            now = np.tile(self._now(None, None), (len(rows), 1))
+            block = (np.ascontiguousarray(joints.values[rows]), None, now, None)
+            derivative = model.core.derivatives(model.full(part.values), block, model.indices)[0][:, :3]
+            share = np.array([part.correction.share(x[row]) if part.correction else 1.0 for row in rows])[:, None, None]
+            left = share * part.residual_covariance_mm2 + (1.0 - share) * part.uncorrected_covariance_mm2
+            axes = np.linalg.eigvalsh(derivative @ part.covariance @ derivative.transpose(0, 2, 1) + left).clip(0.0)
+            total, squares = axes.sum(axis=1), (axes**2).sum(axis=1)
+            freedom = np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1.0), 1.0)
+            out[rows] = np.sqrt(total / freedom * stats.chi2.ppf(0.95, freedom))
+        return Batch(out, joints.reached, joints.why)
 
     def measured(self, position_mm: ArrayLike) -> bool:
         """Whether ``position_mm`` (3,) lies in the box in which poses were measured, give or take a tenth."""

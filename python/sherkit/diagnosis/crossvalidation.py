@@ -6,6 +6,7 @@ Every fold needs only the Gram matrix of all columns over its rows; leaving a bl
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,16 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def held_out(stage: Stage, block: Ints) -> tuple[float, list[float]]:
-    """Held-out RMS (in the unit of the case, axes together) of the fit itself and with each candidate.
+@dataclass(frozen=True)
+class HeldOut:
+    """Root mean square error of held-out readings and its standard error, from how much the blocks differ."""
+
+    rms: float
+    std: float
+
+
+def held_out(stage: Stage, block: Ints) -> tuple[HeldOut, list[HeldOut]]:
+    """Held-out error (in the unit of the case, axes together) of the fit itself and with each candidate.
 
     ``block`` (n,) is the fold of each row.
     """
@@ -37,15 +46,16 @@ def held_out(stage: Stage, block: Ints) -> tuple[float, list[float]]:
     scale = np.linalg.norm(z.reshape(n * m, -1), axis=0)
     scale[-1] = 1.0
     z = z / np.where(scale > 0, scale, 1.0)
-    grams = []
+    grams, counts = [], []
     for fold in np.unique(block):
         part = z[block == fold].reshape(-1, z.shape[2])
         grams.append(part.T @ part)
+        counts.append(len(part))
     total = np.sum(grams, axis=0)
     fitted = list(range(p))
     unit = stage.case.per_unit
-    base = unit * _error(grams, total, fitted, n * m)
-    return base, [unit * _error(grams, total, fitted + place, n * m) for place in places]
+    base = _error(grams, counts, total, fitted, unit)
+    return base, [_error(grams, counts, total, fitted + place, unit) for place in places]
 
 
 def _unwhitened(stage: Stage, columns: Columns) -> Floats:
@@ -60,9 +70,9 @@ def _unwhitened(stage: Stage, columns: Columns) -> Floats:
     return stage.physical[:, :, list(columns.dense)]
 
 
-def _error(grams: Sequence[Floats], total: Floats, columns: list[int], count: int) -> float:
-    """Root mean square of what blocks left out in turn show."""
-    square = 0.0
+def _error(grams: Sequence[Floats], counts: Sequence[int], total: Floats, columns: list[int], unit: float) -> HeldOut:
+    """What blocks left out in turn show."""
+    squares = []
     last = total.shape[0] - 1
     index = np.ix_(columns, columns)
     for gram in grams:
@@ -71,5 +81,11 @@ def _error(grams: Sequence[Floats], total: Floats, columns: list[int], count: in
         value, vector = np.linalg.eigh(a)
         keep = value > 1e-11 * max(value[-1], 1e-300)
         x = vector[:, keep] @ ((vector[:, keep].T @ rest[columns, last]) / value[keep])
-        square += float(gram[last, last] - 2 * x @ gram[columns, last] + x @ gram[index] @ x)
-    return float(np.sqrt(max(square, 0.0) / count))
+        squares.append(float(gram[last, last] - 2 * x @ gram[columns, last] + x @ gram[index] @ x))
+    count = sum(counts)
+    rms = float(np.sqrt(max(sum(squares), 0.0) / count))
+    apart = np.array(squares) - rms**2 * np.array(counts)
+    folds = len(squares)
+    variance = float((apart**2).sum()) * folds / max(folds - 1, 1) / count**2
+    # the error of a mean square is twice the root's size
+    return HeldOut(unit * rms, unit * np.sqrt(variance) / (2 * rms) if rms > 0 else 0.0)

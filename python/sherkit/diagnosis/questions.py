@@ -15,7 +15,7 @@ from ..errors import SherkitError
 from ..identification import Fit
 from ..readings import ModelFit
 from .case import Case
-from .crossvalidation import held_out
+from .crossvalidation import HeldOut, held_out
 from .delta import DeltaCase
 from .general import ModelCase
 from .power import smallest_found
@@ -45,11 +45,15 @@ _CONFIRMED = 0.05
 
 @dataclass(frozen=True, eq=False)
 class CandidateReport:
-    """One effect as an addition to the fit: what it would bring and whether that can be believed."""
+    """One effect as an addition to the fit: what it would bring and whether that can be believed.
+
+    ``held_out_std`` is the standard error of ``held_out_rms``, from how much the blocks held out differ.
+    """
 
     effect: str
     link: str
     held_out_rms: float
+    held_out_std: float
     p_value: float
     plausible: bool
     parameters: tuple[dict[str, Any], ...]
@@ -143,6 +147,7 @@ class Diagnosis(Generic[F]):
                     "effect": c.effect,
                     "link": c.link,
                     f"held_out_rms{um}": c.held_out_rms,
+                    f"held_out_std{um}": c.held_out_std,
                     "p_value": c.p_value,
                     "plausible": c.plausible,
                     "parameters": list(c.parameters),
@@ -227,13 +232,13 @@ def diagnose(
 
     step("held-out errors")
     base_error, gains = held_out(base_stage, block[base_stage.rows])
-    steps = [StepReport(None, base_error)]
+    steps = [StepReport(None, base_error.rms)]
     partial = case
     for k, candidate in enumerate(found.added):
         last = k == len(found.added) - 1
         partial = final if last else refit(partial, (candidate,))
         here = stage if last else stage_of(partial, (), rows, sigma, rho=search.rho, thorough=False)
-        steps.append(StepReport(candidate.name, held_out(here, block[here.rows])[0]))
+        steps.append(StepReport(candidate.name, held_out(here, block[here.rows])[0].rms))
 
     if origin != "declared":
         sigma = _noise_left(final, sigma)
@@ -350,13 +355,13 @@ def _ties(found: Found) -> tuple[tuple[str, ...], ...]:
 
 
 def _candidate_reports(
-    search: Search, base: Stage, gains: list[float], final: Case, found: Found
+    search: Search, base: Stage, gains: list[HeldOut], final: Case, found: Found
 ) -> tuple[CandidateReport, ...]:
     """Every effect that could be tried, the named ones first, then by held-out error."""
     z = base.deviates[base.n_shapes :]
-    best: dict[str, tuple[float, float, Candidate]] = {}
+    best: dict[str, tuple[float, HeldOut, Candidate]] = {}
     for score, error, candidate in zip(z.tolist(), gains, base.candidates, strict=True):
-        if candidate.name not in best or error < best[candidate.name][1]:
+        if candidate.name not in best or error.rms < best[candidate.name][1].rms:
             best[candidate.name] = (score, error, candidate)
     fits = {c.name: final for c in found.added}
     for alternative in found.alternatives:
@@ -371,7 +376,7 @@ def _candidate_reports(
             {"name": q.name, "value": v, "std": s, "unit": q.unit}
             for q, v, s in zip(candidate.effect.parameters, values.tolist(), std.tolist(), strict=True)
         )
-        out.append(CandidateReport(name, candidate.effect.link, error, p, ok, parameters))
+        out.append(CandidateReport(name, candidate.effect.link, error.rms, error.std, p, ok, parameters))
     named = [c.name for c in found.added]
     out.sort(key=lambda c: (named.index(c.effect) if c.effect in named else len(named), c.held_out_rms))
     return tuple(out)

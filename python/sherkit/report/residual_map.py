@@ -1,0 +1,330 @@
+"""Residual map: where in the workspace the model is wrong, and in which direction.
+
+An arrow per pose (the mean of its repeats) along the error in the first two readings, the third as colour; a panel per
+plane. Before and after share one scale. The circle shows how far noise alone would carry 95 of 100 arrows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from bokeh.core.properties import value
+from bokeh.models import ColorBar, ColumnDataSource, FixedTicker, LinearColorMapper, Range1d
+from numpy.typing import NDArray
+
+from .left import Left
+from .picture import Picture, Table, Tables, sources_of, stacked
+from .style import DIVERGING, FONT, FONT_SIZE, INK, MUTED, figure, hover, number, padded, quantity
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+#: More arrows than this in one panel become the means of cells.
+_MOST_ARROWS = 300
+_CELLS = 15
+_MOST_PLANES = 6
+_SLABS = 3
+_FLAT = 0.3
+#: Radius, in standard deviations, within which 95 of 100 two-dimensional Gaussian errors lie.
+_CIRCLE = 2.4477
+_PANEL_WIDTH = 400
+_ROW_WIDTH, _NARROWEST = 870, 220
+#: Height of a panel by its width, at the least and at the most.
+_FLATTEST, _TALLEST = 0.35, 1.2
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """Two moments of a study: what the model left before, and what it leaves now."""
+
+    before: Left
+    after: Left
+    before_title: str = "before"
+    after_title: str = "after"
+
+
+@dataclass(frozen=True, eq=False)
+class _Panels:
+    """How the workspace is cut: which rows stand in which panel."""
+
+    across: str
+    up: str | None
+    names: tuple[str, ...]
+    rows: tuple[Bools, ...]
+    x: Floats
+    y: Floats
+
+
+def residual_map(change: Change, *, planes_across: bool = False) -> Picture[Change]:
+    """Arrows of the error, before and after side by side on one scale, a row of panels for each plane.
+
+    ``planes_across`` puts planes side by side instead, before above after: wider and less high. Where the run moved
+    along one coordinate only, arrows stand along a line.
+    """
+    panels = _cut(change.before)
+    scale = _Scale(change, panels)
+    first = _tables(change, panels, scale)
+    sources = sources_of(first)
+    mapper = LinearColorMapper(palette=DIVERGING, low=-scale.colour, high=scale.colour)
+    count = len(panels.names)
+    planes_across = planes_across and count > 1
+    width = _PANEL_WIDTH if not planes_across else max(_ROW_WIDTH // count, _NARROWEST)
+    order = [(moment, k) for k in range(count) for moment in ("before", "after")]
+    if planes_across:
+        order.sort(key=lambda one: one[0] == "after")
+    figures = [_panel(sources, k, moment, panels, mapper, scale, change.before, width) for moment, k in order]
+    if scale.coloured:
+        unit = f"{change.before.names[2]}, {change.before.unit}"
+        bar = ColorBar(
+            color_mapper=mapper, title=unit, title_text_font_size=FONT_SIZE, major_label_text_font_size=FONT_SIZE,
+            title_text_font=FONT, major_label_text_font=FONT, width=14, title_text_font_style="normal",
+            ticker=FixedTicker(ticks=[-scale.colour, 0.0, scale.colour]),
+        )  # fmt: skip
+        figures[(count if planes_across else 2) - 1].add_layout(bar, "right")
+
+    def tables(state: Change) -> Tables:
+        return _tables(state, panels, scale)
+
+    root = stacked("residual_map", figures, columns=count if planes_across else 2)
+    return Picture("residual_map", root, sources, tables, note=_note(change))
+
+
+def _note(change: Change) -> str:
+    names = change.before.names
+    arrow = f"An arrow shows the error in {' and '.join(names[:2])} at a pose, mean of its repeats"
+    colour = f", its colour the error in {names[2]}" if len(names) > 2 else ""
+    dealt = max(int(m.sum()) for m in _cut(change.before).rows) > _MOST_ARROWS * 3
+    many = "; where poses are dense it is the mean of a cell" if dealt else ""
+    circle = (
+        " Noise alone would leave 95 of 100 arrows inside the circle."
+        if change.before.noise_origin != "unknown"
+        else ""
+    )
+    return f"{arrow}{colour}{many}. All panels have one scale.{circle}"
+
+
+class _Scale:
+    """One scale for every panel and both moments: length of an arrow per unit of error, colour, bar."""
+
+    def __init__(self, change: Change, panels: _Panels) -> None:
+        left = change.before
+        arrows = [_arrows(side, panels, m) for side in (change.before, change.after) for m in panels.rows]
+        length = np.concatenate([np.hypot(a["ex"], a["ey"]) for a in arrows]) if arrows else np.zeros(1)
+        colour = np.concatenate([np.abs(a["ez"]) for a in arrows]) if arrows else np.zeros(1)
+        self.coloured = len(left.names) > 2
+        number = max(max((len(a["x"]) for a in arrows), default=1), 1)
+        span_x, span_y = np.ptp(panels.x) or 1.0, np.ptp(panels.y) or np.ptp(panels.x) or 1.0
+        spacing = np.sqrt(span_x * span_y / number)
+        typical = float(np.quantile(length, 0.95)) if len(length) else 0.0
+        self.per_unit = 1.3 * spacing / typical if typical > 0 else 1.0
+        self.bar = round_number(0.5 * typical or 1.0)
+        self.colour = float(round_number(np.quantile(colour, 0.98) if len(colour) else 1.0, up=True)) or 1.0
+        self.ranges = _ranges(panels, arrows, self.per_unit)
+        noise = left.noise[: min(2, len(left.names))]
+        self.noise = float(np.sqrt(np.mean(noise**2))) if left.noise_origin != "unknown" else 0.0
+
+
+def round_number(value: float, *, up: bool = False) -> float:
+    """The nearest of 1, 2, 5, 10 … below ``value`` (above it where ``up``)."""
+    if not value > 0:
+        return 0.0
+    power = 10.0 ** np.floor(np.log10(value))
+    steps = (1.0, 2.0, 5.0, 10.0)
+    if up:
+        return float(power * min(s for s in steps if s * power >= value * (1 - 1e-9)))
+    return float(power * max(s for s in steps if s * power <= value * (1 + 1e-9)))
+
+
+def _cut(left: Left) -> _Panels:
+    """Panels by the third coordinate, the highest first, as they lie in the workspace."""
+    names = list(left.place)
+    n = len(left)
+    across, up = (names[0] if names else "pose"), (names[1] if len(names) > 1 else None)
+    x = left.place[across] if names else np.zeros(n)
+    y = left.place[up] if up else np.zeros(n)
+    planes = planes_of(left.place, n)
+    return _Panels(across, up, tuple(name for name, _ in planes), tuple(rows for _, rows in planes), x, y)
+
+
+def planes_of(place: Mapping[str, Floats], n: int) -> list[tuple[str, Bools]]:
+    """Name and rows (``n``,) of each plane of the third coordinate; slabs of equal numbers where planes are many.
+
+    One plane without a name where there is no third coordinate.
+    """
+    names = list(place)
+    if len(names) < 3:
+        return [("", np.ones(n, dtype=bool))]
+    third = place[names[2]]
+    order = np.sort(third)
+    # a plane is never quite flat: the robot is not where it was sent
+    span = max(float(np.ptp(third)), _FLAT * max(float(np.ptp(place[name])) for name in names[:2])) or 1.0
+    gaps = np.flatnonzero(np.diff(order) > 0.05 * span)
+    clusters = np.split(order, gaps + 1)
+    if len(clusters) <= _MOST_PLANES and max(float(np.ptp(c)) for c in clusters) <= _FLAT * span:
+        edges = [-np.inf, *(0.5 * (order[gaps] + order[gaps + 1])), np.inf]
+    else:
+        edges = [-np.inf, *np.quantile(third, np.arange(1, _SLABS) / _SLABS), np.inf]
+    label, unit = quantity(names[2]).partition(", ")[::2]
+    fine = max(0, 1 - int(np.floor(np.log10(span))))
+    out = []
+    for low, high in pairwise(edges):
+        mask = (third > low) & (third <= high)
+        if not mask.any():
+            continue
+        a, b, mean = third[mask].min(), third[mask].max(), round(float(third[mask].mean()), fine) + 0.0
+        at = f"{a:.{fine}f} to {b:.{fine}f}" if b - a > 0.15 * span else f"{mean:.{fine}f}"
+        out.append((f"{label} = {at} {unit}", mask))
+    return out[::-1]
+
+
+def plane_of_most(place: Mapping[str, Floats], error: Floats) -> tuple[str, Bools]:
+    """The plane in which the error (n, m) is largest in mean square."""
+    return max(planes_of(place, len(error)), key=lambda plane: float(np.nanmean(error[plane[1]] ** 2)))
+
+
+def _arrows(left: Left, panels: _Panels, mask: Bools) -> Table:
+    """Mean error of every pose in a panel, or of every cell where poses are many."""
+    use = mask & ~left.outlier & np.isfinite(left.values).all(axis=1)
+    rows = np.flatnonzero(use)
+    if not len(rows):
+        return {k: np.zeros(0) for k in ("x", "y", "ex", "ey", "ez", "n")} | {"rows": [], "lines": []}
+    group = np.unique(left.group[rows], return_inverse=True)[1]
+    if group.max() >= _MOST_ARROWS:
+        group = _cells(panels.x[rows], panels.y[rows])
+    count = np.bincount(group)
+
+    def mean(values: Floats) -> Floats:
+        return np.asarray(np.bincount(group, values) / count)
+
+    error = left.values[rows]
+    zero = np.zeros(len(rows))
+    table: Table = {
+        "x": mean(panels.x[rows]),
+        "y": mean(panels.y[rows]),
+        "ex": mean(error[:, 0]),
+        "ey": mean(error[:, 1] if error.shape[1] > 1 else zero),
+        "ez": mean(error[:, 2] if error.shape[1] > 2 else zero),
+        "n": count,
+    }
+    members = np.split(rows[np.argsort(group, kind="stable")], np.cumsum(count)[:-1])
+    table["rows"] = [left.row[m].tolist() for m in members]
+    table["lines"] = [_lines(left.line[m]) for m in members]
+    return table
+
+
+def _cells(x: Floats, y: Floats) -> NDArray[np.int64]:
+    def ticks(v: Floats) -> NDArray[np.int64]:
+        return np.minimum((v - v.min()) / (np.ptp(v) or 1.0) * _CELLS, _CELLS - 1).astype(np.int64)
+
+    inverse: NDArray[np.int64] = np.unique(ticks(x) * _CELLS + ticks(y), return_inverse=True)[1]
+    return inverse
+
+
+def _lines(lines: NDArray[np.int64], most: int = 6) -> str:
+    text = ", ".join(str(k) for k in lines[:most])
+    return text if len(lines) <= most else f"{text} … ({len(lines)} rows)"
+
+
+def _tables(change: Change, panels: _Panels, scale: _Scale) -> Tables:
+    out: Tables = {}
+    for moment, left, title in (
+        ("before", change.before, change.before_title),
+        ("after", change.after, change.after_title),
+    ):
+        for k, mask in enumerate(panels.rows):
+            a = _arrows(left, panels, mask)
+            colour = a["ez"] if scale.coloured else np.zeros(len(a["x"]))
+            out[f"{moment}_{k}"] = {
+                "x": _f(a["x"]), "y": _f(a["y"]),
+                "x1": _f(a["x"] + scale.per_unit * a["ex"]), "y1": _f(a["y"] + scale.per_unit * a["ey"]),
+                "ex": _f(a["ex"]), "ey": _f(a["ey"]), "ez": _f(a["ez"]), "colour": _f(colour),
+                "n": a["n"], "lines": a["lines"], "rows": a["rows"],
+            }  # fmt: skip
+            use = mask & ~left.outlier
+            rms = float(np.sqrt(np.nanmean(left.values[use] ** 2))) if use.any() else 0.0
+            out[f"{moment}_{k}_key"] = _key(panels, scale, left, title, panels.names[k], rms, k)
+    return out
+
+
+def _key(panels: _Panels, scale: _Scale, left: Left, title: str, plane: str, rms: float, panel: int) -> Table:
+    """Title, scale bar and noise circle of one panel: a table with a single row."""
+    x_range, y_range = scale.ranges
+    x0, y0 = float(x_range.start), float(y_range.start)
+    wide, high = float(x_range.end) - x0, float(y_range.end) - y0
+    use = panels.rows[panel] & ~left.outlier
+    repeats = max(int(use.sum()) / max(len(np.unique(left.group[use])), 1), 1.0)
+    heading = f"{title}{', ' + plane if plane else ''}: {number(rms)} {left.unit} RMS"
+    bar = scale.bar * scale.per_unit
+    circle = _CIRCLE * scale.noise / np.sqrt(repeats) * scale.per_unit
+    return {
+        "title": [heading], "title_x": [x0 + 0.02 * wide], "title_y": [y0 + 0.985 * high],
+        "bar_x0": [x0 + 0.96 * wide - bar], "bar_x1": [x0 + 0.96 * wide], "bar_y": [y0 + 0.035 * high],
+        "bar_text": [f"{scale.bar:g} {left.unit}"], "bar_text_x": [x0 + 0.96 * wide], "bar_text_y": [y0 + 0.045 * high],
+        "noise_x": [x0 + 0.03 * wide + circle], "noise_y": [y0 + 0.03 * high + circle], "noise_r": [circle],
+        "noise_text": ["noise" if scale.noise else ""],
+        "noise_text_x": [x0 + 0.045 * wide + 2 * circle],
+    }  # fmt: skip
+
+
+def _f(values: Any) -> NDArray[np.float32]:
+    """Half the bytes; a pixel needs no more."""
+    return np.asarray(values, dtype=np.float32)
+
+
+def _ranges(panels: _Panels, arrows: Sequence[Table], per_unit: float) -> tuple[Range1d, Range1d]:
+    """Room for poses and heads of arrows, and for title and keys above and below."""
+    heads = [np.concatenate([a[at] + per_unit * a[by] for a in arrows]) for at, by in (("x", "ex"), ("y", "ey"))]
+    x, y = (
+        padded(min(v.min(), h.min(initial=v.min())), max(v.max(), h.max(initial=v.max())), 0.07)
+        for v, h in zip((panels.x, panels.y), heads, strict=True)
+    )
+    high = float(y.end) - float(y.start)
+    y = Range1d(float(y.start) - 0.08 * high, float(y.end) + 0.12 * high)
+    if panels.up is None:
+        return x, y
+    # a millimetre is as long upwards as across
+    wide, high = float(x.end) - float(x.start), float(y.end) - float(y.start)
+    more_x, more_y = max(high / _TALLEST - wide, 0.0) / 2, max(_FLATTEST * wide - high, 0.0) / 2
+    return Range1d(float(x.start) - more_x, float(x.end) + more_x), Range1d(
+        float(y.start) - more_y, float(y.end) + more_y
+    )
+
+
+def _panel(
+    sources: dict[str, ColumnDataSource], k: int, moment: str, panels: _Panels, mapper: LinearColorMapper,
+    scale: _Scale,
+    left: Left,
+    width: int,
+) -> Any:  # fmt: skip
+    source, key = sources[f"{moment}_{k}"], sources[f"{moment}_{k}_key"]
+    x_range, y_range = scale.ranges
+    ratio = (float(y_range.end) - float(y_range.start)) / (float(x_range.end) - float(x_range.start))
+    made = figure(
+        frame_width=width, frame_height=int(width * (ratio if panels.up else _FLATTEST)),
+        x_range=x_range, y_range=y_range, tools="pan,box_zoom,wheel_zoom,box_select,lasso_select,tap,reset",
+    )  # fmt: skip
+    made.xaxis.axis_label = quantity(panels.across)
+    made.yaxis.axis_label = quantity(panels.up) if panels.up else None
+    made.yaxis.visible = panels.up is not None
+    colour = {"field": "colour", "transform": mapper}
+    made.segment("x", "y", "x1", "y1", source=source, color=colour, line_width=2.5, nonselection_line_alpha=0.15)
+    # the tail is where the pose is; its head has the arrow's colour
+    tail = made.scatter("x", "y", source=source, size=4, color=INK, nonselection_alpha=0.2)
+    made.scatter("x1", "y1", source=source, size=6, color=colour, nonselection_alpha=0.15)
+    tip = {"text_font_size": FONT_SIZE, "text_font": value(FONT), "text_color": INK}
+    made.text("title_x", "title_y", "title", source=key, text_baseline="top", text_font_style="bold", **tip)
+    made.segment("bar_x0", "bar_y", "bar_x1", "bar_y", source=key, color=INK, line_width=3)
+    made.text("bar_text_x", "bar_text_y", "bar_text", source=key, text_align="right", text_baseline="bottom", **tip)
+    made.circle("noise_x", "noise_y", "noise_r", source=key, fill_color=None, line_color=MUTED, line_width=1.5)
+    made.text("noise_text_x", "noise_y", "noise_text", source=key, text_baseline="middle", **tip)
+    reading = [
+        (left.names[j], f"@{name}{{0.0}} {left.unit}") for j, name in zip(range(3), ("ex", "ey", "ez"), strict=False)
+    ]
+    reading = reading[: len(left.names)]
+    places = [(quantity(panels.across), "@x{0.00}")] + ([(quantity(panels.up), "@y{0.00}")] if panels.up else [])
+    made.add_tools(hover([tail], *places, *reading, ("readings", "@n"), (f"{left.counted}s", "@lines")))
+    return made

@@ -1,0 +1,59 @@
+"""The run in time: what was left, reading after reading, with the temperature or any other covariate below it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from bokeh.models import Span
+
+from .left import Left
+from .picture import Picture, Tables, sources_of, stacked, thinned
+from .style import COLOURS, MARKERS, MUTED, figure, hover, legend, quantity
+
+_HEIGHT, _BELOW = 320, 150
+MOST_POINTS = 4000
+
+
+def run_in_time(left: Left) -> Picture[Left]:
+    """All readings in the order they were taken; outliers larger. Covariates that vary stand below on the same axis."""
+    sources = sources_of(_tables(left))
+    made = figure(height=_HEIGHT, sizing_mode="stretch_width", tools="pan,box_zoom,wheel_zoom,box_select,reset")
+    made.yaxis.axis_label = f"residual, {left.unit}"
+    made.add_layout(Span(location=0, dimension="width", line_color=MUTED))
+    for k, name in enumerate(left.names):
+        dots = made.scatter(
+            "t", f"r{k}", source=sources["run"], color=COLOURS[k % len(COLOURS)], marker=MARKERS[k % len(MARKERS)],
+            size="size", alpha=0.6, legend_label=name,
+        )  # fmt: skip
+        made.add_tools(hover([dots], ("", name), ("residual", f"@r{k}{{0.0}} {left.unit}"), (left.counted, "@line")))
+    legend(made)
+    figures = [made]
+    for name in _below(left):
+        lower = figure(height=_BELOW, sizing_mode="stretch_width", x_range=made.x_range)
+        lower.yaxis.axis_label = quantity(name)
+        lower.scatter("t", name, source=sources["run"], size=4, color=MUTED)
+        figures.append(lower)
+    figures[-1].xaxis.axis_label = "time, s" if "time_s" in left.variables else "reading"
+    n = len(left)
+    note = f"{MOST_POINTS} of {n} readings are drawn, chosen at random." if n > MOST_POINTS else f"All {n} readings."
+    return Picture("run", stacked("run", figures, sizing_mode="stretch_width"), sources, _tables, note=note)
+
+
+def _below(left: Left) -> list[str]:
+    """Covariates, not coordinates, joints, directions or time; at most two."""
+    known = {*left.place, "time_s"}
+    names = [
+        n for n in left.variables if n not in known and not n.startswith(("direction_", "q1", "q2", "q3", "theta"))
+    ]
+    return names[:2]
+
+
+def _tables(left: Left) -> Tables:
+    rows = np.asarray(thinned(len(left), MOST_POINTS, np.flatnonzero(left.outlier)))
+    time = left.variables.get("time_s", left.row.astype(float))
+    table: dict[str, Any] = {"t": time[rows], "line": left.line[rows].astype(np.int32)}
+    table["size"] = np.where(left.outlier[rows], 10, 4)
+    table |= {f"r{k}": left.values[rows, k].astype(np.float32) for k in range(len(left.names))}
+    table |= {name: left.variables[name][rows] for name in _below(left)}
+    return {"run": table}

@@ -1,0 +1,173 @@
+"""Predicted accuracy over the workspace, with the region that meets the requirement outlined; poses to measure next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from bokeh.core.properties import value
+from bokeh.models import ColorBar, LinearColorMapper
+from numpy.typing import NDArray
+
+from ..calibration import Calibration
+from .left import Left
+from .picture import Picture, Tables, sources_of, stacked
+from .style import FONT, FONT_SIZE, INK, MUTED, REFUSED, SEQUENTIAL, figure, hover, padded, quantity
+
+Floats = NDArray[np.float64]
+
+_PER_SIDE = 41
+_PANEL = 290
+
+
+@dataclass(frozen=True, eq=False)
+class AccuracyMap:
+    """Predicted accuracy (95 %), µm, on planes: ``value`` (planes, ny, nx), NaN out of reach; ``measured`` likewise."""
+
+    x_mm: Floats
+    y_mm: Floats
+    z_mm: Floats
+    value_um: Floats
+    measured: NDArray[np.bool_]
+    required_um: float
+
+
+def accuracy_of(calibration: Calibration, required_um: float) -> AccuracyMap:
+    """The accuracy of a calibration on three planes of the workspace, or of the box that was measured."""
+    robot, whole = calibration.robot, calibration.whole
+    low, high = np.array(whole.low_mm, dtype=float), np.array(whole.high_mm, dtype=float)
+    if robot.workspace_radius_mm:
+        low[:2], high[:2] = -robot.workspace_radius_mm, robot.workspace_radius_mm
+    if robot.workspace_z_mm:
+        low[2], high[2] = robot.workspace_z_mm
+    x, y = (np.linspace(low[k], high[k], _PER_SIDE) for k in range(2))
+    z = np.linspace(high[2], low[2], 3) if high[2] > low[2] else np.array([low[2]])
+    grid = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1).reshape(-1, 3)[:, ::-1]
+    inside = np.ones(len(grid), dtype=bool)
+    if robot.workspace_radius_mm:
+        inside = np.hypot(grid[:, 0], grid[:, 1]) <= robot.workspace_radius_mm - 0.25 * (x[1] - x[0])
+    value = np.full(len(grid), np.nan)
+    value[inside] = 1e3 * calibration.accuracy_batch(np.ascontiguousarray(grid[inside])).values
+    measured = np.array([calibration.measured(point) for point in grid])
+    shape = (len(z), _PER_SIDE, _PER_SIDE)
+    return AccuracyMap(x, y, z, value.reshape(shape), measured.reshape(shape), required_um)
+
+
+def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
+    """A panel for each height: radius that holds 95 of 100 positions; the region within the requirement outlined.
+
+    Pale where no pose was measured: there it is extrapolation and holds only as far as the model does.
+    """
+    known = state.value_um[np.isfinite(state.value_um)]
+    high = float(np.quantile(known, 0.99)) if len(known) else 0.0
+    # from zero to beyond the requirement: a nearly even map must look even
+    mapper = LinearColorMapper(palette=SEQUENTIAL, low=0.0, high=max(high, 1.5 * state.required_um))
+    mapper.nan_color = "rgba(0, 0, 0, 0)"
+    veil = LinearColorMapper(palette=["rgba(255, 255, 255, 0.55)"], low=0.0, high=1.0, nan_color="rgba(0, 0, 0, 0)")
+    sources = sources_of(_tables(state))
+    x_range, y_range = padded(state.x_mm[0], state.x_mm[-1], 0.03), padded(state.y_mm[0], state.y_mm[-1], 0.03)
+    figures = []
+    for k, z in enumerate(state.z_mm):
+        made = figure(frame_width=_PANEL, frame_height=_PANEL, x_range=x_range, y_range=y_range)
+        made.title.text = f"z = {z:.3g} mm"
+        made.xaxis.axis_label, made.yaxis.axis_label = "x, mm", "y, mm"
+        place = {"x": "x", "y": "y", "dw": "dw", "dh": "dh", "source": sources[f"plane_{k}"]}
+        cells = made.image(image="um", color_mapper=mapper, **place)
+        made.image(image="beyond", color_mapper=veil, **place)
+        made.multi_line("xs", "ys", source=sources[f"outline_{k}"], line_color=REFUSED, line_width=3)
+        made.add_tools(hover([cells], ("x, y", "$x{0.0}, $y{0.0} mm"), ("95 % within", "@um{0.0} µm")))
+        figures.append(made)
+    figures[-1].add_layout(
+        ColorBar(color_mapper=mapper, width=14, title="µm", title_text_font_size=FONT_SIZE, title_text_font=FONT,
+                 major_label_text_font_size=FONT_SIZE, title_text_font_style="normal"),
+        "right",
+    )  # fmt: skip
+    met = int((known <= state.required_um).sum())
+    note = (
+        f"Radius around a commanded position within which 95 of 100 lie. Outlined: {state.required_um:g} µm or better "
+        f"({100 * met / max(len(known), 1):.0f} % of what can be reached). Pale: no pose was measured there."
+    )
+    return Picture("accuracy", stacked("accuracy", figures, columns=len(figures)), sources, _tables, note=note)
+
+
+def _tables(state: AccuracyMap) -> Tables:
+    out: Tables = {}
+    (x0, dw), (y0, dh) = (_extent(v) for v in (state.x_mm, state.y_mm))
+    for k in range(len(state.z_mm)):
+        value = state.value_um[k]
+        beyond = np.where(state.measured[k] | ~np.isfinite(value), np.nan, 0.5)
+        out[f"plane_{k}"] = {
+            "um": [value.astype(np.float32)], "beyond": [beyond.astype(np.float32)],
+            "x": [x0], "y": [y0], "dw": [dw], "dh": [dh],
+        }  # fmt: skip
+        out[f"outline_{k}"] = _outline(state.x_mm, state.y_mm, value <= state.required_um)
+    return out
+
+
+def _extent(ticks: Floats) -> tuple[float, float]:
+    """Lower edge and width of cells around ticks."""
+    step = float(ticks[1] - ticks[0]) if len(ticks) > 1 and ticks[1] > ticks[0] else 1.0
+    return float(ticks[0]) - 0.5 * step, step * len(ticks)
+
+
+def _outline(x: Floats, y: Floats, inside: NDArray[np.bool_]) -> dict[str, list[list[float]]]:
+    """Edges of cells between inside and outside."""
+    if len(x) < 2 or len(y) < 2:
+        return {"xs": [], "ys": []}
+    half_x, half_y = 0.5 * (x[1] - x[0]), 0.5 * (y[1] - y[0])
+    padded_in = np.pad(inside, 1)
+    xs, ys = [], []
+    for j, i in np.argwhere(padded_in[1:-1, 1:] != padded_in[1:-1, :-1]):
+        edge = x[i] - half_x if i < len(x) else x[-1] + half_x
+        xs.append([float(edge)] * 2)
+        ys.append([float(y[j] - half_y), float(y[j] + half_y)])
+    for j, i in np.argwhere(padded_in[1:, 1:-1] != padded_in[:-1, 1:-1]):
+        edge = y[j] - half_y if j < len(y) else y[-1] + half_y
+        xs.append([float(x[i] - half_x), float(x[i] + half_x)])
+        ys.append([float(edge)] * 2)
+    return {"xs": xs, "ys": ys}
+
+
+@dataclass(frozen=True, eq=False)
+class NextPoses:
+    """Poses to measure next, in order, and where the run has been."""
+
+    poses: Sequence[dict[str, float]]
+    left: Left
+
+
+def next_poses(state: NextPoses) -> Picture[NextPoses]:
+    """Proposed poses, numbered in the order to measure them, seen from above and from the side."""
+    sources = sources_of(_pose_tables(state))
+    names = [k for k in state.poses[0] if k != "separation_sigma"] if state.poses else list(state.left.place)[:2]
+    pairs = [(names[0], names[1])] + ([(names[0], names[2])] if len(names) > 2 else [])
+    figures = []
+    text: dict[str, Any] = {"text_font_size": FONT_SIZE, "text_font": value(FONT), "text_color": INK}
+    for a, b in pairs:
+        made = figure(frame_width=_PANEL + 60, frame_height=_PANEL + 60)
+        made.xaxis.axis_label, made.yaxis.axis_label = quantity(a), quantity(b)
+        if a in sources["measured"].data and b in sources["measured"].data:
+            made.scatter(a, b, source=sources["measured"], size=4, color=MUTED, alpha=0.5)
+        if state.poses:
+            dots = made.scatter(
+                a, b, source=sources["next"], size=18, fill_color="white", line_color=REFUSED, line_width=2
+            )
+            made.text(a, b, "order", source=sources["next"], text_align="center", text_baseline="middle", **text)
+            made.add_tools(
+                hover([dots], ("pose", "@order"), *((quantity(n), f"@{n}{{0.0}}") for n in names),
+                      ("separation with it", "@separation_sigma{0.0} σ"))
+            )  # fmt: skip
+        figures.append(made)
+    note = "Numbered: poses to measure, in this order. Grey: poses of the run."
+    return Picture("next_poses", stacked("next_poses", figures, columns=2), sources, _pose_tables, note=note)
+
+
+def _pose_tables(state: NextPoses) -> Tables:
+    first = np.unique(state.left.group, return_index=True)[1][:2000]
+    measured = {name: v[first].astype(np.float32) for name, v in state.left.place.items()}
+    keys = list(state.poses[0]) if state.poses else []
+    table: dict[str, Any] = {key: [pose[key] for pose in state.poses] for key in keys}
+    table["order"] = [str(k) for k in range(1, len(state.poses) + 1)]
+    return {"measured": measured, "next": table}
