@@ -69,6 +69,25 @@ class Experiment:
                 out[name] = (float(np.sqrt(np.mean(v**2))), float(v.std()))
         return out
 
+    def lines(self) -> list[tuple[str, str, dict[str, tuple[float, float]]]]:
+        """Table I: name of a line, that of the paper's ('' where it prints none), RMS and deviation by reading, µm."""
+        region = self.in_region
+        wanted: list[tuple[str, str, Floats, NDArray[np.bool_] | None]] = [
+            ("before calibration", "before", self.fit.nominal_residuals_mm, None),
+            ("after geometry", "after", self.fit.residuals_mm, None),
+            ("  on poses held out", "", self.held_out_mm, None),
+        ]
+        if self.choice is not None:
+            wanted.append(("  held out, corrected", "", self.corrected_mm, None))
+        if region is not None and region.any() and not region.all():
+            wanted += [
+                ("before, region of interest", "before, region", self.fit.nominal_residuals_mm, region),
+                ("after, region of interest", "after, region", self.fit.residuals_mm, region),
+            ]
+            if self.choice is not None:
+                wanted.append(("  held out, corrected", "", self.corrected_mm, region))
+        return [(name, key, self.rms(values, rows)) for name, key, values, rows in wanted]
+
     @cached_property
     def in_region(self) -> NDArray[np.bool_] | None:
         """Rows inside the region of interest in x and y, as the paper counts them; None without a region."""

@@ -25,6 +25,7 @@ from .identification import Fit
 from .measurements.columns import TEMPERATURE
 from .model import DeltaModel, effects_by_name
 from .names import listed
+from .notebook import Shown
 from .parameters import Parameter
 from .robots import Delta
 from .robots.delta import Batch, matrix, vector
@@ -106,7 +107,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(Shown):
     """A calibrated delta. Positions are readings of the measured point: the datum of the run is included."""
 
     robot: Delta

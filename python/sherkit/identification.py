@@ -24,6 +24,7 @@ from .measurements import Measurements, MeasurementStream
 from .measurements.columns import READINGS
 from .model import DeltaModel
 from .noise import MAD, Noise, noise_of
+from .notebook import Shown
 from .parameters import Parameter
 from .robots import Delta
 
@@ -37,7 +38,7 @@ _OUTLIER_LEVEL = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(Shown):
     """An identified model.
 
     ``values`` (p,) are errors in the units of ``parameters``. ``covariance`` (p, p) is what the readings leave,

@@ -22,6 +22,7 @@ from .identification import LOSSES
 from .iteration import iterate
 from .names import listed, nearest
 from .noise import MAD
+from .notebook import Shown
 from .parameters import Parameter
 
 Floats = NDArray[np.float64]
@@ -198,7 +199,7 @@ class Extended:
 
 
 @dataclass(frozen=True, eq=False)
-class ModelFit:
+class ModelFit(Shown):
     """A fitted model of any machine.
 
     ``values`` (p,) in the units of ``parameters``; ``covariance`` (p, p); ``sigma`` (n, m) is the noise that the

@@ -24,6 +24,7 @@ from .measurements import Measurements, from_frame
 from .measurements.columns import MAY_BE_EMPTY, OUTLIER, POSE, REPEAT
 from .model import DeltaModel, effects_by_name, lacks
 from .names import listed
+from .notebook import Shown
 from .robots import Delta
 from .robots.file import robot_from_tables
 from .validation import hold_out
@@ -57,25 +58,36 @@ class Step:
         return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
 
 
-class Study:
+class Study(Shown):
     """Compares a robot with its measurements, step by step.
 
-    ``effects`` are the user's own, beside the catalogue. Every change refits all parameters and takes the held-out
+    ``effects`` are the user's own, beside the catalogue; ``free`` and ``loss`` are those of
+    :func:`~sherkit.identification.identify`. Every change refits all parameters and takes the held-out
     error anew; :attr:`history` holds each step. Raises :class:`~sherkit.errors.FitError` where the rows cannot be
     fitted.
     """
 
-    def __init__(self, robot: Delta, data: Measurements, *, effects: Sequence[Effect] = (), seed: int = 0) -> None:
+    def __init__(
+        self,
+        robot: Delta,
+        data: Measurements,
+        *,
+        effects: Sequence[Effect] = (),
+        free: Sequence[str] = (),
+        loss: str = "linear",
+        seed: int = 0,
+    ) -> None:
         self.robot = robot
         self.data = data
         self.seed = seed
+        self.loss = loss
         self.own: dict[str, Effect] = {}
         self.history: list[Step] = []
         self._undone: list[tuple[DeltaModel, Measurements]] = []
         self._diagnosis: Diagnosis[Fit] | None = None
         for effect in effects:
             self._register(effect)
-        self.model = DeltaModel(robot)
+        self.model = DeltaModel(robot, tuple(free))
         self._record("the geometric model")
 
     # -- state -------------------------------------------------------------------------------------------
@@ -91,8 +103,8 @@ class Study:
         return tuple(e.name for e in self.model.effects)
 
     def _record(self, action: str) -> Step:
-        fit = identify(self.model, self.data)
-        held = hold_out(self.model, self.data, seed=self.seed)
+        fit = identify(self.model, self.data, loss=self.loss)
+        held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss)
         names = [p.name for p in fit.parameters]
         step = Step(
             action=action,
@@ -180,7 +192,7 @@ class Study:
 
     def calibration(self) -> Calibration:
         """The model to deploy: what was identified, and a Bernstein correction where one helps on held-out blocks."""
-        held = hold_out(self.model, self.data, seed=self.seed).residuals_mm
+        held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss).residuals_mm
         full = self.data.taken[:, :3].all(axis=1) & ~self.data.outlier
         choice = choose_correction(self.fit, seed=self.seed) if full.sum() >= 20 else None
         return Calibration(self.robot, Experiment(self.fit, held, choice, None).part())
@@ -209,6 +221,7 @@ class Study:
             "slip_time_s": self.model.slip_time_s,
             "time_origin_s": self.model.time_origin_s,
             "seed": self.seed,
+            "loss": self.loss,
             "history": [
                 {
                     "action": s.action,
@@ -238,7 +251,7 @@ class Study:
             raise SherkitError(f"{folder}: is not a study of this version (expected format {_FORMAT})")
         robot = robot_from_tables(state["robot"], f"{folder} [robot]")
         study = cls.__new__(cls)
-        study.robot, study.seed = robot, int(state["seed"])
+        study.robot, study.seed, study.loss = robot, int(state["seed"]), str(state.get("loss", "linear"))
         study.data = from_frame(pl.read_parquet(folder / "rows.parquet"), state["source"])
         study.own, study._undone, study._diagnosis = {}, [], None
         for effect in effects:
@@ -251,7 +264,7 @@ class Study:
             slip_time_s=state["slip_time_s"],
             time_origin_s=state["time_origin_s"],
         )
-        study._fit = identify(study.model, study.data)
+        study._fit = identify(study.model, study.data, loss=study.loss)
         study.history = [
             Step(
                 action=s["action"],
@@ -269,7 +282,7 @@ class Study:
     def _fit_of(self, effects: Sequence[str], training_rms_um: dict[str, float]) -> Fit | None:
         """The fit of an earlier step, where the rows of today give what it left."""
         model = replace(self.model, effects=effects_by_name(effects, tuple(self.own.values())))
-        fit = identify(model, self.data)
+        fit = identify(model, self.data, loss=self.loss)
         rms = fit.rms_um()
         same = rms.keys() == training_rms_um.keys() and np.allclose(
             list(rms.values()), [training_rms_um[k] for k in rms], rtol=1e-9

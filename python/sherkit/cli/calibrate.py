@@ -9,13 +9,16 @@ import numpy as np
 
 from ..calibrate import CORRECTIONS, to_json
 from ..calibrate import calibrate as run_calibration
+from ..diagnosis import diagnose
 from ..effects.file import load_effects
 from ..errors import MeasurementError
 from ..identification import LOSSES
 from ..measurements import Measurements, read_measurements
 from ..model import effects_by_name
 from ..robots import load_robot
-from . import output, tables
+from ..study import Study
+from . import output, reporting, tables
+from .reporting import report_option
 
 NOT_CONVERGED = 3
 
@@ -35,6 +38,7 @@ NOT_CONVERGED = 3
 @click.option("--correction", type=click.Choice(CORRECTIONS), default="auto", show_default=True)
 @click.option("--exclude", default="", help="Lines of RUN to leave out as outliers, separated by commas.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Rules the dealing of blocks to folds.")
+@report_option
 def calibrate(
     robot: Path,
     run: Path,
@@ -50,9 +54,13 @@ def calibrate(
     correction: str,
     exclude: str,
     seed: int,
+    report: Path | None,
 ) -> int:
     """Identify ROBOT (TOML) from the measurements RUN (CSV or Parquet)."""
+    if report is not None:
+        reporting.require_view()
     nominal = load_robot(robot)
+    own = [e for path in files for e in load_effects(path)]
     with output.steps(7) as step:
         step(f"reading {run}")
         data = _without(read_measurements(run), exclude)
@@ -62,7 +70,7 @@ def calibrate(
             data,
             inner,
             free=[name.strip() for name in free.split(",") if name.strip()],
-            effects=effects_by_name(added, [e for path in files for e in load_effects(path)]),
+            effects=effects_by_name(added, own),
             loss=loss,
             priors=priors,
             linear=linear,
@@ -70,6 +78,16 @@ def calibrate(
             seed=seed,
             step=step,
         )
+        if report is not None:
+            step("diagnosing what is left")
+            found = diagnose(result.whole.fit, effects=tuple(own), seed=seed, step=step)
+            step("writing the report")
+            study = Study(nominal, data, effects=own, free=result.whole.fit.model.free, loss=loss, seed=seed)
+            for name in added:
+                study.add(name)
+            sources = [robot, run, *([local] if local else []), *files]
+            title = f"Calibration of {robot.stem} from {run.name}"
+            reporting.write(report, title, study, found, sources, calibration=result.calibration, result=result)
     if destination is not None:
         result.calibration.save(destination)
     if as_json:
@@ -78,6 +96,8 @@ def calibrate(
         tables.result(result)
         if destination is not None:
             output.say(f"calibration written to {destination}")
+        if report is not None:
+            output.say(f"report written to {report}")
     return 0 if result.converged or linear else NOT_CONVERGED
 
 

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 from rich.table import Table
 
-from ..calibrate import calibrate
+from ..calibrate import Result, calibrate
 from ..calibration import Calibration
+from ..diagnosis import Diagnosis
+from ..errors import SherkitError
 from ..measurements import read_measurements
 from ..poses import paper_local, paper_whole
 from ..robots import load_robot, save_robot
 from ..robots.delta import Delta
 from ..simulation import VirtualDelta
 from ..study import Study
-from . import diagnosis_tables, output, tables
+from . import diagnosis_tables, output, reporting, tables
 
 #: A described example, not the paper's robot: no nominal dimension of that one is printed.
 EXAMPLE = Delta(
@@ -44,7 +48,7 @@ def demo(folder: Path, seed: int) -> None:
     robot = load_robot(folder / "robot.toml")
     # rails that lean by some milliradians: what the geometric model does not know
     virtual = VirtualDelta.draw(robot, seed, rail_lean_rad=8e-3, noise_mm=0.005)
-    with output.steps(20) as step:
+    with output.steps(21) as step:
         step("simulating the whole workspace")
         virtual.measure(paper_whole(), repeats=5, seed=seed).save(folder / "whole.csv")
         step("simulating the region of interest")
@@ -57,6 +61,7 @@ def demo(folder: Path, seed: int) -> None:
             study.add(name)
         calibration = study.calibration()
         calibration.save(folder / "calibrated.toml")
+        report = _report(folder, study, found, calibration, result, step)
     output.out.print(
         "[bold]SIMULATION.[/] A virtual delta with planted errors of the size of the paper's Table II, 5 µm noise, "
         "and one effect that the geometric model does not know.\nThe geometry is an example; the paper's figures (dim) "
@@ -73,10 +78,32 @@ def demo(folder: Path, seed: int) -> None:
         f"Commanded to {len(paper_whole())} places, the robot as drawn misses by {missed[0]:.0f} µm RMS; "
         f"commanded through calibrated.toml, by {missed[1]:.1f} µm."
     )
+    if report is not None:
+        output.say(f"\nThe same to look at: {report}")
     output.say(
         f"\nrobot.toml, whole.csv, local.csv and calibrated.toml are in {folder}/. Try:\n"
         f"  sherkit calibrate {folder}/robot.toml {folder}/whole.csv --local {folder}/local.csv"
     )
+
+
+def _report(
+    folder: Path, study: Study, found: Diagnosis[Any], calibration: Calibration, result: Result,
+    step: Callable[[str], None],
+) -> Path | None:  # fmt: skip
+    """Writes the report where what draws is installed."""
+    try:
+        reporting.require_view()
+    except SherkitError as error:
+        output.warn(f"no report was written: {error}")
+        return None
+    step("writing the report")
+    path = folder / "report.html"
+    sources = [folder / name for name in ("robot.toml", "whole.csv", "local.csv")]
+    title = "The paper's two experiments on a virtual delta robot"
+    reporting.write(
+        path, title, study, found, sources, calibration=calibration, result=result, simulated=True
+    )  # fmt: skip
+    return path
 
 
 def _history(study: Study) -> Table:

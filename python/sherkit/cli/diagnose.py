@@ -14,9 +14,10 @@ from ..identification import identify
 from ..measurements import read_measurements
 from ..model import DeltaModel, effects_by_name
 from ..robots import load_robot
-from ..study import joined
-from . import output
+from ..study import Study, joined
+from . import output, reporting
 from .diagnosis_tables import diagnosis as print_diagnosis
+from .reporting import report_option
 
 
 @click.command()
@@ -28,11 +29,14 @@ from .diagnosis_tables import diagnosis as print_diagnosis
 @click.option("--template", "destination", type=click.Path(path_type=Path), help="Write an effect of the shape found.")
 @click.option("--level", type=click.FloatRange(0.0005, 0.2), default=0.01, show_default=True, help="Of the test.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Rules folds and flips.")
+@report_option
 def diagnose(
     robot: Path, runs: tuple[Path, ...], as_json: bool, files: tuple[Path, ...], added: tuple[str, ...],
-    destination: Path | None, level: float, seed: int,
+    destination: Path | None, level: float, seed: int, report: Path | None,
 ) -> None:  # fmt: skip
     """Say what ROBOT (TOML) is missing on the measurements RUN (CSV or Parquet), joined with MORE measured later."""
+    if report is not None:
+        reporting.require_view()
     nominal = load_robot(robot)
     own = tuple(effect for path in files for effect in load_effects(path))
     with output.steps(12) as step:
@@ -41,10 +45,19 @@ def diagnose(
         step("identifying the model as it is")
         fit = identify(DeltaModel(nominal, effects=effects_by_name(added, own)), data)
         found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)
+        if report is not None:
+            step("writing the report")
+            study = Study(nominal, data, effects=own, seed=seed)
+            for name in (*added, *found.effects):
+                study.add(name)
+            title = f"What is {robot.stem} missing on {runs[0].name}?"
+            reporting.write(report, title, study, found, (robot, *runs, *files))
     if as_json:
         output.print_json(found.to_json())
     else:
         print_diagnosis(found)
+    if report is not None and not as_json:
+        output.say(f"\nthe report is in {report}")
     if destination is not None and found.signature is not None:
         destination.write_text(template(found.signature, file=str(destination)), encoding="utf-8")
         if not as_json:

@@ -37,7 +37,8 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_, **__: output.warn(str(message))
-            code = cli.main(args=arguments, prog_name="sherkit", standalone_mode=False)
+            typed = sys.argv[1:] if arguments is None else arguments
+            code = cli.main(args=typed, prog_name="sherkit", standalone_mode=False, obj=typed)
     except SherkitError as error:
         output.fail(str(error))
         sys.exit(1)

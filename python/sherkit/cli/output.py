@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import shlex
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import click
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -48,6 +51,12 @@ def table(title: str, *columns: str, note: str | None = None) -> Table:
     for k, column in enumerate(columns):
         made.add_column(escape(column), justify="left" if k == 0 else "right")
     return made
+
+
+def command_line() -> str:
+    """The command as it was typed, to make a report again."""
+    typed = click.get_current_context().find_root().obj
+    return shlex.join(["sherkit", *(sys.argv[1:] if typed is None else typed)])
 
 
 @contextmanager

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
 from .. import paper
@@ -14,8 +13,6 @@ from ..calibration import Calibration
 from ..errors import SherkitError
 from ..names import listed
 from .output import out, table
-
-Floats = NDArray[np.float64]
 
 _AXES = ("x_mm", "y_mm", "z_mm", "distance_mm")
 
@@ -27,23 +24,7 @@ def _pm(value: tuple[float, float] | None) -> str:
 def errors(e: Experiment, title: str, beside: Mapping[str, Mapping[str, tuple[int, int]]] | None = None) -> Table:
     """Table I: error per axis before, after the geometry, held out, after the correction."""
     made = table(title, "µm, RMS ± std", *[a[:-3] for a in _AXES if e.fit.data.taken[:, _AXES.index(a)].any()])
-    lines: list[tuple[str, str, Floats, NDArray[np.bool_] | None]] = [
-        ("before calibration", "before", e.fit.nominal_residuals_mm, None),
-        ("after geometry", "after", e.fit.residuals_mm, None),
-        ("  on poses held out", "", e.held_out_mm, None),
-    ]
-    if e.choice is not None:
-        lines.append(("  held out, corrected", "", e.corrected_mm, None))
-    region = e.in_region
-    if region is not None and region.any() and not region.all():
-        lines += [
-            ("before, region of interest", "before, region", e.fit.nominal_residuals_mm, region),
-            ("after, region of interest", "after, region", e.fit.residuals_mm, region),
-        ]
-        if e.choice is not None:
-            lines.append(("  held out, corrected", "", e.corrected_mm, region))
-    for name, key, values, rows in lines:
-        rms = e.rms(values, rows)
+    for name, key, rms in e.lines():
         made.add_row(name, *[_pm(rms.get(a)) for a in _AXES if a in rms])
         printed = (beside or {}).get(key)
         if printed:

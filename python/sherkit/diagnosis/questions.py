@@ -13,6 +13,7 @@ from scipy import special
 from ..effects import Effect
 from ..errors import SherkitError
 from ..identification import Fit
+from ..notebook import Shown
 from ..readings import ModelFit
 from .case import Case
 from .crossvalidation import HeldOut, held_out
@@ -78,7 +79,7 @@ class StepReport:
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis(Generic[F]):
+class Diagnosis(Shown, Generic[F]):
     """The answers, in the order a person asks.
 
     ``verdict`` is ``adequate``, ``explained``, ``partly explained`` or ``unexplained``. ``ties`` are groups of

@@ -185,6 +185,8 @@ def _panel(sources: dict[str, ColumnDataSource], k: int, name: str, state: Again
     made.yaxis.axis_label = f"{name}, {unit}"
     last = k == len(state.now.names) - 1
     made.xaxis.axis_label = quantity(state.variable) if last else None
+    if last:
+        made.xaxis[0].name = "against_axis"
     made.xaxis.major_label_text_font_size = FONT_SIZE if last else "0px"
     made.add_layout(Span(location=0, dimension="width", line_color=MUTED, line_width=1))
     for edge in sources["noise"].data[f"n{k}"]:

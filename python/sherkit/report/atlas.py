@@ -23,7 +23,7 @@ from .style import ADDED, INK, figure, padded, quantity
 
 Floats = NDArray[np.float64]
 
-_TILE = 210
+_TILE = 176
 _PER_ROW = 5
 _MOST_ARROWS = 120
 

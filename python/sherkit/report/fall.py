@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from bokeh.models import FactorRange, Label, Span
 
+from ..diagnosis import Diagnosis
+from ..study import Study
 from .picture import Picture, Tables, single, sources_of
 from .style import COLOURS, FONT, FONT_SIZE, INK, MARKERS, figure, hover, legend
 
@@ -34,6 +36,20 @@ class Fall:
     noise: Mapping[str, float]
     unit: str
     required: float | None = None
+
+
+def fall_of(study: Study, found: Diagnosis[Any] | None = None, required: float | None = None) -> Fall:
+    """The fall of a study, with the noise that a diagnosis knows."""
+    rungs = [
+        Rung(
+            s.action,
+            {name.rsplit("_", 1)[0]: v for name, v in s.held_out_rms_um.items()},
+            {name.rsplit("_", 1)[0]: v for name, v in s.training_rms_um.items()},
+        )
+        for s in study.history
+    ]
+    known = found is not None and found.noise_origin != "unknown"
+    return Fall(rungs, found.noise if found is not None and known else {}, "µm", required)
 
 
 def fall(state: Fall) -> Picture[Fall]:

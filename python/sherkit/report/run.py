@@ -36,7 +36,8 @@ def run_in_time(left: Left) -> Picture[Left]:
         figures.append(lower)
     figures[-1].xaxis.axis_label = "time, s" if "time_s" in left.variables else "reading"
     n = len(left)
-    note = f"{MOST_POINTS} of {n} readings are drawn, chosen at random." if n > MOST_POINTS else f"All {n} readings."
+    drawn = f"{MOST_POINTS} of {n} readings, chosen at random" if n > MOST_POINTS else f"all {n} readings"
+    note = f"What the model leaves, in the order of the run: {drawn}."
     return Picture("run", stacked("run", figures, sizing_mode="stretch_width"), sources, _tables, note=note)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from bokeh.models import HoverTool, LogAxis, Range1d
+from bokeh.models import BasicTickFormatter, FixedTicker, HoverTool, LogAxis, Range1d
 from bokeh.palettes import interp_palette
 from bokeh.plotting import figure as bokeh_figure
 
@@ -39,7 +39,8 @@ def figure(**settings: Any) -> Any:
         axis.axis_line_color = axis.major_tick_line_color = MUTED
         axis.minor_tick_line_color = None
         if isinstance(axis, LogAxis):
-            axis.ticker.mantissas = [1, 2, 5]
+            axis.ticker = FixedTicker(ticks=[m * 10.0**k for k in range(-6, 9) for m in (1, 2, 5)])
+            axis.formatter = BasicTickFormatter(use_scientific=False)
     made.grid.grid_line_color = "#eeeeee"
     made.title.text_font_size = FONT_SIZE
     made.title.text_font = FONT

@@ -19,7 +19,7 @@ from .style import FONT, FONT_SIZE, INK, MUTED, REFUSED, SEQUENTIAL, figure, hov
 Floats = NDArray[np.float64]
 
 _PER_SIDE = 41
-_PANEL = 290
+_PANEL = 250
 
 
 @dataclass(frozen=True, eq=False)

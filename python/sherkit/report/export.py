@@ -1,0 +1,85 @@
+"""Pictures as files: HTML that opens without a network, PNG and SVG drawn by a browser of this machine."""
+
+from __future__ import annotations
+
+import base64
+import html as escaping
+import re
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from bokeh.embed import file_html
+from bokeh.resources import INLINE
+
+from ..errors import SherkitError
+from .picture import Picture
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+_TIMEOUT_S = 60
+
+_DRAW = """
+<script>
+(async () => {
+  const wait = ms => new Promise(done => setTimeout(done, ms))
+  let view = null
+  for (let k = 0; k < 200 && !view?.is_idle; k++) { await wait(25); view = window.Bokeh?.index?.roots?.[0] ?? null }
+  await wait(50)
+  const blob = await view.export("KIND", true).to_blob()
+  const bytes = new Uint8Array(await blob.arrayBuffer())
+  let text = ""
+  for (const byte of bytes) text += String.fromCharCode(byte)
+  document.body.innerHTML = '<pre id="drawn">' + btoa(text) + "</pre>"
+})()
+</script>
+"""
+
+
+def picture_html(picture: Picture[Any], title: str = "") -> str:
+    """A picture as one HTML file that asks nothing of a network."""
+    return file_html(picture.root, INLINE, title or picture.name)
+
+
+def save_picture(picture: Picture[Any], path: str | Path, *, width_px: int = 1100) -> None:
+    """Writes HTML, PNG or SVG, by the ending of the name.
+
+    PNG and SVG are drawn by Chromium. Raises :class:`~sherkit.errors.SherkitError` for another ending, or where no
+    browser is found.
+    """
+    path = Path(path)
+    kind = path.suffix.lower().lstrip(".")
+    if kind == "html":
+        path.write_text(picture_html(picture), encoding="utf-8")
+        return
+    if kind not in ("png", "svg"):
+        raise SherkitError(f"{path}: a picture is written as .html, .png or .svg")
+    path.write_bytes(_drawn(picture_html(picture), kind, width_px))
+
+
+def browser() -> str | None:
+    """The browser of this machine that can draw, or None."""
+    return next((found for found in map(shutil.which, BROWSERS) if found), None)
+
+
+def _drawn(page: str, kind: str, width_px: int) -> bytes:
+    program = browser()
+    if program is None:
+        raise SherkitError(f"a picture as {kind.upper()} needs a browser: none of {', '.join(BROWSERS)} was found")
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "picture.html"
+        file.write_text(page.replace("</body>", _DRAW.replace("KIND", kind) + "</body>"), encoding="utf-8")
+        command = [
+            program, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder}/profile",
+            f"--window-size={width_px},1000", "--virtual-time-budget=15000", "--dump-dom", file.as_uri(),
+        ]  # fmt: skip
+        try:
+            done = subprocess.run(command, capture_output=True, timeout=_TIMEOUT_S, check=False, text=True)
+        except subprocess.TimeoutExpired:
+            raise SherkitError(f"{program} did not draw the picture within {_TIMEOUT_S} s") from None
+    found = re.search(r'<pre id="drawn">([^<]*)</pre>', done.stdout)
+    if found is None:
+        said = done.stderr.strip().splitlines()
+        raise SherkitError(f"{program} did not draw the picture{': ' + said[-1] if said else ''}")
+    return base64.b64decode(escaping.unescape(found.group(1)))

@@ -1,0 +1,101 @@
+"""States of one run that a reader can switch between without a server: the model as it came, with each single effect
+added, and every step of the chosen path. Packed as numbers in text, for the offline report.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..diagnosis import Diagnosis
+from ..diagnosis.questions import case_of
+from ..diagnosis.search import moment_of_step
+from ..effects import Effect
+from ..errors import SherkitError
+from .against import gained, means, points, shown
+from .left import Left, left_of
+from .picture import Picture, Table
+from .residual_map import Change
+
+_MOST_SINGLE = 14
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A fit to look at: its title and what it leaves."""
+
+    title: str
+    left: Left
+
+
+def states_of(found: Diagnosis[Any], path: Sequence[tuple[str, Any]], effects: Sequence[Effect] = ()) -> list[State]:
+    """The model as diagnosed, each single addition that could be fitted, then the steps of ``path`` (title and fit).
+
+    ``effects`` are the user's own. An effect that cannot be fitted alone is left out.
+    """
+    case = case_of(found.base)
+    out = [State("the model as it came", left_of(found.base))]
+    known = {e.name: e for e in (*case.catalogue, *effects)}
+    taken = {title for title, _ in path}
+    for candidate in found.candidates[:_MOST_SINGLE]:
+        effect = known.get(candidate.effect)
+        title = f"with {candidate.effect}"
+        if effect is None or title in taken:
+            continue
+        settings: dict[str, float] = {}
+        try:
+            if effect.search == "time_s":
+                moment = moment_of_step(case, effect)
+                if moment is None:
+                    continue
+                settings["time_s"] = moment
+            out.append(State(title, left_of(case.refit([(effect, settings)]).fit)))
+        except SherkitError:
+            continue
+    return out + [State(title, left_of(fit)) for title, fit in path]
+
+
+def packed(states: Sequence[State], maps: Picture[Change]) -> dict[str, Any]:
+    """What a page needs to move both pictures to any of the states, and the lower one to any variable.
+
+    Keys are names of sources; only columns that change are held. Numbers are base64 of little-endian float32.
+    """
+    base = states[0].left
+    variables = list(base.variables)
+    out: dict[str, Any] = {"titles": [s.title for s in states], "variables": variables, "states": []}
+    out["values"] = {name: _numbers(_at(base, name)) for name in variables}
+    for state in states:
+        change = Change(base, state.left, states[0].title, state.title)
+        tables = {name: _text(t) for name, t in maps.tables(change).items() if name.startswith("after")}
+        rows = points(state.left)
+        tables["points"] = {key: _numbers(rows[key]) for key in rows if key.startswith("r") and key != "row"}
+        by_variable = {
+            name: {"mean": _text(means(state.left, name)), "gained": _text(gained(base, state.left, name))}
+            for name in variables
+        }
+        out["states"].append({"tables": tables, "against": by_variable})
+    return out
+
+
+def _at(left: Left, name: str) -> Any:
+    return left.variables[name][shown(left)]
+
+
+def _text(table: Table) -> dict[str, Any]:
+    """A table as text: floats packed, words as they are; what only a server needs is left out."""
+    out: dict[str, Any] = {}
+    for key, column in table.items():
+        if key in ("rows", "lines", "n"):
+            continue
+        out[key] = (
+            list(column) if column is not None and len(column) and isinstance(column[0], str) else _numbers(column)
+        )
+    return out
+
+
+def _numbers(values: Any) -> str:
+    return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode("ascii")

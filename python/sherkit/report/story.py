@@ -1,0 +1,267 @@
+"""The report: one HTML file that opens without a network and answers in the order in which a person asks.
+
+Numbers and verdicts are plain HTML, so that it reads without JavaScript too; the pictures are Bokeh's, in the file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bokeh.embed import components
+from bokeh.resources import Resources
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from .. import _core, paper
+from ..calibrate import Experiment, Result
+from ..calibration import Calibration
+from ..diagnosis import Diagnosis, sentence
+from ..errors import SherkitError
+from ..names import listed
+from ..pictures import Panel, residual_maps, round_bar
+from ..study import Study
+from .against import Against, against
+from .atlas import atlas_of, signature_atlas
+from .candidates import candidates
+from .fall import fall, fall_of
+from .left import Left, left_of
+from .noise import noise_picture
+from .parameters import correlations, directions, parameters
+from .picture import Picture
+from .residual_map import Change, planes_of, residual_map
+from .run import run_in_time
+from .states import packed, states_of
+from .style import number, quantity
+from .workspace import NextPoses, accuracy_map, accuracy_of, next_poses
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that a report was made from, with the SHA-256 of its bytes."""
+
+    name: str
+    sha256: str
+
+    @classmethod
+    def of(cls, path: str | Path) -> Source:
+        """Reads and hashes a file."""
+        return cls(str(path), hashlib.sha256(Path(path).read_bytes()).hexdigest())
+
+
+@dataclass(frozen=True, eq=False)
+class Story:
+    """What a report tells. ``study`` is at the state that is told last; ``found`` was asked of ``found.base``.
+
+    ``calibration`` is what the report says how to use; ``result`` a calibration run with its tables. ``command`` makes
+    the report again from ``sources``. ``simulated`` says so at the top, and sets the paper's figures beside.
+    """
+
+    title: str
+    study: Study
+    found: Diagnosis[Any]
+    command: str
+    sources: Sequence[Source]
+    calibration: Calibration | None = None
+    result: Result | None = None
+    simulated: bool = False
+    #: Lines that a command adds: what else was measured, in sentences.
+    remarks: Sequence[str] = field(default_factory=tuple)
+
+
+def write_report(story: Story, path: str | Path) -> None:
+    """Writes the report as one HTML file. Raises ``OSError`` where it cannot be written."""
+    Path(path).write_text(html(story), encoding="utf-8")
+
+
+def html(story: Story) -> str:
+    """The report as HTML. Every text from files is escaped."""
+    pictures, swaps = _pictures(story)
+    script, places = components({name: one.root for name, one in pictures.items()}, wrap_script=True)
+    resources = Resources(mode="inline", components=["bokeh"])
+    environment = Environment(
+        loader=PackageLoader("sherkit.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters |= {"number": number, "p": _p, "quantity": quantity, "listed": listed, "rms": _rms}
+    return environment.get_template("story.html").render(
+        story=story,
+        found=story.found,
+        study=story.study,
+        left=left_of(story.found.base),
+        final=left_of(story.study.fit),
+        lines=_error_lines(story),
+        parameters=_parameter_lines(story),
+        directions=[str(d) for d in getattr(story.study.fit, "badly_observed", ())],
+        unobserved=[str(d) for d in getattr(story.study.fit, "unobserved", ())],
+        accuracy=_accuracy_lines(story.calibration),
+        measured=_measured(story),
+        signature=sentence(story.found.signature) if story.found.signature else None,
+        notes={name: one.note for name, one in pictures.items()},
+        places=places,
+        script=script,
+        bokeh=resources.render_js(),
+        swaps=json.dumps(swaps) if swaps else None,
+        variables=[(k, quantity(name)) for k, name in enumerate(swaps["variables"])] if swaps else [],
+        titles=list(enumerate(swaps["titles"])) if swaps else [],
+        still=_still(story),
+        machine=json.dumps(story.found.to_json(), allow_nan=False).replace("</", "<\\/"),
+        required=paper.REQUIREMENT_UM,
+        versions=[("sherkit", _core.__version__), ("Python", platform.python_version()),
+                  *((name, version(name)) for name in ("numpy", "scipy", "polars", "bokeh"))],
+        made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+    )  # fmt: skip
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _p(value: float) -> str:
+    return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
+
+
+def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | None]:
+    """All pictures that these rows allow, and the tables to switch them by."""
+    study, found = story.study, story.found
+    before, after = left_of(found.base), left_of(study.fit)
+    out: dict[str, Picture[Any]] = {}
+    swaps: dict[str, Any] | None = None
+    path = [(f"with {listed(s.effects)}", s.fit) for s in study.history if s.fit is not None and s.effects]
+    states = states_of(found, path, tuple(study.own.values()))
+    out["residual_map"] = residual_map(Change(before, states[-1].left, states[0].title, states[-1].title))
+    if before.variables:
+        variable = _leading(found, before)
+        out["against"] = against(Against(states[-1].left, variable, before if len(states) > 1 else None))
+        swaps = packed(states, out["residual_map"]) | {"start": list(before.variables).index(variable)}
+    if found.candidates:
+        out["candidates"] = candidates(found)
+        out["atlas"] = signature_atlas(atlas_of(found.base, tuple(study.own.values())))
+    out["fall"] = fall(fall_of(study, found, paper.REQUIREMENT_UM))
+    out["parameters"] = parameters(study.fit)
+    out["correlations"] = correlations(study.fit)
+    if getattr(study.fit, "badly_observed", ()):
+        out["directions"] = directions(study.fit)
+    if story.calibration is not None:
+        out["accuracy"] = accuracy_map(accuracy_of(story.calibration, paper.REQUIREMENT_UM))
+    if found.next_poses:
+        out["next_poses"] = next_poses(NextPoses(found.next_poses, before))
+    out["noise_before"], out["noise_after"] = noise_picture(before), noise_picture(after)
+    out["run"] = run_in_time(after)
+    return out, swaps
+
+
+def _leading(found: Diagnosis[Any], left: Left) -> str:
+    """The variable on which the error depends most clearly."""
+    known = [d.variable for d in found.where if d.variable in left.variables]
+    return known[0] if known else next(iter(left.variables))
+
+
+def _still(story: Story) -> str | None:
+    """The residual map as plain SVG, for readers without JavaScript."""
+    before, after = left_of(story.found.base), left_of(story.study.fit)
+    names = list(before.place)
+    if len(names) < 2 or before.unit != "µm" or len(before.names) < 3:
+        return None
+    name, here = max(planes_of(before.place, len(before)), key=lambda plane: int(plane[1].sum()))
+    first = np.unique(before.group[here], return_index=True)[1]
+    rows = np.flatnonzero(here)[first][:400]
+    place = np.stack([before.place.get(n, np.zeros(len(before)))[rows] for n in (*names[:2], names[-1])], axis=1)
+    panels = []
+    bar = round_bar(1e-3 * np.nan_to_num(before.values[rows]))
+    for title, one in (("before", before), ("after", after)):
+        panels.append(Panel(f"{title}, {name}".rstrip(", "), place, 1e-3 * np.nan_to_num(one.values[rows]), bar))
+    return residual_maps(panels, "Measured minus predicted. Arrows: x and y; blue: lower, orange: higher.")
+
+
+def _measured(story: Story) -> list[tuple[str, str]]:
+    """What was measured, as pairs of a question and its answer."""
+    data, left = story.study.data, left_of(story.study.fit)
+    poses = len(np.unique(data.groups))
+    repeats = f"{len(data) / poses:.3g} readings of each on average" if poses < len(data) else "each read once"
+    out = [("run", data.source), ("rows", f"{len(data)} at {poses} poses, {repeats}")]
+    for name, values in left.place.items():
+        label, unit = quantity(name).partition(", ")[::2]
+        out.append((f"range of {label}", f"{values.min():.4g} to {values.max():.4g} {unit}"))
+    origin = {
+        "declared": "as the file declares",
+        "repeats": "from repeats of poses",
+        "unknown": "unknown: neither repeats nor declared; this is what the model leaves",
+    }[story.found.noise_origin]
+    noise = ", ".join(f"{axis} {number(value)} {story.found.unit}" for axis, value in story.found.noise.items())
+    out.append(("noise of a reading (1 σ)", f"{noise}, {origin}"))
+    if story.found.correlation_in_time:
+        out.append(("correlation of the noise", f"{story.found.correlation_in_time:.2f} from row to row"))
+    columns = [n for n in left.variables if n not in left.place]
+    out.append(("further columns", listed(columns, 20) or "none"))
+    if data.outlier.any():
+        out.append(("marked as outliers, not fitted", f"{left.counted}s {listed(data.line[data.outlier], 30)}"))
+    if len(story.found.outliers):
+        out.append(("suspected outliers", f"{left.counted}s {listed(data.line[story.found.outliers], 30)}"))
+    return out + [("remark", text) for text in story.remarks]
+
+
+def _error_lines(story: Story) -> list[dict[str, Any]]:
+    """Table I of every run: lines with their cells, the paper's beside them in a simulation of its experiments."""
+    out = []
+    if story.result is not None:
+        for key, one in (("whole", story.result.whole), ("local", story.result.local)):
+            if one is not None:
+                out.append(_table_one(one, key, story.simulated))
+    return out
+
+
+def _table_one(experiment: Experiment, key: str, beside: bool) -> dict[str, Any]:
+    axes = list(experiment.lines()[0][2])
+    rows: list[tuple[str, list[str], bool]] = []
+    for name, printed, rms in experiment.lines():
+        rows.append((name.strip(), [f"{rms[a][0]:.1f} ± {rms[a][1]:.1f}" if a in rms else "" for a in axes], False))
+        figures: Mapping[str, tuple[int, int]] = paper.TABLE_I[key].get(printed, {}) if beside else {}
+        if figures:
+            rows.append(("the paper's robot", [f"{v[0]} ± {v[1]}" for v in figures.values()], True))
+    repeats = experiment.fit.data.repeatability
+    if repeats:
+        cells = [f"± {1e3 * repeats.sigma_mm[a]:.1f}" if a in repeats.sigma_mm else "" for a in axes]
+        rows.append(("repeatability (1 σ)", cells, False))
+    title = {"whole": "the whole workspace", "local": "the region of interest"}[key]
+    return {"title": title, "axes": [a[:-3] for a in axes], "rows": rows}
+
+
+def _parameter_lines(story: Story) -> list[tuple[str, str, str, str, str, str]]:
+    fit = story.study.fit
+    out = []
+    for p, v, r, s in zip(fit.parameters, fit.values, fit.std_from_readings, fit.std, strict=True):
+        angle = p.unit == "rad"
+        factor, unit = (float(np.rad2deg(1.0)), "°") if angle else (1.0, p.unit)
+        cells = [f"{x * factor:.4g}" for x in (r, s)]
+        out.append((p.name, p.symbol, f"{v * factor:+.5g}", cells[0], cells[1], unit))
+    return out
+
+
+def _accuracy_lines(calibration: Calibration | None) -> list[tuple[str, str, str]]:
+    """Predicted accuracy at places a person would ask for."""
+    if calibration is None:
+        return []
+    robot = calibration.robot
+    points = [("centre", (0.0, 0.0, 0.0))]
+    if robot.region_half_width_mm:
+        half = robot.region_half_width_mm
+        points.append(("corner of the region of interest", (half, half, half)))
+    if robot.workspace_radius_mm and robot.workspace_z_mm:
+        points.append(("rim of the workspace", (robot.workspace_radius_mm, 0.0, robot.workspace_z_mm[1])))
+    out = []
+    for name, x in points:
+        try:
+            text = f"{1e3 * calibration.accuracy(x):.1f} µm"
+            text += "" if calibration.measured(x) else " (extrapolated: no pose was measured there)"
+        except SherkitError as error:
+            text = str(error)
+        out.append((name, ", ".join(f"{v:g}" for v in x), text))
+    return out
