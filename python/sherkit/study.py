@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from .robots.file import robot_from_tables
 from .validation import hold_out
 
 _FORMAT = 1
+_FOLLOWED = "the run so far"
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,12 +191,44 @@ class Study(Shown):
         marked = self.data.mark_outliers(np.asarray(rows, dtype=np.int64))
         return self._change(self.model, marked, f"{len(rows)} rows marked as outliers")
 
+    def follow(self, data: Measurements) -> Step:
+        """Takes the same run with the rows that were added to it since, keeps the marks, and refits.
+
+        Steps that follow one another make one step of the history. Raises
+        :class:`~sherkit.errors.MeasurementError` where the rows so far are not the first ones of ``data``.
+        """
+        known = len(self.data)
+        first = data.select(np.arange(min(known, len(data))))
+        same = len(first) == known and np.array_equal(first.joints_mm, self.data.joints_mm)
+        if not same or not np.array_equal(first.readings_mm, self.data.readings_mm):
+            raise MeasurementError(f"{data.source}: its first {known} rows are no longer those that were read before")
+        marked = data.mark_outliers(np.flatnonzero(self.data.outlier))
+        if self.history[-1].action.startswith(_FOLLOWED):
+            before = self.history.pop()
+            self.data = marked
+            try:
+                return self._record(f"{_FOLLOWED}: {len(data)} rows")
+            except SherkitError:
+                self.history.append(before)
+                raise
+        return self._change(self.model, marked, f"{_FOLLOWED}: {len(data)} rows")
+
     def calibration(self) -> Calibration:
         """The model to deploy: what was identified, and a Bernstein correction where one helps on held-out blocks."""
         held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss).residuals_mm
         full = self.data.taken[:, :3].all(axis=1) & ~self.data.outlier
         choice = choose_correction(self.fit, seed=self.seed) if full.sum() >= 20 else None
         return Calibration(self.robot, Experiment(self.fit, held, choice, None).part())
+
+    def register(self, effect: Effect) -> None:
+        """Makes a user's effect one that diagnosis tries and :meth:`add` knows by name; a newer one replaces it.
+
+        Raises :class:`~sherkit.errors.EffectError` for one that is none, or whose namesake is in the model.
+        """
+        if effect.name in self.effects:
+            raise EffectError(f"'{effect.name}' is in the model; remove it before you change it")
+        self._register(effect)
+        self._diagnosis = None
 
     def _register(self, effect: Effect) -> None:
         if effect.name in CATALOGUE:
@@ -210,16 +243,16 @@ class Study(Shown):
         """Writes robot, rows and steps into a folder that :meth:`load` reads back without loss."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        self.data.save(folder / "rows.parquet")
         state = {
             "format": _FORMAT,
             "robot": self.robot.to_tables(),
             "source": self.data.source,
-            "free": list(self.model.free),
-            "effects": list(self.effects),
-            "period_mm": self.model.period_mm,
-            "slip_time_s": self.model.slip_time_s,
-            "time_origin_s": self.model.time_origin_s,
+            **_model_state(self.model),
+            # rows are only ever added, and marked
+            "undo": [
+                {**_model_state(model), "rows": len(data), "outliers": np.flatnonzero(data.outlier).tolist()}
+                for model, data in self._undone
+            ],
             "seed": self.seed,
             "loss": self.loss,
             "history": [
@@ -234,11 +267,15 @@ class Study(Shown):
                 for s in self.history
             ],
         }
-        (folder / "study.json").write_text(json.dumps(state, indent=2), encoding="utf-8")
+        # both are whole at every moment: a crash leaves the old ones or the new ones
+        self.data.save(folder / "next.rows.parquet")
+        (folder / "next.study.json").write_text(json.dumps(state, indent=2), encoding="utf-8")
+        for name in ("rows.parquet", "study.json"):
+            (folder / f"next.{name}").replace(folder / name)
 
     @classmethod
     def load(cls, folder: str | Path, *, effects: Sequence[Effect] = ()) -> Study:
-        """Reads a study. User effects must be given again; no code is ever loaded from the folder.
+        """Reads a study, with what can be undone. User effects must be given again; no code is loaded from the folder.
 
         Raises :class:`~sherkit.errors.EffectError` where one is missing, :class:`~sherkit.errors.SherkitError`.
         """
@@ -256,14 +293,12 @@ class Study(Shown):
         study.own, study._undone, study._diagnosis = {}, [], None
         for effect in effects:
             study._register(effect)
-        study.model = DeltaModel(
-            robot,
-            tuple(state["free"]),
-            effects_by_name(state["effects"], tuple(study.own.values())),
-            period_mm=state["period_mm"],
-            slip_time_s=state["slip_time_s"],
-            time_origin_s=state["time_origin_s"],
-        )
+        study.model = study._model_from(state)
+        for undone in state.get("undo", []):
+            rows = study.data.select(np.arange(int(undone["rows"])))
+            marked = np.zeros(len(rows), dtype=bool)
+            marked[undone["outliers"]] = True
+            study._undone.append((study._model_from(undone), replace(rows, outlier=marked)))
         study._fit = identify(study.model, study.data, loss=study.loss)
         study.history = [
             Step(
@@ -278,6 +313,16 @@ class Study(Shown):
             for s in state["history"]
         ]
         return study
+
+    def _model_from(self, state: Mapping[str, Any]) -> DeltaModel:
+        return DeltaModel(
+            self.robot,
+            tuple(state["free"]),
+            effects_by_name(state["effects"], tuple(self.own.values())),
+            period_mm=state["period_mm"],
+            slip_time_s=state["slip_time_s"],
+            time_origin_s=state["time_origin_s"],
+        )
 
     def _fit_of(self, effects: Sequence[str], training_rms_um: dict[str, float]) -> Fit | None:
         """The fit of an earlier step, where the rows of today give what it left."""
@@ -295,6 +340,16 @@ class Study(Shown):
             axes = ", ".join(f"{k[:-3]} {v:.1f}" for k, v in s.held_out_rms_um.items())
             lines.append(f"  {s.action:<32} held out {axes} µm")
         return "\n".join(lines)
+
+
+def _model_state(model: DeltaModel) -> dict[str, Any]:
+    return {
+        "free": list(model.free),
+        "effects": [e.name for e in model.effects],
+        "period_mm": model.period_mm,
+        "slip_time_s": model.slip_time_s,
+        "time_origin_s": model.time_origin_s,
+    }
 
 
 def joined(first: Measurements, second: Measurements) -> Measurements:

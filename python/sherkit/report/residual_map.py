@@ -31,8 +31,9 @@ _SLABS = 3
 _FLAT = 0.3
 #: Radius, in standard deviations, within which 95 of 100 two-dimensional Gaussian errors lie.
 _CIRCLE = 2.4477
-_PANEL_WIDTH = 400
-_ROW_WIDTH, _NARROWEST = 870, 220
+_NARROWEST = 220
+#: What the axis of a panel takes of its width, px.
+_AROUND = 55
 #: Height of a panel by its width, at the least and at the most.
 _FLATTEST, _TALLEST = 0.35, 1.2
 
@@ -59,38 +60,48 @@ class _Panels:
     y: Floats
 
 
-def residual_map(change: Change, *, planes_across: bool = False) -> Picture[Change]:
+def residual_map(change: Change, *, planes_across: bool = False, width_px: int = 870) -> Picture[Change]:
     """Arrows of the error, before and after side by side on one scale, a row of panels for each plane.
 
-    ``planes_across`` puts planes side by side instead, before above after: wider and less high. Where the run moved
-    along one coordinate only, arrows stand along a line.
+    ``planes_across`` puts planes side by side instead, before above after: wider and less high. ``width_px`` is that of
+    all panels together. Where the run moved along one coordinate only, arrows stand along a line.
     """
     panels = _cut(change.before)
     scale = _Scale(change, panels)
-    first = _tables(change, panels, scale)
-    sources = sources_of(first)
+    sources = sources_of(_tables(change, panels, scale))
     mapper = LinearColorMapper(palette=DIVERGING, low=-scale.colour, high=scale.colour)
     count = len(panels.names)
     planes_across = planes_across and count > 1
-    width = _PANEL_WIDTH if not planes_across else max(_ROW_WIDTH // count, _NARROWEST)
+    columns = count if planes_across else 2
+    width = max(width_px // columns, _NARROWEST) - _AROUND
     order = [(moment, k) for k in range(count) for moment in ("before", "after")]
     if planes_across:
         order.sort(key=lambda one: one[0] == "after")
-    figures = [_panel(sources, k, moment, panels, mapper, scale, change.before, width) for moment, k in order]
-    if scale.coloured:
+    ranges = scale.ranges
+    figures = [_panel(sources, k, moment, panels, mapper, ranges, change.before, width) for moment, k in order]
+    ticker = FixedTicker(ticks=[-scale.colour, 0.0, scale.colour])
+    if len(change.before.names) > 2:
         unit = f"{change.before.names[2]}, {change.before.unit}"
         bar = ColorBar(
             color_mapper=mapper, title=unit, title_text_font_size=FONT_SIZE, major_label_text_font_size=FONT_SIZE,
-            title_text_font=FONT, major_label_text_font=FONT, width=14, title_text_font_style="normal",
-            ticker=FixedTicker(ticks=[-scale.colour, 0.0, scale.colour]),
+            title_text_font=FONT, major_label_text_font=FONT, width=14, title_text_font_style="normal", ticker=ticker,
         )  # fmt: skip
-        figures[(count if planes_across else 2) - 1].add_layout(bar, "right")
+        figures[columns - 1].add_layout(bar, "right")
+    current = scale
 
     def tables(state: Change) -> Tables:
-        return _tables(state, panels, scale)
+        return _tables(state, panels, current)
 
-    root = stacked("residual_map", figures, columns=count if planes_across else 2)
-    return Picture("residual_map", root, sources, tables, note=_note(change))
+    def tune(state: Change) -> None:
+        nonlocal current
+        current = _Scale(state, panels)
+        mapper.low, mapper.high = -current.colour, current.colour
+        ticker.ticks = [-current.colour, 0.0, current.colour]
+        for one, new in zip(ranges, current.ranges, strict=True):
+            one.start, one.end = new.start, new.end
+
+    root = stacked("residual_map", figures, columns=columns)
+    return Picture("residual_map", root, sources, tables, tune, note=_note(change))
 
 
 def _note(change: Change) -> str:
@@ -296,12 +307,12 @@ def _ranges(panels: _Panels, arrows: Sequence[Table], per_unit: float) -> tuple[
 
 def _panel(
     sources: dict[str, ColumnDataSource], k: int, moment: str, panels: _Panels, mapper: LinearColorMapper,
-    scale: _Scale,
+    ranges: tuple[Range1d, Range1d],
     left: Left,
     width: int,
 ) -> Any:  # fmt: skip
     source, key = sources[f"{moment}_{k}"], sources[f"{moment}_{k}_key"]
-    x_range, y_range = scale.ranges
+    x_range, y_range = ranges
     ratio = (float(y_range.end) - float(y_range.start)) / (float(x_range.end) - float(x_range.start))
     made = figure(
         frame_width=width, frame_height=int(width * (ratio if panels.up else _FLATTEST)),
