@@ -171,6 +171,11 @@ class Study(Shown):
             raise EffectError(f"'{name}' is not in the model; it has {listed(self.effects) or 'no effects'}")
         return self._change(self.model.without_effect(name), self.data, f"removed {name}")
 
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is a change to take back."""
+        return bool(self._undone)
+
     def undo(self) -> Step:
         """Takes the last change back. Raises :class:`~sherkit.errors.EffectError` where there is none."""
         if not self._undone:
@@ -298,7 +303,10 @@ class Study(Shown):
             rows = study.data.select(np.arange(int(undone["rows"])))
             marked = np.zeros(len(rows), dtype=bool)
             marked[undone["outliers"]] = True
-            study._undone.append((study._model_from(undone), replace(rows, outlier=marked)))
+            try:
+                study._undone.append((study._model_from(undone), replace(rows, outlier=marked)))
+            except EffectError:  # an effect of the user's that is no longer given: what lies before it is out of reach
+                study._undone.clear()
         study._fit = identify(study.model, study.data, loss=study.loss)
         study.history = [
             Step(
@@ -326,7 +334,10 @@ class Study(Shown):
 
     def _fit_of(self, effects: Sequence[str], training_rms_um: dict[str, float]) -> Fit | None:
         """The fit of an earlier step, where the rows of today give what it left."""
-        model = replace(self.model, effects=effects_by_name(effects, tuple(self.own.values())))
+        try:
+            model = replace(self.model, effects=effects_by_name(effects, tuple(self.own.values())))
+        except EffectError:  # an effect of the user's that is no longer given
+            return None
         fit = identify(model, self.data, loss=self.loss)
         rms = fit.rms_um()
         same = rms.keys() == training_rms_um.keys() and np.allclose(

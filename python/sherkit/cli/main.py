@@ -10,6 +10,7 @@ import click
 from .. import _core
 from ..errors import SherkitError
 from . import output
+from .app import app
 from .calibrate import calibrate
 from .demo import demo
 from .diagnose import diagnose
@@ -24,6 +25,7 @@ def cli() -> None:
     """sherkit finds the physics that a robot's model is missing."""
 
 
+cli.add_command(app)
 cli.add_command(calibrate)
 cli.add_command(demo)
 cli.add_command(diagnose)

@@ -60,9 +60,10 @@ def note(left: Left) -> str:
         if n > MOST_POINTS
         else ""
     )
+    noise = " Dotted: the noise, ±2 σ." if left.noise_origin != "unknown" else ""
     return (
         "Points are single readings, the line their running mean, the band two standard errors of it (counted by "
-        f"poses).{few} Dotted: the noise, ±2 σ. Where effects were added, grey points are the error before them and "
+        f"poses).{few}{noise} Where effects were added, grey points are the error before them and "
         "the dashed line through these is what the effects explain."
     )
 
@@ -192,7 +193,11 @@ def _panel(sources: dict[str, ColumnDataSource], k: int, name: str, state: Again
     for edge in sources["noise"].data[f"n{k}"]:
         made.add_layout(Span(location=edge, dimension="width", line_color=MUTED, line_width=1, line_dash="dotted"))
     colour = COLOURS[k % len(COLOURS)]
-    made.scatter("v", f"r{k}", source=sources["earlier"], size=3, color=PLAIN, alpha=0.25, line_color=None)
+    few = len(state.now) < _FEW_ROWS
+    made.scatter(
+        "v", f"r{k}", source=sources["earlier"], size=6 if few else 3, color=PLAIN, alpha=0.6 if few else 0.25,
+        line_color=None,
+    )  # fmt: skip
     dots = made.scatter(
         "v", f"r{k}", source=sources["points"], marker=MARKERS[k % len(MARKERS)], size="size", color=colour,
         alpha="alpha", line_color=None, nonselection_alpha=0.08,

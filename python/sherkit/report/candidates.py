@@ -18,7 +18,7 @@ _ROW_HEIGHT, _AROUND = 30, 110
 def candidates(found: Diagnosis[Any]) -> Picture[Diagnosis[Any]]:
     """A line for every effect that could be tried: error on poses held out, with two standard errors.
 
-    Filled blue: named by the diagnosis. Grey: tried. Open: only at an implausible size. Effects that the rows cannot
+    Blue: named by the diagnosis. Grey: tried. Crosses: only at an implausible size. Effects that the rows cannot
     tell apart stand together behind a bracket. Dashed: the error without any of them; dotted: the noise.
     """
     sources = sources_of(_tables(found))
@@ -56,8 +56,9 @@ def candidates(found: Diagnosis[Any]) -> Picture[Diagnosis[Any]]:
         made.height = _ROW_HEIGHT * len(_names(new)) + _AROUND
 
     note = (
-        "Filled blue: named by the diagnosis; grey: tried; open: helps only at an implausible size. "
-        "Dashed: the error without any of them. Dotted: the noise."
+        "Error with two standard errors. Blue: named by the diagnosis; grey: tried; a cross: only at an implausible "
+        f"size. Dashed: the error without any of them.{' Dotted: the noise.' if noise else ''}"
+        f"{' Behind a bracket: effects that these rows cannot tell apart.' if found.ties else ''}"
     )
     return Picture("candidates", single("candidates", made), sources, _tables, tune, note=note)
 
@@ -86,8 +87,13 @@ def _reach(found: Diagnosis[Any]) -> tuple[float, float]:
     values = [max(c.held_out_rms, 1e-12) for c in found.candidates] + [found.steps[0].held_out_rms]
     # an addition that overfits a small run may hold out absurdly badly; it need not set the scale
     top = min(max(values), 5 * found.steps[0].held_out_rms)
-    low = min([*values, _noise(found) or np.inf])
-    return 0.8 * low, 1.1 * top * (top / low) ** 0.2
+    low = min([*values, *map(_lowest, found.candidates), _noise(found) or np.inf])
+    return 0.85 * low, 1.1 * top * (top / low) ** 0.2
+
+
+def _lowest(candidate: Any) -> float:
+    """Lower end of the interval; a logarithmic axis has no place for zero."""
+    return float(max(candidate.held_out_rms - 2 * candidate.held_out_std, 0.3 * candidate.held_out_rms, 1e-12))
 
 
 def _tables(found: Diagnosis[Any]) -> Tables:
@@ -100,7 +106,7 @@ def _tables(found: Diagnosis[Any]) -> Tables:
         "link": [c.link for c in order],
         "error": [min(c.held_out_rms, 0.98 * high) for c in order],
         "std": [c.held_out_std for c in order],
-        "low": [max(c.held_out_rms - 2 * c.held_out_std, 0.05 * c.held_out_rms) for c in order],
+        "low": [_lowest(c) for c in order],
         "high": [min(c.held_out_rms + 2 * c.held_out_std, high) for c in order],
         "p": [c.p_value for c in order],
         "largest": [_largest(c) for c in order],

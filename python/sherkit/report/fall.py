@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from bokeh.models import FactorRange, Label, Span
+from bokeh.models import FactorRange, Label, Range1d, Span
 
 from ..diagnosis import Diagnosis
 from ..study import Study
@@ -59,7 +59,10 @@ def fall(state: Fall) -> Picture[Fall]:
     """
     names = _names(state)
     sources = sources_of(_tables(state))
-    made = figure(height=_HEIGHT, sizing_mode="stretch_width", y_axis_type="log", x_range=FactorRange(*_steps(state)))
+    made = figure(
+        height=_HEIGHT, sizing_mode="stretch_width", y_axis_type="log", x_range=FactorRange(*_steps(state)),
+        y_range=Range1d(*_reach(state)),
+    )  # fmt: skip
     made.yaxis.axis_label = f"RMS error, {state.unit}"
     made.xaxis.major_label_orientation = 0.0 if len(state.rungs) <= _LEVEL else 0.5
     renderers = []
@@ -92,11 +95,11 @@ def fall(state: Fall) -> Picture[Fall]:
 
     def tune(new: Fall) -> None:
         made.x_range.factors = _steps(new)
+        made.y_range.start, made.y_range.end = _reach(new)
         made.xaxis.major_label_orientation = 0.0 if len(new.rungs) <= _LEVEL else 0.5
 
-    note = (
-        "Filled: on blocks of poses that the fit had not seen. Open: on the rows it was fitted to. "
-        "Dotted: the noise of each axis; below it nothing can be gained."
+    note = ("Filled: on blocks of poses that the fit had not seen. Open: on the rows it was fitted to.") + (
+        " Dotted: the noise of each axis; below it nothing can be gained." if state.noise else ""
     )
     return Picture("fall", single("fall", made), sources, _tables, tune, note=note)
 
@@ -104,13 +107,22 @@ def fall(state: Fall) -> Picture[Fall]:
 def _say(made: Any, height: float, text: str) -> None:
     """Names a line at the left edge, whatever the steps are."""
     made.add_layout(
-        Label(x=6, x_units="screen", y=height, text=text, text_font_size=FONT_SIZE, text_font=FONT, text_color=INK,
+        Label(x=6, x_units="screen", y=height, y_offset=3, text=text, text_font_size=FONT_SIZE, text_font=FONT, text_color=INK,
               text_baseline="bottom")
     )  # fmt: skip
 
 
 def _names(state: Fall) -> list[str]:
     return list(dict.fromkeys(name for rung in state.rungs for name in rung.held_out))
+
+
+def _reach(state: Fall) -> tuple[float, float]:
+    """Lowest and highest error of the axis: every value has a place there, and so have noise and requirement."""
+    values = [v for rung in state.rungs for side in (rung.held_out, rung.fitted) for v in side.values()]
+    known = [v for v in (*values, *state.noise.values(), state.required or 0.0) if np.isfinite(v) and v > 0] or [1.0]
+    low, high = min(known), max(known)
+    room = max(high / low, 2.0) ** 0.08
+    return low / room, high * room
 
 
 def _steps(state: Fall) -> list[str]:

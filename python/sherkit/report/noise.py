@@ -14,7 +14,7 @@ from .style import COLOURS, INK, MARKERS, figure, hover, legend
 
 Floats = NDArray[np.float64]
 
-_BINS, _CURVE, _QUANTILES = 41, 121, 200
+_BINS, _CURVE, _QUANTILES = (11, 41), 121, 200
 _HEIGHT = 360
 
 
@@ -26,17 +26,13 @@ def noise_picture(left: Left) -> Picture[Left]:
     """
     sources = sources_of(_tables(left))
     known = left.noise_origin != "unknown"
-    unit = "noise, σ" if known else "spread of the rest, σ"
+    unit = "σ of the noise" if known else "σ of the rest itself"
+    curve = "noise" if known else "Gaussian"
     histogram = figure(height=_HEIGHT, sizing_mode="stretch_width")
-    histogram.xaxis.axis_label, histogram.yaxis.axis_label = f"residual over {unit}", "density"
+    histogram.xaxis.axis_label, histogram.yaxis.axis_label = f"residual, {unit}", "density, per σ"
     plot = figure(height=_HEIGHT, sizing_mode="stretch_width")
-    plot.xaxis.axis_label, plot.yaxis.axis_label = (
-        "quantile of a Gaussian, σ",
-        f"quantile of the residuals, over {unit}",
-    )
-    histogram.line(
-        "x", "y", source=sources["normal"], color=INK, line_dash="dashed", line_width=2, legend_label="noise"
-    )
+    plot.xaxis.axis_label, plot.yaxis.axis_label = "quantile of a Gaussian, σ", "quantile of the residuals, σ"
+    histogram.line("x", "y", source=sources["normal"], color=INK, line_dash="dashed", line_width=2, legend_label=curve)
     plot.line("x", "x", source=sources["normal"], color=INK, line_dash="dashed", line_width=2)
     for k, name in enumerate(left.names):
         colour = COLOURS[k % len(COLOURS)]
@@ -50,9 +46,10 @@ def noise_picture(left: Left) -> Picture[Left]:
         plot.add_tools(hover([dots], ("", name), ("Gaussian", "@gauss{0.00} σ"), ("residual", f"@q_{k}{{0.00}} σ")))
     legend(histogram)
     note = (
-        "On the dashed line what remains is noise. Steeper: there is more than noise. Bent ends: some readings are "
-        "wild. The histogram's first and last bars hold whatever lies beyond them."
-    )
+        "On the dashed line what remains is noise. Steeper: there is more than noise."
+        if known
+        else "The noise is not known: what remains is drawn over its own spread, and only its shape says something."
+    ) + " Bent ends: some readings are wild. The histogram's first and last bars hold whatever lies beyond them."
     root = stacked("noise", [histogram, plot], columns=2, sizing_mode="stretch_width")
     return Picture("noise", root, sources, _tables, note=note)
 
@@ -60,7 +57,9 @@ def noise_picture(left: Left) -> Picture[Left]:
 def _tables(left: Left) -> Tables:
     bins: dict[str, Any] = {}
     quantiles: dict[str, Any] = {}
-    edges = np.linspace(-5, 5, _BINS + 1)
+    # few readings in many bars are a comb
+    readings = int(np.isfinite(left.values[~left.outlier]).sum()) / max(len(left.names), 1)
+    edges = np.linspace(-5, 5, int(np.clip(np.sqrt(readings), *_BINS)) // 2 * 2 + 2)
     bins["at"] = 0.5 * (edges[1:] + edges[:-1])
     count = min(int(np.isfinite(left.values).all(axis=1).sum()), _QUANTILES)
     level = (np.arange(count) + 0.5) / max(count, 1)

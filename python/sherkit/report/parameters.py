@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from textwrap import wrap
+
 import numpy as np
 from bokeh.core.properties import value
-from bokeh.models import ColorBar, FactorRange, LinearColorMapper, Range1d, Span, Whisker
-from bokeh.transform import transform
+from bokeh.models import FactorRange, LinearColorMapper, Range1d, Span, Whisker
+from bokeh.transform import dodge, transform
 
 from ..identification import Fit
 from ..readings import ModelFit
 from .picture import Picture, Table, Tables, single, sources_of, stacked
-from .style import ADDED, DIVERGING_AREAS, FONT, FONT_SIZE, INK, MUTED, SEQUENTIAL, figure, hover, padded
+from .style import ADDED, DIVERGING_AREAS, FONT, FONT_SIZE, INK, MUTED, SEQUENTIAL, colour_bar, figure, hover, padded
 
 _ROW_HEIGHT, _AROUND = 26, 80
 _CONFIDENCE = 1.959964
 _MOST_CORRELATED = 40
+_CELL = 24
+#: Letters in a line of a direction's sentence, and height of a line and of a bar, px.
+_LETTERS, _LINE, _BAR = 84, 20, 36
 
 
 def parameters(fit: Fit | ModelFit) -> Picture[Fit | ModelFit]:
@@ -98,20 +103,20 @@ def correlations(fit: Fit | ModelFit) -> Picture[Fit | ModelFit]:
     names = [p.name for p in fit.parameters][:_MOST_CORRELATED]
     sources = sources_of(_correlation_tables(fit))
     mapper = LinearColorMapper(palette=DIVERGING_AREAS, low=-1, high=1)
-    side = max(380, 24 * len(names))
+    side = max(380, _CELL * len(names))
     made = figure(
         frame_width=side, frame_height=side, x_range=FactorRange(*names), y_range=FactorRange(*names[::-1]),
     )  # fmt: skip
     cells = made.rect("a", "b", 1, 1, source=sources["cells"], fill_color=transform("value", mapper), line_color=None)
     made.xaxis.major_label_orientation = np.pi / 2
-    made.axis.major_label_text_font_size = "12px" if len(names) > 16 else FONT_SIZE
-    made.add_layout(
-        ColorBar(color_mapper=mapper, width=14, major_label_text_font_size=FONT_SIZE, title="correlation",
-                 title_text_font_size=FONT_SIZE, title_text_font_style="normal"),
-        "right",
-    )  # fmt: skip
+    made.grid.grid_line_color = None
+    colour_bar(made, mapper, "correlation")
     made.add_tools(hover([cells], ("", "@a with @b"), ("correlation", "@value{0.000}")))
-    return Picture("correlations", single("correlations", made), sources, _correlation_tables)
+    note = (
+        "Near 1 or -1: the readings tell the sum or the difference of two parameters, and hardly each of them. Blue: "
+        "when one is larger, the other is smaller."
+    )
+    return Picture("correlations", single("correlations", made), sources, _correlation_tables, note=note)
 
 
 def _correlation_tables(fit: Fit | ModelFit) -> Tables:
@@ -133,23 +138,39 @@ def directions(fit: Fit) -> Picture[Fit]:
     """Combinations of parameters that the readings fix worst, by how far one standard deviation moves them."""
     sources = sources_of(_direction_tables(fit))
     texts = sources["directions"].data["text"]
-    made = figure(
-        height=56 * max(len(texts), 1) + _AROUND, sizing_mode="stretch_width", y_range=FactorRange(*texts[::-1]),
-    )  # fmt: skip
+    # two sentences may be the same: rows have numbers
+    lines = max((text.count("\n") + 1 for text in texts), default=1)
+    row = _BAR + _LINE * lines
+    made = figure(height=row * max(len(texts), 1) + _AROUND, sizing_mode="stretch_width", y_range=FactorRange())
     made.xaxis.axis_label = "one standard deviation, mm"
-    made.x_range.start = 0
     made.yaxis.visible = False
-    bars = made.hbar("text", right="std", height=0.4, source=sources["directions"], color=SEQUENTIAL[22])
-    # the sentence stands above its bar: it may be long
-    made.text(
-        0, "text", "text", source=sources["directions"], text_font_size=FONT_SIZE, text_font=value(FONT),
-        text_baseline="bottom", y_offset=-14, x_offset=4,
+    made.ygrid.grid_line_color = None
+
+    def tune(new: Fit) -> None:
+        table = _direction_tables(new)["directions"]
+        made.y_range.factors = table["row"][::-1]
+        made.x_range.end = 1.08 * max([*table["std"], 1e-9])
+
+    made.x_range = Range1d(0.0, 1.0)
+    tune(fit)
+    bar = 0.4 * _BAR / row
+    # the bar lies low in its row; the sentence stands above it, since it may be long
+    bars = made.hbar(
+        dodge("row", -0.5 + 1.2 * bar, range=made.y_range), right="std", height=bar, source=sources["directions"],
+        color=SEQUENTIAL[26],
     )  # fmt: skip
-    made.add_tools(hover([bars], ("", "@text"), ("one standard deviation", "@std{0.000} mm")))
-    return Picture("directions", single("directions", made), sources, _direction_tables)
+    made.text(
+        0, dodge("row", -0.5 + 2.0 * bar, range=made.y_range), "text", source=sources["directions"],
+        text_font_size=FONT_SIZE, text_font=value(FONT), text_color=INK, text_baseline="bottom", x_offset=4,
+    )  # fmt: skip
+    made.add_tools(hover([bars], ("", "@text"), ("one standard deviation", "@std{0.0000} mm")))
+    note = "As long as one standard deviation moves these parameters together while the readings hardly change."
+    return Picture("directions", single("directions", made), sources, _direction_tables, tune, note=note)
 
 
 def _direction_tables(fit: Fit) -> Tables:
     found = fit.badly_observed
     # the sentence ends in its size, which the bar shows
-    return {"directions": {"text": [str(d).rsplit(":", 1)[0] for d in found], "std": [d.std_mm for d in found]}}
+    texts = ["\n".join(wrap(str(d).rsplit(":", 1)[0], _LETTERS)) for d in found]
+    rows = [str(k) for k in range(len(found))]
+    return {"directions": {"row": rows, "text": texts, "std": [d.std_mm for d in found]}}

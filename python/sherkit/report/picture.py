@@ -5,8 +5,8 @@ So one builder serves a notebook, the offline report (which holds the tables of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -42,8 +42,8 @@ class Picture(Generic[S]):
     tables: Callable[[S], Tables]
     tune: Callable[[S], None] = lambda _: None
     note: str = ""
-    #: Text of the note where it depends on the state.
-    figures: list[Any] = field(default_factory=list)
+    #: Figures that show what was before; a page hides them where there is nothing to compare with.
+    before: Sequence[Any] = ()
 
     def show(self, state: S) -> None:
         """Draws another state."""

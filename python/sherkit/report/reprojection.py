@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from bokeh.models import ColorBar, LinearColorMapper, Range1d
+from bokeh.models import LinearColorMapper, Range1d
 from numpy.typing import NDArray
 
 from .picture import Picture, Tables, single, sources_of
 from .residual_map import round_number
-from .style import FONT, FONT_SIZE, INK, SEQUENTIAL, figure, hover, number
+from .style import INK, SEQUENTIAL, colour_bar, figure, hover, number
 
 Floats = NDArray[np.float64]
 
@@ -51,11 +51,7 @@ def reprojection(state: Reprojection) -> Picture[Reprojection]:
         "u", "v", "u1", "v1", source=sources["marks"], line_width=2, color={"field": "size", "transform": mapper}
     )
     dots = made.scatter("u", "v", source=sources["marks"], size=4, color=INK)
-    made.add_layout(
-        ColorBar(color_mapper=mapper, width=14, title="error, px", title_text_font_size=FONT_SIZE,
-                 title_text_font=FONT, title_text_font_style="normal", major_label_text_font_size=FONT_SIZE),
-        "right",
-    )  # fmt: skip
+    colour_bar(made, mapper, "error, px")
     made.add_tools(
         hover([dots], ("seen at", "@u{0.0}, @v{0.0} px"), ("error", "@eu{0.00}, @ev{0.00} px"), ("row", "@line"))
     )

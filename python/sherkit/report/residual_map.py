@@ -32,6 +32,10 @@ _FLAT = 0.3
 #: Radius, in standard deviations, within which 95 of 100 two-dimensional Gaussian errors lie.
 _CIRCLE = 2.4477
 _NARROWEST = 220
+#: Panels narrower than this have smaller points, px.
+_WIDE = 280
+#: Height of the two lines of a panel's title, and of its keys, px.
+_TITLE, _KEYS = 44, 28
 #: What the axis of a panel takes of its width, px.
 _AROUND = 55
 #: Height of a panel by its width, at the least and at the most.
@@ -67,13 +71,13 @@ def residual_map(change: Change, *, planes_across: bool = False, width_px: int =
     all panels together. Where the run moved along one coordinate only, arrows stand along a line.
     """
     panels = _cut(change.before)
-    scale = _Scale(change, panels)
-    sources = sources_of(_tables(change, panels, scale))
-    mapper = LinearColorMapper(palette=DIVERGING, low=-scale.colour, high=scale.colour)
     count = len(panels.names)
     planes_across = planes_across and count > 1
     columns = count if planes_across else 2
     width = max(width_px // columns, _NARROWEST) - _AROUND
+    scale = _Scale(change, panels, width)
+    sources = sources_of(_tables(change, panels, scale))
+    mapper = LinearColorMapper(palette=DIVERGING, low=-scale.colour, high=scale.colour)
     order = [(moment, k) for k in range(count) for moment in ("before", "after")]
     if planes_across:
         order.sort(key=lambda one: one[0] == "after")
@@ -94,21 +98,23 @@ def residual_map(change: Change, *, planes_across: bool = False, width_px: int =
 
     def tune(state: Change) -> None:
         nonlocal current
-        current = _Scale(state, panels)
+        current = _Scale(state, panels, width)
         mapper.low, mapper.high = -current.colour, current.colour
         ticker.ticks = [-current.colour, 0.0, current.colour]
         for one, new in zip(ranges, current.ranges, strict=True):
             one.start, one.end = new.start, new.end
 
     root = stacked("residual_map", figures, columns=columns)
-    return Picture("residual_map", root, sources, tables, tune, note=_note(change))
+    before = [one for one, (moment, _) in zip(figures, order, strict=True) if moment == "before"]
+    return Picture("residual_map", root, sources, tables, tune, note=_note(change), before=before)
 
 
 def _note(change: Change) -> str:
     names = change.before.names
     arrow = f"An arrow shows the error in {' and '.join(names[:2])} at a pose, mean of its repeats"
     colour = f", its colour the error in {names[2]}" if len(names) > 2 else ""
-    dealt = max(int(m.sum()) for m in _cut(change.before).rows) > _MOST_ARROWS * 3
+    left = change.before
+    dealt = any(_dense(left.group[_used(left, m)]) for m in _cut(left).rows)
     many = "; where poses are dense it is the mean of a cell" if dealt else ""
     circle = (
         " Noise alone would leave 95 of 100 arrows inside the circle."
@@ -121,7 +127,7 @@ def _note(change: Change) -> str:
 class _Scale:
     """One scale for every panel and both moments: length of an arrow per unit of error, colour, bar."""
 
-    def __init__(self, change: Change, panels: _Panels) -> None:
+    def __init__(self, change: Change, panels: _Panels, width: int) -> None:
         left = change.before
         arrows = [_arrows(side, panels, m) for side in (change.before, change.after) for m in panels.rows]
         length = np.concatenate([np.hypot(a["ex"], a["ey"]) for a in arrows]) if arrows else np.zeros(1)
@@ -134,7 +140,7 @@ class _Scale:
         self.per_unit = 1.3 * spacing / typical if typical > 0 else 1.0
         self.bar = round_number(0.5 * typical or 1.0)
         self.colour = float(round_number(np.quantile(colour, 0.98) if len(colour) else 1.0, up=True)) or 1.0
-        self.ranges = _ranges(panels, arrows, self.per_unit)
+        self.ranges = _ranges(panels, arrows, self.per_unit, width)
         noise = left.noise[: min(2, len(left.names))]
         self.noise = float(np.sqrt(np.mean(noise**2))) if left.noise_origin != "unknown" else 0.0
 
@@ -199,12 +205,11 @@ def plane_of_most(place: Mapping[str, Floats], error: Floats) -> tuple[str, Bool
 
 def _arrows(left: Left, panels: _Panels, mask: Bools) -> Table:
     """Mean error of every pose in a panel, or of every cell where poses are many."""
-    use = mask & ~left.outlier & np.isfinite(left.values).all(axis=1)
-    rows = np.flatnonzero(use)
+    rows = np.flatnonzero(_used(left, mask))
     if not len(rows):
         return {k: np.zeros(0) for k in ("x", "y", "ex", "ey", "ez", "n")} | {"rows": [], "lines": []}
     group = np.unique(left.group[rows], return_inverse=True)[1]
-    if group.max() >= _MOST_ARROWS:
+    if _dense(group):
         group = _cells(panels.x[rows], panels.y[rows])
     count = np.bincount(group)
 
@@ -225,6 +230,16 @@ def _arrows(left: Left, panels: _Panels, mask: Bools) -> Table:
     table["rows"] = [left.row[m].tolist() for m in members]
     table["lines"] = [_lines(left.line[m]) for m in members]
     return table
+
+
+def _used(left: Left, mask: Bools) -> Bools:
+    """Rows of a panel that are drawn."""
+    return mask & ~left.outlier & np.isfinite(left.values).all(axis=1)
+
+
+def _dense(group: NDArray[np.int64]) -> bool:
+    """Whether poses are so many that arrows would hide one another."""
+    return len(np.unique(group)) > _MOST_ARROWS
 
 
 def _cells(x: Floats, y: Floats) -> NDArray[np.int64]:
@@ -268,7 +283,8 @@ def _key(panels: _Panels, scale: _Scale, left: Left, title: str, plane: str, rms
     wide, high = float(x_range.end) - x0, float(y_range.end) - y0
     use = panels.rows[panel] & ~left.outlier
     repeats = max(int(use.sum()) / max(len(np.unique(left.group[use])), 1), 1.0)
-    heading = f"{title}{', ' + plane if plane else ''}: {number(rms)} {left.unit} RMS"
+    figure_of = f"{plane + ': ' if plane else ''}{number(rms)} {left.unit} RMS"
+    heading = f"{title}\n{figure_of}"
     bar = scale.bar * scale.per_unit
     circle = _CIRCLE * scale.noise / np.sqrt(repeats) * scale.per_unit
     return {
@@ -286,7 +302,7 @@ def _f(values: Any) -> NDArray[np.float32]:
     return np.asarray(values, dtype=np.float32)
 
 
-def _ranges(panels: _Panels, arrows: Sequence[Table], per_unit: float) -> tuple[Range1d, Range1d]:
+def _ranges(panels: _Panels, arrows: Sequence[Table], per_unit: float, width: int) -> tuple[Range1d, Range1d]:
     """Room for poses and heads of arrows, and for title and keys above and below."""
     heads = [np.concatenate([a[at] + per_unit * a[by] for a in arrows]) for at, by in (("x", "ex"), ("y", "ey"))]
     x, y = (
@@ -294,7 +310,7 @@ def _ranges(panels: _Panels, arrows: Sequence[Table], per_unit: float) -> tuple[
         for v, h in zip((panels.x, panels.y), heads, strict=True)
     )
     high = float(y.end) - float(y.start)
-    y = Range1d(float(y.start) - 0.08 * high, float(y.end) + 0.12 * high)
+    y = Range1d(float(y.start) - _KEYS / width * high, float(y.end) + _TITLE / width * high)
     if panels.up is None:
         return x, y
     # a millimetre is as long upwards as across
@@ -324,8 +340,8 @@ def _panel(
     colour = {"field": "colour", "transform": mapper}
     made.segment("x", "y", "x1", "y1", source=source, color=colour, line_width=2.5, nonselection_line_alpha=0.15)
     # the tail is where the pose is; its head has the arrow's colour
-    tail = made.scatter("x", "y", source=source, size=4, color=INK, nonselection_alpha=0.2)
-    made.scatter("x1", "y1", source=source, size=6, color=colour, nonselection_alpha=0.15)
+    tail = made.scatter("x", "y", source=source, size=4 if width > _WIDE else 3, color=INK, nonselection_alpha=0.2)
+    made.scatter("x1", "y1", source=source, size=6 if width > _WIDE else 4, color=colour, nonselection_alpha=0.15)
     tip = {"text_font_size": FONT_SIZE, "text_font": value(FONT), "text_color": INK}
     made.text("title_x", "title_y", "title", source=key, text_baseline="top", text_font_style="bold", **tip)
     made.segment("bar_x0", "bar_y", "bar_x1", "bar_y", source=key, color=INK, line_width=3)

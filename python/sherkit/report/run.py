@@ -13,6 +13,8 @@ from .style import COLOURS, MARKERS, MUTED, figure, hover, legend, quantity
 
 _HEIGHT, _BELOW = 320, 150
 MOST_POINTS = 4000
+#: Fewer readings than this are drawn larger.
+_FEW = 300
 
 
 def run_in_time(left: Left) -> Picture[Left]:
@@ -24,7 +26,7 @@ def run_in_time(left: Left) -> Picture[Left]:
     for k, name in enumerate(left.names):
         dots = made.scatter(
             "t", f"r{k}", source=sources["run"], color=COLOURS[k % len(COLOURS)], marker=MARKERS[k % len(MARKERS)],
-            size="size", alpha=0.6, legend_label=name,
+            size="size", alpha=0.8 if len(left) < _FEW else 0.45, legend_label=name,
         )  # fmt: skip
         made.add_tools(hover([dots], ("", name), ("residual", f"@r{k}{{0.0}} {left.unit}"), (left.counted, "@line")))
     legend(made)
@@ -36,7 +38,9 @@ def run_in_time(left: Left) -> Picture[Left]:
         figures.append(lower)
     figures[-1].xaxis.axis_label = "time, s" if "time_s" in left.variables else "reading"
     n = len(left)
-    drawn = f"{MOST_POINTS} of {n} readings, chosen at random" if n > MOST_POINTS else f"all {n} readings"
+    drawn = (
+        f"{MOST_POINTS} of {n} rows, chosen at random, marked outliers first" if n > MOST_POINTS else f"all {n} rows"
+    )
     note = f"What the model leaves, in the order of the run: {drawn}."
     return Picture("run", stacked("run", figures, sizing_mode="stretch_width"), sources, _tables, note=note)
 
@@ -54,7 +58,7 @@ def _tables(left: Left) -> Tables:
     rows = np.asarray(thinned(len(left), MOST_POINTS, np.flatnonzero(left.outlier)))
     time = left.variables.get("time_s", left.row.astype(float))
     table: dict[str, Any] = {"t": time[rows], "line": left.line[rows].astype(np.int32)}
-    table["size"] = np.where(left.outlier[rows], 10, 4)
+    table["size"] = np.where(left.outlier[rows], 11, 7 if len(left) < _FEW else 4)
     table |= {f"r{k}": left.values[rows, k].astype(np.float32) for k in range(len(left.names))}
     table |= {name: left.variables[name][rows] for name in _below(left)}
     return {"run": table}

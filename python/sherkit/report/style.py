@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from bokeh.models import BasicTickFormatter, FixedTicker, HoverTool, LogAxis, Range1d
+from bokeh.models import BasicTickFormatter, ColorBar, FixedTicker, HoverTool, LogAxis, Range1d, Title
 from bokeh.palettes import interp_palette
 from bokeh.plotting import figure as bokeh_figure
 
@@ -28,6 +28,8 @@ def figure(**settings: Any) -> Any:
     """A Bokeh figure in the style of the house. Hover is the caller's; wheel zoom waits until it is asked for."""
     settings.setdefault("tools", "pan,box_zoom,wheel_zoom,reset")
     settings.setdefault("active_drag", None)
+    # a low figure has no room for its tools on the right
+    settings.setdefault("toolbar_location", "above")
     made = bokeh_figure(**settings)
     made.toolbar.logo = None
     made.toolbar.autohide = False
@@ -61,8 +63,23 @@ def legend(made: Any, place: str = "right") -> None:
         one.label_text_font = FONT
         one.click_policy = "hide"
         one.border_line_color = None
+        one.margin = 16
         one.background_fill_alpha = 0.0
         made.add_layout(one, place)
+
+
+def colour_bar(made: Any, mapper: Any, text: str, **settings: Any) -> None:
+    """The meaning of colours on the right of a figure, named like an axis."""
+    made.add_layout(
+        ColorBar(color_mapper=mapper, width=14, major_label_text_font_size=FONT_SIZE, major_label_text_font=FONT,
+                 major_label_text_color=INK, **settings),
+        "right",
+    )  # fmt: skip
+    made.add_layout(
+        Title(text=text, align="center", text_font_size=FONT_SIZE, text_font=FONT, text_font_style="normal",
+              text_color=INK),
+        "right",
+    )  # fmt: skip
 
 
 def padded(low: float, high: float, part: float = 0.06) -> Range1d:

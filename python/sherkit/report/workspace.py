@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 from bokeh.core.properties import value
-from bokeh.models import ColorBar, LinearColorMapper
+from bokeh.models import LinearColorMapper, Range1d
 from numpy.typing import NDArray
 
 from ..calibration import Calibration
 from .left import Left
 from .picture import Picture, Tables, sources_of, stacked
-from .style import FONT, FONT_SIZE, INK, MUTED, REFUSED, SEQUENTIAL, figure, hover, padded, quantity
+from .style import FONT, FONT_SIZE, INK, MUTED, REFUSED, SEQUENTIAL, colour_bar, figure, hover, padded, quantity
 
 Floats = NDArray[np.float64]
 
@@ -58,14 +58,13 @@ def accuracy_of(calibration: Calibration, required_um: float) -> AccuracyMap:
 def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
     """A panel for each height: radius that holds 95 of 100 positions; the region within the requirement outlined.
 
-    Pale where no pose was measured: there it is extrapolation and holds only as far as the model does.
+    Hatched where no pose was measured: there it is extrapolation and holds only as far as the model does.
     """
     known = state.value_um[np.isfinite(state.value_um)]
     high = float(np.quantile(known, 0.99)) if len(known) else 0.0
     # from zero to beyond the requirement: a nearly even map must look even
     mapper = LinearColorMapper(palette=SEQUENTIAL, low=0.0, high=max(high, 1.5 * state.required_um))
     mapper.nan_color = "rgba(0, 0, 0, 0)"
-    veil = LinearColorMapper(palette=["rgba(255, 255, 255, 0.55)"], low=0.0, high=1.0, nan_color="rgba(0, 0, 0, 0)")
     sources = sources_of(_tables(state))
     x_range, y_range = padded(state.x_mm[0], state.x_mm[-1], 0.03), padded(state.y_mm[0], state.y_mm[-1], 0.03)
     figures = []
@@ -75,19 +74,20 @@ def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
         made.xaxis.axis_label, made.yaxis.axis_label = "x, mm", "y, mm"
         place = {"x": "x", "y": "y", "dw": "dw", "dh": "dh", "source": sources[f"plane_{k}"]}
         cells = made.image(image="um", color_mapper=mapper, **place)
-        made.image(image="beyond", color_mapper=veil, **place)
-        made.multi_line("xs", "ys", source=sources[f"outline_{k}"], line_color=REFUSED, line_width=3)
+        # hatched, not paler: pale means accurate
+        made.quad(
+            left="left", right="right", bottom="bottom", top="top", source=sources[f"beyond_{k}"], fill_color=None,
+            line_color=None, hatch_pattern="right_diagonal_line", hatch_color=INK, hatch_alpha=0.7, hatch_scale=9,
+            hatch_weight=1.2,
+        )  # fmt: skip
+        made.multi_line("xs", "ys", source=sources[f"outline_{k}"], line_color=REFUSED, line_width=3, line_cap="square")
         made.add_tools(hover([cells], ("x, y", "$x{0.0}, $y{0.0} mm"), ("95 % within", "@um{0.0} µm")))
         figures.append(made)
-    figures[-1].add_layout(
-        ColorBar(color_mapper=mapper, width=14, title="µm", title_text_font_size=FONT_SIZE, title_text_font=FONT,
-                 major_label_text_font_size=FONT_SIZE, title_text_font_style="normal"),
-        "right",
-    )  # fmt: skip
+    colour_bar(figures[-1], mapper, "95 % within, µm")
     met = int((known <= state.required_um).sum())
     note = (
         f"Radius around a commanded position within which 95 of 100 lie. Outlined: {state.required_um:g} µm or better "
-        f"({100 * met / max(len(known), 1):.0f} % of what can be reached). Pale: no pose was measured there."
+        f"({100 * met / max(len(known), 1):.0f} % of what can be reached). Hatched: no pose was measured there."
     )
     return Picture("accuracy", stacked("accuracy", figures, columns=len(figures)), sources, _tables, note=note)
 
@@ -97,11 +97,10 @@ def _tables(state: AccuracyMap) -> Tables:
     (x0, dw), (y0, dh) = (_extent(v) for v in (state.x_mm, state.y_mm))
     for k in range(len(state.z_mm)):
         value = state.value_um[k]
-        beyond = np.where(state.measured[k] | ~np.isfinite(value), np.nan, 0.5)
         out[f"plane_{k}"] = {
-            "um": [value.astype(np.float32)], "beyond": [beyond.astype(np.float32)],
-            "x": [x0], "y": [y0], "dw": [dw], "dh": [dh],
+            "um": [value.astype(np.float32)], "x": [x0], "y": [y0], "dw": [dw], "dh": [dh],
         }  # fmt: skip
+        out[f"beyond_{k}"] = _runs(state.x_mm, state.y_mm, ~state.measured[k] & np.isfinite(value))
         out[f"outline_{k}"] = _outline(state.x_mm, state.y_mm, value <= state.required_um)
     return out
 
@@ -110,6 +109,21 @@ def _extent(ticks: Floats) -> tuple[float, float]:
     """Lower edge and width of cells around ticks."""
     step = float(ticks[1] - ticks[0]) if len(ticks) > 1 and ticks[1] > ticks[0] else 1.0
     return float(ticks[0]) - 0.5 * step, step * len(ticks)
+
+
+def _runs(x: Floats, y: Floats, inside: NDArray[np.bool_]) -> dict[str, list[float]]:
+    """Cells that are inside, as one rectangle for every run of neighbours in a row."""
+    out: dict[str, list[float]] = {"left": [], "right": [], "bottom": [], "top": []}
+    (x0, wide), (y0, high) = _extent(x), _extent(y)
+    step_x, step_y = wide / len(x), high / len(y)
+    for j, row in enumerate(inside):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], row.astype(np.int8), [0]])))
+        for first, end in edges.reshape(-1, 2):
+            out["left"].append(float(x0 + first * step_x))
+            out["right"].append(float(x0 + end * step_x))
+            out["bottom"].append(float(y0 + j * step_y))
+            out["top"].append(float(y0 + (j + 1) * step_y))
+    return out
 
 
 def _outline(x: Floats, y: Floats, inside: NDArray[np.bool_]) -> dict[str, list[list[float]]]:
@@ -144,23 +158,31 @@ def next_poses(state: NextPoses) -> Picture[NextPoses]:
     names = [k for k in state.poses[0] if k != "separation_sigma"] if state.poses else list(state.left.place)[:2]
     pairs = [(names[0], names[1])] + ([(names[0], names[2])] if len(names) > 2 else [])
     figures = []
+    spans = _spans(state, names)
     text: dict[str, Any] = {"text_font_size": FONT_SIZE, "text_font": value(FONT), "text_color": INK}
-    for a, b in pairs:
-        made = figure(frame_width=_PANEL + 60, frame_height=_PANEL + 60)
+    for k, (a, b) in enumerate(pairs):
+        made = figure(
+            frame_width=_PANEL + 60, frame_height=_PANEL + 60, x_range=Range1d(*spans[a]), y_range=Range1d(*spans[b])
+        )
         made.xaxis.axis_label, made.yaxis.axis_label = quantity(a), quantity(b)
         if a in sources["measured"].data and b in sources["measured"].data:
             made.scatter(a, b, source=sources["measured"], size=4, color=MUTED, alpha=0.5)
         if state.poses:
             dots = made.scatter(
-                a, b, source=sources["next"], size=18, fill_color="white", line_color=REFUSED, line_width=2
+                a, b, source=sources["next"], size=24, fill_color="white", line_color=REFUSED, line_width=2
             )
-            made.text(a, b, "order", source=sources["next"], text_align="center", text_baseline="middle", **text)
+            made.text(
+                "x", "y", "text", source=sources[f"orders_{k}"], text_align="center", text_baseline="middle", **text
+            )
             made.add_tools(
                 hover([dots], ("pose", "@order"), *((quantity(n), f"@{n}{{0.0}}") for n in names),
                       ("separation with it", "@separation_sigma{0.0} σ"))
             )  # fmt: skip
         figures.append(made)
-    note = "Numbered: poses to measure, in this order. Grey: poses of the run."
+    note = (
+        "Numbered: poses to measure, in this order; 3× where three of them lie behind one another. Grey: poses of the "
+        "run."
+    )
     return Picture("next_poses", stacked("next_poses", figures, columns=2), sources, _pose_tables, note=note)
 
 
@@ -170,4 +192,34 @@ def _pose_tables(state: NextPoses) -> Tables:
     keys = list(state.poses[0]) if state.poses else []
     table: dict[str, Any] = {key: [pose[key] for pose in state.poses] for key in keys}
     table["order"] = [str(k) for k in range(1, len(state.poses) + 1)]
-    return {"measured": measured, "next": table}
+    out: Tables = {"measured": measured, "next": table}
+    names = [k for k in keys if k != "separation_sigma"]
+    for k, (a, b) in enumerate([(0, 1), (0, 2)]):
+        out[f"orders_{k}"] = _orders(table, names[a], names[b]) if len(names) > b else {"x": [], "y": [], "text": []}
+    return out
+
+
+def _orders(table: dict[str, Any], across: str, up: str) -> dict[str, list[Any]]:
+    """The number of every pose; how many there are where they lie behind one another."""
+    here: dict[tuple[float, float], list[str]] = {}
+    for x, y, order in zip(table[across], table[up], table["order"], strict=True):
+        here.setdefault((round(x, 2), round(y, 2)), []).append(order)
+    texts = [orders[0] if len(orders) == 1 else f"{len(orders)}×" for orders in here.values()]
+    return {"x": [x for x, _ in here], "y": [y for _, y in here], "text": texts}
+
+
+def _spans(state: NextPoses, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Range of each coordinate; equally long where the units are the same, so that shapes are as they are."""
+    ends: dict[str, tuple[float, float]] = {}
+    for name in names:
+        values = [np.array([pose[name] for pose in state.poses if name in pose])]
+        values += [state.left.place[name]] if name in state.left.place else []
+        known = np.concatenate(values) if values else np.zeros(0)
+        ends[name] = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    units = {quantity(name).partition(", ")[2] for name in names}
+    longest = max((high - low for low, high in ends.values()), default=1.0)
+    out = {}
+    for name, (low, high) in ends.items():
+        half = 0.58 * ((longest if len(units) == 1 else high - low) or 1.0)
+        out[name] = (0.5 * (low + high) - half, 0.5 * (low + high) + half)
+    return out

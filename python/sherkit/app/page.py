@@ -1,0 +1,434 @@
+"""The page: effects on the left, where the model fails in the middle, the fall of the error on the right.
+
+Bokeh widgets bound to a :class:`~sherkit.app.workbench.Workbench`; every control is a native one, so that a keyboard
+reaches it.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable
+from html import escape
+from typing import Any
+
+import numpy as np
+from bokeh.document import Document
+from bokeh.layouts import column, row
+from bokeh.models import Button, Div, FileInput, Select, TextAreaInput, TextInput
+from jinja2 import Environment, PackageLoader
+
+from .. import paper
+from ..diagnosis import template
+from ..effects import CATALOGUE
+from ..names import listed
+from ..report.against import Against, against
+from ..report.against import note as against_note
+from ..report.fall import Fall, Rung, fall
+from ..report.left import Left
+from ..report.parameters import parameters
+from ..report.picture import Picture
+from ..report.residual_map import Change, residual_map
+from ..report.style import INK, MUTED, REFUSED, number, quantity
+from .workbench import Moment, Workbench, rights_of
+
+_LEFT, _MIDDLE, _RIGHT = 340, 810, 430
+_SHOWN_ROWS = 40
+_TEMPLATE = Environment(loader=PackageLoader("sherkit.app"), autoescape=True).get_template("page.html")
+#: One size of type for what is pressed, chosen and typed too.
+_TYPE = ":host, .bk-btn, .bk-input, .bk-input-group, label { font-size: 16px !important; }"
+_CODE = "textarea { font-family: monospace; font-size: 14px !important; white-space: pre; overflow-x: auto; }"
+_LINES = '''import numpy as np
+import sherkit as sk
+
+@sk.effect(at="body", parameters={"amplitude": "mm"})
+def floor_heave(rows, p):
+    """The floor lifts the robot once a day."""
+    return p.amplitude * np.outer(np.sin(2 * np.pi * rows.time / 86400), [0, 0, 1])
+'''
+
+
+class Page:
+    """One browser's view of a workbench."""
+
+    def __init__(self, document: Document, bench: Workbench, links: str) -> None:
+        self.document = document
+        self.bench = bench
+        self.moment: Moment | None = None
+        self.selected: tuple[int, ...] = ()
+        self._pictures: dict[str, Picture[Any]] = {}
+        #: What the pictures of the middle and of the right were built for; other rows or units need new ones.
+        self._middle_of: tuple[Any, ...] = ()
+        self._right_of: tuple[Any, ...] = ()
+        self._drawn: tuple[Any, ...] = ()
+        self._filling = False
+        self._build(links)
+        self._draw(bench.moment)
+        self._told("progress", bench.progress)
+        document.title = f"sherkit: {bench.moment.data.source}"
+        end = bench.listen(lambda kind, value: self._later(lambda: self._told(kind, value)))
+        document.on_session_destroyed(lambda _: end())
+        if bench.moment.diagnosis is None:
+            bench.diagnose()
+
+    def _later(self, work: Callable[[], None]) -> None:
+        self.document.add_next_tick_callback(work)
+
+    # -- building ----------------------------------------------------------------------------------------
+
+    def _build(self, links: str) -> None:
+        text = {"styles": {"font-size": "16px", "color": INK}}
+        self.headline = Div(name="headline", width=_LEFT, **text)
+        self.status = Div(name="status", width=_LEFT - 90, **text)
+        self.cancel = Button(stylesheets=[_TYPE], label="Cancel", name="cancel", width=80, visible=False)
+        self.cancel.on_click(self.bench.cancel)
+        self.error = Div(name="error", width=_LEFT, visible=False, styles={"font-size": "16px", "color": REFUSED})
+        self.undo = Button(stylesheets=[_TYPE], label="Undo", name="undo", width=100)
+        self.undo.on_click(self.bench.undo)
+        self.effects = column(name="effects", width=_LEFT)
+        self._buttons: dict[str, tuple[Button, Div]] = {}
+        self._rows: dict[str, Any] = {}
+        self._sorted = False
+        rights = f"These lines run on this computer with the rights of <b>{escape(rights_of())}</b>."
+        self.lines = TextAreaInput(stylesheets=[_TYPE, _CODE],
+            name="lines", value=self._typed_before(), rows=14, width=_LEFT - 10, max_length=20_000,
+            title="Effects, as NumPy lines",
+        )  # fmt: skip
+        run_lines = Button(stylesheets=[_TYPE], label="Run these lines", name="run_lines", width=160)
+        run_lines.on_click(lambda: self.bench.type_effect(self.lines.value))
+        shape = Button(stylesheets=[_TYPE], label="Fill in the shape", name="fill_shape", width=150)
+        shape.on_click(self._fill_shape)
+        typed: list[Any] = (
+            [Div(text=rights, width=_LEFT, **text), self.lines, row(run_lines, shape)]
+            if self.bench.trusted
+            else [Div(text="Effects cannot be typed: other machines can reach this page.", width=_LEFT, **text)]
+        )
+        own = column(*typed, visible=False)
+        opener = Button(stylesheets=[_TYPE], label="An effect of your own …", name="open_own", width=220)
+        opener.on_click(lambda: setattr(own, "visible", not own.visible))
+        self.drop = FileInput(stylesheets=[_TYPE],
+            name="drop", accept=".csv,.parquet", title="Add measurements (choose or drop a CSV)",
+            width=_LEFT - 10,
+        )  # fmt: skip
+        self.drop.on_change("filename", lambda attr, old, new: self._dropped())
+        self.links = Div(name="exports", text=links, width=_LEFT, **text)
+        self.before = Select(stylesheets=[_TYPE], title="Compare", name="before", width=240)
+        self.after = Select(stylesheets=[_TYPE], title="with", name="after", width=240)
+        self.variable = Select(stylesheets=[_TYPE], title="Residual against", name="variable", width=200)
+        for one in (self.before, self.after, self.variable):
+            one.on_change("value", lambda attr, old, new: self._redraw_pictures())
+        self.map_place = column(name="map", width=_MIDDLE)
+        self.against_place = column(name="against", width=_MIDDLE)
+        self.selection = Div(name="selection", width=_MIDDLE, **text)
+        self.mark = Button(stylesheets=[_TYPE], label="Mark as outliers", name="mark", disabled=True, width=180)
+        self.mark.on_click(self._mark)
+        self.typed_rows = TextInput(stylesheets=[_TYPE],
+            title="Rows by their number in the file, such as 12, 40-45", name="typed_rows", width=360
+        )  # fmt: skip
+        self.typed_rows.on_change("value", lambda attr, old, new: self._select_typed())
+        self.fall_place = column(name="fall", width=_RIGHT)
+        self.numbers = Div(name="numbers", width=_LEFT, **text)
+        self.parameters_place = column(name="parameters", width=_RIGHT)
+        # each of these is laid out by itself: a new line of progress must not draw every picture again
+        roots = {
+            "status": column(self.numbers, self.headline, row(self.status, self.cancel), self.error, self.undo),
+            "effects": self.effects,
+            "own": column(opener, own),
+            "more": column(self.drop, self.links),
+            "choices": row(self.before, self.after, self.variable),
+            "map": self.map_place,
+            "against": self.against_place,
+            "rows": column(row(self.typed_rows, self.mark), self.selection),
+            "fall": self.fall_place,
+            "parameters": self.parameters_place,
+        }
+        for name, root in roots.items():
+            root.name = name
+            self.document.add_root(root)
+        self.document.template = _TEMPLATE
+
+    def _typed_before(self) -> str:
+        path = self.bench.typed_path
+        return path.read_text(encoding="utf-8") if path.exists() else _LINES
+
+    # -- what happens ------------------------------------------------------------------------------------
+
+    def _told(self, kind: str, value: Any) -> None:
+        # one message and one layout for everything that changes together
+        self.document.hold("collect")
+        try:
+            self._tell(kind, value)
+        finally:
+            self.document.unhold()
+
+    def _tell(self, kind: str, value: Any) -> None:
+        if kind == "moment":
+            self._draw(value)
+        elif kind == "progress":
+            self.status.text = f"<i>{escape(value)} …</i>" if value else "Ready."
+            self.cancel.visible = bool(value)
+        else:
+            self.error.text, self.error.visible = f"<b>{escape(value)}</b>", True
+
+    def _pressed(self, name: str) -> None:
+        self.error.visible = False
+        self.bench.toggle(name)
+
+    def _dropped(self) -> None:
+        if self.drop.filename and self.drop.value:
+            self.error.visible = False
+            self.bench.add_measurements(str(self.drop.filename), base64.b64decode(str(self.drop.value)))
+
+    def _fill_shape(self) -> None:
+        found = self.bench.moment.diagnosis
+        if found is None or found.signature is None:
+            self._told("error", "there is no unexplained shape to fill in: every shape found has an effect")
+            return
+        self.lines.value = template(found.signature, file=str(self.bench.typed_path))
+
+    # -- drawing -----------------------------------------------------------------------------------------
+
+    def _draw(self, moment: Moment) -> None:
+        changed = self.moment is None or len(self.moment.history) != len(moment.history)
+        self.moment = moment
+        self._draw_effects(moment)
+        self._draw_headline(moment)
+        self.undo.disabled = not moment.can_undo
+        if changed:
+            self._fill_selects(moment)
+            self._redraw_pictures()
+        self._draw_right(moment)
+
+    def _draw_headline(self, moment: Moment) -> None:
+        found = moment.diagnosis
+        title = f"<b>{escape(moment.data.source)}</b>: {len(moment.data)} rows"
+        if moment.data.outlier.any():
+            title += f", {int(moment.data.outlier.sum())} marked"
+        if found is None:
+            self.headline.text = title
+            return
+        verdict = escape(found.verdict)
+        lead = f": <b>{escape(' and '.join(found.effects))}</b>" if found.effects else ""
+        ties = "".join(f"<br>these rows cannot tell {escape(' from '.join(tie))}" for tie in found.ties)
+        self.headline.text = f'{title}<br><span id="verdict">{verdict}{lead}</span>{ties}'
+
+    def _draw_effects(self, moment: Moment) -> None:
+        """A button for every effect: those in the model, then by what each would bring."""
+        found = moment.diagnosis
+        would = {c.effect: c for c in found.candidates} if found is not None else {}
+        names = [n for n in (*CATALOGUE, *moment.own) if n != "datum"]
+        untestable = found.untestable if found is not None else {}
+
+        def order(name: str) -> tuple[int, float]:
+            if name in moment.effects:
+                return 0, moment.effects.index(name)
+            if found is not None and name in found.effects:
+                return 1, found.effects.index(name)
+            return (2, would[name].held_out_rms) if name in would else (3, names.index(name))
+
+        scale = found.steps[0].held_out_rms if found is not None else 1.0
+        rows = []
+        for name in sorted(names, key=order):
+            if name not in self._buttons:
+                self._buttons[name] = self._effect_row(name)
+                self._rows[name] = row(*self._buttons[name])
+            button, text = self._buttons[name]
+            inside = name in moment.effects
+            lead = found is not None and name in found.effects
+            button.label = f"✓ {name}" if inside else f"+ {name}"
+            button.button_type = "primary" if inside else "success" if lead else "default"
+            button.disabled = name in untestable and not inside
+            text.text = self._effect_text(name, inside, would.get(name), untestable.get(name), scale, found)
+            rows.append(self._rows[name])
+        shown = list(self.effects.children)
+        if len(rows) != len(shown) or (found is not None and not self._sorted):
+            # a new list makes Bokeh walk through every model of the page: once, and for an effect that is typed
+            self.effects.children = rows
+            self._sorted = found is not None
+        for place, one in enumerate(rows):
+            # the order in which they are seen; the one pressed keeps the focus
+            if one.styles.get("order") != str(place):
+                one.styles = {"order": str(place)}
+
+    def _effect_row(self, name: str) -> tuple[Button, Div]:
+        button = Button(stylesheets=[_TYPE], name=f"effect_{name}", width=185)
+        button.on_click(lambda: self._pressed(name))
+        return button, Div(width=_LEFT - 200, styles={"font-size": "15px", "line-height": "1.15"})
+
+    @staticmethod
+    def _effect_text(name: str, inside: bool, would: Any, why: str | None, scale: float, found: Any) -> str:
+        if inside:
+            return "in the model"
+        if why is not None:
+            return f'<span style="color:{MUTED}">{escape(why)}</span>'
+        if would is None:
+            return ""
+        part = 100 * min(would.held_out_rms / scale, 1.0) if scale > 0 else 100
+        tied = any(name in tie for tie in found.ties)
+        note = " · tied" if tied else "" if would.plausible else " · implausible size"
+        return (
+            f"→ <b>{number(would.held_out_rms)}</b> {escape(found.unit)}{note}"
+            f'<div style="background:#e5e5e5;height:5px;width:110px"><div style="background:#0072b2;height:5px;'
+            f'width:{part:.0f}%"></div></div>'
+        )
+
+    def _fill_selects(self, moment: Moment) -> None:
+        steps = [
+            (str(k), f"{k}. {s.action}")
+            for k, (s, left) in enumerate(zip(moment.history, moment.lefts, strict=True))
+            if left
+        ]
+        self.before.options, self.after.options = steps, steps
+        # values set here must not redraw one after the other
+        self._quiet(self.before, steps[0][0] if len(steps) == 1 else str(self._step_before(moment)))
+        self._quiet(self.after, steps[-1][0])
+        variables = list(moment.now.variables)
+        self.variable.options = [(name, quantity(name)) for name in variables]
+        if self.variable.value not in variables:
+            found = moment.diagnosis
+            known = [d.variable for d in found.where if d.variable in variables] if found is not None else variables
+            self._quiet(self.variable, (known or variables)[0])
+
+    @staticmethod
+    def _step_before(moment: Moment) -> int:
+        """The first state that can still be shown: the fall is seen from where it began."""
+        return next(k for k, left in enumerate(moment.lefts) if left is not None)
+
+    def _quiet(self, select: Select, value: str) -> None:
+        self._filling = True
+        select.value = value
+        self._filling = False
+
+    def _redraw_pictures(self) -> None:
+        moment = self.moment
+        if moment is None or self._filling:
+            return
+        before, after = self._left(moment, self.before.value), self._left(moment, self.after.value)
+        # a browser says again what it was told to show
+        wanted = (before, after, self.variable.value)
+        if before is None or after is None or wanted == self._drawn:
+            return
+        self._drawn = wanted
+        titles = dict(self.after.options)
+        change = Change(before, after, titles[self.before.value], titles[self.after.value])
+        lines = Against(after, str(self.variable.value), before if before is not after else None)
+        key = (len(after), tuple(after.names), tuple(after.place))
+        if self._middle_of != key:
+            self._middle_of = key
+            self._place("map", self.map_place, residual_map(change, planes_across=True, width_px=_MIDDLE - 70))
+            self._place("against", self.against_place, against(lines))
+            self._watch_selection()
+        else:
+            self._pictures["map"].show(change)
+            self._pictures["against"].show(lines)
+        for one in self._pictures["map"].before:
+            if one.visible != (before is not after):
+                one.visible = before is not after
+        self.selected = ()
+        self._draw_selection()
+
+    @staticmethod
+    def _left(moment: Moment, which: str) -> Left | None:
+        return moment.lefts[int(which)] if which else None
+
+    def _place(self, name: str, place: Any, picture: Picture[Any]) -> None:
+        self._pictures[name] = picture
+        text = against_note(self.moment.now) if name == "against" and self.moment else picture.note
+        place.children = [
+            picture.root, Div(text=escape(text), width=_MIDDLE, styles={"font-size": "14px", "color": MUTED})
+        ]  # fmt: skip
+
+    def _draw_right(self, moment: Moment) -> None:
+        rungs = [
+            Rung(s.action, {k.rsplit("_", 1)[0]: v for k, v in s.held_out_rms_um.items()},
+                 {k.rsplit("_", 1)[0]: v for k, v in s.training_rms_um.items()})
+            for s in moment.history
+        ]  # fmt: skip
+        left = moment.now
+        known = left.noise_origin != "unknown"
+        noise = dict(zip(left.names, left.noise.tolist(), strict=True)) if known else {}
+        state = Fall(rungs, noise, left.unit, paper.REQUIREMENT_UM if left.unit == "µm" else None)
+        last = moment.history[-1]
+        self.numbers.text = (
+            f'<span style="font-size:30px"><b id="error-now">{number(last.held_out_um)}</b> {escape(left.unit)}</span>'
+            f" RMS on poses held out{', noise ' + number(float(np.sqrt(np.mean(left.noise**2)))) if known else ''}<br>"
+            f"in the model: {escape(listed(moment.effects, 20)) or 'the geometry alone'}"
+        )
+        fit = last.fit
+        units = tuple(dict.fromkeys(p.unit for p in fit.parameters)) if fit is not None else ()
+        if self._right_of != (tuple(noise), units):
+            self._right_of = (tuple(noise), units)
+            self._pictures["fall"] = fall(state)
+            self.fall_place.children = [self._pictures["fall"].root]
+            if fit is not None:
+                self._pictures["parameters"] = parameters(fit)
+                self.parameters_place.children = [self._pictures["parameters"].root]
+        else:
+            self._pictures["fall"].show(state)
+            if fit is not None:
+                self._pictures["parameters"].show(fit)
+
+    # -- rows --------------------------------------------------------------------------------------------
+
+    def _watch_selection(self) -> None:
+        for name, picture in (("map", self._pictures["map"]), ("against", self._pictures["against"])):
+            for key, source in picture.sources.items():
+                if (name == "map" and not key.endswith("_key")) or key == "points":
+                    source.selected.on_change("indices", self._brush(source))
+
+    def _brush(self, source: Any) -> Callable[[str, Any, list[int]], None]:
+        return lambda attr, old, new: self._brushed(source, new)
+
+    def _brushed(self, source: Any, indices: list[int]) -> None:
+        data = source.data
+        if "rows" in data:
+            rows = [r for k in indices for r in data["rows"][k]]
+        else:
+            rows = [int(data["row"][k]) for k in indices]
+        self.selected = tuple(sorted(set(rows)))
+        self._draw_selection()
+
+    def _select_typed(self) -> None:
+        """Rows given by their numbers in the file."""
+        moment = self.moment
+        if moment is None or not self.typed_rows.value.strip():
+            return
+        wanted: set[int] = set()
+        for part in self.typed_rows.value.split(","):
+            low, _, high = part.strip().partition("-")
+            if not low.isdigit() or (high and not high.isdigit()):
+                self._told("error", f"rows: expected numbers such as 12, 40-45, got '{part.strip()}'")
+                return
+            wanted |= set(range(int(low), int(high or low) + 1))
+        rows = np.flatnonzero(np.isin(moment.data.line, list(wanted)))
+        if not len(rows):
+            self._told("error", f"{moment.data.source} has no row on {moment.data.counted} {self.typed_rows.value}")
+            return
+        self.selected = tuple(rows.tolist())
+        self._draw_selection()
+
+    def _mark(self) -> None:
+        self.error.visible = False
+        self.bench.mark_outliers(self.selected)
+        self.typed_rows.value = ""
+
+    def _draw_selection(self) -> None:
+        self.mark.disabled = not self.selected
+        moment = self.moment
+        if moment is None or not self.selected:
+            self.selection.text = "Select points in the pictures, or type their rows, to see which they are."
+            return
+        left = moment.now
+        index = {int(r): k for k, r in enumerate(left.row)}
+        rows = [r for r in self.selected if r in index]
+        head = "".join(f"<th>{escape(n)}, {escape(left.unit)}</th>" for n in left.names)
+        body = ""
+        for r in rows[:_SHOWN_ROWS]:
+            k = index[r]
+            cells = "".join(f"<td>{v:.1f}</td>" if np.isfinite(v) else "<td></td>" for v in left.values[k])
+            marked = "marked" if left.outlier[k] else ""
+            body += f"<tr><td>{int(left.line[k])}</td>{cells}<td>{marked}</td></tr>"
+        more = f" (the first {_SHOWN_ROWS} are listed)" if len(rows) > _SHOWN_ROWS else ""
+        self.selection.text = (
+            f"<b>{len(self.selected)} rows</b>{more}<table style='border-spacing:14px 2px'>"
+            f"<tr><th>{escape(left.counted)}</th>{head}<th></th></tr>{body}</table>"
+        )

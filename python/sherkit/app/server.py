@@ -1,0 +1,155 @@
+"""The server of the page: on loopback, under an address that cannot be guessed, with the files to take away.
+
+Who can open the page can change the study, and type effects that run with the rights of who started it. So the whole
+page stands under a random path, like a notebook's token, and typed effects are off where other machines can reach it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import ipaddress
+import secrets
+import socket
+import tempfile
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+from bokeh.application import Application
+from bokeh.application.handlers.function import FunctionHandler
+from bokeh.document import Document
+from bokeh.server.server import Server
+from tornado.ioloop import IOLoop
+from tornado.web import RequestHandler
+
+from ..errors import SherkitError
+from ..report.story import Source, Story, html
+from ..study import Study
+from .page import Page
+from .workbench import Progress, Workbench
+
+_LINKS = (
+    ("calibration.toml", "Export the calibration (TOML)"),
+    ("report.html", "Export the report (HTML)"),
+    ("study.zip", "Export the study (ZIP)"),
+)
+_FOLLOW_MS = 1000
+
+
+def is_loopback(address: str) -> bool:
+    """Whether only this machine can reach ``address``."""
+    if address == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        return False
+
+
+class PageServer:
+    """Serves a workbench. ``url`` is where; :meth:`run` serves until it is interrupted.
+
+    Raises :class:`~sherkit.errors.SherkitError` where the port is taken.
+    """
+
+    def __init__(
+        self,
+        bench: Workbench,
+        *,
+        address: str = "127.0.0.1",
+        port: int = 5006,
+        command: str = "",
+        follow: Path | None = None,
+    ) -> None:
+        self.bench = bench
+        token = secrets.token_urlsafe(12)
+        links = "".join(f'<a href="/{token}/{name}" download>{text}</a><br>' for name, text in _LINKS)
+        application = Application(FunctionHandler(lambda document: _make(document, bench, links, follow)))
+        shared = {"bench": bench, "command": command}
+        try:
+            port = port or _free_port(address)
+            hosts = {address, "localhost", "127.0.0.1"}
+            self.server = Server(
+                {"/": application}, address=address, port=port, prefix=f"/{token}",
+                extra_patterns=[(f"/{name}", _Download, {**shared, "name": name}) for name, _ in _LINKS],
+                allow_websocket_origin=[f"{host}:{port}" for host in hosts],
+                io_loop=IOLoop.current(), session_token_expiration=3600, websocket_max_message_size=200 * 2**20,
+            )  # fmt: skip
+        except OSError as error:
+            raise SherkitError(
+                f"port {port} on {address} cannot be used: {error.strerror}; give another --port"
+            ) from None
+        self.url = f"http://{address}:{self.server.port}/{token}/"
+
+    def run(self, ready: Callable[[], None] = lambda: None) -> None:
+        """Serves until interrupted; ``ready`` is called once the page can be opened."""
+        self.server.start()
+        self.server.io_loop.add_callback(ready)
+        try:
+            self.server.io_loop.start()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            self.server.stop()
+            self.bench.close()
+
+
+def _free_port(address: str) -> int:
+    """A port that is free now."""
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    with socket.socket(family) as probe:
+        probe.bind((address, 0))
+        return int(probe.getsockname()[1])
+
+
+def _make(document: Document, bench: Workbench, links: str, follow: Path | None) -> None:
+    Page(document, bench, links)
+    if follow is not None:
+
+        def look() -> None:
+            bench.follow(follow)
+
+        document.add_periodic_callback(look, _FOLLOW_MS)
+
+
+class _Download(RequestHandler):
+    """Files made from the study as it stands."""
+
+    def initialize(self, bench: Workbench, command: str, name: str) -> None:
+        self.bench, self.command, self.name = bench, command, name
+
+    async def get(self) -> None:
+        make = {"calibration.toml": _calibration, "report.html": self._report, "study.zip": self._study}[self.name]
+        try:
+            content = await asyncio.wrap_future(self.bench.ask(f"making {self.name}", make))
+        except SherkitError as error:
+            self.set_status(409)
+            self.set_header("Content-Type", "text/plain; charset=utf-8")
+            self.finish(str(error))
+            return
+        self.set_header("Content-Disposition", f'attachment; filename="{self.name}"')
+        self.set_header("Content-Type", "application/octet-stream")
+        self.finish(content)
+
+    def _report(self, study: Study, step: Progress) -> bytes:
+        found = study.diagnose(step=step)
+        sources = [Source.of(path) for path in self.bench.sources if path.exists()]
+        title = f"What was found on {Path(study.data.source).name}"
+        return html(Story(title, study, found, self.command, sources, study.calibration())).encode("utf-8")
+
+    def _study(self, study: Study, _: Progress) -> bytes:
+        study.save(self.bench.folder)
+        packed = io.BytesIO()
+        with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+            for path in sorted(self.bench.folder.iterdir()):
+                if path.is_file():
+                    archive.write(path, path.name)
+        return packed.getvalue()
+
+
+def _calibration(study: Study, _: Progress) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "calibrated.toml"
+        study.calibration().save(path)
+        return path.read_bytes()

@@ -1,0 +1,48 @@
+"""``sherkit app``: the page on which effects are added and the error falls."""
+
+from __future__ import annotations
+
+import webbrowser
+from pathlib import Path
+
+import click
+
+from . import output, reporting
+
+
+@click.command()
+@click.argument("robot", type=click.Path(path_type=Path))
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--effects", "files", type=click.Path(path_type=Path), multiple=True, help="Python file of your effects.")
+@click.option("--study", "folder", type=click.Path(path_type=Path), help="Folder of the study; default: beside RUN.")
+@click.option("--fresh", is_flag=True, help="Begin anew where the folder holds a study.")
+@click.option("--run-typed", is_flag=True, help="Run lines again that were typed into the page before.")
+@click.option("--follow", is_flag=True, help="Read RUN again whenever it grows.")
+@click.option("--address", default="127.0.0.1", show_default=True, help="Beyond loopback others can open it.")
+@click.option("--port", type=click.IntRange(0, 65535), default=5006, show_default=True, help="0 takes a free one.")
+@click.option("--no-open", is_flag=True, help="Print the address and open no browser.")
+def app(
+    robot: Path, run: Path, files: tuple[Path, ...], folder: Path | None, fresh: bool, run_typed: bool, follow: bool,
+    address: str, port: int, no_open: bool,
+) -> None:  # fmt: skip
+    """Open ROBOT (TOML) and the measurements RUN (CSV or Parquet) as a page: add effects, and watch the error fall."""
+    reporting.require_view()
+    from ..app.server import PageServer, is_loopback  # Bokeh takes a second to load
+    from ..app.workbench import Workbench
+
+    folder = folder or run.with_suffix(".study")
+    trusted = is_loopback(address)
+    bench = Workbench.open(robot, run, folder, files=files, fresh=fresh, trusted=trusted, run_typed=run_typed)
+    server = PageServer(
+        bench, address=address, port=port, command=output.command_line(), follow=run if follow else None
+    )  # fmt: skip
+    output.say(f"the page is at {server.url}\nthe study is kept in {folder}; Ctrl-C ends")
+    if not trusted:
+        output.warn(
+            f"{address} can be reached from other machines: whoever knows the address above can change this study"
+        )
+    server.run(lambda: None if no_open else _open(server.url))
+
+
+def _open(url: str) -> None:
+    webbrowser.open(url)
