@@ -39,8 +39,8 @@ $(STAMP): $(BIN)/python $(SOURCES)
 lint: $(STAMP)
 	cargo fmt --all --check
 	cargo clippy --quiet --locked --all-targets -- -D warnings
-	$(BIN)/ruff check python tests benchmarks examples
-	$(BIN)/ruff format --check --quiet python tests benchmarks examples
+	$(BIN)/ruff check python tests benchmarks examples docs
+	$(BIN)/ruff format --check --quiet python tests benchmarks examples docs
 	$(BIN)/mypy
 	cd $(VENV) && bin/python -m mypy.stubtest sherkit._core
 
@@ -63,8 +63,8 @@ bench: $(STAMP)
 
 format: $(STAMP)
 	cargo fmt --all
-	$(BIN)/ruff check --fix --quiet python tests benchmarks examples
-	$(BIN)/ruff format --quiet python tests benchmarks examples
+	$(BIN)/ruff check --fix --quiet python tests benchmarks examples docs
+	$(BIN)/ruff format --quiet python tests benchmarks examples docs
 
 clean:
 	rm -rf target $(VENV) demo

@@ -1,0 +1,126 @@
+"""Intrinsics of a camera from pictures of a chessboard or a ChArUco board (Zhang, PAMI 2000; OpenCV does the work)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SherkitError
+from ..names import listed
+from .pictures import Picture, picture_of
+
+Floats = NDArray[np.float64]
+
+#: A camera has nine unknowns and each picture adds six: fewer pictures than this fix them badly.
+_FEWEST = 4
+_FEWEST_CORNERS = 6
+_WINDOW = (5, 5)
+_ENOUGH = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera with Brown–Conrady distortion, in OpenCV's convention.
+
+    ``focal_px`` (x, y), ``centre_px`` (u, v), ``distortion`` (k1, k2, p1, p2), ``size_px`` (width, height). ``std`` has
+    the standard deviations of focal_px, centre_px and distortion in this order; ``rms_px`` is what the corners leave,
+    ``without`` names the pictures on which no board was found.
+    """
+
+    focal_px: tuple[float, float]
+    centre_px: tuple[float, float]
+    distortion: tuple[float, float, float, float]
+    size_px: tuple[int, int]
+    std: tuple[float, ...] = ()
+    rms_px: float = float("nan")
+    pictures: int = 0
+    without: tuple[str, ...] = ()
+
+    @property
+    def matrix(self) -> Floats:
+        """The camera matrix (3, 3)."""
+        (fx, fy), (cx, cy) = self.focal_px, self.centre_px
+        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def chessboard_intrinsics(
+    pictures: Sequence[str | Path | NDArray[Any]], corners: tuple[int, int], square_mm: float
+) -> Intrinsics:
+    """Intrinsics from pictures of a chessboard with ``corners`` (columns, rows) inner corners.
+
+    Raises :class:`~sherkit.errors.SherkitError` naming pictures without the board, or where too few show it.
+    """
+    board = np.zeros((corners[0] * corners[1], 3), np.float32)
+    board[:, :2] = np.mgrid[0 : corners[0], 0 : corners[1]].T.reshape(-1, 2) * square_mm
+
+    def find(picture: Picture) -> tuple[Any, Any] | None:
+        found, points = cv2.findChessboardCorners(picture.grey, corners)
+        if not found:
+            return None
+        return board, cv2.cornerSubPix(picture.grey, points, _WINDOW, (-1, -1), _ENOUGH)
+
+    return _calibrated(pictures, find, f"a chessboard of {corners[0]} × {corners[1]} inner corners")
+
+
+def charuco_intrinsics(
+    pictures: Sequence[str | Path | NDArray[Any]], squares: tuple[int, int], square_mm: float, marker_mm: float,
+    dictionary: int = cv2.aruco.DICT_5X5_100,
+) -> Intrinsics:  # fmt: skip
+    """Intrinsics from pictures of a ChArUco board with ``squares`` (columns, rows); a part of it is enough.
+
+    Raises as :func:`chessboard_intrinsics`.
+    """
+    board = cv2.aruco.CharucoBoard(squares, square_mm, marker_mm, cv2.aruco.getPredefinedDictionary(dictionary))
+    detector = cv2.aruco.CharucoDetector(board)
+
+    def find(picture: Picture) -> tuple[Any, Any] | None:
+        points, ids, _, _ = detector.detectBoard(picture.grey)
+        if ids is None or len(ids) < _FEWEST_CORNERS:
+            return None
+        return np.asarray(board.getChessboardCorners())[np.asarray(ids).ravel()], points
+
+    return _calibrated(pictures, find, f"a ChArUco board of {squares[0]} × {squares[1]} squares")
+
+
+def _calibrated(pictures: Sequence[Any], find: Any, what: str) -> Intrinsics:
+    known: list[Any] = []
+    seen: list[Any] = []
+    missing: list[str] = []
+    size: tuple[int, int] | None = None
+    for k, given in enumerate(pictures):
+        picture = picture_of(given, f"picture {k}")
+        if size is not None and picture.size_px != size:
+            raise SherkitError(
+                f"{picture.name}: is {picture.size_px[0]} × {picture.size_px[1]} px, the others {size[0]} × {size[1]}; "
+                "one camera at one resolution is expected"
+            )
+        size = picture.size_px
+        found = find(picture)
+        if found is None:
+            missing.append(picture.name)
+            continue
+        known.append(np.asarray(found[0], np.float32).reshape(-1, 1, 3))
+        seen.append(np.asarray(found[1], np.float32).reshape(-1, 1, 2))
+    if len(known) < _FEWEST or size is None:
+        lost = f"; it was not found in {listed(missing)}" if missing else ""
+        raise SherkitError(f"{what} was found in {len(known)} pictures; expected {_FEWEST} or more{lost}")
+    flags = cv2.CALIB_FIX_K3
+    rms, matrix, distortion, _, _, std, _, _ = cv2.calibrateCameraExtended(known, seen, size, None, None, flags=flags)
+    spread = np.asarray(std).ravel()
+    d = np.asarray(distortion).ravel()
+    return Intrinsics(
+        focal_px=(float(matrix[0, 0]), float(matrix[1, 1])),
+        centre_px=(float(matrix[0, 2]), float(matrix[1, 2])),
+        distortion=(float(d[0]), float(d[1]), float(d[2]), float(d[3])),
+        size_px=size,
+        std=tuple(float(s) for s in spread[:8]),
+        rms_px=float(rms),
+        pictures=len(known),
+        without=tuple(missing),
+    )

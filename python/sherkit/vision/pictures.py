@@ -1,0 +1,82 @@
+"""Pictures: grey values with a name, from files, arrays and videos."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SherkitError
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Grey values (height, width), 0 to 255, with a name for messages and the moment of the exposure, s."""
+
+    grey: NDArray[np.uint8]
+    name: str
+    time_s: float = float("nan")
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height."""
+        return int(self.grey.shape[1]), int(self.grey.shape[0])
+
+
+def picture_of(
+    given: str | Path | NDArray[Any] | Picture, name: str = "picture", time_s: float = float("nan")
+) -> Picture:
+    """A picture from a file or an array, grey (h, w) or colour in OpenCV's order (h, w, 3).
+
+    Raises :class:`~sherkit.errors.SherkitError` where it is none.
+    """
+    if isinstance(given, Picture):
+        return given
+    if isinstance(given, str | Path):
+        path = Path(given)
+        if not path.is_file():
+            raise SherkitError(f"{path}: there is no such picture")
+        read = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        if read is None:
+            raise SherkitError(f"{path}: is not a picture that can be read")
+        return Picture(np.asarray(read, np.uint8), str(path), time_s)
+    array = np.asarray(given)
+    if array.ndim == 3 and array.shape[2] == 3:
+        array = np.asarray(cv2.cvtColor(array, cv2.COLOR_BGR2GRAY))
+    if array.ndim != 2 or array.dtype != np.uint8:
+        raise SherkitError(f"{name}: expected grey values (height, width) as uint8, got {array.shape} of {array.dtype}")
+    return Picture(array, name, time_s)
+
+
+def frames_of(video: str | Path | int) -> Iterator[Picture]:
+    """The pictures of a video file, or of a live camera by its number, with their time in s.
+
+    A file's times are those it holds, from its start; a live camera's are the host's, from the first picture. Raises
+    :class:`~sherkit.errors.SherkitError` where it cannot be opened.
+    """
+    live = isinstance(video, int)
+    if not live and not Path(str(video)).is_file():
+        raise SherkitError(f"{video}: there is no such video")
+    capture = cv2.VideoCapture(video if isinstance(video, int) else str(video))
+    if not capture.isOpened():
+        raise SherkitError(f"{'camera ' if live else ''}{video}: cannot be opened as a video")
+    try:
+        started = cv2.getTickCount()
+        number = 0
+        while True:
+            moment = (cv2.getTickCount() - started) / cv2.getTickFrequency() if live else None
+            there, frame = capture.read()
+            if not there:
+                return
+            if moment is None:
+                # OpenCV tells the time of the picture that was just read
+                moment = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+            yield picture_of(np.asarray(frame), f"{video}: picture {number}", float(moment))
+            number += 1
+    finally:
+        capture.release()

@@ -1,0 +1,238 @@
+"""Vision: a marker in rendered pictures, intrinsics from boards, rows joined by time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from numpy.typing import NDArray
+
+from sherkit.errors import MeasurementError, SherkitError
+
+cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: sherkit[vision]")
+
+from sherkit.vision.intrinsics import Intrinsics, charuco_intrinsics, chessboard_intrinsics  # noqa: E402
+from sherkit.vision.marker import Seen, find_marker  # noqa: E402
+from sherkit.vision.pictures import Picture, frames_of, picture_of  # noqa: E402
+from sherkit.vision.render import View, draw_marker  # noqa: E402
+from sherkit.vision.rows import joined_by_time, marker_rows  # noqa: E402
+
+CAMERA = Intrinsics((1100.0, 1080.0), (645.0, 318.0), (-0.12, 0.05, 0.001, -0.0008), (1280, 640))
+VIEW = View(CAMERA, (0.02, -0.03, 0.1), (5.0, -4.0, 446.2))
+
+
+def seen_at(point: NDArray[np.float64], view: View = VIEW) -> NDArray[np.float64]:
+    """Where the camera sees a point, from the formula of Brown and Conrady written out: the second way."""
+    x, y, z = view.rotation @ point + np.array(view.translation_mm)
+    x, y = x / z, y / z
+    k1, k2, p1, p2 = view.intrinsics.distortion
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2 * r2
+    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    (fx, fy), (cx, cy) = view.intrinsics.focal_px, view.intrinsics.centre_px
+    return np.array([fx * xd + cx, fy * yd + cy])
+
+
+def places(count: int, seed: int) -> list[NDArray[np.float64]]:
+    """Points on the camera's side of a sphere of 200 mm, inside the picture."""
+    rng = np.random.default_rng(seed)
+    out: list[NDArray[np.float64]] = []
+    while len(out) < count:
+        n = np.array([*rng.uniform(-0.6, 0.6, 2), -1.0])
+        point = 200.0 * n / np.linalg.norm(n)
+        u, v = seen_at(point)
+        if 40 < u < 1240 and 40 < v < 600:
+            out.append(point)
+    return out
+
+
+def test_a_marker_is_found_to_hundredths_of_a_pixel() -> None:
+    """Catches a detector that is biased by half a pixel, by slant or by turn, and a deviation that is made up."""
+    rng = np.random.default_rng(3)
+    off = []
+    for point in places(60, 1):
+        picture = draw_marker(VIEW, point, point, 6.0, rng, turn_rad=rng.uniform(0, np.pi))
+        seen = find_marker(picture)
+        assert seen.found, seen.why
+        off.append(np.array([seen.u_px, seen.v_px, 0.0, 0.0]) - [*seen_at(point), 0, 0])
+        off[-1][2:] = off[-1][:2] / seen.sigma_px
+    off = np.array(off)
+    assert np.abs(off[:, :2]).max() < 0.12
+    assert off[:, :2].std() < 0.02
+    # bias: the mean of 60 within four of its standard errors
+    assert (np.abs(off[:, :2].mean(axis=0)) < 4 * off[:, :2].std(axis=0) / np.sqrt(len(off))).all()
+    assert 0.5 < np.sqrt(np.mean(off[:, 2:] ** 2)) < 2.0
+
+
+def test_what_is_no_marker_says_so() -> None:
+    """Catches a place made up where there is none: an empty picture, a chessboard, a blurred or a doubled marker."""
+    rng = np.random.default_rng(0)
+    point = places(1, 2)[0]
+    sharp = draw_marker(VIEW, point, point, 6.0, rng)
+    for blur in (3.0, 4.5):
+        seen = find_marker(draw_marker(VIEW, point, point, 6.0, rng, blur_px=blur))
+        assert not seen.found
+        assert "blurred" in seen.why
+        assert np.isnan(seen.u_px)
+    for empty in (np.full((640, 1280), 128, np.uint8), rng.integers(100, 150, (640, 1280)).astype(np.uint8)):
+        assert "no marker" in find_marker(empty).why
+    other = draw_marker(VIEW, -point * [1, 1, -1], point * [-1, -1, 1], 6.0, rng)
+    both = np.where(np.abs(other.astype(int) - 128) > 30, other, sharp).astype(np.uint8)
+    assert find_marker(both).why.startswith("2 candidates")
+    disk = cv2.circle(np.full((640, 1280), 128, np.uint8), (500, 300), 30, 20, -1)
+    assert not find_marker(disk).found
+    board = chessboard((9, 6), 40)
+    assert "candidates" in find_marker(board).why
+
+
+@pytest.mark.parametrize("kind", ["aruco", "apriltag"])
+def test_a_tag_is_found_in_its_middle(kind: str) -> None:
+    """Catches the mean of four corners taken for the middle of a tag seen at a slant, and the wrong one of two tags."""
+    from sherkit.vision.marker import _DICTIONARIES
+
+    dictionary = cv2.aruco.getPredefinedDictionary(_DICTIONARIES[kind])
+
+    def at(number: int, left: float) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+        tag = cv2.copyMakeBorder(cv2.aruco.generateImageMarker(dictionary, number, 200), 40, 40, 40, 40, 0, value=255)
+        corners = np.array([[left, 100], [left + 180, 130], [left + 150, 320], [left - 20, 280]], np.float32)
+        source = np.array([[0, 0], [280, 0], [280, 280], [0, 280]], np.float32)
+        h = cv2.getPerspectiveTransform(source, corners)
+        picture = cv2.warpPerspective(tag, h, (1280, 640), borderValue=128, flags=cv2.INTER_AREA)
+        middle = h @ [139.5, 139.5, 1.0]
+        return cv2.GaussianBlur(picture, (0, 0), 0.8), middle[:2] / middle[2]
+
+    picture, middle = at(3, 300.0)
+    seen = find_marker(picture, kind)
+    assert seen.found, seen.why
+    assert np.hypot(seen.u_px - middle[0], seen.v_px - middle[1]) < 0.3
+    second, _ = at(7, 800.0)
+    both = np.where(np.abs(second.astype(int) - 128) > 20, second, picture).astype(np.uint8)
+    assert "2 candidates" in find_marker(both, kind).why
+    assert np.hypot(find_marker(both, kind, 3).u_px - middle[0], 0) < 0.3
+    assert "no" in find_marker(both, kind, 11).why
+
+
+def chessboard(corners: tuple[int, int], square: int) -> NDArray[np.uint8]:
+    """A flat chessboard with a white rim."""
+    columns, rows = corners[0] + 1, corners[1] + 1
+    fields = (np.add.outer(np.arange(rows), np.arange(columns)) % 2 * 235 + 10).astype(np.uint8)
+    return cv2.copyMakeBorder(np.kron(fields, np.ones((square, square), np.uint8)), 60, 60, 60, 60, 0, value=250)
+
+
+def photographed(board: NDArray[np.uint8], count: int, seed: int) -> list[NDArray[np.uint8]]:
+    """A board in several poses through the distorted camera: each pixel's ray is followed to the board's plane."""
+    rng = np.random.default_rng(seed)
+    width, height = CAMERA.size_px
+    grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2).astype(float)
+    rays = cv2.undistortPoints(
+        grid, CAMERA.matrix, np.array(CAMERA.distortion),
+        criteria=(cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-12),
+    ).reshape(-1, 2)  # fmt: skip
+    rays = np.column_stack([rays, np.ones(len(rays))])
+    out = []
+    for _ in range(count):
+        rotation = cv2.Rodrigues(rng.uniform(-0.5, 0.5, 3))[0]
+        per_mm = 2.0  # pixels of the board per mm
+        middle = np.array([board.shape[1], board.shape[0]]) / per_mm / 2
+        shift = np.array([*rng.uniform(-15, 15, 2), rng.uniform(340, 440)])
+        normal = rotation[:, 2]
+        hit = rays * ((shift @ normal) / (rays @ normal))[:, None] - shift
+        place = (hit @ rotation[:, :2] + middle) * per_mm - 0.5
+        sharp = cv2.remap(
+            board, place[:, 0].reshape(height, width).astype(np.float32),
+            place[:, 1].reshape(height, width).astype(np.float32), cv2.INTER_LINEAR, borderValue=128,
+        )  # fmt: skip
+        noisy = cv2.GaussianBlur(sharp, (0, 0), 0.8) + rng.normal(0, 1.5, sharp.shape)
+        out.append(np.clip(noisy, 0, 255).astype(np.uint8))
+    return out
+
+
+@pytest.mark.parametrize("board", ["chessboard", "charuco"])
+def test_intrinsics_come_back(board: str) -> None:
+    """Catches swapped axes, a wrong size of squares, a deviation that is none: values within four of them."""
+    if board == "chessboard":
+        found = chessboard_intrinsics(photographed(chessboard((9, 6), 40), 12, 5), (9, 6), 20.0)
+    else:
+        made = cv2.aruco.CharucoBoard((9, 6), 20.0, 15.0, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100))
+        found = charuco_intrinsics(photographed(made.generateImage((440, 320), None, 40, 1), 12, 6), (9, 6), 20.0, 15.0)
+    assert found.pictures == 12
+    assert found.without == ()
+    assert found.rms_px < 0.3
+    values = np.array([*found.focal_px, *found.centre_px, *found.distortion])
+    true = np.array([*CAMERA.focal_px, *CAMERA.centre_px, *CAMERA.distortion])
+    # corner finding is not white noise: twice what OpenCV's own deviations allow
+    assert (np.abs(values - true) < 8 * np.array(found.std) + 1e-4).all(), (values - true) / np.array(found.std)
+
+
+def test_bad_pictures_are_named(tmp_path: Path) -> None:
+    """Catches a picture that is left out in silence, and a reader who cannot tell which one is bad."""
+    boards = photographed(chessboard((9, 6), 40), 4, 5)
+    empty = np.full((640, 1280), 128, np.uint8)
+    with pytest.raises(SherkitError, match=r"was found in 3 pictures; .* picture 1"):
+        chessboard_intrinsics([boards[0], empty, *boards[1:3]], (9, 6), 20.0)
+    with pytest.raises(SherkitError, match="picture 1: is 100 × 90 px"):
+        chessboard_intrinsics([boards[0], empty[:90, :100]], (9, 6), 20.0)
+    with pytest.raises(SherkitError, match="there is no such picture"):
+        chessboard_intrinsics([tmp_path / "none.png"], (9, 6), 20.0)
+    (tmp_path / "text.png").write_text("no picture")
+    with pytest.raises(SherkitError, match="is not a picture"):
+        picture_of(tmp_path / "text.png")
+    with pytest.raises(SherkitError, match="expected grey values"):
+        picture_of(np.zeros((4, 4)))
+    with pytest.raises(SherkitError, match="choose corner, aruco, apriltag"):
+        find_marker(empty, "cross")
+
+
+def test_a_video_gives_a_row_for_every_picture(tmp_path: Path) -> None:
+    """Catches lost pictures and times that are counted from 1 or in milliseconds: the empty picture keeps its row."""
+    rng = np.random.default_rng(1)
+    points = places(5, 9)
+    path = tmp_path / "run.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, CAMERA.size_px, isColor=False)
+    for k, point in enumerate(points):
+        picture = draw_marker(VIEW, point, point, 6.0, rng)
+        writer.write(np.full_like(picture, 128) if k == 2 else picture)
+    writer.release()
+    rows = marker_rows(frames_of(path))
+    assert rows["time_s"].to_list() == pytest.approx([0.0, 0.02, 0.04, 0.06, 0.08], abs=1e-9)
+    assert rows["u_px"].is_null().to_list() == [False, False, True, False, False]
+    assert rows["why"].to_list()[2].startswith("no marker")
+    for k in (0, 1, 3, 4):
+        u, v = seen_at(points[k])
+        # lossy pictures
+        assert np.hypot(rows["u_px"][k] - u, rows["v_px"][k] - v) < 0.5
+    with pytest.raises(SherkitError, match="there is no such video"):
+        next(iter(frames_of(tmp_path / "none.avi")))
+
+
+def test_camera_and_joints_are_joined_by_time() -> None:
+    """Catches the nearest reading taken instead of the one at that moment, a delay of the wrong sign, extrapolation."""
+    t = np.arange(0, 1.0, 0.005)
+    joints = pl.DataFrame({"time_s": t, "theta1_rad": 0.3 + 0.5 * t, "theta2_rad": np.sin(t)})
+    camera = pl.DataFrame({"time_s": np.array([0.2012, 0.5, 0.9]), "u_px": [1.0, 2.0, 3.0]})
+    names = ("theta1_rad", "theta2_rad")
+    out = joined_by_time(camera, joints, names, delay_s=0.0333)
+    moment = camera["time_s"].to_numpy() - 0.0333
+    np.testing.assert_allclose(out["theta1_rad"], 0.3 + 0.5 * moment, atol=1e-12)
+    np.testing.assert_allclose(out["theta2_rad"], np.sin(moment), atol=5e-6)
+    np.testing.assert_allclose(out["theta1_rad_per_s"], 0.5, atol=1e-9)
+    np.testing.assert_allclose(out["theta2_rad_per_s"], np.cos(moment), atol=3e-3)
+    with pytest.raises(MeasurementError, match=r"row 2 at .* lies outside"):
+        joined_by_time(camera, joints.head(150), names)
+    with pytest.raises(MeasurementError, match="has no reading within"):
+        joined_by_time(camera, joints[[0, 1, 198, 199]], names)
+    with pytest.raises(MeasurementError, match="does not grow at row 3"):
+        joined_by_time(camera, joints[[0, 1, 2, 1]], names)
+    with pytest.raises(MeasurementError, match="'theta3_rad' is missing"):
+        joined_by_time(camera, joints, ("theta3_rad",))
+
+
+def test_a_row_that_lacks_a_marker_is_a_sentence() -> None:
+    """Catches NaN that travels on: what is not found is empty in the table."""
+    rows = marker_rows([Picture(np.full((64, 64), 9, np.uint8), "dark", 1.5)])
+    assert rows["u_px"].to_list() == [None]
+    assert rows["time_s"].to_list() == [1.5]
+    assert isinstance(find_marker(np.full((64, 64), 9, np.uint8)), Seen)
