@@ -89,7 +89,8 @@ def residual_map(change: Change, *, planes_across: bool = False, width_px: int =
     ticker = FixedTicker(ticks=[-scale.colour, 0.0, scale.colour])
     if len(change.before.names) != 2:
         unit = f"{change.before.names[2 if len(change.before.names) > 2 else 0]}, {change.before.unit}"
-        colour_bar(figures[columns - 1], mapper, unit, ticker=ticker)
+        # beside what is always seen: a page hides what was before where nothing is compared
+        colour_bar(figures[-1 if planes_across else 1], mapper, unit, ticker=ticker)
     current = scale
 
     def tables(state: Change) -> Tables:
