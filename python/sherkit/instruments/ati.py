@@ -6,6 +6,7 @@ not in ``ignored_status`` makes the record no reading.
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import time
 import urllib.error
@@ -155,10 +156,8 @@ class NetFT(Instrument):
         """Stops what is still streaming, and gives the port back."""
         with self._lock:
             if self._transport is not None:
-                try:
+                with contextlib.suppress(Disconnected, Timeout):
                     self._send(_STOP, 0)
-                except (Disconnected, Timeout):
-                    pass
             super().close()
 
     def _open(self) -> UdpPort:

@@ -136,7 +136,7 @@ class Instrument(ABC):
     ) -> None:
         self.close()
 
-    def _greet(self) -> None:
+    def _greet(self) -> None:  # noqa: B027 - most instruments need none
         """What has to be said first on a new connection."""
 
     def _open(self) -> Transport:

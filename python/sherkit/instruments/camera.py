@@ -128,7 +128,8 @@ class Camera(Instrument):
         end = time.monotonic() + self.timeout_s
         picture: Picture | None = None
         for _ in range(self.discard + 1):
-            picture = parse_frame(*self._worker.call(lambda s: s.read(), end), self.size_px)
+            ok, given = self._worker.call(lambda s: s.read(), end)
+            picture = parse_frame(ok, given, self.size_px)
         assert picture is not None
         return Frame(picture, time.time())
 

@@ -183,7 +183,8 @@ class Galil(Instrument):
         self._in_step = False
         self._prepared = False
         self._moving: set[str] = set()
-        self._stops = 0
+        #: how often each axis was told to stop: a motion that sees it change was stopped by another thread
+        self._stops = dict.fromkeys(letters, 0)
 
     # --- what every instrument does
 
@@ -283,8 +284,11 @@ class Galil(Instrument):
         ``stop_timeout_s``: then the axes may still move.
         """
         which = sorted(set(letters)) if letters is not None else [a.letter for a in self.axes]
+        if unknown := [x for x in which if x not in self._stops]:
+            raise InstrumentError(f"has no axis {listed(unknown)}", instrument=self.name, port=self.address)
         sent = f"ST{''.join(which)}\r".encode()
-        self._stops += 1
+        for letter in which:
+            self._stops[letter] += 1
         end = deadline_in(self.stop_timeout_s)
         last: InstrumentError | None = None
         while True:
@@ -297,11 +301,10 @@ class Galil(Instrument):
                         self._in_step = False
                         port.write(sent, deadline_in(self.poll_timeout_s))
                     running = self._running(which, self.poll_timeout_s)
-                if not any(running):
-                    # looked at twice, since a wrong digit must not leave an axis moving
-                    if not any(self._running(which, self.poll_timeout_s)):
-                        self._moving -= set(which)
-                        return
+                # looked at twice, since a wrong digit must not leave an axis moving
+                if not any(running) and not any(self._running(which, self.poll_timeout_s)):
+                    self._moving -= set(which)
+                    return
             except Disconnected as error:
                 last = error
                 self._shut()
@@ -310,7 +313,7 @@ class Galil(Instrument):
             if time.monotonic() > end:
                 why = f"; last: {last}" if last else ""
                 raise Timeout(
-                    f"could not be stopped in {self.stop_timeout_s:g} s and MAY STILL MOVE: use the emergency stop{why}",
+                    f"may still move, not stopped in {self.stop_timeout_s:g} s: use the emergency stop{why}",
                     instrument=self.name,
                     port=self.address,
                     sent=sent,
@@ -514,13 +517,13 @@ class Galil(Instrument):
             self._set("BL", reverse)
         self._prepared = True
 
-    def _start(self, targets: Mapping[str, float]) -> int:
-        """Sends and verifies the targets, then begins. Returns how often ``stop`` had been called before."""
+    def _start(self, targets: Mapping[str, float]) -> dict[str, int]:
+        """Sends and verifies the targets, then begins. Returns how often each axis had been stopped before."""
         with self._lock:
             if self._transport is None:
                 raise Disconnected("is not connected; call connect() first", instrument=self.name, port=self.address)
             self._prepare()
-            stops = self._stops
+            stops = dict(self._stops)
             # asked back before anything moves: a wrong digit must not become a motion
             self._set("PA", {x: self._axis(x).to_counts(v) for x, v in targets.items()})
             self._moving |= set(targets)
@@ -528,7 +531,7 @@ class Galil(Instrument):
             self._acknowledged(f"BG{''.join(sorted(targets))}", self.poll_timeout_s)
             return stops
 
-    def _wait(self, targets: Mapping[str, float], stops: int) -> None:
+    def _wait(self, targets: Mapping[str, float], stops: Mapping[str, int]) -> None:
         """Polls until the profiles are over. Any error ends it: the caller stops the axes."""
         letters = sorted(targets)
         start = time.monotonic()
@@ -537,7 +540,7 @@ class Galil(Instrument):
             for a in self.axes
         )
         while True:
-            if self._stops != stops:
+            if any(self._stops[x] != stops[x] for x in letters):
                 raise Halted(
                     f"the motion of {listed(letters)} was stopped from another part of the program",
                     4,
@@ -549,7 +552,7 @@ class Galil(Instrument):
                 break
             if time.monotonic() - start > longest_s:
                 raise Timeout(
-                    f"{listed(letters)} moved for more than {longest_s:.0f} s; expected less at {self.speed_mm_s:g} mm/s",
+                    f"{listed(letters)} moved for {longest_s:.0f} s; expected less at {self.speed_mm_s:g} mm/s",
                     instrument=self.name,
                     port=self.address,
                 )

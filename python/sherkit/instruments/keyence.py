@@ -22,6 +22,8 @@ _VALUE = re.compile(r"[+-](?=\d*\.\d*)[\d.]{7}", re.ASCII)
 _FAR = ("+FFFFFFF", "-FFFFFFF")
 _NONE = "XXXXXXXX"
 _METHODS = ("MS", "MM", "MA")
+#: Silence after which nothing of an earlier program is expected on a serial line, s.
+_QUIET_S = 0.1
 
 
 def parse_reply(raw: bytes, command: str) -> tuple[str, ...]:
@@ -221,11 +223,11 @@ class Keyence(Instrument):
     def _greet(self) -> None:
         # a new TCP connection owes nothing; a serial line may, from the program before this one
         with self._exchanging(b"") as port:
-            port.drain()
-            if not self.address.startswith("tcp://"):
-                self._owed = self._owed or ["?"]
-            else:
+            if self.address.startswith("tcp://"):
                 self._owed.clear()
+            else:
+                port.drain(_QUIET_S)
+                self._owed = self._owed or ["?"]
 
     def _recover(self, error: InstrumentError) -> None:
         if isinstance(error, Disconnected):

@@ -66,9 +66,9 @@ def parse_peaks(payload: bytes) -> Peaks:
     raw = struct.unpack_from(f"<{sum(counts)}I", payload, _HEADER_BYTES)
     low, high = (start, end) if start < end else (_SHORTEST_NM * granularity, _LONGEST_NM * granularity)
     if not all(low <= r <= high for r in raw):
+        found = [r / granularity for r in raw]
         raise Garbled(
-            f"wavelengths {[r / granularity for r in raw]} nm; expected {low / granularity:g} to {high / granularity:g}",
-            received=payload,
+            f"wavelengths {found} nm; expected {low / granularity:g} to {high / granularity:g}", received=payload
         )
     channels: list[tuple[float, ...]] = []
     at = 0
