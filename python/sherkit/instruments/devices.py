@@ -12,7 +12,7 @@ from typing import Any
 
 from ..errors import Halted, InstrumentError
 from .base import Instrument, Reading
-from .galil import Axis, Galil
+from .galil import BY_COMMAND, Axis, Galil
 from .keyence import Keyence
 
 Values = dict[str, dict[str, Any]]
@@ -149,9 +149,9 @@ class _Mover(_Device):
         def move() -> None:
             try:
                 self.instrument.move(checked)
-            except Halted:
+            except Halted as halted:
                 # a stop that was asked for, and called a good end by who asked
-                if not self._stop_is_success:
+                if halted.code != BY_COMMAND or not self._stop_is_success:
                     raise
 
         return _in_thread(move, status)

@@ -36,6 +36,8 @@ STOP_CODES = {
     99: "timed out",
 }
 _DONE = 1
+#: The stop code of a motion that was told to stop.
+BY_COMMAND = 4
 #: A line that the controller takes.
 _LONGEST_LINE = 80
 _LARGEST_COUNT = (1 << 31) - 1
@@ -286,7 +288,12 @@ class Galil(Instrument):
         which = sorted(set(letters)) if letters is not None else [a.letter for a in self.axes]
         if unknown := [x for x in which if x not in self._stops]:
             raise InstrumentError(f"has no axis {listed(unknown)}", instrument=self.name, port=self.address)
+        self._brake(which, always=True)
+
+    def _brake(self, which: Sequence[str], always: bool) -> None:
+        """Stops the axes; without ``always``, nothing where another thread has done so and closed the port."""
         sent = f"ST{''.join(which)}\r".encode()
+        was_closed = self._transport is None
         for letter in which:
             self._stops[letter] += 1
         end = deadline_in(self.stop_timeout_s)
@@ -295,6 +302,8 @@ class Galil(Instrument):
             try:
                 with self._lock:
                     if self._transport is None:
+                        if not always and not self._moving & set(which):
+                            return
                         self._reopen()
                     with self._exchanging(sent) as port:
                         # at once: what else is on the line is sorted out afterwards
@@ -304,6 +313,8 @@ class Galil(Instrument):
                 # looked at twice, since a wrong digit must not leave an axis moving
                 if not any(running) and not any(self._running(which, self.poll_timeout_s)):
                     self._moving -= set(which)
+                    if was_closed:
+                        self._shut()
                     return
             except Disconnected as error:
                 last = error
@@ -543,8 +554,8 @@ class Galil(Instrument):
             if any(self._stops[x] != stops[x] for x in letters):
                 raise Halted(
                     f"the motion of {listed(letters)} was stopped from another part of the program",
-                    4,
-                    STOP_CODES[4],
+                    BY_COMMAND,
+                    STOP_CODES[BY_COMMAND],
                     instrument=self.name,
                     port=self.address,
                 )
@@ -585,7 +596,10 @@ class Galil(Instrument):
                 abs(m) <= self.arrived_within_mm + 0.5 / abs(self._axis(x).counts_per_mm) for x, m in miss_mm.items()
             ):
                 self._moving -= set(targets)
-                return reading
+                # the axes stand: a second reading costs little, and tells a wrong digit from a position
+                return self.read_confirmed(
+                    max(self.arrived_within_mm, 2.0 / min(abs(a.counts_per_mm) for a in self.axes))
+                )
             if time.monotonic() > end:
                 worst = max(miss_mm, key=lambda x: abs(miss_mm[x]))
                 axis = self._axis(worst)
@@ -613,7 +627,7 @@ class _StopOnError:
         if error is None or not self.letters & self.galil._moving:
             return
         try:
-            self.galil.stop(self.letters)
+            self.galil._brake(sorted(self.letters), always=False)
         except InstrumentError as failed:
             if isinstance(error, InstrumentError):
                 error.message += f" - and then {failed.message}"

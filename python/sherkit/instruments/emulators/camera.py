@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import threading
+import time
 from typing import Any
 
 import numpy as np
@@ -12,24 +12,29 @@ from .world import World
 
 
 class CameraEmulator:
-    """Offers what OpenCV's ``VideoCapture`` does. ``noise`` is the standard deviation of a pixel, grey values.
+    """A camera whose :meth:`source` offers what OpenCV's ``VideoCapture`` does.
 
-    Faults: ``drop`` gives no picture, ``garble`` a cut one, ``stall`` waits, ``over_range`` is all white,
-    ``disconnect`` closes it.
+    ``noise`` is the standard deviation of a pixel, grey values. Faults: ``drop`` gives no picture, ``garble`` a cut
+    one, ``stall`` waits, ``over_range`` is all white, ``disconnect`` closes the source.
     """
 
     def __init__(self, world: World, *, faults: Faults | None = None, noise: float = 0.0, seed: int = 0) -> None:
         self.world = world
         self.faults = Faults() if faults is None else faults
         self.noise = noise
-        self._random = np.random.default_rng(seed)
-        self._open = True
-        self._waker = threading.Event()
+        self.random = np.random.default_rng(seed)
 
-    def source(self) -> CameraEmulator:
-        """Opens it, again after a disconnect: what a driver calls."""
+    def source(self) -> Source:
+        """Opens it: what a driver calls, again after a disconnect."""
+        return Source(self)
+
+
+class Source:
+    """One opening of the camera."""
+
+    def __init__(self, camera: CameraEmulator) -> None:
+        self._camera = camera
         self._open = True
-        return self
 
     def isOpened(self) -> bool:  # noqa: N802
         """Whether frames can be read."""
@@ -37,17 +42,18 @@ class CameraEmulator:
 
     def read(self) -> tuple[bool, Any]:
         """Whether there is a frame, and the frame."""
-        fault = self.faults.take()
+        camera = self._camera
+        fault = camera.faults.take()
         kind = fault.kind if fault is not None else ""
         if kind == "disconnect":
             self._open = False
         if kind == "drop" or not self._open:
             return False, None
         if kind == "stall" and fault is not None:
-            self._waker.wait(fault.seconds)
-        picture = self.world.picture()
-        if self.noise:
-            noisy = picture + self._random.normal(0.0, self.noise, picture.shape)
+            time.sleep(fault.seconds)
+        picture = camera.world.picture()
+        if camera.noise:
+            noisy = picture + camera.random.normal(0.0, camera.noise, picture.shape)
             picture = np.clip(np.round(noisy), 0, 255).astype(np.uint8)
         if kind == "over_range":
             picture = np.full_like(picture, 255)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from .faults import Fault
-from .profile import Braking, Profile
+from .profile import Braking, CutShort, Profile
 from .server import Emulator
 from .world import World
 
@@ -40,7 +40,7 @@ class _Axis:
         self.counts_per_mm = counts_per_mm
         self.zero_counts = zero_counts
         counts = position_mm * counts_per_mm + zero_counts
-        self.motion: Profile | Braking = Braking(counts, 0.0, 1.0, 0.0)
+        self.motion: Profile | CutShort | Braking = Braking(counts, 0.0, 1.0, 0.0)
         self.target = round(counts)
         self.settings = dict(_SETTINGS)
         self.motor = True
@@ -129,20 +129,16 @@ class GalilEmulator(Emulator):
     # --- motion
 
     def tick(self) -> None:
-        """Stops an axis that has reached the end of its travel."""
+        """Writes the stop code of an axis whose profile has ended by itself."""
         now = self.world.now_s()
         for axis in self.axes.values():
-            if not self._runs(axis, now):
-                if isinstance(axis.motion, Profile) and axis.code == 0:
-                    axis.code = 1
+            if axis.code != 0:
                 continue
-            at = axis.motion.at(now)
-            speed = axis.motion.speed_at(now) if isinstance(axis.motion, Profile) else 0.0
-            low, high = self._ends(axis)
-            if speed > 0 and (at > min(high, axis.settings["FL"])):
-                self._brake(axis, now, 2)
-            elif speed < 0 and (at < max(low, axis.settings["BL"])):
-                self._brake(axis, now, 3)
+            if isinstance(axis.motion, CutShort) and now >= axis.motion.cut_s:
+                axis.code = 2 if axis.motion.profile.end > axis.motion.profile.start else 3
+                axis.target = round(axis.motion.end)
+            elif not self._runs(axis, now):
+                axis.code = 1
 
     def _ends(self, axis: _Axis) -> tuple[float, float]:
         if self.travel_mm is None:
@@ -154,23 +150,29 @@ class GalilEmulator(Emulator):
         return now < axis.motion.end_s
 
     def _brake(self, axis: _Axis, now: float, code: int) -> None:
-        if isinstance(axis.motion, Profile) and self._runs(axis, now):
+        if self._runs(axis, now) and not isinstance(axis.motion, Braking):
             self._set_motion(axis, axis.motion.stopped(now))
             axis.target = round(axis.motion.end)
             axis.code = code
-            self.stopped_at_s = now
-
-    #: when, in the world's time, an axis was last told to stop or ran into a limit
-    stopped_at_s = float("nan")
 
     def _hit_limit(self) -> None:
         now = self.world.now_s()
         for axis in self.axes.values():
-            if isinstance(axis.motion, Profile) and self._runs(axis, now):
-                forward = axis.motion.speed_at(now) >= 0
-                self._brake(axis, now, 2 if forward else 3)
+            if self._runs(axis, now):
+                self._brake(axis, now, 2 if axis.motion.speed_at(now) >= 0 else 3)
 
-    def _set_motion(self, axis: _Axis, motion: Profile | Braking) -> None:
+    def _planned(self, axis: _Axis, now: float) -> Profile | CutShort:
+        """The way to the target, cut short where a switch or soft limit lies on it."""
+        s = axis.settings
+        profile = Profile(axis.motion.at(now), axis.target, s["SP"], s["AC"], s["DC"], now)
+        low, high = self._ends(axis)
+        if profile.end > profile.start and profile.end > (limit := min(high, s["FL"])):
+            return CutShort(profile, profile.passes_s(limit))
+        if profile.end < profile.start and profile.end < (limit := max(low, s["BL"])):
+            return CutShort(profile, profile.passes_s(limit))
+        return profile
+
+    def _set_motion(self, axis: _Axis, motion: Profile | CutShort | Braking) -> None:
         axis.motion = motion
         scale, zero, lag = axis.counts_per_mm, axis.zero_counts, self.lag_s
         self.world.set_joint(axis.joint, lambda t: (motion.at(t - lag) - zero) / scale)
@@ -242,9 +244,7 @@ class GalilEmulator(Emulator):
             if (way > 0 and at >= axis.settings["FL"]) or (way < 0 and at <= axis.settings["BL"]):
                 raise _Error(22)
         for axis in chosen:
-            s = axis.settings
-            at = axis.motion.at(now)
-            self._set_motion(axis, Profile(at, axis.target, s["SP"], s["AC"], s["DC"], now))
+            self._set_motion(axis, self._planned(axis, now))
             axis.code = 0
 
     def _values(self, head: str, rest: str) -> str | None:

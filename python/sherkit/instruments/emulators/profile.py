@@ -60,10 +60,22 @@ class Profile:
         falling = self.deceleration * (self.end_s - time_s)
         return sign * min(rising, falling, self.top)
 
-    def stopped(self, time_s: float) -> Profile | Braking:
+    def stopped(self, time_s: float) -> Braking:
         """What becomes of it when told to stop at ``time_s``: it brakes with its deceleration."""
         speed = self.speed_at(time_s)
         return Braking(self.at(time_s), speed, self.deceleration, time_s)
+
+    def passes_s(self, place: float) -> float:
+        """When it is at ``place``, which lies on its way."""
+        early, late = self.begin_s, self.end_s
+        rising = self.end > self.start
+        for _ in range(80):
+            middle = 0.5 * (early + late)
+            if (self.at(middle) < place) == rising:
+                early = middle
+            else:
+                late = middle
+        return late
 
 
 @dataclass(frozen=True)
@@ -90,6 +102,45 @@ class Braking:
         t = min(max(time_s - self.begin_s, 0.0), self.end_s - self.begin_s)
         return self.start + self.speed * t - math.copysign(0.5 * self.deceleration * t * t, self.speed)
 
+    def speed_at(self, time_s: float) -> float:
+        """Speed at ``time_s``, with its sign."""
+        left = self.end_s - time_s
+        return math.copysign(self.deceleration * left, self.speed) if self.begin_s < time_s < self.end_s else 0.0
+
     def stopped(self, time_s: float) -> Braking:
         """It is braking already."""
         return self
+
+
+@dataclass(frozen=True)
+class CutShort:
+    """A profile that runs into a limit at ``cut_s`` and brakes from there."""
+
+    profile: Profile
+    cut_s: float
+
+    @property
+    def _rest(self) -> Braking:
+        return self.profile.stopped(self.cut_s)
+
+    @property
+    def end(self) -> float:
+        """Where it stands."""
+        return self._rest.end
+
+    @property
+    def end_s(self) -> float:
+        """When it stands."""
+        return self._rest.end_s
+
+    def at(self, time_s: float) -> float:
+        """Position at ``time_s``."""
+        return self.profile.at(time_s) if time_s < self.cut_s else self._rest.at(time_s)
+
+    def speed_at(self, time_s: float) -> float:
+        """Speed at ``time_s``, with its sign."""
+        return self.profile.speed_at(time_s) if time_s < self.cut_s else self._rest.speed_at(time_s)
+
+    def stopped(self, time_s: float) -> Braking:
+        """What becomes of it when told to stop at ``time_s``."""
+        return self.profile.stopped(time_s) if time_s < self.cut_s else self._rest
