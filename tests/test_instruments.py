@@ -173,9 +173,8 @@ def serving(answer):
                 client, _ = server.accept()
             except OSError:
                 return
-            with client:
-                with contextlib.suppress(OSError):
-                    answer(client)
+            with client, contextlib.suppress(OSError):
+                answer(client)
 
     threading.Thread(target=run, daemon=True).start()
     return server, server.getsockname()[1]

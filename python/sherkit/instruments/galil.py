@@ -457,7 +457,13 @@ class Galil(Instrument):
         flags = self._counts([f"_BG{x}" for x in letters], timeout_s)
         if not all(f in (0, 1) for f in flags):
             self._in_step = False
-            raise Garbled(f"_BG of {listed(letters)} is {flags}; expected 0 or 1", instrument=self.name)
+            raise Garbled(
+                f"_BG of {listed(letters)} is {flags}; expected 0 or 1",
+                instrument=self.name,
+                port=self.address,
+                sent=f"MG {','.join(f'_BG{x}' for x in letters)}\r".encode(),
+                received=" ".join(map(str, flags)).encode(),
+            )
         return [f == 1 for f in flags]
 
     def _letters(self) -> str:

@@ -166,8 +166,7 @@ class Emulator(ABC):
     def _new_terminal(self) -> None:
         """A new pseudo-terminal behind the same name, as an adapter that is plugged in again."""
         assert self._folder is not None
-        if self._slave >= 0:
-            os.close(self._slave)
+        old = self._slave
         master, self._slave = os.openpty()
         # raw from the beginning: a terminal would echo and translate what the first program says
         tty.setraw(self._slave)
@@ -176,6 +175,8 @@ class Emulator(ABC):
         fresh = name.with_suffix(".new")
         fresh.symlink_to(os.ttyname(self._slave))
         fresh.replace(name)
+        if old >= 0:
+            os.close(old)
         self._clients.append(Client(master))
 
     def _leave(self, client: Client) -> None:
@@ -255,9 +256,9 @@ class Emulator(ABC):
         self.log.append((heard, reply, fault))
         kind = fault.kind if fault is not None else ""
         if kind == "disconnect":
-            self._leave(client)
             if self.link == "pty":
                 self._new_terminal()
+            self._leave(client)
             return
         if kind == "drop" or not reply:
             return
