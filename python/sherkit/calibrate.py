@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .calibration import Calibration, Part
+from .chain import lacks
 from .correction import Choice, PaperProtocol, choose_correction, leftover, paper_protocol
 from .diagnosis.search import slip_time
 from .effects import Effect
@@ -20,7 +21,7 @@ from .errors import EffectError, FitError, SherkitWarning
 from .identification import Fit, identify
 from .measurements import Measurements
 from .measurements.columns import READINGS
-from .model import DeltaModel, lacks
+from .model import DeltaModel
 from .names import listed
 from .robots import Delta
 from .validation import hold_out

@@ -14,15 +14,16 @@ import polars as pl
 
 from .calibrate import Experiment
 from .calibration import Calibration
+from .chain import ChainModel, axes_of, effects_by_name, lacks
 from .correction import choose_correction
 from .diagnosis import Diagnosis, diagnose
 from .diagnosis.search import slip_time
-from .effects import CATALOGUE, Effect, check_user_effect
+from .effects import Effect, check_user_effect
 from .errors import EffectError, MeasurementError, SherkitError, SherkitWarning
 from .identification import Fit, identify
 from .measurements import Measurements, from_frame
-from .measurements.columns import MAY_BE_EMPTY, OUTLIER, POSE, REPEAT
-from .model import DeltaModel, effects_by_name, lacks
+from .measurements.columns import OUTLIER, POSE, REPEAT, Layout
+from .models import model_of
 from .names import listed
 from .notebook import Shown
 from .robots import Delta
@@ -84,11 +85,11 @@ class Study(Shown):
         self.loss = loss
         self.own: dict[str, Effect] = {}
         self.history: list[Step] = []
-        self._undone: list[tuple[DeltaModel, Measurements]] = []
+        self._undone: list[tuple[ChainModel, Measurements]] = []
         self._diagnosis: Diagnosis[Fit] | None = None
         for effect in effects:
             self._register(effect)
-        self.model = DeltaModel(robot, tuple(free))
+        self.model = model_of(robot, free)
         self._record("the geometric model")
 
     # -- state -------------------------------------------------------------------------------------------
@@ -110,8 +111,8 @@ class Study(Shown):
         step = Step(
             action=action,
             effects=self.effects,
-            training_rms_um=fit.rms_um(),
-            held_out_rms_um=fit.rms_um(held.residuals_mm),
+            training_rms_um=fit.rms(),
+            held_out_rms_um=fit.rms(held.residuals),
             parameters=dict(zip(names, fit.values.tolist(), strict=True)),
             rows=len(self.data),
             fit=fit,
@@ -121,7 +122,7 @@ class Study(Shown):
         self._diagnosis = None
         return step
 
-    def _change(self, model: DeltaModel, data: Measurements, action: str) -> Step:
+    def _change(self, model: ChainModel, data: Measurements, action: str) -> Step:
         before = (self.model, self.data)
         self.model, self.data = model, data
         try:
@@ -152,7 +153,7 @@ class Study(Shown):
             self._register(effect)
             chosen = effect
         else:
-            (chosen,) = effects_by_name((effect,), tuple(self.own.values()))
+            (chosen,) = effects_by_name(self.model.catalogue, (effect,), tuple(self.own.values()))
         if chosen.name in self.effects or chosen.name == "datum":
             raise EffectError(f"'{chosen.name}' is in the model already")
         missing = lacks(chosen, self.data)
@@ -204,8 +205,8 @@ class Study(Shown):
         """
         known = len(self.data)
         first = data.select(np.arange(min(known, len(data))))
-        same = len(first) == known and np.array_equal(first.joints_mm, self.data.joints_mm)
-        if not same or not np.array_equal(first.readings_mm, self.data.readings_mm):
+        same = len(first) == known and np.array_equal(first.joints, self.data.joints)
+        if not same or not np.array_equal(first.readings, self.data.readings):
             raise MeasurementError(f"{data.source}: its first {known} rows are no longer those that were read before")
         marked = data.mark_outliers(np.flatnonzero(self.data.outlier))
         if self.history[-1].action.startswith(_FOLLOWED):
@@ -236,10 +237,11 @@ class Study(Shown):
         self._diagnosis = None
 
     def _register(self, effect: Effect) -> None:
-        if effect.name in CATALOGUE:
+        if effect.name in model_of(self.robot).catalogue:
             raise EffectError(f"'{effect.name}' is the name of a built-in effect; give yours another")
-        plain = DeltaModel(self.robot)
-        check_user_effect(effect, plain.rows(self.data, np.zeros(len(plain.parameters))))
+        plain = model_of(self.robot)
+        rows = plain.rows(self.data, np.zeros(len(plain.parameters)))
+        check_user_effect(effect, rows, axes_of(effect, self.data))
         self.own[effect.name] = effect
 
     # -- files -------------------------------------------------------------------------------------------
@@ -322,24 +324,21 @@ class Study(Shown):
         ]
         return study
 
-    def _model_from(self, state: Mapping[str, Any]) -> DeltaModel:
-        return DeltaModel(
-            self.robot,
-            tuple(state["free"]),
-            effects_by_name(state["effects"], tuple(self.own.values())),
-            period_mm=state["period_mm"],
-            slip_time_s=state["slip_time_s"],
-            time_origin_s=state["time_origin_s"],
-        )
+    def _model_from(self, state: Mapping[str, Any]) -> ChainModel:
+        plain = model_of(self.robot, state["free"])
+        effects = effects_by_name(plain.catalogue, state["effects"], tuple(self.own.values()))
+        return replace(plain, effects=effects, **{name: state[name] for name in plain.settings()})
 
     def _fit_of(self, effects: Sequence[str], training_rms_um: dict[str, float]) -> Fit | None:
         """The fit of an earlier step, where the rows of today give what it left."""
         try:
-            model = replace(self.model, effects=effects_by_name(effects, tuple(self.own.values())))
+            model = replace(
+                self.model, effects=effects_by_name(self.model.catalogue, effects, tuple(self.own.values()))
+            )
         except EffectError:  # an effect of the user's that is no longer given
             return None
         fit = identify(model, self.data, loss=self.loss)
-        rms = fit.rms_um()
+        rms = fit.rms()
         same = rms.keys() == training_rms_um.keys() and np.allclose(
             list(rms.values()), [training_rms_um[k] for k in rms], rtol=1e-9
         )
@@ -353,13 +352,11 @@ class Study(Shown):
         return "\n".join(lines)
 
 
-def _model_state(model: DeltaModel) -> dict[str, Any]:
+def _model_state(model: ChainModel) -> dict[str, Any]:
     return {
         "free": list(model.free),
         "effects": [e.name for e in model.effects],
-        "period_mm": model.period_mm,
-        "slip_time_s": model.slip_time_s,
-        "time_origin_s": model.time_origin_s,
+        **model.settings(),
     }
 
 
@@ -381,7 +378,7 @@ def joined(first: Measurements, second: Measurements) -> Measurements:
         b = b.with_columns((number + int(first.pose.max())).alias(POSE))
         if REPEAT in a.columns and REPEAT not in b.columns:
             b = b.with_columns(pl.lit(1, dtype=pl.Int64).alias(REPEAT))
-    a, b = _complete(a, b.columns), _complete(b, a.columns)
+    a, b = _complete(a, b.columns, first.layout), _complete(b, a.columns, first.layout)
     common = [c for c in a.columns if c in b.columns]
     lost = [c for c in (*a.columns, *b.columns) if c not in common and not c.startswith("direction_")]
     if lost:
@@ -392,20 +389,20 @@ def joined(first: Measurements, second: Measurements) -> Measurements:
         )
     both = pl.concat([a.select(common), b.select(common)], how="vertical_relaxed")
     # directions are those of each run by itself
-    for k in range(3):
+    for k in range(first.direction.shape[1]):
         direction = np.concatenate([first.direction[:, k], second.direction[:, k]])
         if np.isfinite(direction).all():
             both = both.with_columns(pl.Series(f"direction_{k + 1}", direction))
     return from_frame(both, first.source)
 
 
-def _complete(frame: pl.DataFrame, wanted: Sequence[str]) -> pl.DataFrame:
+def _complete(frame: pl.DataFrame, wanted: Sequence[str], layout: Layout) -> pl.DataFrame:
     """A run with the columns of another whose absence says something: nothing marked, not declared, not taken."""
     for name in wanted:
         if name in frame.columns:
             continue
         if name == OUTLIER:
             frame = frame.with_columns(pl.lit(0, dtype=pl.Int64).alias(name))
-        elif name in MAY_BE_EMPTY:
+        elif name in layout.may_be_empty:
             frame = frame.with_columns(pl.lit(None, dtype=pl.Float64).alias(name))
     return frame

@@ -12,6 +12,7 @@ from .delta import Delta
 from .table import Table
 
 KINDS = {"delta": Delta}
+Robot = Delta
 
 
 def load_robot(path: str | Path) -> Delta:
