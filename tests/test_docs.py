@@ -6,6 +6,7 @@ import contextlib
 import io
 import json
 import re
+import runpy
 import shlex
 import shutil
 import signal
@@ -173,6 +174,24 @@ def test_what_is_shown_runs(name: str, work: Path) -> None:
         if arguments == ["demo"]:
             continue
         sherkit([*arguments, "--help"] if arguments in (["diagnose"], ["simulate"], ["app"]) else arguments, work)
+
+
+def test_the_gallery_is_what_its_script_draws(work: Path) -> None:
+    """Catches a picture that a rename has broken, and a page that shows other lines than those that made it."""
+    script = runpy.run_path(str(HERE / "docs" / "draw_gallery.py"))
+    page = text_of("docs/gallery.md")
+    names: dict[str, dict[str, Any]] = {}
+    imports = ""
+    for item in script["ITEMS"]:
+        if item.setup not in names:
+            names[item.setup] = script["prepared"](item.setup)
+        *before, last = item.lines.splitlines()
+        imports += "".join(line + "\n" for line in before)
+        exec(imports, names[item.setup])
+        assert eval(last, names[item.setup]).sources, item.title
+        assert f"## {item.title}\n" in page
+        assert script["_shown"](item.lines) in page, item.title
+        assert (HERE / "docs" / "pictures" / "gallery" / f"{item.file}.png").is_file()
 
 
 def test_the_tutorial_is_a_story_that_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

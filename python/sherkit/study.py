@@ -193,7 +193,15 @@ class Study(Shown):
         return self._change(self.model, joined(self.data, more), f"{len(more)} rows joined")
 
     def mark_outliers(self, rows: Sequence[int]) -> Step:
-        """Marks rows (by number from 0) as outliers: kept, listed, not fitted."""
+        """Marks rows (by number from 0) as outliers: kept, listed, not fitted.
+
+        Raises :class:`~sherkit.errors.MeasurementError` for a row that is not there.
+        """
+        absent = [r for r in rows if not 0 <= r < len(self.data)]
+        if absent:
+            raise MeasurementError(
+                f"{self.data.source}: there is no row {listed(absent)}; rows are counted from 0 to {len(self.data) - 1}"
+            )
         marked = self.data.mark_outliers(np.asarray(rows, dtype=np.int64))
         return self._change(self.model, marked, f"{len(rows)} rows marked as outliers")
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from bokeh.document import Document
 from bokeh.layouts import column, row
-from bokeh.models import Button, Div, FileInput, Select, TextAreaInput, TextInput
+from bokeh.models import Button, CustomJS, Div, FileInput, Select, TextAreaInput, TextInput
 from jinja2 import Environment, PackageLoader
 
 from .. import paper
@@ -66,6 +66,8 @@ class Page:
         self._told("progress", bench.progress)
         document.title = f"sherkit: {bench.moment.data.source}"
         end = bench.listen(lambda kind, value: self._later(lambda: self._told(kind, value)))
+        gone = CustomJS(args={"error": self.error, "said": _GONE}, code="error.text = said; error.visible = true")
+        document.js_on_event("connection_lost", gone)
         document.on_session_destroyed(lambda _: end())
         if bench.moment.diagnosis is None:
             bench.diagnose()
@@ -130,7 +132,7 @@ class Page:
         self.parameters_place = column(name="parameters", width=_RIGHT)
         # each of these is laid out by itself: a new line of progress must not draw every picture again
         roots = {
-            "status": column(self.numbers, self.headline, row(self.status, self.cancel), self.error, self.undo),
+            "top": column(self.numbers, self.headline, row(self.status, self.cancel), self.error, self.undo),
             "effects": self.effects,
             "own": column(opener, own),
             "more": column(self.drop, self.links),
@@ -252,6 +254,9 @@ class Page:
     def _effect_row(self, name: str) -> tuple[Button, Div]:
         button = Button(stylesheets=[_TYPE], name=f"effect_{name}", width=185)
         button.on_click(lambda: self._pressed(name))
+        # Bokeh makes a button anew where its label changes: who works with the keyboard must not lose the place
+        button.js_on_event("button_click", CustomJS(args={"button": button}, code="window.pressed = button.id"))
+        button.js_on_change("label", CustomJS(args={"button": button}, code=_KEEP_FOCUS))
         return button, Div(width=_LEFT - 200, styles={"font-size": "15px", "line-height": "1.15"})
 
     @staticmethod
@@ -432,3 +437,12 @@ class Page:
             f"<b>{len(self.selected)} rows</b>{more}<table style='border-spacing:14px 2px'>"
             f"<tr><th>{escape(left.counted)}</th>{head}<th></th></tr>{body}</table>"
         )
+
+
+_GONE = "<b>The server of this page has ended; the study is saved. Start sherkit app again.</b>"
+_KEEP_FOCUS = """
+if (window.pressed == button.id) setTimeout(() => {
+    const free = document.activeElement == null || document.activeElement == document.body
+    if (free) Bokeh.index.find_one(button)?.shadow_el?.querySelector("button")?.focus()
+}, 50)
+"""

@@ -149,7 +149,7 @@ class Workbench:
             try:
                 work(self._study, self._step(what))
                 self._study.save(self.folder)
-            except Exception as error:  # whatever a user's effect raises is shown, and nothing is lost
+            except BaseException as error:  # whatever a user's effect raises is shown, and nothing is lost
                 self._say("error", _sentence(error))
                 self._say("progress", "")
                 return
@@ -172,7 +172,7 @@ class Workbench:
             except Cancelled:
                 self._say("progress", "")
                 return
-            except Exception as error:
+            except BaseException as error:
                 self._say("error", _sentence(error))
                 self._say("progress", "")
                 return
@@ -223,9 +223,10 @@ class Workbench:
             path.write_bytes(content)
             try:
                 study.extend(read_measurements(path))
-            except SherkitError:
+            except SherkitError as error:
                 path.unlink()
-                raise
+                # the file that a person dropped, not the copy of it
+                raise type(error)(str(error).replace(str(path), name)) from error
             self.sources.append(path)
 
         return self.change(f"joining {name}", work)
@@ -325,7 +326,7 @@ def rights_of() -> str:
         return "the person who started this page"
 
 
-def _sentence(error: Exception) -> str:
+def _sentence(error: BaseException) -> str:
     return str(error) if isinstance(error, SherkitError) else f"{type(error).__name__}: {error}"
 
 

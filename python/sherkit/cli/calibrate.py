@@ -78,6 +78,9 @@ def calibrate(
             seed=seed,
             step=step,
         )
+        # what was calibrated is kept, whatever becomes of the report
+        if destination is not None:
+            result.calibration.save(destination)
         if report is not None:
             step("diagnosing what is left")
             found = diagnose(result.whole.fit, effects=tuple(own), seed=seed, step=step)
@@ -88,8 +91,6 @@ def calibrate(
             sources = [robot, run, *([local] if local else []), *files]
             title = f"Calibration of {robot.stem} from {run.name}"
             reporting.write(report, title, study, found, sources, calibration=result.calibration, result=result)
-    if destination is not None:
-        result.calibration.save(destination)
     if as_json:
         output.print_json(to_json(result))
     else:

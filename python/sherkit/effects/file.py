@@ -25,7 +25,7 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     sys.modules[spec.name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise EffectError(f"{path}: {type(error).__name__}: {error}") from error
     found = tuple(v for v in vars(module).values() if isinstance(v, Effect) and v.function is not None)
     if not found:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from bokeh.core.properties import value
+from bokeh.models import Range1d
 from numpy.typing import NDArray
 
 from ..diagnosis.questions import case_of
@@ -18,13 +20,13 @@ from ..diagnosis.stage import Stage, stage_of
 from ..diagnosis.view import orthonormal
 from ..effects import Effect
 from .picture import Picture, Tables, sources_of, stacked
-from .residual_map import plane_of_most
-from .style import ADDED, INK, figure, padded, quantity
+from .residual_map import plane_of_most, round_number
+from .style import ADDED, FONT, FONT_SIZE, INK, figure, quantity
 
 Floats = NDArray[np.float64]
 
-_TILE = 176
-_PER_ROW = 5
+_TILE = 216
+_PER_ROW = 4
 _MOST_ARROWS = 120
 
 
@@ -124,7 +126,7 @@ def signature_atlas(atlas: Atlas) -> Picture[Atlas]:
     """One tile for the measured map and one for each effect, all on one scale."""
     sources = sources_of(_tables(atlas))
     figures = []
-    x_range, y_range = padded(atlas.x.min(), atlas.x.max(), 0.16), padded(atlas.y.min(), atlas.y.max(), 0.16)
+    x_range, y_range = Range1d(*_reach(atlas.x)), Range1d(*_reach(atlas.y))
     for k in range(len(atlas.tiles)):
         made = figure(
             frame_width=_TILE, frame_height=_TILE, x_range=x_range, y_range=y_range, tools="pan,wheel_zoom,reset"
@@ -134,13 +136,19 @@ def signature_atlas(atlas: Atlas) -> Picture[Atlas]:
         made.scatter("x", "y", source=sources[f"tile_{k}"], size=3, color=INK)
         tile = atlas.tiles[k]
         made.title.text = tile.title if k == 0 else f"{tile.title}: {100 * max(tile.share, 0):.0f} %"
-        made.title.text_font_size = "14px"
+        made.title.text_font_style = "normal" if k else "bold"
         figures.append(made)
+    key = figures[0]
+    key.segment("x0", "y", "x1", "y", source=sources["scale"], color=INK, line_width=3)
+    key.text(
+        "x1", "y", "text", source=sources["scale"], text_align="right", text_baseline="bottom", y_offset=-3,
+        text_font_size=FONT_SIZE, text_font=value(FONT), text_color=INK,
+    )  # fmt: skip
     note = (
         f"Errors in {' and '.join(atlas.names[:2])} over {quantity(atlas.across)} and {quantity(atlas.up)}"
         f"{' at ' + atlas.plane if atlas.plane else ''}, in black as measured, in blue as each effect would leave them "
         "after the fitted parameters had their say; the percentage says how much of the squared error it explains. "
-        "Each effect is drawn as large as the measured map."
+        "Each effect is drawn as large as the measured map. Lines start at the pose, which is the dot."
     )
     return Picture(
         "signature_atlas", stacked("signature_atlas", figures, columns=_PER_ROW), sources, _tables, note=note
@@ -161,4 +169,18 @@ def _tables(atlas: Atlas) -> Tables:
             "x1": (atlas.x + per_unit * tile.error[:, 0]).astype(np.float32),
             "y1": (atlas.y + per_unit * up).astype(np.float32),
         }  # fmt: skip
+    (x0, x1), (y0, y1) = _reach(atlas.x), _reach(atlas.y)
+    wide = x1 - x0
+    # at least a tenth of the tile
+    bar = round_number(max(typical, 0.1 * wide / per_unit), up=True)
+    end = x1 - 0.04 * wide
+    out["scale"] = {
+        "x0": [end - bar * per_unit], "x1": [end], "y": [y0 + 0.04 * (y1 - y0)], "text": [f"{bar:g} {atlas.unit}"],
+    }  # fmt: skip
     return out
+
+
+def _reach(places: Floats) -> tuple[float, float]:
+    """Range of a tile, with room for arrows on all sides and for the scale below."""
+    room = 0.16 * float(np.ptp(places)) or 1.0
+    return float(places.min()) - 1.6 * room, float(places.max()) + room

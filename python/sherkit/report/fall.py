@@ -107,8 +107,8 @@ def fall(state: Fall) -> Picture[Fall]:
 def _say(made: Any, height: float, text: str) -> None:
     """Names a line at the left edge, whatever the steps are."""
     made.add_layout(
-        Label(x=6, x_units="screen", y=height, y_offset=3, text=text, text_font_size=FONT_SIZE, text_font=FONT, text_color=INK,
-              text_baseline="bottom")
+        Label(x=6, x_units="screen", y=height, y_offset=3, text=text, text_font_size=FONT_SIZE, text_font=FONT,
+              text_color=INK, text_baseline="bottom")
     )  # fmt: skip
 
 

@@ -164,7 +164,7 @@ def directions(fit: Fit) -> Picture[Fit]:
         text_font_size=FONT_SIZE, text_font=value(FONT), text_color=INK, text_baseline="bottom", x_offset=4,
     )  # fmt: skip
     made.add_tools(hover([bars], ("", "@text"), ("one standard deviation", "@std{0.0000} mm")))
-    note = "As long as one standard deviation moves these parameters together while the readings hardly change."
+    note = "A bar is as long as one standard deviation moves these parameters together: the readings hardly notice."
     return Picture("directions", single("directions", made), sources, _direction_tables, tune, note=note)
 
 

@@ -18,12 +18,12 @@ Table = dict[str, Any]
 Tables = dict[str, Table]
 
 _SAVE = """
-const view = Bokeh.index.find_one(picture) ?? context.index.find_one(picture)
-const blob = await view.export(kind, true).to_blob()
-const link = document.createElement("a")
-link.href = URL.createObjectURL(blob)
-link.download = name + "." + kind
-link.click()
+Bokeh.index.find_one(picture).export(kind, true).to_blob().then(blob => {
+  const link = document.createElement("a")
+  link.href = URL.createObjectURL(blob)
+  link.download = name + "." + kind
+  link.click()
+})
 """
 
 

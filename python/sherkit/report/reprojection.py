@@ -42,8 +42,9 @@ def reprojection(state: Reprojection) -> Picture[Reprojection]:
     )  # fmt: skip
     made.xaxis.axis_label, made.yaxis.axis_label = "u, px", "v, px"
     if state.image is not None:
-        # pictures are stored from the top down, the axis runs down as well
-        made.image([state.image[::-1]], x=0, y=height, dw=width, dh=height, palette="Greys256", alpha=0.6)
+        # pictures are stored from the top down, the axis runs down as well; pale, so that arrows stand out
+        grey = LinearColorMapper(palette="Greys256", low=0, high=255)
+        made.image([state.image], x=0, y=0, dw=width, dh=height, color_mapper=grey, alpha=0.45)
     size = np.hypot(*state.error_px.T)
     top = round_number(float(np.nanquantile(size, 0.99)) if len(size) else 1.0, up=True) or 1.0
     mapper = LinearColorMapper(palette=SEQUENTIAL[20:], low=0.0, high=top)

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 from bokeh.core.properties import value
-from bokeh.models import ColorBar, ColumnDataSource, FixedTicker, LinearColorMapper, Range1d
+from bokeh.models import ColumnDataSource, FixedTicker, LinearColorMapper, Range1d
 from numpy.typing import NDArray
 
 from .left import Left
 from .picture import Picture, Table, Tables, sources_of, stacked
-from .style import DIVERGING, FONT, FONT_SIZE, INK, MUTED, figure, hover, number, padded, quantity
+from .style import DIVERGING, FONT, FONT_SIZE, INK, MUTED, colour_bar, figure, hover, number, padded, quantity
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -31,11 +31,14 @@ _SLABS = 3
 _FLAT = 0.3
 #: Radius, in standard deviations, within which 95 of 100 two-dimensional Gaussian errors lie.
 _CIRCLE = 2.4477
+#: The same for one reading.
+_INTERVAL = 1.96
 _NARROWEST = 220
 #: Panels narrower than this have smaller points, px.
 _WIDE = 280
-#: Height of the two lines of a panel's title, and of its keys, px.
-_TITLE, _KEYS = 44, 28
+#: Heights of the strips for a title of two lines and for the keys, distance from the edge, width of a bold letter, and
+#: the shortest scale bar, px.
+_TITLE, _KEYS, _EDGE, _LETTER, _SHORTEST_BAR = 54, 40, 9, 8.8, 28
 #: What the axis of a panel takes of its width, px.
 _AROUND = 55
 #: Height of a panel by its width, at the least and at the most.
@@ -84,13 +87,10 @@ def residual_map(change: Change, *, planes_across: bool = False, width_px: int =
     ranges = scale.ranges
     figures = [_panel(sources, k, moment, panels, mapper, ranges, change.before, width) for moment, k in order]
     ticker = FixedTicker(ticks=[-scale.colour, 0.0, scale.colour])
-    if len(change.before.names) > 2:
-        unit = f"{change.before.names[2]}, {change.before.unit}"
-        bar = ColorBar(
-            color_mapper=mapper, title=unit, title_text_font_size=FONT_SIZE, major_label_text_font_size=FONT_SIZE,
-            title_text_font=FONT, major_label_text_font=FONT, width=14, title_text_font_style="normal", ticker=ticker,
-        )  # fmt: skip
-        figures[columns - 1].add_layout(bar, "right")
+    if len(change.before.names) != 2:
+        unit = f"{change.before.names[2 if len(change.before.names) > 2 else 0]}, {change.before.unit}"
+        # beside what is always seen: a page hides what was before where nothing is compared
+        colour_bar(figures[-1 if planes_across else 1], mapper, unit, ticker=ticker)
     current = scale
 
     def tables(state: Change) -> Tables:
@@ -103,6 +103,8 @@ def residual_map(change: Change, *, planes_across: bool = False, width_px: int =
         ticker.ticks = [-current.colour, 0.0, current.colour]
         for one, new in zip(ranges, current.ranges, strict=True):
             one.start, one.end = new.start, new.end
+        for made in figures:
+            made.frame_height = current.height_px
 
     root = stacked("residual_map", figures, columns=columns)
     before = [one for one, (moment, _) in zip(figures, order, strict=True) if moment == "before"]
@@ -113,6 +115,8 @@ def _note(change: Change) -> str:
     names = change.before.names
     arrow = f"An arrow shows the error in {' and '.join(names[:2])} at a pose, mean of its repeats"
     colour = f", its colour the error in {names[2]}" if len(names) > 2 else ""
+    if len(names) == 1:
+        arrow, colour = f"An arrow and its colour show the error in {names[0]} at a pose, mean of its repeats", ""
     left = change.before
     dealt = any(_dense(left.group[_used(left, m)]) for m in _cut(left).rows)
     many = "; where poses are dense it is the mean of a cell" if dealt else ""
@@ -132,17 +136,30 @@ class _Scale:
         arrows = [_arrows(side, panels, m) for side in (change.before, change.after) for m in panels.rows]
         length = np.concatenate([np.hypot(a["ex"], a["ey"]) for a in arrows]) if arrows else np.zeros(1)
         colour = np.concatenate([np.abs(a["ez"]) for a in arrows]) if arrows else np.zeros(1)
-        self.coloured = len(left.names) > 2
+        self.coloured = len(left.names) != 2
         number = max(max((len(a["x"]) for a in arrows), default=1), 1)
         span_x, span_y = np.ptp(panels.x) or 1.0, np.ptp(panels.y) or np.ptp(panels.x) or 1.0
         spacing = np.sqrt(span_x * span_y / number)
         typical = float(np.quantile(length, 0.95)) if len(length) else 0.0
         self.per_unit = 1.3 * spacing / typical if typical > 0 else 1.0
-        self.bar = round_number(0.5 * typical or 1.0)
         self.colour = float(round_number(np.quantile(colour, 0.98) if len(colour) else 1.0, up=True)) or 1.0
-        self.ranges = _ranges(panels, arrows, self.per_unit, width)
         noise = left.noise[: min(2, len(left.names))]
         self.noise = float(np.sqrt(np.mean(noise**2))) if left.noise_origin != "unknown" else 0.0
+        self.circles = [self._circle(left, m) for m in panels.rows]
+        self.ranges = _ranges(panels, arrows, self.per_unit, max(self.circles, default=0.0), width)
+        x, y = self.ranges
+        #: Of the workspace, in a pixel: titles and keys keep their size.
+        self.pixel = (float(x.end) - float(x.start)) / width
+        self.height_px = round((float(y.end) - float(y.start)) / self.pixel)
+        self.letters = int((width - 2 * _EDGE) / _LETTER)
+        # as long as the longest arrows, and long enough to be compared with
+        self.bar = round_number(max(typical, _SHORTEST_BAR * self.pixel / self.per_unit), up=True)
+
+    def _circle(self, left: Left, mask: Bools) -> float:
+        """Radius that holds 95 of 100 means of repeats that are noise alone, as long as arrows are drawn."""
+        use = _used(left, mask)
+        repeats = max(int(use.sum()) / max(len(np.unique(left.group[use])), 1), 1.0)
+        return float((_CIRCLE if len(left.names) > 1 else _INTERVAL) * self.noise / np.sqrt(repeats) * self.per_unit)
 
 
 def round_number(value: float, *, up: bool = False) -> float:
@@ -218,11 +235,14 @@ def _arrows(left: Left, panels: _Panels, mask: Bools) -> Table:
 
     error = left.values[rows]
     zero = np.zeros(len(rows))
+    # a single reading stands upright, and its colour says the same
+    if error.shape[1] == 1:
+        error = np.concatenate([zero[:, None], error, error], axis=1)
     table: Table = {
         "x": mean(panels.x[rows]),
         "y": mean(panels.y[rows]),
         "ex": mean(error[:, 0]),
-        "ey": mean(error[:, 1] if error.shape[1] > 1 else zero),
+        "ey": mean(error[:, 1]),
         "ez": mean(error[:, 2] if error.shape[1] > 2 else zero),
         "n": count,
     }
@@ -279,21 +299,18 @@ def _tables(change: Change, panels: _Panels, scale: _Scale) -> Tables:
 def _key(panels: _Panels, scale: _Scale, left: Left, title: str, plane: str, rms: float, panel: int) -> Table:
     """Title, scale bar and noise circle of one panel: a table with a single row."""
     x_range, y_range = scale.ranges
-    x0, y0 = float(x_range.start), float(y_range.start)
-    wide, high = float(x_range.end) - x0, float(y_range.end) - y0
-    use = panels.rows[panel] & ~left.outlier
-    repeats = max(int(use.sum()) / max(len(np.unique(left.group[use])), 1), 1.0)
+    x0, y0, x1, y1 = (float(v) for v in (x_range.start, y_range.start, x_range.end, y_range.end))
+    edge = _EDGE * scale.pixel
     figure_of = f"{plane + ': ' if plane else ''}{number(rms)} {left.unit} RMS"
-    heading = f"{title}\n{figure_of}"
+    heading = f"{_short(title, scale.letters)}\n{figure_of}"
     bar = scale.bar * scale.per_unit
-    circle = _CIRCLE * scale.noise / np.sqrt(repeats) * scale.per_unit
+    circle = scale.circles[panel]
     return {
-        "title": [heading], "title_x": [x0 + 0.02 * wide], "title_y": [y0 + 0.985 * high],
-        "bar_x0": [x0 + 0.96 * wide - bar], "bar_x1": [x0 + 0.96 * wide], "bar_y": [y0 + 0.035 * high],
-        "bar_text": [f"{scale.bar:g} {left.unit}"], "bar_text_x": [x0 + 0.96 * wide], "bar_text_y": [y0 + 0.045 * high],
-        "noise_x": [x0 + 0.03 * wide + circle], "noise_y": [y0 + 0.03 * high + circle], "noise_r": [circle],
-        "noise_text": ["noise" if scale.noise else ""],
-        "noise_text_x": [x0 + 0.045 * wide + 2 * circle],
+        "title": [heading], "title_x": [x0 + edge], "title_y": [y1 - edge],
+        "bar_x0": [x1 - edge - bar], "bar_x1": [x1 - edge], "bar_y": [y0 + edge],
+        "bar_text": [f"{scale.bar:g} {left.unit}"], "bar_text_x": [x1 - edge], "bar_text_y": [y0 + 1.6 * edge],
+        "noise_x": [x0 + edge + circle], "noise_y": [y0 + max(circle + edge, 1.8 * edge)], "noise_r": [circle],
+        "noise_text": ["noise" if scale.noise else ""], "noise_text_x": [x0 + 1.8 * edge + 2 * circle],
     }  # fmt: skip
 
 
@@ -302,23 +319,34 @@ def _f(values: Any) -> NDArray[np.float32]:
     return np.asarray(values, dtype=np.float32)
 
 
-def _ranges(panels: _Panels, arrows: Sequence[Table], per_unit: float, width: int) -> tuple[Range1d, Range1d]:
-    """Room for poses and heads of arrows, and for title and keys above and below."""
+def _short(text: str, most: int) -> str:
+    return text if len(text) <= most else text[: most - 1] + "…"
+
+
+def _ranges(
+    panels: _Panels, arrows: Sequence[Table], per_unit: float, circle: float, width: int
+) -> tuple[Range1d, Range1d]:
+    """Room for poses and heads of arrows, and for title and keys above and below.
+
+    A millimetre is as long upwards as across.
+    """
     heads = [np.concatenate([a[at] + per_unit * a[by] for a in arrows]) for at, by in (("x", "ex"), ("y", "ey"))]
     x, y = (
-        padded(min(v.min(), h.min(initial=v.min())), max(v.max(), h.max(initial=v.max())), 0.07)
+        padded(min(v.min(), h.min(initial=v.min())), max(v.max(), h.max(initial=v.max())), 0.04)
         for v, h in zip((panels.x, panels.y), heads, strict=True)
     )
-    high = float(y.end) - float(y.start)
-    y = Range1d(float(y.start) - _KEYS / width * high, float(y.end) + _TITLE / width * high)
+    x0, x1, y0, y1 = (float(v) for v in (x.start, x.end, y.start, y.end))
+    wide = x1 - x0
     if panels.up is None:
-        return x, y
-    # a millimetre is as long upwards as across
-    wide, high = float(x.end) - float(x.start), float(y.end) - float(y.start)
-    more_x, more_y = max(high / _TALLEST - wide, 0.0) / 2, max(_FLATTEST * wide - high, 0.0) / 2
-    return Range1d(float(x.start) - more_x, float(x.end) + more_x), Range1d(
-        float(y.start) - more_y, float(y.end) + more_y
-    )
+        y0, y1 = min(y0, -0.05 * wide), max(y1, 0.05 * wide)
+    # the strips for text have their size in pixels, whatever a pixel comes to be
+    for _ in range(30):
+        pixel = wide / width
+        above, below = _TITLE * pixel, max(_KEYS * pixel, 2 * circle + 2 * _EDGE * pixel)
+        wide = max(wide, (y1 - y0 + above + below) / _TALLEST)
+    more = max(_FLATTEST * wide - (y1 - y0 + above + below), 0.0) / 2
+    middle = 0.5 * (x0 + x1)
+    return Range1d(middle - 0.5 * wide, middle + 0.5 * wide), Range1d(y0 - below - more, y1 + above + more)
 
 
 def _panel(
@@ -331,7 +359,7 @@ def _panel(
     x_range, y_range = ranges
     ratio = (float(y_range.end) - float(y_range.start)) / (float(x_range.end) - float(x_range.start))
     made = figure(
-        frame_width=width, frame_height=int(width * (ratio if panels.up else _FLATTEST)),
+        frame_width=width, frame_height=round(width * ratio),
         x_range=x_range, y_range=y_range, tools="pan,box_zoom,wheel_zoom,box_select,lasso_select,tap,reset",
     )  # fmt: skip
     made.xaxis.axis_label = quantity(panels.across)
@@ -348,10 +376,8 @@ def _panel(
     made.text("bar_text_x", "bar_text_y", "bar_text", source=key, text_align="right", text_baseline="bottom", **tip)
     made.circle("noise_x", "noise_y", "noise_r", source=key, fill_color=None, line_color=MUTED, line_width=1.5)
     made.text("noise_text_x", "noise_y", "noise_text", source=key, text_baseline="middle", **tip)
-    reading = [
-        (left.names[j], f"@{name}{{0.0}} {left.unit}") for j, name in zip(range(3), ("ex", "ey", "ez"), strict=False)
-    ]
-    reading = reading[: len(left.names)]
+    columns = ("ex", "ey", "ez") if len(left.names) > 1 else ("ey",)
+    reading = [(name, f"@{column}{{0.0}} {left.unit}") for name, column in zip(left.names, columns, strict=False)]
     places = [(quantity(panels.across), "@x{0.00}")] + ([(quantity(panels.up), "@y{0.00}")] if panels.up else [])
     made.add_tools(hover([tail], *places, *reading, ("readings", "@n"), (f"{left.counted}s", "@lines")))
     return made

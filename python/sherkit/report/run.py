@@ -15,6 +15,8 @@ _HEIGHT, _BELOW = 320, 150
 MOST_POINTS = 4000
 #: Fewer readings than this are drawn larger.
 _FEW = 300
+#: That stand beside a low figure.
+_LETTERS = 15
 
 
 def run_in_time(left: Left) -> Picture[Left]:
@@ -33,7 +35,9 @@ def run_in_time(left: Left) -> Picture[Left]:
     figures = [made]
     for name in _below(left):
         lower = figure(height=_BELOW, sizing_mode="stretch_width", x_range=made.x_range)
-        lower.yaxis.axis_label = quantity(name)
+        label = quantity(name)
+        lower.yaxis.axis_label = label if len(label) <= _LETTERS else label[: _LETTERS - 1] + "…"
+        lower.yaxis.ticker.desired_num_ticks = 3
         lower.scatter("t", name, source=sources["run"], size=4, color=MUTED)
         figures.append(lower)
     figures[-1].xaxis.axis_label = "time, s" if "time_s" in left.variables else "reading"

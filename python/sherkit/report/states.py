@@ -5,7 +5,7 @@ added, and every step of the chosen path. Packed as numbers in text, for the off
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from ..diagnosis.questions import case_of
 from ..diagnosis.search import moment_of_step
 from ..effects import Effect
 from ..errors import SherkitError
+from ..names import listed
 from .against import gained, means, points, shown
 from .left import Left, left_of
 from .picture import Picture, Table
@@ -32,19 +33,23 @@ class State:
     left: Left
 
 
-def states_of(found: Diagnosis[Any], path: Sequence[tuple[str, Any]], effects: Sequence[Effect] = ()) -> list[State]:
-    """The model as diagnosed, each single addition that could be fitted, then the steps of ``path`` (title and fit).
+def states_of(
+    found: Diagnosis[Any], known: Sequence[str], path: Mapping[tuple[str, ...], Any], effects: Sequence[Effect] = ()
+) -> list[State]:
+    """The model as diagnosed, each single addition that could be fitted, then the steps of ``path``: effects and fit.
+
+    ``known`` are the effects that the diagnosed model had already.
 
     ``effects`` are the user's own. An effect that cannot be fitted alone is left out.
     """
     case = case_of(found.base)
-    out = [State("the model as it came", left_of(found.base))]
-    known = {e.name: e for e in (*case.catalogue, *effects)}
-    taken = {title for title, _ in path}
+    out = [State(title_of(known), left_of(found.base))]
+    named = {e.name: e for e in (*case.catalogue, *effects)}
+    taken = {frozenset(added) for added in path}
     for candidate in found.candidates[:_MOST_SINGLE]:
-        effect = known.get(candidate.effect)
-        title = f"with {candidate.effect}"
-        if effect is None or title in taken:
+        effect = named.get(candidate.effect)
+        title = title_of([*known, candidate.effect])
+        if effect is None or {*known, candidate.effect} in taken:
             continue
         settings: dict[str, float] = {}
         try:
@@ -56,7 +61,12 @@ def states_of(found: Diagnosis[Any], path: Sequence[tuple[str, Any]], effects: S
             out.append(State(title, left_of(case.refit([(effect, settings)]).fit)))
         except SherkitError:
             continue
-    return out + [State(title, left_of(fit)) for title, fit in path]
+    return out + [State(title_of(added), left_of(fit)) for added, fit in path.items()]
+
+
+def title_of(effects: Sequence[str]) -> str:
+    """What a state is called that has these effects."""
+    return f"with {listed(effects)}" if effects else "the model as it came"
 
 
 def packed(states: Sequence[State], maps: Picture[Change]) -> dict[str, Any]:

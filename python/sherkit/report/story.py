@@ -38,7 +38,7 @@ from .parameters import correlations, directions, parameters
 from .picture import Picture
 from .residual_map import Change, planes_of, residual_map
 from .run import run_in_time
-from .states import packed, states_of
+from .states import State, packed, states_of, title_of
 from .style import number, quantity
 from .workspace import NextPoses, accuracy_map, accuracy_of, next_poses
 
@@ -108,16 +108,21 @@ def html(story: Story) -> str:
         places=places,
         script=script,
         bokeh=resources.render_js(),
-        swaps=json.dumps(swaps) if swaps else None,
+        swaps=_in_script(swaps) if swaps else None,
         variables=[(k, quantity(name)) for k, name in enumerate(swaps["variables"])] if swaps else [],
         titles=list(enumerate(swaps["titles"])) if swaps else [],
         still=_still(story),
-        machine=json.dumps(story.found.to_json(), allow_nan=False).replace("</", "<\\/"),
+        machine=_in_script(story.found.to_json()),
         required=paper.REQUIREMENT_UM,
         versions=[("sherkit", _core.__version__), ("Python", platform.python_version()),
                   *((name, version(name)) for name in ("numpy", "scipy", "polars", "bokeh"))],
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     )  # fmt: skip
+
+
+def _in_script(value: Any) -> str:
+    """JSON that can stand in a page: no text in it ends its script element or begins another."""
+    return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
 
 
 def _rms(values: Sequence[float]) -> float:
@@ -134,13 +139,13 @@ def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | N
     before, after = left_of(found.base), left_of(study.fit)
     out: dict[str, Picture[Any]] = {}
     swaps: dict[str, Any] | None = None
-    path = [(f"with {listed(s.effects)}", s.fit) for s in study.history if s.fit is not None and s.effects]
-    states = states_of(found, path, tuple(study.own.values()))
-    out["residual_map"] = residual_map(Change(before, states[-1].left, states[0].title, states[-1].title))
+    states, now = _states(story)
+    chosen = states[now]
+    out["residual_map"] = residual_map(Change(before, chosen.left, states[0].title, chosen.title))
     if before.variables:
         variable = _leading(found, before)
-        out["against"] = against(Against(states[-1].left, variable, before if len(states) > 1 else None))
-        swaps = packed(states, out["residual_map"]) | {"start": list(before.variables).index(variable)}
+        out["against"] = against(Against(chosen.left, variable, before if now else None))
+        swaps = packed(states, out["residual_map"]) | {"start": list(before.variables).index(variable), "state": now}
     if found.candidates:
         out["candidates"] = candidates(found)
         out["atlas"] = signature_atlas(atlas_of(found.base, tuple(study.own.values())))
@@ -156,6 +161,16 @@ def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | N
     out["noise_before"], out["noise_after"] = noise_picture(before), noise_picture(after)
     out["run"] = run_in_time(after)
     return out, swaps
+
+
+def _states(story: Story) -> tuple[list[State], int]:
+    """What a reader can switch between, and which of them the study stands at: the first one where nothing was added
+    to the model that was diagnosed."""
+    study, found = story.study, story.found
+    known = tuple(e.name for e in found.base.model.effects)
+    path = {s.effects: s.fit for s in study.history if s.fit is not None and set(s.effects) > set(known)}
+    states = states_of(found, known, path, tuple(study.own.values()))
+    return states, next((k for k, s in enumerate(states) if s.title == title_of(study.effects)), 0)
 
 
 def _leading(found: Diagnosis[Any], left: Left) -> str:

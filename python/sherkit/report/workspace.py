@@ -19,7 +19,7 @@ from .style import FONT, FONT_SIZE, INK, MUTED, REFUSED, SEQUENTIAL, colour_bar,
 Floats = NDArray[np.float64]
 
 _PER_SIDE = 41
-_PANEL = 250
+_PANEL = 240
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +77,8 @@ def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
         # hatched, not paler: pale means accurate
         made.quad(
             left="left", right="right", bottom="bottom", top="top", source=sources[f"beyond_{k}"], fill_color=None,
-            line_color=None, hatch_pattern="right_diagonal_line", hatch_color=INK, hatch_alpha=0.7, hatch_scale=9,
-            hatch_weight=1.2,
+            line_color=None, hatch_pattern="right_diagonal_line", hatch_color=INK, hatch_alpha=0.6, hatch_scale=12,
+            hatch_weight=1.0,
         )  # fmt: skip
         made.multi_line("xs", "ys", source=sources[f"outline_{k}"], line_color=REFUSED, line_width=3, line_cap="square")
         made.add_tools(hover([cells], ("x, y", "$x{0.0}, $y{0.0} mm"), ("95 % within", "@um{0.0} µm")))

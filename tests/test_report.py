@@ -1,0 +1,448 @@
+"""The offline report: what it says against ``--json``, without a network, without JavaScript, with hostile texts."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import re
+import subprocess
+import sys
+from collections.abc import Sequence
+from html import unescape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+import sherkit as sk
+from browsing import needs_browser, opened, settled, source
+from sherkit.cli import main
+from sherkit.model import effects_by_name
+from sherkit.poses import grid
+from sherkit.robots import save_robot
+from strategies import EXAMPLE
+
+HOSTILE = ("<script>alert(1)</script>", "</script><img src=x onerror=alert(2)>\"'")
+EFFECT = '''
+import numpy as np
+import sherkit as sk
+
+
+@sk.effect(at="body", parameters={"amplitude": "mm"}, physics="</script><script>alert(3)</script> & 'quotes\\"")
+def heave(rows, p):
+    """</script><b id="bold">bold</b>"""
+    return p.amplitude * np.outer(np.sin(rows.position[:, 0]), [0, 0, 1])
+'''
+
+
+def command(folder: Path, *arguments: str) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of the command, run in ``folder``."""
+    out, err = io.StringIO(), io.StringIO()
+    code: Any = 0
+    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            main(list(arguments))
+        except SystemExit as done:
+            code = done.code
+    return int(code or 0), out.getvalue(), err.getvalue()
+
+
+def done(folder: Path, *arguments: str) -> str:
+    """What the command printed; it went well."""
+    code, out, err = command(folder, *arguments)
+    assert code == 0, err
+    return out
+
+
+def agrees(text: str, value: float, unit: str = "") -> None:
+    """A printed figure is ``value`` as far as its digits go."""
+    figure = re.fullmatch(rf"([-+]?\d+(\.(\d+))?(e[-+]\d+)?){unit}", text.strip())
+    assert figure, text
+    digits = figure[1].lstrip("+-0.").replace(".", "").split("e")[0]
+    last = 0.5 * 10.0 ** -len(figure[3] or "") if not figure[4] else 0.0
+    # general format: as many digits as are printed
+    assert abs(float(figure[1]) - value) <= max(last, 0.5 * 10.0 ** -max(len(digits) - 1, 0) * abs(value)) * 1.001
+
+
+def cells(page: Any, table: str) -> list[list[str]]:
+    """Texts of a table of the page, row by row, without its head."""
+    rows: list[list[str]] = page.evaluate(
+        "id => [...document.getElementById(id).rows].map(r => [...r.querySelectorAll('td')].map(c => c.innerText))",
+        table,
+    )
+    return [row for row in rows if row]
+
+
+def virtual(seed: int, lean: float) -> sk.VirtualDelta:
+    """A robot that is not as drawn, read with 5 µm noise."""
+    return sk.VirtualDelta.draw(EXAMPLE, seed, rail_lean_rad=lean, noise_mm=0.005)
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder in which ``sherkit demo`` was run."""
+    folder = tmp_path_factory.mktemp("demo")
+    done(folder, "demo")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Small runs of every kind that a report may be asked of."""
+    folder = tmp_path_factory.mktemp("runs")
+    save_robot(EXAMPLE, folder / "robot.toml")
+    poses = grid(18.0, 6, (-15.0, 0.0, 15.0))
+    leaning = virtual(3, 8e-3)
+    leaning.measure(poses, repeats=2, order="shuffled", seed=1).save(folder / "leaning.csv")
+    leaning.measure(grid(9.0, 5, (-8.0, 0.0, 8.0)), repeats=2, order="shuffled", seed=2).save(folder / "local.csv")
+    plain = virtual(3, 0.0).measure(poses, repeats=2, order="shuffled", seed=1)
+    plain.save(folder / "plain.csv")
+    frame = plain.to_frame()
+    frame.select("q1_mm", "q2_mm", "q3_mm", "z_mm").write_csv(folder / "heights.csv")
+    half = len(frame) // 2
+    between = (frame[f"{a}_mm"].to_numpy() for a in "xyz")
+    apart = np.sqrt(sum((v[:half] - v[half : 2 * half]) ** 2 for v in between))
+    ends = {f"to_q{k}_mm": frame[f"q{k}_mm"][half : 2 * half] for k in (1, 2, 3)}
+    starts = {f"q{k}_mm": frame[f"q{k}_mm"][:half] for k in (1, 2, 3)}
+    pl.DataFrame({**starts, **ends, "distance_mm": apart}).write_csv(folder / "distances.csv")
+    dense = virtual(3, 0.0).measure(grid(18.0, 7, (-15.0, 0.0, 15.0)), repeats=2, order="shuffled", seed=1)
+    waves = 0.05 * (pl.col("x_mm") / 2.1).sin()
+    dense.to_frame().with_columns(pl.col("y_mm") + waves).write_csv(folder / "strange.csv")
+    place = np.random.default_rng(3).uniform(-20, 20, (20, 2))
+    plane = virtual(6, 8e-3).measure(np.column_stack([place, np.zeros(20)]), repeats=1, seed=6)
+    plane.save(folder / "plane.csv")
+    return folder
+
+
+# -- the demo ------------------------------------------------------------------------------------------------
+
+
+def test_no_address_leaves_the_file(demo: Path) -> None:
+    """Catches a script, style sheet, picture or font that is fetched, and a report that outgrows e-mail."""
+    file = demo / "demo" / "report.html"
+    assert file.stat().st_size < 5e6
+    text = file.read_text(encoding="utf-8")
+    tags = re.findall(r"<(?!/)[a-z][^>]*>", re.sub(r"<script\b.*?</script>", "", text, flags=re.S), flags=re.S)
+    for tag in tags:
+        for address in re.findall(r"""(?:src|href|action|srcset|poster)\s*=\s*["']?([^"'\s>]+)""", tag):
+            assert address.startswith(("#", "data:")), tag
+    for style in re.findall(r"<style\b.*?</style>", text, flags=re.S):
+        assert "@import" not in style
+        assert all(a.startswith("data:") for a in re.findall(r"url\(['\"]?([^)]*)", style))
+    assert not re.findall(r"<script[^>]*\bsrc=", text)
+
+
+@needs_browser
+def test_report_says_what_the_json_says(demo: Path) -> None:
+    """Catches figures of another model, of other rows or in another unit, a table in another order, a lost row."""
+    found = json.loads(done(demo, "diagnose", "demo/robot.toml", "demo/whole.csv", "--json"))
+    plain = json.loads(done(demo, "calibrate", "demo/robot.toml", "demo/whole.csv", "--json"))["whole"]
+    added = [a for name in found["effects"] for a in ("--effect", name)]
+    last = json.loads(done(demo, "calibrate", "demo/robot.toml", "demo/whole.csv", *added, "--json"))["whole"]
+    with opened(demo / "demo" / "report.html") as page:
+        verdict = page.inner_text("#verdict")
+        assert verdict.startswith(found["verdict"] + ":")
+        assert all(name in verdict for name in found["effects"])
+        agrees(page.inner_text("#error-before"), found["steps"][0]["held_out_rms_um"], " µm")
+        agrees(page.inner_text("#error-after"), found["steps"][-1]["held_out_rms_um"], " µm")
+        agrees(page.inner_text("#noise"), math.sqrt(np.mean(np.square(list(found["noise_um"].values())))), " µm")
+        assert f"p = {found['p_missing']:.2g}" in page.inner_text("#missing")
+        rows = cells(page, "candidates")
+        assert [row[0] for row in rows] == [c["effect"] for c in found["candidates"]]
+        for row, c in zip(rows, found["candidates"], strict=True):
+            error, std = row[2].split(" ± ")
+            agrees(error, c["held_out_rms_um"])
+            agrees(std, c["held_out_std_um"])
+            assert row[4] == ("plausible" if c["plausible"] else "implausible")
+            agrees(row[5].split()[1], c["parameters"][0]["value"])
+        assert [row[0] for row in cells(page, "where")] == [d["variable"] for d in found["where"]]
+        for row, one in zip(cells(page, "fall"), (plain, last), strict=True):
+            for cell, axis in zip(row[1:], "xyz", strict=True):
+                held, fitted = cell.rstrip(")").split(" (")
+                agrees(held, one["rms_um"]["held_out"][axis])
+                agrees(fitted, one["rms_um"]["after"][axis])
+        rows = cells(page, "parameters")
+        assert [row[0] for row in rows] == [p["name"] for p in last["parameters"]]
+        for row, p in zip(rows, last["parameters"], strict=True):
+            factor = 180 / math.pi if p["unit"] == "rad" else 1.0
+            assert row[5] == ("°" if p["unit"] == "rad" else p["unit"])
+            for text, key in zip(row[2:5], ("value", "std_from_readings", "std"), strict=True):
+                agrees(text, factor * p[key])
+        assert inside(demo / "demo" / "report.html") == found
+        assert "sherkit demo" in page.inner_text("#command")
+
+
+@needs_browser
+def test_switches_move_the_pictures(demo: Path) -> None:
+    """Catches numbers of another state or variable, swapped axes, rows in another order, and a stale title."""
+    robot, data = sk.load_robot(demo / "demo/robot.toml"), sk.read_measurements(demo / "demo/whole.csv")
+    fits = {
+        "with beam_alignment": sk.identify(sk.DeltaModel(robot, effects=effects_by_name(("beam_alignment",))), data),
+        "the model as it came": sk.identify(sk.DeltaModel(robot), data),
+    }
+    base = 1e3 * fits["the model as it came"].residuals_mm[:, :3]
+    with opened(demo / "demo" / "report.html") as page:
+        assert page.eval_on_selector("#state", "s => s.options[s.selectedIndex].text") == "with rail_lean"
+        for title, fit in fits.items():
+            page.select_option("#state", label=title)
+            page.select_option("#variable", label="q2, mm")
+            settled(page)
+            left = 1e3 * fit.residuals_mm[:, :3]
+            points = source(page, "points")
+            np.testing.assert_allclose(points["v"], data.joints_mm[:, 1], rtol=1e-6)
+            for k in range(3):
+                np.testing.assert_allclose(points[f"r{k}"], left[:, k], atol=1e-3)
+            arrows = [source(page, f"after_{k}") for k in range(3)]
+            poses = np.unique(data.pose)
+            expected = np.array([left[data.pose == pose].mean(axis=0) for pose in poses])
+            shown = np.concatenate([np.stack([a["ex"], a["ey"], a["ez"]], axis=1) for a in arrows])
+            # as sets: panels hold poses in an order of their own
+            order = [np.lexsort(np.round(v, 1).T) for v in (expected, shown)]
+            np.testing.assert_allclose(shown[order[1]].sum(axis=0), expected.sum(axis=0), atol=0.05)
+            np.testing.assert_allclose(np.sort(shown, axis=0), np.sort(expected, axis=0), atol=1e-3)
+            assert source(page, "after_0_key")["title"][0].startswith(title)
+            before = source(page, "earlier")
+            if title == "the model as it came":
+                assert len(before["r0"]) == len(source(page, "gained")["v"]) == 0
+            else:
+                np.testing.assert_allclose(before["r1"], base[:, 1], atol=1e-3)
+                np.testing.assert_allclose(before["v"], data.joints_mm[:, 1], rtol=1e-6)
+        assert (
+            page.evaluate("Bokeh.documents.map(d => d.get_model_by_name('against_axis')).find(Boolean).axis_label")
+            == "q2, mm"
+        )
+
+
+@needs_browser
+def test_reads_without_javascript(demo: Path) -> None:
+    """Catches a verdict, a figure or a table that only a script writes, and a page without any picture then."""
+    with opened(demo / "demo" / "report.html", javascript=False) as page:
+        assert page.inner_text("#verdict").startswith("explained:")
+        assert "µm" in page.inner_text("#error-before")
+        assert len(cells_without(page, "#candidates")) > 5
+        box = page.locator("noscript svg").bounding_box()
+        assert box is not None
+        assert box["width"] > 300
+        assert box["height"] > 100
+
+
+def cells_without(page: Any, table: str) -> Sequence[str]:
+    """Rows of a table where the page runs no script."""
+    return page.locator(f"{table} tr").all_inner_texts()
+
+
+@needs_browser
+def test_nothing_is_wider_than_the_page(demo: Path) -> None:
+    """Catches a table or picture that makes the whole page scroll sideways."""
+    with opened(demo / "demo" / "report.html") as page:
+        for width in (1200, 800):
+            page.set_viewport_size({"width": width, "height": 900})
+            settled(page)
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+@needs_browser
+def test_saves_its_pictures(demo: Path, tmp_path: Path) -> None:
+    """Catches a button of the toolbar that saves nothing, or an empty picture."""
+    with opened(demo / "demo" / "report.html") as page:
+        for kind, start in (("PNG", b"\x89PNG"), ("SVG", b"<svg")):
+            with page.expect_download() as saved:
+                page.locator(f"[title='save as {kind}']").first.click()
+            saved.value.save_as(tmp_path / kind)
+            content = (tmp_path / kind).read_bytes()
+            assert content.startswith(start)
+            assert len(content) > 5000
+
+
+# -- other runs ----------------------------------------------------------------------------------------------
+
+
+def report(folder: Path, name: str, *arguments: str) -> str:
+    """The text of a report that a command wrote, without its scripts."""
+    done(folder, *arguments, "--report", name)
+    text = (folder / name).read_text(encoding="utf-8")
+    return re.sub(
+        r"\s+", " ", unescape(re.sub(r"<[^>]*>", " ", re.sub(r"<(script|style).*?</\1>", "", text, flags=re.S)))
+    )
+
+
+def inside(file: Path, name: str = "diagnosis") -> Any:
+    """JSON that a report carries; that of the diagnosis is what ``--json`` prints, see above."""
+    found = re.search(rf'id="{name}">(.*?)</script>', file.read_text(encoding="utf-8"), flags=re.S)
+    assert found is not None
+    return json.loads(found[1])
+
+
+def test_calibration_with_a_local_run_an_effect_and_a_loss(runs: Path) -> None:
+    """Catches a report that refits with another loss or without the effect, or hides the second run."""
+    arguments = (
+        "calibrate",
+        "robot.toml",
+        "leaning.csv",
+        "--local",
+        "local.csv",
+        "--effect",
+        "rail_lean",
+        "--loss",
+        "huber",
+    )
+    text = report(runs, "calibrated.html", *arguments)
+    told = json.loads(done(runs, *arguments, "--json"))
+    value = next(p for p in told["whole"]["parameters"] if p["name"] == "rod_length_1")["value"]
+    assert f"rod_length_1 δl₁ {value:+.5g}" in text
+    assert "the region of interest" in text
+    assert f"{told['local']['rms_um']['before']['x']:.1f} ±" in text
+    assert "adequate: nothing significant is missing" in text
+    assert "with rail_lean" in text
+    assert "the model as it came: " not in text
+    assert "local.csv SHA-256" in text
+    assert "sk.Calibration.load" in text
+
+
+def test_calibration_of_some_parameters(runs: Path) -> None:
+    """Catches a report that frees other parameters than the command did."""
+    arguments = ("calibrate", "robot.toml", "leaning.csv", "--free", "rod_length_1,rod_length_2,rod_length_3")
+    text = report(runs, "free.html", *arguments)
+    part = text[text.index("8. How well") : text.index("9. What to measure")]
+    assert "rod_length_3" in part
+    assert "base_radius_1 δ" not in part
+
+
+def test_nothing_missing(runs: Path) -> None:
+    """Catches a picture that shows an effect as added where none was, and a lost table of what would be found."""
+    text = report(runs, "plain.html", "diagnose", "robot.toml", "plain.csv")
+    assert "adequate: nothing significant is missing" in text
+    assert "would have been found" in text
+    assert inside(runs / "plain.html", "swaps")["state"] == 0
+
+
+def test_a_tie_and_an_unknown_noise(runs: Path) -> None:
+    """Catches a tie that is not told, poses that are not listed, and a noise that nobody knows given as a figure."""
+    text = report(runs, "plane.html", "diagnose", "robot.toml", "plane.csv")
+    found = inside(runs / "plane.html")
+    assert found["ties"]
+    for tie in found["ties"]:
+        assert f"{' or '.join(tie)} : these poses cannot tell" in text
+    pose = found["next_poses"][0]
+    assert f"1 {pose['x_mm']:.1f} {pose['y_mm']:.1f} {pose['z_mm']:.1f} {pose['separation_sigma']:.1f}" in text
+    assert "unknown: neither repeats nor declared" in text
+    assert "noise of a reading 1" not in text
+    assert "Dotted: the noise" not in text
+    assert "would leave 95 of 100 arrows" not in text
+
+
+def test_what_no_effect_explains(runs: Path) -> None:
+    """Catches a signature that is not told, and a verdict that claims more."""
+    text = report(runs, "strange.html", "diagnose", "robot.toml", "strange.csv")
+    found = inside(runs / "strange.html")
+    assert found["signature"] is not None
+    assert f"{found['verdict']}:" in text
+    assert "What no effect explains:" in text
+    assert "--template my_effects.py" in text
+
+
+@needs_browser
+def test_heights_alone(runs: Path) -> None:
+    """Catches pictures that need three coordinates."""
+    text = report(runs, "heights.html", "diagnose", "robot.toml", "heights.csv")
+    assert "An arrow and its colour show the error in z" in text
+    with opened(runs / "heights.html") as page:
+        a = source(page, "before_0")
+        assert max(map(abs, a["ex"])) == 0
+        assert a["ey"] == a["ez"] == a["colour"]
+        assert max(map(abs, a["ey"])) > 1
+
+
+def test_distances_alone_are_refused_in_a_sentence(runs: Path) -> None:
+    """Catches a traceback, or a report without a word on what it could not ask."""
+    for name in ("diagnose", "calibrate"):
+        code, _, err = command(runs, name, "robot.toml", "distances.csv", "--report", "distances.html")
+        assert code == 1
+        assert err == "error: distances.csv: diagnosis needs coordinates; these rows are distances only\n"
+        assert not (runs / "distances.html").exists()
+
+
+@pytest.mark.slow
+@needs_browser
+def test_twenty_thousand_rows(runs: Path) -> None:
+    """Catches a report that grows with the run, or hides that it thins."""
+    poses = np.random.default_rng(3).uniform(-20, 20, (4000, 3))
+    virtual(6, 8e-3).measure(poses, repeats=5, seed=6).save(runs / "many.csv")
+    text = report(runs, "many.html", "diagnose", "robot.toml", "many.csv")
+    assert "3000 of 20000 are drawn" in text
+    assert "4000 of 20000 rows, chosen at random" in text
+    assert "it is the mean of a cell" in text
+    assert (runs / "many.html").stat().st_size < 5e6
+    with opened(runs / "many.html") as page:
+        assert page.inner_text("#verdict").startswith("explained:")
+
+
+@needs_browser
+def test_texts_of_files_are_texts(runs: Path) -> None:
+    """Catches names of files, columns or effects, and descriptions, that become markup or scripts."""
+    frame = sk.read_measurements(runs / "leaning.csv").to_frame()
+    rng = np.random.default_rng(0)
+    name = "it's \"<b id=bold>&amp;.csv"
+    frame.with_columns(*(pl.Series(c, rng.normal(size=len(frame))) for c in HOSTILE)).write_csv(runs / name)
+    (runs / "my_effects.py").write_text(EFFECT, encoding="utf-8")
+    done(
+        runs,
+        "diagnose",
+        "robot.toml",
+        name,
+        "--effects",
+        "my_effects.py",
+        "--effect",
+        "heave",
+        "--report",
+        "hostile.html",
+    )
+    with opened(runs / "hostile.html") as page:
+        assert page.inner_text("h1") == f"What is robot missing on {name}?"
+        assert page.locator("#bold, img, b[id]:not(.figures b)").count() == 0
+        options = page.locator("#variable option").all_text_contents()
+        assert set(HOSTILE) <= set(options)
+        page.select_option("#variable", label=HOSTILE[1])
+        settled(page)
+        assert len(source(page, "points")["v"]) == len(frame)
+        assert "with heave" in page.inner_text("#state")
+        assert "'it'\"'\"'s " in page.inner_text("#command")
+
+
+# -- without Bokeh -------------------------------------------------------------------------------------------
+
+
+def without_bokeh(folder: Path, code: str) -> subprocess.CompletedProcess[str]:
+    """Runs Python in which Bokeh is not installed."""
+    start = "import sys\nsys.modules['bokeh'] = None\n"
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-c", start + code],
+        cwd=folder,
+        capture_output=True,
+        encoding="utf-8",
+        timeout=100,
+    )
+
+
+def test_without_bokeh(runs: Path) -> None:
+    """Catches an import of Bokeh by what works without it, and a report that fails only after minutes of work."""
+    code = "from sherkit.cli import main\nmain(['calibrate', 'missing.toml', 'missing.csv', '--report', 'x.html'])"
+    told = without_bokeh(runs, code)
+    assert told.returncode == 1
+    assert "pictures need the extra 'view' (bokeh is not installed): pip install \"sherkit[view]\"" in told.stderr
+    assert "Traceback" not in told.stderr
+    told = without_bokeh(runs, "from sherkit.cli import main\nmain(['demo', '-o', 'bare'])")
+    assert told.returncode == 0, told.stderr
+    assert "no report was written" in told.stderr
+    assert (runs / "bare" / "calibrated.toml").exists()
+    assert not (runs / "bare" / "report.html").exists()
+    code = (
+        "import sherkit as sk\n"
+        "study = sk.Study(sk.load_robot('robot.toml'), sk.read_measurements('leaning.csv'))\n"
+        "print(study._repr_html_(), study.fit._repr_html_())"
+    )
+    assert without_bokeh(runs, code).stdout == "None None\n"

@@ -1,0 +1,163 @@
+"""What stands behind the page: one worker, every step saved, errors as sentences, work that gives way."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import FrozenInstanceError
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sherkit as sk
+from sherkit.app.workbench import Workbench
+from sherkit.cli.demo import EXAMPLE
+from sherkit.errors import SherkitError
+from sherkit.poses import grid
+from sherkit.robots import save_robot
+from sherkit.simulation import VirtualDelta
+
+_WAIT_S = 60.0
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[Path, Path]:
+    """A robot and a run with leaning rails."""
+    save_robot(EXAMPLE, tmp_path / "robot.toml")
+    virtual = VirtualDelta.draw(EXAMPLE, 6, rail_lean_rad=8e-3, noise_mm=0.005)
+    virtual.measure(grid(20.0, 5, (-18.0, 0.0, 18.0)), repeats=2, seed=1).save(tmp_path / "run.csv")
+    return tmp_path / "robot.toml", tmp_path / "run.csv"
+
+
+@pytest.fixture
+def bench(files: tuple[Path, Path], tmp_path: Path) -> Iterator[Workbench]:
+    """A workbench on it."""
+    made = Workbench.open(*files, tmp_path / "study")
+    yield made
+    made.close()
+
+
+def heard(bench: Workbench) -> list[tuple[str, Any]]:
+    """Everything that listeners are told."""
+    out: list[tuple[str, Any]] = []
+    bench.listen(lambda kind, value: out.append((kind, value)))
+    return out
+
+
+def settled(bench: Workbench) -> None:
+    """Waits until all work that was asked for is done."""
+    bench.ask("waiting", lambda study, step: None).result(_WAIT_S)
+
+
+def test_a_change_is_shown_then_diagnosed_and_saved(bench: Workbench, tmp_path: Path) -> None:
+    """Catches a moment that changes under a page that draws it, and a step that is not on disk when it is seen."""
+    told = heard(bench)
+    before = bench.moment
+    bench.toggle("rail_lean")
+    settled(bench)
+    moments = [value for kind, value in told if kind == "moment"]
+    assert [m.diagnosis is None for m in moments] == [True, False]
+    assert moments[0].effects == ("rail_lean",)
+    assert moments[-1].diagnosis.verdict == "adequate"
+    assert before.effects == ()
+    with pytest.raises(FrozenInstanceError):
+        before.effects = ("slip",)  # type: ignore[misc]
+    assert sk.Study.load(tmp_path / "study").effects == ("rail_lean",)
+    np.testing.assert_allclose(moments[0].now.values, 1e3 * moments[0].history[-1].fit.residuals_mm[:, :3])
+    bench.toggle("rail_lean")
+    bench.undo()
+    settled(bench)
+    assert bench.moment.effects == ("rail_lean",)
+
+
+def test_errors_are_sentences_and_change_nothing(bench: Workbench, tmp_path: Path) -> None:
+    """Catches a traceback on the page, and half a change."""
+    told = heard(bench)
+    bench.toggle("no_such_effect")
+    bench.undo()
+    bench.mark_outliers([10_000])
+    bench.add_measurements("bad.csv", b"q1_mm,q2_mm,q3_mm,x_mm\n1,2,3,four\n")
+    bench.type_effect("raise SystemExit(3)")
+    bench.type_effect(
+        "import sherkit as sk\n@sk.effect(at='body', parameters={'a': 'mm'})\ndef f(rows, p):\n    return 1\n"
+    )
+    settled(bench)
+    errors = [value for kind, value in told if kind == "error"]
+    assert len(errors) == 6, errors
+    assert "no_such_effect" in errors[0]
+    assert "nothing to undo" in errors[1]
+    assert "there is no row 10000" in errors[2]
+    assert errors[3].startswith("bad.csv: line 2")
+    assert "SystemExit" in errors[4]
+    assert bench.moment.effects == ()
+    assert len(bench.moment.history) == 1
+    assert not list((tmp_path / "study").glob("added*"))
+    # and the worker goes on
+    bench.toggle("rail_lean")
+    settled(bench)
+    assert bench.moment.effects == ("rail_lean",)
+
+
+def test_a_change_makes_a_diagnosis_give_way(bench: Workbench) -> None:
+    """Catches a click that waits for a diagnosis nobody needs any more, and a state that is never diagnosed."""
+    told = heard(bench)
+    started = threading.Event()
+    bench.listen(lambda kind, value: started.set() if kind == "progress" and "diagnosing" in str(value) else None)
+    bench.diagnose()
+    assert started.wait(_WAIT_S)
+    bench.toggle("rail_lean")
+    settled(bench)
+    assert bench.moment.effects == ("rail_lean",)
+    assert bench.moment.diagnosis is not None
+    assert bench.moment.diagnosis.verdict == "adequate"
+    assert not [value for kind, value in told if kind == "error"]
+
+
+def test_work_that_is_cancelled_leaves_the_study_as_it_was(bench: Workbench) -> None:
+    """Catches a Cancel that does nothing, or that ends the worker."""
+    started = threading.Event()
+    bench.listen(lambda kind, value: started.set() if kind == "progress" and "diagnosing: " in str(value) else None)
+    bench.diagnose()
+    assert started.wait(_WAIT_S)
+    bench.cancel()
+    settled(bench)
+    assert bench.moment.diagnosis is None
+    bench.diagnose()
+    settled(bench)
+    assert bench.moment.diagnosis is not None
+
+
+def test_a_study_is_reopened_only_for_the_same_files(
+    files: tuple[Path, Path], bench: Workbench, tmp_path: Path
+) -> None:
+    """Catches a study of yesterday's run shown for today's."""
+    bench.toggle("rail_lean")
+    settled(bench)
+    again = Workbench.open(*files, tmp_path / "study")
+    assert again.moment.effects == ("rail_lean",)
+    assert again.moment.can_undo
+    again.undo()
+    settled(again)
+    assert again.moment.effects == ()
+    again.close()
+    text = files[1].read_text()
+    files[1].write_text(text + text.splitlines()[-1].replace(",2,", ",3,") + "\n")
+    with pytest.raises(SherkitError, match="was begun from another run file; give --fresh"):
+        Workbench.open(*files, tmp_path / "study")
+    Workbench.open(*files, tmp_path / "study", fresh=True).close()
+
+
+def test_a_run_that_was_rewritten_is_refused(files: tuple[Path, Path], bench: Workbench) -> None:
+    """Catches rows that change their meaning while a run is followed."""
+    told = heard(bench)
+    lines = files[1].read_text().splitlines(keepends=True)
+    assert bench.follow(files[1]) is not None
+    assert bench.follow(files[1]) is None  # nothing new
+    files[1].write_text("".join([lines[0], *lines[2:], *[line.replace(",2,", ",3,") for line in lines[2:]]]))
+    bench.follow(files[1])
+    settled(bench)
+    (error,) = [value for kind, value in told if kind == "error"]
+    assert "no longer those that were read before" in error or "was given before" in error
+    assert len(bench.moment.history) == 1
