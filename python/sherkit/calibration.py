@@ -73,6 +73,7 @@ class Part:
         if len(where) == 0:
             where = np.zeros((1, 3))
         model = fit.model
+        settings = model.settings()
         core = len(model.indices)
         # the fit took all misfit for noise; what the correction has removed of it is none
         left, before = _second_moment(corrected_mm), _second_moment(uncorrected_mm)
@@ -82,9 +83,9 @@ class Part:
             free=model.free,
             effects=tuple(e.name for e in model.built_in),
             settings={
-                "period_mm": model.period_mm or 0.0,
-                "slip_time_s": model.slip_time_s,
-                "time_origin_s": model.time_origin_s,
+                "period_mm": settings["period_mm"] or 0.0,
+                "slip_time_s": settings["slip_time_s"] or 0.0,
+                "time_origin_s": settings["time_origin_s"] or 0.0,
             },
             left_out=tuple(e.name for e in model.own),
             now=(

@@ -81,7 +81,7 @@ class ChainModel(ABC):
         """Why a row cannot be reached."""
 
     def reachable(self, data: Measurements, values: Floats) -> tuple[Floats, Measurements] | None:
-        """Coordinates (k, m) of poses that could be measured next, and the rows they would give; None where not known."""
+        """Coordinates (k, m) of poses that could be measured next, and their rows; None where that is not known."""
         del data, values
         return None
 

@@ -18,8 +18,8 @@ Floats = NDArray[np.float64]
 class Rows:
     """The rows of a run as a user's effect sees them.
 
-    ``joints`` (n, k), mm or rad; ``time`` (n,) s; ``direction`` (n, k) sign of the last motion; ``position`` (n, m), the coordinates that
-    the model gives; every covariate of the file under its column name, with or without its unit
+    ``joints`` (n, k), mm or rad; ``time`` (n,) s; ``direction`` (n, k) sign of the last motion; ``position`` (n, m),
+    the coordinates that the model gives; every covariate of the file under its column name, with or without its unit
     (``rows.humidity_pct`` or ``rows.humidity``).
     """
 

@@ -43,11 +43,11 @@ class Measurements:
 
     ``layout`` names the columns and their units. ``joints`` (n, k); ``to_joints`` (n, k), NaN where the row is no
     distance; ``readings`` (n, m), coordinates and then the distance, and ``taken`` (n, m) telling which were taken;
-    ``sigma`` (n, m), NaN where no noise was declared; ``outlier`` (n,) rows that the user marked as wrong: kept, listed, not fitted.
-    ``line`` (n,) is the line of the row in its file (``counted`` is ``"line"``) or its number from 0 in a frame
-    (``"row"``), for messages. ``direction`` (n, k) is the sign of the last motion of each joint, from the columns
-    ``direction_1`` … or from the order in time; NaN where neither is known.
-    ``order`` (n,) is the place of the row in the run it was taken from, by time where that is known.
+    ``sigma`` (n, m), NaN where no noise was declared; ``outlier`` (n,) rows that the user marked as wrong: kept,
+    listed, not fitted. ``line`` (n,) is the line of the row in its file (``counted`` is ``"line"``) or its number from
+    0 in a frame (``"row"``), for messages. ``direction`` (n, k) is the sign of the last motion of each joint, from the
+    columns ``direction_1`` … or from the order in time; NaN where neither is known. ``order`` (n,) is the place of the
+    row in the run it was taken from, by time where that is known.
     """
 
     joints: Floats
@@ -223,6 +223,11 @@ class Measurements:
     def joints_mm(self) -> Floats:
         """Joint readings (n, 3) of a delta, mm."""
         return self.joints
+
+    @property
+    def to_joints_mm(self) -> Floats:
+        """Joint readings (n, 3) at the other end of a delta's distances, mm; NaN where a row is none."""
+        return self.to_joints
 
     @property
     def readings_mm(self) -> Floats:
