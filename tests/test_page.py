@@ -184,6 +184,7 @@ def test_the_hidden_effect_leads_and_a_click_adds_it(lab: Path) -> None:
         button(page, "✓ rail_lean").wait_for()
         wait_for(page, "numbers", f"{study.history[-1].held_out_um:.2f}")
         np.testing.assert_allclose(arrows(page), expected_arrows(study.fit), atol=0.02)
+        page.wait_for_function("Bokeh.documents[0].get_model_by_name('steps').data.action.length == 2")
         steps = source(page, "steps")
         assert steps["action"] == ["the geometric model", "added rail_lean"]
         np.testing.assert_allclose(steps["held_x"], [s.held_out_rms_um["x_mm"] for s in study.history], rtol=1e-6)
@@ -268,7 +269,9 @@ def test_rows_are_brushed_and_marked_and_a_crash_loses_nothing(lab: Path) -> Non
     with serving(lab) as app, seen(app.url) as page:
         button(page, "✓ rail_lean").wait_for()
         wait_for(page, "headline", "4 marked")
-        assert source(page, "steps")["action"][-1] == "4 rows marked as outliers"
+        page.wait_for_function(
+            "Bokeh.documents[0].get_model_by_name('steps').data.action.at(-1) == '4 rows marked as outliers'"
+        )
         button(page, "Undo").click()
         page.wait_for_function("!Bokeh.documents[0].get_model_by_name('headline').text.includes('marked')")
         diagnosed(page)
@@ -315,7 +318,9 @@ def test_measurements_are_joined_and_bad_ones_refused(lab: Path) -> None:
         wait_for(page, "error", "before run.csv ends")
         page.locator("input[type=file]").set_input_files(lab / "more.csv")
         wait_for(page, "headline", f"{rows} rows")
-        assert source(page, "steps")["action"][-1].endswith("rows joined")
+        page.wait_for_function(
+            "Bokeh.documents[0].get_model_by_name('steps').data.action.at(-1).endsWith('rows joined')"
+        )
         diagnosed(page)
 
 

@@ -19,6 +19,7 @@ from .picture import Picture
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _TIMEOUT_S = 60
+_TRIES = 3
 
 _DRAW = """
 <script>
@@ -31,7 +32,8 @@ _DRAW = """
   const bytes = new Uint8Array(await blob.arrayBuffer())
   let text = ""
   for (const byte of bytes) text += String.fromCharCode(byte)
-  document.body.innerHTML = '<pre id="drawn">' + btoa(text) + "</pre>"
+  const drawn = btoa(text)
+  document.body.innerHTML = `<pre id="drawn" data-size="${drawn.length}">${drawn}</pre>`
 })()
 </script>
 """
@@ -74,12 +76,18 @@ def _drawn(page: str, kind: str, width_px: int) -> bytes:
             program, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder}/profile",
             f"--window-size={width_px},1000", "--virtual-time-budget=15000", "--dump-dom", file.as_uri(),
         ]  # fmt: skip
-        try:
-            done = subprocess.run(command, capture_output=True, timeout=_TIMEOUT_S, check=False, text=True)
-        except subprocess.TimeoutExpired:
-            raise SherkitError(f"{program} did not draw the picture within {_TIMEOUT_S} s") from None
-    found = re.search(r'<pre id="drawn">([^<]*)</pre>', done.stdout)
-    if found is None:
-        said = done.stderr.strip().splitlines()
-        raise SherkitError(f"{program} did not draw the picture{': ' + said[-1] if said else ''}")
-    return base64.b64decode(escaping.unescape(found.group(1)))
+        for _ in range(_TRIES):
+            done = _run(command, program)
+            found = re.search(r'<pre id="drawn" data-size="(\d+)">([^<]*)</pre>', done.stdout)
+            # on a busy machine the browser may end before it has drawn
+            if found is not None and len(found[2]) == int(found[1]):
+                return base64.b64decode(escaping.unescape(found[2]))
+    said = done.stderr.strip().splitlines()
+    raise SherkitError(f"{program} did not draw the picture{': ' + said[-1] if said else ''}")
+
+
+def _run(command: list[str], program: str) -> subprocess.CompletedProcess[str]:
+    try:
+        return subprocess.run(command, capture_output=True, timeout=_TIMEOUT_S, check=False, text=True)
+    except subprocess.TimeoutExpired:
+        raise SherkitError(f"{program} did not draw the picture within {_TIMEOUT_S} s") from None
