@@ -4,12 +4,13 @@
 //! π/2 in three parts, Cody and Waite), the arc tangent after Moshier's Cephes. Angles beyond [`LARGEST_RAD`] lose
 //! accuracy in the reduction; [`crate::math::sin_cos`] has no such limit. NaN and infinity give NaN.
 
+use crate::math::Real;
 use core::f64::consts::{FRAC_2_PI, FRAC_PI_2, FRAC_PI_4, PI};
 
 /// Largest angle that [`sin_cos`] reduces accurately, rad: 160 000 turns.
 pub const LARGEST_RAD: f64 = 1e6;
 
-/// Adding and taking it away rounds to the nearest integer, which then stands in the lowest bits.
+/// Adding and taking it away rounds to the nearest integer.
 const ROUNDER: f64 = 6_755_399_441_055_744.0;
 
 /// π/2 in three parts; products of the first two with an integer below 2²⁰ are exact.
@@ -19,8 +20,9 @@ const HALF_PI: [f64; 3] = [
     2.022_266_248_795_950_6e-21,
 ];
 
-const SINE: [f64; 6] = [
-    -1.666_666_666_666_663_2e-1,
+const FIRST_OF_SINE: f64 = -1.666_666_666_666_663_2e-1;
+
+const SINE: [f64; 5] = [
     8.333_333_333_322_49e-3,
     -1.984_126_982_985_795e-4,
     2.755_731_370_707_006_8e-6,
@@ -37,37 +39,51 @@ const COSINE: [f64; 6] = [
     -1.135_964_755_778_819_5e-11,
 ];
 
-/// Sine and cosine of an angle in radians, up to [`LARGEST_RAD`].
+/// `Σ c_k z^k`.
+#[inline(always)]
+fn polynomial<T: Real, const N: usize>(z: T, c: &[f64; N]) -> T {
+    let mut sum = T::splat(c[N - 1]);
+    for k in (0..N - 1).rev() {
+        sum = T::splat(c[k]) + z * sum;
+    }
+    sum
+}
+
+/// The nearest integer.
+#[inline(always)]
+fn nearest<T: Real>(x: T) -> T {
+    (x + T::splat(ROUNDER)) - T::splat(ROUNDER)
+}
+
+/// Sine and cosine of an angle in radians, up to [`LARGEST_RAD`]; one or many side by side.
 #[inline(always)]
 #[must_use]
-pub fn sin_cos(angle_rad: f64) -> (f64, f64) {
-    let shifted = angle_rad * FRAC_2_PI + ROUNDER;
-    let quadrant = shifted.to_bits();
-    let n = shifted - ROUNDER;
-    let coarse = angle_rad - n * HALF_PI[0];
-    let middle = n * HALF_PI[1];
+pub fn sin_cos<T: Real>(angle_rad: T) -> (T, T) {
+    let of = T::splat;
+    let n = nearest(angle_rad * of(FRAC_2_PI));
+    let coarse = angle_rad - n * of(HALF_PI[0]);
+    let middle = n * of(HALF_PI[1]);
     let fine = coarse - middle;
-    let rest = n * HALF_PI[2] - ((coarse - fine) - middle);
+    let rest = n * of(HALF_PI[2]) - ((coarse - fine) - middle);
     let y = fine - rest;
     let tail = (fine - y) - rest;
     let z = y * y;
     let cube = z * y;
-    let s = SINE;
-    let r = s[1] + z * (s[2] + z * (s[3] + z * (s[4] + z * s[5])));
-    let sin = y - ((z * (0.5 * tail - cube * r) - tail) - cube * s[0]);
-    let c = COSINE;
-    let r = z * (c[0] + z * (c[1] + z * (c[2] + z * (c[3] + z * (c[4] + z * c[5])))));
-    let half = 0.5 * z;
-    let w = 1.0 - half;
-    let cos = w + (((1.0 - w) - half) + (z * r - y * tail));
-    // odd quadrants swap the two; the sign bit comes from the quadrant's second bit
-    let swap = quadrant & 1 != 0;
-    let (a, b) = if swap { (cos, sin) } else { (sin, cos) };
-    let flip_a = (quadrant & 2) << 62;
-    let flip_b = ((quadrant.wrapping_add(1)) & 2) << 62;
+    let r = polynomial(z, &SINE);
+    let sin = y - ((z * (of(0.5) * tail - cube * r) - tail) - cube * of(FIRST_OF_SINE));
+    let r = z * polynomial(z, &COSINE);
+    let half = of(0.5) * z;
+    let w = of(1.0) - half;
+    let cos = w + (((of(1.0) - w) - half) + (z * r - y * tail));
+    // the quadrant, from -2 to 2: odd ones swap the two, and each has its own sign
+    let quadrant = n - of(4.0) * nearest(n * of(0.25));
+    let odd = (quadrant.size() - of(1.0)).size();
+    let (one, minus) = (of(1.0), of(-1.0));
+    let up = (quadrant - of(0.5)).size().above(one, minus, one);
+    let across = (quadrant + of(0.5)).size().above(one, minus, one);
     (
-        f64::from_bits(a.to_bits() ^ flip_a),
-        f64::from_bits(b.to_bits() ^ flip_b),
+        up * of(0.5).above(odd, cos, sin),
+        across * of(0.5).above(odd, sin, cos),
     )
 }
 
@@ -79,12 +95,13 @@ const NUMERATOR: [f64; 5] = [
     -8.750_608_600_031_904e-1,
 ];
 
-const DENOMINATOR: [f64; 5] = [
+const DENOMINATOR: [f64; 6] = [
     1.945_506_571_482_614e2,
     4.853_903_996_359_137e2,
     4.328_810_604_912_902_7e2,
     1.650_270_098_316_988_5e2,
     2.485_846_490_142_306_3e1,
+    1.0,
 ];
 
 /// What π/2 is beyond its double.
@@ -92,32 +109,21 @@ const HALF_PI_REST: f64 = 6.123_233_995_736_766e-17;
 /// tan 3π/8: above it the arc tangent is taken of the reciprocal.
 const STEEP: f64 = 2.414_213_562_373_095;
 
-/// Angle of the direction `(x, y)` from the x axis, rad, in (-π, π]; NaN where both are zero.
+/// Angle of the direction `(x, y)` from the x axis, rad, in (-π, π]; NaN where both are zero. One or many side by
+/// side.
 #[inline(always)]
 #[must_use]
-pub fn atan2(y: f64, x: f64) -> f64 {
-    let (up, across) = (y.abs(), x.abs());
-    let steep = up > STEEP * across;
-    let diagonal = up > 0.66 * across;
-    let numerator = if diagonal { up - across } else { up };
-    let numerator = if steep { -across } else { numerator };
-    let denominator = if diagonal { up + across } else { across };
-    let denominator = if steep { up } else { denominator };
-    let base = if diagonal { FRAC_PI_4 } else { 0.0 };
-    let base = if steep { FRAC_PI_2 } else { base };
-    let rest = if diagonal { 0.5 * HALF_PI_REST } else { 0.0 };
-    let rest = if steep { HALF_PI_REST } else { rest };
-    let t = numerator / denominator;
+pub fn atan2<T: Real>(y: T, x: T) -> T {
+    let of = T::splat;
+    let (up, across) = (y.size(), x.size());
+    let (steep, diagonal) = (of(STEEP) * across, of(0.66) * across);
+    let pick = |low: T, middle: T, high: T| up.above(steep, high, up.above(diagonal, middle, low));
+    let t = pick(up, up - across, of(0.0) - across) / pick(across, up + across, up);
+    let base = pick(of(0.0), of(FRAC_PI_4), of(FRAC_PI_2));
+    let rest = pick(of(0.0), of(0.5 * HALF_PI_REST), of(HALF_PI_REST));
     let z = t * t;
-    let p = NUMERATOR;
-    let q = DENOMINATOR;
-    let top = p[0] + z * (p[1] + z * (p[2] + z * (p[3] + z * p[4])));
-    let bottom = q[0] + z * (q[1] + z * (q[2] + z * (q[3] + z * (q[4] + z))));
-    let angle = base + (t + (t * (z * (top / bottom)) + rest));
-    let angle = if x < 0.0 {
-        PI - (angle - 2.0 * HALF_PI_REST)
-    } else {
-        angle
-    };
-    angle.copysign(y)
+    let ratio = polynomial(z, &NUMERATOR) / polynomial(z, &DENOMINATOR);
+    let angle = base + (t + (t * (z * ratio) + rest));
+    let behind = of(PI) - (angle - of(2.0 * HALF_PI_REST));
+    of(0.0).above(x, behind, angle).signed(y)
 }

@@ -1,16 +1,14 @@
 //! Forward and inverse kinematics of two unequal limbs with their exact derivatives: two cones that meet.
 //!
 //! Limb i holds the tool axis `x` on a cone about its elbow axis `e_i`: `x·e_i = cos β_i`, `|x| = 1`, with `e_i` at
-//! the polar angle `α_i` and the azimuth `ψ_i = θ_i + offset_i`. Half sum `s` and half difference `d` of the elbow
-//! axes are at right angles, so with `k_s`, `k_d` the half sum and difference of the cosines
-//! `x = s k_s/|s|² + d k_d/|d|² ± √(1 - k_s²/|s|² - k_d²/|d|²) (d × s)/(|d||s|)`.
-//! The sign is the assembly's times that of `sin A`, `A = (ψ₁ - ψ₂)/2`: with equal limbs this is the sign of Eq. 35.
+//! the polar angle `α_i` and the azimuth `ψ_i = θ_i + offset_i`.
 //!
 //! NaN or infinite input gives [`Error::NotFinite`]. Stack: below 1 kB.
 
+use super::cones::Meeting;
 use super::geometry::{Elbows, Geometry, LIMBS};
 use super::pose::Pose;
-use crate::math::{sin_cos, sqrt};
+use crate::math::{Lanes, Real, dot, sin_cos, sqrt};
 use crate::{Error, Result, Singularity, trig};
 use core::f64::consts::PI;
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -24,26 +22,13 @@ const TOUCHING: f64 = 1e-7;
 /// A spherical robot ready to compute with: sines and cosines are taken once.
 #[derive(Clone, Copy, Debug)]
 pub struct Kinematics {
-    sign: f64,
-    sin_alpha: [f64; LIMBS],
-    cos_alpha: [f64; LIMBS],
+    pub(super) sign: f64,
+    pub(super) sin_alpha: [f64; LIMBS],
+    pub(super) cos_alpha: [f64; LIMBS],
     alpha: [f64; LIMBS],
     beta: [f64; LIMBS],
-    cos_beta: [f64; LIMBS],
-    offset: [f64; LIMBS],
-}
-
-/// Where the cones meet, in the frame turned to the mean azimuth of the elbows.
-#[derive(Clone, Copy)]
-struct Meeting {
-    axis: [f64; 3],
-    /// φ, γ.
-    angles: [f64; 2],
-    /// Squared part of the axis out of the plane of the elbows; negative where the cones do not meet.
-    height_squared: f64,
-    /// Squared sines of half the angle between the elbows, and of the tool axis' angle from the actuated one.
-    spread_squared: f64,
-    polar_squared: f64,
+    pub(super) cos_beta: [f64; LIMBS],
+    pub(super) offset: [f64; LIMBS],
 }
 
 impl Kinematics {
@@ -78,55 +63,12 @@ impl Kinematics {
         &self.beta
     }
 
-    /// The formula of the module, without branches. `half` has the sine and cosine of `A`.
-    #[inline(always)]
-    fn meet(&self, mean: f64, (sin, cos): (f64, f64)) -> Meeting {
-        let [s1, s2] = self.sin_alpha;
-        let [c1, c2] = self.cos_alpha;
-        let (s, d) = (
-            [
-                0.5 * (s1 + s2) * cos,
-                0.5 * (s1 - s2) * sin,
-                0.5 * (c1 + c2),
-            ],
-            [
-                0.5 * (s1 - s2) * cos,
-                0.5 * (s1 + s2) * sin,
-                0.5 * (c1 - c2),
-            ],
-        );
-        let ss = s[0] * s[0] + s[1] * s[1] + s[2] * s[2];
-        let dd = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-        let [b1, b2] = self.cos_beta;
-        let along = 0.5 * (b1 + b2) / ss;
-        let across = 0.5 * (b1 - b2) / dd;
-        let height_squared = (1.0 - 0.5 * (b1 + b2) * along) - 0.5 * (b1 - b2) * across;
-        let rise = sqrt(height_squared / (ss * dd)) * self.sign.copysign(self.sign * sin);
-        let axis = [
-            s[0] * along + d[0] * across + rise * (d[1] * s[2] - d[2] * s[1]),
-            s[1] * along + d[1] * across + rise * (d[2] * s[0] - d[0] * s[2]),
-            s[2] * along + d[2] * across + rise * (d[0] * s[1] - d[1] * s[0]),
-        ];
-        let polar_squared = axis[0] * axis[0] + axis[1] * axis[1];
-        let side = 1.0_f64.copysign(axis[0]);
-        Meeting {
-            axis,
-            angles: [
-                mean + trig::atan2(side * axis[1], axis[0].abs()),
-                side * trig::atan2(sqrt(polar_squared), axis[2]),
-            ],
-            height_squared,
-            spread_squared: dd.min(ss),
-            polar_squared,
-        }
-    }
-
     fn azimuths(&self, joints: &Vector2<f64>) -> [f64; LIMBS] {
         [joints.x + self.offset[0], joints.y + self.offset[1]]
     }
 
     /// Solves for the tool axis; the pole is let through.
-    fn solve(&self, joints: &Vector2<f64>) -> Result<Meeting> {
+    fn solve(&self, joints: &Vector2<f64>) -> Result<Meeting<f64>> {
         finite(joints)?;
         let [a, b] = self.azimuths(joints);
         let half = 0.5 * (a - b);
@@ -141,7 +83,8 @@ impl Kinematics {
             return Err(Error::SingularPose(Singularity::ElbowsAligned));
         }
         if m.height_squared < 0.0 {
-            let between = 2.0 * libm::asin(sqrt(dd_of(self, sines)).min(1.0));
+            let [_, d] = self.halves(sines);
+            let between = 2.0 * libm::asin(sqrt(dot(d, d)).min(1.0));
             return Err(Error::LimbsApart {
                 miss_rad: self.apart(between),
             });
@@ -183,24 +126,24 @@ impl Kinematics {
         &self,
         joints: &[[f64; L]; LIMBS],
     ) -> ([[f64; L]; 2], [bool; L]) {
-        let mut out = [[0.0; L]; 2];
+        let [a, b] = [
+            Lanes(joints[0]) + Lanes::splat(self.offset[0]),
+            Lanes(joints[1]) + Lanes::splat(self.offset[1]),
+        ];
+        let half = Lanes::splat(0.5) * (a - b);
+        let m = self.meet(Lanes::splat(0.5) * (a + b), trig::sin_cos(half));
+        let mut out = [m.angles[0].0, m.angles[1].0];
         let mut reached = [false; L];
-        let mut far = 0.0_f64;
+        let mut far = false;
         for lane in 0..L {
-            let a = joints[0][lane] + self.offset[0];
-            let b = joints[1][lane] + self.offset[1];
-            let half = 0.5 * (a - b);
-            let m = self.meet(0.5 * (a + b), trig::sin_cos(half));
-            out[0][lane] = m.angles[0];
-            out[1][lane] = m.angles[1];
             // written so that a NaN is never reached
-            reached[lane] = (m.height_squared >= 0.0)
-                & (m.spread_squared >= SINGULAR * SINGULAR)
-                & (m.polar_squared >= SINGULAR * SINGULAR)
-                & (m.angles[0].abs() < f64::INFINITY);
-            far = far.max(half.abs());
+            reached[lane] = (m.height_squared.0[lane] >= 0.0)
+                & (m.spread_squared.0[lane] >= SINGULAR * SINGULAR)
+                & (m.polar_squared.0[lane] >= SINGULAR * SINGULAR)
+                & (out[0][lane].abs() < f64::INFINITY);
+            far |= half.0[lane].abs() > trig::LARGEST_RAD;
         }
-        if far > trig::LARGEST_RAD {
+        if far {
             for lane in 0..L {
                 let found = self.forward(&Vector2::new(joints[0][lane], joints[1][lane]));
                 reached[lane] = found.is_ok();
@@ -236,31 +179,6 @@ impl Kinematics {
         Ok(Vector2::from(joints))
     }
 
-    /// Joint angles, cosines of `ψ_i - φ`, and a number with the sign of the assembly. No branches.
-    #[inline(always)]
-    fn reach(
-        &self,
-        phi: f64,
-        (sin, cos): (f64, f64),
-        signs: [f64; LIMBS],
-    ) -> ([f64; LIMBS], [f64; LIMBS], f64) {
-        let (mut joints, mut cosines) = ([0.0; LIMBS], [0.0; LIMBS]);
-        let (mut turns, mut sines) = ([0.0; LIMBS], [0.0; LIMBS]);
-        for i in 0..LIMBS {
-            cosines[i] = (self.cos_beta[i] - self.cos_alpha[i] * cos) / (self.sin_alpha[i] * sin);
-            let sine = sqrt((1.0 - cosines[i]) * (1.0 + cosines[i]));
-            turns[i] = signs[i] * trig::atan2(sine, cosines[i]);
-            sines[i] = signs[i] * sine;
-            joints[i] = phi + turns[i] - self.offset[i];
-        }
-        // x·(e₁ × e₂) in the frame turned to φ; its sign times that of sin A is the assembly's
-        let [s1, s2] = self.sin_alpha;
-        let [c1, c2] = self.cos_alpha;
-        let triple = sin * (s1 * c2 * sines[0] - c1 * s2 * sines[1])
-            - cos * s1 * s2 * (sines[0] * cosines[1] - cosines[0] * sines[1]);
-        (joints, cosines, triple * (turns[0] - turns[1]))
-    }
-
     /// [`Self::inverse`] for `L` poses at once; lanes that cannot be computed are marked `false`.
     #[inline(always)]
     #[must_use]
@@ -269,23 +187,21 @@ impl Kinematics {
         angles: &[[f64; L]; 2],
         elbows: Elbows,
     ) -> ([[f64; L]; LIMBS], [bool; L]) {
-        let signs = elbows.signs();
-        let mut out = [[0.0; L]; LIMBS];
+        let gamma = Lanes(angles[1]);
+        let sines = trig::sin_cos(gamma);
+        let (joints, cosines, side) = self.reach(Lanes(angles[0]), sines, elbows.signs());
+        let mut out = [joints[0].0, joints[1].0];
         let mut reached = [false; L];
-        let mut far = 0.0_f64;
+        let mut far = false;
         for lane in 0..L {
-            let sines = trig::sin_cos(angles[1][lane]);
-            let (joints, cosines, side) = self.reach(angles[0][lane], sines, signs);
-            out[0][lane] = joints[0];
-            out[1][lane] = joints[1];
-            reached[lane] = (cosines[0].abs() <= 1.0)
-                & (cosines[1].abs() <= 1.0)
-                & (sines.0.abs() >= SINGULAR)
-                & (self.sign * side >= 0.0)
-                & (joints[0].abs() < f64::INFINITY);
-            far = far.max(angles[1][lane].abs());
+            reached[lane] = (cosines[0].0[lane].abs() <= 1.0)
+                & (cosines[1].0[lane].abs() <= 1.0)
+                & (sines.0.0[lane].abs() >= SINGULAR)
+                & (self.sign * side.0[lane] >= 0.0)
+                & (out[0][lane].abs() < f64::INFINITY);
+            far |= gamma.0[lane].abs() > trig::LARGEST_RAD;
         }
-        if far > trig::LARGEST_RAD {
+        if far {
             for lane in 0..L {
                 let found = self.inverse(&Vector2::new(angles[0][lane], angles[1][lane]), elbows);
                 reached[lane] = found.is_ok();
@@ -395,13 +311,6 @@ pub(super) fn miss_of(alpha: f64, beta: f64, gamma: f64) -> f64 {
     } else {
         gamma - (alpha - beta).abs()
     }
-}
-
-fn dd_of(k: &Kinematics, (sin, cos): (f64, f64)) -> f64 {
-    let [s1, s2] = k.sin_alpha;
-    let [c1, c2] = k.cos_alpha;
-    let d = [(s1 - s2) * cos, (s1 + s2) * sin, c1 - c2];
-    0.25 * (d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
 }
 
 fn finite(v: &Vector2<f64>) -> Result<()> {

@@ -10,6 +10,7 @@
 
 mod chain;
 pub mod closed_form;
+mod cones;
 mod geometry;
 mod joints;
 mod kinematics;
