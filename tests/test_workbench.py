@@ -135,6 +135,9 @@ def test_a_study_is_reopened_only_for_the_same_files(
     """Catches a study of yesterday's run shown for today's."""
     bench.toggle("rail_lean")
     settled(bench)
+    with pytest.raises(SherkitError, match="open in another sherkit app"):
+        Workbench.open(*files, tmp_path / "study")
+    bench.close()
     again = Workbench.open(*files, tmp_path / "study")
     assert again.moment.effects == ("rail_lean",)
     assert again.moment.can_undo
@@ -144,6 +147,10 @@ def test_a_study_is_reopened_only_for_the_same_files(
     again.close()
     text = files[1].read_text()
     files[1].write_text(text + text.splitlines()[-1].replace(",2,", ",3,") + "\n")
+    with pytest.raises(SherkitError, match=r"has grown since .* give --follow"):
+        Workbench.open(*files, tmp_path / "study")
+    header, *rows = text.splitlines(keepends=True)
+    files[1].write_text("".join([header, *reversed(rows)]))
     with pytest.raises(SherkitError, match="was begun from another run file; give --fresh"):
         Workbench.open(*files, tmp_path / "study")
     Workbench.open(*files, tmp_path / "study", fresh=True).close()
@@ -154,10 +161,13 @@ def test_a_run_that_was_rewritten_is_refused(files: tuple[Path, Path], bench: Wo
     told = heard(bench)
     lines = files[1].read_text().splitlines(keepends=True)
     assert bench.follow(files[1]) is not None
+    settled(bench)
     assert bench.follow(files[1]) is None  # nothing new
     files[1].write_text("".join([lines[0], *lines[2:], *[line.replace(",2,", ",3,") for line in lines[2:]]]))
     bench.follow(files[1])
     settled(bench)
-    (error,) = [value for kind, value in told if kind == "error"]
+    errors = [value for kind, value in told if kind == "error"]
+    assert len(errors) == 1, errors
+    error = errors[0]
     assert "no longer those that were read before" in error or "was given before" in error
     assert len(bench.moment.history) == 1

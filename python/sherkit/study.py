@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from .calibrate import Experiment
 from .calibration import Calibration
@@ -29,6 +30,8 @@ from .notebook import Shown
 from .robots import Delta
 from .robots.file import robot_from_tables
 from .validation import hold_out
+
+Ints = NDArray[np.int64]
 
 _FORMAT = 1
 _FOLLOWED = "the run so far"
@@ -262,6 +265,8 @@ class Study(Shown):
             "format": _FORMAT,
             "robot": self.robot.to_tables(),
             "source": self.data.source,
+            "counted": self.data.counted,
+            "line": _packed(self.data.line),
             **_model_state(self.model),
             # rows are only ever added, and marked
             "undo": [
@@ -304,7 +309,10 @@ class Study(Shown):
         robot = robot_from_tables(state["robot"], f"{folder} [robot]")
         study = cls.__new__(cls)
         study.robot, study.seed, study.loss = robot, int(state["seed"]), str(state.get("loss", "linear"))
-        study.data = from_frame(pl.read_parquet(folder / "rows.parquet"), state["source"])
+        data = from_frame(pl.read_parquet(folder / "rows.parquet"), state["source"])
+        line = _unpacked(state.get("line", []))
+        # rows keep the numbers by which people know them
+        study.data = replace(data, line=line, counted=state["counted"]) if len(line) == len(data) else data
         study.own, study._undone, study._diagnosis = {}, [], None
         for effect in effects:
             study._register(effect)
@@ -358,6 +366,17 @@ class Study(Shown):
             axes = ", ".join(f"{k[:-3]} {v:.1f}" for k, v in s.held_out_rms_um.items())
             lines.append(f"  {s.action:<32} held out {axes} µm")
         return "\n".join(lines)
+
+
+def _packed(line: Ints) -> list[list[int]]:
+    """Numbers that mostly go up by one, as first and count of each stretch."""
+    starts = np.flatnonzero(np.diff(line, prepend=line[0] - 2) != 1)
+    counts = np.diff(np.append(starts, len(line)))
+    return [[int(line[start]), int(count)] for start, count in zip(starts, counts, strict=True)]
+
+
+def _unpacked(stretches: Sequence[Sequence[int]]) -> Ints:
+    return np.array([first + k for first, count in stretches for k in range(count)], dtype=np.int64)
 
 
 def _model_state(model: ChainModel) -> dict[str, Any]:

@@ -7,7 +7,7 @@ reaches it.
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from typing import Any
 
@@ -18,7 +18,7 @@ from bokeh.models import Button, CustomJS, Div, FileInput, Select, TextAreaInput
 from jinja2 import Environment, PackageLoader
 
 from .. import paper
-from ..diagnosis import template
+from ..diagnosis import sentence, template
 from ..effects import CATALOGUE
 from ..names import listed
 from ..report.against import Against, against
@@ -31,7 +31,9 @@ from ..report.residual_map import Change, residual_map
 from ..report.style import INK, MUTED, REFUSED, number, quantity
 from .workbench import Moment, Workbench, rights_of
 
-_LEFT, _MIDDLE, _RIGHT = 340, 810, 430
+_LEFT, _MIDDLE, _RIGHT = 322, 880, 430
+#: The colour scale stands beside the panels of the map.
+_BESIDE = 80
 _SHOWN_ROWS = 40
 _TEMPLATE = Environment(loader=PackageLoader("sherkit.app"), autoescape=True).get_template("page.html")
 #: One size of type for what is pressed, chosen and typed too.
@@ -55,12 +57,15 @@ class Page:
         self.bench = bench
         self.moment: Moment | None = None
         self.selected: tuple[int, ...] = ()
+        #: Tables of the pictures in which rows can be chosen.
+        self._brushable: list[Any] = []
         self._pictures: dict[str, Picture[Any]] = {}
         #: What the pictures of the middle and of the right were built for; other rows or units need new ones.
         self._middle_of: tuple[Any, ...] = ()
         self._right_of: tuple[Any, ...] = ()
         self._drawn: tuple[Any, ...] = ()
         self._filling = False
+        self._dropping = False
         self._build(links)
         self._draw(bench.moment)
         self._told("progress", bench.progress)
@@ -85,7 +90,10 @@ class Page:
         self.cancel.on_click(self.bench.cancel)
         self.error = Div(name="error", width=_LEFT, visible=False, styles={"font-size": "16px", "color": REFUSED})
         self.undo = Button(stylesheets=[_TYPE], label="Undo", name="undo", width=100)
-        self.undo.on_click(self.bench.undo)
+        self.undo.on_click(lambda: self._do(self.bench.undo))
+        # a diagnosis that was cancelled, or that failed, can be asked for again
+        self.ask = Button(stylesheets=[_TYPE], label="Diagnose", name="diagnose", width=110, visible=False)
+        self.ask.on_click(lambda: self._do(self.bench.diagnose))
         self.effects = column(name="effects", width=_LEFT)
         self._buttons: dict[str, tuple[Button, Div]] = {}
         self._rows: dict[str, Any] = {}
@@ -96,7 +104,7 @@ class Page:
             title="Effects, as NumPy lines",
         )  # fmt: skip
         run_lines = Button(stylesheets=[_TYPE], label="Run these lines", name="run_lines", width=160)
-        run_lines.on_click(lambda: self.bench.type_effect(self.lines.value))
+        run_lines.on_click(lambda: self._do(lambda: self.bench.type_effect(self.lines.value)))
         shape = Button(stylesheets=[_TYPE], label="Fill in the shape", name="fill_shape", width=150)
         shape.on_click(self._fill_shape)
         typed: list[Any] = (
@@ -111,7 +119,8 @@ class Page:
             name="drop", accept=".csv,.parquet", title="Add measurements (choose or drop a CSV)",
             width=_LEFT - 10,
         )  # fmt: skip
-        self.drop.on_change("filename", lambda attr, old, new: self._dropped())
+        for attribute in ("filename", "value"):  # the same name again with other bytes is another file
+            self.drop.on_change(attribute, lambda attr, old, new: self._drop_soon())
         self.links = Div(name="exports", text=links, width=_LEFT, **text)
         self.before = Select(stylesheets=[_TYPE], title="Compare", name="before", width=240)
         self.after = Select(stylesheets=[_TYPE], title="with", name="after", width=240)
@@ -124,7 +133,7 @@ class Page:
         self.mark = Button(stylesheets=[_TYPE], label="Mark as outliers", name="mark", disabled=True, width=180)
         self.mark.on_click(self._mark)
         self.typed_rows = TextInput(stylesheets=[_TYPE],
-            title="Rows by their number in the file, such as 12, 40-45", name="typed_rows", width=360
+            name="typed_rows", width=360
         )  # fmt: skip
         self.typed_rows.on_change("value", lambda attr, old, new: self._select_typed())
         self.fall_place = column(name="fall", width=_RIGHT)
@@ -132,14 +141,16 @@ class Page:
         self.parameters_place = column(name="parameters", width=_RIGHT)
         # each of these is laid out by itself: a new line of progress must not draw every picture again
         roots = {
-            "top": column(self.numbers, self.headline, row(self.status, self.cancel), self.error, self.undo),
+            "top": column(
+                self.numbers, self.headline, row(self.status, self.cancel), self.error, row(self.undo, self.ask)
+            ),
             "effects": self.effects,
             "own": column(opener, own),
             "more": column(self.drop, self.links),
             "choices": row(self.before, self.after, self.variable),
             "map": self.map_place,
             "against": self.against_place,
-            "rows": column(row(self.typed_rows, self.mark), self.selection),
+            "rows": column(row(self.typed_rows, self.mark, align="end"), self.selection),
             "fall": self.fall_place,
             "parameters": self.parameters_place,
         }
@@ -168,17 +179,32 @@ class Page:
         elif kind == "progress":
             self.status.text = f"<i>{escape(value)} …</i>" if value else "Ready."
             self.cancel.visible = bool(value)
+            self.ask.visible = not value and self.bench.moment.diagnosis is None
         else:
-            self.error.text, self.error.visible = f"<b>{escape(value)}</b>", True
+            said = f"<b>{escape(value)}</b>" if kind == "error" else f'<span style="color:{INK}">{escape(value)}</span>'
+            self.error.text, self.error.visible = said, True
+
+    def _do(self, work: Callable[[], object]) -> None:
+        """Something a person asked for: what was wrong before is no longer of interest."""
+        self.error.visible = False
+        work()
 
     def _pressed(self, name: str) -> None:
-        self.error.visible = False
-        self.bench.toggle(name)
+        self._do(lambda: self.bench.toggle(name))
+
+    def _drop_soon(self) -> None:
+        # name and bytes come one after the other
+        if not self._dropping:
+            self._dropping = True
+            self._later(self._dropped)
 
     def _dropped(self) -> None:
-        if self.drop.filename and self.drop.value:
-            self.error.visible = False
-            self.bench.add_measurements(str(self.drop.filename), base64.b64decode(str(self.drop.value)))
+        self._dropping = False
+        name, content = str(self.drop.filename), str(self.drop.value)
+        if name and content:
+            self._do(lambda: self.bench.add_measurements(name, base64.b64decode(content)))
+            # else the browser would not tell of the same file chosen again, once it is mended
+            self.drop.clear()
 
     def _fill_shape(self) -> None:
         found = self.bench.moment.diagnosis
@@ -190,7 +216,8 @@ class Page:
     # -- drawing -----------------------------------------------------------------------------------------
 
     def _draw(self, moment: Moment) -> None:
-        changed = self.moment is None or len(self.moment.history) != len(moment.history)
+        # steps that follow a growing run take the place of one another
+        changed = self.moment is None or self.moment.history != moment.history
         self.moment = moment
         self._draw_effects(moment)
         self._draw_headline(moment)
@@ -209,9 +236,10 @@ class Page:
             self.headline.text = title
             return
         verdict = escape(found.verdict)
-        lead = f": <b>{escape(' and '.join(found.effects))}</b>" if found.effects else ""
+        lead = f" by <b>{escape(' and '.join(found.effects))}</b>" if found.effects else ""
+        shape = f"<br>left over: {escape(sentence(found.signature))}" if found.signature is not None else ""
         ties = "".join(f"<br>these rows cannot tell {escape(' from '.join(tie))}" for tie in found.ties)
-        self.headline.text = f'{title}<br><span id="verdict">{verdict}{lead}</span>{ties}'
+        self.headline.text = f'{title}<br><span id="verdict">{verdict}{lead}</span>{ties}{shape}'
 
     def _draw_effects(self, moment: Moment) -> None:
         """A button for every effect: those in the model, then by what each would bring."""
@@ -286,6 +314,8 @@ class Page:
         # values set here must not redraw one after the other
         self._quiet(self.before, steps[0][0] if len(steps) == 1 else str(self._step_before(moment)))
         self._quiet(self.after, steps[-1][0])
+        lines = moment.data.counted == "line"
+        self.typed_rows.title = f"Rows by their number {'in the file' if lines else 'from 0'}, such as 12, 40-45"
         variables = list(moment.now.variables)
         self.variable.options = [(name, quantity(name)) for name in variables]
         if self.variable.value not in variables:
@@ -319,7 +349,7 @@ class Page:
         key = (len(after), tuple(after.names), tuple(after.place))
         if self._middle_of != key:
             self._middle_of = key
-            self._place("map", self.map_place, residual_map(change, planes_across=True, width_px=_MIDDLE - 70))
+            self._place("map", self.map_place, residual_map(change, planes_across=True, width_px=_MIDDLE - _BESIDE))
             self._place("against", self.against_place, against(lines))
             self._watch_selection()
         else:
@@ -328,8 +358,7 @@ class Page:
         for one in self._pictures["map"].before:
             if one.visible != (before is not after):
                 one.visible = before is not after
-        self.selected = ()
-        self._draw_selection()
+        self._select(())
 
     @staticmethod
     def _left(moment: Moment, which: str) -> Left | None:
@@ -353,9 +382,10 @@ class Page:
         noise = dict(zip(left.names, left.noise.tolist(), strict=True)) if known else {}
         state = Fall(rungs, noise, left.unit, paper.REQUIREMENT_UM if left.unit == "µm" else None)
         last = moment.history[-1]
+        floor = f"noise {number(float(np.sqrt(np.mean(left.noise**2))))} {escape(left.unit)}<br>" if known else ""
         self.numbers.text = (
             f'<span style="font-size:30px"><b id="error-now">{number(last.held_out_um)}</b> {escape(left.unit)}</span>'
-            f" RMS on poses held out{', noise ' + number(float(np.sqrt(np.mean(left.noise**2)))) if known else ''}<br>"
+            f" RMS on poses held out<br>{floor}"
             f"in the model: {escape(listed(moment.effects, 20)) or 'the geometry alone'}"
         )
         fit = last.fit
@@ -371,25 +401,52 @@ class Page:
             self._pictures["fall"].show(state)
             if fit is not None:
                 self._pictures["parameters"].show(fit)
+        # in so narrow a picture the names of two steps already meet
+        self._pictures["fall"].root.xaxis.major_label_orientation = 0.5 if len(rungs) > 1 else 0.0
 
     # -- rows --------------------------------------------------------------------------------------------
 
     def _watch_selection(self) -> None:
-        for name, picture in (("map", self._pictures["map"]), ("against", self._pictures["against"])):
-            for key, source in picture.sources.items():
-                if (name == "map" and not key.endswith("_key")) or key == "points":
-                    source.selected.on_change("indices", self._brush(source))
+        self._brushable = [
+            source
+            for name in ("map", "against")
+            for key, source in self._pictures[name].sources.items()
+            if (name == "map" and not key.endswith("_key")) or key == "points"
+        ]
+        for source in self._brushable:
+            source.selected.on_change("indices", self._brush(source))
 
     def _brush(self, source: Any) -> Callable[[str, Any, list[int]], None]:
         return lambda attr, old, new: self._brushed(source, new)
 
     def _brushed(self, source: Any, indices: list[int]) -> None:
+        if self._filling:
+            return
         data = source.data
         if "rows" in data:
             rows = [r for k in indices for r in data["rows"][k]]
         else:
             rows = [int(data["row"][k]) for k in indices]
+        self._select(rows, source)
+
+    def _select(self, rows: Sequence[int], brushed: Any = None) -> None:
+        """Takes rows as chosen, lists them, and shows them in every picture but the one they were brushed in."""
         self.selected = tuple(sorted(set(rows)))
+        chosen = set(self.selected)
+        self._filling = True
+        for source in self._brushable:
+            if source is brushed:
+                continue
+            data = source.data
+            if not chosen:
+                indices = []
+            elif "rows" in data:
+                indices = [k for k, members in enumerate(data["rows"]) if not chosen.isdisjoint(members)]
+            else:
+                indices = np.flatnonzero(np.isin(data["row"], self.selected)).tolist()
+            if source.selected.indices != indices:
+                source.selected.indices = indices
+        self._filling = False
         self._draw_selection()
 
     def _select_typed(self) -> None:
@@ -397,23 +454,23 @@ class Page:
         moment = self.moment
         if moment is None or not self.typed_rows.value.strip():
             return
-        wanted: set[int] = set()
+        line = moment.data.line
+        wanted = np.zeros(len(line), dtype=bool)
         for part in self.typed_rows.value.split(","):
-            low, _, high = part.strip().partition("-")
-            if not low.isdigit() or (high and not high.isdigit()):
+            low, dash, high = (one.strip() for one in part.partition("-"))
+            if not _is_number(low) or (dash and not _is_number(high)):
                 self._told("error", f"rows: expected numbers such as 12, 40-45, got '{part.strip()}'")
                 return
-            wanted |= set(range(int(low), int(high or low) + 1))
-        rows = np.flatnonzero(np.isin(moment.data.line, list(wanted)))
-        if not len(rows):
-            self._told("error", f"{moment.data.source} has no row on {moment.data.counted} {self.typed_rows.value}")
-            return
-        self.selected = tuple(rows.tolist())
-        self._draw_selection()
+            found = (line >= int(low)) & (line <= int(high or low))
+            if not found.any():
+                self._told("error", f"{moment.data.source} has no row on {moment.data.counted} {part.strip()}")
+                return
+            wanted |= found
+        self._do(lambda: self._select(np.flatnonzero(wanted).tolist()))
 
     def _mark(self) -> None:
-        self.error.visible = False
-        self.bench.mark_outliers(self.selected)
+        rows = self.selected
+        self._do(lambda: self.bench.mark_outliers(rows))
         self.typed_rows.value = ""
 
     def _draw_selection(self) -> None:
@@ -434,15 +491,23 @@ class Page:
             body += f"<tr><td>{int(left.line[k])}</td>{cells}<td>{marked}</td></tr>"
         more = f" (the first {_SHOWN_ROWS} are listed)" if len(rows) > _SHOWN_ROWS else ""
         self.selection.text = (
-            f"<b>{len(self.selected)} rows</b>{more}<table style='border-spacing:14px 2px'>"
+            f"<b>{len(self.selected)} row{'s' if len(self.selected) > 1 else ''}</b>{more}"
+            "<table style='border-spacing:14px 2px'>"
             f"<tr><th>{escape(left.counted)}</th>{head}<th></th></tr>{body}</table>"
         )
 
 
-_GONE = "<b>The server of this page has ended; the study is saved. Start sherkit app again.</b>"
+_GONE = (
+    "<b>The server of this page does not answer; the study is saved. Reload the page, or start sherkit app again.</b>"
+)
 _KEEP_FOCUS = """
 if (window.pressed == button.id) setTimeout(() => {
     const free = document.activeElement == null || document.activeElement == document.body
     if (free) Bokeh.index.find_one(button)?.shadow_el?.querySelector("button")?.focus()
 }, 50)
 """
+
+
+def _is_number(text: str) -> bool:
+    """Whole, not negative, and no longer than a row can be."""
+    return text.isdecimal() and len(text) <= 15

@@ -7,6 +7,7 @@ page stands under a random path, like a notebook's token, and typed effects are 
 from __future__ import annotations
 
 import asyncio
+import errno
 import io
 import ipaddress
 import secrets
@@ -67,20 +68,26 @@ class PageServer:
         links = "".join(f'<a href="/{token}/{name}" download>{text}</a><br>' for name, text in _LINKS)
         application = Application(FunctionHandler(lambda document: _make(document, bench, links, follow)))
         shared = {"bench": bench, "command": command}
+        # Other machines call this one by names that it does not know, and Bokeh knows no IPv6; there the path that
+        # nobody can guess is what keeps strangers out.
+        trusted = is_loopback(address) and ":" not in address
+        origins = {address, "localhost", "127.0.0.1"} if trusted else {"*"}
         try:
             port = port or _free_port(address)
-            hosts = {address, "localhost", "127.0.0.1"}
             self.server = Server(
                 {"/": application}, address=address, port=port, prefix=f"/{token}",
                 extra_patterns=[(f"/{name}", _Download, {**shared, "name": name}) for name, _ in _LINKS],
-                allow_websocket_origin=[f"{host}:{port}" for host in hosts],
+                allow_websocket_origin=[f"{host}:{port}" for host in origins],
                 io_loop=IOLoop.current(), session_token_expiration=3600, websocket_max_message_size=200 * 2**20,
             )  # fmt: skip
         except OSError as error:
+            if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
+                raise SherkitError(f"{address} is no address of this machine ({error.strerror})") from None
             raise SherkitError(
                 f"port {port} on {address} cannot be used: {error.strerror}; give another --port"
             ) from None
-        self.url = f"http://{address}:{self.server.port}/{token}/"
+        host = f"[{address}]" if ":" in address else address
+        self.url = f"http://{host}:{self.server.port}/{token}/"
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Serves until interrupted; ``ready`` is called once the page can be opened."""
@@ -123,7 +130,9 @@ class _Download(RequestHandler):
         make = {"calibration.toml": _calibration, "report.html": self._report, "study.zip": self._study}[self.name]
         try:
             content = await asyncio.wrap_future(self.bench.ask(f"making {self.name}", make))
-        except SherkitError as error:
+        except Exception as error:
+            # a browser does not show what comes instead of a file that it was to save
+            self.bench.tell(error)
             self.set_status(409)
             self.set_header("Content-Type", "text/plain; charset=utf-8")
             self.finish(str(error))
@@ -143,7 +152,7 @@ class _Download(RequestHandler):
         packed = io.BytesIO()
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
             for path in sorted(self.bench.folder.iterdir()):
-                if path.is_file():
+                if path.is_file() and not path.name.startswith("."):
                     archive.write(path, path.name)
         return packed.getvalue()
 

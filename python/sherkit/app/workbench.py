@@ -6,31 +6,35 @@ no later work changes.
 
 from __future__ import annotations
 
+import ast
+import copy
 import getpass
 import json
 import threading
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 from weakref import WeakKeyDictionary
 
+import numpy as np
+
 from ..diagnosis import Diagnosis
-from ..effects import CATALOGUE, Effect
+from ..effects import Effect
 from ..effects.file import load_effects
-from ..errors import EffectError, SherkitError
+from ..errors import EffectError, MeasurementError, SherkitError, SherkitWarning
 from ..measurements import Measurements, read_measurements
+from ..names import listed
 from ..report.left import Left, left_of
-from ..report.story import Source
 from ..robots import load_robot
 from ..study import Step, Study
+from .folder import SOURCES, TYPED, begun_from, hold, require_effects, require_same
+from .growing import read_as, read_so_far
 
 T = TypeVar("T")
 Progress = Callable[[str], None]
-
-TYPED = "typed_effects.py"
-_SOURCES = "sources.json"
 
 
 class Cancelled(SherkitError):
@@ -65,10 +69,13 @@ class Moment:
 class Workbench:
     """A study that people change by hand, in a ``folder`` from which it is reopened.
 
-    ``listen`` is told of every new moment, of progress (a sentence, empty when there is none) and of errors.
+    ``listen`` is told of every new moment, of progress (a sentence, empty when there is none), of errors and warnings.
     """
 
-    def __init__(self, study: Study, folder: Path, sources: Sequence[Path] = (), *, trusted: bool = True) -> None:
+    def __init__(
+        self, study: Study, folder: Path, sources: Sequence[Path] = (), *, trusted: bool = True,
+        typed: Sequence[str] = (), lock: IO[str] | None = None,
+    ) -> None:  # fmt: skip
         self.folder = folder
         self.trusted = trusted
         self.sources = list(sources)
@@ -76,12 +83,19 @@ class Workbench:
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="study")
         self._listeners: list[Callable[[str, Any], None]] = []
         self._stop = threading.Event()
+        #: Work that is not done, and changes among it that have not begun.
+        self._pending = 0
         self._waiting = 0
         self._lock = threading.Lock()
         self._lefts: WeakKeyDictionary[Any, Left] = WeakKeyDictionary()
         self._number = 0
-        self._typed: set[str] = set()
-        self.moment = self._moment(None)
+        self._typed = set(typed)
+        self._warned: set[str] = set()
+        self._followed: tuple[int, int] | None = None
+        #: Rows that the run had when it was followed last.
+        self._run_rows = 0
+        self._held = lock
+        self.moment = self._moment()
         self.progress = ""
 
     # -- opening -----------------------------------------------------------------------------------------
@@ -89,31 +103,55 @@ class Workbench:
     @classmethod
     def open(
         cls, robot: Path, run: Path, folder: Path, *, files: Sequence[Path] = (), fresh: bool = False,
-        trusted: bool = True, run_typed: bool = False,
+        trusted: bool = True, run_typed: bool = False, follow: bool = False,
     ) -> Workbench:  # fmt: skip
         """Reopens the study of a folder, or begins one there.
 
         ``files`` hold the user's effects; effects that were typed into the page are run again only where ``run_typed``
-        says so. Raises :class:`~sherkit.errors.SherkitError` where the folder holds a study of other files, or one that
-        needs effects which are not given.
+        says so. With ``follow`` the run may have grown since. Raises :class:`~sherkit.errors.SherkitError` where the
+        folder holds a study of other files or one that needs effects which are not given, and where another page has it
+        open.
         """
-        effects = [e for path in files for e in load_effects(path)]
-        typed = folder / TYPED
-        hashes = {name: Source.of(path).sha256 for name, path in (("robot", robot), ("run", run))}
+        own = [e for path in files for e in load_effects(path)]
+        again: list[Effect] = []
+        sources = [robot, run, *files]
+        if folder.exists() and not folder.is_dir():
+            raise SherkitError(f"{folder}: is a file, expected the folder of a study; give --study with another name")
         if (folder / "study.json").exists() and not fresh:
-            _require_same(folder, hashes)
+            # names what is wrong with the files before what is wrong between them and the folder
+            load_robot(robot)
+            data = read_so_far(run) if follow else read_measurements(run)
+            require_same(folder, robot, run, follow=follow)
+            held = hold(folder)
+            typed = folder / TYPED
             if typed.exists() and run_typed:
-                effects += load_effects(typed)
-            _require_effects(folder, {e.name for e in effects}, typed)
-            study = Study.load(folder, effects=effects)
+                again = list(load_effects(typed))
+            try:
+                require_effects(folder, {e.name for e in (*own, *again)}, typed)
+                study = Study.load(folder, effects=[*own, *again])
+            except SherkitError:
+                raise
+            except Exception as error:  # a file of the folder that was changed or cut by hand
+                raise SherkitError(
+                    f"{folder}: holds a study that cannot be read ({_sentence(error)}); "
+                    "give --fresh to begin anew there"
+                ) from error
         else:
-            study = Study(load_robot(robot), read_measurements(run), effects=effects)
-            study.save(folder)
-            (folder / _SOURCES).write_text(json.dumps(hashes), encoding="utf-8")
-        return cls(study, folder, [robot, run, *files], trusted=trusted)
+            data = read_so_far(run) if follow else read_measurements(run)
+            study = Study(load_robot(robot), data, effects=own)
+            held = hold(folder)
+            try:
+                (folder / SOURCES).write_text(json.dumps(begun_from(robot, run, follow=follow)), encoding="utf-8")
+                study.save(folder)
+            except OSError as error:
+                raise SherkitError(f"{folder}: the study cannot be kept here: {error.strerror}") from None
+        return cls(study, folder, sources, trusted=trusted, typed=[e.name for e in again], lock=held)
 
     def listen(self, listener: Callable[[str, Any], None]) -> Callable[[], None]:
-        """Tells ``listener`` of ``moment``, ``progress`` and ``error``, as (kind, value). Returns what ends it."""
+        """Tells ``listener`` of ``moment``, ``progress``, ``error`` and ``warning``, as (kind, value).
+
+        Returns what ends it.
+        """
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener) if listener in self._listeners else None
 
@@ -121,42 +159,26 @@ class Workbench:
         """Stops the work and waits for it."""
         self._stop.set()
         self._worker.shutdown(wait=True)
+        if self._held is not None:
+            self._held.close()
 
     # -- work --------------------------------------------------------------------------------------------
 
     def ask(self, what: str, work: Callable[[Study, Progress], T]) -> Future[T]:
         """Runs ``work`` on the study when its turn comes; errors go to the caller, not to the listeners."""
-
-        def run() -> T:
-            self._stop.clear()
-            try:
-                return work(self._study, self._step(what))
-            finally:
-                self._say("progress", "")
-
-        return self._worker.submit(run)
+        return self._submit(lambda: work(self._study, self._step(what)))
 
     def change(self, what: str, work: Callable[[Study, Progress], object]) -> Future[None]:
         """Runs a change; then the study is saved, shown, and diagnosed anew. A diagnosis under way gives way."""
         with self._lock:
             self._waiting += 1
-        self._stop.set()
 
         def run() -> None:
             with self._lock:
                 self._waiting -= 1
-            self._stop.clear()
-            try:
-                work(self._study, self._step(what))
-                self._study.save(self.folder)
-            except BaseException as error:  # whatever a user's effect raises is shown, and nothing is lost
-                self._say("error", _sentence(error))
-                self._say("progress", "")
-                return
-            self._show(None)
-            self._say("progress", "")
+            self._apply(what, work)
 
-        done = self._worker.submit(run)
+        done = self._submit(run)
         self.diagnose()
         return done
 
@@ -166,20 +188,66 @@ class Workbench:
         def run() -> None:
             if self._waiting or self.moment.diagnosis is not None:
                 return
-            self._stop.clear()
             try:
-                found = self._study.diagnose(step=self._step("diagnosing"))
+                found = self._study.diagnose(step=self._step("diagnosing", gives_way=True))
+                self.moment = replace(self.moment, diagnosis=found)
+                self._say("moment", self.moment)
             except Cancelled:
-                self._say("progress", "")
                 return
             except BaseException as error:
                 self._say("error", _sentence(error))
-                self._say("progress", "")
-                return
-            self._show(found)
-            self._say("progress", "")
 
-        return self._worker.submit(run)
+        return self._submit(run)
+
+    def tell(self, error: BaseException) -> None:
+        """Shows an error on every page."""
+        self._say("error", _sentence(error))
+
+    def _submit(self, run: Callable[[], T]) -> Future[T]:
+        """Queues work; when nothing is left to do, there is no progress to tell of."""
+        with self._lock:
+            self._pending += 1
+
+        def work() -> T:
+            self._stop.clear()
+            try:
+                return run()
+            finally:
+                with self._lock:
+                    self._pending -= 1
+                    last = not self._pending
+                if last:
+                    self._say("progress", "")
+
+        return self._worker.submit(work)
+
+    def _apply(self, what: str, work: Callable[[Study, Progress], object]) -> None:
+        """All of a change, or nothing of it: where it cannot be saved, it did not happen either."""
+        before = _copy(self._study), list(self.sources), set(self._typed)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            try:
+                work(self._study, self._step(what))
+                self._save()
+                self.moment = self._moment()
+            except BaseException as error:  # whatever a user's effect raises is shown, and nothing is lost
+                self._study, self.sources, self._typed = before
+                self._say("error", _sentence(error))
+                return
+        self._say("moment", self.moment)
+        for one in said:
+            text = str(one.message)
+            if issubclass(one.category, SherkitWarning) and text not in self._warned:
+                self._warned.add(text)
+                self._say("warning", text)
+
+    def _save(self) -> None:
+        try:
+            self._study.save(self.folder)
+        except OSError as error:
+            raise SherkitError(
+                f"{self.folder}: the study cannot be saved: {error.strerror}; nothing was changed"
+            ) from error
 
     @property
     def typed_path(self) -> Path:
@@ -190,9 +258,9 @@ class Workbench:
         """Stops the work at its next step; the study stays as it was."""
         self._stop.set()
 
-    def _step(self, what: str) -> Progress:
+    def _step(self, what: str, *, gives_way: bool = False) -> Progress:
         def step(name: str) -> None:
-            if self._stop.is_set():
+            if self._stop.is_set() or (gives_way and self._waiting):
                 raise Cancelled(f"{what}: stopped")
             self._say("progress", f"{what}: {name}" if name else what)
 
@@ -213,7 +281,8 @@ class Workbench:
 
     def mark_outliers(self, rows: Sequence[int]) -> Future[None]:
         """Marks rows (from 0) as outliers."""
-        return self.change(f"marking {len(rows)} rows", lambda study, _: study.mark_outliers(rows))
+        count = f"{len(rows)} row{'s' if len(rows) != 1 else ''}"
+        return self.change(f"marking {count}", lambda study, _: study.mark_outliers(rows))
 
     def add_measurements(self, name: str, content: bytes) -> Future[None]:
         """Joins a CSV or Parquet file, given by name and bytes; a copy stays in the folder."""
@@ -222,11 +291,11 @@ class Workbench:
             path = self.folder / f"added_{len(study.history)}_{Path(name).name}"
             path.write_bytes(content)
             try:
-                study.extend(read_measurements(path))
-            except SherkitError as error:
-                path.unlink()
                 # the file that a person dropped, not the copy of it
-                raise type(error)(str(error).replace(str(path), name)) from error
+                study.extend(read_as(path, name))
+            except BaseException:
+                path.unlink()
+                raise
             self.sources.append(path)
 
         return self.change(f"joining {name}", work)
@@ -243,17 +312,21 @@ class Workbench:
             path = self.folder / TYPED
             trial = self.folder / f"next.{TYPED}"
             trial.write_text(source, encoding="utf-8")
+            known = dict(study.own)
             try:
                 effects = _loaded(trial)
-                lost = self._typed & set(study.effects) - {e.name for e in effects}
-                if lost:
+                used = self._typed & set(study.effects)
+                if used and not _contains(source, path.read_text(encoding="utf-8")):
+                    # the model would go on with the old lines, and the study come back with the new ones
                     raise EffectError(
-                        f"{', '.join(sorted(lost))} is in the model and no longer in these lines; remove it"
+                        f"{listed(sorted(used))} is in the model: remove it before you change its lines; "
+                        "you can add to them"
                     )
                 for effect in effects:
-                    if effect.name not in study.effects:
+                    if effect.name not in used:
                         study.register(effect)
             except BaseException:
+                study.own = known
                 trial.unlink()
                 raise
             trial.replace(path)
@@ -262,22 +335,66 @@ class Workbench:
         return self.change("running your lines", work)
 
     def follow(self, run: Path) -> Future[None] | None:
-        """Reads the run again where it has grown; returns None where there is nothing new."""
-        size = run.stat().st_size
-        if size == getattr(self, "_followed", None):
+        """Reads the run again where its file has changed; returns None where it has not.
+
+        Rows that come wait for what a person does, and for a diagnosis that is under way: else a run that grows every
+        second would never be diagnosed. A last line that is not complete is left for the next time.
+        """
+        if self._pending:
             return None
-        self._followed = size
+        try:
+            now = (run.stat().st_size, run.stat().st_mtime_ns)
+        except OSError:
+            now = (-1, 0)
+        if now == self._followed:
+            return None
+        self._followed = now
 
-        def work(study: Study, _: Progress) -> None:
-            data = read_measurements(run)
-            if len(data) > len(study.data):
-                study.follow(data)
+        def read() -> None:
+            self._step("looking for new rows")
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # said when the run was opened
+                    data = read_so_far(run)
+                fresh = self._new_rows(data)
+            except BaseException as error:
+                self._say("error", _sentence(error))
+                return
+            if fresh:
+                self._apply("reading new rows", lambda study, _: study.follow(data))
+                self.diagnose()
 
-        return self.change("reading new rows", work)
+        return self._submit(read)
+
+    def _new_rows(self, data: Measurements) -> bool:
+        """Whether a run that is followed has rows that the study lacks.
+
+        Raises :class:`~sherkit.errors.MeasurementError` where it is another run, or has become shorter.
+        """
+        known, before = self._study.data, self._run_rows
+        count = min(len(known), len(data))
+        same = np.array_equal(known.joints_mm[:count], data.joints_mm[:count]) and np.array_equal(
+            known.readings_mm[:count], data.readings_mm[:count], equal_nan=True
+        )
+        if len(data) < before:
+            raise MeasurementError(
+                f"{data.source}: has {len(data)} rows, and had {before} before; the page keeps those it has read"
+            )
+        if not same and before and len(known) > before:
+            raise MeasurementError(
+                f"{data.source}: has {len(data) - before} new rows, which cannot be taken: other measurements were "
+                "joined after its first ones"
+            )
+        if not same:
+            raise MeasurementError(
+                f"{data.source}: its first {count} rows are no longer those that were read before; the page keeps those"
+            )
+        self._run_rows = len(data)
+        return len(data) > len(known)
 
     # -- moments -----------------------------------------------------------------------------------------
 
-    def _moment(self, found: Diagnosis[Any] | None) -> Moment:
+    def _moment(self) -> Moment:
         study = self._study
         lefts: list[Left | None] = []
         for step in study.history:
@@ -294,14 +411,10 @@ class Workbench:
             own=tuple(study.own),
             history=tuple(study.history),
             lefts=tuple(lefts),
-            diagnosis=found,
+            diagnosis=None,
             can_undo=study.can_undo,
             number=self._number,
         )
-
-    def _show(self, found: Diagnosis[Any] | None) -> None:
-        self.moment = replace(self.moment, diagnosis=found) if found is not None else self._moment(None)
-        self._say("moment", self.moment)
 
     def _say(self, kind: str, value: Any) -> None:
         if kind == "progress":
@@ -330,24 +443,15 @@ def _sentence(error: BaseException) -> str:
     return str(error) if isinstance(error, SherkitError) else f"{type(error).__name__}: {error}"
 
 
-def _require_same(folder: Path, hashes: dict[str, str]) -> None:
-    """Refuses a folder whose study was begun from other files."""
-    path = folder / _SOURCES
-    known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    changed = [name for name, value in hashes.items() if known.get(name) != value]
-    if changed:
-        raise SherkitError(
-            f"{folder}: holds a study that was begun from another {' and '.join(changed)} file; "
-            "give --fresh to begin anew there, or --study with another folder"
-        )
+def _copy(study: Study) -> Study:
+    """A study that later changes of ``study`` leave alone: what it holds are values, in lists and tables of its own."""
+    made = copy.copy(study)
+    for name, value in vars(made).items():
+        if isinstance(value, (list, dict)):
+            setattr(made, name, copy.copy(value))
+    return made
 
 
-def _require_effects(folder: Path, known: set[str], typed: Path) -> None:
-    """Refuses a study whose effects are not all there, and says where they may be."""
-    state = json.loads((folder / "study.json").read_text(encoding="utf-8"))
-    needed = {name for name in state["effects"] if name not in CATALOGUE} - known
-    if needed and typed.exists():
-        raise SherkitError(
-            f"{folder}: this study uses {', '.join(sorted(needed))}, typed into the page; read {typed} and give "
-            "--run-typed to run those lines again"
-        )
+def _contains(source: str, old: str) -> bool:
+    """Whether every statement of the old lines is in the new ones, comments and spaces aside."""
+    return {ast.dump(s) for s in ast.parse(old).body} <= {ast.dump(s) for s in ast.parse(source).body}

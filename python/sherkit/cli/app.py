@@ -30,9 +30,11 @@ def app(
     from ..app.server import PageServer, is_loopback  # Bokeh takes a second to load
     from ..app.workbench import Workbench
 
-    folder = folder or run.with_suffix(".study")
+    folder = folder or run.parent / f"{run.stem}.study"
     trusted = is_loopback(address)
-    bench = Workbench.open(robot, run, folder, files=files, fresh=fresh, trusted=trusted, run_typed=run_typed)
+    bench = Workbench.open(
+        robot, run, folder, files=files, fresh=fresh, trusted=trusted, run_typed=run_typed, follow=follow
+    )
     server = PageServer(
         bench, address=address, port=port, command=output.command_line(), follow=run if follow else None
     )  # fmt: skip

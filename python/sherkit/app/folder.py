@@ -1,0 +1,91 @@
+"""The folder of a study: open in one page only, and only for the files from which it was begun."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import IO, Any
+
+from ..effects import CATALOGUE
+from ..errors import SherkitError
+from ..measurements.reader import PARQUET
+from .growing import whole_lines
+
+TYPED = "typed_effects.py"
+SOURCES = "sources.json"
+_LOCK = ".open"
+
+
+def hold(folder: Path) -> IO[str] | None:
+    """Keeps a second page from writing the same folder, until this process ends in whatever way.
+
+    Raises :class:`~sherkit.errors.SherkitError`.
+    """
+    try:
+        import fcntl
+    except ImportError:  # not on Windows
+        return None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        held = (folder / _LOCK).open("w")
+    except OSError as error:
+        raise SherkitError(f"{folder}: the study cannot be kept here: {error.strerror}") from None
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        held.close()
+        raise SherkitError(
+            f"{folder}: this study is open in another sherkit app; use that page, or give --study with another folder"
+        ) from None
+    return held
+
+
+def begun_from(robot: Path, run: Path, *, follow: bool) -> dict[str, Any]:
+    """What tells the files of a study from others; of a run that grows, its beginning."""
+    content = run.read_bytes()
+    if follow and run.suffix.lower() not in PARQUET:
+        content = whole_lines(content) or content
+    return {"robot": _hash(robot.read_bytes()), "run": _hash(content), "run_bytes": len(content)}
+
+
+def _hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def require_same(folder: Path, robot: Path, run: Path, *, follow: bool) -> None:
+    """Refuses a folder whose study was begun from other files."""
+    try:
+        known = json.loads((folder / SOURCES).read_text(encoding="utf-8"))
+        first = int(known["run_bytes"])
+    except (OSError, ValueError, KeyError, TypeError):
+        raise SherkitError(
+            f"{folder}: holds a study of which it is not known from which files it was begun; "
+            "give --fresh to begin anew there, or --study with another folder"
+        ) from None
+    content = run.read_bytes()
+    same = {"robot": known.get("robot") == _hash(robot.read_bytes()), "run": known["run"] == _hash(content[:first])}
+    if follow and run.suffix.lower() in PARQUET:
+        same["run"] = True  # written anew as a whole where it grows; its rows are compared when they are read
+    changed = [name for name, as_before in same.items() if not as_before]
+    if changed:
+        raise SherkitError(
+            f"{folder}: holds a study that was begun from another {' and '.join(changed)} file; "
+            "give --fresh to begin anew there, or --study with another folder"
+        )
+    if len(content) > first and not follow:
+        raise SherkitError(
+            f"{run}: has grown since the study in {folder} was begun; give --follow to read the new rows, or --fresh "
+            "to begin anew there"
+        )
+
+
+def require_effects(folder: Path, known: set[str], typed: Path) -> None:
+    """Refuses a study whose effects are not all there, and says where they may be."""
+    state = json.loads((folder / "study.json").read_text(encoding="utf-8"))
+    needed = {name for name in state["effects"] if name not in CATALOGUE} - known
+    if needed and typed.exists():
+        raise SherkitError(
+            f"{folder}: this study uses {', '.join(sorted(needed))}, typed into the page; read {typed} and give "
+            "--run-typed to run those lines again"
+        )
