@@ -182,7 +182,13 @@ proptest! {
             let scale = if row.kind == Kind::Pixels { 500.0 } else { 1.0 };
             let reading = chain.row_value(&row).unwrap() + Vector2::from(off) * scale;
             let Ok(found) = chain.inverse_residual(&row, &reading) else { continue };
-            prop_assume!(found.by_parameters.columns(0, 2).amax() < 10.0);
+            // stretched limbs and the edge of the sphere are too steep for differences
+            let steepest = (0..PARAMETERS)
+                .map(|p| found.by_parameters.column(p).amax() * plausible()[p])
+                .fold(0.0, f64::max);
+            if steepest > 0.15 {
+                continue;
+            }
             for p in 0..PARAMETERS {
                 let at = |h: f64| {
                     let mut v = values;

@@ -131,9 +131,12 @@ proptest! {
         let pose = k.pose(&joints).unwrap();
         let steep = pose.by_joints().amax() + pose.by_parameters().amax();
         let stretched = pose.joints_by_angles().unwrap().amax();
-        prop_assume!(steep < 20.0 && stretched < 20.0);
+        // a quarter turn from the mean of the elbows γ changes sign and φ jumps by half a turn
+        let [a, b] = &geometry.limbs;
+        let mean = 0.5 * (joints.x + joints.y + a.offset_rad + b.offset_rad);
+        prop_assume!(steep < 20.0 && stretched < 20.0 && (angles.x - mean).abs() < 1.3);
         for i in 0..2 {
-            let found = derivative(|h| k.forward(&(joints + Vector2::ith(i, h))).unwrap(), 1e-3);
+            let found = derivative(|h| k.forward(&(joints + Vector2::ith(i, h))).unwrap(), 1e-4);
             prop_assert!((pose.by_joints().column(i) - found).amax() < 1e-7 * steep.powi(3));
         }
         let p = geometry.parameters();
@@ -143,8 +146,8 @@ proptest! {
                 p[i] += h;
                 Kinematics::new(&Geometry::from_parameters(&p, geometry.assembly)).unwrap()
             };
-            let found = derivative(|h| at(h).forward(&joints).unwrap(), 1e-3);
-            prop_assert!((pose.by_parameters().column(i) - found).amax() < 1e-7 * steep.powi(3), "{i}");
+            let found = derivative(|h| at(h).forward(&joints).unwrap(), 1e-4);
+            prop_assert!((pose.by_parameters().column(i) - found).amax() < 1e-7 * steep.powi(3), "{i}: {} {found} mean {mean} at {angles}", pose.by_parameters().column(i));
         }
         // the inverse's derivatives are those of the implicit function
         let product = pose.joints_by_angles().unwrap() * pose.by_joints();

@@ -2,7 +2,7 @@
 //!
 //! What no plan of poses can tell apart. In pixels: the scale of all lengths (radius, translation of the camera, offsets);
 //! a common joint offset from a turn of the camera about the actuated axis; `ζ₁` from the marker's offset towards elbow 1
-//! together with other lengths. In angles: the radius alone is not seen, and a common joint offset is a datum in φ.
+//! together with other lengths. In angles: the radius shows through offsets alone, and a common joint offset is a datum in φ.
 //! Flexure is told from the geometry by gravity across the actuated axis; where it pulls along that axis and α = β, both
 //! of its parameters are taken up by geometry and camera entirely.
 
