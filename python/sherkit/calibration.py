@@ -28,7 +28,7 @@ from .names import listed
 from .notebook import Shown
 from .parameters import Parameter
 from .robots import Delta
-from .robots.delta import Batch, matrix, vector
+from .robots.batch import Batch, matrix, vector
 from .robots.file import robot_from_tables
 
 Floats = NDArray[np.float64]

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from .chain import ChainModel
+from .effects import Effect
 from .model import DeltaModel
 from .robots.file import Robot
+from .spherical_model import SphericalModel
 
 #: A new kind of robot brings: its class in ``robots/`` (KINDS), the columns of its runs in ``measurements/columns.py``
-#: (LAYOUTS), a model here, and a calibration in ``calibration.py``.
-MODELS: dict[str, type[ChainModel]] = {"delta": DeltaModel}
+#: (LAYOUTS), a model here, and a calibration in ``calibrations.py``.
+MODELS: dict[str, type[ChainModel]] = {"delta": DeltaModel, "spherical": SphericalModel}
 
 
 def model_of(robot: Robot | ChainModel, free: Sequence[str] = ()) -> ChainModel:
@@ -18,3 +20,8 @@ def model_of(robot: Robot | ChainModel, free: Sequence[str] = ()) -> ChainModel:
     if isinstance(robot, ChainModel):
         return robot
     return MODELS[robot.kind](robot, tuple(free))
+
+
+def catalogue_of(robot: Robot) -> Mapping[str, Effect]:
+    """The built-in effects of a robot by name, in the order of the chain."""
+    return MODELS[robot.kind].catalogue
