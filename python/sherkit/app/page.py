@@ -16,6 +16,7 @@ from bokeh.document import Document
 from bokeh.layouts import column, row
 from bokeh.models import Button, CustomJS, Div, FileInput, Select, TextAreaInput, TextInput
 from jinja2 import Environment, PackageLoader
+from tornado.ioloop import IOLoop
 
 from .. import paper
 from ..diagnosis import sentence, template
@@ -70,15 +71,22 @@ class Page:
         self._draw(bench.moment)
         self._told("progress", bench.progress)
         document.title = f"sherkit: {bench.moment.data.source}"
-        end = bench.listen(lambda kind, value: self._later(lambda: self._told(kind, value)))
+        self._loop, self._over = IOLoop.current(), False
+        self._end = bench.listen(lambda kind, value: self._later(lambda: self._told(kind, value)))
         gone = CustomJS(args={"error": self.error, "said": _GONE}, code="error.text = said; error.visible = true")
         document.js_on_event("connection_lost", gone)
-        document.on_session_destroyed(lambda _: end())
+        document.on_session_destroyed(lambda _: self._gone())
         if bench.moment.diagnosis is None:
             bench.diagnose()
 
     def _later(self, work: Callable[[], None]) -> None:
-        self.document.add_next_tick_callback(work)
+        """Runs ``work`` on the document when its turn comes; may be called from any thread."""
+        # a document's lists of callbacks are not for several threads: a word said at the wrong moment would be lost
+        self._loop.add_callback(lambda: None if self._over else self.document.add_next_tick_callback(work))
+
+    def _gone(self) -> None:
+        self._over = True
+        self._end()
 
     # -- building ----------------------------------------------------------------------------------------
 
