@@ -15,6 +15,7 @@ __all__ = [
     "DeltaKinematics",
     "DeltaModel",
     "Solver",
+    "SphericalCalibrated",
     "SphericalKinematics",
     "SphericalModel",
     "__version__",
@@ -210,6 +211,28 @@ class SphericalModel:
         priors: bool,
     ) -> tuple[str, list[int]]:
         """As ``solve``, over the paper's residuals of the joints; weights are (n, 2), 1/rad."""
+
+@final
+class SphericalCalibrated:
+    """A calibrated spherical robot: where the end of its tool axis is, seen from the nominal centre. Angles in rad.
+
+    ``values`` are those of all parameters of the model; covariates are time s, temperature °C and two directions.
+    """
+
+    def __new__(cls, model: SphericalModel, values: _Floats, elbows: str = "open") -> SphericalCalibrated: ...
+    def forward(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats]:
+        """phi, gamma (2,) and their derivative by the joints (2, 2)."""
+
+    def inverse(self, angles: _Floats, covariates: list[float]) -> _Floats:
+        """Joint readings (2,) for phi, gamma (2,)."""
+
+    def forward_batch(
+        self, joints: _Floats, covariates: list[float], free: list[int]
+    ) -> tuple[_Floats, _Floats, _Floats, _Bools]:
+        """phi, gamma (n, 2); by the joints (n, 2, 2) and by the parameters in ``free`` (n, 2, free); which reached."""
+
+    def inverse_batch(self, angles: _Floats, covariates: list[float]) -> tuple[_Floats, _Bools]:
+        """Joint readings (n, 2) for phi, gamma (n, 2)."""
 
 @final
 class Solver:

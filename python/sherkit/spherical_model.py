@@ -200,5 +200,3 @@ def _four(two: Floats, block: Block) -> Floats:
     out = np.zeros((len(two), 4))
     out[:, _columns(block)] = two
     return out
-
-

@@ -13,8 +13,8 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from .calibrate import Experiment
-from .calibration import Calibration
+from .calibrate import Experiment, calibration_of
+from .calibrations import AnyCalibration
 from .chain import ChainModel, axes_of, effects_by_name, lacks
 from .correction import choose_correction
 from .diagnosis import Diagnosis, diagnose
@@ -27,40 +27,56 @@ from .measurements.columns import OUTLIER, POSE, REPEAT, Layout
 from .models import model_of
 from .names import listed
 from .notebook import Shown
-from .robots import Delta
+from .robots import Delta, Robot
 from .robots.file import robot_from_tables
 from .validation import hold_out
 
 Ints = NDArray[np.int64]
 
-_FORMAT = 1
+_FORMAT = 2
 _FOLLOWED = "the run so far"
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One state of a study: what was done, and the error it left, µm per axis, fitted and held out.
+    """One state of a study: what was done, and the error it left by reading, in ``unit``, fitted and held out.
 
     ``fit`` is None for steps of a loaded study whose rows were others than the last ones: those were not kept.
     """
 
     action: str
     effects: tuple[str, ...]
-    training_rms_um: dict[str, float]
-    held_out_rms_um: dict[str, float]
+    training_rms: dict[str, float]
+    held_out_rms: dict[str, float]
     parameters: dict[str, float]
     rows: int
     fit: Fit | None
+    unit: str = "µm"
 
     def __repr__(self) -> str:
-        axes = ", ".join(f"{k[:-3]} {v:.1f}" for k, v in self.held_out_rms_um.items())
-        return f"Step({self.action}: held out {axes} µm)"
+        axes = ", ".join(f"{k.rsplit('_', 1)[0]} {v:.3g}" for k, v in self.held_out_rms.items())
+        return f"Step({self.action}: held out {axes} {self.unit})"
+
+    @property
+    def held_out(self) -> float:
+        """Held-out RMS of all readings together."""
+        values = list(self.held_out_rms.values())
+        return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
 
     @property
     def held_out_um(self) -> float:
-        """Held-out RMS of all axes together, µm."""
-        values = list(self.held_out_rms_um.values())
-        return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
+        """The same for a delta, µm."""
+        return self.held_out
+
+    @property
+    def held_out_rms_um(self) -> dict[str, float]:
+        """:attr:`held_out_rms` of a delta, µm."""
+        return self.held_out_rms
+
+    @property
+    def training_rms_um(self) -> dict[str, float]:
+        """:attr:`training_rms` of a delta, µm."""
+        return self.training_rms
 
 
 class Study(Shown):
@@ -74,7 +90,7 @@ class Study(Shown):
 
     def __init__(
         self,
-        robot: Delta,
+        robot: Robot,
         data: Measurements,
         *,
         effects: Sequence[Effect] = (),
@@ -114,8 +130,9 @@ class Study(Shown):
         step = Step(
             action=action,
             effects=self.effects,
-            training_rms_um=fit.rms(),
-            held_out_rms_um=fit.rms(held.residuals),
+            training_rms=fit.rms(),
+            held_out_rms=fit.rms(held.residuals),
+            unit=self.data.layout.unit,
             parameters=dict(zip(names, fit.values.tolist(), strict=True)),
             rows=len(self.data),
             fit=fit,
@@ -230,12 +247,14 @@ class Study(Shown):
                 raise
         return self._change(self.model, marked, f"{_FOLLOWED}: {len(data)} rows")
 
-    def calibration(self) -> Calibration:
-        """The model to deploy: what was identified, and a Bernstein correction where one helps on held-out blocks."""
-        held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss).residuals_mm
+    def calibration(self) -> AnyCalibration:
+        """The model to deploy: what was identified, and for a delta a Bernstein correction where one helps on held-out
+        blocks."""
+        held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss).residuals
         full = self.data.taken[:, :3].all(axis=1) & ~self.data.outlier
-        choice = choose_correction(self.fit, seed=self.seed) if full.sum() >= 20 else None
-        return Calibration(self.robot, Experiment(self.fit, held, choice, None).part())
+        polynomial = isinstance(self.robot, Delta) and full.sum() >= 20
+        choice = choose_correction(self.fit, seed=self.seed) if polynomial else None
+        return calibration_of(Experiment(self.fit, held, choice, None))
 
     def register(self, effect: Effect) -> None:
         """Makes a user's effect one that diagnosis tries and :meth:`add` knows by name; a newer one replaces it.
@@ -279,8 +298,8 @@ class Study(Shown):
                 {
                     "action": s.action,
                     "effects": list(s.effects),
-                    "training_rms_um": s.training_rms_um,
-                    "held_out_rms_um": s.held_out_rms_um,
+                    "training_rms": s.training_rms,
+                    "held_out_rms": s.held_out_rms,
                     "parameters": s.parameters,
                     "rows": s.rows,
                 }
@@ -330,11 +349,12 @@ class Study(Shown):
             Step(
                 action=s["action"],
                 effects=tuple(s["effects"]),
-                training_rms_um=s["training_rms_um"],
-                held_out_rms_um=s["held_out_rms_um"],
+                training_rms=s["training_rms"],
+                held_out_rms=s["held_out_rms"],
                 parameters=s["parameters"],
                 rows=s["rows"],
-                fit=study._fit_of(s["effects"], s["training_rms_um"]),
+                fit=study._fit_of(s["effects"], s["training_rms"]),
+                unit=study.data.layout.unit,
             )
             for s in state["history"]
         ]
@@ -345,7 +365,7 @@ class Study(Shown):
         effects = effects_by_name(plain.catalogue, state["effects"], tuple(self.own.values()))
         return replace(plain, effects=effects, **{name: state[name] for name in plain.settings()})
 
-    def _fit_of(self, effects: Sequence[str], training_rms_um: dict[str, float]) -> Fit | None:
+    def _fit_of(self, effects: Sequence[str], training_rms: dict[str, float]) -> Fit | None:
         """The fit of an earlier step, where the rows of today give what it left."""
         try:
             model = replace(
@@ -355,16 +375,16 @@ class Study(Shown):
             return None
         fit = identify(model, self.data, loss=self.loss)
         rms = fit.rms()
-        same = rms.keys() == training_rms_um.keys() and np.allclose(
-            list(rms.values()), [training_rms_um[k] for k in rms], rtol=1e-9
+        same = rms.keys() == training_rms.keys() and np.allclose(
+            list(rms.values()), [training_rms[k] for k in rms], rtol=1e-9
         )
         return fit if same else None
 
     def __repr__(self) -> str:
         lines = [f"Study of {self.data.source}: {len(self.data)} rows"]
         for s in self.history:
-            axes = ", ".join(f"{k[:-3]} {v:.1f}" for k, v in s.held_out_rms_um.items())
-            lines.append(f"  {s.action:<32} held out {axes} µm")
+            axes = ", ".join(f"{k.rsplit('_', 1)[0]} {v:.3g}" for k, v in s.held_out_rms.items())
+            lines.append(f"  {s.action:<32} held out {axes} {self.data.layout.unit}")
         return "\n".join(lines)
 
 

@@ -105,7 +105,7 @@ LENS_DISTORTION = Effect(
     link="sensor",
     parameters=(*_parameters("k1 k2", "1", 0.05, _LEVER_MM), *_parameters("p1 p2", "1", 2e-3, _LEVER_MM)),
     physics="The lens bends straight lines: radially (k1, k2) and, where its elements are not centred, sideways "
-    "(p1, p2). Source: Brown, \"Decentering distortion of lenses\", 1966.",
+    '(p1, p2). Source: Brown, "Decentering distortion of lenses", 1966.',
     residuals="Grows with the third power of the distance from the middle of the picture.",
     workshop="Calibrate the camera with a board that fills the picture to its corners.",
 )

@@ -2,7 +2,6 @@
 
 from .delta import Delta
 from .file import Robot, load_robot, save_robot
-
 from .spherical import CameraView, Spherical
 
 __all__ = ["CameraView", "Delta", "Robot", "Spherical", "load_robot", "save_robot"]

@@ -52,7 +52,9 @@ def matrix(value: ArrayLike, what: str, size: int = 3) -> Floats:
     return m
 
 
-def why(compute: Callable[[Floats], object], rows: Floats, reached: NDArray[np.bool_], most: int = 3) -> tuple[str, ...]:
+def why(
+    compute: Callable[[Floats], object], rows: Floats, reached: NDArray[np.bool_], most: int = 3
+) -> tuple[str, ...]:
     """Why the first rows that cannot be reached cannot: what ``compute`` says of one alone."""
     reasons = []
     for row in np.flatnonzero(~reached)[:most]:

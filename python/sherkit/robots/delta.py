@@ -32,8 +32,6 @@ LIMB_PARAMETERS = (
 )
 
 
-
-
 @dataclass(frozen=True)
 class Delta:
     """Nominal linear delta. Lengths in mm, angles in degrees as on a drawing, one value per limb.
@@ -194,9 +192,6 @@ class Delta:
     @cached_property
     def _nominal(self) -> _core.DeltaKinematics:
         return self.kinematics()
-
-
-
 
 
 def _check_shape(table: Table, geometry: Mapping[str, Any]) -> None:

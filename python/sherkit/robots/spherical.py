@@ -1,7 +1,8 @@
 """The spherical parallel robot: two limbs on one actuated axis, all axes through a remote centre; seen by a camera.
 
-Source: Agand, Taghirad, Molaei, "Vision-Based Kinematic Calibration of Spherical Robots" (DIAMOND). The nominal geometry
-is the user's. Frame: origin at the remote centre of motion, z along the actuated axis; φ counted about z, γ from it.
+Source: Agand, Taghirad, Molaei, "Vision-Based Kinematic Calibration of Spherical Robots" (DIAMOND). The nominal
+geometry is the user's. Frame: origin at the remote centre of motion, z along the actuated axis; φ counted about z,
+γ from it.
 """
 
 from __future__ import annotations
@@ -51,9 +52,7 @@ class CameraView:
         inner = np.array([*focal_px, *centre])
         made = _core.Camera.facing(phi_rad, gamma_rad, distance_mm, inner)
         turn, shift = made[9:12].tolist(), made[12:15].tolist()
-        return cls(
-            size_px, focal_px, centre, distortion, (turn[0], turn[1], turn[2]), (shift[0], shift[1], shift[2])
-        )
+        return cls(size_px, focal_px, centre, distortion, (turn[0], turn[1], turn[2]), (shift[0], shift[1], shift[2]))
 
     @property
     def parameters(self) -> Floats:
@@ -207,7 +206,7 @@ class Spherical:
         return self._nominal.forward(vector(joints_rad, "joint readings", 2))
 
     def inverse(self, angles_rad: ArrayLike) -> Floats:
-        """Joint angles (2,) that point the tool to φ and γ (2,), rad, in the working mode. Raises as :meth:`forward`."""
+        """Joint angles (2,) that point the tool to φ and γ (2,), rad. Raises as :meth:`forward`."""
         return self._nominal.inverse(vector(angles_rad, "phi and gamma", 2), self.working_mode)
 
     def forward_batch(self, joints_rad: ArrayLike) -> Batch:

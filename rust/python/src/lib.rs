@@ -10,6 +10,7 @@ mod lanes;
 mod model;
 mod solver;
 mod spherical;
+mod spherical_calibrated;
 mod spherical_model;
 mod spherical_rows;
 
@@ -23,6 +24,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<model::DeltaModel>()?;
     m.add_class::<spherical::SphericalKinematics>()?;
     m.add_class::<spherical_model::SphericalModel>()?;
+    m.add_class::<spherical_calibrated::SphericalCalibrated>()?;
     m.add_class::<camera::Camera>()?;
     m.add_class::<solver::Solver>()?;
     m.add_class::<bernstein::Bernstein>()?;

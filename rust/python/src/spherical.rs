@@ -21,7 +21,8 @@ pub fn assembly(name: &str) -> PyResult<Assembly> {
     }
 }
 
-fn elbows_of(name: &str) -> PyResult<Elbows> {
+/// The working mode of this name.
+pub fn elbows_of(name: &str) -> PyResult<Elbows> {
     match name {
         "open" => Ok(Elbows::Open),
         "crossed" => Ok(Elbows::Crossed),

@@ -296,6 +296,11 @@ impl SphericalModel {
 }
 
 impl SphericalModel {
+    /// The nominal robot and camera.
+    pub fn model(&self) -> &Model {
+        &self.0
+    }
+
     fn problem<'a>(
         &'a self,
         solver: &Solver,

@@ -8,6 +8,7 @@
 //! Source: Agand, Taghirad, Molaei, "Vision-Based Kinematic Calibration of Spherical Robots" (Eqs. 6, 10 to 12, 20 to
 //! 35; Eqs. 11, 12 and 27 are misprinted).
 
+mod calibrated;
 mod chain;
 pub mod closed_form;
 mod cones;
@@ -20,6 +21,7 @@ mod residual;
 mod structure;
 pub mod vision;
 
+pub use calibrated::Calibrated;
 pub use chain::{Centre, Chain, Kind, Model, Prediction, Row};
 pub use geometry::{Assembly, Elbows, GEOMETRIC, Geometry, LIMBS, Limb, PER_LIMB};
 pub use joints::Covariates;
