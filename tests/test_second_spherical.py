@@ -185,8 +185,8 @@ def test_a_late_picture_shows_where_the_joints_were() -> None:
     before = np.column_stack([np.interp(PLAN["time_s"] - delay, PLAN["time_s"], column) for column in theta.T])
     late = PAPER.changed(effects={"camera_delay": delay}).truth(PLAN)
     np.testing.assert_allclose(late, PAPER.pixels(before), atol=1e-9)
-    moved = pair(PLAN, "per_s") != 0
-    assert (np.sign(pair(PLAN, "per_s")) == motion_direction(theta, PLAN["time_s"]))[moved].all()
+    moved = pair(PLAN, "rad_per_s") != 0
+    assert (np.sign(pair(PLAN, "rad_per_s")) == motion_direction(theta, PLAN["time_s"]))[moved].all()
 
 
 def test_projection_is_that_of_opencv() -> None:
@@ -296,7 +296,7 @@ def test_runs() -> None:
     assert run["repeat"][run["pose"] == 5].tolist() == [1, 2, 3]
     direction = motion_direction(pair(run, "rad"), run["time_s"])
     for sign in (direction, -direction):
-        same = robot.pixels(pair(run, "rad"), direction=sign, velocity=pair(run, "per_s")) - robot.truth(run)
+        same = robot.pixels(pair(run, "rad"), direction=sign, velocity=pair(run, "rad_per_s")) - robot.truth(run)
         assert (np.abs(same).max() < 1e-12) == (sign is direction)
     fresh = robot.run(PLAN, noise_px=0.2, seed=1)
     assert not np.array_equal(fresh["u_px"], robot.run(PLAN, noise_px=0.2, seed=2)["u_px"])

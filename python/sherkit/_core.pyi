@@ -164,6 +164,9 @@ class SphericalModel:
     ) -> tuple[_Floats, _Floats, _Floats, _Bools]:
         """By the parameters in ``free`` (n, 4, free), the joint readings (n, 4, 2), the marker's place (n, 4, 3)."""
 
+    def camera(self, values: _Floats) -> Camera:
+        """The camera with its errors."""
+
     def markers(self, values: _Floats, block: _SphericalBlock) -> tuple[_Floats, _Bools]:
         """Markers (n, 3), base frame, mm."""
 

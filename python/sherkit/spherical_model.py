@@ -155,10 +155,26 @@ class SphericalModel(ChainModel):
 
     # -- what this robot has beyond others ---------------------------------------------------------------
 
+    def four(self, data: Measurements) -> Floats:
+        """Readings (n, 4) as the compiled model has them: u, v, φ, γ; NaN where not taken."""
+        return _four(np.where(data.taken, data.readings, np.nan), self.block(data))
+
     def joint_residuals(self, data: Measurements, values: Floats) -> Floats:
         """Measured joints minus the inverse kinematics of the readings (n, 2), rad (Eq. 6); NaN where it has none."""
-        readings = _four(np.where(data.taken, data.readings, np.nan), self.block(data))
-        return self.chain.inverse_residuals(self.full(values), self.block(data), readings, [])[0]
+        return self.chain.inverse_residuals(self.full(values), self.block(data), self.four(data), [])[0]
+
+    def seen_angles(self, data: Measurements, values: Floats) -> Floats:
+        """φ, γ (n, 2), rad, that the readings show: by ray and sphere for pixels, the datum taken out of angles."""
+        full = dict(zip((p.name for p in self.core_parameters), self.full(values).tolist(), strict=True))
+        if data.layout == SPHERICAL_ANGLES:
+            return data.readings - [full["datum_phi"], full["datum_gamma"]]
+        camera = self.camera_with(values)
+        pixels = np.where(data.taken, data.readings, np.nan)
+        return camera.angles_batch(np.ascontiguousarray(pixels), self.robot.radius_mm + full["radius"])[0]
+
+    def camera_with(self, values: Floats) -> _core.Camera:
+        """The camera with its identified errors."""
+        return self.chain.camera(self.full(values))
 
 
 class _TwoColumns:

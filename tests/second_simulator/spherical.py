@@ -48,7 +48,7 @@ SCALE_TOLERANCE = 1e-3
 MAX_RESCALINGS = 60
 MAX_FACTOR = 2.0  # steeply nonlinear effects overshoot to where no pose exists
 COLUMN_NAMES = (
-    "pose", "repeat", "time_s", "theta1_rad", "theta2_rad", "u_px", "v_px", "theta1_per_s", "theta2_per_s",
+    "pose", "repeat", "time_s", "theta1_rad", "theta2_rad", "u_px", "v_px", "theta1_rad_per_s", "theta2_rad_per_s",
 )  # fmt: skip
 
 
@@ -141,7 +141,7 @@ def spherical_plan(
         "repeat": repeat,
         "time_s": time_s,
         **{f"theta{i + 1}_rad": theta[:, i] for i in range(2)},
-        **{f"theta{i + 1}_per_s": velocity[:, i] for i in range(2)},
+        **{f"theta{i + 1}_rad_per_s": velocity[:, i] for i in range(2)},
     }
 
 
@@ -384,7 +384,7 @@ class SecondSpherical:
         """Noise-free pixels (n, 2) for the rows of a plan or of a run."""
         theta = pair(plan, "rad")
         direction = motion_direction(theta, plan["time_s"])
-        return self.pixels(theta, direction=direction, velocity=pair(plan, "per_s"))
+        return self.pixels(theta, direction=direction, velocity=pair(plan, "rad_per_s"))
 
     def run(
         self,

@@ -40,7 +40,7 @@ type Derivatives<'py> = (
 
 /// A pinhole camera with Brown–Conrady distortion, in `OpenCV`'s conventions.
 #[pyclass(frozen, module = "sherkit._core")]
-pub struct Camera(Core);
+pub struct Camera(pub Core);
 
 #[pymethods]
 impl Camera {

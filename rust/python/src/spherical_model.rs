@@ -112,6 +112,11 @@ impl SphericalModel {
         ))
     }
 
+    /// The camera with its errors.
+    fn camera(&self, values: PyReadonlyArray1<'_, f64>) -> PyResult<crate::camera::Camera> {
+        Ok(crate::camera::Camera(*self.chain(&values)?.camera()))
+    }
+
     /// Markers in the base frame `(n, 3)`, mm.
     fn markers<'py>(
         &self,
