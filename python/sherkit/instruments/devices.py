@@ -167,7 +167,8 @@ class _Mover(_Device):
 
     def pause(self) -> None:
         """Brakes: a paused plan must not leave an axis moving. The plan's last ``set`` is sent again on resume."""
-        self.stop(success=False)
+        # no failure: a status that fails would end the plan that is to be paused
+        self.stop(success=True)
 
     def resume(self) -> None:
         """Nothing to do: bluesky sends the last ``set`` again."""
