@@ -69,6 +69,10 @@ class NotSeen(SherkitError):
     """A point or a pixel that camera and sphere have no answer for: behind, past the sphere, beyond the lens' fold."""
 
 
+class ExperimentError(SherkitError):
+    """A laboratory, an experiment or a run file that cannot be used as it is."""
+
+
 #: Bytes of an exchange that a sentence shows; the attributes keep them all.
 _SHOWN_BYTES = 60
 

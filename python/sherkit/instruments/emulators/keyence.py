@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from typing import Any
 
 from .faults import Fault
@@ -10,13 +11,17 @@ from .server import Emulator
 from .world import World
 
 _OUTPUTS = 12
+#: Decimals, mm, to which a place of the joints is the same place.
+_SAME_PLACE = 6
 
 
 class KeyenceEmulator(Emulator):
     """Answers MS, MM, MA, Q0 and R0.
 
     ``noise_mm`` is the standard deviation of a value, ``decimals`` the places after its point (eight characters in
-    all), ``range_mm`` what a head can see to either side; an output without a laser has no value.
+    all), ``range_mm`` what a head can see to either side; an output without a laser has no value. With
+    ``noise_of_place`` the noise is drawn anew not for each value, but for each place of the joints and the place that
+    they came from: a run that was interrupted, and goes on by the same ways, then reads the same.
     """
 
     links = ("pty", "tcp")
@@ -28,9 +33,13 @@ class KeyenceEmulator(Emulator):
         noise_mm: float = 0.0,
         decimals: int = 4,
         range_mm: float = 1000.0,
+        noise_of_place: bool = False,
+        seed: int = 0,
         **line: Any,
     ) -> None:
-        super().__init__(world, **line)
+        super().__init__(world, seed=seed, **line)
+        self.seed = seed
+        self.noise_of_place = noise_of_place
         self.noise_mm = noise_mm
         self.decimals = decimals
         self.range_mm = range_mm
@@ -80,13 +89,20 @@ class KeyenceEmulator(Emulator):
     def _values(self, over: bool) -> list[str]:
         true = list(self.world.lasers_mm())[:_OUTPUTS]
         words: list[str] = []
-        for value in true:
-            noisy = value + self.random.gauss(0.0, self.noise_mm)
+        for value, noise in zip(true, self._noise(len(true)), strict=True):
+            noisy = value + noise
             if over or math.isnan(noisy) or abs(noisy) > self.range_mm:
                 words.append("-FFFFFFF" if noisy < 0 else "+FFFFFFF")
             else:
                 words.append(self._shown(noisy))
         return words + ["XXXXXXXX"] * (_OUTPUTS - len(words))
+
+    def _noise(self, count: int) -> list[float]:
+        source = self.random
+        if self.noise_of_place:
+            places = [round(float(q), _SAME_PLACE) for q in (*self.world.joints_mm(), *self.world.left_mm())]
+            source = random.Random(f"{self.seed} {places}")
+        return [source.gauss(0.0, self.noise_mm) for _ in range(count)]
 
     def _shown(self, value: float) -> str:
         # the point moves where the digits before it need the room

@@ -71,6 +71,7 @@ class World:
         self._begin_s = time.monotonic()
         self._lock = threading.Lock()
         self._joints: list[Callable[[float], float]] = [lambda _, q=float(q): q for q in joints_mm]  # type: ignore[misc]
+        self._left = np.array(joints_mm, dtype=float)
 
     def now_s(self) -> float:
         """The world's time."""
@@ -81,8 +82,15 @@ class World:
 
     def set_joint(self, joint: int, position_mm: Callable[[float], float]) -> None:
         """From now on, ``joint`` (from 0) is at ``position_mm(time_s)``."""
+        now = self.now_s()
         with self._lock:
+            self._left[joint] = self._joints[joint](now)
             self._joints[joint] = position_mm
+
+    def left_mm(self) -> Floats:
+        """Where each joint was when its last motion began: a robot's history, as far as backlash knows it."""
+        with self._lock:
+            return self._left.copy()
 
     def joints_mm(self, time_s: float | None = None) -> Floats:
         """Where all joints are, now if left out."""
