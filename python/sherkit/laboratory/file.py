@@ -113,7 +113,7 @@ def _hidden(table: Table, robot: Delta, seed: int) -> tuple[VirtualDelta, Hidden
         period = h.positive("period_mm")
         slip_time_s = h.number("slip_time_s", 0.0)
         with h.table("parameters", optional=True) as p:
-            for name in p.keys():
+            for name in p.names():
                 parameters[name] = p.number(name)
     return virtual, HiddenEffects(parameters, period, slip_time_s)
 

@@ -84,7 +84,7 @@ class Table:
                 hint = nearest(key, self._known) or f"; known keys: {listed(sorted(self._known), 12)}"
                 raise self._error(f"{self._where}: unknown key {self._name(key)}{hint}")
 
-    def keys(self) -> list[str]:
+    def names(self) -> list[str]:
         """The keys that are given, in the order of the file."""
         return list(self._values)
 
