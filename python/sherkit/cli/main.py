@@ -16,6 +16,8 @@ from .demo import demo
 from .diagnose import diagnose
 from .effects import effects
 from .importing import import_group
+from .lab import lab
+from .measure import export, measure
 from .simulate import simulate
 
 
@@ -30,6 +32,9 @@ cli.add_command(calibrate)
 cli.add_command(demo)
 cli.add_command(diagnose)
 cli.add_command(effects)
+cli.add_command(export)
+cli.add_command(lab)
+cli.add_command(measure)
 cli.add_command(simulate)
 cli.add_command(import_group)
 

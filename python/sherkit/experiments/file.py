@@ -25,7 +25,7 @@ from ..poses import grid, paper_local, paper_whole
 from ..robots import Delta, load_robot
 from ..robots.table import Table
 from .bench import Bench, Checks, Sensor, Settling
-from .live import Goal
+from .live import GOALS, Goal
 from .plan import ORDERS, Plan, plan_of_poses
 
 Floats = NDArray[np.float64]
@@ -159,7 +159,7 @@ def _rules(table: Table) -> tuple[Settling, Checks, Goal | None]:
     goal = None
     if table.has("goal"):
         with table.table("goal") as g:
-            goal = Goal(g.number("std_um", positive=True), g.flag("stop", False))
+            goal = Goal(g.number("std_um", positive=True), g.text("of", GOALS, GOALS[0]), g.flag("stop", False))
     return settling, checks, goal
 
 

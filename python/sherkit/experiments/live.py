@@ -7,28 +7,38 @@ from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
-from ..errors import FitError, SherkitError
+from ..errors import FitError
 from ..identification import Fit, identify
 from ..measurements import Measurements, from_frame
 from ..measurements.columns import POSE, REPEAT, TIME
 from ..models import model_of
 from ..robots.file import Robot
 from .bench import Point
+from .plan import Plan
+
+Floats = NDArray[np.float64]
 
 #: A fit is taken anew when the rows have grown by this share: the work stays proportional to the rows.
 _GROWTH = 0.02
 
 
+#: What a goal can be set for: where the model puts the robot, or each of its parameters.
+GOALS = ("position", "parameters")
+
+
 @dataclass(frozen=True)
 class Goal:
-    """How well the parameters are to be known: the largest standard deviation, µm (angles at their lever).
+    """How well the model is to be known: the largest standard deviation, µm.
 
-    It is that from the readings alone: directions that no pose of this experiment can observe do not count. With
-    ``stop`` the run ends where it is reached.
+    ``of`` "position": of any coordinate that the model predicts at any pose of the plan, measured yet or not. Of
+    "parameters": of any of them, angles at their lever, from the readings alone: directions that no pose can observe do
+    not count. Neither says what physics is missing. With ``stop`` the run ends where the goal is reached.
     """
 
     std_um: float
+    of: str = "position"
     stop: bool = False
 
 
@@ -36,13 +46,14 @@ class Live:
     """Takes points, and says what the fit of the rows so far makes of them.
 
     ``residual_um`` is that of the newest point, before it was fitted: root of the sum over its readings squared;
-    ``worst`` the name and standard deviation, µm, of the parameter that is known worst; both None while too few rows
-    are there.
+    ``worst`` the name and standard deviation, µm, of what is known worst (coordinate or parameter, see :class:`Goal`);
+    both None while too few rows are there.
     """
 
-    def __init__(self, robot: Robot, goal: Goal | None = None) -> None:
+    def __init__(self, robot: Robot, plan: Plan, goal: Goal | None = None) -> None:
         self.model = model_of(robot)
         self.goal = goal
+        self._joints = np.unique(np.array([s.joints for s in plan]), axis=0)
         self.fit: Fit | None = None
         self.residual_um: float | None = None
         self.worst: tuple[str, float] | None = None
@@ -67,30 +78,62 @@ class Live:
         needed = self._fitted * (self.worst[1] / self.goal.std_um) ** 2
         return max(int(np.ceil(needed)) - self.rows, 0)
 
+    def sentence(self) -> str:
+        """How well the model is known, and whether further poses help."""
+        if self.worst is None:
+            return f"{self.rows} rows are too few for a fit"
+        what, std = self.worst
+        known = f"after {self.rows} rows, {what} is known to {std:.3g} µm (standard deviation), all else better"
+        if self.goal is None:
+            return known
+        if self.enough:
+            return f"{known}; the goal is {self.goal.std_um:g} µm: further poses no longer help"
+        return f"{known}; the goal is {self.goal.std_um:g} µm: about {self.rows_to_go} more rows"
+
+    def short(self) -> str:
+        """The same in a few words, for a line that changes."""
+        out = "" if self.residual_um is None else f"residual {self.residual_um:.1f} µm"
+        return out if self.worst is None else f"{out}, {self.worst[0]} ±{self.worst[1]:.3g} µm"
+
+    def take(self, point: Point) -> None:
+        """Takes a point in without fitting it: call :meth:`refit` after the last one."""
+        self._points.append(point)
+
     def add(self, point: Point) -> None:
         """Takes a point in; fits anew where enough rows have come since the last fit."""
-        self._points.append(point)
+        self.take(point)
         self.residual_um = self._residual(point)
         if len(self._points) >= max(self._fitted * (1.0 + _GROWTH), self._fitted + 1):
             self.refit()
 
     def refit(self) -> None:
         """Fits the rows so far."""
+        if not self._points:
+            return
         try:
             data = self._measurements(self._points)
             self.fit = identify(self.model, data, start=None if self.fit is None else self.fit.values)
         except FitError:
             # too few rows for the parameters: nothing can be said yet
             return
-        except SherkitError:
-            return
         self._fitted = len(self._points)
         free = data.taken.sum() - self.fit.rank
         if free <= 0:
             return
-        std = self.fit.std_from_readings * np.array([1e3 * p.lever_mm for p in self.fit.parameters])
+        names, std = self._std_um(self.fit)
         k = int(np.argmax(std))
-        self.worst = (self.fit.parameters[k].name, float(std[k]))
+        self.worst = (names[k], float(std[k]))
+
+    def _std_um(self, fit: Fit) -> tuple[tuple[str, ...], Floats]:
+        if self.goal is not None and self.goal.of == "parameters":
+            lever = np.array([1e3 * p.lever_mm for p in fit.parameters])
+            return tuple(p.name for p in fit.parameters), fit.std_from_readings * lever
+        rows = fit.data.unmeasured(self._joints)
+        by = self.model.derivatives(rows, fit.values)[:, : rows.coordinates]
+        # what the readings do not tell counts with its plausible size where it moves a coordinate
+        variance = np.einsum("nap,pq,naq->na", by, fit.covariance + fit.unobserved_covariance, by)
+        std = rows.layout.per_unit * np.sqrt(variance.clip(0.0).max(axis=0))
+        return rows.layout.names[: rows.coordinates], std
 
     def _residual(self, point: Point) -> float | None:
         if self.fit is None:

@@ -230,6 +230,14 @@ class RunFile:
         """Numbers of the steps that are stored."""
         return {int(row[0]) for row in self._db.execute("SELECT step FROM point")}
 
+    def points(self) -> list[Point]:
+        """Every stored point, in the order of the steps."""
+        values: dict[int, dict[str, float]] = {}
+        for step, name, value in self._db.execute("SELECT step, name, value FROM reading ORDER BY step, place"):
+            values.setdefault(step, {})[name] = float("nan") if value is None else value
+        found = self._db.execute("SELECT step, pose, repeat, time_s FROM point ORDER BY step")
+        return [Point(pose, repeat, time_s, values.get(step, {})) for step, pose, repeat, time_s in found]
+
     def diary(self) -> list[tuple[float, int | None, str]]:
         """When, at which step, what."""
         return [(float(a), b, str(c)) for a, b, c in self._db.execute("SELECT at_s, step, what FROM diary")]

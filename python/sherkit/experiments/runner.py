@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 from ..errors import SherkitError
 from .bench import Bench, Point
-from .live import Live
 from .plan import Plan
 from .run_file import RunFile
 
@@ -72,11 +71,10 @@ def run(
     file: RunFile,
     *,
     control: Control | None = None,
-    live: Live | None = None,
     warm_up_s: float = 0.0,
     report: Callable[[Progress], None] | None = None,
 ) -> str:
-    """Takes the steps that the file lacks, in order, and says why it ended: "complete", "ended", or "goal".
+    """Takes the steps that the file lacks, in order, and says why it ended: "complete", or "ended" by ``control``.
 
     ``report`` hears of every step once its point is on the disk. ``warm_up_s`` drives through the plan for so long
     before the first of them, without reading. After a pause and in a run that was interrupted, the first step is
@@ -94,7 +92,7 @@ def run(
     why = "killed"
     try:
         _warm_up(plan, bench, warm_up_s, control)
-        why = _take(plan, bench, file, missing, control, live, report)
+        why = _take(plan, bench, file, missing, control, report)
     except BaseException as error:
         said = str(error) if isinstance(error, SherkitError) else type(error).__name__
         why = f"failed: {said}"
@@ -112,7 +110,6 @@ def _take(
     file: RunFile,
     missing: list[int],
     control: Control,
-    live: Live | None,
     report: Callable[[Progress], None] | None,
 ) -> str:
     total = len(plan)
@@ -135,12 +132,8 @@ def _take(
         last = number
         took = time.monotonic() - began
         seconds = took if not k else seconds + max(_NEWEST, 1.0 / (k + 1)) * (took - seconds)
-        if live is not None:
-            live.add(point)
         if report is not None:
             report(Progress(number, total - len(missing) + k + 1, total, seconds * (len(missing) - k - 1), point))
-        if live is not None and live.goal is not None and live.goal.stop and live.enough:
-            return "goal"
     return "complete"
 
 
