@@ -116,6 +116,9 @@ class Bench:
             self.motion.connect()
             for sensor in self.sensors:
                 sensor.instrument.connect()
+            # what a program that was killed left moving; the controller went on by itself
+            if self.motion.is_moving():
+                self.motion.stop()
             # switching on moves nothing
             self.motion.enable()
             stack.pop_all()
