@@ -35,7 +35,10 @@ def undisturbed(folder):
     with RunningLaboratory(load_laboratory(folder / "lab.toml")) as lab:
         lab.write_ports(folder / "ports.json")
         chosen = load_experiment(folder / "experiment.toml")
-        with RunFile.create(folder / "undisturbed.sqlite", chosen.plan, chosen.about()) as file, chosen.bench() as bench:
+        with (
+            RunFile.create(folder / "undisturbed.sqlite", chosen.plan, chosen.about()) as file,
+            chosen.bench() as bench,
+        ):
             assert run(chosen.plan, bench, file) == "complete"
     return rows(folder / "undisturbed.sqlite")
 
@@ -58,7 +61,7 @@ def killed_run(folder, kills, seed):
                 if rng.random() < 0.5:
                     assert process.stdout is not None
                     first = process.stdout.readline()
-                    time.sleep(rng.uniform(0.0, 0.6))
+                    time.sleep(rng.uniform(0.0, 1.0))
                 else:
                     first = ""
                     time.sleep(rng.uniform(0.0, LONGEST_S / 3))
@@ -116,7 +119,8 @@ def test_a_run_killed_at_a_hundred_moments_loses_nothing(tmp_path):
     while killed < 100:
         seed += 1
         folder = tmp_path / str(seed)
-        laboratory(folder)
+        # slow enough for the motors to be on their way at many of the moments
+        laboratory(folder, time_scale=20.0)
         more, on_the_way = killed_run(folder, kills=min(12, 100 - killed), seed=seed)
         killed, moving = killed + more, moving + on_the_way
     print(f"killed {killed} times in {seed} runs, {moving} of them while the motors moved")

@@ -85,14 +85,14 @@ _PLANS = {
 _CHECKED = 40
 
 
-def lab_demo(folder: Path, *, repeats: int = 2) -> None:
+def lab_demo(folder: Path, *, repeats: int = 2, time_scale: float = _TIME_SCALE) -> None:
     """Writes the files, starts the laboratory, measures, diagnoses, calibrates, and measures again."""
-    _write_files(folder, repeats)
+    _write_files(folder, repeats, time_scale)
     with RunningLaboratory(load_laboratory(folder / "lab.toml")) as lab:
         lab.write_ports(folder / "ports.json")
         output.out.print(
             "[bold]SIMULATION.[/] A virtual delta behind emulated instruments; what drives them are the real drivers "
-            f"on pseudo-terminals. Its clock runs {_TIME_SCALE:g} times as fast."
+            f"on pseudo-terminals. Its clock runs {time_scale:g} times as fast."
         )
         for name, one in lab.ports().items():
             output.say(f"  {name} ({one['kind']}): {one['address']}")
@@ -116,18 +116,18 @@ def lab_demo(folder: Path, *, repeats: int = 2) -> None:
     )
 
 
-def _write_files(folder: Path, repeats: int) -> None:
+def _write_files(folder: Path, repeats: int, time_scale: float) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     tables = EXAMPLE.to_tables()
     tables["joints"] = {**tables.get("joints", {}), "limits_mm": list(_LIMITS_MM)}
     (folder / "robot.toml").write_text(tomli_w.dumps(tables), encoding="utf-8")
-    (folder / "lab.toml").write_text(_LABORATORY.format(time_scale=_TIME_SCALE), encoding="utf-8")
+    (folder / "lab.toml").write_text(_LABORATORY.format(time_scale=time_scale), encoding="utf-8")
     rng = np.random.default_rng(7)
     places = np.round(rng.uniform(-9.0, 9.0, (_CHECKED, 3)), 2).tolist()
     check = f'poses = "list"\nlist_mm = {places}'
     for name, (what, plan) in _PLANS.items():
         text = _EXPERIMENT.format(
-            what=what, name=name, plan=plan.format(repeats=repeats, check=check), settle=2.0 / _TIME_SCALE
+            what=what, name=name, plan=plan.format(repeats=repeats, check=check), settle=2.0 / time_scale
         )
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
 

@@ -112,7 +112,8 @@ class Live:
             return
         try:
             data = self._measurements(self._points)
-            self.fit = identify(self.model, data, start=None if self.fit is None else self.fit.values)
+            # from the drawing each time: a start elsewhere would stay in directions that no reading observes
+            self.fit = identify(self.model, data)
         except FitError:
             # too few rows for the parameters: nothing can be said yet
             return

@@ -590,6 +590,8 @@ class Galil(Instrument):
                 STOP_CODES.get(code, ""),
                 instrument=self.name,
                 port=self.address,
+                sent=f"MG {','.join(f'_SC{x}' for x in letters)}\r".encode(),
+                received=" ".join(str(codes[x]) for x in letters).encode(),
             )
 
     def _settled(self, targets: Mapping[str, float]) -> Reading:
@@ -614,6 +616,8 @@ class Galil(Instrument):
                     f"{self.settle_s:g} s; expected within {self.arrived_within_mm:g} mm",
                     instrument=self.name,
                     port=self.address,
+                    sent=f"MG {','.join(f'_TP{a.letter}' for a in self.axes)}\r".encode(),
+                    received=" ".join(f"{reading.details[f'counts_{a.letter}']:.0f}" for a in self.axes).encode(),
                 )
             time.sleep(_SETTLE_POLL_S)
 

@@ -112,7 +112,7 @@ class Keyence(Instrument):
         """
         texts, time_s = self.read_text()
         values: list[float] = []
-        for name, text in zip(self.names, texts, strict=True):
+        for output, name, text in zip(self.outputs, self.names, texts, strict=True):
             try:
                 value = parse_value(text)
                 if math.isnan(value) and not self.empty:
@@ -120,7 +120,8 @@ class Keyence(Instrument):
             except OutOfRange as error:
                 if not self.empty:
                     error.message = f"{name}: {error.message}; check the target and that nothing is in the beam"
-                    error.complete(instrument=self.name, port=self.address, sent=self._command().encode() + b"\r")
+                    sent = f"MS,{output:02d}" if self.method == "MS" else self._command()
+                    error.complete(instrument=self.name, port=self.address, sent=sent.encode() + b"\r")
                     raise
                 value = math.nan
             values.append(value)

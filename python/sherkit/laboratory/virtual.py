@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import EffectError
+from ..errors import EffectError, OutOfReach
 from ..instruments.emulators import StillRobot
 from ..measurements import Measurements
 from ..measurements.columns import JOINTS, POSITION, TEMPERATURE, TIME
@@ -77,8 +77,9 @@ class DeltaOnTheBench(StillRobot):
         if known is not None and known[0] == key and self._effects is None:
             return known[1]
         try:
-            place = self.virtual.true_reading(joints_mm)[0] - self._home
-        except (ArithmeticError, np.linalg.LinAlgError):
+            with np.errstate(all="ignore"):
+                place = self.virtual.true_reading(joints_mm)[0] - self._home
+        except (OutOfReach, np.linalg.LinAlgError):
             return np.full(3, np.nan)
         if self._effects is not None:
             model, values = self._effects
