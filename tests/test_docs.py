@@ -28,7 +28,7 @@ from sherkit.diagnosis import Diagnosis
 from test_klipper import SAVED, TRUE, config
 
 HERE = Path(__file__).parents[1]
-DOCS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/tutorial.md")
+DOCS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/tutorial.md", "docs/laboratory.md")
 
 _BLOCK = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
 _INLINE = re.compile(r"`([^`\n]+)`")

@@ -551,6 +551,7 @@ class Galil(Instrument):
     def _wait(self, targets: Mapping[str, float], stops: Mapping[str, int]) -> None:
         """Polls until the profiles are over. Any error ends it: the caller stops the axes."""
         letters = sorted(targets)
+        checked: set[str] = set()
         start = time.monotonic()
         longest_s = 5.0 + 2.0 * max(
             (a.limits_mm[1] - a.limits_mm[0]) / self.speed_mm_s + self.speed_mm_s / self.acceleration_mm_s2
@@ -565,7 +566,13 @@ class Galil(Instrument):
                     instrument=self.name,
                     port=self.address,
                 )
-            if not any(self._running(letters, self.poll_timeout_s)):
+            running = self._running(letters, self.poll_timeout_s)
+            ended = [x for x, r in zip(letters, running, strict=True) if not r and x not in checked]
+            if ended:
+                # looked at now, not when the last axis stands: the others must not go on without it
+                self._check_ended(ended, targets)
+                checked |= set(ended)
+            if not any(running):
                 break
             if time.monotonic() - start > longest_s:
                 raise Timeout(
@@ -574,24 +581,34 @@ class Galil(Instrument):
                     port=self.address,
                 )
             time.sleep(self.poll_s)
-        codes: dict[str, int] = {}
+
+    def _check_ended(self, letters: Sequence[str], targets: Mapping[str, float]) -> None:
+        """Raises :class:`~sherkit.errors.Halted` where a profile that is over did not end at its target."""
+        names = [f"_SC{x}" for x in letters] + [f"_RP{x}" for x in letters]
+        values: tuple[int, ...] = ()
         for _ in range(5):
-            codes = dict(zip(letters, self._counts([f"_SC{x}" for x in letters], self.poll_timeout_s), strict=True))
-            if 0 not in codes.values():
+            values = self._counts(names, self.poll_timeout_s)
+            if 0 not in values[: len(letters)]:
                 break
             time.sleep(_SETTLE_POLL_S)
-        bad = {x: c for x, c in codes.items() if c != _DONE}
+        codes = dict(zip(letters, values, strict=False))
+        places = dict(zip(letters, values[len(letters) :], strict=True))
+        bad = {x: f"{STOP_CODES.get(c, 'stopped')} (SC {c})" for x, c in codes.items() if c != _DONE}
+        for x in letters:
+            # an axis that never began has an old code, and an old place
+            if x not in bad and places[x] != self._axis(x).to_counts(targets[x]):
+                bad[x] = f"stands at {self._axis(x).to_mm(places[x]):g} mm, as if it had not begun"
         if bad:
-            where = listed(f"{self._axis(x).label} {STOP_CODES.get(c, 'stopped')} (SC {c})" for x, c in bad.items())
-            code = next(iter(bad.values()))
+            where = listed(f"{self._axis(x).label} {why}" for x, why in bad.items())
+            code = codes[next(iter(bad))]
             raise Halted(
                 f"the motion did not reach its target: {where}",
                 code,
                 STOP_CODES.get(code, ""),
                 instrument=self.name,
                 port=self.address,
-                sent=f"MG {','.join(f'_SC{x}' for x in letters)}\r".encode(),
-                received=" ".join(str(codes[x]) for x in letters).encode(),
+                sent=f"MG {','.join(names)}\r".encode(),
+                received=" ".join(map(str, values)).encode(),
             )
 
     def _settled(self, targets: Mapping[str, float]) -> Reading:
