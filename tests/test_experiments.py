@@ -423,6 +423,7 @@ def test_nothing_moves_without_soft_limits(tmp_path):
         ({"poses": "line", "from_mm": [-5, 0, 0], "to_mm": [5, 0, 0], "count": 11}, 11),
         ({"poses": "list", "list_mm": [[1, 2, 3], [0, 0, 0]]}, 2),
         ({"poses": "diagnosis", "file": "found.json"}, 2),
+        ({"poses": "designed", "half_width_mm": 15.0, "per_side": 5, "planes_mm": [-9, 0, 9], "count": 20}, 20),
     ],
 )
 def test_the_poses_that_a_plan_can_name(tmp_path, plan, count):

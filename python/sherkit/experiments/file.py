@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,17 @@ from numpy.typing import NDArray
 
 from ..calibration import Calibration
 from ..calibrations import load_calibration
+from ..chain import effects_by_name
 from ..errors import ExperimentError
 from ..instruments import Axis, Galil, Hyperion, Keyence, NetFT, Sm130, fetch_scale
 from ..instruments.base import Instrument
 from ..laboratory.file import read_toml
 from ..laboratory.running import read_ports
+from ..measurements import Measurements
 from ..measurements.columns import POSITION
+from ..models import model_of
 from ..names import listed
+from ..pose_design import choose_poses
 from ..poses import grid, paper_local, paper_whole
 from ..robots import Delta, load_robot
 from ..robots.table import Table
@@ -30,7 +34,7 @@ from .plan import ORDERS, Plan, plan_of_poses
 
 Floats = NDArray[np.float64]
 
-POSES = ("paper_local", "paper_whole", "grid", "line", "list", "diagnosis")
+POSES = ("paper_local", "paper_whole", "grid", "designed", "line", "list", "diagnosis")
 MOTION = "galil"
 SENSORS = ("keyence", "sm130", "hyperion", "net_ft")
 _LETTERS = "ABC"
@@ -116,7 +120,7 @@ def load_experiment(path: str | Path, ports: str | Path | None = None) -> Experi
     given_ports = table.words("ports", "")
     known = read_ports(ports) if ports else read_ports(path.parent / given_ports) if given_ports else {}
     with table.table("plan") as p:
-        targets = _targets(p, path.parent)
+        targets = _targets(p, path.parent, robot)
         joints = _joints(p, robot, targets, path.parent)
         plan = plan_of_poses(
             joints,
@@ -163,19 +167,20 @@ def _rules(table: Table) -> tuple[Settling, Checks, Goal | None]:
     return settling, checks, goal
 
 
-def _targets(table: Table, folder: Path) -> Floats:
+def _targets(table: Table, folder: Path, robot: Delta) -> Floats:
     """Places (n, 3), mm, that the plan names."""
     kind = table.text("poses", POSES)
     if kind == "paper_local":
         return paper_local()
     if kind == "paper_whole":
         return paper_whole()
-    if kind == "grid":
-        return grid(
+    if kind in ("grid", "designed"):
+        places = grid(
             table.number("half_width_mm", positive=True),
             table.whole("per_side", least=1),
             table.some_numbers("planes_mm", (0.0,)),
         )
+        return _designed(table, places, robot) if kind == "designed" else places
     if kind == "line":
         begin, end = table.numbers("from_mm", 3), table.numbers("to_mm", 3)
         return np.linspace(begin, end, table.whole("count", 41, least=2))
@@ -185,6 +190,21 @@ def _targets(table: Table, folder: Path) -> Floats:
             raise table.fail("list_mm", "at least one place")
         return np.array(rows)
     return _proposed(folder / table.words("file"))
+
+
+def _designed(table: Table, places: Floats, robot: Delta) -> Floats:
+    """Those of a grid that observe the parameters best, in a random order; what the robot cannot reach is left out."""
+    count = table.whole("count", least=1)
+    model = model_of(robot)
+    names = table.texts("effects", ())
+    effects = effects_by_name(model.catalogue, names)
+    needy = [e.name for e in effects if e.needs]
+    if needy:
+        raise table.fail("effects", f"effects that depend on the pose alone; {listed(needy)} needs more")
+    reached = robot.inverse_batch(places)
+    rows = Measurements.planned(reached.values[reached.reached])
+    design = choose_poses(replace(model, effects=effects), rows, count, seed=table.whole("design_seed", 0))
+    return places[reached.reached][design.rows]
 
 
 def _proposed(path: Path) -> Floats:
