@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from laboratories import experiment, laboratory
-from sherkit.errors import InstrumentError
+from sherkit.errors import Halted, InstrumentError
 from sherkit.experiments import RunFile, load_experiment, run
 from sherkit.laboratory import RunningLaboratory, load_laboratory
 
@@ -23,11 +23,23 @@ QUICK = {"timeout_s": 0.1, "retries": 1}
 CLOSE_MM = 0.0006
 
 
-def polls_before_stop(log):
-    """How many polls of a motion came after the last fault before the axes were told to stop; 0 without a stop."""
-    stop = next((k for k, (c, _, _) in enumerate(log) if c.startswith(b"ST")), None)
-    faulty = [k for k, (_, _, fault) in enumerate(log[:stop]) if fault is not None] if stop is not None else []
-    return sum(c.startswith(b"MG _BG") for c, _, _ in log[faulty[-1] + 1 : stop]) if faulty else 0
+def polls_before_stop(error, log):
+    """How many polls of a motion came between what made it fail and the word to stop; 0 where none was needed.
+
+    What made it fail is the exchange that the error tells of. Where an axis did not arrive, it is the fault: a BG that
+    was misheard, a switch that opened.
+    """
+    begun = max((k for k, (c, _, _) in enumerate(log) if c.startswith(b"BG")), default=0)
+    stop = next((k for k, (c, _, _) in enumerate(log) if k > begun and c.startswith(b"ST")), None)
+    if stop is None:
+        return 0
+    causes = [
+        k
+        for k, (heard, _, fault) in enumerate(log[:stop])
+        if (fault is not None and fault.kind in ("misheard", "limit_switch"))
+        or (heard == error.sent and not isinstance(error, Halted))
+    ]
+    return sum(c.startswith(b"MG _BG") for c, _, _ in log[causes[-1] + 1 : stop]) if causes else 0
 
 
 def attempt(chosen, file, disturb):
@@ -46,7 +58,7 @@ def check_failure(error, lab, log):
     before = lab.world.joints_mm()
     time.sleep(0.01)
     assert np.array_equal(before, lab.world.joints_mm()), error
-    assert polls_before_stop(log) <= 1, error
+    assert polls_before_stop(error, log) <= 1, error
     said = str(error)
     assert error.instrument in lab.emulators, said
     assert error.port == lab.emulators[error.instrument].address, said
