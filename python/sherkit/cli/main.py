@@ -18,6 +18,7 @@ from .effects import effects
 from .importing import import_group
 from .lab import lab
 from .measure import export, measure
+from .plan import plan
 from .simulate import simulate
 
 
@@ -35,6 +36,7 @@ cli.add_command(effects)
 cli.add_command(export)
 cli.add_command(lab)
 cli.add_command(measure)
+cli.add_command(plan)
 cli.add_command(simulate)
 cli.add_command(import_group)
 

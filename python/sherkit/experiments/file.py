@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,28 @@ class Experiment:
     source: str
     text: str
 
+    @cached_property
+    def times_s(self) -> Floats:
+        """When each step is read (n,), s from the beginning, as far as speed and settling tell."""
+        motion = next(i for i in self.instruments if i.kind == MOTION).settings
+        speed, acceleration = motion["speed_mm_s"], motion["acceleration_mm_s2"]
+        at, now, out = np.array(self.plan.start), 0.0, []
+        for step in self.plan:
+            for place in (*step.via, step.joints):
+                way = float(np.abs(np.subtract(place, at)).max())
+                # a trapezoid of speed, or a triangle on a short way
+                ramp = speed * speed / acceleration
+                now += way / speed + speed / acceleration if way > ramp else 2.0 * float(np.sqrt(way / acceleration))
+                at = np.array(place)
+            now += self.settling.seconds
+            out.append(now)
+        return np.array(out)
+
+    @property
+    def seconds(self) -> float:
+        """How long the plan takes, about."""
+        return float(self.times_s[-1]) + self.warm_up_s
+
     def about(self) -> dict[str, str]:
         """What the run file holds of it, besides the plan."""
         return {"robot": tomli_w.dumps(self.robot.to_tables()), "experiment": self.text, "source": self.source}
@@ -98,33 +121,39 @@ class Experiment:
         return Galil(one.address, axes, name=one.name, **settings)
 
 
-def load_experiment(path: str | Path, ports: str | Path | None = None) -> Experiment:
+def load_experiment(
+    path: str | Path, ports: str | Path | None = None, *, robot: str | Path | None = None, offline: bool = False
+) -> Experiment:
     """Reads an experiment; ``ports`` (a file that ``sherkit lab`` wrote) gives addresses by the instruments' names.
 
+    ``robot`` is another robot file than the one it names. ``offline`` is for planning: addresses may be missing.
     Raises :class:`~sherkit.errors.ExperimentError` naming file, table and key, and where the robot cannot be where the
     plan sends it.
     """
     path = Path(path)
     values = read_toml(path)
     table = Table(values, str(path), error=ExperimentError)
-    robot_path = path.parent / table.words("robot")
-    robot = load_robot(robot_path)
-    if not isinstance(robot, Delta):
-        raise ExperimentError(f"{path}: {robot_path} is a {robot.kind} robot; experiments move a delta")
-    if robot.joint_limits_mm is None:
+    named = table.words("robot")
+    robot_path = path.parent / named if robot is None else Path(robot)
+    made = load_robot(robot_path)
+    if not isinstance(made, Delta):
+        raise ExperimentError(f"{path}: {robot_path} is a {made.kind} robot; experiments move a delta")
+    if made.joint_limits_mm is None:
         raise ExperimentError(
             f"{robot_path}: [joints] limits_mm is missing; nothing is moved without the lowest and the highest joint "
             "reading that a motor may go to"
         )
     run_path = path.parent / table.words("run", path.stem + ".sqlite")
     given_ports = table.words("ports", "")
-    known = read_ports(ports) if ports else read_ports(path.parent / given_ports) if given_ports else {}
+    known: Mapping[str, Mapping[str, Any]] = {}
+    if not offline and (ports or given_ports):
+        known = read_ports(ports or path.parent / given_ports)
     with table.table("plan") as p:
-        targets = _targets(p, path.parent, robot)
-        joints = _joints(p, robot, targets, path.parent)
+        targets = _targets(p, path.parent, made)
+        joints = _joints(p, made, targets, path.parent)
         plan = plan_of_poses(
             joints,
-            robot.inverse([0.0, 0.0, 0.0]).tolist(),
+            made.inverse([0.0, 0.0, 0.0]).tolist(),
             repeats=p.whole("repeats", 1, least=1),
             order=p.text("order", ORDERS, "planes"),
             seed=p.whole("seed", 0),
@@ -132,10 +161,10 @@ def load_experiment(path: str | Path, ports: str | Path | None = None) -> Experi
         )
         warm_up_s = p.number("warm_up_s", 0.0)
     settling, checks, goal = _rules(table)
-    instruments = tuple(_instrument(one, known, path) for one in table.tables("instrument"))
+    instruments = tuple(_instrument(one, known, path, offline) for one in table.tables("instrument"))
     table.finish()
     _check_instruments(instruments, path)
-    low, high = robot.joint_limits_mm
+    low, high = made.joint_limits_mm
     places = plan.places()
     outside = (places < low) | (places > high)
     if outside.any():
@@ -144,7 +173,7 @@ def load_experiment(path: str | Path, ports: str | Path | None = None) -> Experi
             f"{low:g} to {high:g}"
         )
     return Experiment(
-        robot, plan, targets, instruments, settling, checks, goal, warm_up_s, run_path, str(path), tomli_w.dumps(values)
+        made, plan, targets, instruments, settling, checks, goal, warm_up_s, run_path, str(path), tomli_w.dumps(values)
     )  # fmt: skip
 
 
@@ -232,12 +261,12 @@ def _joints(table: Table, robot: Delta, targets: Floats, folder: Path) -> Floats
     return calibration.inverse_batch(targets).require("pose")
 
 
-def _instrument(table: Table, ports: Mapping[str, Mapping[str, Any]], path: Path) -> InstrumentSettings:
+def _instrument(table: Table, ports: Mapping[str, Mapping[str, Any]], path: Path, offline: bool) -> InstrumentSettings:
     kind = table.text("kind", (MOTION, *SENSORS))
     name = table.words("name", kind)
     found = ports.get(name, {})
     address = table.words("address", str(found.get("address", "")))
-    if not address:
+    if not address and not offline:
         raise ExperimentError(
             f"{path}: instrument '{name}' has no address; give it one, or name the file of ports that 'sherkit lab' "
             f"wrote{f' (it has {listed(ports)})' if ports else ''}"
