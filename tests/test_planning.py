@@ -53,18 +53,27 @@ def sought(planning, name, share=1.0, seed=5):
 THREE = ("rail_lean", "backlash", "beam_alignment")
 
 
-def three(planning):
-    return [sought(planning, name, share) for name, share in zip(THREE, (1.0, 0.8, 0.9), strict=True)]
+def three(planning, shares=(1.0, 1.05, 1.1)):
+    return [sought(planning, name, share) for name, share in zip(THREE, shares, strict=True)]
 
 
 def test_the_promised_power_is_that_of_simulated_runs(planning):
     """Catches a power that forgets the degrees of freedom of the effect, what the parameters absorb, or the noise."""
     with ProcessPoolExecutor(2, __import__("multiprocessing").get_context("spawn")) as pool:
-        found = study_power(planning, three(planning), runs=200, seed=1, executor=pool)
+        found = study_power(planning, three(planning), runs=200, seed=0, executor=pool)
     for one in found:
         print(f"{one.name}: promised {100 * one.power:.1f} %, found {100 * one.share:.1f} % of {one.runs}")
-        assert 0.4 < one.power < 0.95
+        # of 200 runs the share itself has a standard deviation of nearly 3 points
+        assert 0.75 < one.power < 0.95
         assert abs(one.share - one.power) <= 0.05
+
+
+@pytest.mark.slow
+def test_the_promised_power_is_that_of_many_simulated_runs(planning):
+    """Catches what 200 runs cannot show: a power that is off by a few points."""
+    for one in study_power(planning, three(planning, (1.0, 0.8, 0.9)), runs=2000, seed=11, workers=2):
+        print(f"{one.name}: promised {100 * one.power:.1f} %, found {100 * one.share:.1f} % of {one.runs}")
+        assert abs(one.share - one.power) <= 0.025
 
 
 def test_nothing_is_found_where_nothing_is(planning):
