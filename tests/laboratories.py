@@ -45,3 +45,46 @@ def experiment(folder, *, per_side=3, planes=(-8.0, 8.0), rails=None, lasers=Non
     }
     (folder / "experiment.toml").write_text(tomli_w.dumps(values), encoding="utf-8")
     return folder / "experiment.toml"
+
+
+SPHERICAL = {
+    "kind": "spherical",
+    "geometry": {"alpha_deg": 45.0, "beta_deg": 45.0, "radius_mm": 200.0},
+    "joints": {"limits_deg": [-180.0, 270.0]},
+    "workspace": {"phi_deg": [60.0, 120.0], "gamma_deg": [25.0, 65.0]},
+    "camera": {
+        "size_px": [1280, 640],
+        "focal_px": [710.0, 710.0],
+        "phi_deg": 90.0,
+        "gamma_deg": 45.0,
+        "distance_mm": 446.2,
+    },
+}
+
+
+def spherical_laboratory(folder, *, per_side=5, faults=None):
+    """Writes robot.toml, lab.toml and experiment.toml of a spherical robot that a camera looks at."""
+    (folder / "robot.toml").write_text(tomli_w.dumps(SPHERICAL), encoding="utf-8")
+    lab = {
+        "robot": "robot.toml",
+        "seed": 3,
+        "time_scale": 200.0,
+        "hidden": {"errors": 1.0},
+        "instrument": [
+            {"name": "joints", "kind": "galil", "counts_per_rad": 200000.0},
+            {"name": "eye", "kind": "camera", "noise_grey": 2.0, **({"faults": faults} if faults else {})},
+        ],
+    }
+    (folder / "lab.toml").write_text(tomli_w.dumps(lab), encoding="utf-8")
+    values = {
+        "robot": "robot.toml",
+        "ports": "ports.json",
+        "plan": {"poses": "patch", "per_side": per_side, "share": 0.8, "order": "shuffled"},
+        "settle": {"seconds": 0.0},
+        "instrument": [
+            {"name": "joints", "kind": "galil", "counts_per_rad": 200000.0, "poll_s": 0.002, "poll_timeout_s": 5.0},
+            {"name": "eye", "kind": "camera"},
+        ],
+    }
+    (folder / "experiment.toml").write_text(tomli_w.dumps(values), encoding="utf-8")
+    return folder / "lab.toml"

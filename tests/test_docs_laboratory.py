@@ -62,13 +62,14 @@ def test_the_page_on_the_laboratory_runs(tmp_path, monkeypatch):
 
 def test_names_on_the_page_are_the_codes(tmp_path):
     """Catches a fault or parameter that the page names and the laboratory does not know."""
-    from sherkit.experiments.file import POSES
+    from sherkit.experiments.file import POSES as OF_ROBOTS
     from sherkit.experiments.plan import ORDERS
     from sherkit.instruments.emulators import KINDS
     from sherkit.laboratory.file import LINKS
 
     text = prose(PAGE) + "".join(b.text for b in blocks(PAGE))
-    for name in (*KINDS, *POSES, *ORDERS, *LINKS):
+    poses = [name for names in OF_ROBOTS.values() for name in names]
+    for name in (*KINDS, *poses, *ORDERS, *LINKS):
         assert name in text, name
     robot = next(b for b in blocks(PAGE) if b.text.startswith("# robot.toml"))
     (tmp_path / "robot.toml").write_text(robot.text, encoding="utf-8")

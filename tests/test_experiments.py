@@ -241,7 +241,7 @@ def test_a_run_stores_what_the_robot_did(lab, tmp_path):
     assert frame.select("direction_1", "direction_2", "direction_3").to_numpy().tolist() == (
         chosen.plan.directions.tolist()
     )
-    assert np.abs(true - chosen.targets_mm[frame["pose"].to_numpy() - 1]).max() > 0.1
+    assert np.abs(true - chosen.targets[frame["pose"].to_numpy() - 1]).max() > 0.1
 
 
 def test_a_run_pauses_goes_on_and_ends(lab, tmp_path):
@@ -259,8 +259,8 @@ def test_a_run_pauses_goes_on_and_ends(lab, tmp_path):
 
     def go_on():
         paused.wait(30.0)
-        before = lab.world.joints_mm()
-        stood.append(not threading.Event().wait(0.3) and np.array_equal(before, lab.world.joints_mm()))
+        before = lab.world.joints()
+        stood.append(not threading.Event().wait(0.3) and np.array_equal(before, lab.world.joints()))
         control.resume()
 
     stood = []
@@ -307,7 +307,7 @@ def test_ctrl_c_stops_the_motors(tmp_path):
         watch = bench.motion._running
 
         def interrupted(letters, timeout_s):
-            if lab.world.joints_mm().tolist() != lab.bench.home_joints_mm.tolist():
+            if lab.world.joints().tolist() != lab.bench.home_joints.tolist():
                 bench.motion._running = watch
                 raise KeyboardInterrupt
             return watch(letters, timeout_s)
@@ -316,9 +316,9 @@ def test_ctrl_c_stops_the_motors(tmp_path):
         with RunFile.create(chosen.run_path, chosen.plan, chosen.about()) as file:
             with pytest.raises(KeyboardInterrupt), bench:
                 run(chosen.plan, bench, file)
-            before = lab.world.joints_mm()
+            before = lab.world.joints()
             threading.Event().wait(0.1)
-            assert np.array_equal(before, lab.world.joints_mm())
+            assert np.array_equal(before, lab.world.joints())
             assert not np.allclose(before, chosen.plan.steps[0].joints, atol=0.01)
             assert "KeyboardInterrupt" in file.diary()[-1][2]
 
@@ -437,7 +437,7 @@ def test_the_poses_that_a_plan_can_name(tmp_path, plan, count):
     assert len(chosen.plan) == 2 * count
     robot = load_robot(tmp_path / "robot.toml")
     assert np.allclose(robot.forward_batch([s.joints for s in chosen.plan]).require("x"),
-                       np.tile(chosen.targets_mm, (2, 1)), atol=1e-9)  # fmt: skip
+                       np.tile(chosen.targets, (2, 1)), atol=1e-9)  # fmt: skip
 
 
 def load_toml(path):

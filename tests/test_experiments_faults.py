@@ -55,9 +55,9 @@ def attempt(chosen, file, disturb):
 def check_failure(error, lab, log):
     """The axes were told to stop within one poll of the fault and stand; the sentence says who, what and what came."""
     # an axis of a real machine would still be on its way: 10 ms here are 4 s there
-    before = lab.world.joints_mm()
+    before = lab.world.joints()
     time.sleep(0.01)
-    assert np.array_equal(before, lab.world.joints_mm()), error
+    assert np.array_equal(before, lab.world.joints()), error
     assert polls_before_stop(error, log) <= 1, error
     said = str(error)
     assert error.instrument in lab.emulators, said

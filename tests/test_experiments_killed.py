@@ -83,9 +83,9 @@ def killed_run(folder, kills, seed):
                 break
             assert process.returncode == -signal.SIGKILL, wrong
             killed += 1
-            before = lab.world.joints_mm()
+            before = lab.world.joints()
             time.sleep(0.001)
-            moving += bool((before != lab.world.joints_mm()).any())
+            moving += bool((before != lab.world.joints()).any())
             known |= done
     found = rows(path)
     assert found["step"].to_list() == list(range(len(expected)))

@@ -45,7 +45,7 @@ AXES = (
 
 
 def emulated(world, **line):
-    return GalilEmulator(world, [a.counts_per_mm for a in AXES], zero_counts=[a.zero_counts for a in AXES], **line)
+    return GalilEmulator(world, [a.counts_per_unit for a in AXES], zero_counts=[a.zero_counts for a in AXES], **line)
 
 
 def controller(address, **settings):
@@ -54,9 +54,9 @@ def controller(address, **settings):
 
 def stands(world):
     """Whether no joint moves, as seen over a long time of a fast world."""
-    before = world.joints_mm()
+    before = world.joints()
     time.sleep(0.05)
-    return bool(np.array_equal(before, world.joints_mm()))
+    return bool(np.array_equal(before, world.joints()))
 
 
 def raw(address, sent, count=4096, quiet_s=0.3):
@@ -275,10 +275,10 @@ def test_galil_moves_where_it_was_told(link):
         assert before - 1 <= reading.time_s <= time.time() + 1
         assert reading.unit == "mm"
         assert reading.names == ("A", "q2", "C")
-        assert world.joints_mm() == pytest.approx([-5.0, 40.0, 9.5], abs=1e-3)
+        assert world.joints() == pytest.approx([-5.0, 40.0, 9.5], abs=1e-3)
         assert reading["q2"] == pytest.approx(40.0, abs=2e-3)
         assert g.move({"q2": -3.0})["q2"] == pytest.approx(-3.0, abs=2e-3)
-        assert world.joints_mm() == pytest.approx([-5.0, -3.0, 9.5], abs=1e-3)
+        assert world.joints() == pytest.approx([-5.0, -3.0, 9.5], abs=1e-3)
         assert not g.is_moving()
         assert g.read_commanded().values == pytest.approx((-5.0, -3.0, 9.5), abs=1e-3)
         with pytest.raises(ShapeError, match="q3"):
@@ -321,7 +321,7 @@ def test_galil_gives_its_limits_to_the_controller():
         deadline = time.monotonic() + 30.0
         while g.is_moving() and time.monotonic() < deadline:
             time.sleep(0.01)
-        assert world.joints_mm()[0] < 50.5
+        assert world.joints()[0] < 50.5
 
 
 def test_galil_errors_name_code_and_bytes():
@@ -342,12 +342,12 @@ def test_galil_errors_name_code_and_bytes():
 def test_galil_stops_at_a_limit_switch():
     """Catches a motion that ended at a switch and counts as arrived."""
     world = World((0.0, 0.0, 5.0), time_scale=50.0)
-    with emulated(world, travel_mm=[(-10, 10), (-30, 70), (-1, 11)]) as e, controller(e.address) as g:
+    with emulated(world, travel=[(-10, 10), (-30, 70), (-1, 11)]) as e, controller(e.address) as g:
         with pytest.raises(Halted, match="forward limit") as halted:
             g.move({"A": 40.0})
         assert halted.value.code == 2
         assert stands(world)
-        assert 10.0 <= world.joints_mm()[0] < 11.0
+        assert 10.0 <= world.joints()[0] < 11.0
         # the controller refuses to go further, and does go back
         with pytest.raises(Refused) as refused:
             g.move({"A": 40.0})
@@ -426,12 +426,12 @@ def test_galil_stops_on_ctrl_c_and_at_exit(how):
         assert program.stdout is not None
         assert program.stdout.readline() == "moving\n"
         if how == "ctrl-c":
-            while world.joints_mm()[0] == 0.0:
+            while world.joints()[0] == 0.0:
                 time.sleep(0.01)
             program.send_signal(signal.SIGINT)
         _, stderr = program.communicate(timeout=60.0)
         assert stands(world)
-        assert 0.0 < world.joints_mm()[0] < 49.0
+        assert 0.0 < world.joints()[0] < 49.0
         assert ("KeyboardInterrupt" in stderr) == (how == "ctrl-c")
 
 
@@ -449,7 +449,7 @@ def test_galil_refuses_what_is_no_setting():
     with pytest.raises(InstrumentError):
         Galil("x", [AXES[0], AXES[0]])
     with pytest.raises(InstrumentError):
-        Galil("x", AXES, speed_mm_s=0.0)
+        Galil("x", AXES, speed=0.0)
     with pytest.raises(InstrumentError, match="single command"):
         Galil("x", AXES).command("BGA;PAA=9")
 

@@ -73,9 +73,9 @@ def test_an_axis_moves_stops_and_tells_its_failure(lab):
         with pytest.raises(InstrumentError, match="still moving"):
             axis.set(0.0)
         axis.stop(success=success)
-        before = world.joints_mm()
+        before = world.joints()
         error = status.exception(60.0)
-        assert np.array_equal(before, world.joints_mm())
+        assert np.array_equal(before, world.joints())
         assert (error is None) == success
         if not success:
             assert isinstance(error, Halted)
@@ -93,13 +93,13 @@ def test_axes_move_together_and_apart(lab):
     a, b = GalilAxis(g, "A"), GalilAxis(g, "B")
     moving = a.set(40.0)
     other = b.set(-40.0)
-    while not world.joints_mm()[1] < 4.0:
+    while not world.joints()[1] < 4.0:
         time.sleep(0.005)
     b.stop(success=False)
     assert isinstance(other.exception(60.0), Halted)
     moving.wait(60.0)
-    assert world.joints_mm()[0] == pytest.approx(40.0, abs=1e-3)
-    assert world.joints_mm()[1] > -40.0
+    assert world.joints()[0] == pytest.approx(40.0, abs=1e-3)
+    assert world.joints()[1] > -40.0
 
 
 def test_a_detector_hands_a_reading_over_once(lab):
@@ -168,7 +168,7 @@ def test_bluesky_pauses_and_resumes(lab, engine):
     run, documents = engine
 
     def pause():
-        while not world.joints_mm()[0] > 6.0:
+        while not world.joints()[0] > 6.0:
             time.sleep(0.002)
         run.request_pause()
 
@@ -178,9 +178,9 @@ def test_bluesky_pauses_and_resumes(lab, engine):
         run(plans.scan([KeyenceDetector(k, "laser")], GalilAxis(g, "q1"), 0.0, 40.0, 3))
     pauser.join(30.0)
     assert run.state == "paused"
-    before = world.joints_mm()
+    before = world.joints()
     time.sleep(0.1)
-    assert np.array_equal(before, world.joints_mm())
+    assert np.array_equal(before, world.joints())
     assert before[0] < 39.0
     run.resume()
     rows = events(documents)
@@ -210,7 +210,7 @@ def test_bluesky_ends_at_a_limit_switch(lab, engine):
     with pytest.raises((utils.FailedStatus, Halted)):
         run(plan())
     assert not events(documents)
-    before = world.joints_mm()
+    before = world.joints()
     assert before[0] < 44.0
     time.sleep(0.1)
-    assert np.array_equal(before, world.joints_mm())
+    assert np.array_equal(before, world.joints())

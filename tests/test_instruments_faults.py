@@ -51,9 +51,9 @@ class Mixing(StillRobot):
 
 def settled(world):
     """The joints, once seen twice at the same place: a long time apart in a fast world."""
-    before = world.joints_mm()
+    before = world.joints()
     time.sleep(0.02)
-    return before if np.array_equal(before, world.joints_mm()) else None
+    return before if np.array_equal(before, world.joints()) else None
 
 
 def again(action, instrument, attempts=60):
@@ -122,7 +122,7 @@ def one_run(kinds, link, steps, seed, rate=0.03):
         KeyenceEmulator(world, noise_mm=NOISE_MM, faults=laser_faults, seed=seed, **line) as ke,
     ):
         settings = {"poll_s": 0.002, "timeout_s": 0.15, "poll_timeout_s": 0.15, "stop_timeout_s": 20.0}
-        g = Galil(ge.address, AXES, name="rails", speed_mm_s=20.0, acceleration_mm_s2=200.0, **settings)
+        g = Galil(ge.address, AXES, name="rails", speed=20.0, acceleration=200.0, **settings)
         k = Keyence(ke.address, name="lasers", timeout_s=0.15)
         for _ in range(steps):
             target = [round(rng.uniform(-39.0, 39.0), 3) for _ in range(3)]
@@ -130,7 +130,7 @@ def one_run(kinds, link, steps, seed, rate=0.03):
             raised += len(errors)
             for error in errors:
                 check_sentence(error, "rails", ge.address)
-            true = world.joints_mm()
+            true = world.joints()
             assert settled(world) is not None
             assert np.abs(true - target).max() < 0.011
             assert np.abs(np.array(reading.values) - true).max() <= CLOSE_MM
@@ -198,8 +198,8 @@ def test_a_fault_of_each_answer_of_a_move(kind):
             except InstrumentError:
                 assert settled(world) is not None
                 reading, _ = again(lambda t=target: g.move(t), g)
-            assert np.abs(np.array(reading.values) - world.joints_mm()).max() <= CLOSE_MM
-            assert np.abs(world.joints_mm() - target).max() < 0.011
+            assert np.abs(np.array(reading.values) - world.joints()).max() <= CLOSE_MM
+            assert np.abs(world.joints() - target).max() < 0.011
         g.close()
 
 

@@ -53,7 +53,7 @@ def test_every_instrument_of_a_laboratory_answers(tmp_path):
             Hyperion(at["hyperion"], (1,)) as hyperion,
             NetFT(at["net_ft"], fetch_scale(ports["net_ft"]["page"])) as net_ft,
         ):
-            assert galil.read().values == pytest.approx(lab.bench.home_joints_mm, abs=1e-3)
+            assert galil.read().values == pytest.approx(lab.bench.home_joints, abs=1e-3)
             assert keyence.read().values == pytest.approx([0.0] * 3, abs=0.03)
             assert sm130.read().values == hyperion.read().values == (1550.0,)
             assert net_ft.read()["fx"] == 0.0
@@ -79,10 +79,10 @@ def test_effects_of_the_catalogue_can_be_hidden(tmp_path):
     rate = next(n for n in names if "drift" in n and n.endswith("x"))
     path = laboratory(tmp_path, hidden={"parameters": {width: 0.1, rate: 0.5}})
     with RunningLaboratory(load_laboratory(path)) as lab:
-        home = lab.bench.home_joints_mm
-        lab.bench.left_mm = lambda: home - 1.0
+        home = lab.bench.home_joints
+        lab.bench.left = lambda: home - 1.0
         below = lab.bench.position(home, 0.0)
-        lab.bench.left_mm = lambda: home + 1.0
+        lab.bench.left = lambda: home + 1.0
         above = lab.bench.position(home, 0.0)
         assert 0.02 < np.abs(below - above).max() < 0.2
         later = lab.bench.position(home, 3600.0)
@@ -288,9 +288,9 @@ def test_keys_pause_and_end_a_run(tmp_path):
         os.write(master, b"p")
         until(b"paused")
         drain(master, 0.8)
-        before = lab.world.joints_mm()
+        before = lab.world.joints()
         drain(master, 0.5)
-        assert np.array_equal(before, lab.world.joints_mm())
+        assert np.array_equal(before, lab.world.joints())
         text = b""
         os.write(master, b"p")
         until(b"measuring")

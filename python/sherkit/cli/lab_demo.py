@@ -181,7 +181,7 @@ def _compare(folder: Path, lab: RunningLaboratory) -> None:
         seen = np.array([[p.values[axis] for axis in POSITION] for p in points])
         joints = np.array([s.joints for s in experiment.plan])
         true = np.array([lab.bench.position(q, 0.0) for q in joints])
-        row = [v for there in (seen, true) for v in _miss_um(there, experiment.targets_mm)]
+        row = [v for there in (seen, true) for v in _miss_um(there, experiment.targets)]
         made.add_row(called, *[f"{v:.1f}" for v in row])
     output.out.print(made)
 

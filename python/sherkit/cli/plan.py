@@ -9,13 +9,14 @@ import click
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from ..errors import SherkitError
 from ..experiments import Experiment, load_experiment
 from ..measurements import Measurements
 from ..models import model_of
 from ..names import listed
 from ..planning import LEVEL, POWER, Outlook, Planning, planning_of
 from ..power_study import Found, Sought, study_power
-from ..robots import load_robot
+from ..robots import Delta, load_robot
 from . import output
 from .output import out, table
 
@@ -39,6 +40,8 @@ def plan(
 ) -> None:  # fmt: skip
     """Say what EXPERIMENT (TOML) could find on ROBOT (TOML), and how well it would know the parameters."""
     nominal = load_robot(robot)
+    if not isinstance(nominal, Delta):
+        raise SherkitError(f"{robot}: is a {nominal.kind} robot; plans are made for a delta")
     chosen = load_experiment(experiment, robot=robot, offline=True)
     planning = planning_of(model_of(nominal), rows_of(chosen), 1e-3 * noise_um, effects=effects)
     outlooks = planning.outlooks

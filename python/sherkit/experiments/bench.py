@@ -13,8 +13,9 @@ import numpy as np
 from ..errors import ExperimentError, Garbled, OutOfRange
 from ..instruments import Galil
 from ..instruments.base import Instrument, Reading
-from ..measurements.columns import JOINTS, POSITION
-from ..robots import Delta
+from ..measurements.columns import JOINTS, POSITION, SPHERICAL_JOINTS
+from ..robots import Spherical
+from ..robots.file import Robot
 from .plan import Step
 
 #: A reading that is to stand still is looked at again so soon, s.
@@ -48,12 +49,12 @@ class Checks:
     """What a point must pass before it is stored.
 
     Two successive readings of a sensor lie within ``agree_within`` (in its unit): protocols without a checksum cannot
-    tell a damaged digit. The encoders before and after the sensors lie within ``moved_within_mm``. The position lies
+    tell a damaged digit. The encoders before and after the sensors lie within ``moved_within``. A delta's position lies
     within ``plausible_mm`` of where the drawing puts it, where that is given.
     """
 
     agree_within: float = 0.05
-    moved_within_mm: float = 0.002
+    moved_within: float = 0.002
     plausible_mm: float | None = None
 
 
@@ -92,7 +93,7 @@ class Bench:
 
     def __init__(
         self,
-        robot: Delta,
+        robot: Robot,
         motion: Galil,
         sensors: Sequence[Sensor],
         *,
@@ -174,12 +175,13 @@ class Bench:
             values |= sensor.named(sensor.instrument.read_confirmed(self.checks.agree_within))
         after = self._joints()
         self._check_still(step, before, after)
-        values = {**dict(zip(JOINTS, after.values, strict=True)), **values}
+        joints = SPHERICAL_JOINTS if isinstance(self.robot, Spherical) else JOINTS
+        values = {**dict(zip(joints, after.values, strict=True)), **values}
         self._check_plausible(values)
         return Point(step.pose, step.repeat, after.time_s, values)
 
     def _joints(self) -> Reading:
-        return self.motion.read_confirmed(self.checks.moved_within_mm)
+        return self.motion.read_confirmed(self.checks.moved_within)
 
     def _settle(self) -> None:
         rule = self.settling
@@ -206,25 +208,25 @@ class Bench:
 
     def _check_still(self, step: Step, before: Reading, after: Reading) -> None:
         # the encoders' own resolution is no motion
-        count_mm = 1.5 / min(abs(a.counts_per_mm) for a in self.motion.axes)
+        count = 1.5 / min(abs(a.counts_per_unit) for a in self.motion.axes)
         for name, old, new, target in zip(after.names, before.values, after.values, step.joints, strict=True):
-            if abs(new - old) > self.checks.moved_within_mm + count_mm:
+            if abs(new - old) > self.checks.moved_within + count:
                 raise Garbled(
-                    f"{name} moved by {new - old:+.4f} mm while the sensors were read; expected at most "
-                    f"{self.checks.moved_within_mm:g} mm",
+                    f"{name} moved by {new - old:+.5f} {self.motion.unit} while the sensors were read; expected at most "
+                    f"{self.checks.moved_within:g}",
                     instrument=self.motion.name,
                     port=self.motion.address,
                 )
-            if abs(new - target) > self.motion.arrived_within_mm + count_mm:
+            if abs(new - target) > self.motion.arrived_within + count:
                 raise Garbled(
-                    f"{name} stands at {new:.4f} mm; it was sent to {target:.4f} mm",
+                    f"{name} stands at {new:.5f} {self.motion.unit}; it was sent to {target:.5f}",
                     instrument=self.motion.name,
                     port=self.motion.address,
                 )
 
     def _check_plausible(self, values: Mapping[str, float]) -> None:
         limit = self.checks.plausible_mm
-        if limit is None or not all(name in values for name in POSITION):
+        if limit is None or isinstance(self.robot, Spherical) or not all(name in values for name in POSITION):
             return
         drawn = self.robot.forward([values[name] for name in JOINTS])
         for name, place in zip(POSITION, drawn, strict=True):

@@ -7,7 +7,7 @@ need pyserial (``pip install "sherkit[lab]"``).
 
 from .ati import NetFT, Scale, fetch_scale
 from .base import Identity, Instrument, Reading
-from .camera import Camera, Frame
+from .camera import Camera, Frame, Snapshots
 from .galil import Axis, Galil
 from .keyence import Keyence
 from .micron_optics import Hyperion, Sm130
@@ -25,5 +25,6 @@ __all__ = [
     "Reading",
     "Scale",
     "Sm130",
+    "Snapshots",
     "fetch_scale",
 ]

@@ -6,10 +6,12 @@ its deadline.
 
 from __future__ import annotations
 
+import http.client
 import math
 import queue
 import threading
 import time
+import urllib.request
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -21,6 +23,9 @@ from ..errors import Disconnected, Garbled, InstrumentError, OutOfRange, Timeout
 from .base import Identity, Instrument, Reading
 
 Picture = NDArray[np.uint8]
+
+#: Bytes of a picture that comes over the network.
+_MOST_BYTES = 1 << 26
 
 
 class FrameSource(Protocol):
@@ -45,6 +50,36 @@ class Frame:
 
     picture: Picture
     time_s: float
+
+
+class Snapshots:
+    """A camera that hands out single pictures at an address (PNG or JPEG over HTTP), as many network cameras do.
+
+    Each read asks anew, so that no picture comes from a buffer. Anything else than a picture is no frame.
+    """
+
+    def __init__(self, address: str, timeout_s: float = 5.0) -> None:
+        self._address = address
+        self._timeout_s = timeout_s
+
+    def isOpened(self) -> bool:  # noqa: N802
+        """Whether there is a picture."""
+        return self.read()[0]
+
+    def read(self) -> tuple[bool, Any]:
+        """Whether there is a picture, and the picture (rows, columns)."""
+        try:
+            with urllib.request.urlopen(self._address, timeout=self._timeout_s) as answer:
+                data = answer.read(_MOST_BYTES)
+        except (OSError, http.client.HTTPException):
+            return False, None
+        import cv2
+
+        found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+        return found is not None, found
+
+    def release(self) -> None:
+        """Nothing is held open."""
 
 
 def parse_frame(ok: bool, given: object, size_px: tuple[int, int] | None) -> Picture:

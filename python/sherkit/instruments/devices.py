@@ -189,34 +189,34 @@ class GalilAxis(_Mover):
 
     @property
     def position(self) -> float:
-        """Where the encoder is, mm."""
+        """Where the encoder is, in the axis' unit."""
         return self.instrument.read()[self.axis.label]
 
     def check_value(self, value: float) -> None:
-        """Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits, mm."""
+        """Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
         self.instrument.check({self.axis.letter: value})
 
     def set(self, value: float) -> Status:
-        """Moves to ``value`` mm. Raises :class:`~sherkit.errors.OutOfRange` before anything moves."""
+        """Moves to ``value``, in the axis' unit. Raises :class:`~sherkit.errors.OutOfRange` before anything moves."""
         return self._set({self.axis.letter: float(value)})
 
     def read(self) -> Values:
-        """The encoder, mm, and the host's time."""
+        """The encoder and the host's time."""
         reading = self.instrument.read()
         return {self.name: {"value": reading[self.axis.label], "timestamp": reading.time_s}}
 
     def describe(self) -> Values:
-        """One column, mm."""
-        return {self.name: self._column("mm")}
+        """One column."""
+        return {self.name: self._column(self.instrument.unit)}
 
     def locate(self) -> dict[str, float]:
-        """Where it was sent (where it is, before that) and where it is, mm."""
+        """Where it was sent (where it is, before that) and where it is."""
         here = self.position
         return {"setpoint": self._setpoint.get(self.axis.letter, here), "readback": here}
 
 
 class GalilAxes(_Mover):
-    """All axes of a controller as one device, moved together by ``set((a, b, c))``, mm.
+    """All axes of a controller as one device, moved together by ``set((a, b, c))``, in their unit.
 
     Its columns are ``<name>_<axis>``.
     """
@@ -226,7 +226,7 @@ class GalilAxes(_Mover):
 
     @property
     def position(self) -> tuple[float, ...]:
-        """Where the encoders are, mm."""
+        """Where the encoders are."""
         return self.instrument.read().values
 
     def _targets(self, value: Sequence[float] | Mapping[str, float]) -> dict[str, float]:
@@ -235,7 +235,7 @@ class GalilAxes(_Mover):
         return self.instrument.check([float(v) for v in value])
 
     def check_value(self, value: Sequence[float] | Mapping[str, float]) -> None:
-        """Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits, mm."""
+        """Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
         self._targets(value)
 
     def set(self, value: Sequence[float] | Mapping[str, float]) -> Status:
@@ -243,7 +243,7 @@ class GalilAxes(_Mover):
         return self._set(self._targets(value))
 
     def read(self) -> Values:
-        """The encoders, mm, and the host's time."""
+        """The encoders and the host's time."""
         reading = self.instrument.read()
         return {
             f"{self.name}_{label}": {"value": v, "timestamp": reading.time_s}
@@ -251,11 +251,11 @@ class GalilAxes(_Mover):
         }
 
     def describe(self) -> Values:
-        """A column for each axis, mm."""
-        return {f"{self.name}_{a.label}": self._column("mm") for a in self.axes}
+        """A column for each axis."""
+        return {f"{self.name}_{a.label}": self._column(self.instrument.unit) for a in self.axes}
 
     def locate(self) -> dict[str, tuple[float, ...]]:
-        """Where they were sent and where they are, mm."""
+        """Where they were sent and where they are."""
         here = self.position
         sent = tuple(self._setpoint.get(a.letter, h) for a, h in zip(self.axes, here, strict=True))
         return {"setpoint": sent, "readback": here}

@@ -52,39 +52,43 @@ _SETTLE_POLL_S = 0.02
 
 @dataclass(frozen=True)
 class Axis:
-    """One motor: its ``letter`` A to H, encoder ``counts_per_mm`` (negative: counts the other way), soft limits.
+    """One motor: its ``letter`` A to H, encoder ``counts_per_unit`` (negative: counts the other way), soft limits.
 
-    A joint stands at ``(counts - zero_counts) / counts_per_mm`` mm. No target outside ``limits_mm`` (low, high) is ever
-    sent. ``name`` is that of the joint, the letter if left out.
+    A joint stands at ``(counts - zero_counts) / counts_per_unit``, in ``unit``: mm, or rad for one that turns. No
+    target outside ``limits`` (low, high), in the same unit, is ever sent. ``name`` is that of the joint, the letter if
+    left out.
     """
 
     letter: str
-    counts_per_mm: float
-    limits_mm: tuple[float, float]
+    counts_per_unit: float
+    limits: tuple[float, float]
     zero_counts: int = 0
     name: str = ""
+    unit: str = "mm"
 
     def __post_init__(self) -> None:
         if self.letter not in LETTERS or len(self.letter) != 1:
             raise InstrumentError(f"axis '{self.letter}': expected one letter of {LETTERS}")
-        if not (math.isfinite(self.counts_per_mm) and self.counts_per_mm != 0):
-            raise InstrumentError(f"axis {self.letter}: counts_per_mm is {self.counts_per_mm}; expected a number not 0")
-        low, high = self.limits_mm
+        if not (math.isfinite(self.counts_per_unit) and self.counts_per_unit != 0):
+            raise InstrumentError(
+                f"axis {self.letter}: counts_per_unit is {self.counts_per_unit}; expected a number not 0"
+            )
+        low, high = self.limits
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise InstrumentError(f"axis {self.letter}: limits_mm are {low}, {high}; expected low, then high")
+            raise InstrumentError(f"axis {self.letter}: limits are {low}, {high}; expected low, then high")
 
     @property
     def label(self) -> str:
         """What its values are called."""
         return self.name or self.letter
 
-    def to_counts(self, position_mm: float) -> int:
-        """Encoder counts at ``position_mm``."""
-        return round(position_mm * self.counts_per_mm) + self.zero_counts
+    def to_counts(self, position: float) -> int:
+        """Encoder counts at ``position``."""
+        return round(position * self.counts_per_unit) + self.zero_counts
 
-    def to_mm(self, counts: float) -> float:
-        """Joint position in mm at ``counts``."""
-        return (counts - self.zero_counts) / self.counts_per_mm
+    def to_position(self, counts: float) -> float:
+        """Joint position, in its unit, at ``counts``."""
+        return (counts - self.zero_counts) / self.counts_per_unit
 
 
 def parse_answer(raw: bytes) -> str:
@@ -140,9 +144,10 @@ class Galil(Instrument):
     controller, which hold when this program dies. A motion is stopped (``ST`` with axes, so that the controller's own
     program goes on) on any error, on Ctrl-C, on ``close`` and at exit; SIGKILL leaves it to the controller's limits.
 
-    ``speed_mm_s`` and ``acceleration_mm_s2`` (also the deceleration) hold for all axes. A move has arrived when the
-    profile is over, its stop code is 1 and the encoder is within ``arrived_within_mm``, for which it has ``settle_s``.
-    ``poll_s`` is the pause between two looks at a motion, each of which must be answered in ``poll_timeout_s``.
+    ``speed``, per s, and ``acceleration``, per s² (also the deceleration), hold for all axes. A move has arrived when
+    the profile is over, its stop code is 1 and the encoder is within ``arrived_within``, for which it has
+    ``settle_s``. ``poll_s`` is the pause between two looks at a motion, each of which must be answered in
+    ``poll_timeout_s``.
     """
 
     kind = "Galil"
@@ -154,9 +159,9 @@ class Galil(Instrument):
         axes: Sequence[Axis],
         *,
         name: str = "",
-        speed_mm_s: float = 5.0,
-        acceleration_mm_s2: float = 50.0,
-        arrived_within_mm: float = 0.01,
+        speed: float = 5.0,
+        acceleration: float = 50.0,
+        arrived_within: float = 0.01,
         settle_s: float = 2.0,
         poll_s: float = 0.05,
         poll_timeout_s: float = 0.5,
@@ -170,13 +175,16 @@ class Galil(Instrument):
         letters = [a.letter for a in axes]
         if not axes or len(set(letters)) != len(letters):
             raise InstrumentError(f"{self.name}: its axes are {listed(letters) or 'none'}; expected each letter once")
-        for what, value in (("speed_mm_s", speed_mm_s), ("acceleration_mm_s2", acceleration_mm_s2)):
+        if len({a.unit for a in axes}) != 1:
+            raise InstrumentError(f"{self.name}: its axes have different units; give those a controller of their own")
+        for what, value in (("speed", speed), ("acceleration", acceleration)):
             if not (math.isfinite(value) and value > 0):
                 raise InstrumentError(f"{self.name}: {what} is {value}; expected a number above zero")
         self.axes = tuple(sorted(axes, key=lambda a: a.letter))
-        self.speed_mm_s = speed_mm_s
-        self.acceleration_mm_s2 = acceleration_mm_s2
-        self.arrived_within_mm = arrived_within_mm
+        self.unit = axes[0].unit
+        self.speed = speed
+        self.acceleration = acceleration
+        self.arrived_within = arrived_within
         self.settle_s = settle_s
         self.poll_s = poll_s
         self.poll_timeout_s = poll_timeout_s
@@ -199,11 +207,11 @@ class Galil(Instrument):
         return Identity(self.kind, text.strip() or "unknown", self.address)
 
     def read(self) -> Reading:
-        """Encoder positions of all axes, mm, in the order of their letters. Also while moving."""
+        """Encoder positions of all axes, in their unit, in the order of their letters. Also while moving."""
         return self._reading("_TP")
 
     def read_commanded(self) -> Reading:
-        """Where the profiles of all axes are, mm (``RP``)."""
+        """Where the profiles of all axes are, in their unit (``RP``)."""
         return self._reading("_RP")
 
     def close(self) -> None:
@@ -225,48 +233,49 @@ class Galil(Instrument):
         """Switches the motors off (``MO``). An axis that carries weight may fall."""
         self._repeat(lambda: self._acknowledged(f"MO{self._letters()}"))
 
-    def check(self, target_mm: Mapping[str, float] | Sequence[float]) -> dict[str, float]:
-        """The target by letters, mm. Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
-        if isinstance(target_mm, Mapping):
+    def check(self, target: Mapping[str, float] | Sequence[float]) -> dict[str, float]:
+        """The target by letters, in their unit. Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
+        if isinstance(target, Mapping):
             named = {a.label: a.letter for a in self.axes} | {a.letter: a.letter for a in self.axes}
-            unknown = [k for k in target_mm if k not in named]
+            unknown = [k for k in target if k not in named]
             if unknown:
                 raise InstrumentError(f"has no axis {listed(unknown)}", instrument=self.name, port=self.address)
-            targets = {named[k]: float(v) for k, v in target_mm.items()}
+            targets = {named[k]: float(v) for k, v in target.items()}
         else:
-            if len(target_mm) != len(self.axes):
+            if len(target) != len(self.axes):
                 raise InstrumentError(
-                    f"a target of {len(target_mm)} numbers; expected {len(self.axes)}, one for each axis",
+                    f"a target of {len(target)} numbers; expected {len(self.axes)}, one for each axis",
                     instrument=self.name,
                     port=self.address,
                 )
-            targets = {a.letter: float(v) for a, v in zip(self.axes, target_mm, strict=True)}
+            targets = {a.letter: float(v) for a, v in zip(self.axes, target, strict=True)}
         for axis in self.axes:
-            value = targets.get(axis.letter, axis.limits_mm[0])
-            low, high = axis.limits_mm
+            value = targets.get(axis.letter, axis.limits[0])
+            low, high = axis.limits
             if not low <= value <= high:
                 raise OutOfRange(
-                    f"axis {axis.label} was to go to {value:g} mm; its soft limits are {low:g} to {high:g} mm",
+                    f"axis {axis.label} was to go to {value:g} {self.unit}; its soft limits are {low:g} to {high:g}",
                     instrument=self.name,
                     port=self.address,
                 )
             if abs(axis.to_counts(value)) > _LARGEST_COUNT:
                 raise OutOfRange(
-                    f"axis {axis.label}: {value:g} mm are more counts than the controller has; check counts_per_mm",
+                    f"axis {axis.label}: {value:g} {self.unit} are more counts than the controller has; check "
+                    "counts_per_unit",
                     instrument=self.name,
                     port=self.address,
                 )
         return targets
 
-    def move(self, target_mm: Mapping[str, float] | Sequence[float]) -> Reading:
-        """Moves the named axes (all, by a sequence) to ``target_mm`` and returns where the encoders then are.
+    def move(self, target: Mapping[str, float] | Sequence[float]) -> Reading:
+        """Moves the named axes (all, by a sequence) to ``target`` and returns where the encoders then are.
 
         Raises :class:`~sherkit.errors.OutOfRange` before anything moves; :class:`~sherkit.errors.Halted` where the
         motion ended elsewhere (limit switch, ``stop`` by another thread); other
         :class:`~sherkit.errors.InstrumentError` where the line failed. After any of them the axes stand still, or the
         sentence says that they may not.
         """
-        targets = self.check(target_mm)
+        targets = self.check(target)
         if not targets:
             return self.read()
         with self._stopping(targets):
@@ -445,8 +454,8 @@ class Galil(Instrument):
             return Reading(
                 self.name,
                 tuple(a.label for a in self.axes),
-                tuple(a.to_mm(c) for a, c in zip(self.axes, counts, strict=True)),
-                ("mm",) * len(self.axes),
+                tuple(a.to_position(c) for a, c in zip(self.axes, counts, strict=True)),
+                (self.unit,) * len(self.axes),
                 port.arrived_s if port is not None else time.time(),
                 {f"counts_{a.letter}": float(c) for a, c in zip(self.axes, counts, strict=True)},
             )
@@ -522,9 +531,9 @@ class Galil(Instrument):
         reverse: dict[str, int] = {}
         for a in self.axes:
             # even numbers and multiples of 1024 are what the controller has; never faster than asked for
-            speeds[a.letter] = max(int(self.speed_mm_s * abs(a.counts_per_mm)) // 2 * 2, 2)
-            accelerations[a.letter] = max(int(self.acceleration_mm_s2 * abs(a.counts_per_mm)) // 1024 * 1024, 1024)
-            ends = sorted(a.to_counts(v) for v in a.limits_mm)
+            speeds[a.letter] = max(int(self.speed * abs(a.counts_per_unit)) // 2 * 2, 2)
+            accelerations[a.letter] = max(int(self.acceleration * abs(a.counts_per_unit)) // 1024 * 1024, 1024)
+            ends = sorted(a.to_counts(v) for v in a.limits)
             reverse[a.letter], forward[a.letter] = max(ends[0], -_LARGEST_COUNT), min(ends[1], _LARGEST_COUNT)
         self._set("SP", speeds)
         self._set("AC", accelerations)
@@ -554,8 +563,7 @@ class Galil(Instrument):
         checked: set[str] = set()
         start = time.monotonic()
         longest_s = 5.0 + 2.0 * max(
-            (a.limits_mm[1] - a.limits_mm[0]) / self.speed_mm_s + self.speed_mm_s / self.acceleration_mm_s2
-            for a in self.axes
+            (a.limits[1] - a.limits[0]) / self.speed + self.speed / self.acceleration for a in self.axes
         )
         while True:
             if any(self._stops[x] != stops[x] for x in letters):
@@ -576,7 +584,7 @@ class Galil(Instrument):
                 break
             if time.monotonic() - start > longest_s:
                 raise Timeout(
-                    f"{listed(letters)} moved for {longest_s:.0f} s; expected less at {self.speed_mm_s:g} mm/s",
+                    f"{listed(letters)} moved for {longest_s:.0f} s; expected less at {self.speed:g} {self.unit}/s",
                     instrument=self.name,
                     port=self.address,
                 )
@@ -597,7 +605,7 @@ class Galil(Instrument):
         for x in letters:
             # an axis that never began has an old code, and an old place
             if x not in bad and places[x] != self._axis(x).to_counts(targets[x]):
-                bad[x] = f"stands at {self._axis(x).to_mm(places[x]):g} mm, as if it had not begun"
+                bad[x] = f"stands at {self._axis(x).to_position(places[x]):g} {self.unit}, as if it had not begun"
         if bad:
             where = listed(f"{self._axis(x).label} {why}" for x, why in bad.items())
             code = codes[next(iter(bad))]
@@ -615,22 +623,20 @@ class Galil(Instrument):
         end = deadline_in(self.settle_s)
         while True:
             reading = self.read()
-            miss_mm = {x: reading[self._axis(x).label] - v for x, v in targets.items()}
+            miss = {x: reading[self._axis(x).label] - v for x, v in targets.items()}
             # targets are whole counts: half a count of rounding is no miss
-            if all(
-                abs(m) <= self.arrived_within_mm + 0.5 / abs(self._axis(x).counts_per_mm) for x, m in miss_mm.items()
-            ):
+            if all(abs(m) <= self.arrived_within + 0.5 / abs(self._axis(x).counts_per_unit) for x, m in miss.items()):
                 self._moving -= set(targets)
                 # the axes stand: a second reading costs little, and tells a wrong digit from a position
                 return self.read_confirmed(
-                    max(self.arrived_within_mm, 2.0 / min(abs(a.counts_per_mm) for a in self.axes))
+                    max(self.arrived_within, 2.0 / min(abs(a.counts_per_unit) for a in self.axes))
                 )
             if time.monotonic() > end:
-                worst = max(miss_mm, key=lambda x: abs(miss_mm[x]))
+                worst = max(miss, key=lambda x: abs(miss[x]))
                 axis = self._axis(worst)
                 raise Halted(
-                    f"axis {axis.label} stands {miss_mm[worst]:+.4f} mm from its target {targets[worst]:g} mm after "
-                    f"{self.settle_s:g} s; expected within {self.arrived_within_mm:g} mm",
+                    f"axis {axis.label} stands {miss[worst]:+.4f} {self.unit} from its target {targets[worst]:g} after "
+                    f"{self.settle_s:g} s; expected within {self.arrived_within:g}",
                     instrument=self.name,
                     port=self.address,
                     sent=f"MG {','.join(f'_TP{a.letter}' for a in self.axes)}\r".encode(),

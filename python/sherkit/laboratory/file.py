@@ -8,13 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..errors import ExperimentError
 from ..instruments.emulators import KINDS as FAULTS
 from ..names import listed
-from ..robots import Delta, load_robot
+from ..robots import Delta, Spherical, load_robot
+from ..robots.file import Robot
 from ..robots.table import Table
 from ..simulation import TABLE_II_SIZES, VirtualDelta
-from .virtual import HiddenEffects
+from ..spherical_simulation import PAPER_ERRORS, VirtualSpherical
+from .virtual import HiddenEffects, middle_of
 
 #: What each kind of instrument is called, with the ports that it can have; the first is the default.
 LINKS: Mapping[str, tuple[str, ...]] = {
@@ -23,6 +27,7 @@ LINKS: Mapping[str, tuple[str, ...]] = {
     "sm130": ("tcp",),
     "hyperion": ("tcp",),
     "net_ft": ("udp",),
+    "camera": ("http",),
 }
 LOOPBACK = "127.0.0.1"
 
@@ -48,8 +53,8 @@ class Laboratory:
     unless ``host`` names another address of it.
     """
 
-    robot: Delta
-    virtual: VirtualDelta
+    robot: Robot
+    virtual: VirtualDelta | VirtualSpherical
     hidden: HiddenEffects
     instruments: tuple[EmulatedInstrument, ...]
     seed: int = 0
@@ -81,15 +86,17 @@ def load_laboratory(path: str | Path) -> Laboratory:
     table = Table(read_toml(path), str(path), error=ExperimentError)
     robot_path = path.parent / table.words("robot")
     robot = load_robot(robot_path)
-    if not isinstance(robot, Delta):
-        raise ExperimentError(f"{path}: {robot_path} is a {robot.kind} robot; a laboratory holds a delta")
     seed = table.whole("seed", 0)
     time_scale = table.number("time_scale", 1.0, positive=True)
     host = table.words("host", LOOPBACK)
-    virtual, hidden = _hidden(table, robot, seed)
+    virtual: VirtualDelta | VirtualSpherical
+    if isinstance(robot, Spherical):
+        virtual, hidden = _hidden_in_spherical(table, robot), HiddenEffects()
+    else:
+        virtual, hidden = _hidden(table, robot, seed)
     instruments: list[EmulatedInstrument] = []
     for one in table.tables("instrument"):
-        instruments.append(_instrument(one))
+        instruments.append(_instrument(one, robot))
         if instruments[-1].name in {i.name for i in instruments[:-1]}:
             raise one.fail("name", "a name that no other instrument has")
     table.finish()
@@ -118,29 +125,48 @@ def _hidden(table: Table, robot: Delta, seed: int) -> tuple[VirtualDelta, Hidden
     return virtual, HiddenEffects(parameters, period, slip_time_s)
 
 
-def _instrument(table: Table) -> EmulatedInstrument:
-    kind = table.text("kind", tuple(LINKS))
+def _hidden_in_spherical(table: Table, robot: Spherical) -> VirtualSpherical:
+    middle_of(robot)  # refuses a robot that would not know where to begin
+    with table.table("hidden", optional=True) as h:
+        size = h.number("errors", 0.0)
+        offset, unequal = (h.numbers(key, 2, (0.0, 0.0)) for key in ("joint_offset_mrad", "unequal_limbs_mrad"))
+        return VirtualSpherical(
+            robot,
+            {name: size * value for name, value in PAPER_ERRORS.items()},
+            joint_offset_rad=1e-3 * np.array(offset),
+            unequal_limbs_rad=1e-3 * np.array(unequal),
+            marker_mm=h.numbers("marker_mm", 3, (0.0, 0.0, 0.0)),
+            noise_px=0.0,
+        )
+
+
+def _instrument(table: Table, robot: Robot) -> EmulatedInstrument:
+    unit = "rad" if isinstance(robot, Spherical) else "mm"
+    kinds = [k for k in LINKS if k != ("camera" if unit == "mm" else "keyence")]
+    kind = table.text("kind", tuple(kinds))
     name = table.words("name", kind)
     link = table.text("link", LINKS[kind], LINKS[kind][0])
     port = table.whole("port", 0, least=0)
-    settings: dict[str, Any] = {
-        "latency_s": table.number("latency_s", 0.0),
-        "pieces": table.whole("pieces", 1, least=1),
-        "gap_s": table.number("gap_s", 0.001),
-    }
+    settings: dict[str, Any] = {}
+    if kind != "camera":
+        settings["latency_s"] = table.number("latency_s", 0.0)
+        settings["pieces"] = table.whole("pieces", 1, least=1)
+        settings["gap_s"] = table.number("gap_s", 0.001)
     if kind == "galil":
-        settings["counts_per_mm"] = table.number("counts_per_mm", 10000.0, positive=True)
+        settings["counts_per_unit"] = table.number(f"counts_per_{unit}", 10000.0, positive=True)
         settings["lag_s"] = table.number("lag_s", 0.0)
         settings["noise_counts"] = table.number("noise_counts", 0.0)
         settings["chatty"] = table.number("chatty", 0.0)
-        travel = table.heights("travel_mm")
+        travel = table.heights(f"travel_{unit}")
         if travel is not None:
-            settings["travel_mm"] = [travel] * 3
+            settings["travel"] = [travel] * (2 if unit == "rad" else 3)
     elif kind == "keyence":
         settings["noise_mm"] = table.number("noise_mm", 0.0)
         settings["noise_of_place"] = table.flag("noise_of_place", False)
         settings["decimals"] = table.whole("decimals", 4, least=0)
         settings["range_mm"] = table.number("range_mm", 1000.0, positive=True)
+    elif kind == "camera":
+        settings["noise_grey"] = table.number("noise_grey", 2.0)
     elif kind == "net_ft":
         settings["noise"] = table.number("noise", 0.0)
         settings["rate_hz"] = table.number("rate_hz", 1000.0, positive=True)

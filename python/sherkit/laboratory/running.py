@@ -10,6 +10,8 @@ from typing import Any, Self
 
 from ..errors import ExperimentError
 from ..instruments.emulators import (
+    CameraEmulator,
+    CameraPage,
     Emulator,
     Faults,
     GalilEmulator,
@@ -20,8 +22,9 @@ from ..instruments.emulators import (
     Sm130Emulator,
     World,
 )
+from ..simulation import VirtualDelta
 from .file import EmulatedInstrument, Laboratory
-from .virtual import DeltaOnTheBench
+from .virtual import DeltaOnTheBench, SphericalOnTheBench
 
 _EMULATORS: Mapping[str, type[Emulator]] = {
     "galil": GalilEmulator,
@@ -40,18 +43,22 @@ class RunningLaboratory:
 
     def __init__(self, laboratory: Laboratory) -> None:
         self.laboratory = laboratory
-        self.bench = DeltaOnTheBench(laboratory.virtual, laboratory.hidden)
+        self.bench = _on_the_bench(laboratory)
         self.world = World(
-            [float(q) for q in self.bench.home_joints_mm], robot=self.bench, time_scale=laboratory.time_scale
+            [float(q) for q in self.bench.home_joints], robot=self.bench, time_scale=laboratory.time_scale
         )
-        self.bench.left_mm = self.world.left_mm
+        self.bench.left = self.world.left
         self.emulators: dict[str, Emulator] = {}
+        self.cameras: dict[str, CameraEmulator] = {}
         self.pages: dict[str, str] = {}
         self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as stack:
             for number, one in enumerate(self.laboratory.instruments):
+                if one.kind == "camera":
+                    self._start_camera(stack, one, number)
+                    continue
                 emulator = self._started(stack, one, number)
                 self.emulators[one.name] = emulator
                 if isinstance(emulator, NetFtEmulator):
@@ -78,21 +85,37 @@ class RunningLaboratory:
         try:
             return stack.enter_context(emulator)
         except OSError as error:
-            raise ExperimentError(
-                f"{lab.source}: {one.name} cannot listen on {lab.host}, port {one.port}: {error.strerror}; is another "
-                "laboratory running?"
-            ) from None
+            raise self._no_port(one, error) from None
+
+    def _start_camera(self, stack: contextlib.ExitStack, one: EmulatedInstrument, number: int) -> None:
+        faults = Faults(one.faults, seed=1000 * self.laboratory.seed + number, stall_s=one.stall_s)
+        # grey noise is that of the place: the bench draws it
+        camera = CameraEmulator(self.world, faults=faults)
+        try:
+            page = stack.enter_context(CameraPage(camera, self.laboratory.host, one.port))
+        except OSError as error:
+            raise self._no_port(one, error) from None
+        self.cameras[one.name] = camera
+        self.pages[one.name] = page.address
+
+    def _no_port(self, one: EmulatedInstrument, error: OSError) -> ExperimentError:
+        lab = self.laboratory
+        return ExperimentError(
+            f"{lab.source}: {one.name} cannot listen on {lab.host}, port {one.port}: {error.strerror}; is another "
+            "laboratory running?"
+        )
 
     def ports(self) -> dict[str, dict[str, str]]:
         """Kind and address of every instrument by name, as the drivers take them."""
-        return {
-            one.name: {
-                "kind": one.kind,
-                "address": self.emulators[one.name].address,
-                **({"page": self.pages[one.name]} if one.name in self.pages else {}),
-            }
-            for one in self.laboratory.instruments
-        }
+        out: dict[str, dict[str, str]] = {}
+        for one in self.laboratory.instruments:
+            if one.kind == "camera":
+                out[one.name] = {"kind": one.kind, "address": self.pages[one.name]}
+                continue
+            out[one.name] = {"kind": one.kind, "address": self.emulators[one.name].address}
+            if one.name in self.pages:
+                out[one.name]["page"] = self.pages[one.name]
+        return out
 
     def write_ports(self, path: str | Path) -> None:
         """Writes :meth:`ports` as JSON; the file is whole whenever another program looks at it."""
@@ -100,6 +123,13 @@ class RunningLaboratory:
         fresh = path.with_name(path.name + ".new")
         fresh.write_text(json.dumps(self.ports(), indent=2) + "\n", encoding="utf-8")
         fresh.replace(path)
+
+
+def _on_the_bench(laboratory: Laboratory) -> DeltaOnTheBench | SphericalOnTheBench:
+    if isinstance(laboratory.virtual, VirtualDelta):
+        return DeltaOnTheBench(laboratory.virtual, laboratory.hidden)
+    noise = [i.settings["noise_grey"] for i in laboratory.instruments if i.kind == "camera"]
+    return SphericalOnTheBench(laboratory.virtual, noise_grey=noise[0] if noise else 0.0, seed=laboratory.seed)
 
 
 def read_ports(path: str | Path) -> dict[str, dict[str, Any]]:

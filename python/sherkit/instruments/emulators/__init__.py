@@ -4,7 +4,7 @@ Written apart from the drivers, which never import them and which they never imp
 """
 
 from .ati import NetFtEmulator, NetFtPage
-from .camera import CameraEmulator
+from .camera import CameraEmulator, CameraPage
 from .faults import KINDS, Fault, Faults
 from .galil import GalilEmulator
 from .keyence import KeyenceEmulator
@@ -16,6 +16,7 @@ from .world import StillRobot, VirtualRobot, World
 __all__ = [
     "KINDS",
     "CameraEmulator",
+    "CameraPage",
     "Emulator",
     "Fault",
     "Faults",

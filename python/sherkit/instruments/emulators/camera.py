@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
 import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 import numpy as np
 
 from .faults import Faults
+from .server import LOOPBACK
 from .world import World
 
 
@@ -64,3 +67,49 @@ class Source:
     def release(self) -> None:
         """Closes it."""
         self._open = False
+
+
+class CameraPage:
+    """The camera on HTTP: each request for ``/snapshot.png`` takes a picture. ``address`` is for the driver.
+
+    It listens on this machine alone unless ``host`` says otherwise.
+    """
+
+    def __init__(self, camera: CameraEmulator, host: str = LOOPBACK, port: int = 0) -> None:
+        import cv2
+
+        lock = threading.Lock()
+        source = camera.source()
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                nonlocal source
+                with lock:
+                    there, picture = source.read() if self.path == "/snapshot.png" else (False, None)
+                    if not source.isOpened():
+                        # a camera that was unplugged is there again for the next one
+                        source = camera.source()
+                if not there:
+                    self.send_error(404 if self.path != "/snapshot.png" else 503)
+                    return
+                self.send_response(200)
+                self.send_header("Content-Type", "image/png")
+                self.end_headers()
+                self.wfile.write(cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
+
+            def log_message(self, *_: Any) -> None:
+                """Nothing: tests read what is printed."""
+
+        self._server = ThreadingHTTPServer((host, port), Handler)
+        self._server.daemon_threads = True
+        self.address = f"http://{host}:{self._server.server_port}/snapshot.png"
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True)
+
+    def __enter__(self) -> CameraPage:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()

@@ -35,11 +35,11 @@ class _Error(Exception):
 
 
 class _Axis:
-    def __init__(self, joint: int, counts_per_mm: float, zero_counts: int, position_mm: float) -> None:
+    def __init__(self, joint: int, counts_per_unit: float, zero_counts: int, position: float) -> None:
         self.joint = joint
-        self.counts_per_mm = counts_per_mm
+        self.counts_per_unit = counts_per_unit
         self.zero_counts = zero_counts
-        counts = position_mm * counts_per_mm + zero_counts
+        counts = position * counts_per_unit + zero_counts
         self.motion: Profile | CutShort | Braking = Braking(counts, 0.0, 1.0, 0.0)
         self.target = round(counts)
         self.settings = dict(_SETTINGS)
@@ -53,7 +53,7 @@ class _Axis:
 class GalilEmulator(Emulator):
     """A controller whose axes A, B, … are the joints of the world, in order.
 
-    ``travel_mm`` (low, high) of each is where its limit switches sit; ``lag_s`` is how far, in the world's time, the
+    ``travel`` (low, high) of each is where its limit switches sit; ``lag_s`` is how far, in the world's time, the
     motor runs behind its profile; ``noise_counts`` the encoder's standard deviation. ``echo`` is on at power-up on a
     pseudo-terminal, as on a serial port. ``chatty`` is the probability of unsolicited text within an answer.
     """
@@ -63,10 +63,10 @@ class GalilEmulator(Emulator):
     def __init__(
         self,
         world: World,
-        counts_per_mm: Sequence[float] | float = 10000.0,
+        counts_per_unit: Sequence[float] | float = 10000.0,
         *,
         zero_counts: Sequence[int] | int = 0,
-        travel_mm: Sequence[tuple[float, float]] | None = None,
+        travel: Sequence[tuple[float, float]] | None = None,
         lag_s: float = 0.0,
         noise_counts: float = 0.0,
         chatty: float = 0.0,
@@ -74,11 +74,11 @@ class GalilEmulator(Emulator):
     ) -> None:
         super().__init__(world, **line)
         n = len(world)
-        scales = [counts_per_mm] * n if isinstance(counts_per_mm, int | float) else list(counts_per_mm)
+        scales = [counts_per_unit] * n if isinstance(counts_per_unit, int | float) else list(counts_per_unit)
         zeros = [zero_counts] * n if isinstance(zero_counts, int) else list(zero_counts)
-        here = world.joints_mm()
+        here = world.joints()
         self.axes = {_LETTERS[k]: _Axis(k, scales[k], zeros[k], float(here[k])) for k in range(n)}
-        self.travel_mm = travel_mm
+        self.travel = travel
         self.lag_s = lag_s
         self.noise_counts = noise_counts
         self.chatty = chatty
@@ -141,9 +141,9 @@ class GalilEmulator(Emulator):
                 axis.code = 1
 
     def _ends(self, axis: _Axis) -> tuple[float, float]:
-        if self.travel_mm is None:
+        if self.travel is None:
             return -math.inf, math.inf
-        ends = sorted(mm * axis.counts_per_mm + axis.zero_counts for mm in self.travel_mm[axis.joint])
+        ends = sorted(mm * axis.counts_per_unit + axis.zero_counts for mm in self.travel[axis.joint])
         return ends[0], ends[1]
 
     def _runs(self, axis: _Axis, now: float) -> bool:
@@ -174,7 +174,7 @@ class GalilEmulator(Emulator):
 
     def _set_motion(self, axis: _Axis, motion: Profile | CutShort | Braking) -> None:
         axis.motion = motion
-        scale, zero, lag = axis.counts_per_mm, axis.zero_counts, self.lag_s
+        scale, zero, lag = axis.counts_per_unit, axis.zero_counts, self.lag_s
         self.world.set_joint(axis.joint, lambda t: (motion.at(t - lag) - zero) / scale)
 
     def _encoder(self, axis: _Axis) -> int:

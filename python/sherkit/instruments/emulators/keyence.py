@@ -100,7 +100,7 @@ class KeyenceEmulator(Emulator):
     def _noise(self, count: int) -> list[float]:
         source = self.random
         if self.noise_of_place:
-            places = [round(float(q), _SAME_PLACE) for q in (*self.world.joints_mm(), *self.world.left_mm())]
+            places = [round(float(q), _SAME_PLACE) for q in (*self.world.joints(), *self.world.left())]
             source = random.Random(f"{self.seed} {places}")
         return [source.gauss(0.0, self.noise_mm) for _ in range(count)]
 
