@@ -386,7 +386,7 @@ def changed(tmp_path, **tables):
     ("tables", "said"),
     [
         ({"plan": {"half_width_mm": 60.0}}, "cannot|reach"),
-        ({"plan": {"planes_mm": [80.0]}}, "limits_mm|reach"),
+        ({"plan": {"planes_mm": [80.0]}}, "the plan sends a joint to"),
         ({"plan": {"order": "wild"}}, "order"),
         ({"plan": {"pose": "grid"}}, "pose"),
         ({"lasers": {"columns": ["a_mm", "b_mm", "c_mm"]}}, "no instrument reads any"),

@@ -19,7 +19,7 @@ import pytest
 import tomli_w
 
 from laboratories import ROBOT, experiment, laboratory
-from sherkit.errors import EffectError, ExperimentError
+from sherkit.errors import EffectError, ExperimentError, RobotError
 from sherkit.experiments import RunFile
 from sherkit.instruments import Galil, Hyperion, Keyence, NetFT, Sm130, fetch_scale
 from sherkit.instruments.galil import Axis
@@ -330,11 +330,13 @@ def test_the_demo_compensates_what_was_hidden(tmp_path):
     assert "rail_lean" in calibrated
 
 
-def test_a_robot_that_is_no_delta_is_refused(tmp_path):
-    """Catches a laboratory that would start around a robot that it cannot move."""
+def test_a_robot_without_a_workspace_is_refused(tmp_path):
+    """Catches a laboratory that would start around a robot that it cannot put anywhere, and eyes on the wrong robot."""
     path = laboratory(tmp_path)
     spherical = {"kind": "spherical", "geometry": {"alpha_deg": 45.0, "beta_deg": 45.0, "radius_mm": 50.0}}
     (tmp_path / "robot.toml").write_text(tomli_w.dumps(spherical))
-    with pytest.raises(ExperimentError, match="spherical"):
+    with pytest.raises(RobotError, match="workspace"):
         load_laboratory(path)
+    with pytest.raises(ExperimentError, match="camera"):
+        load_laboratory(laboratory(tmp_path, instrument=[{"kind": "camera"}]))
     assert ROBOT["kind"] == "delta"

@@ -27,6 +27,7 @@ from .chain import ChainModel
 from .errors import ExperimentError, SherkitError
 from .identification import identify
 from .measurements import Measurements
+from .measurements.columns import Layout
 from .models import model_of
 from .noise import Noise
 from .planning import Planning
@@ -70,6 +71,7 @@ class _Task:
     effects: tuple[str, ...]
     settings: Mapping[str, float | None]
     joints: Floats
+    layout: Layout
     columns: Mapping[str, Floats]
     sigma: Floats
     errors: float
@@ -148,6 +150,7 @@ def _task(planning: Planning, sought: Sought, seed: int, errors: float, runs: tu
         effects=tuple(e.name for e in planning.model.effects),
         settings=model.settings(),
         joints=rows.joints,
+        layout=rows.layout,
         columns=columns,
         sigma=planning.sigma,
         errors=errors,
@@ -166,7 +169,7 @@ def _simulated(task: _Task) -> list[float]:
     columns: dict[str, Any] = dict(task.columns)
     base = replace(plain, effects=tuple(known[name] for name in task.effects), **settings)
     full = base.with_effect(known[task.sought.name])
-    rows = Measurements.planned(task.joints, **columns)
+    rows = Measurements.planned(task.joints, task.layout, **columns)
     return [_p_value(task, base, full, rows, run) for run in task.runs]
 
 

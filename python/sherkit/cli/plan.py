@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from ..errors import SherkitError
 from ..experiments import Experiment, load_experiment
 from ..measurements import Measurements
+from ..measurements.columns import DELTA, SPHERICAL_PIXELS
 from ..models import model_of
 from ..names import listed
 from ..planning import LEVEL, POWER, Outlook, Planning, planning_of
@@ -20,6 +21,8 @@ from ..robots import Delta, load_robot
 from . import output
 from .output import out, table
 
+#: Standard deviation of a reading, in the unit that people read, by the kind of robot.
+_NOISE = {"delta": 5.0, "spherical": 0.1}
 #: Multiple of the plausible size beyond which an effect is not simulated.
 _LARGEST_STUDIED = 5.0
 
@@ -27,31 +30,37 @@ _LARGEST_STUDIED = 5.0
 @click.command()
 @click.argument("robot", type=click.Path(path_type=Path))
 @click.argument("experiment", type=click.Path(path_type=Path))
-@click.option("--noise-um", type=click.FloatRange(min=0, min_open=True), default=5.0, show_default=True,
-              help="Standard deviation of a reading.")  # fmt: skip
+@click.option("--noise-um", type=click.FloatRange(min=0, min_open=True), help="Delta: of a reading; default 5.")
+@click.option("--noise-px", type=click.FloatRange(min=0, min_open=True), help="Spherical: of a reading; default 0.1.")
 @click.option("--effect", "effects", multiple=True, help="An effect that is in the model already.")
 @click.option("--study", "runs", type=click.IntRange(min=1), help="Check the promise on so many simulated robots.")
 @click.option("--keep", type=click.Path(path_type=Path), help="Keep the study's results here; it can be interrupted.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes of the study; by default one per processor.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 def plan(
-    robot: Path, experiment: Path, noise_um: float, effects: tuple[str, ...], runs: int | None, keep: Path | None,
+    robot: Path, experiment: Path, noise_um: float | None, noise_px: float | None, effects: tuple[str, ...], runs: int | None, keep: Path | None,
     workers: int | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Say what EXPERIMENT (TOML) could find on ROBOT (TOML), and how well it would know the parameters."""
     nominal = load_robot(robot)
-    if not isinstance(nominal, Delta):
-        raise SherkitError(f"{robot}: is a {nominal.kind} robot; plans are made for a delta")
+    delta = isinstance(nominal, Delta)
+    other, own = (noise_px, noise_um) if delta else (noise_um, noise_px)
+    if other is not None:
+        raise SherkitError(f"{robot}: is a {nominal.kind} robot; its noise is --noise-{'um' if delta else 'px'}")
+    noise = own if own is not None else _NOISE[nominal.kind]
     chosen = load_experiment(experiment, robot=robot, offline=True)
-    planning = planning_of(model_of(nominal), rows_of(chosen), 1e-3 * noise_um, effects=effects)
+    rows = rows_of(chosen)
+    planning = planning_of(model_of(nominal), rows, noise / rows.layout.per_unit, effects=effects)
     outlooks = planning.outlooks
     found = _study(planning, outlooks, runs, keep, workers) if runs else ()
     if as_json:
         output.print_json(_json(chosen, planning, outlooks, found))
         return
     minutes = chosen.seconds / 60
-    output.say(f"{chosen.source}: {len(chosen.plan)} steps, about {minutes:.0f} minutes, {noise_um:g} µm noise\n")
-    _show_effects(outlooks)
+    output.say(
+        f"{chosen.source}: {len(chosen.plan)} steps, about {minutes:.0f} minutes, {noise:g} {rows.layout.unit} noise\n"
+    )
+    _show_effects(outlooks, rows.layout.unit)
     for line in _sentences(outlooks):
         output.say(line)
     _show_parameters(planning)
@@ -64,7 +73,11 @@ def rows_of(experiment: Experiment) -> Measurements:
     plan = experiment.plan
     directions = {f"direction_{k + 1}": d for k, d in enumerate(plan.directions.T)}
     return Measurements.planned(
-        np.array([s.joints for s in plan]), source=experiment.source, time_s=experiment.times_s, **directions
+        np.array([s.joints for s in plan]),
+        DELTA if isinstance(experiment.robot, Delta) else SPHERICAL_PIXELS,
+        experiment.source,
+        time_s=experiment.times_s,
+        **directions,
     )
 
 
@@ -90,9 +103,9 @@ def _study(
         )  # fmt: skip
 
 
-def _show_effects(outlooks: tuple[Outlook, ...]) -> None:
+def _show_effects(outlooks: tuple[Outlook, ...], unit: str) -> None:
     made = table(
-        f"What it could find (level {LEVEL:g}, power {POWER:g})", "effect", "found", "smallest", "leaves µm",
+        f"What it could find (level {LEVEL:g}, power {POWER:g})", "effect", "found", "smallest", f"leaves {unit}",
         "absorbed", "tied with", note="found: its chance at its plausible size. smallest: in plausible sizes, and the "
         "RMS that it leaves there. absorbed: by the fitted parameters.",
     )  # fmt: skip

@@ -212,8 +212,8 @@ class Bench:
         for name, old, new, target in zip(after.names, before.values, after.values, step.joints, strict=True):
             if abs(new - old) > self.checks.moved_within + count:
                 raise Garbled(
-                    f"{name} moved by {new - old:+.5f} {self.motion.unit} while the sensors were read; expected at most "
-                    f"{self.checks.moved_within:g}",
+                    f"{name} moved by {new - old:+.5f} {self.motion.unit} while the sensors were read; expected at "
+                    f"most {self.checks.moved_within:g}",
                     instrument=self.motion.name,
                     port=self.motion.address,
                 )

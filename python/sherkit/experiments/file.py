@@ -330,13 +330,13 @@ def _instrument(
         count = 3 if unit == "mm" else 2
         settings["zero_counts"] = list(table.numbers("zero_counts", count, (0.0,) * count))
         speed, acceleration, within, _ = _MOVING[unit]
-        for key, name, default in (
+        for key, written, default in (
             ("speed", f"speed_{unit}_s", speed), ("acceleration", f"acceleration_{unit}_s2", acceleration),
             ("arrived_within", f"arrived_within_{unit}", within), ("settle_s", "settle_s", 2.0),
             ("poll_s", "poll_s", 0.05), ("poll_timeout_s", "poll_timeout_s", 0.5),
             ("stop_timeout_s", "stop_timeout_s", 5.0),
         ):  # fmt: skip
-            settings[key] = table.number(name, default, positive=True)
+            settings[key] = table.number(written, default, positive=True)
     elif kind == "keyence":
         outputs = table.some_numbers("outputs", (1.0, 2.0, 3.0))
         settings["outputs"] = [int(k) for k in outputs]
