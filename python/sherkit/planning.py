@@ -166,9 +166,11 @@ class Planning:
         effect = self.effect(name)
         left = self._left(name)
         share = np.array([values.get(p.name, 0.0) / p.size for p in effect.parameters])
-        at = float(((left @ share) ** 2).sum())
+        at, whole = (float(((columns @ share) ** 2).sum()) for columns in (left, self._raw[name]))
         rank, free = self._freedom(left, name)
-        times = float(np.sqrt(self._needed(rank, free) / at)) if at > 0 and rank else float("inf")
+        # along a direction that the parameters take wholly, what is left is rounding
+        seen = at > _UNOBSERVED**2 * whole and rank > 0
+        times = float(np.sqrt(self._needed(rank, free) / at)) if seen else float("inf")
         return {name: times * value for name, value in values.items()}
 
     def _freedom(self, left: Floats, name: str, beside: int = 0) -> tuple[int, int]:
@@ -219,7 +221,7 @@ class Planning:
             times=times,
             values={p.name: times * p.size for p in effect.parameters},
             left_um=unit * float(np.sqrt(needed / self.readings)),
-            absorbed=1.0 - at_size / whole if whole > 0 else 1.0,
+            absorbed=max(1.0 - at_size / whole, 0.0) if whole > 0 else 1.0,
             ties=self._ties(name) if times <= 1.0 else (),
             lacks=(),
         )

@@ -25,6 +25,7 @@ from .output import out, table
 _NOISE = {"delta": 5.0, "spherical": 0.1}
 #: Multiple of the plausible size beyond which an effect is not simulated.
 _LARGEST_STUDIED = 5.0
+_SIGNS = 8
 
 
 @click.command()
@@ -56,10 +57,8 @@ def plan(
     if as_json:
         output.print_json(_json(chosen, planning, outlooks, found))
         return
-    minutes = chosen.seconds / 60
-    output.say(
-        f"{chosen.source}: {len(chosen.plan)} steps, about {minutes:.0f} minutes, {noise:g} {rows.layout.unit} noise\n"
-    )
+    long = f"{chosen.seconds / 60:.0f} minutes" if chosen.seconds >= 120 else f"{chosen.seconds:.0f} s"
+    output.say(f"{chosen.source}: {len(chosen.plan)} steps, about {long}, {noise:g} {rows.layout.unit} noise\n")
     _show_effects(outlooks, rows.layout.unit)
     for line in _sentences(outlooks):
         output.say(line)
@@ -91,9 +90,15 @@ def _study(
     rng = np.random.default_rng(0)
     sought = []
     for o in outlooks:
-        signs = {k: v * float(rng.choice((-1.0, 1.0))) for k, v in o.values.items()}
-        if not o.lacks and o.times <= _LARGEST_STUDIED:
-            sought.append(Sought(o.name, planning.found_along(o.name, signs)))
+        if o.lacks or not np.isfinite(o.times):
+            continue
+        for _ in range(_SIGNS):
+            # along some signs the fitted parameters may take all of it
+            values = planning.found_along(o.name, {k: v * float(rng.choice((-1.0, 1.0))) for k, v in o.values.items()})
+            sizes = {p.name: p.size for p in planning.effect(o.name).parameters}
+            if all(abs(v) <= _LARGEST_STUDIED * sizes[k] for k, v in values.items()):
+                sought.append(Sought(o.name, values))
+                break
     columns = (TextColumn("simulating robots"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=output.err, transient=True, disable=not output.err.is_terminal) as shown:
         task = shown.add_task("")
