@@ -28,15 +28,15 @@ class Line:
     end_rad: Angles
 
 
-#: The paper's two cases. γ ends short of π/2, where a camera at a finite distance no longer sees the sphere.
+#: The paper's two cases. γ ends short of π/2, where a camera at a finite distance no longer sees the marker.
 PAPER_LINES: Mapping[str, Line] = {
-    "vertical": Line((np.pi / 2, np.pi / 6), (np.pi / 2, np.deg2rad(75.0))),
+    "vertical": Line((np.pi / 2, np.pi / 6), (np.pi / 2, np.deg2rad(70.0))),
     "horizontal": Line((np.pi / 3, np.pi / 4), (2 * np.pi / 3, np.pi / 4)),
 }
 #: Along a vertical line through the axis φ is constant, and the mean of the joints whatever α and β: it cannot show
-#: them. A line beside the axis can.
-BESIDE = Line((np.pi / 3, np.pi / 4), (np.deg2rad(75.0), np.deg2rad(75.0)))
-LINES: Mapping[str, Line] = {**PAPER_LINES, "beside the axis": BESIDE}
+#: them. A line across can.
+DIAGONAL = Line((np.pi / 3, np.pi / 6), (2 * np.pi / 3, np.deg2rad(70.0)))
+LINES: Mapping[str, Line] = {**PAPER_LINES, "diagonal": DIAGONAL}
 
 
 def targets(camera: CameraView, radius_mm: float, line: Line, count: int = 41) -> Floats:
