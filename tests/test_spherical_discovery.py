@@ -44,7 +44,7 @@ def patch(half_width_rad: float, gamma_rad: tuple[float, float], per_side: int) 
 
 #: About as many poses as the delta's plans have: 576, 361 and, for false alarms, 64.
 PLANS = {
-    "whole": patch(1.0, (0.35, 1.25), 24),
+    "whole": patch(1.0, (0.33, 1.25), 24),
     "local": patch(0.35, (0.55, 1.05), 19),
     "small": patch(0.5, (0.5, 1.1), 8),
 }

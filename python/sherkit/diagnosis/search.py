@@ -31,6 +31,7 @@ Floats = NDArray[np.float64]
 _TAKES = 0.85
 #: Deviates beyond which no flip is needed to know that something is left.
 _PLAINLY_LEFT = 15.0
+#: Sets refitted in full by Schwarz's criterion, and at most as many again by what they leave.
 _MOST_REFITS = 4
 _MOST_PAIRS = 6
 _MOST_STEPS = 4
@@ -238,10 +239,13 @@ class Search:
             given = stage.given(*members)
             taken = stage.plain.sum_of_squares - given.sum_of_squares
             if taken >= _TAKES * largest:
-                screened.append((bic(given, members), members))
+                screened.append((bic(given, members), schwarz(given, 0), members))
         screened.sort(key=lambda s: s[0])
+        # a cause of many parameters stands behind every smaller one that imitates it, however well it fits: whoever
+        # comes as near the data as the first is heard too
+        near = [s for s in screened[most:] if s[1] < screened[0][1] + _CLEARLY]
         out = []
-        for _, members in screened[:most]:
+        for _, _, members in screened[:most] + near[:most]:
             self.step("refitting with " + " and ".join(c.name for c in members))
             try:
                 case = refit(stage.case, members)
