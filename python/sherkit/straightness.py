@@ -36,6 +36,7 @@ PAPER_LINES: Mapping[str, Line] = {
 #: Along a vertical line through the axis φ is constant, and the mean of the joints whatever α and β: it cannot show
 #: them. A line across can.
 DIAGONAL = Line((np.pi / 3, np.pi / 6), (2 * np.pi / 3, np.deg2rad(70.0)))
+_SAME_RAD = 1e-6
 LINES: Mapping[str, Line] = {**PAPER_LINES, "diagonal": DIAGONAL}
 
 
@@ -52,6 +53,9 @@ def targets(camera: CameraView, radius_mm: float, line: Line, count: int = 41) -
     share = np.linspace(0.0, 1.0, count)[:, None]
     pixels = np.ascontiguousarray(ends[0] + share * (ends[1] - ends[0]))
     angles, seen = camera.core.angles_batch(pixels, radius_mm)
+    # beyond the rim a ray meets the near side first
+    hidden = np.abs(angles[[0, -1]] - [line.start_rad, line.end_rad]).max(axis=1) > _SAME_RAD
+    seen[[0, -1]] &= ~hidden
     if not seen.all():
         raise SherkitError(
             f"the camera does not see the sphere of {radius_mm:g} mm at {int((~seen).sum())} of {count} places of the "
