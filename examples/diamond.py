@@ -98,7 +98,7 @@ def main(per_side: int, save_in: Path | None) -> dict[str, Any]:
     console.print(f"joint space: RMS {joints:.2g} rad (paper: 0.01 rad)\n")
 
     # a camera that looks straight down the actuated axis, 1 m from the base, with a lens that does not distort
-    top = sk.CameraView.facing(np.pi / 2, 0.0, 1000.0, size_px=(1280, 1024), focal_px=(2200.0, 2200.0))
+    top = sk.CameraView.facing(np.pi / 2, 0.0, 1000.0, size_px=(1280, 1024), focal_px=(1900.0, 1900.0))
     calibration = sk.calibrate(robot, data, correction="none").calibration
     assert isinstance(calibration, sk.SphericalCalibration)
     radius = robot.radius_mm + float(fit.values[2])

@@ -28,14 +28,14 @@ class Line:
     end_rad: Angles
 
 
-#: The paper's two cases. γ ends short of π/2, where a camera at a finite distance no longer sees the marker.
+#: The paper's two cases. γ ends at 60°, as its calibration does: a marker further out is seen too slantwise from above.
 PAPER_LINES: Mapping[str, Line] = {
-    "vertical": Line((np.pi / 2, np.pi / 6), (np.pi / 2, np.deg2rad(65.0))),
+    "vertical": Line((np.pi / 2, np.pi / 6), (np.pi / 2, np.pi / 3)),
     "horizontal": Line((np.pi / 3, np.pi / 4), (2 * np.pi / 3, np.pi / 4)),
 }
 #: Along a vertical line through the axis φ is constant, and the mean of the joints whatever α and β: it cannot show
 #: them. A line across can.
-DIAGONAL = Line((np.pi / 3, np.pi / 6), (2 * np.pi / 3, np.deg2rad(65.0)))
+DIAGONAL = Line((np.pi / 3, np.pi / 6), (2 * np.pi / 3, np.pi / 3))
 _SAME_RAD = 1e-6
 LINES: Mapping[str, Line] = {**PAPER_LINES, "diagonal": DIAGONAL}
 
