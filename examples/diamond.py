@@ -112,8 +112,9 @@ def main(per_side: int, save_in: Path | None) -> dict[str, Any]:
         table.add_row(name, *paper_cells, f"{was / 10:.4f} cm", f"{now / 10:.4f} cm", f"{was / now:.1f}")
     console.print(table)
     console.print(
-        "Along the vertical line φ is constant, and the mean of the joints whatever α and β: only the other two can show "
-        "them.\nThe paper's 0.59 cm is about what an arc of constant γ, its second case, is off from its chord: 0.57 cm."
+        "Along the vertical line φ is constant, and the mean of the joints whatever α and β: only the other two can "
+        "show them.\nThe paper's 0.59 cm is about what an arc of constant γ, its second case, is off from its chord: "
+        "0.57 cm."
     )
     console.print(f"\nremote centre: {sk.remote_centre(fit)}")
     return {"sigmas": sigmas, "joint_rms_rad": joints, "before": drawn_way, "after": right_way, "best": best}

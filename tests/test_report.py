@@ -19,11 +19,11 @@ import polars as pl
 import pytest
 
 import sherkit as sk
-from sherkit.report.style import number
 from browsing import needs_browser, opened, settled, source
 from sherkit.cli import main
 from sherkit.model import effects_by_name
 from sherkit.poses import grid
+from sherkit.report.style import number
 from sherkit.robots import save_robot
 from strategies import EXAMPLE
 

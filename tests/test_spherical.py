@@ -1,4 +1,4 @@
-"""The spherical robot from its drawing to a calibration that is deployed: files, kinematics, fits, accuracy, commands."""
+"""The spherical robot from its drawing to a calibration that is deployed: files, kinematics, fits, accuracy, CLI."""
 
 from __future__ import annotations
 
@@ -180,7 +180,7 @@ def test_poses_out_of_reach_say_so() -> None:
     with pytest.raises(sk.NotFinite):
         ROBOT.forward([1.0, np.nan])
     with pytest.raises(sk.SherkitError, match=r"\[camera\]"):
-        Spherical(45.0, 45.0, 200.0).seen
+        _ = Spherical(45.0, 45.0, 200.0).seen
 
 
 # -- identification ------------------------------------------------------------------------------------------------
@@ -277,9 +277,9 @@ def test_where_nothing_misses_the_centre(run: sk.Measurements) -> None:
     size, std = found.largest
     assert size < 4 * std
     assert 0 < found.within_mm < 0.2
+    of_delta = sk.identify(DELTA, sk.VirtualDelta.draw(DELTA, 1).measure(sk.paper_local(), repeats=1))
     with pytest.raises(sk.FitError, match="remote centre"):
-        virtual = sk.VirtualDelta.draw(DELTA, 1)
-        sk.remote_centre(sk.identify(DELTA, virtual.measure(sk.paper_local(), repeats=1)))
+        sk.remote_centre(of_delta)
 
 
 # -- the calibration -----------------------------------------------------------------------------------------------
@@ -321,7 +321,8 @@ def test_calibration_file_is_lossless(calibration: sk.SphericalCalibration, tmp_
         sk.Calibration.load(path)
     tables = tomllib.loads(path.read_text())
     for key, value in [
-        ("covariance", [[1.0]]), ("low_rad", [1.0]), ("rows", "many"), ("residual_covariance_rad2", [[1.0, 0], [0, -1]]),
+        ("covariance", [[1.0]]), ("low_rad", [1.0]), ("rows", "many"),
+        ("residual_covariance_rad2", [[1.0, 0], [0, -1]]),
     ]:  # fmt: skip
         broken = {**tables, "whole": {**tables["whole"], key: value}}
         path.write_text(tomli_w.dumps(broken))
@@ -386,7 +387,7 @@ def test_lines_are_straight_in_the_picture() -> None:
 
 
 def test_where_to_put_the_camera() -> None:
-    """Catches another optimum than the paper's 44.62 cm, one that is none, and coverage that the lens does not let in."""
+    """Catches another optimum than the paper's 44.62 cm, one that is none, and what the lens does not let in."""
     for degrees, region in [(26.90, "half"), (17.31, "quarter")]:
         lens = np.deg2rad(degrees)
         best = sk.camera_placement(200.0, lens, region=region)
@@ -458,7 +459,7 @@ def test_story_from_the_command_line(tmp_path: Path) -> None:
 
 
 def test_wrong_words_are_refused(tmp_path: Path) -> None:
-    """Catches an option of the other robot, a camera that is missing, and a run of another robot taken for this one's."""
+    """Catches an option of the other robot, a missing camera, and a run of another robot taken for this one's."""
     refused = sherkit("simulate", EXAMPLE, "-o", tmp_path / "run.csv", "--rail-lean-mrad", "1")
     assert isinstance(refused.exception, sk.SherkitError)
     assert "--rail-lean-mrad is not for that kind" in str(refused.exception)

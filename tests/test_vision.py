@@ -302,14 +302,18 @@ def test_a_video_is_joined_to_joints_by_time(tmp_path: Path) -> None:
     times = np.arange(12) * 0.02
     way = start + np.outer(times / times[-1], end - start)
     columns = {"time_s": times, "theta1_rad": way[:, 0], "theta2_rad": way[:, 1]}
-    writer = cv2.VideoWriter(str(tmp_path / "run.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, (1280, 640), isColor=False)
+    writer = cv2.VideoWriter(
+        str(tmp_path / "run.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, (1280, 640), isColor=False
+    )
     for picture in virtual.pictures(columns):
         writer.write(picture.grey)
     writer.release()
     # the camera's clock stands 0.03 s later than that of the joints
     logged = np.arange(-10, 60) * 0.005
     log = start + np.outer((logged + 0.03) / times[-1], end - start)
-    pl.DataFrame({"time_s": logged, "theta1_rad": log[:, 0], "theta2_rad": log[:, 1]}).write_csv(tmp_path / "joints.csv")
+    pl.DataFrame({"time_s": logged, "theta1_rad": log[:, 0], "theta2_rad": log[:, 1]}).write_csv(
+        tmp_path / "joints.csv"
+    )
     made = sherkit("markers", tmp_path / "run.avi", "--joints", tmp_path / "joints.csv", "--delay-s", "0.03", "-o",
                    tmp_path / "run.csv")  # fmt: skip
     assert made.exit_code == 0, made.output

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import polars as pl
@@ -12,6 +14,9 @@ from ..errors import MeasurementError, SherkitError
 from ..measurements.columns import POSE, REPEAT, SPHERICAL_JOINTS, TIME
 from . import output
 
+if TYPE_CHECKING:
+    from ..vision.pictures import Picture
+
 _MARKERS = ("corner", "aruco", "apriltag")
 
 
@@ -20,7 +25,7 @@ def require_vision() -> None:
     try:
         import cv2  # noqa: F401
     except ModuleNotFoundError:
-        message = 'pictures of a camera need the extra \'vision\': pip install "sherkit[vision]"'
+        message = "pictures of a camera need the extra 'vision': pip install \"sherkit[vision]\""
         raise SherkitError(message) from None
 
 
@@ -51,7 +56,7 @@ def markers(
     pictures, timed = pictures_from(sources, seconds)
     names: list[str] = []
 
-    def named():  # type: ignore[no-untyped-def]
+    def named() -> Iterator[Picture]:
         for picture in pictures:
             names.append(picture.name)
             yield picture

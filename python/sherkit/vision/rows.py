@@ -45,7 +45,9 @@ def marker_rows(pictures: Iterable[Picture], kind: str = "corner", identity: int
         SIGMA_V: [s.sigma_px for s in seen],
     }
     frame = pl.DataFrame({k: np.array(v, dtype=float) for k, v in columns.items()})
-    return frame.with_columns(pl.col(pl.Float64).fill_nan(None), pl.Series(WHY, [s.why or None for s in seen], dtype=pl.String))
+    return frame.with_columns(
+        pl.col(pl.Float64).fill_nan(None), pl.Series(WHY, [s.why or None for s in seen], dtype=pl.String)
+    )
 
 
 def seen_run(
