@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from .chain import ChainModel
-from .errors import ExperimentError, SherkitError
+from .errors import ExperimentError, FitError, SherkitError
 from .identification import identify
 from .measurements import Measurements
 from .measurements.columns import Layout
@@ -37,6 +37,8 @@ Floats = NDArray[np.float64]
 
 #: Runs of one effect that go to a worker together: what is sent is larger than what comes back.
 _TOGETHER = 10
+#: Robots that are drawn for one run until one of them can go where the plan sends it.
+_ATTEMPTS = 50
 
 
 @dataclass(frozen=True)
@@ -174,22 +176,29 @@ def _simulated(task: _Task) -> list[float]:
 
 
 def _p_value(task: _Task, base: ChainModel, full: ChainModel, rows: Measurements, run: int) -> float:
-    rng = np.random.default_rng([task.seed, run])
-    values = np.array([p.size for p in full.parameters]) * task.errors * rng.normal(size=len(full.parameters))
     effect = next(e for e in full.effects if e.name == task.sought.name)
-    values[full.owns(effect)] = [task.sought.values.get(p.name, 0.0) for p in effect.parameters]
     m = rows.coordinates
     sigma = np.ones(rows.readings.shape)
     sigma[:, :m] = task.sigma
-    try:
-        readings = full.predict(rows, values)
-        readings[:, :m] += rng.normal(size=(len(rows), m)) * task.sigma
-        data = replace(rows, readings=np.where(rows.taken, readings, 0.0))
-        noise = Noise(sigma, "declared")
-        fits = [identify(model, data, noise=noise) for model in (base, full)]
-    except SherkitError:
-        # a robot that these errors make impossible finds nothing
-        return 1.0
+    for attempt in range(_ATTEMPTS):
+        rng = np.random.default_rng([task.seed, run, attempt])
+        values = np.array([p.size for p in full.parameters]) * task.errors * rng.normal(size=len(full.parameters))
+        values[full.owns(effect)] = [task.sought.values.get(p.name, 0.0) for p in effect.parameters]
+        try:
+            readings = full.predict(rows, values)
+            readings[:, :m] += rng.normal(size=(len(rows), m)) * task.sigma
+            data = replace(rows, readings=np.where(rows.taken, readings, 0.0))
+            noise = Noise(sigma, "declared")
+            fits = [identify(model, data, noise=noise) for model in (base, full)]
+        except SherkitError:
+            # a robot that cannot go where the plan sends it is none that would be measured: another one is drawn
+            continue
+        break
+    else:
+        raise FitError(
+            f"{_ATTEMPTS} simulated robots in turn cannot go where the plan sends them; study smaller errors, or "
+            "another plan"
+        )
     sums = [float(np.nansum((fit.residuals / sigma) ** 2)) for fit in fits]
     more = fits[1].rank - fits[0].rank
     free = len(rows) * m - fits[1].rank

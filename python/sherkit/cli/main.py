@@ -20,6 +20,7 @@ from .lab import lab
 from .measure import export, measure
 from .plan import plan
 from .simulate import simulate
+from .vision import intrinsics, markers
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -39,6 +40,8 @@ cli.add_command(measure)
 cli.add_command(plan)
 cli.add_command(simulate)
 cli.add_command(import_group)
+cli.add_command(intrinsics)
+cli.add_command(markers)
 
 
 def main(arguments: list[str] | None = None) -> None:

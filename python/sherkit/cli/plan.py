@@ -39,8 +39,8 @@ _SIGNS = 8
 @click.option("--workers", type=click.IntRange(min=1), help="Processes of the study; by default one per processor.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 def plan(
-    robot: Path, experiment: Path, noise_um: float | None, noise_px: float | None, effects: tuple[str, ...], runs: int | None, keep: Path | None,
-    workers: int | None, as_json: bool,
+    robot: Path, experiment: Path, noise_um: float | None, noise_px: float | None, effects: tuple[str, ...],
+    runs: int | None, keep: Path | None, workers: int | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Say what EXPERIMENT (TOML) could find on ROBOT (TOML), and how well it would know the parameters."""
     nominal = load_robot(robot)
