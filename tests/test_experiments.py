@@ -13,7 +13,7 @@ import tomli_w
 
 from laboratories import ROBOT, experiment, laboratory
 from sherkit import load_robot, read_measurements
-from sherkit.errors import ExperimentError, InstrumentError, OutOfRange
+from sherkit.errors import ExperimentError, Halted, InstrumentError, OutOfRange
 from sherkit.experiments import (
     Control,
     Goal,
@@ -294,6 +294,27 @@ def test_a_failure_stops_is_told_and_can_be_resumed(lab, tmp_path):
         assert "lasers" in file.diary()[-1][2]
         assert run(chosen.plan, bench, file) == "complete"
         assert file.done() == set(range(18))
+
+
+def test_a_step_is_tried_again_where_a_line_failed(lab, tmp_path):
+    """Catches a night that is lost for one time-out, and a limit switch that is driven into again and again."""
+    experiment(tmp_path, retry={"attempts": 3}, lasers={"timeout_s": 0.1, "retries": 0})
+    chosen = load_experiment(tmp_path / "experiment.toml")
+
+    def report(now):
+        if now.step in (3, 9):
+            lab.emulators["lasers"].faults.schedule("drop" if now.step == 3 else "disconnect", 2)
+        if now.step == 12:
+            lab.emulators["rails"].faults.schedule("limit_switch", 10)
+
+    with RunFile.create(chosen.run_path, chosen.plan, chosen.about()) as file, chosen.bench() as bench:
+        with pytest.raises(Halted, match="limit switch"):
+            run(chosen.plan, bench, file, attempts=chosen.attempts, report=report)
+        assert file.done() == set(range(13))
+        told = [(step, what) for _, step, what in file.diary()]
+        assert [step for step, _ in told] == [4, 10, 13]
+        assert "tried again after: lasers on" in told[0][1]
+        assert run(chosen.plan, bench, file, attempts=chosen.attempts) == "complete"
 
 
 def test_ctrl_c_stops_the_motors(tmp_path):

@@ -89,7 +89,8 @@ def _measure(chosen: Experiment, file: RunFile, live: Live | None) -> str:
     with shown, keys.listening(pressed) as heard, chosen.bench() as bench:
         if heard:
             output.err.print("p pauses and goes on, q ends after this step, Ctrl-C stops at once", style="dim")
-        why = run(chosen.plan, bench, file, control=control, warm_up_s=chosen.warm_up_s, report=report)
+        why = run(chosen.plan, bench, file, control=control, warm_up_s=chosen.warm_up_s,
+                  attempts=chosen.attempts, report=report)  # fmt: skip
     return "goal" if why == "ended" and live is not None and live.enough else why
 
 
