@@ -163,6 +163,13 @@ def test_emulators_listen_on_this_machine_alone(tmp_path):
         assert all(re.match(r"(tcp|udp)://127\.0\.0\.1:", p["address"]) for p in lab.ports().values())
 
 
+def test_without_a_file_there_is_an_example(tmp_path):
+    """Catches a first try that ends in a question."""
+    with started("lab", "--json", "--ports", "ports.json", folder=tmp_path) as (_, said):
+        assert list(json.loads(said("}\n}"))) == ["rails", "lasers"]
+        assert list(read_ports(tmp_path / "ports.json")) == ["rails", "lasers"]
+
+
 def test_another_address_is_told(tmp_path):
     """Catches a laboratory that is open to others without a word."""
     path = laboratory(tmp_path, instrument=[{"kind": "keyence", "link": "tcp"}])
@@ -317,7 +324,7 @@ def test_the_demo_compensates_what_was_hidden(tmp_path):
 
     lab_demo.lab_demo(tmp_path, repeats=1, time_scale=400.0)
     missed = {}
-    for name in ("check_drawn", "check_calibrated"):
+    for name in ("check_drawn", "check_twelve", "check_calibrated"):
         with RunFile.open(tmp_path / f"{name}.sqlite") as file:
             seen = np.array([[p.values[f"{a}_mm"] for a in "xyz"] for p in file.points()])
         import tomllib
@@ -325,6 +332,7 @@ def test_the_demo_compensates_what_was_hidden(tmp_path):
         targets = np.array(tomllib.loads((tmp_path / f"{name}.toml").read_text())["plan"]["list_mm"])
         missed[name] = 1e3 * np.linalg.norm(seen - targets, axis=1)
     assert np.sqrt(np.mean(missed["check_drawn"] ** 2)) > 100.0
+    assert np.sqrt(np.mean(missed["check_twelve"] ** 2)) > 40.0
     assert missed["check_calibrated"].max() < 20.0
     calibrated = (tmp_path / "calibrated.toml").read_text()
     assert "rail_lean" in calibrated
