@@ -16,6 +16,9 @@ from ..experiments import Control, Experiment, Live, RunFile, export_run, load_e
 from ..experiments import Progress as Stored
 from . import keys, output
 
+#: Signals by which another program, or a closing terminal, asks for an end; not every system has both.
+_POLITE = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
 
 @click.command()
 @click.argument("experiment", type=click.Path(path_type=Path))
@@ -108,7 +111,7 @@ def _ended_by_signals() -> Iterator[None]:
         del frame
         raise SystemExit(128 + number)
 
-    before = {n: signal.signal(n, end) for n in (signal.SIGTERM, signal.SIGHUP)}
+    before = {n: signal.signal(n, end) for n in _POLITE}
     try:
         yield
     finally:
