@@ -510,7 +510,7 @@ def test_live_identification_says_when_it_is_enough(tmp_path):
     assert forecast is not None
     assert abs(forecast - enough_at) < 0.35 * enough_at
     # three axes of 5 µm each
-    assert 2.0 < live.residual_um < 25.0
+    assert 2.0 < live.residual < 25.0
     assert "further poses no longer help" in live.sentence()
     # what it says of the positions is true of them
     later = Live(robot, plan)
@@ -521,6 +521,20 @@ def test_live_identification_says_when_it_is_enough(tmp_path):
     everywhere = simulated(robot, count=108, noise_mm=0.0)[1]
     left = [later._residual(one) for one in everywhere]
     assert 0.2 * later.worst[1] < max(left) < 3.0 * np.sqrt(3) * later.worst[1]
+
+
+def test_without_a_fit_the_residual_is_that_of_the_drawing(tmp_path):
+    """Catches a residual that is not told while a run is measured, or one of a robot that was not drawn."""
+    (tmp_path / "robot.toml").write_text(tomli_w.dumps(ROBOT))
+    robot = load_robot(tmp_path / "robot.toml")
+    plan, points = simulated(robot, count=20)
+    live = Live(robot, plan, fitting=False)
+    for one, step in zip(points, plan, strict=False):
+        live.add(one)
+        away = np.array([one.values[f"{a}_mm"] for a in "xyz"]) - robot.forward(step.joints)
+        assert live.residual == pytest.approx(1e3 * np.linalg.norm(away), rel=1e-9)
+    assert live.fit is None
+    assert live.short().endswith("µm from the drawing")
 
 
 def test_live_identification_is_the_identification(tmp_path):

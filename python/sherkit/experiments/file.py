@@ -226,7 +226,9 @@ def _rules(table: Table, unit: str) -> tuple[Settling, Checks, Goal | None]:
     goal = None
     if table.has("goal"):
         with table.table("goal") as g:
-            goal = Goal(g.number("std_um", positive=True), g.text("of", GOALS, GOALS[0]), g.flag("stop", False))
+            of = g.text("of", GOALS, GOALS[0])
+            name = "std_px" if seen == "px" and of == "position" else "std_um"
+            goal = Goal(g.number(name, positive=True), of, g.flag("stop", False))
     return settling, checks, goal
 
 
