@@ -33,11 +33,12 @@ def polls_before_stop(error, log):
     stop = next((k for k, (c, _, _) in enumerate(log) if k > begun and c.startswith(b"ST")), None)
     if stop is None:
         return 0
+    # a stop code may be damaged on its way, too: then the exchange itself is to blame
     causes = [
         k
         for k, (heard, _, fault) in enumerate(log[:stop])
         if (fault is not None and fault.kind in ("misheard", "limit_switch"))
-        or (heard == error.sent and not isinstance(error, Halted))
+        or (heard == error.sent and (fault is not None or not isinstance(error, Halted)))
     ]
     return sum(c.startswith(b"MG _BG") for c, _, _ in log[causes[-1] + 1 : stop]) if causes else 0
 

@@ -87,12 +87,13 @@ class Live:
         if self.worst is None:
             return f"{self.rows} rows are too few for a fit"
         what, std = self.worst
-        known = f"after {self.rows} rows, {what} is known to {std:.3g} {self.goal_unit} (standard deviation), all else better"
+        unit = self.goal_unit
+        known = f"after {self.rows} rows, {what} is known to {std:.3g} {unit} (standard deviation), all else better"
         if self.goal is None:
             return known
         if self.enough:
-            return f"{known}; the goal is {self.goal.std:g} {self.goal_unit}: further poses no longer help"
-        return f"{known}; the goal is {self.goal.std:g} {self.goal_unit}: about {self.rows_to_go} more rows"
+            return f"{known}; the goal is {self.goal.std:g} {unit}: further poses no longer help"
+        return f"{known}; the goal is {self.goal.std:g} {unit}: about {self.rows_to_go} more rows"
 
     def short(self) -> str:
         """The same in a few words, for a line that changes."""
