@@ -5,14 +5,21 @@
 //! million rows.
 //!
 //! The floors, from below: [`math`] and [`error`]; [`delta`] and [`least_squares`], which know nothing
-//! of each other; [`bernstein`]; [`calibrated`], the model that a control loop runs.
+//! of each other; [`bernstein`]; [`calibrated`], the model that a control loop runs. Beside them, for the
+//! flexible tool: [`rigid`] and [`jacobi`]; [`registration`] and [`tool`] (fibres, beam, their calibration);
+//! [`kalman`], the filters that a control loop runs.
 #![no_std]
 
 pub mod bernstein;
 pub mod calibrated;
 pub mod delta;
 pub mod error;
+pub mod jacobi;
+pub mod kalman;
 pub mod least_squares;
 pub mod math;
+pub mod registration;
+pub mod rigid;
+pub mod tool;
 
 pub use error::{Error, Result};
