@@ -298,7 +298,12 @@ pub fn fit_beam(bends: &[Bend], start: &Beam) -> Result<BeamFit> {
                 stack.push([by_length, by_stiffness, left]);
             }
         }
-        match iteration.advance(stack.triangle(), cost)? {
+        let progress = iteration.advance(stack.triangle(), cost)?;
+        // along a direction that is not observed the iteration need not settle
+        if iteration.with_decomposition(|d| d.rank())? < N {
+            return Err(Error::Singular);
+        }
+        match progress {
             Progress::Evaluate => {}
             Progress::Converged => break,
             Progress::Exhausted => {
@@ -310,15 +315,13 @@ pub fn fit_beam(bends: &[Bend], start: &Beam) -> Result<BeamFit> {
     }
     let trial = iteration.trial();
     let beam = Beam::new(trial[0], trial[1])?;
-    let variance = iteration.cost() / (bends.len() - N) as f64;
+    let left = bends
+        .iter()
+        .map(|b| b.deflection_mm - b.predict(&beam).0)
+        .map(|left| left * left);
+    let variance = left.sum::<f64>() / (bends.len() - N) as f64;
     let (mut data, mut unobserved) = ([0.0; N * N], [0.0; N * N]);
-    let rank = iteration.with_decomposition(|d| {
-        d.covariance(&mut data, &mut unobserved, &mut [0.0; N]);
-        d.rank()
-    })?;
-    if rank < N {
-        return Err(Error::Singular);
-    }
+    iteration.with_decomposition(|d| d.covariance(&mut data, &mut unobserved, &mut [0.0; N]))?;
     Ok(BeamFit {
         beam,
         covariance: Matrix2::from_row_slice(&data) * variance,
