@@ -64,7 +64,7 @@ impl DepthFilter {
     /// Its variance, mm².
     #[must_use]
     pub fn variance(&self) -> f64 {
-        self.track.filter().covariance[0][0]
+        self.track.filter().variances()[0]
     }
 
     /// Time, statistics, last step.

@@ -1,7 +1,7 @@
 //! Depth and tip in one state, with what they know of each other.
 //!
 //! Eqs. 8 and 14 of the tool paper share force, depth and robot velocity; kept apart, the tip filter takes
-//! the depth filter's estimate for a fresh measurement at every step and grows overconfident. Here Eq. 9 is
+//! the depth filter's estimate for a fresh measurement at every step, and its covariance does not hold. Here Eq. 9 is
 //! linear about the predicted depth, so that a depth that is off moves the tip and a tip that is off moves the
 //! depth, and the measured depth and force keep the covariance that the sensing gives them.
 

@@ -8,7 +8,8 @@
 const ROUNDING: f64 = 32.0 * f64::EPSILON;
 
 /// A factorisation.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C)]
 pub struct Ldl<const N: usize> {
     /// Unit lower triangle, rows; what is on and above the diagonal is not read.
     pub lower: [[f64; N]; N],
@@ -27,8 +28,8 @@ impl<const N: usize> Ldl<N> {
             for k in 0..j {
                 pivot -= lower[j][k] * lower[j][k] * pivots[k];
             }
-            // the comparison is false for NaN
-            if pivot > ROUNDING * a[j][j] {
+            // the comparisons are false for NaN; above the second no quotient overflows
+            if pivot > ROUNDING * a[j][j] && pivot > f64::MIN_POSITIVE {
                 pivots[j] = pivot;
                 for i in j + 1..N {
                     let mut sum = a[i][j];

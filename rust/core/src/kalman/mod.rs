@@ -19,7 +19,7 @@ pub mod tip;
 pub mod track;
 
 pub use depth::DepthFilter;
-pub use filter::{Filter, Innovation};
+pub use filter::{Estimate, Filter, Innovation};
 pub use joint::DepthTipFilter;
 pub use measurement::Measurement;
 pub use noise::{Noise, Trust};

@@ -5,8 +5,7 @@
 //! form for this gain, and positive semidefinite by its shape. The predicted covariance may be singular: along what
 //! it holds exactly there is nothing to learn.
 
-use super::filter::Filter;
-use super::ldl::Ldl;
+use super::filter::{Estimate, Filter};
 use crate::{Error, Result};
 
 /// One step of a filter, as the smoother needs it.
@@ -40,7 +39,7 @@ impl<const N: usize> Record<N> {
 pub fn smooth<const N: usize>(
     transition: &[[f64; N]; N],
     records: &[Record<N>],
-    smoothed: &mut [Filter<N>],
+    smoothed: &mut [Estimate<N>],
 ) -> Result<()> {
     if records.len() != smoothed.len() {
         return Err(Error::WrongLength {
@@ -48,11 +47,11 @@ pub fn smooth<const N: usize>(
             found: smoothed.len(),
         });
     }
-    let mut later: Option<(&Record<N>, Filter<N>)> = None;
+    let mut later: Option<(&Record<N>, Estimate<N>)> = None;
     for (record, place) in records.iter().zip(smoothed).rev() {
         *place = match later {
-            None => record.filtered,
-            Some((next, state)) => back(transition, &record.filtered, next, &state),
+            None => record.filtered.estimate(),
+            Some((next, state)) => back(transition, &record.filtered.estimate(), next, &state),
         };
         later = Some((record, *place));
     }
@@ -62,13 +61,13 @@ pub fn smooth<const N: usize>(
 /// One step back, from the smoothed state of the next step.
 fn back<const N: usize>(
     f: &[[f64; N]; N],
-    filtered: &Filter<N>,
+    filtered: &Estimate<N>,
     next: &Record<N>,
-    smoothed: &Filter<N>,
-) -> Filter<N> {
+    smoothed: &Estimate<N>,
+) -> Estimate<N> {
     // columns of the transposed gain: Gᵀ = P_predicted⁻¹ F P
     let mut gain = multiply(f, &filtered.covariance);
-    Ldl::new(&next.predicted.covariance).solve(&mut gain);
+    next.predicted.factors.solve(&mut gain);
     let gain = transpose(&gain);
     let mut mean = filtered.mean;
     for i in 0..N {
@@ -92,12 +91,14 @@ fn back<const N: usize>(
     let brought = sandwich(&gain, &inner);
     let mut covariance = [[0.0; N]; N];
     for i in 0..N {
-        for j in 0..N {
-            // exactly symmetric
-            covariance[i][j] = 0.5 * (kept[i][j] + kept[j][i] + brought[i][j] + brought[j][i]);
+        for j in 0..=i {
+            let mean = 0.5 * (kept[i][j] + kept[j][i] + brought[i][j] + brought[j][i]);
+            covariance[i][j] = mean;
+            covariance[j][i] = mean;
         }
+        covariance[i][i] = covariance[i][i].max(0.0);
     }
-    Filter { mean, covariance }
+    Estimate { mean, covariance }
 }
 
 fn multiply<const N: usize>(a: &[[f64; N]; N], b: &[[f64; N]; N]) -> [[f64; N]; N] {

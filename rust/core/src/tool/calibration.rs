@@ -300,7 +300,7 @@ pub fn fit_beam(bends: &[Bend], start: &Beam) -> Result<BeamFit> {
         }
         let progress = iteration.advance(stack.triangle(), cost)?;
         // along a direction that is not observed the iteration need not settle
-        if iteration.with_decomposition(|d| d.rank())? < N {
+        if iteration.with_decomposition(|d| N - d.rank())? > 0 {
             return Err(Error::Singular);
         }
         match progress {
