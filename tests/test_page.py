@@ -29,7 +29,7 @@ from sherkit.robots import save_robot
 from sherkit.simulation import VirtualDelta
 
 pytestmark = needs_browser
-_WAIT_MS = 30_000
+_WAIT_MS = 120_000
 #: A ramp in x that no effect of the catalogue has, as lines that a person types.
 OWN = '''import numpy as np
 import sherkit as sk

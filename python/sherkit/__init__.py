@@ -3,9 +3,11 @@
 from ._core import __version__
 from .calibrate import Experiment, Result, calibrate
 from .calibration import Calibration
+from .calibrations import load_calibration
 from .correction import Correction, choose_correction, fit_grid, fit_polynomial, paper_protocol
 from .diagnosis import Diagnosis, diagnose, play, sentence
 from .effects import CATALOGUE, Effect, effect
+from .effects.spherical import SPHERICAL_CATALOGUE
 from .errors import (
     CalibrationError,
     EffectError,
@@ -31,16 +33,23 @@ from .measurements import (
 )
 from .model import DeltaModel
 from .parameters import Parameter
-from .poses import grid, paper_local, paper_whole
+from .poses import grid, paper_local, paper_whole, sphere_patch
 from .readings import Model, ModelFit, Readings, fit_model
-from .robots import Delta, load_robot, save_robot
+from .remote_centre import RemoteCentre, remote_centre
+from .robots import CameraView, Delta, Spherical, load_robot, save_robot
 from .simulation import VirtualDelta
+from .spherical_calibration import SphericalCalibration
+from .spherical_model import SphericalModel
+from .spherical_simulation import VirtualSpherical
+from .straightness import straightness, straightness_by
 from .study import Step, Study
 
 __all__ = [
     "CATALOGUE",
+    "SPHERICAL_CATALOGUE",
     "Calibration",
     "CalibrationError",
+    "CameraView",
     "Correction",
     "Delta",
     "DeltaModel",
@@ -60,15 +69,20 @@ __all__ = [
     "OutOfReach",
     "Parameter",
     "Readings",
+    "RemoteCentre",
     "Result",
     "RobotError",
     "ShapeError",
     "SherkitError",
     "SherkitWarning",
     "Singular",
+    "Spherical",
+    "SphericalCalibration",
+    "SphericalModel",
     "Step",
     "Study",
     "VirtualDelta",
+    "VirtualSpherical",
     "__version__",
     "calibrate",
     "choose_correction",
@@ -82,13 +96,18 @@ __all__ = [
     "identify",
     "identify_stream",
     "import_klipper",
+    "load_calibration",
     "load_robot",
     "paper_local",
     "paper_protocol",
     "paper_whole",
     "play",
     "read_measurements",
+    "remote_centre",
     "save_robot",
     "sentence",
+    "sphere_patch",
+    "straightness",
+    "straightness_by",
     "stream_measurements",
 ]

@@ -16,10 +16,10 @@ from bokeh.document import Document
 from bokeh.layouts import column, row
 from bokeh.models import Button, CustomJS, Div, FileInput, Select, TextAreaInput, TextInput
 from jinja2 import Environment, PackageLoader
+from tornado.ioloop import IOLoop
 
 from .. import paper
 from ..diagnosis import sentence, template
-from ..effects import CATALOGUE
 from ..names import listed
 from ..report.against import Against, against
 from ..report.against import note as against_note
@@ -70,15 +70,22 @@ class Page:
         self._draw(bench.moment)
         self._told("progress", bench.progress)
         document.title = f"sherkit: {bench.moment.data.source}"
-        end = bench.listen(lambda kind, value: self._later(lambda: self._told(kind, value)))
+        self._loop, self._over = IOLoop.current(), False
+        self._end = bench.listen(lambda kind, value: self._later(lambda: self._told(kind, value)))
         gone = CustomJS(args={"error": self.error, "said": _GONE}, code="error.text = said; error.visible = true")
         document.js_on_event("connection_lost", gone)
-        document.on_session_destroyed(lambda _: end())
+        document.on_session_destroyed(lambda _: self._gone())
         if bench.moment.diagnosis is None:
             bench.diagnose()
 
     def _later(self, work: Callable[[], None]) -> None:
-        self.document.add_next_tick_callback(work)
+        """Runs ``work`` on the document when its turn comes; may be called from any thread."""
+        # a document's lists of callbacks are not for several threads: a word said at the wrong moment would be lost
+        self._loop.add_callback(lambda: None if self._over else self.document.add_next_tick_callback(work))
+
+    def _gone(self) -> None:
+        self._over = True
+        self._end()
 
     # -- building ----------------------------------------------------------------------------------------
 
@@ -245,7 +252,7 @@ class Page:
         """A button for every effect: those in the model, then by what each would bring."""
         found = moment.diagnosis
         would = {c.effect: c for c in found.candidates} if found is not None else {}
-        names = [n for n in (*CATALOGUE, *moment.own) if n != "datum"]
+        names = [n for n in (*moment.catalogue, *moment.own) if n != "datum"]
         untestable = found.untestable if found is not None else {}
 
         def order(name: str) -> tuple[int, float]:
@@ -373,8 +380,8 @@ class Page:
 
     def _draw_right(self, moment: Moment) -> None:
         rungs = [
-            Rung(s.action, {k.rsplit("_", 1)[0]: v for k, v in s.held_out_rms_um.items()},
-                 {k.rsplit("_", 1)[0]: v for k, v in s.training_rms_um.items()})
+            Rung(s.action, {k.rsplit("_", 1)[0]: v for k, v in s.held_out_rms.items()},
+                 {k.rsplit("_", 1)[0]: v for k, v in s.training_rms.items()})
             for s in moment.history
         ]  # fmt: skip
         left = moment.now
@@ -384,7 +391,7 @@ class Page:
         last = moment.history[-1]
         floor = f"noise {number(float(np.sqrt(np.mean(left.noise**2))))} {escape(left.unit)}<br>" if known else ""
         self.numbers.text = (
-            f'<span style="font-size:30px"><b id="error-now">{number(last.held_out_um)}</b> {escape(left.unit)}</span>'
+            f'<span style="font-size:30px"><b id="error-now">{number(last.held_out)}</b> {escape(left.unit)}</span>'
             f" RMS on poses held out<br>{floor}"
             f"in the model: {escape(listed(moment.effects, 20)) or 'the geometry alone'}"
         )

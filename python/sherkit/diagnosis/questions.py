@@ -16,8 +16,8 @@ from ..identification import Fit
 from ..notebook import Shown
 from ..readings import ModelFit
 from .case import Case
+from .chain import ChainCase
 from .crossvalidation import HeldOut, held_out
-from .delta import DeltaCase
 from .general import ModelCase
 from .power import smallest_found
 from .search import Found, Search, is_plausible, moment_of_step, refit
@@ -176,7 +176,7 @@ def _finite(value: float) -> float | None:
 
 def case_of(fit: Fit | ModelFit) -> Case:
     """A fit as diagnosis sees it."""
-    return DeltaCase(fit) if isinstance(fit, Fit) else ModelCase(fit)
+    return ChainCase(fit) if isinstance(fit, Fit) else ModelCase(fit)
 
 
 def diagnose(

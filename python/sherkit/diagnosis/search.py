@@ -19,7 +19,7 @@ from ..effects import CATALOGUE, Effect
 from ..errors import EffectError, SherkitError
 from ..identification import Fit
 from .case import Case
-from .delta import DeltaCase
+from .chain import ChainCase
 from .scan import Given
 from .shapes import OVERSAMPLING, Shape, wave
 from .stage import Candidate, Stage, columns_of, stage_of
@@ -341,7 +341,7 @@ def moment_of_step(case: Case, effect: Effect) -> float | None:
 
 def slip_time(fit: Fit) -> float:
     """The moment at which a step of the measured point leaves least. Raises :class:`EffectError` without time."""
-    moment = moment_of_step(DeltaCase(fit), CATALOGUE["slip"])
+    moment = moment_of_step(ChainCase(fit), CATALOGUE["slip"])
     if moment is None:
         raise EffectError("'slip': no moment can be searched for in these rows")
     return moment

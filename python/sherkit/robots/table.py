@@ -68,6 +68,10 @@ class Table:
                 hint = nearest(key, self._known) or f"; known keys: {listed(sorted(self._known), 12)}"
                 raise RobotError(f"{self._where}: unknown key {self._name(key)}{hint}")
 
+    def has(self, key: str) -> bool:
+        """Whether a key is given, under its very name."""
+        return key in self._values
+
     def text(self, key: str, allowed: tuple[str, ...], default: str | None = None) -> str:
         """One of the allowed words."""
         expected = "one of " + ", ".join(f"'{a}'" for a in allowed)

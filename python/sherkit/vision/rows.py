@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from ..errors import MeasurementError
+from ..errors import MeasurementError, SherkitWarning
+from ..measurements import Measurements
+from ..measurements.columns import SPHERICAL_PIXELS
 from .marker import Seen, find_marker
 from .pictures import Picture
 
@@ -39,6 +44,38 @@ def marker_rows(pictures: Iterable[Picture], kind: str = "corner", identity: int
     }
     frame = pl.DataFrame({k: np.array(v, dtype=float) for k, v in columns.items()})
     return frame.with_columns(pl.col(pl.Float64).fill_nan(None), pl.Series(WHY, [s.why for s in seen], dtype=pl.String))
+
+
+def seen_run(
+    plan: Mapping[str, Floats], pictures: Iterable[Picture], *, kind: str = "corner", save_in: Path | None = None
+) -> Measurements:
+    """The run of a plan (columns of joints, time, pose, repeat) whose pixels are read from its pictures, in its order.
+
+    Pictures in which no marker was found leave out their rows, with a warning that says how many and why; ``save_in``
+    keeps all pictures as PNG. Raises :class:`~sherkit.errors.MeasurementError` where none shows the marker.
+    """
+    if save_in is not None:
+        save_in.mkdir(parents=True, exist_ok=True)
+
+    def kept() -> Iterable[Picture]:
+        for number, picture in enumerate(pictures, start=1):
+            if save_in is not None:
+                cv2.imwrite(str(save_in / f"picture_{number:04d}.png"), picture.grey)
+            yield picture
+
+    frame = marker_rows(kept(), kind)
+    good = frame[WHY].is_null().to_numpy()
+    if not good.any():
+        raise MeasurementError(f"no picture shows the marker; the first: {frame[WHY][0]}")
+    if not good.all():
+        why = frame[WHY].drop_nulls()[0]
+        warnings.warn(
+            f"{int((~good).sum())} of {len(good)} pictures are without a row (the first: {why})", SherkitWarning,
+            stacklevel=2,
+        )  # fmt: skip
+    columns = {name: np.asarray(values)[good] for name, values in plan.items()}
+    columns |= {name: frame[name].to_numpy().astype(float)[good] for name in (U, V)}
+    return Measurements.from_columns(columns, "pictures", layout=SPHERICAL_PIXELS)
 
 
 def joined_by_time(

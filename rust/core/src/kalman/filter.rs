@@ -50,7 +50,7 @@ pub struct Innovation {
 }
 
 /// `Σ a b`.
-#[inline(always)]
+#[inline]
 fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
     let mut sum = 0.0;
     for k in 0..N {
@@ -126,7 +126,7 @@ impl<const N: usize> Filter<N> {
     }
 
     /// Whether all numbers are finite.
-    #[inline(always)]
+    #[inline]
     #[must_use]
     pub fn is_finite(&self) -> bool {
         // zero times a number is zero for finite numbers only, and sums of zeros need no branches
@@ -142,7 +142,7 @@ impl<const N: usize> Filter<N> {
 
     /// Moves a state that only drifts: `x + u`, `P + Q`. False, and nothing done, where the result is not finite or
     /// a variance of the noise is negative.
-    #[inline(always)]
+    #[inline]
     pub fn drift(&mut self, noise: &[[f64; N]; N], input: &[f64; N]) -> bool {
         let mut moved = [[0.0; N]; N];
         for i in 0..N {
@@ -176,7 +176,7 @@ impl<const N: usize> Filter<N> {
     }
 
     /// Factors of `W D Wᵀ + Q`, by Gram–Schmidt on the rows of `[W | L_Q]` weighted with `[D | D_Q]`.
-    #[inline(always)]
+    #[inline]
     fn spread(
         &mut self,
         mut w: [[f64; N]; N],
@@ -228,7 +228,7 @@ impl<const N: usize> Filter<N> {
     /// Eq. 7 for `M` numbers with rows `h`, noise covariance `r` (semidefinite, zeros allowed) and `innovation`,
     /// measurement less prediction. `None`, and nothing done, where a number in or out is not finite or a
     /// variance is negative.
-    #[inline(always)]
+    #[inline]
     pub fn update<const M: usize>(
         &mut self,
         h: &[[f64; N]; M],
@@ -273,7 +273,7 @@ impl<const N: usize> Filter<N> {
         (all.squared.is_finite() && self.accept(next)).then_some(all)
     }
 
-    #[inline(always)]
+    #[inline]
     fn accept(&mut self, next: Self) -> bool {
         let finite = next.is_finite();
         if finite {
@@ -286,7 +286,7 @@ impl<const N: usize> Filter<N> {
 impl<const N: usize> Ldl<N> {
     /// Bierman's update of the factors with one number of row `h` and noise variance `d`: `P hᵀ` and the innovation
     /// variance. `None` where the state already knows it exactly.
-    #[inline(always)]
+    #[inline]
     fn take(&mut self, h: &[f64; N], d: f64) -> Option<([f64; N], f64)> {
         let mut variance = d;
         let mut along = [0.0; N];

@@ -19,7 +19,7 @@ pub struct Ldl<const N: usize> {
 
 impl<const N: usize> Ldl<N> {
     /// Factors a matrix, of which the lower triangle is read. NaN gives pivots of zero.
-    #[inline(always)]
+    #[inline]
     pub fn new(a: &[[f64; N]; N]) -> Self {
         let mut lower = [[0.0; N]; N];
         let mut pivots = [0.0; N];
@@ -44,7 +44,7 @@ impl<const N: usize> Ldl<N> {
     }
 
     /// `L⁻¹` applied to rows in place.
-    #[inline(always)]
+    #[inline]
     pub fn forward<const M: usize>(&self, rows: &mut [[f64; M]; N]) {
         for i in 1..N {
             for j in 0..i {

@@ -71,7 +71,7 @@ impl<const N: usize> Track<N> {
     }
 
     /// Time from the state to the step, s. `None`, with the step counted, where the clock is no clock.
-    #[inline(always)]
+    #[inline]
     pub(super) fn elapsed(&mut self, time_s: f64) -> Option<f64> {
         self.consistency.last = 0.0;
         self.consistency.last_degrees = 0;
@@ -85,7 +85,7 @@ impl<const N: usize> Track<N> {
     }
 
     /// Moves the state.
-    #[inline(always)]
+    #[inline]
     pub(super) fn predict(
         &mut self,
         elapsed_s: f64,
@@ -105,7 +105,7 @@ impl<const N: usize> Track<N> {
     }
 
     /// What a measurement is good for, or why it is not used.
-    #[inline(always)]
+    #[inline]
     pub(super) fn admit<'m>(
         &self,
         measurement: Option<&'m Measurement>,
@@ -125,7 +125,7 @@ impl<const N: usize> Track<N> {
     }
 
     /// Folds a measurement in.
-    #[inline(always)]
+    #[inline]
     pub(super) fn correct<const M: usize>(
         &mut self,
         stamp_s: f64,
@@ -147,7 +147,7 @@ impl<const N: usize> Track<N> {
     }
 
     /// Ends a step.
-    #[inline(always)]
+    #[inline]
     pub(super) fn finish(&mut self, time_s: f64, status: Status) -> Status {
         self.time_s = time_s;
         self.record.filtered = self.filter;
