@@ -7,7 +7,7 @@
 
 use crate::rigid::Rigid;
 use crate::{Error, Result};
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x5, Vector2, Vector3};
 
 /// Length and stiffness of the shaft.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -112,6 +112,20 @@ impl Beam {
     pub fn deflection(&self, force_mn: &Vector2<f64>, depth_mm: f64) -> Vector3<f64> {
         let c = self.compliance(depth_mm).value;
         Vector3::new(force_mn.x * c, force_mn.y * c, 0.0)
+    }
+
+    /// Derivatives of the deflection's x and y, in mm: by the force's x and y (mN), by depth (mm), length (mm) and
+    /// stiffness (mN·mm²).
+    #[must_use]
+    pub fn deflection_derivatives(&self, force_mn: &Vector2<f64>, depth_mm: f64) -> Matrix2x5<f64> {
+        let c = self.compliance(depth_mm);
+        Matrix2x5::from_columns(&[
+            Vector2::new(c.value, 0.0),
+            Vector2::new(0.0, c.value),
+            force_mn * c.by_depth,
+            force_mn * c.by_length,
+            force_mn * c.by_stiffness,
+        ])
     }
 
     /// The tip in the base frame, mm, where `tool` takes tool coordinates there (Eq. 11: `P = R δ + S`).
