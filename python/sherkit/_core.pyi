@@ -373,7 +373,7 @@ class FilterNoise:
         per_second: tuple[float, float],
         floor: tuple[float, float],
         shared: float = 0.0,
-        per_step: tuple[float, float] = (0.0, 0.0),
+        per_step: tuple[float, float] = ...,
     ) -> FilterNoise: ...
     @staticmethod
     def switched(
@@ -381,7 +381,7 @@ class FilterNoise:
         below: tuple[float, float],
         above: tuple[float, float],
         per_step: tuple[float, float],
-        per_second: tuple[float, float] = (0.0, 0.0),
+        per_second: tuple[float, float] = ...,
         shared: float = 0.0,
         of_force: bool = False,
     ) -> FilterNoise: ...
