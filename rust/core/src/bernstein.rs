@@ -145,6 +145,24 @@ impl<'a> Correction<'a> {
         })
     }
 
+    /// Orders per variable.
+    #[must_use]
+    pub fn orders(&self) -> [usize; 3] {
+        self.orders
+    }
+
+    /// Where it holds.
+    #[must_use]
+    pub fn domain(&self) -> &Domain {
+        &self.domain
+    }
+
+    /// Coefficients, row-major.
+    #[must_use]
+    pub fn coefficients(&self) -> &'a [[f64; 3]] {
+        self.coefficients
+    }
+
     /// Correction at a position, mm, and its derivative by position.
     #[must_use]
     pub fn at(&self, position: &Vector3<f64>) -> (Vector3<f64>, Matrix3<f64>) {

@@ -6,7 +6,7 @@
 //!
 //! The floors, from below: [`math`], [`trig`] and [`error`]; [`delta`], [`camera`] and [`least_squares`], which know
 //! nothing of each other; [`spherical`], which is seen by a [`camera`]; [`bernstein`]; [`calibrated`], the model that
-//! a control loop runs. Beside them, for the flexible tool: [`rigid`] and [`jacobi`]; [`registration`] and [`tool`]
+//! a control loop runs; [`flat`], which carries it there. Beside them, for the flexible tool: [`rigid`] and [`jacobi`]; [`registration`] and [`tool`]
 //! (fibres, beam, their calibration); [`kalman`], the filters that a control loop runs.
 #![no_std]
 
@@ -15,6 +15,7 @@ pub mod calibrated;
 pub mod camera;
 pub mod delta;
 pub mod error;
+pub mod flat;
 pub mod jacobi;
 pub mod kalman;
 pub mod least_squares;
