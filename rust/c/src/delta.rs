@@ -88,20 +88,20 @@ unsafe fn known(covariates: *const sherkit_delta_covariates) -> Covariates {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_delta_forward(
     robot: *const sherkit_delta,
-    joints: *const [f64; 3],
+    joints: *const f64,
     covariates: *const sherkit_delta_covariates,
-    position: *mut [f64; 3],
-    jacobian: *mut [[f64; 3]; 3],
+    position: *mut f64,
+    jacobian: *mut f64,
 ) -> sherkit_result {
     let run = || {
         // SAFETY: pointers are null or valid.
         unsafe {
-            let (robot, joints) = (get(robot)?, given(joints)?);
-            let position = wanted(position)?;
+            let (robot, joints) = (get(robot)?, given(joints.cast::<[f64; 3]>())?);
+            let position = wanted(position.cast::<[f64; 3]>())?;
             let found = robot.forward(&Vector3::from(*joints), &known(covariates));
             let (x, j) = found.map_err(|e| code_of(&e))?;
             *position = x.into();
-            if let Some(jacobian) = jacobian.as_mut() {
+            if let Some(jacobian) = jacobian.cast::<[[f64; 3]; 3]>().as_mut() {
                 *jacobian = j.transpose().into();
             }
         }
@@ -114,15 +114,15 @@ pub unsafe extern "C" fn sherkit_delta_forward(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_delta_inverse(
     robot: *const sherkit_delta,
-    position: *const [f64; 3],
+    position: *const f64,
     covariates: *const sherkit_delta_covariates,
-    joints: *mut [f64; 3],
+    joints: *mut f64,
 ) -> sherkit_result {
     let run = || {
         // SAFETY: pointers are null or valid.
         unsafe {
-            let (robot, position) = (get(robot)?, given(position)?);
-            let joints = wanted(joints)?;
+            let (robot, position) = (get(robot)?, given(position.cast::<[f64; 3]>())?);
+            let joints = wanted(joints.cast::<[f64; 3]>())?;
             let found = robot.inverse(&Vector3::from(*position), &known(covariates));
             *joints = found.map_err(|e| code_of(&e))?.into();
         }

@@ -88,15 +88,20 @@ pub unsafe extern "C" fn sherkit_depth_tip_filter_init(
 pub unsafe extern "C" fn sherkit_depth_tip_filter_step(
     filter: *mut sherkit_depth_tip_filter,
     time_s: f64,
-    velocity_mm_s: *const [f64; 3],
+    velocity_mm_s: *const f64,
     pose: *const sherkit_pose,
     measurement: *const sherkit_measurement,
     estimate: *mut sherkit_depth_tip_estimate,
 ) -> sherkit_result {
     let run = || {
         // SAFETY: pointers are null or valid.
-        let (filter, velocity, pose) =
-            unsafe { (get_mut(filter)?, given(velocity_mm_s)?, given(pose)?) };
+        let (filter, velocity, pose) = unsafe {
+            (
+                get_mut(filter)?,
+                given(velocity_mm_s.cast::<[f64; 3]>())?,
+                given(pose)?,
+            )
+        };
         // SAFETY: as above.
         let (out, measured) = unsafe { (wanted(estimate)?, measurement.as_ref()) };
         let status = filter.step(

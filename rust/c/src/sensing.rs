@@ -137,19 +137,24 @@ pub unsafe extern "C" fn sherkit_sensor_init(
     answer(run())
 }
 
-/// Force and depth from nine wavelengths (nm; three fibres at sections I, II, III) read at a time. With
+/// Force and depth from wavelengths (9, nm; three fibres at each of the sections I, II, III) read at a time. With
 /// SHERKIT_NOT_FINITE the measurement is written too, all NaN but the time, so that a filter that is given it counts it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_sensor_read(
     sensor: *const sherkit_sensor,
     time_s: f64,
-    wavelengths_nm: *const [[f64; 3]; 3],
+    wavelengths_nm: *const f64,
     measurement: *mut sherkit_measurement,
 ) -> sherkit_result {
     let run = || {
         // SAFETY: pointers are null or valid.
-        let (sensor, wavelengths, measurement) =
-            unsafe { (get(sensor)?, given(wavelengths_nm)?, wanted(measurement)?) };
+        let (sensor, wavelengths, measurement) = unsafe {
+            (
+                get(sensor)?,
+                given(wavelengths_nm.cast::<[[f64; 3]; 3]>())?,
+                wanted(measurement)?,
+            )
+        };
         let read = sensor.read(wavelengths).map_err(|e| code_of(&e));
         let m = match &read {
             Ok(reading) => Measurement::from_reading(time_s, reading),

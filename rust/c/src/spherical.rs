@@ -70,20 +70,20 @@ unsafe fn known(covariates: *const sherkit_spherical_covariates) -> Covariates {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_spherical_forward(
     robot: *const sherkit_spherical,
-    joints: *const [f64; 2],
+    joints: *const f64,
     covariates: *const sherkit_spherical_covariates,
-    angles: *mut [f64; 2],
-    jacobian: *mut [[f64; 2]; 2],
+    angles: *mut f64,
+    jacobian: *mut f64,
 ) -> sherkit_result {
     let run = || {
         // SAFETY: pointers are null or valid.
         unsafe {
-            let (robot, joints) = (get(robot)?, given(joints)?);
-            let angles = wanted(angles)?;
+            let (robot, joints) = (get(robot)?, given(joints.cast::<[f64; 2]>())?);
+            let angles = wanted(angles.cast::<[f64; 2]>())?;
             let found = robot.forward(&Vector2::from(*joints), &known(covariates));
             let (x, j) = found.map_err(|e| code_of(&e))?;
             *angles = x.into();
-            if let Some(jacobian) = jacobian.as_mut() {
+            if let Some(jacobian) = jacobian.cast::<[[f64; 2]; 2]>().as_mut() {
                 *jacobian = j.transpose().into();
             }
         }
@@ -96,15 +96,15 @@ pub unsafe extern "C" fn sherkit_spherical_forward(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_spherical_inverse(
     robot: *const sherkit_spherical,
-    angles: *const [f64; 2],
+    angles: *const f64,
     covariates: *const sherkit_spherical_covariates,
-    joints: *mut [f64; 2],
+    joints: *mut f64,
 ) -> sherkit_result {
     let run = || {
         // SAFETY: pointers are null or valid.
         unsafe {
-            let (robot, angles) = (get(robot)?, given(angles)?);
-            let joints = wanted(joints)?;
+            let (robot, angles) = (get(robot)?, given(angles.cast::<[f64; 2]>())?);
+            let joints = wanted(joints.cast::<[f64; 2]>())?;
             let found = robot.inverse(&Vector2::from(*angles), &known(covariates));
             *joints = found.map_err(|e| code_of(&e))?.into();
         }

@@ -82,7 +82,7 @@ pub unsafe extern "C" fn sherkit_tip_filter_init(
 pub unsafe extern "C" fn sherkit_tip_filter_step(
     filter: *mut sherkit_tip_filter,
     time_s: f64,
-    velocity_mm_s: *const [f64; 3],
+    velocity_mm_s: *const f64,
     pose: *const sherkit_pose,
     depth_mm: f64,
     depth_variance: f64,
@@ -91,8 +91,13 @@ pub unsafe extern "C" fn sherkit_tip_filter_step(
 ) -> sherkit_result {
     let run = || {
         // SAFETY: pointers are null or valid.
-        let (filter, velocity, pose) =
-            unsafe { (get_mut(filter)?, given(velocity_mm_s)?, given(pose)?) };
+        let (filter, velocity, pose) = unsafe {
+            (
+                get_mut(filter)?,
+                given(velocity_mm_s.cast::<[f64; 3]>())?,
+                given(pose)?,
+            )
+        };
         // SAFETY: as above.
         let (out, measured) = unsafe { (wanted(estimate)?, measurement.as_ref()) };
         let status = filter.step(

@@ -4,7 +4,7 @@
 //! parameters is lent by the caller, so that the same code serves a control loop and a study of ten
 //! million rows.
 //!
-//! The floors, from below: [`math`], [`trig`] and [`error`]; [`delta`], [`camera`] and [`least_squares`], which know
+//! The floors, from below: [`math`], [`trig`], [`inverse`] and [`error`]; [`delta`], [`camera`] and [`least_squares`], which know
 //! nothing of each other; [`spherical`], which is seen by a [`camera`]; [`bernstein`]; [`calibrated`], the model that
 //! a control loop runs; [`flat`], which carries it there. Beside them, for the flexible tool: [`rigid`] and [`jacobi`]; [`registration`] and [`tool`]
 //! (fibres, beam, their calibration); [`kalman`], the filters that a control loop runs.
@@ -16,6 +16,7 @@ pub mod camera;
 pub mod delta;
 pub mod error;
 pub mod flat;
+pub mod inverse;
 pub mod jacobi;
 pub mod kalman;
 pub mod least_squares;
