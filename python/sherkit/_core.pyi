@@ -249,6 +249,9 @@ class SphericalCalibrated:
     """
 
     def __new__(cls, model: SphericalModel, values: _Floats, elbows: str = "open") -> SphericalCalibrated: ...
+    def flat(self) -> _Floats:
+        """All that makes it as a row of numbers (n,), for a control loop in another language."""
+
     def forward(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats]:
         """phi, gamma (2,) and their derivative by the joints (2, 2)."""
 
@@ -301,6 +304,9 @@ class Calibrated:
         local: tuple[DeltaModel, _Floats, Bernstein | None] | None,
         region: tuple[_Floats, _Floats, float] | None,
     ) -> Calibrated: ...
+    def flat(self) -> _Floats:
+        """All that makes it as a row of numbers (n,), for a control loop in another language."""
+
     def forward(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats]: ...
     def inverse(self, position: _Floats, covariates: list[float]) -> _Floats: ...
     def forward_batch(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats, _Bools]: ...
