@@ -9,9 +9,11 @@
 //! at all; [`Reading::misfit`] keeps that.
 //!
 //! Depth is a ratio, and first-order propagation thinks too well of it when the force is not far above its
-//! noise. `|F|²` in the variance is therefore lowered by `3²` times the variance of the force: far above
-//! the noise that changes nothing, and the variance grows without a step to infinity where the force is three
-//! standard deviations. There and below, depth is [`Depth::NoForce`].
+//! noise. `|F|²` in the variance is therefore lowered by `3²` times the variance of the force, which far above the
+//! noise changes nothing. Up to five standard deviations of the force depth is [`Depth::NoForce`]: noise alone puts
+//! the ratio between the two sections, where its own propagated variance is smallest, so that what noise feigns is
+//! no wild number but a plausible one. Beyond three deviations it does so once in 10⁴ readings (Rayleigh:
+//! `exp(-3²)`), a minute of them; beyond five once in 10¹⁰.
 
 use crate::{Error, Result};
 use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
@@ -21,7 +23,9 @@ pub const SECTIONS: usize = 3;
 /// Fibres around the shaft.
 pub const FIBRES: usize = 3;
 /// Standard deviations of the force below which it is no force.
-const DETECTED: f64 = 3.0;
+const DETECTED: f64 = 5.0;
+/// Standard deviations of the force by which its length is not trusted in the variance of the depth.
+const CAUTION: f64 = 3.0;
 
 /// Calibration of the gratings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -183,10 +187,12 @@ impl Sensor {
     /// Eq. 2 along the force, with the variance of the module's text.
     fn depth(&self, moments: &[Vector2<f64>; 2], force: &Vector2<f64>) -> Depth {
         let squared = force.norm_squared();
-        let detectable = squared - DETECTED * DETECTED * self.force_covariance.trace();
-        if detectable.is_nan() || detectable <= 0.0 {
+        let noise = self.force_covariance.trace();
+        // written so that NaN is no force either
+        if !(squared > DETECTED * DETECTED * noise && squared > 0.0) {
             return Depth::NoForce;
         }
+        let known = squared - CAUTION * CAUTION * noise;
         let lever = moments[1].dot(force) / squared;
         // derivatives of the lever by the force at a given moment, and by the moment at a given force
         let by_force = (moments[1] - force * (2.0 * lever)) / (squared * self.between_mm);
@@ -196,7 +202,7 @@ impl Sensor {
         let (pushed_lower, pushed_upper) = (lower * by_lower, upper * by_upper);
         let first_order = by_lower.dot(&pushed_lower) + by_upper.dot(&pushed_upper);
         let mm = self.calibration.distances_mm[1] - lever;
-        let variance = first_order * (squared / detectable);
+        let variance = first_order * (squared / known);
         if !(mm.is_finite() && variance.is_finite()) {
             return Depth::NoForce;
         }
