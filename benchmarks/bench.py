@@ -5,13 +5,11 @@ Every pair is timed in turns, so that a noisy machine is noisy for both; medians
 
 from __future__ import annotations
 
-import gc
 import os
-import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from numpy_delta import forward, forward_plain
@@ -19,32 +17,12 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import least_squares
 from scipy_candidates import refit_all, simulator
+from spherical import kinematics as spherical_kinematics
+from spherical import projection
+from timing import medians, show
 
 import sherkit as sk
 from sherkit.cli.demo import EXAMPLE as ROBOT
-
-
-def medians(pairs: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
-    """Median seconds of each, timed in turns."""
-    times: dict[str, list[float]] = {name: [] for name in pairs}
-    for run in pairs.values():
-        run()
-    gc.disable()
-    for _ in range(rounds):
-        for name, run in pairs.items():
-            start = time.perf_counter()
-            run()
-            times[name].append(time.perf_counter() - start)
-    gc.enable()
-    return {name: statistics.median(t) for name, t in times.items()}
-
-
-def show(title: str, goal: str, ours: str, times: dict[str, float]) -> None:
-    """One table: medians, and how many times faster ours is."""
-    table = Table("", "median", "ours is faster by", title=title, title_justify="left", caption=f"goal: {goal}")
-    for name, t in times.items():
-        table.add_row(name, f"{1e3 * t:.3f} ms", "" if name == ours else f"{t / times[ours]:.1f} ×")
-    Console(width=100).print(table)
 
 
 def kinematics() -> None:
@@ -181,7 +159,7 @@ if __name__ == "__main__":
     elif "--diagnosis" in sys.argv:
         diagnosis()
     else:
-        for part in (kinematics, identification, bernstein, streaming):
+        for part in (kinematics, spherical_kinematics, projection, identification, bernstein, streaming):
             part()
         one_core = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         subprocess.run([sys.executable, __file__, "--diagnosis"], check=True, env=os.environ | one_core)

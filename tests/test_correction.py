@@ -397,7 +397,7 @@ def test_marked_outliers_do_not_bend_the_correction() -> None:
     readings = fit.data.readings_mm.copy()
     bad = np.arange(0, len(readings), 50)
     readings[bad] += 1.0
-    spoilt = replace(fit.data, readings_mm=readings).mark_outliers(bad)
+    spoilt = replace(fit.data, readings=readings).mark_outliers(bad)
     choice = choose_correction(identify(fit.model, spoilt), seed=5)
     assert choice.correction is not None
     assert len(choice.held_out_mm) == len(readings) - len(bad)

@@ -551,17 +551,19 @@ def test_quantiles_of_the_noise(demo: Run, plane: Run) -> None:
 def test_accuracy_map_is_the_calibration(demo: Run) -> None:
     """Catches swapped axes, an outline around what misses the requirement, and hatching of what was measured."""
     state = accuracy_of(demo.calibration, 20.0)
+    assert EXAMPLE.workspace_z_mm is not None
+    z = np.linspace(EXAMPLE.workspace_z_mm[1], EXAMPLE.workspace_z_mm[0], 3)
     rng = np.random.default_rng(0)
     for _ in range(12):
-        k, j, i = rng.integers(3), rng.integers(len(state.y_mm)), rng.integers(len(state.x_mm))
-        place = [state.x_mm[i], state.y_mm[j], state.z_mm[k]]
+        k, j, i = rng.integers(3), rng.integers(len(state.y)), rng.integers(len(state.x))
+        place = [state.x[i], state.y[j], z[k]]
         assert state.measured[k, j, i] == demo.calibration.measured(place)
         if np.isfinite(state.value_um[k, j, i]):
             assert state.value_um[k, j, i] == pytest.approx(1e3 * demo.calibration.accuracy(place))
         else:
             assert np.hypot(place[0], place[1]) > EXAMPLE.workspace_radius_mm - 1
     made = accuracy_map(state)
-    step_x, step_y = state.x_mm[1] - state.x_mm[0], state.y_mm[1] - state.y_mm[0]
+    step_x, step_y = state.x[1] - state.x[0], state.y[1] - state.y[0]
     hatched = table(made, "beyond_0")
     area = np.sum((hatched["right"] - hatched["left"]) * (hatched["top"] - hatched["bottom"]))
     beyond = ~state.measured[0] & np.isfinite(state.value_um[0])
@@ -578,9 +580,12 @@ def test_next_poses_are_numbered(plane: Run) -> None:
     assert plane.study
     made = next_poses(NextPoses(plane.found.next_poses, plane.before))
     above, side = table(made, "orders_0"), table(made, "orders_1")
-    for k, pose in enumerate(plane.found.next_poses, 1):
-        here = (above["x"] == pose["x_mm"]) & (above["y"] == pose["y_mm"])
-        assert above["text"][here].tolist() == [str(k)]
+    places = [(pose["x_mm"], pose["y_mm"]) for pose in plane.found.next_poses]
+    for k, (x, y) in enumerate(places, 1):
+        here = (above["x"] == x) & (above["y"] == y)
+        many = places.count((x, y))
+        # poses on top of each other are counted, not numbered
+        assert above["text"][here].tolist() == [str(k) if many == 1 else f"{many}×"]
     assert len({(x, y) for x, y in zip(side["x"], side["y"], strict=True)}) == len(side["x"])
     assert sum(int(str(t)[:-1]) if str(t).endswith("×") else 1 for t in side["text"]) == len(plane.found.next_poses)
 

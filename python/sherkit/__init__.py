@@ -3,9 +3,12 @@
 from ._core import __version__
 from .calibrate import Experiment, Result, calibrate
 from .calibration import Calibration
+from .calibrations import load_calibration
+from .camera_placement import camera_placement
 from .correction import Correction, choose_correction, fit_grid, fit_polynomial, paper_protocol
 from .diagnosis import Diagnosis, diagnose, play, sentence
 from .effects import CATALOGUE, Effect, effect
+from .effects.spherical import SPHERICAL_CATALOGUE
 from .errors import (
     CalibrationError,
     EffectError,
@@ -22,6 +25,7 @@ from .errors import (
 )
 from .formats.klipper import import_klipper
 from .identification import Fit, identify, identify_stream
+from .joint_space import TaskError, identify_joints, task_error
 from .measurements import (
     Measurements,
     MeasurementStream,
@@ -31,16 +35,23 @@ from .measurements import (
 )
 from .model import DeltaModel
 from .parameters import Parameter
-from .poses import grid, paper_local, paper_whole
+from .poses import grid, paper_local, paper_whole, sphere_patch
 from .readings import Model, ModelFit, Readings, fit_model
-from .robots import Delta, load_robot, save_robot
+from .remote_centre import RemoteCentre, remote_centre
+from .robots import CameraView, Delta, Spherical, load_robot, save_robot
 from .simulation import VirtualDelta
+from .spherical_calibration import SphericalCalibration
+from .spherical_model import SphericalModel
+from .spherical_simulation import VirtualSpherical
+from .straightness import straightness, straightness_by
 from .study import Step, Study
 
 __all__ = [
     "CATALOGUE",
+    "SPHERICAL_CATALOGUE",
     "Calibration",
     "CalibrationError",
+    "CameraView",
     "Correction",
     "Delta",
     "DeltaModel",
@@ -60,17 +71,24 @@ __all__ = [
     "OutOfReach",
     "Parameter",
     "Readings",
+    "RemoteCentre",
     "Result",
     "RobotError",
     "ShapeError",
     "SherkitError",
     "SherkitWarning",
     "Singular",
+    "Spherical",
+    "SphericalCalibration",
+    "SphericalModel",
     "Step",
     "Study",
+    "TaskError",
     "VirtualDelta",
+    "VirtualSpherical",
     "__version__",
     "calibrate",
+    "camera_placement",
     "choose_correction",
     "diagnose",
     "effect",
@@ -80,15 +98,22 @@ __all__ = [
     "from_frame",
     "grid",
     "identify",
+    "identify_joints",
     "identify_stream",
     "import_klipper",
+    "load_calibration",
     "load_robot",
     "paper_local",
     "paper_protocol",
     "paper_whole",
     "play",
     "read_measurements",
+    "remote_centre",
     "save_robot",
     "sentence",
+    "sphere_patch",
+    "straightness",
+    "straightness_by",
     "stream_measurements",
+    "task_error",
 ]

@@ -11,13 +11,20 @@ _Bools = NDArray[np.bool_]
 __all__ = [
     "Bernstein",
     "Calibrated",
+    "Camera",
     "DeltaKinematics",
     "DeltaModel",
     "Solver",
+    "SphericalCalibrated",
+    "SphericalKinematics",
+    "SphericalModel",
     "__version__",
     "bernstein_basis",
     "bernstein_fit",
     "bernstein_fit_grid",
+    "spherical_camera_placement",
+    "spherical_closed_mapping",
+    "spherical_sensitivity",
 ]
 
 __version__: str
@@ -57,6 +64,178 @@ class DeltaModel:
         weights: _Floats,
         priors: bool,
     ) -> tuple[str, list[int]]: ...
+
+@final
+class SphericalKinematics:
+    """Tool axis of a spherical robot with two limbs on one actuated axis. Angles in rad.
+
+    ``parameters``: alpha, beta, joint offset of limb 1, then of limb 2. ``assembly_mode``: "outer" or "inner", the
+    sign of the root of Eq. 35. ``elbows``: "open" (joint 1 ahead of the tool axis, joint 2 behind), "crossed",
+    "ahead" or "behind" (both). In a batch, what cannot be computed is NaN and ``False``.
+    """
+
+    def __new__(cls, parameters: _Floats, assembly_mode: str = "outer") -> SphericalKinematics: ...
+    def forward(self, joints: _Floats) -> _Floats:
+        """phi and gamma (2,) for joint angles (2,)."""
+
+    def inverse(self, angles: _Floats, elbows: str = "open") -> _Floats:
+        """Joint angles (2,) for phi, gamma (2,)."""
+
+    def forward_batch(self, joints: _Floats) -> tuple[_Floats, _Bools]:
+        """phi, gamma (n, 2) for joint angles (n, 2)."""
+
+    def inverse_batch(self, angles: _Floats, elbows: str = "open") -> tuple[_Floats, _Bools]:
+        """Joint angles (n, 2) for phi, gamma (n, 2)."""
+
+    def derivatives_batch(self, joints: _Floats) -> tuple[_Floats, _Floats, _Bools]:
+        """Of phi, gamma: by the joints (n, 2, 2) and by ``parameters`` (n, 2, 6)."""
+
+    def inverse_derivatives_batch(self, joints: _Floats) -> tuple[_Floats, _Floats, _Bools]:
+        """Of the joints, at joint angles (n, 2): by phi, gamma (n, 2, 2) and by ``parameters`` (n, 2, 6)."""
+
+@final
+class Camera:
+    """A pinhole camera with Brown-Conrady distortion in OpenCV's conventions; mm, px, rad.
+
+    ``parameters``: fx, fy, cx, cy, k1, k2, p1, p2, k3, rotation vector (3), translation (3), with X_cam = R X + t.
+    In a batch, what is not seen is NaN and ``False``. ``face``: "near" or "far", where the line of sight enters or
+    leaves the sphere about the origin.
+    """
+
+    def __new__(cls, parameters: _Floats) -> Camera: ...
+    @staticmethod
+    def facing(phi_rad: float, gamma_rad: float, distance_mm: float, intrinsics: _Floats) -> _Floats:
+        """Parameters (15,) of a camera that looks at the origin; in its picture phi grows right and gamma down."""
+
+    @property
+    def position(self) -> _Floats:
+        """Optical centre (3,), mm."""
+
+    def project(self, point: _Floats) -> _Floats:
+        """Pixel (2,) of a point (3,)."""
+
+    def project_batch(self, points: _Floats) -> tuple[_Floats, _Bools]:
+        """Pixels (n, 2) of points (n, 3)."""
+
+    def derivatives_batch(self, points: _Floats) -> tuple[_Floats, _Floats, _Floats, _Floats, _Bools]:
+        """Of the pixels: by point (n, 2, 3), pose (n, 2, 6), intrinsics (n, 2, 4) and distortion (n, 2, 5)."""
+
+    def undistort(self, pixel: _Floats) -> _Floats:
+        """Direction x, y (2,), with z = 1, in the camera frame."""
+
+    def undistort_batch(self, pixels: _Floats) -> tuple[_Floats, _Bools]:
+        """Directions (n, 2) of pixels (n, 2)."""
+
+    def angles(self, pixel: _Floats, radius_mm: float, face: str = "near") -> _Floats:
+        """phi, gamma (2,) of the point of the sphere that a pixel shows."""
+
+    def angles_batch(self, pixels: _Floats, radius_mm: float, face: str = "near") -> tuple[_Floats, _Bools]:
+        """phi, gamma (n, 2) of the points of the sphere that pixels show."""
+
+    def on_sphere_batch(self, pixels: _Floats, radius_mm: float, face: str = "near") -> tuple[_Floats, _Bools]:
+        """Points (n, 3) of the sphere that pixels show, mm."""
+
+_SphericalBlock = tuple[_Floats, _Bools | None, _Floats | None, _Floats | None]
+
+@final
+class SphericalModel:
+    """The measurement chain of the spherical robot seen by a camera.
+
+    ``settings``: radius of the sphere (mm), direction of the weight (3), home joint readings (2, rad). A block of rows:
+    joints (n, 2), which rows read angles (n,) or None for pixels throughout, covariates (n, 6) (time s, temperature
+    °C, two directions, two velocities rad/s) or None, displacements of the marker (n, 3) mm or None. Readings and
+    weights are (n, 4): u, v (px), phi, gamma (rad); a row uses the two of its kind.
+    """
+
+    PARAMETERS: int
+    def __new__(
+        cls,
+        geometry: _Floats,
+        camera: _Floats,
+        settings: _Floats,
+        assembly_mode: str = "outer",
+        face_mode: str = "near",
+    ) -> SphericalModel: ...
+    def predict(self, values: _Floats, block: _SphericalBlock) -> tuple[_Floats, _Bools]:
+        """Readings (n, 4), zero where they do not apply, and which rows could be computed; the others are NaN."""
+
+    def derivatives(
+        self, values: _Floats, block: _SphericalBlock, free: list[int]
+    ) -> tuple[_Floats, _Floats, _Floats, _Bools]:
+        """By the parameters in ``free`` (n, 4, free), the joint readings (n, 4, 2), the marker's place (n, 4, 3)."""
+
+    def camera(self, values: _Floats) -> Camera:
+        """The camera with its errors."""
+
+    def markers(self, values: _Floats, block: _SphericalBlock) -> tuple[_Floats, _Bools]:
+        """Markers (n, 3), base frame, mm."""
+
+    def centres(
+        self, values: _Floats, block: _SphericalBlock, free: list[int]
+    ) -> tuple[_Floats, _Floats, _Floats, _Bools]:
+        """Displacement of the remote centre (n, 3), mm; by the parameters (n, 3, free) and the joints (n, 3, 2)."""
+
+    def inverse_residuals(
+        self, values: _Floats, block: _SphericalBlock, readings: _Floats, free: list[int]
+    ) -> tuple[_Floats, _Floats, _Bools]:
+        """Measured joints minus the inverse kinematics of the readings (n, 2), rad (Eq. 6); by (n, 2, free)."""
+
+    def accumulate(
+        self,
+        solver: Solver,
+        values: _Floats,
+        free: list[int],
+        block: _SphericalBlock,
+        readings: _Floats,
+        weights: _Floats,
+    ) -> list[int]:
+        """Adds rows to the solver at its trial; returns those that cannot be computed there."""
+
+    def solve(
+        self,
+        solver: Solver,
+        values: _Floats,
+        free: list[int],
+        block: _SphericalBlock,
+        readings: _Floats,
+        weights: _Floats,
+        priors: bool,
+    ) -> tuple[str, list[int]]:
+        """Iterates to the minimum over readings; how it ended, and rows that cannot be computed at the start."""
+
+    def solve_inverse(
+        self,
+        solver: Solver,
+        values: _Floats,
+        free: list[int],
+        block: _SphericalBlock,
+        readings: _Floats,
+        weights: _Floats,
+        priors: bool,
+    ) -> tuple[str, list[int]]:
+        """As ``solve``, over the paper's residuals of the joints; weights are (n, 2), 1/rad."""
+
+@final
+class SphericalCalibrated:
+    """A calibrated spherical robot: where the end of its tool axis is, seen from the nominal centre. Angles in rad.
+
+    ``values`` are those of all parameters of the model; covariates are time s, temperature °C and two directions.
+    """
+
+    def __new__(cls, model: SphericalModel, values: _Floats, elbows: str = "open") -> SphericalCalibrated: ...
+    def forward(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats]:
+        """phi, gamma (2,) and their derivative by the joints (2, 2)."""
+
+    def inverse(self, angles: _Floats, covariates: list[float]) -> _Floats:
+        """Joint readings (2,) for phi, gamma (2,)."""
+
+    def forward_batch(
+        self, joints: _Floats, covariates: list[float], free: list[int]
+    ) -> tuple[_Floats, _Floats, _Floats, _Bools]:
+        """phi, gamma (n, 2); by the joints (n, 2, 2) and by the parameters in ``free`` (n, 2, free); which reached."""
+
+    def inverse_batch(self, angles: _Floats, covariates: list[float]) -> tuple[_Floats, _Bools]:
+        """Joint readings (n, 2) for phi, gamma (n, 2)."""
 
 @final
 class Solver:
@@ -108,3 +287,22 @@ def bernstein_fit(
 def bernstein_fit_grid(
     orders: tuple[int, int, int], axes: tuple[_Floats, _Floats, _Floats], values: _Floats
 ) -> _Floats: ...
+def spherical_closed_mapping(settings: _Floats, pixels: _Floats) -> tuple[_Floats, _Bools]:
+    """phi, gamma (n, 2) by the paper's closed mapping (Eqs. 10 to 12, corrected).
+
+    ``settings``: radius, distance from the surface (mm), half width and height (px), half angles of view (rad).
+    """
+
+def spherical_sensitivity(
+    radius_mm: float, clearance_mm: float, arcs: _Floats, step_rad: float = 0.0
+) -> tuple[_Floats, _Floats]:
+    """Exact dtheta/ddelta and the paper's approximation of (delta/theta) dtheta/ddelta (Eq. 27)."""
+
+def spherical_camera_placement(
+    radius_mm: float, lens_rad: float, weight: float, region: str = "half", distance_mm: float | None = None
+) -> dict[str, float]:
+    """What a camera sees from a distance from the centre, by default from the best one (Eqs. 29 to 33).
+
+    ``lens_rad`` is half the angle of view; ``region`` "half" or "quarter" of the sphere. Keys: distance_mm,
+    half_angle_rad, coverage (share of the region), seen_mm2, waste_mm2, benefit_mm2.
+    """

@@ -6,12 +6,11 @@ interest, blended over a margin so that a commanded position never jumps (the pa
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import tomli_w
@@ -19,21 +18,20 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from . import _core
+from .calibration_file import FORMAT, Keys, check_names, tables_of
 from .correction import MAX_ORDER, Correction
 from .errors import CalibrationError, SherkitError
 from .identification import Fit
-from .measurements.columns import TEMPERATURE
+from .measurements.columns import POSITION, TEMPERATURE
 from .model import DeltaModel, effects_by_name
-from .names import listed
 from .notebook import Shown
 from .parameters import Parameter
 from .robots import Delta
-from .robots.delta import Batch, matrix, vector
+from .robots.batch import Batch, matrix, vector
 from .robots.file import robot_from_tables
 
 Floats = NDArray[np.float64]
 
-FORMAT = 1
 #: Width of the blend around the region of interest, as a part of its half width.
 _BLEND = 0.25
 
@@ -73,6 +71,7 @@ class Part:
         if len(where) == 0:
             where = np.zeros((1, 3))
         model = fit.model
+        settings = model.settings()
         core = len(model.indices)
         # the fit took all misfit for noise; what the correction has removed of it is none
         left, before = _second_moment(corrected_mm), _second_moment(uncorrected_mm)
@@ -82,9 +81,9 @@ class Part:
             free=model.free,
             effects=tuple(e.name for e in model.built_in),
             settings={
-                "period_mm": model.period_mm or 0.0,
-                "slip_time_s": model.slip_time_s,
-                "time_origin_s": model.time_origin_s,
+                "period_mm": settings["period_mm"] or 0.0,
+                "slip_time_s": settings["slip_time_s"] or 0.0,
+                "time_origin_s": settings["time_origin_s"] or 0.0,
             },
             left_out=tuple(e.name for e in model.own),
             now=(
@@ -109,6 +108,9 @@ class Part:
 @dataclass(frozen=True, eq=False)
 class Calibration(Shown):
     """A calibrated delta. Positions are readings of the measured point: the datum of the run is included."""
+
+    #: What :meth:`forward` gives, with units.
+    coordinates: ClassVar[tuple[str, ...]] = POSITION
 
     robot: Delta
     whole: Part
@@ -254,6 +256,17 @@ class Calibration(Shown):
         )
         return self.local if inside and self.local is not None else self.whole
 
+    def places(self) -> list[tuple[str, Floats]]:
+        """Positions (3,), mm, for which a person would ask how accurate the robot is, with their names."""
+        robot = self.robot
+        out = [("centre", np.zeros(3))]
+        if robot.region_half_width_mm:
+            out.append(("corner of the region of interest", np.full(3, float(robot.region_half_width_mm))))
+        if robot.workspace_radius_mm and robot.workspace_z_mm:
+            rim = np.array([robot.workspace_radius_mm, 0.0, robot.workspace_z_mm[1]])
+            out.append(("rim of the workspace", rim))
+        return out
+
     def border_jump_mm(self) -> float | None:
         """Largest difference of local and whole model on the border of the region; None without a local model.
 
@@ -289,30 +302,21 @@ class Calibration(Shown):
     def load(cls, path: str | Path) -> Calibration:
         """Reads what :meth:`save` wrote. Raises :class:`~sherkit.errors.CalibrationError` naming file and key."""
         path = Path(path)
+        tables, settings = tables_of(path, "delta")
         try:
-            tables = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from None
-        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise CalibrationError(f"{path}: is not valid TOML: {error}") from None
-        settings = tables.get("calibration")
-        if not isinstance(settings, dict) or settings.get("format") != FORMAT:
-            raise CalibrationError(
-                f"{path}: is not a calibration of this version (expected [calibration] format = {FORMAT})"
-            )
-        try:
-            robot = robot_from_tables(_Keys(tables, "").table("robot").values, f"{path} [robot]")
-            keys = _Keys(tables, "")
+            robot = robot_from_tables(Keys(tables, "").table("robot").values, f"{path} [robot]")
+            assert isinstance(robot, Delta)
+            keys = Keys(tables, "")
             made = cls(
                 robot=robot,
                 whole=_part_from(keys.table("whole")),
                 local=_part_from(keys.table("local")) if "local" in tables else None,
-                region_half_width_mm=_Keys(settings, "calibration").optional_number("region_half_width_mm"),
-                blend_mm=_Keys(settings, "calibration").optional_number("blend_mm"),
+                region_half_width_mm=Keys(settings, "calibration").optional_number("region_half_width_mm"),
+                blend_mm=Keys(settings, "calibration").optional_number("blend_mm"),
             )
             for name, part in (("whole", made.whole), ("local", made.local)):
                 if part is not None:
-                    _check_names(made._model(part), keys.table(name))
+                    check_names(made._model(part), keys.table(name))
         except (TypeError, ValueError, OverflowError, SherkitError) as error:
             raise CalibrationError(f"{path}: {error}") from None
         return made
@@ -351,67 +355,8 @@ def _part_table(part: Part, parameters: Sequence[Parameter]) -> dict[str, Any]:
     return table
 
 
-class _Keys:
-    """A table of a calibration file: every value checked, every error with its key. Raises ``ValueError``."""
-
-    def __init__(self, values: Any, path: str) -> None:
-        if not isinstance(values, Mapping):
-            raise ValueError(f"[{path}]: expected a table, found {values!r}")
-        self.values: dict[str, Any] = dict(values)
-        self.path = path
-
-    def _fail(self, key: str, expected: str) -> ValueError:
-        if key not in self.values:
-            return ValueError(f"[{self.path}] '{key}' is missing; expected {expected}")
-        found = self.values[key]
-        return ValueError(f"[{self.path}] {key}: expected {expected}, found {str(found)[:80]}")
-
-    def get(self, key: str, kind: type | tuple[type, ...], expected: str) -> Any:
-        value = self.values.get(key)
-        if not isinstance(value, kind) or isinstance(value, bool):
-            raise self._fail(key, expected)
-        return value
-
-    def table(self, key: str) -> _Keys:
-        path = f"{self.path}.{key}" if self.path else key
-        if key not in self.values:
-            raise ValueError(f"[{path}] is missing")
-        return _Keys(self.values[key], path)
-
-    def number(self, key: str) -> float:
-        value = float(self.get(key, (int, float), "a number"))
-        if not np.isfinite(value):
-            raise self._fail(key, "a finite number")
-        return value
-
-    def optional_number(self, key: str) -> float | None:
-        return self.number(key) if key in self.values else None
-
-    def names(self, key: str) -> tuple[str, ...]:
-        value = self.get(key, list, "a list of names")
-        if not all(isinstance(v, str) for v in value):
-            raise self._fail(key, "a list of names")
-        return tuple(value)
-
-    def array(self, key: str, *shape: int, finite: bool = True) -> Floats:
-        expected = f"{'finite ' if finite else ''}numbers of shape {shape}"
-        try:
-            array = np.array(self.get(key, list, expected), dtype=float)
-        except (TypeError, ValueError):
-            raise self._fail(key, expected) from None
-        if array.shape != shape or np.isnan(array).any() or (finite and not np.isfinite(array).all()):
-            raise self._fail(key, expected)
-        return array
-
-    def covariance(self, key: str, size: int) -> Floats:
-        matrix = self.array(key, size, size)
-        if size and np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[0] < -1e-9 * max(float(np.trace(matrix)), 1e-300):
-            raise self._fail(key, "a covariance (symmetric, no negative variance)")
-        return matrix
-
-
-def _part_from(keys: _Keys) -> Part:
-    parameters = [_Keys(p, f"{keys.path}.parameters") for p in keys.get("parameters", list, "a list of tables")]
+def _part_from(keys: Keys) -> Part:
+    parameters = [Keys(p, f"{keys.path}.parameters") for p in keys.get("parameters", list, "a list of tables")]
     count = len(parameters)
     names = [p.get("name", str, "a name") for p in parameters]
     settings, now = keys.table("settings"), keys.table("now")
@@ -440,7 +385,7 @@ def _part_from(keys: _Keys) -> Part:
     )
 
 
-def _correction_from(keys: _Keys) -> Correction:
+def _correction_from(keys: Keys) -> Correction:
     orders = keys.get("orders", list, f"three orders from 0 to {MAX_ORDER}")
     if len(orders) != 3 or not all(type(o) is int and 0 <= o <= MAX_ORDER for o in orders):
         raise ValueError(f"[{keys.path}] orders: expected three orders from 0 to {MAX_ORDER}, found {orders}")
@@ -455,15 +400,6 @@ def _correction_from(keys: _Keys) -> Correction:
         )
     except SherkitError as error:
         raise ValueError(f"[{keys.path}] {error}") from None
-
-
-def _check_names(model: DeltaModel, keys: _Keys) -> None:
-    """Refuses a file whose parameters are not those of its effects, in their order."""
-    found = [p["name"] for p in keys.values["parameters"]]
-    expected = [p.name for p in model.parameters]
-    if found != expected:
-        wrong = next((f for f, e in zip(found, expected, strict=False) if f != e), "a missing one")
-        raise ValueError(f"[{keys.path}] parameters: expected {listed(expected, 30)}; '{wrong}' does not belong there")
 
 
 def _second_moment(residuals_mm: Floats) -> Floats:

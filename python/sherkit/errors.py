@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 
 class SherkitError(Exception):
     """Base of everything that sherkit raises on purpose."""
@@ -50,10 +52,17 @@ class NotConverged(SherkitError):
 class OutOfReach(SherkitError):
     """A pose that the robot cannot take.
 
-    ``limb`` counts from one; ``miss_mm`` is what its rod lacks (negative: has too much).
+    ``limb`` counts from one, zero where both limbs of a spherical robot are meant. ``miss_mm`` is what a rod of the
+    delta lacks (negative: has too much), ``miss_rad`` by what angle a spherical robot's axes are too far apart
+    (negative: too near); the other of the two is NaN.
     """
 
-    def __init__(self, message: str, limb: int, miss_mm: float) -> None:
+    def __init__(self, message: str, limb: int, miss_mm: float, miss_rad: float = math.nan) -> None:
         super().__init__(message)
         self.limb = limb
         self.miss_mm = miss_mm
+        self.miss_rad = miss_rad
+
+
+class NotSeen(SherkitError):
+    """A point or a pixel that camera and sphere have no answer for: behind, past the sphere, beyond the lens' fold."""

@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from . import _core
+from .chain import ChainModel
 from .directions import Direction, badly_observed, unobserved
 from .errors import FitError
 from .iteration import iterate
 from .measurements import Measurements, MeasurementStream
-from .measurements.columns import READINGS
-from .model import DeltaModel
+from .models import model_of
 from .noise import MAD, Noise, noise_of
 from .notebook import Shown
 from .parameters import Parameter
-from .robots import Delta
+from .robots.file import Robot
 
 Floats = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class Fit(Shown):
     assumed noise (to 1 mm where the noise is unknown).
     """
 
-    model: DeltaModel
+    model: ChainModel
     data: Measurements
     values: Floats
     covariance: Floats
@@ -99,19 +99,34 @@ class Fit(Shown):
         return badly_observed(self.parameters, self.covariance)
 
     @cached_property
-    def predicted_mm(self) -> Floats:
-        """Predicted readings (n, 4), mm."""
+    def predicted(self) -> Floats:
+        """Predicted readings (n, m)."""
         return self.model.predict(self.data, self.values)
 
     @cached_property
-    def residuals_mm(self) -> Floats:
-        """Measured minus predicted (n, 4), mm; NaN where nothing was taken."""
+    def residuals(self) -> Floats:
+        """Measured minus predicted (n, m); NaN where nothing was taken."""
         return residuals(self.model, self.data, self.values)
 
     @cached_property
-    def nominal_residuals_mm(self) -> Floats:
-        """Measured minus the nominal robot's prediction (n, 4), mm (Eq. 14)."""
+    def nominal_residuals(self) -> Floats:
+        """Measured minus the nominal robot's prediction (n, m) (delta: Eq. 14)."""
         return residuals(self.model, self.data, np.zeros(len(self.values)))
+
+    @property
+    def predicted_mm(self) -> Floats:
+        """Predicted readings (n, 4) of a delta, mm."""
+        return self.predicted
+
+    @property
+    def residuals_mm(self) -> Floats:
+        """Measured minus predicted (n, 4) of a delta, mm; NaN where nothing was taken."""
+        return self.residuals
+
+    @property
+    def nominal_residuals_mm(self) -> Floats:
+        """Measured minus the nominal prediction (n, 4) of a delta, mm."""
+        return self.nominal_residuals
 
     @cached_property
     def outliers(self) -> NDArray[np.int64]:
@@ -122,11 +137,11 @@ class Fit(Shown):
         """
         suspect = np.zeros(len(self.data), dtype=bool)
         count = int(self.data.taken.sum())
-        for k in range(len(READINGS)):
+        for k in range(self.data.readings.shape[1]):
             rows = self.data.taken[:, k] & ~self.data.outlier
             if rows.sum() < 5:
                 continue
-            u = self.residuals_mm[rows, k] / self.noise.sigma_mm[rows, k]
+            u = self.residuals[rows, k] / self.noise.sigma[rows, k]
             spread = MAD * float(np.median(np.abs(u - np.median(u))))
             # a median deviation of few residuals is itself uncertain, with about 0.37 of their number as freedom
             threshold = float(stats.t.isf(0.5 * _OUTLIER_LEVEL / count, max(_MAD_EFFICIENCY * len(u), 1.0)))
@@ -134,21 +149,25 @@ class Fit(Shown):
                 suspect[np.flatnonzero(rows)[np.abs(u - np.median(u)) > threshold * spread]] = True
         return np.flatnonzero(suspect)
 
+    def rms(self, which: Floats | None = None) -> dict[str, float]:
+        """RMS of residuals per reading, in the unit that people read; of :attr:`residuals` unless others are given."""
+        return rms(self.data, self.residuals if which is None else which)
+
     def rms_um(self, which: Floats | None = None) -> dict[str, float]:
-        """RMS of residuals per reading, µm; of :attr:`residuals_mm` unless others are given."""
-        values = self.residuals_mm if which is None else which
-        return rms_um(self.data, values)
+        """The same for a delta, µm."""
+        return self.rms(which)
 
     def __repr__(self) -> str:
-        rms = ", ".join(f"{k[:-3]} {v:.1f}" for k, v in self.rms_um().items())
-        return f"Fit({len(self.values)} parameters, rank {self.rank}, RMS {rms} µm)"
+        each = ", ".join(f"{k.rsplit('_', 1)[0]} {v:.1f}" for k, v in self.rms().items())
+        unit = self.data.layout.unit
+        return f"Fit({len(self.values)} parameters, rank {self.rank}, RMS {each} {unit})"
 
 
 @dataclass(frozen=True, eq=False)
 class StreamFit:
     """An identified model from a stream: what :class:`Fit` says without anything that needs every row."""
 
-    model: DeltaModel
+    model: ChainModel
     values: Floats
     covariance: Floats
     unobserved_covariance: Floats
@@ -159,23 +178,23 @@ class StreamFit:
     converged: bool
 
 
-def rms_um(data: Measurements, values_mm: Floats) -> dict[str, float]:
-    """RMS per reading, µm, over rows that were taken and are not marked as outliers."""
+def rms(data: Measurements, values: Floats) -> dict[str, float]:
+    """RMS per reading, in the unit that people read, over rows that were taken and are not marked as outliers."""
     out = {}
-    for k, name in enumerate(READINGS):
+    for k, name in enumerate(data.layout.readings):
         rows = data.taken[:, k] & ~data.outlier
         if rows.any():
-            out[name] = float(1e3 * np.sqrt(np.mean(values_mm[rows, k] ** 2)))
+            out[name] = float(data.layout.per_unit * np.sqrt(np.mean(values[rows, k] ** 2)))
     return out
 
 
-def residuals(model: DeltaModel, data: Measurements, values: Floats) -> Floats:
-    """Measured minus predicted (n, 4), mm; NaN where nothing was taken."""
-    return np.where(data.taken, data.readings_mm - model.predict(data, values), np.nan)
+def residuals(model: ChainModel, data: Measurements, values: Floats) -> Floats:
+    """Measured minus predicted (n, m); NaN where nothing was taken."""
+    return np.where(data.taken, data.readings - model.predict(data, values), np.nan)
 
 
 def identify(
-    robot: Delta | DeltaModel,
+    robot: Robot | ChainModel,
     data: Measurements,
     *,
     free: Sequence[str] = (),
@@ -193,14 +212,14 @@ def identify(
 
     Raises :class:`~sherkit.errors.FitError` for rows out of reach, an unknown loss, or too few readings.
     """
-    model = robot if isinstance(robot, DeltaModel) else DeltaModel(robot, tuple(free))
+    model = model_of(robot, free)
     if loss not in LOSSES:
         raise FitError(f"loss: '{loss}' is not known; choose {', '.join(LOSSES)}")
     noise = noise or noise_of(data)
     used = data.taken & ~data.outlier[:, None]
     if not used.any():
         raise FitError(f"{data.source}: every row is marked as an outlier; nothing is left to fit")
-    weights = np.where(used, 1.0 / noise.sigma_mm, 0.0)
+    weights = np.where(used, 1.0 / noise.sigma, 0.0)
     values = model.starting_at(start)
 
     if priors and noise.origin == "unknown":
@@ -246,12 +265,12 @@ def identify(
     )
 
 
-def identify_stream(robot: Delta | DeltaModel, stream: MeasurementStream, *, free: Sequence[str] = ()) -> StreamFit:
+def identify_stream(robot: Robot | ChainModel, stream: MeasurementStream, *, free: Sequence[str] = ()) -> StreamFit:
     """Fits a run of any length in constant memory, passing over it once per iteration.
 
     Readings weigh by their declared sigma, or all the same. Raises as :func:`identify`.
     """
-    model = robot if isinstance(robot, DeltaModel) else DeltaModel(robot, tuple(free))
+    model = model_of(robot, free)
     solver = _new_solver(model, np.zeros(len(model.parameters)))
     rows = 0
     first = True
@@ -259,11 +278,11 @@ def identify_stream(robot: Delta | DeltaModel, stream: MeasurementStream, *, fre
         solver.clear()
         rows = 0
         for block in stream.blocks():
-            noise = np.where(np.isfinite(block.sigma_mm), block.sigma_mm, 1.0)
+            noise = np.where(np.isfinite(block.sigma), block.sigma, 1.0)
             weights = np.where(block.taken & ~block.outlier[:, None], 1.0 / noise, 0.0)
             missing = model.core.accumulate(
                 solver, np.zeros(len(model.core_parameters)), model.indices,
-                model.block(block), block.readings_mm, weights,
+                model.block(block), block.readings, weights,
             )  # fmt: skip
             rows += len(block)
             if missing:
@@ -292,13 +311,13 @@ def identify_stream(robot: Delta | DeltaModel, stream: MeasurementStream, *, fre
     )
 
 
-def _new_solver(model: DeltaModel, start: Floats, **settings: Any) -> _core.Solver:
+def _new_solver(model: ChainModel, start: Floats, **settings: Any) -> _core.Solver:
     sizes = np.array([p.size for p in model.parameters])
     return _core.Solver(start, sizes, **settings)
 
 
 def _solve(
-    model: DeltaModel,
+    model: ChainModel,
     data: Measurements,
     weights: Floats,
     start: Floats,
@@ -312,25 +331,25 @@ def _solve(
         return solver, _iterate(model, data, weights, solver, priors=priors)
     ended, missing = model.core.solve(
         solver, np.zeros(len(model.core_parameters)), model.indices,
-        model.block(data), data.readings_mm, weights, priors,
+        model.block(data), data.readings, weights, priors,
     )  # fmt: skip
     model.require(data, np.array(missing, dtype=np.int64), start)
     return solver, ended
 
 
-def _iterate(model: DeltaModel, data: Measurements, weights: Floats, solver: _core.Solver, *, priors: bool) -> str:
+def _iterate(model: ChainModel, data: Measurements, weights: Floats, solver: _core.Solver, *, priors: bool) -> str:
     """The same iteration for models with effects given in NumPy."""
     return iterate(
         solver,
         weights,
-        lambda values: data.readings_mm - model.predict(data, values),
+        lambda values: data.readings - model.predict(data, values),
         lambda values: model.derivatives(data, values),
         priors=priors,
     )
 
 
 def _information(
-    model: DeltaModel, data: Measurements, weights: Floats, values: Floats, *, priors: bool = False
+    model: ChainModel, data: Measurements, weights: Floats, values: Floats, *, priors: bool = False
 ) -> dict[str, Any]:
     """What the readings say at ``values``, all with their full weight; with ``priors`` the plausible sizes too."""
     solver = _new_solver(model, values, max_evaluations=1)
@@ -339,16 +358,16 @@ def _information(
     else:
         model.core.solve(
             solver, np.zeros(len(model.core_parameters)), model.indices,
-            model.block(data), data.readings_mm, weights, priors,
+            model.block(data), data.readings, weights, priors,
         )  # fmt: skip
     return solver.result()
 
 
-def _spread(model: DeltaModel, data: Measurements, values: Floats, weights: Floats) -> Floats:
-    """Robust spread of the weighted residuals, one per reading column, (4,)."""
-    u = (data.readings_mm - model.predict(data, values)) * weights
-    spread = np.ones(len(READINGS))
-    for k in range(len(READINGS)):
+def _spread(model: ChainModel, data: Measurements, values: Floats, weights: Floats) -> Floats:
+    """Robust spread of the weighted residuals, one per reading column, (m,)."""
+    u = (data.readings - model.predict(data, values)) * weights
+    spread = np.ones(weights.shape[1])
+    for k in range(weights.shape[1]):
         used = weights[:, k] > 0
         if used.any():
             mad = MAD * float(np.median(np.abs(u[used, k])))
@@ -356,9 +375,9 @@ def _spread(model: DeltaModel, data: Measurements, values: Floats, weights: Floa
     return spread
 
 
-def _scale(model: DeltaModel, data: Measurements, values: Floats, weights: Floats, rank: int, loss: str) -> float:
+def _scale(model: ChainModel, data: Measurements, values: Floats, weights: Floats, rank: int, loss: str) -> float:
     """Ratio of the residuals to the assumed noise, by which the covariance grows."""
-    u = ((data.readings_mm - model.predict(data, values)) * weights)[weights > 0]
+    u = ((data.readings - model.predict(data, values)) * weights)[weights > 0]
     free = len(u) - rank
     if free <= 0:
         return 1.0

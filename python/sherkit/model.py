@@ -1,24 +1,24 @@
-"""Model of a robot for identification: which errors and effects are free, predicted readings, their derivatives."""
+"""The linear delta as a model for identification: twelve errors, datum, effects, and how its rows reach the core."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _core
+from . import _core, chain
+from .chain import ChainModel
 from .effects import CATALOGUE, Effect
 from .effects.catalogue import CORE_ORDER
-from .errors import EffectError, FitError, ShapeError, SherkitError
+from .errors import SherkitError
 from .measurements import Measurements
-from .measurements.columns import TEMPERATURE
-from .names import listed, nearest
+from .measurements.columns import DELTA, TEMPERATURE
 from .parameters import Parameter
 from .robots.delta import LIMB_PARAMETERS, Delta
-from .rows import Rows
 
 Floats = NDArray[np.float64]
 Block = tuple[Floats, Floats | None, Floats | None, Floats | None]
@@ -33,10 +33,12 @@ _SIZES = {
     "platform_angle": float(np.deg2rad(1.0)),
 }
 _SUBSCRIPTS = "₁₂₃"
+#: Poses along each axis from which the next ones are chosen.
+_GRID = (7, 7, 5)
 
 
 @dataclass(frozen=True)
-class DeltaModel:
+class DeltaModel(ChainModel):
     """A nominal delta with named errors and effects to identify.
 
     ``free`` names the geometric errors and datum to identify: by default the paper's twelve (Eq. 9) and the datum
@@ -46,29 +48,16 @@ class DeltaModel:
     """
 
     robot: Delta
-    free: tuple[str, ...] = ()
-    effects: tuple[Effect, ...] = ()
     period_mm: float | None = None
     slip_time_s: float = 0.0
     time_origin_s: float = 0.0
 
-    def __post_init__(self) -> None:
-        known = [p.name for p in self._base]
-        if not self.free:
-            object.__setattr__(self, "free", tuple(n for n in known if not n.startswith("platform")))
-        for name in self.free:
-            if name not in known:
-                raise FitError(f"'{name}' is not a parameter of this robot{nearest(name, known)}")
-        if len(set(self.free)) < len(self.free):
-            raise FitError(f"a parameter is freed twice: {listed(self.free, 24)}")
-        names = [e.name for e in self.effects]
-        if len(set(names)) < len(names):
-            raise EffectError(f"an effect is added twice: {listed(names, 24)}")
-
-    # -- parameters --------------------------------------------------------------------------------------
+    catalogue: ClassVar = CATALOGUE
+    layouts: ClassVar = (DELTA,)
+    core_order: ClassVar = CORE_ORDER[1:]
 
     @cached_property
-    def _base(self) -> tuple[Parameter, ...]:
+    def base(self) -> tuple[Parameter, ...]:
         """Geometric errors and datum: the parameters that ``free`` chooses from."""
         r = self.robot
         levers = {"base_angle": r.base_radius_mm, "platform_angle": r.platform_radius_mm}
@@ -85,49 +74,18 @@ class DeltaModel:
         out += [Parameter(f"datum_{a}", f"d_{a}", "mm", p.size) for a, p in zip("xyz", datum, strict=True)]
         return tuple(out)
 
-    @cached_property
-    def core_parameters(self) -> tuple[Parameter, ...]:
-        """Every parameter of the compiled chain, in its order."""
-        return self._base + tuple(p for e in CORE_ORDER[1:] for p in e.qualified())
+    @property
+    def default(self) -> tuple[str, ...]:
+        """The paper's twelve and the datum."""
+        return tuple(p.name for p in self.base if not p.name.startswith("platform"))
 
-    @cached_property
-    def built_in(self) -> tuple[Effect, ...]:
-        """The effects that the core computes."""
-        return tuple(e for e in self.effects if e.function is None)
-
-    @cached_property
-    def own(self) -> tuple[Effect, ...]:
-        """The user's effects, given in NumPy."""
-        return tuple(e for e in self.effects if e.function is not None)
-
-    @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The identified parameters: ``free``, then those of the built-in effects, then those of the user's."""
-        by_name = {p.name: p for p in self._base}
-        effects = (*self.built_in, *self.own)
-        return tuple(by_name[n] for n in self.free) + tuple(p for e in effects for p in e.qualified())
-
-    @cached_property
-    def indices(self) -> list[int]:
-        """Places of the identified parameters of the core among all of its parameters."""
-        names = [p.name for p in self.core_parameters]
-        return [names.index(p.name) for p in self.parameters if p.name in set(names)]
-
-    def owns(self, effect: Effect) -> slice:
-        """Where the parameters of an effect stand among the identified ones."""
-        names = [p.name for p in self.parameters]
-        first = names.index(effect.qualified()[0].name)
-        return slice(first, first + len(effect.parameters))
-
-    def with_effect(self, effect: Effect, **settings: float) -> DeltaModel:
-        """The same model with one more effect."""
-        return replace(self, effects=(*self.effects, effect), **settings)  # type: ignore[arg-type]
-
-    def without_effect(self, name: str) -> DeltaModel:
-        """The same model without the effect of that name."""
-        return replace(self, effects=tuple(e for e in self.effects if e.name != name))
-
-    # -- the core ----------------------------------------------------------------------------------------
+    def settings(self) -> dict[str, float | None]:
+        """Period of the encoders, moment of the slip, origin of time."""
+        return {
+            "period_mm": self.period_mm,
+            "slip_time_s": self.slip_time_s,
+            "time_origin_s": self.time_origin_s,
+        }
 
     @cached_property
     def core(self) -> _core.DeltaModel:
@@ -150,147 +108,48 @@ class DeltaModel:
 
     def block(self, data: Measurements, joints: Floats | None = None, push: Floats | None = None) -> Block:
         """The rows as the core takes them."""
+        self.require_own(data)
         covariates = None
         if self.built_in:
             empty = np.full(len(data), np.nan)
             time = empty if data.time_s is None else data.time_s
             temperature = data.covariates.get(TEMPERATURE, empty)
             covariates = np.ascontiguousarray(np.column_stack([time, temperature, data.direction]))
-        return (data.joints_mm if joints is None else joints, data.distances_or_none, covariates, push)
+        return (data.joints if joints is None else joints, data.distances_or_none, covariates, push)
 
-    def full(self, values: Floats) -> Floats:
-        """Values of the core's parameters, the identified ones among zeros."""
-        values = np.asarray(values, dtype=float)
-        if values.shape != (len(self.parameters),):
-            expected = len(self.parameters)
-            raise ShapeError(f"values: expected {expected} numbers, got an array of shape {values.shape}")
-        out = np.zeros(len(self.core_parameters))
-        out[self.indices] = values[: len(self.indices)]
-        return out
+    def reachable(self, data: Measurements, values: Floats) -> tuple[Floats, Measurements] | None:
+        """A grid of poses over the workspace (or where the run was), with the rows they would give."""
+        robot = self.robot
+        measured = self.predict(data, values)[~data.is_distance, :3]
+        low, high = measured.min(axis=0), measured.max(axis=0)
+        if robot.workspace_radius_mm:
+            low[:2], high[:2] = -robot.workspace_radius_mm, robot.workspace_radius_mm
+        if robot.workspace_z_mm:
+            low[2], high[2] = robot.workspace_z_mm
+        axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, _GRID, strict=True)]
+        poses = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        if robot.workspace_radius_mm:
+            poses = poses[np.hypot(poses[:, 0], poses[:, 1]) <= robot.workspace_radius_mm * (1 + 1e-9)]
+        batch = robot.inverse_batch(poses)
+        poses, joints = poses[batch.reached], batch.values[batch.reached]
+        reached = self.core.predict(self.full(values), self.block(data.unmeasured(joints)))[1]
+        poses, joints = poses[reached], joints[reached]
+        return (poses, data.unmeasured(joints)) if len(poses) else None
 
-    # -- the three methods -------------------------------------------------------------------------------
-
-    def predict(self, data: Measurements, values: Floats) -> Floats:
-        """Predicted readings (n, 4), mm. Raises :class:`FitError` naming rows out of reach."""
-        full = self.full(values)
-        block, added = self._own_block(data, full, values)
-        out, reached = self.core.predict(full, block)
-        self.require(data, np.flatnonzero(~reached & ~data.outlier), values)
-        if added is not None:
-            out[:, :3] += added
-        return out
-
-    def derivatives(self, data: Measurements, values: Floats) -> Floats:
-        """Derivatives (n, 4, p) of the readings by the identified parameters. Raises as :meth:`predict`."""
-        full = self.full(values)
-        block, _ = self._own_block(data, full, values)
-        out, by_joints, by_body, reached = self.core.derivatives(full, block, self.indices)
-        self.require(data, np.flatnonzero(~reached & ~data.outlier), values)
-        if not self.own:
-            return out
-        columns = self.own_columns(data, self.rows(data, values), values, by_joints, by_body)
-        return np.concatenate([out, *columns], axis=2)
-
-    def covariates(self, data: Measurements) -> dict[str, Floats]:
-        """What the residuals may depend on besides the pose: time, directions, every numeric column."""
-        out = {} if data.time_s is None else {"time_s": data.time_s}
-        return out | dict(data.covariates)
-
-    def rows(self, data: Measurements, values: Floats) -> Rows:
-        """The rows as a user's effect sees them, with the position that the built-in model gives."""
-        return Rows(data, self.core.predict(self.full(values), self.block(data))[0][:, :3])
-
-    def own_columns(
-        self, data: Measurements, rows: Rows, values: Floats, by_joints: Floats, by_body: Floats
-    ) -> list[Floats]:
-        """Derivatives (n, 4, p) by the parameters of each of the user's effects."""
-        return [
-            carry(effect, effect.columns(rows, np.asarray(values)[self.owns(effect)]), data, by_joints, by_body)
-            for effect in self.own
-        ]
-
-    def _own_block(self, data: Measurements, full: Floats, values: Floats) -> tuple[Block, Floats | None]:
-        """The rows with the user's effects at joints and body put in, and what those at the sensor add."""
-        if not self.own:
-            return self.block(data), None
-        rows = self.rows(data, values)
-        sums = {link: np.zeros((len(data), 3)) for link in ("joints", "body", "sensor")}
-        for effect in self.own:
-            sums[effect.link] += effect.evaluate(rows, np.asarray(values)[self.owns(effect)])
-        added = np.where(data.is_distance[:, None], 0.0, sums["sensor"])
-        return self.block(data, data.joints_mm + sums["joints"], sums["body"]), added
-
-    # -- errors ------------------------------------------------------------------------------------------
-
-    def require(self, data: Measurements, missing: NDArray[np.int64], values: Floats) -> None:
-        """Raises :class:`FitError` for rows that the model cannot reach, with the reason for the first."""
-        if len(missing) == 0:
-            return
-        ends = [data.joints_mm[missing[0]], data.to_joints_mm[missing[0]]]
+    def reason(self, data: Measurements, row: int, values: Floats) -> str:
+        """Which limb cannot reach, by how much; or what else is wrong."""
         names = self.robot.parameter_names
         errors = dict(zip(names, self.full(values)[: len(names)], strict=True))
-        reason = "the geometry leaves no robot"
         try:
             kinematics = self.robot.kinematics(errors)
-            for joints in ends:
+            for joints in (data.joints[row], data.to_joints[row]):
                 if np.isfinite(joints).all():
                     kinematics.forward(joints)
-            reason = "an effect that is at work needs a column that these rows lack"
         except SherkitError as error:
-            reason = str(error)
-        raise FitError(
-            f"{data.place(missing)}: the model cannot reach these joint readings ({reason}). "
-            "Check units and joint order, correct the geometry, or mark the rows as outliers "
-            "(column 'outlier' = 1)."
-        )
-
-    def starting_at(self, values: Iterable[float] | Floats | None) -> Floats:
-        """Start values for the identified parameters; zero, the drawing, by default."""
-        if values is None:
-            return np.zeros(len(self.parameters))
-        start = np.fromiter(values, dtype=float)
-        if start.shape != (len(self.parameters),) or not np.isfinite(start).all():
-            raise ShapeError(f"start: expected {len(self.parameters)} finite numbers")
-        return start
-
-
-def carry(effect: Effect, inner: Floats, data: Measurements, by_joints: Floats, by_body: Floats) -> Floats:
-    """Derivatives (n, 3, p) of a NumPy effect at its link, carried on to the readings (n, 4, p)."""
-    if effect.link == "joints":
-        return by_joints @ inner
-    if effect.link == "body":
-        return by_body @ inner
-    out = np.zeros((len(data), 4, inner.shape[2]))
-    out[~data.is_distance, :3] = inner[~data.is_distance]
-    return out
-
-
-def lacks(effect: Effect, data: Measurements) -> tuple[str, ...]:
-    """Covariates that an effect needs and a run does not have."""
-    out = []
-    for need in effect.needs:
-        if need == "time_s":
-            known = data.time_s is not None
-        elif need == "direction":
-            known = bool(np.isfinite(data.direction).all())
-        else:
-            known = need in data.covariates
-        if not known:
-            out.append(need)
-    return tuple(out)
+            return str(error)
+        return "an effect that is at work needs a column that these rows lack"
 
 
 def effects_by_name(names: Sequence[str], own: Sequence[Effect] = ()) -> tuple[Effect, ...]:
-    """Effects of the catalogue and the user's by name. Raises :class:`EffectError` with the nearest name."""
-    known = {**CATALOGUE, **{e.name: e for e in own}}
-    for effect in own:
-        if effect.name in CATALOGUE:
-            raise EffectError(f"'{effect.name}' is the name of a built-in effect; give yours another")
-    out = []
-    for name in names:
-        if name == "datum":
-            raise EffectError("'datum' is in the model already: it belongs to the default model")
-        if name not in known:
-            raise EffectError(f"'{name}' is not a known effect{nearest(name, known)}; known: {listed(known, 30)}")
-        out.append(known[name])
-    return tuple(out)
+    """Effects of the delta's catalogue and the user's by name. Raises :class:`EffectError` with the nearest name."""
+    return chain.effects_by_name(CATALOGUE, names, own)

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .measurements import Measurements
-from .measurements.columns import READINGS
 
 Floats = NDArray[np.float64]
 
@@ -20,26 +19,31 @@ _MIN_FREEDOM = 5
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Standard deviation of every reading, mm, (n, 4), and its origin.
+    """Standard deviation of every reading (n, m), in its own unit, and its origin.
 
     ``origin`` is ``"declared"`` (sigma columns), ``"repeats"`` (pure error) or ``"unknown"``, in which case all
     readings weigh the same and the scale comes from the residuals.
     """
 
-    sigma_mm: Floats
+    sigma: Floats
     origin: str
+
+    @property
+    def sigma_mm(self) -> Floats:
+        """The same (n, 4), for a delta, whose readings are in mm."""
+        return self.sigma
 
 
 def noise_of(data: Measurements) -> Noise:
-    """The noise of each reading: declared where the file says, else from repeats, else unknown (1 mm each)."""
-    sigma = data.sigma_mm
+    """The noise of each reading: declared where the file says, else from repeats, else unknown (one unit each)."""
+    sigma = data.sigma
     needed = data.taken
     if np.isfinite(sigma[needed]).all():
         return Noise(np.where(needed, sigma, 1.0), "declared")
     repeats = data.repeatability
     if repeats is not None:
-        columns = np.full(len(READINGS), np.nan)
-        for k, name in enumerate(READINGS):
+        columns = np.full(len(data.layout.readings), np.nan)
+        for k, name in enumerate(data.layout.readings):
             if repeats.degrees_of_freedom.get(name, 0) >= _MIN_FREEDOM and repeats.sigma_mm[name] > 0:
                 columns[k] = repeats.sigma_mm[name]
         filled = np.where(np.isfinite(sigma), sigma, columns)

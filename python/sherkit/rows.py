@@ -18,14 +18,14 @@ Floats = NDArray[np.float64]
 class Rows:
     """The rows of a run as a user's effect sees them.
 
-    ``joints`` (n, 3) mm; ``time`` (n,) s; ``direction`` (n, 3) sign of the last motion; ``position`` (n, 3)
-    mm, where the model says the point is; every covariate of the file under its column name, with or without its unit
+    ``joints`` (n, k), mm or rad; ``time`` (n,) s; ``direction`` (n, k) sign of the last motion; ``position`` (n, m),
+    the coordinates that the model gives; every covariate of the file under its column name, with or without its unit
     (``rows.humidity_pct`` or ``rows.humidity``).
     """
 
     def __init__(self, data: Measurements, position: Floats) -> None:
         self._data = data
-        self.joints = data.joints_mm
+        self.joints = data.joints
         self.direction = data.direction
         self.position = position
 

@@ -13,53 +13,70 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from .calibrate import Experiment
-from .calibration import Calibration
+from .calibrate import Experiment, calibration_of
+from .calibrations import AnyCalibration
+from .chain import ChainModel, axes_of, effects_by_name, lacks
 from .correction import choose_correction
 from .diagnosis import Diagnosis, diagnose
 from .diagnosis.search import slip_time
-from .effects import CATALOGUE, Effect, check_user_effect
+from .effects import Effect, check_user_effect
 from .errors import EffectError, MeasurementError, SherkitError, SherkitWarning
 from .identification import Fit, identify
 from .measurements import Measurements, from_frame
-from .measurements.columns import MAY_BE_EMPTY, OUTLIER, POSE, REPEAT
-from .model import DeltaModel, effects_by_name, lacks
+from .measurements.columns import OUTLIER, POSE, REPEAT, Layout
+from .models import model_of
 from .names import listed
 from .notebook import Shown
-from .robots import Delta
+from .robots import Delta, Robot
 from .robots.file import robot_from_tables
 from .validation import hold_out
 
 Ints = NDArray[np.int64]
 
-_FORMAT = 1
+_FORMAT = 2
 _FOLLOWED = "the run so far"
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One state of a study: what was done, and the error it left, µm per axis, fitted and held out.
+    """One state of a study: what was done, and the error it left by reading, in ``unit``, fitted and held out.
 
     ``fit`` is None for steps of a loaded study whose rows were others than the last ones: those were not kept.
     """
 
     action: str
     effects: tuple[str, ...]
-    training_rms_um: dict[str, float]
-    held_out_rms_um: dict[str, float]
+    training_rms: dict[str, float]
+    held_out_rms: dict[str, float]
     parameters: dict[str, float]
     rows: int
     fit: Fit | None
+    unit: str = "µm"
 
     def __repr__(self) -> str:
-        axes = ", ".join(f"{k[:-3]} {v:.1f}" for k, v in self.held_out_rms_um.items())
-        return f"Step({self.action}: held out {axes} µm)"
+        axes = ", ".join(f"{k.rsplit('_', 1)[0]} {v:.3g}" for k, v in self.held_out_rms.items())
+        return f"Step({self.action}: held out {axes} {self.unit})"
+
+    @property
+    def held_out(self) -> float:
+        """Held-out RMS of all readings together."""
+        values = list(self.held_out_rms.values())
+        return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
 
     @property
     def held_out_um(self) -> float:
-        """Held-out RMS of all axes together, µm."""
-        values = list(self.held_out_rms_um.values())
-        return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
+        """The same for a delta, µm."""
+        return self.held_out
+
+    @property
+    def held_out_rms_um(self) -> dict[str, float]:
+        """:attr:`held_out_rms` of a delta, µm."""
+        return self.held_out_rms
+
+    @property
+    def training_rms_um(self) -> dict[str, float]:
+        """:attr:`training_rms` of a delta, µm."""
+        return self.training_rms
 
 
 class Study(Shown):
@@ -73,7 +90,7 @@ class Study(Shown):
 
     def __init__(
         self,
-        robot: Delta,
+        robot: Robot,
         data: Measurements,
         *,
         effects: Sequence[Effect] = (),
@@ -87,11 +104,11 @@ class Study(Shown):
         self.loss = loss
         self.own: dict[str, Effect] = {}
         self.history: list[Step] = []
-        self._undone: list[tuple[DeltaModel, Measurements]] = []
+        self._undone: list[tuple[ChainModel, Measurements]] = []
         self._diagnosis: Diagnosis[Fit] | None = None
         for effect in effects:
             self._register(effect)
-        self.model = DeltaModel(robot, tuple(free))
+        self.model = model_of(robot, free)
         self._record("the geometric model")
 
     # -- state -------------------------------------------------------------------------------------------
@@ -113,8 +130,9 @@ class Study(Shown):
         step = Step(
             action=action,
             effects=self.effects,
-            training_rms_um=fit.rms_um(),
-            held_out_rms_um=fit.rms_um(held.residuals_mm),
+            training_rms=fit.rms(),
+            held_out_rms=fit.rms(held.residuals),
+            unit=self.data.layout.unit,
             parameters=dict(zip(names, fit.values.tolist(), strict=True)),
             rows=len(self.data),
             fit=fit,
@@ -124,7 +142,7 @@ class Study(Shown):
         self._diagnosis = None
         return step
 
-    def _change(self, model: DeltaModel, data: Measurements, action: str) -> Step:
+    def _change(self, model: ChainModel, data: Measurements, action: str) -> Step:
         before = (self.model, self.data)
         self.model, self.data = model, data
         try:
@@ -155,7 +173,7 @@ class Study(Shown):
             self._register(effect)
             chosen = effect
         else:
-            (chosen,) = effects_by_name((effect,), tuple(self.own.values()))
+            (chosen,) = effects_by_name(self.model.catalogue, (effect,), tuple(self.own.values()))
         if chosen.name in self.effects or chosen.name == "datum":
             raise EffectError(f"'{chosen.name}' is in the model already")
         missing = lacks(chosen, self.data)
@@ -215,8 +233,8 @@ class Study(Shown):
         """
         known = len(self.data)
         first = data.select(np.arange(min(known, len(data))))
-        same = len(first) == known and np.array_equal(first.joints_mm, self.data.joints_mm)
-        if not same or not np.array_equal(first.readings_mm, self.data.readings_mm):
+        same = len(first) == known and np.array_equal(first.joints, self.data.joints)
+        if not same or not np.array_equal(first.readings, self.data.readings):
             raise MeasurementError(f"{data.source}: its first {known} rows are no longer those that were read before")
         marked = data.mark_outliers(np.flatnonzero(self.data.outlier))
         if self.history[-1].action.startswith(_FOLLOWED):
@@ -229,12 +247,14 @@ class Study(Shown):
                 raise
         return self._change(self.model, marked, f"{_FOLLOWED}: {len(data)} rows")
 
-    def calibration(self) -> Calibration:
-        """The model to deploy: what was identified, and a Bernstein correction where one helps on held-out blocks."""
-        held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss).residuals_mm
+    def calibration(self) -> AnyCalibration:
+        """The model to deploy: what was identified, and for a delta a Bernstein correction where one helps on held-out
+        blocks."""
+        held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss).residuals
         full = self.data.taken[:, :3].all(axis=1) & ~self.data.outlier
-        choice = choose_correction(self.fit, seed=self.seed) if full.sum() >= 20 else None
-        return Calibration(self.robot, Experiment(self.fit, held, choice, None).part())
+        polynomial = isinstance(self.robot, Delta) and full.sum() >= 20
+        choice = choose_correction(self.fit, seed=self.seed) if polynomial else None
+        return calibration_of(Experiment(self.fit, held, choice, None))
 
     def register(self, effect: Effect) -> None:
         """Makes a user's effect one that diagnosis tries and :meth:`add` knows by name; a newer one replaces it.
@@ -247,10 +267,11 @@ class Study(Shown):
         self._diagnosis = None
 
     def _register(self, effect: Effect) -> None:
-        if effect.name in CATALOGUE:
+        if effect.name in model_of(self.robot).catalogue:
             raise EffectError(f"'{effect.name}' is the name of a built-in effect; give yours another")
-        plain = DeltaModel(self.robot)
-        check_user_effect(effect, plain.rows(self.data, np.zeros(len(plain.parameters))))
+        plain = model_of(self.robot)
+        rows = plain.rows(self.data, np.zeros(len(plain.parameters)))
+        check_user_effect(effect, rows, axes_of(effect, self.data))
         self.own[effect.name] = effect
 
     # -- files -------------------------------------------------------------------------------------------
@@ -277,8 +298,8 @@ class Study(Shown):
                 {
                     "action": s.action,
                     "effects": list(s.effects),
-                    "training_rms_um": s.training_rms_um,
-                    "held_out_rms_um": s.held_out_rms_um,
+                    "training_rms": s.training_rms,
+                    "held_out_rms": s.held_out_rms,
                     "parameters": s.parameters,
                     "rows": s.rows,
                 }
@@ -328,44 +349,42 @@ class Study(Shown):
             Step(
                 action=s["action"],
                 effects=tuple(s["effects"]),
-                training_rms_um=s["training_rms_um"],
-                held_out_rms_um=s["held_out_rms_um"],
+                training_rms=s["training_rms"],
+                held_out_rms=s["held_out_rms"],
                 parameters=s["parameters"],
                 rows=s["rows"],
-                fit=study._fit_of(s["effects"], s["training_rms_um"]),
+                fit=study._fit_of(s["effects"], s["training_rms"]),
+                unit=study.data.layout.unit,
             )
             for s in state["history"]
         ]
         return study
 
-    def _model_from(self, state: Mapping[str, Any]) -> DeltaModel:
-        return DeltaModel(
-            self.robot,
-            tuple(state["free"]),
-            effects_by_name(state["effects"], tuple(self.own.values())),
-            period_mm=state["period_mm"],
-            slip_time_s=state["slip_time_s"],
-            time_origin_s=state["time_origin_s"],
-        )
+    def _model_from(self, state: Mapping[str, Any]) -> ChainModel:
+        plain = model_of(self.robot, state["free"])
+        effects = effects_by_name(plain.catalogue, state["effects"], tuple(self.own.values()))
+        return replace(plain, effects=effects, **{name: state[name] for name in plain.settings()})
 
-    def _fit_of(self, effects: Sequence[str], training_rms_um: dict[str, float]) -> Fit | None:
+    def _fit_of(self, effects: Sequence[str], training_rms: dict[str, float]) -> Fit | None:
         """The fit of an earlier step, where the rows of today give what it left."""
         try:
-            model = replace(self.model, effects=effects_by_name(effects, tuple(self.own.values())))
+            model = replace(
+                self.model, effects=effects_by_name(self.model.catalogue, effects, tuple(self.own.values()))
+            )
         except EffectError:  # an effect of the user's that is no longer given
             return None
         fit = identify(model, self.data, loss=self.loss)
-        rms = fit.rms_um()
-        same = rms.keys() == training_rms_um.keys() and np.allclose(
-            list(rms.values()), [training_rms_um[k] for k in rms], rtol=1e-9
+        rms = fit.rms()
+        same = rms.keys() == training_rms.keys() and np.allclose(
+            list(rms.values()), [training_rms[k] for k in rms], rtol=1e-9
         )
         return fit if same else None
 
     def __repr__(self) -> str:
         lines = [f"Study of {self.data.source}: {len(self.data)} rows"]
         for s in self.history:
-            axes = ", ".join(f"{k[:-3]} {v:.1f}" for k, v in s.held_out_rms_um.items())
-            lines.append(f"  {s.action:<32} held out {axes} µm")
+            axes = ", ".join(f"{k.rsplit('_', 1)[0]} {v:.3g}" for k, v in s.held_out_rms.items())
+            lines.append(f"  {s.action:<32} held out {axes} {self.data.layout.unit}")
         return "\n".join(lines)
 
 
@@ -380,13 +399,11 @@ def _unpacked(stretches: Sequence[Sequence[int]]) -> Ints:
     return np.array([first + k for first, count in stretches for k in range(count)], dtype=np.int64)
 
 
-def _model_state(model: DeltaModel) -> dict[str, Any]:
+def _model_state(model: ChainModel) -> dict[str, Any]:
     return {
         "free": list(model.free),
         "effects": [e.name for e in model.effects],
-        "period_mm": model.period_mm,
-        "slip_time_s": model.slip_time_s,
-        "time_origin_s": model.time_origin_s,
+        **model.settings(),
     }
 
 
@@ -408,7 +425,7 @@ def joined(first: Measurements, second: Measurements) -> Measurements:
         b = b.with_columns((number + int(first.pose.max())).alias(POSE))
         if REPEAT in a.columns and REPEAT not in b.columns:
             b = b.with_columns(pl.lit(1, dtype=pl.Int64).alias(REPEAT))
-    a, b = _complete(a, b.columns), _complete(b, a.columns)
+    a, b = _complete(a, b.columns, first.layout), _complete(b, a.columns, first.layout)
     common = [c for c in a.columns if c in b.columns]
     lost = [c for c in (*a.columns, *b.columns) if c not in common and not c.startswith("direction_")]
     if lost:
@@ -419,20 +436,20 @@ def joined(first: Measurements, second: Measurements) -> Measurements:
         )
     both = pl.concat([a.select(common), b.select(common)], how="vertical_relaxed")
     # directions are those of each run by itself
-    for k in range(3):
+    for k in range(first.direction.shape[1]):
         direction = np.concatenate([first.direction[:, k], second.direction[:, k]])
         if np.isfinite(direction).all():
             both = both.with_columns(pl.Series(f"direction_{k + 1}", direction))
     return from_frame(both, first.source)
 
 
-def _complete(frame: pl.DataFrame, wanted: Sequence[str]) -> pl.DataFrame:
+def _complete(frame: pl.DataFrame, wanted: Sequence[str], layout: Layout) -> pl.DataFrame:
     """A run with the columns of another whose absence says something: nothing marked, not declared, not taken."""
     for name in wanted:
         if name in frame.columns:
             continue
         if name == OUTLIER:
             frame = frame.with_columns(pl.lit(0, dtype=pl.Int64).alias(name))
-        elif name in MAY_BE_EMPTY:
+        elif name in layout.may_be_empty:
             frame = frame.with_columns(pl.lit(None, dtype=pl.Float64).alias(name))
     return frame

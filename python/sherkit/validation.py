@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .chain import ChainModel
 from .identification import identify, residuals
 from .measurements import Measurements
-from .model import DeltaModel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -19,10 +19,15 @@ _TILES = 4
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Residuals (n, 4), mm, each from a fit that did not see its block, and the block of each row."""
+    """Residuals (n, m), each from a fit that did not see its block, and the block of each row."""
 
-    residuals_mm: Floats
+    residuals: Floats
     block: Ints
+
+    @property
+    def residuals_mm(self) -> Floats:
+        """The same (n, 4), for a delta, whose readings are in mm."""
+        return self.residuals
 
 
 def spatial_blocks(data: Measurements, positions_mm: Floats, folds: int = 5, seed: int = 0) -> Ints:
@@ -49,11 +54,11 @@ def deal_tiles(places: Floats, groups: Ints, folds: int = 5, seed: int = 0) -> I
     return deal[tile.ravel()][groups]
 
 
-def hold_out(model: DeltaModel, data: Measurements, *, folds: int = 5, seed: int = 0, loss: str = "linear") -> HeldOut:
+def hold_out(model: ChainModel, data: Measurements, *, folds: int = 5, seed: int = 0, loss: str = "linear") -> HeldOut:
     """Refits without each block in turn and predicts it. Raises as :func:`~sherkit.identification.identify`."""
-    nominal = model.predict(data, np.zeros(len(model.parameters)))[:, :3]
+    nominal = model.predict(data, np.zeros(len(model.parameters)))[:, : data.coordinates]
     block = spatial_blocks(data, np.nan_to_num(nominal), folds, seed)
-    out = np.full(data.readings_mm.shape, np.nan)
+    out = np.full(data.readings.shape, np.nan)
     for fold in np.unique(block):
         inside = block == fold
         if inside.all():

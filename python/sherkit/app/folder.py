@@ -7,9 +7,9 @@ import json
 from pathlib import Path
 from typing import IO, Any
 
-from ..effects import CATALOGUE
 from ..errors import SherkitError
 from ..measurements.reader import PARQUET
+from ..models import MODELS
 from .growing import whole_lines
 
 TYPED = "typed_effects.py"
@@ -83,7 +83,8 @@ def require_same(folder: Path, robot: Path, run: Path, *, follow: bool) -> None:
 def require_effects(folder: Path, known: set[str], typed: Path) -> None:
     """Refuses a study whose effects are not all there, and says where they may be."""
     state = json.loads((folder / "study.json").read_text(encoding="utf-8"))
-    needed = {name for name in state["effects"] if name not in CATALOGUE} - known
+    built_in = MODELS[state["robot"]["kind"]].catalogue
+    needed = {name for name in state["effects"] if name not in built_in} - known
     if needed and typed.exists():
         raise SherkitError(
             f"{folder}: this study uses {', '.join(sorted(needed))}, typed into the page; read {typed} and give "

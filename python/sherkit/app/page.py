@@ -20,7 +20,6 @@ from tornado.ioloop import IOLoop
 
 from .. import paper
 from ..diagnosis import sentence, template
-from ..effects import CATALOGUE
 from ..names import listed
 from ..report.against import Against, against
 from ..report.against import note as against_note
@@ -253,7 +252,7 @@ class Page:
         """A button for every effect: those in the model, then by what each would bring."""
         found = moment.diagnosis
         would = {c.effect: c for c in found.candidates} if found is not None else {}
-        names = [n for n in (*CATALOGUE, *moment.own) if n != "datum"]
+        names = [n for n in (*moment.catalogue, *moment.own) if n != "datum"]
         untestable = found.untestable if found is not None else {}
 
         def order(name: str) -> tuple[int, float]:
@@ -381,8 +380,8 @@ class Page:
 
     def _draw_right(self, moment: Moment) -> None:
         rungs = [
-            Rung(s.action, {k.rsplit("_", 1)[0]: v for k, v in s.held_out_rms_um.items()},
-                 {k.rsplit("_", 1)[0]: v for k, v in s.training_rms_um.items()})
+            Rung(s.action, {k.rsplit("_", 1)[0]: v for k, v in s.held_out_rms.items()},
+                 {k.rsplit("_", 1)[0]: v for k, v in s.training_rms.items()})
             for s in moment.history
         ]  # fmt: skip
         left = moment.now
@@ -392,7 +391,7 @@ class Page:
         last = moment.history[-1]
         floor = f"noise {number(float(np.sqrt(np.mean(left.noise**2))))} {escape(left.unit)}<br>" if known else ""
         self.numbers.text = (
-            f'<span style="font-size:30px"><b id="error-now">{number(last.held_out_um)}</b> {escape(left.unit)}</span>'
+            f'<span style="font-size:30px"><b id="error-now">{number(last.held_out)}</b> {escape(left.unit)}</span>'
             f" RMS on poses held out<br>{floor}"
             f"in the model: {escape(listed(moment.effects, 20)) or 'the geometry alone'}"
         )

@@ -52,6 +52,8 @@ class Moment:
     data: Measurements
     effects: tuple[str, ...]
     own: tuple[str, ...]
+    #: Names of the built-in effects of this robot.
+    catalogue: tuple[str, ...]
     history: tuple[Step, ...]
     lefts: tuple[Left | None, ...]
     diagnosis: Diagnosis[Any] | None
@@ -373,8 +375,8 @@ class Workbench:
         """
         known, before = self._study.data, self._run_rows
         count = min(len(known), len(data))
-        same = np.array_equal(known.joints_mm[:count], data.joints_mm[:count]) and np.array_equal(
-            known.readings_mm[:count], data.readings_mm[:count], equal_nan=True
+        same = np.array_equal(known.joints[:count], data.joints[:count]) and np.array_equal(
+            known.readings[:count], data.readings[:count], equal_nan=True
         )
         if len(data) < before:
             raise MeasurementError(
@@ -409,6 +411,7 @@ class Workbench:
             data=study.data,
             effects=study.effects,
             own=tuple(study.own),
+            catalogue=tuple(study.model.catalogue),
             history=tuple(study.history),
             lefts=tuple(lefts),
             diagnosis=None,

@@ -9,12 +9,13 @@ import numpy as np
 
 from ..calibrate import CORRECTIONS, to_json
 from ..calibrate import calibrate as run_calibration
+from ..chain import effects_by_name
 from ..diagnosis import diagnose
 from ..effects.file import load_effects
 from ..errors import MeasurementError
 from ..identification import LOSSES
 from ..measurements import Measurements, read_measurements
-from ..model import effects_by_name
+from ..models import catalogue_of
 from ..robots import load_robot
 from ..study import Study
 from . import output, reporting, tables
@@ -70,7 +71,7 @@ def calibrate(
             data,
             inner,
             free=[name.strip() for name in free.split(",") if name.strip()],
-            effects=effects_by_name(added, own),
+            effects=effects_by_name(catalogue_of(nominal), added, own),
             loss=loss,
             priors=priors,
             linear=linear,

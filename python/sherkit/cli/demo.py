@@ -11,7 +11,7 @@ import numpy as np
 from rich.table import Table
 
 from ..calibrate import Result, calibrate
-from ..calibration import Calibration
+from ..calibrations import AnyCalibration
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
 from ..measurements import read_measurements
@@ -46,6 +46,7 @@ def demo(folder: Path, seed: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     save_robot(EXAMPLE, folder / "robot.toml")
     robot = load_robot(folder / "robot.toml")
+    assert isinstance(robot, Delta)
     # rails that lean by some milliradians: what the geometric model does not know
     virtual = VirtualDelta.draw(robot, seed, rail_lean_rad=8e-3, noise_mm=0.005)
     with output.steps(21) as step:
@@ -87,7 +88,7 @@ def demo(folder: Path, seed: int) -> None:
 
 
 def _report(
-    folder: Path, study: Study, found: Diagnosis[Any], calibration: Calibration, result: Result,
+    folder: Path, study: Study, found: Diagnosis[Any], calibration: AnyCalibration, result: Result,
     step: Callable[[str], None],
 ) -> Path | None:  # fmt: skip
     """Writes the report where what draws is installed."""
@@ -114,7 +115,7 @@ def _history(study: Study) -> Table:
     return made
 
 
-def _misses(virtual: VirtualDelta, robot: Delta, calibration: Calibration) -> tuple[float, float]:
+def _misses(virtual: VirtualDelta, robot: Delta, calibration: AnyCalibration) -> tuple[float, float]:
     """RMS distance, µm, of where the virtual robot really goes from where it was sent: as drawn, and calibrated."""
     targets = paper_whole()
     home = virtual.true_reading(robot.inverse([0.0, 0.0, 0.0]))

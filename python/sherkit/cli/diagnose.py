@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import reduce
 from pathlib import Path
 
 import click
 
+from ..chain import effects_by_name
 from ..diagnosis import diagnose as run_diagnosis
 from ..diagnosis import template
 from ..effects.file import load_effects
 from ..identification import identify
 from ..measurements import read_measurements
-from ..model import DeltaModel, effects_by_name
+from ..models import model_of
 from ..robots import load_robot
 from ..study import Study, joined
 from . import output, reporting
@@ -43,7 +45,8 @@ def diagnose(
         step(f"reading {runs[0]}")
         data = reduce(joined, (read_measurements(run) for run in runs))
         step("identifying the model as it is")
-        fit = identify(DeltaModel(nominal, effects=effects_by_name(added, own)), data)
+        plain = model_of(nominal)
+        fit = identify(replace(plain, effects=effects_by_name(plain.catalogue, added, own)), data)
         found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)
         if report is not None:
             step("writing the report")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rich.markup import escape
 from rich.table import Table
 
@@ -24,14 +26,28 @@ _VERDICT = {
 _MOST = 8
 
 
+def _short(d: Diagnosis[Any], value: float) -> str:
+    """A number in the unit of a diagnosis: a tenth of a micrometre is enough, of a pixel it is not."""
+    return f"{value:.1f}" if d.unit == "µm" else f"{value:.3g}"
+
+
+def _long(d: Diagnosis[Any], value: float) -> str:
+    return f"{value:.2f}" if d.unit == "µm" else f"{value:.4g}"
+
+
+def _with_unit(column: str) -> str:
+    name, _, unit = column.rpartition("_")
+    return f"{name}, {unit}"
+
+
 def _p(value: float) -> str:
     return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
 
 
 def diagnosis(d: Diagnosis[Fit]) -> None:
     """Everything a diagnosis found."""
-    noise = ", ".join(f"{axis} {value:.1f}" for axis, value in d.noise_um.items())
-    out.print(f"[bold]1. Is anything missing?[/]  noise {noise} µm ({_ORIGIN[d.noise_origin]})")
+    noise = ", ".join(f"{axis} {_short(d, value)}" for axis, value in d.noise.items())
+    out.print(f"[bold]1. Is anything missing?[/]  noise {noise} {d.unit} ({_ORIGIN[d.noise_origin]})")
     if d.correlation_in_time:
         out.print(
             f"   the noise is correlated in time, {d.correlation_in_time:.2f} from row to row; taken into account"
@@ -72,23 +88,24 @@ def diagnosis(d: Diagnosis[Fit]) -> None:
 
 def falling(d: Diagnosis[Fit]) -> Table:
     """The error on poses held out, step by step."""
-    made = table("Error on poses held out", "model", "µm RMS")
+    made = table("Error on poses held out", "model", f"{d.unit} RMS")
     for s in d.steps:
-        made.add_row("as it came" if s.effect is None else f"+ {s.effect}", f"{s.held_out_rms_um:.2f}")
-    made.add_row("noise", f"{(sum(v**2 for v in d.noise_um.values()) / len(d.noise_um)) ** 0.5:.2f}", style="dim")
+        made.add_row("as it came" if s.effect is None else f"+ {s.effect}", _long(d, s.held_out_rms))
+    noise = (sum(v**2 for v in d.noise.values()) / len(d.noise)) ** 0.5
+    made.add_row("noise", _long(d, noise), style="dim")
     return made
 
 
 def _where(d: Diagnosis[Fit]) -> Table:
-    made = table("", "against", "p", "µm RMS from its lowest to its highest sixth")
+    made = table("", "against", "p", f"{d.unit} RMS from its lowest to its highest sixth")
     for line in d.where[:_MOST]:
-        made.add_row(line.variable, _p(line.p_value), "  ".join(f"{v:.1f}" for v in line.rms_um))
+        made.add_row(line.variable, _p(line.p_value), "  ".join(_short(d, v) for v in line.rms))
     made.caption = f"correlation with the nearest neighbour in space: {d.neighbour_correlation:.2f}"
     return made
 
 
 def _candidates(d: Diagnosis[Fit]) -> Table:
-    made = table("", "effect", "link", "held out µm", "p", "size", "largest parameter")
+    made = table("", "effect", "link", f"held out {d.unit}", "p", "size", "largest parameter")
     for c in d.candidates:
         worst = max(c.parameters, key=lambda q: abs(q["value"]) / max(q["std"], 1e-300))
         value = f"{worst['name']} = {worst['value']:.3g} ± {worst['std']:.1g} {worst['unit']}"
@@ -96,24 +113,28 @@ def _candidates(d: Diagnosis[Fit]) -> Table:
         mark = "plausible" if c.plausible else "implausible"
         made.add_row(
             f"[bold]{escape(c.effect)}[/]" if named else escape(c.effect),
-            c.link, f"{c.held_out_rms_um:.2f}", _p(c.p_value), mark, value,
+            c.link, _long(d, c.held_out_rms), _p(c.p_value), mark, value,
         )  # fmt: skip
     return made
 
 
 def _power(d: Diagnosis[Fit]) -> Table:
     made = table(
-        "Smallest effects that would have been found (80 % power)", "effect", "× plausible size", "leaves µm RMS"
+        "Smallest effects that would have been found (80 % power)",
+        "effect",
+        "× plausible size",
+        f"leaves {d.unit} RMS",
     )
     for name, (size, rms) in d.smallest_found.items():
-        made.add_row(escape(name), f"{size:.2g}" if size < 1e6 else "never", f"{rms:.2f}" if rms < 1e6 else "")
+        made.add_row(escape(name), f"{size:.2g}" if size < 1e6 else "never", _long(d, rms) if rms < 1e6 else "")
     return made
 
 
 def _poses(d: Diagnosis[Fit]) -> Table:
-    made = table("Poses to measure next, in this order", "", "x", "y", "z", "separation, σ")
+    axes = [name for name in d.next_poses[0] if name != "separation_sigma"]
+    made = table("Poses to measure next, in this order", "", *map(_with_unit, axes), "separation, σ")
     for k, pose in enumerate(d.next_poses, start=1):
-        cells = [f"{pose[a]:.1f}" for a in ("x_mm", "y_mm", "z_mm")]
+        cells = [f"{pose[a]:.1f}" for a in axes]
         made.add_row(str(k), *cells, f"{pose['separation_sigma']:.1f}")
     return made
 

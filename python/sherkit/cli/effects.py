@@ -6,12 +6,16 @@ from pathlib import Path
 
 import click
 
-from ..effects import CATALOGUE
-from ..model import effects_by_name
-from ..robots import load_robot
+from ..chain import effects_by_name
+from ..effects import Effect
+from ..errors import SherkitError
+from ..models import MODELS
+from ..robots import Delta, load_robot
 from ..signatures import signature_map
 from . import output
 from .demo import EXAMPLE
+
+_TITLES = {"delta": "Effects of the linear delta", "spherical": "Effects of the spherical robot and its camera"}
 
 
 @click.command()
@@ -20,14 +24,34 @@ from .demo import EXAMPLE
 @click.option("--picture", type=click.Path(path_type=Path), help="Draw what the effect leaves on this robot (SVG).")
 def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
     """List the physical effects that can be found and added; with NAME, show one."""
+    nominal = load_robot(robot) if robot else None
+    kinds = MODELS if nominal is None else {nominal.kind: MODELS[nominal.kind]}
+    catalogues = {kind: model.catalogue for kind, model in kinds.items()}
     if name is None:
-        made = output.table("Effects of the linear delta", "effect", "link", "parameters", "needs")
-        for e in CATALOGUE.values():
-            made.add_row(e.name, e.link, str(len(e.parameters)), ", ".join(e.needs))
-        output.out.print(made)
+        for kind, catalogue in catalogues.items():
+            made = output.table(_TITLES.get(kind, kind), "effect", "link", "parameters", "needs")
+            for e in catalogue.values():
+                made.add_row(e.name, e.link, str(len(e.parameters)), ", ".join(e.needs))
+            output.out.print(made)
         output.say("sherkit effects NAME shows one; your own go into a Python file: --effects my_effects.py")
         return
-    effect = CATALOGUE["datum"] if name == "datum" else effects_by_name((name,))[0]
+    holders = [kind for kind, catalogue in catalogues.items() if name in catalogue]
+    if not holders:
+        effects_by_name({k: v for catalogue in catalogues.values() for k, v in catalogue.items()}, (name,))
+    for kind in holders:
+        _show(catalogues[kind][name], _TITLES.get(kind, kind) if len(holders) > 1 else "")
+    if picture is not None and name != "datum":
+        if nominal is None and "delta" not in holders:
+            raise SherkitError(f"'{name}' is an effect of the {holders[0]} robot; --picture draws on a delta alone")
+        if nominal is not None and not isinstance(nominal, Delta):
+            raise SherkitError("--picture draws on a delta alone; a report shows the maps of all effects on a run")
+        picture.write_text(signature_map(catalogues["delta"][name], nominal or EXAMPLE), encoding="utf-8")
+        output.say(f"what {name} leaves on this robot is drawn in {picture}")
+
+
+def _show(effect: Effect, of: str) -> None:
+    if of:
+        output.out.rule(of)
     output.out.print(f"[bold]{effect.name}[/], at the link '{effect.link}'")
     for title, text in (
         ("physics", effect.physics),
@@ -43,6 +67,3 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
     for p in effect.parameters:
         made.add_row(p.name, f"{p.size:g}", p.unit)
     output.out.print(made)
-    if picture is not None and name != "datum":
-        picture.write_text(signature_map(effect, load_robot(robot) if robot else EXAMPLE), encoding="utf-8")
-        output.say(f"what {effect.name} leaves on this robot is drawn in {picture}")

@@ -13,7 +13,7 @@ from . import output
 
 if TYPE_CHECKING:
     from ..calibrate import Result
-    from ..calibration import Calibration
+    from ..calibrations import AnyCalibration
     from ..diagnosis import Diagnosis
     from ..study import Study
 
@@ -41,7 +41,7 @@ def require_view() -> None:
 
 def write(
     path: Path, title: str, study: Study, found: Diagnosis[Any], sources: Sequence[Path], *,
-    calibration: Calibration | None = None, result: Result | None = None, simulated: bool = False,
+    calibration: AnyCalibration | None = None, result: Result | None = None, simulated: bool = False,
 ) -> None:  # fmt: skip
     """Writes the report of a study that stands at the last state to be told."""
     from ..report.story import Source, Story, write_report  # Bokeh takes a second to load

@@ -10,28 +10,33 @@ from rich.table import Table
 from .. import paper
 from ..calibrate import Experiment, Result
 from ..calibration import Calibration
+from ..calibrations import AnyCalibration
 from ..errors import SherkitError
 from ..names import listed
+from ..remote_centre import centre_in_words, remote_centre
+from ..spherical_model import SphericalModel
 from .output import out, table
 
-_AXES = ("x_mm", "y_mm", "z_mm", "distance_mm")
 
-
-def _pm(value: tuple[float, float] | None) -> str:
-    return "" if value is None else f"{value[0]:.1f} ± {value[1]:.1f}"
+def _pm(value: tuple[float, float] | None, unit: str = "µm") -> str:
+    if value is None:
+        return ""
+    return f"{value[0]:.1f} ± {value[1]:.1f}" if unit == "µm" else f"{value[0]:.3g} ± {value[1]:.3g}"
 
 
 def errors(e: Experiment, title: str, beside: Mapping[str, Mapping[str, tuple[int, int]]] | None = None) -> Table:
     """Table I: error per axis before, after the geometry, held out, after the correction."""
-    made = table(title, "µm, RMS ± std", *[a[:-3] for a in _AXES if e.fit.data.taken[:, _AXES.index(a)].any()])
+    layout, taken = e.fit.data.layout, np.any(e.fit.data.taken, axis=0)
+    axes = [name for name, any_ in zip(layout.readings, taken.tolist(), strict=True) if any_]
+    made = table(title, f"{layout.unit}, RMS ± std", *[a.rsplit("_", 1)[0] for a in axes])
     for name, key, rms in e.lines():
-        made.add_row(name, *[_pm(rms.get(a)) for a in _AXES if a in rms])
+        made.add_row(name, *[_pm(rms.get(a), layout.unit) for a in axes])
         printed = (beside or {}).get(key)
         if printed:
             made.add_row("  the paper's robot", *[f"{v[0]} ± {v[1]}" for v in printed.values()], style="dim")
     repeats = e.fit.data.repeatability
     if repeats:
-        made.add_row("repeatability (1 σ)", *[f"± {1e3 * v:.1f}" for v in repeats.sigma_mm.values()])
+        made.add_row("repeatability (1 σ)", *[f"± {layout.per_unit * v:.3g}" for v in repeats.sigma_mm.values()])
     return made
 
 
@@ -45,7 +50,7 @@ def parameters(e: Experiment, title: str) -> Table:
         factor = np.rad2deg(1.0) if angle else 1.0
         digits = 4 if angle else 3
         cells = [f"{x * factor:.{digits}f}" for x in (v, r, s)]
-        made.add_row(p.name, p.symbol, f"{v * factor:+.{digits}f}", *cells[1:], "deg" if angle else "mm")
+        made.add_row(p.name, p.symbol, f"{v * factor:+.{digits}f}", *cells[1:], "deg" if angle else p.unit)
     return made
 
 
@@ -113,30 +118,22 @@ _NOISE = {
 }
 
 
-def accuracy(calibration: Calibration) -> None:
+def accuracy(calibration: AnyCalibration) -> None:
     """Predicted accuracy at the centre and at the rims, against what injection needs."""
-    robot = calibration.robot
-    points = [("centre", (0.0, 0.0, 0.0))]
-    if robot.region_half_width_mm:
-        h = robot.region_half_width_mm
-        points.append(("corner of the region", (h, h, h)))
-    if robot.workspace_radius_mm and robot.workspace_z_mm:
-        points.append(("rim of the workspace", (robot.workspace_radius_mm, 0.0, robot.workspace_z_mm[1])))
     made = table(
         f"Predicted accuracy, 95 % (retinal injection needs {paper.REQUIREMENT_UM:.0f} µm)",
         "at",
-        "x",
-        "y",
-        "z",
+        *(name.rpartition("_")[0] + ", " + name.rpartition("_")[2] for name in calibration.coordinates),
         "µm",
     )
-    for name, x in points:
+    for name, place in calibration.places():
+        cells = [f"{v:.4g}" for v in place]
         try:
-            radius = f"{1e3 * calibration.accuracy(x):.1f}"
-            note = "" if calibration.measured(x) else " (extrapolated: no pose was measured there)"
-            made.add_row(name, *[f"{v:.0f}" for v in x], radius + note)
+            radius = f"{1e3 * calibration.accuracy(place):.1f}"
+            note = "" if calibration.measured(place) else " (extrapolated: no pose was measured there)"
+            made.add_row(name, *cells, radius + note)
         except SherkitError as error:  # the rim may be beyond reach: say so in the table
-            made.add_row(name, *[f"{v:.0f}" for v in x], str(error))
+            made.add_row(name, *cells, str(error))
     out.print(made)
 
 
@@ -159,7 +156,9 @@ def result(r: Result, *, demo: bool = False) -> None:
         account(e, f"How well the {name} run knows its parameters")
         out.print()
     accuracy(r.calibration)
-    jump = r.calibration.border_jump_mm()
+    if isinstance(r.whole.fit.model, SphericalModel):
+        out.print(f"remote centre of motion: {centre_in_words(remote_centre(r.whole.fit))}")
+    jump = r.calibration.border_jump_mm() if isinstance(r.calibration, Calibration) else None
     if jump is not None:
         out.print(f"local and whole model differ by at most {1e3 * jump:.1f} µm on the region's border; blended there")
 

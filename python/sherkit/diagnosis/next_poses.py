@@ -16,28 +16,26 @@ from numpy.typing import NDArray
 from ..errors import FitError
 from ..identification import Fit
 from ..measurements import Measurements
-from ..measurements.columns import TEMPERATURE
 
 Floats = NDArray[np.float64]
 
 MOST = 12
 _PAUSE_S = 600.0
 _SECONDS_PER_POSE = 3.0
-_GRID = (7, 7, 5)
 
 
-def next_poses(true: Fit, rivals: list[Fit], sigma_mm: Floats, most: int = MOST) -> tuple[dict[str, float], ...]:
+def next_poses(true: Fit, rivals: list[Fit], sigma: Floats, most: int = MOST) -> tuple[dict[str, float], ...]:
     """Up to ``most`` reachable poses in the order to measure them, each with the separation that is reached with it.
 
     ``separation_sigma`` is how far the rival that comes nearest, refitted to everything, is still from the true model,
     in standard deviations. Empty where nothing separates them.
     """
-    grid = _reachable(true)
+    grid = true.model.reachable(true.data, true.values)
     if grid is None or not rivals:
         return ()
     poses, rows = grid
     try:
-        problems = [_Problem(true, rival, rows, sigma_mm) for rival in rivals]
+        problems = [_Problem(true, rival, rows, sigma) for rival in rivals]
     except FitError:
         return ()
     chosen: list[int] = []
@@ -52,24 +50,25 @@ def next_poses(true: Fit, rivals: list[Fit], sigma_mm: Floats, most: int = MOST)
         for p in problems:
             p.add(best, k)
         separation = float(np.sqrt(max(min(p.distance for p in problems), 0.0)))
-        x = poses[best]
-        out.append({"x_mm": float(x[0]), "y_mm": float(x[1]), "z_mm": float(x[2]), "separation_sigma": separation})
+        names = true.data.layout.coordinates
+        out.append({**dict(zip(names, poses[best].tolist(), strict=True)), "separation_sigma": separation})
     return tuple(out)
 
 
 class _Problem:
     """One rival: its normal equations with the old rows, and what each new pose would add."""
 
-    def __init__(self, true: Fit, rival: Fit, rows: Measurements, sigma_mm: Floats) -> None:
-        sigma = sigma_mm[:3]
+    def __init__(self, true: Fit, rival: Fit, rows: Measurements, sigma: Floats) -> None:
+        count = rows.coordinates
+        sigma = sigma[:count]
         data = rival.data
-        used = data.taken[:, :3] & ~data.outlier[:, None]
-        old = rival.model.derivatives(data, rival.values)[:, :3]
+        used = data.taken[:, :count] & ~data.outlier[:, None]
+        old = rival.model.derivatives(data, rival.values)[:, :count]
         old = np.where(used[:, :, None], old / sigma[:, None], 0.0)
         scale = np.linalg.norm(old.reshape(-1, old.shape[2]), axis=0)
         self.scale = np.where(scale > 0, scale, 1.0)
         flat = old.reshape(-1, old.shape[2]) / self.scale
-        apart = (true.model.predict(data, true.values) - rival.model.predict(data, rival.values))[:, :3]
+        apart = (true.model.predict(data, true.values) - rival.model.predict(data, rival.values))[:, :count]
         apart = np.where(used, apart / sigma, 0.0).reshape(-1)
         self.gram = flat.T @ flat
         self.right = flat.T @ apart
@@ -79,8 +78,10 @@ class _Problem:
         # the same poses at each later moment at which they could be measured
         for k in range(MOST):
             later = _at(rows, true, k)
-            columns = rival.model.derivatives(later, rival.values)[:, :3] / sigma[:, None] / self.scale
-            away = (true.model.predict(later, true.values) - rival.model.predict(later, rival.values))[:, :3] / sigma
+            columns = rival.model.derivatives(later, rival.values)[:, :count] / sigma[:, None] / self.scale
+            away = (true.model.predict(later, true.values) - rival.model.predict(later, rival.values))[
+                :, :count
+            ] / sigma
             self.new.append((columns, away))
 
     def scores(self, k: int) -> Floats:
@@ -95,7 +96,9 @@ class _Problem:
         # directions that the old rows do not observe must not count as separation: they are free to fit
         free = columns @ rest
         spread = columns @ root
-        covariance = np.eye(3) + spread @ spread.transpose(0, 2, 1) + 1e8 * free @ free.transpose(0, 2, 1)
+        covariance = (
+            np.eye(columns.shape[1]) + spread @ spread.transpose(0, 2, 1) + 1e8 * free @ free.transpose(0, 2, 1)
+        )
         gained = np.einsum("na,na->n", miss, np.linalg.solve(covariance, miss[:, :, None])[:, :, 0])
         return gained + self.square - float(self.right @ x)
 
@@ -110,41 +113,6 @@ class _Problem:
         root = vector[:, keep] / np.sqrt(value[keep])
         x = root @ (root.T @ self.right)
         self.distance = self.square - float(self.right @ x)
-
-
-def _reachable(fit: Fit) -> tuple[Floats, Measurements] | None:
-    """A grid of poses over the workspace (or where the run was), with the rows they would give."""
-    robot = fit.model.robot
-    measured = fit.predicted_mm[~fit.data.is_distance, :3]
-    low, high = measured.min(axis=0), measured.max(axis=0)
-    if robot.workspace_radius_mm:
-        low[:2], high[:2] = -robot.workspace_radius_mm, robot.workspace_radius_mm
-    if robot.workspace_z_mm:
-        low[2], high[2] = robot.workspace_z_mm
-    axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, _GRID, strict=True)]
-    poses = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    if robot.workspace_radius_mm:
-        poses = poses[np.hypot(poses[:, 0], poses[:, 1]) <= robot.workspace_radius_mm * (1 + 1e-9)]
-    batch = robot.inverse_batch(poses)
-    poses, joints = poses[batch.reached], batch.values[batch.reached]
-    reached = fit.model.core.predict(fit.model.full(fit.values), fit.model.block(_rows(fit.data, joints)))[1]
-    poses, joints = poses[reached], joints[reached]
-    return (poses, _rows(fit.data, joints)) if len(poses) else None
-
-
-def _rows(data: Measurements, joints: Floats) -> Measurements:
-    """Rows that were not measured yet: only joints, and covariates as they were on average."""
-    n = len(joints)
-    made = data.select(np.zeros(n, dtype=np.int64))
-    return replace(
-        made,
-        joints_mm=np.ascontiguousarray(joints),
-        to_joints_mm=np.full((n, 3), np.nan),
-        taken=np.tile([True, True, True, False], (n, 1)),
-        direction=np.ones((n, 3)),
-        outlier=np.zeros(n, dtype=bool),
-        covariates={k: np.full(n, float(v[-1] if k == TEMPERATURE else v.mean())) for k, v in data.covariates.items()},
-    )
 
 
 def _at(rows: Measurements, fit: Fit, k: int) -> Measurements:

@@ -3,30 +3,99 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import cached_property
 
 from ..errors import MeasurementError, SherkitWarning
 from ..names import closest, listed
+
+TIME = "time_s"
+TEMPERATURE = "temperature_c"
+POSE = "pose"
+REPEAT = "repeat"
+OUTLIER = "outlier"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The columns of the runs of one kind of robot, beside those that every run may have.
+
+    ``joints`` name the readings of the joints, ``coordinates`` what instruments show of where it is; ``distance`` is a
+    reading between two places, whose other end is at ``to_joints``. People read coordinates in ``unit``, of which one
+    unit of the file has ``per_unit``. ``velocities`` are covariates by joint.
+    """
+
+    joints: tuple[str, ...]
+    coordinates: tuple[str, ...]
+    unit: str
+    per_unit: float
+    distance: str | None = None
+    to_joints: tuple[str, ...] = ()
+    velocities: tuple[str, ...] = ()
+
+    @cached_property
+    def readings(self) -> tuple[str, ...]:
+        """Every reading column: the coordinates, then the distance."""
+        return (*self.coordinates, self.distance) if self.distance else self.coordinates
+
+    @cached_property
+    def sigmas(self) -> tuple[str, ...]:
+        """Columns that declare the noise of each reading."""
+        return tuple(f"sigma_{name}" for name in self.readings)
+
+    @cached_property
+    def directions(self) -> tuple[str, ...]:
+        """Columns with the sign of the last motion of each joint."""
+        return tuple(f"direction_{k + 1}" for k in range(len(self.joints)))
+
+    @cached_property
+    def known(self) -> tuple[str, ...]:
+        """Every column that means something by its name."""
+        own = (*self.joints, *self.to_joints, *self.readings, *self.sigmas, *self.directions)
+        return (*own, TIME, POSE, REPEAT, OUTLIER)
+
+    @cached_property
+    def may_be_empty(self) -> tuple[str, ...]:
+        """Columns where an empty cell means "not taken here"."""
+        return (*self.to_joints, *self.readings, *self.sigmas)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Readings without their units, for people."""
+        return tuple(name.rsplit("_", 1)[0] for name in self.readings)
+
 
 JOINTS = ("q1_mm", "q2_mm", "q3_mm")
 TO_JOINTS = ("to_q1_mm", "to_q2_mm", "to_q3_mm")
 POSITION = ("x_mm", "y_mm", "z_mm")
 DISTANCE = "distance_mm"
 READINGS = (*POSITION, DISTANCE)
-SIGMAS = tuple(f"sigma_{name}" for name in READINGS)
-TIME = "time_s"
-DIRECTIONS = ("direction_1", "direction_2", "direction_3")
-TEMPERATURE = "temperature_c"
-POSE = "pose"
-REPEAT = "repeat"
-OUTLIER = "outlier"
 
-KNOWN = (*JOINTS, *TO_JOINTS, *READINGS, *SIGMAS, *DIRECTIONS, TIME, POSE, REPEAT, OUTLIER)
-#: Columns where an empty cell means "not taken here".
-MAY_BE_EMPTY = (*TO_JOINTS, *READINGS, *SIGMAS)
+#: The linear delta: carriages, coordinates of the measured point, distances between two of its places.
+DELTA = Layout(JOINTS, POSITION, "µm", 1e3, DISTANCE, TO_JOINTS)
+#: The spherical robot, seen by a camera or as angles that vision has found already.
+SPHERICAL_JOINTS = ("theta1_rad", "theta2_rad")
+_VELOCITIES = ("theta1_rad_per_s", "theta2_rad_per_s")
+SPHERICAL_PIXELS = Layout(SPHERICAL_JOINTS, ("u_px", "v_px"), "px", 1.0, velocities=_VELOCITIES)
+SPHERICAL_ANGLES = Layout(SPHERICAL_JOINTS, ("phi_rad", "gamma_rad"), "mrad", 1e3, velocities=_VELOCITIES)
+
+#: Every kind of run that a file can hold; a robot that is new here adds its own.
+LAYOUTS = (DELTA, SPHERICAL_PIXELS, SPHERICAL_ANGLES)
+
+
+def layout_of(names: Collection[str]) -> Layout:
+    """The kind of run that these columns belong to: whose joints and coordinates they name most of."""
+    return max(
+        LAYOUTS, key=lambda one: sum(n in names for n in one.joints) + 0.5 * sum(n in names for n in one.readings)
+    )
+
 
 #: A covariate whose name is as alike as this to a column that is not there may be a slip of the finger.
 _MISSPELT = 0.8
+#: Units of length that a column may have been written in by mistake.
 _UNITS = ("_m", "_um", "_µm", "_cm", "_in", "_mm")
+_ANGLES = ("_deg", "_mrad", "_urad", "_rad")
 
 
 def check_unique(names: list[str], where: str) -> None:
@@ -36,43 +105,47 @@ def check_unique(names: list[str], where: str) -> None:
         raise MeasurementError(f"{where}: column {listed(twice)} appears more than once")
 
 
-def check_columns(names: list[str], where: str) -> None:
-    """Refuses a table that lacks what every delta run has, or holds a reading in another unit.
+def check_columns(names: list[str], where: str) -> Layout:
+    """The layout of a table. Refuses one that lacks what every run of its kind has, or holds a reading in another unit.
 
     Raises ``MeasurementError``; warns of a covariate whose name looks like a misspelt column.
     """
-    for needed in JOINTS:
+    layout = layout_of(names)
+    for needed in layout.joints:
         if needed not in names:
-            raise MeasurementError(_missing(needed, names, where, "the reading of a joint"))
-    readings = [r for r in READINGS if r in names]
-    if not readings:
-        what = "at least one of x_mm, y_mm, z_mm or distance_mm"
-        raise MeasurementError(_missing("x_mm", names, where, what))
-    if DISTANCE in names:
-        for needed in TO_JOINTS:
+            raise MeasurementError(_missing(needed, names, where, "the reading of a joint", layout))
+    if not any(r in names for r in layout.readings):
+        what = f"at least one of {' or '.join([', '.join(layout.readings[:-1]), layout.readings[-1]])}"
+        raise MeasurementError(_missing(layout.readings[0], names, where, what, layout))
+    if layout.distance is not None and layout.distance in names:
+        for needed in layout.to_joints:
             if needed not in names:
                 what = "the joints at the other end of each distance"
-                raise MeasurementError(_missing(needed, names, where, what))
-    absent = [n for n in KNOWN if n not in names]
-    for name in (n for n in names if n not in KNOWN):
+                raise MeasurementError(_missing(needed, names, where, what, layout))
+    absent = [n for n in layout.known if n not in names]
+    for name in (n for n in names if n not in layout.known):
         stem = name.rsplit("_", 1)[0]
         if f"{stem}_mm" in absent and name.removeprefix(stem) in _UNITS:
             raise MeasurementError(f"{where}: column '{name}': convert it to millimetres and name it '{stem}_mm'")
+        if f"{stem}_rad" in absent and name.removeprefix(stem) in _ANGLES:
+            raise MeasurementError(f"{where}: column '{name}': convert it to radians and name it '{stem}_rad'")
         typed = closest(name.lower(), absent, cutoff=_MISSPELT)
-        if typed:
+        if typed and name not in layout.velocities:
             message = f"{where}: column '{name}' is taken as a covariate; is it meant to be '{typed}'?"
             warnings.warn(message, SherkitWarning, stacklevel=2)
+    return layout
 
 
-def _missing(name: str, names: list[str], where: str, what: str) -> str:
+def _missing(name: str, names: list[str], where: str, what: str, layout: Layout) -> str:
     stem = name.rsplit("_", 1)[0]
-    for unit in _UNITS:
-        if stem + unit in names:
-            return (
-                f"{where}: column '{name}' is missing ({what}); the file has '{stem + unit}': "
-                f"convert it to millimetres and name it '{name}'"
-            )
-    unknown = [n for n in names if n not in KNOWN]
+    for units, meant in ((_UNITS, "millimetres"), (_ANGLES, "radians")):
+        for unit in units:
+            if stem + unit in names:
+                return (
+                    f"{where}: column '{name}' is missing ({what}); the file has '{stem + unit}': "
+                    f"convert it to {meant} and name it '{name}'"
+                )
+    unknown = [n for n in names if n not in layout.known]
     typed = closest(name, unknown)
     hint = f"; is '{typed}' meant to be it?" if typed else f"; the file has {listed(names, 12)}"
     return f"{where}: column '{name}' is missing ({what}){hint}"

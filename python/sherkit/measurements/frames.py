@@ -69,7 +69,7 @@ def clean(frame: pl.DataFrame, source: str, line: Ints | None, counted: str) -> 
     """
     c.check_unique([name.strip() for name in frame.columns], source)
     frame = frame.rename({name: name.strip() for name in frame.columns})
-    c.check_columns(frame.columns, source)
+    layout = c.check_columns(frame.columns, source)
     if frame.height == 0:
         raise MeasurementError(f"{source}: holds no row, only column names; expected measurements")
     line = np.arange(frame.height, dtype=np.int64) if line is None else line
@@ -77,18 +77,18 @@ def clean(frame: pl.DataFrame, source: str, line: Ints | None, counted: str) -> 
     columns: dict[str, Any] = {}
     for name in frame.columns:
         column = frame[name]
-        number = _numbers(column, name, place, line)
+        number = _numbers(column, name, place, line, layout)
         columns[name] = _labels(column) if number is None else number
-    return Measurements.from_columns(columns, source, line, counted)
+    return Measurements.from_columns(columns, source, line, counted, layout)
 
 
 def _labels(column: pl.Series) -> NDArray[Any]:
     return np.array(["" if v is None else str(v) for v in column], dtype=object)
 
 
-def _numbers(column: pl.Series, name: str, place: str, line: Ints) -> NDArray[np.float64] | None:
+def _numbers(column: pl.Series, name: str, place: str, line: Ints, layout: c.Layout) -> NDArray[np.float64] | None:
     """The column as floats, None where it is a label; raises at the first cell that is no number."""
-    known = name in c.KNOWN
+    known = name in layout.known
     text = column.dtype in (pl.String, pl.Categorical, pl.Enum)
     if text:
         raw = column.cast(pl.String).str.strip_chars()
@@ -100,7 +100,7 @@ def _numbers(column: pl.Series, name: str, place: str, line: Ints) -> NDArray[np
     else:
         return None
     number = raw.cast(pl.Float64, strict=False)
-    hint = "; where nothing was taken, leave the cell empty" if name in c.MAY_BE_EMPTY else "; expected a number"
+    hint = "; where nothing was taken, leave the cell empty" if name in layout.may_be_empty else "; expected a number"
     bad = (number.is_null() & raw.is_not_null()).to_numpy()
     if bad.any():
         if not known and bad.sum() > 0.5 * (len(raw) - raw.null_count()):
@@ -115,14 +115,14 @@ def _numbers(column: pl.Series, name: str, place: str, line: Ints) -> NDArray[np
     empty = np.isnan(values)
     if empty.all() and not known:
         return None
-    if empty.any() and name not in c.MAY_BE_EMPTY:
+    if empty.any() and name not in layout.may_be_empty:
         what = "a reading column may be empty, this one not" if known else "expected a number in every row"
         _refuse(place, line, empty, name, f"is empty; {what}")
     if name in (c.POSE, c.REPEAT):
         fraction = (values != np.floor(values)) | (np.abs(values) > _LARGEST_WHOLE)
         if fraction.any():
             _refuse(place, line, fraction, name, f"{values[int(np.argmax(fraction))]} is not a whole number")
-    if name in c.SIGMAS:
+    if name in layout.sigmas:
         low = values <= 0
         if low.any():
             _refuse(place, line, low, name, f"{values[int(np.argmax(low))]} must be greater than zero")

@@ -39,22 +39,22 @@ class Repeatability:
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """Rows of readings of a delta. Arrays have one row per reading and are not to be written to.
+    """Rows of readings of a robot. Arrays have one row per reading and are not to be written to.
 
-    ``joints_mm`` (n, 3); ``to_joints_mm`` (n, 3), NaN where the row is no distance; ``readings_mm`` (n, 4) with
-    columns x, y, z, distance, and ``taken`` (n, 4) telling which were taken; ``sigma_mm`` (n, 4), NaN where no
-    noise was declared; ``outlier`` (n,) rows that the user marked as wrong: kept, listed, not fitted.
-    ``line`` (n,) is the line of the row in its file (``counted`` is ``"line"``) or its number from 0 in a frame
-    (``"row"``), for messages. ``direction`` (n, 3) is the sign of the last motion of each joint, from the columns
-    ``direction_1`` … or from the order in time; NaN where neither is known.
-    ``order`` (n,) is the place of the row in the run it was taken from, by time where that is known.
+    ``layout`` names the columns and their units. ``joints`` (n, k); ``to_joints`` (n, k), NaN where the row is no
+    distance; ``readings`` (n, m), coordinates and then the distance, and ``taken`` (n, m) telling which were taken;
+    ``sigma`` (n, m), NaN where no noise was declared; ``outlier`` (n,) rows that the user marked as wrong: kept,
+    listed, not fitted. ``line`` (n,) is the line of the row in its file (``counted`` is ``"line"``) or its number from
+    0 in a frame (``"row"``), for messages. ``direction`` (n, k) is the sign of the last motion of each joint, from the
+    columns ``direction_1`` … or from the order in time; NaN where neither is known. ``order`` (n,) is the place of the
+    row in the run it was taken from, by time where that is known.
     """
 
-    joints_mm: Floats
-    to_joints_mm: Floats
-    readings_mm: Floats
+    joints: Floats
+    to_joints: Floats
+    readings: Floats
     taken: Bools
-    sigma_mm: Floats
+    sigma: Floats
     time_s: Floats | None
     pose: Ints | None
     repeat: Ints | None
@@ -66,6 +66,7 @@ class Measurements:
     counted: str
     direction: Floats
     order: Ints
+    layout: c.Layout = c.DELTA
 
     # -- making ------------------------------------------------------------------------------------------
 
@@ -76,31 +77,33 @@ class Measurements:
         source: str,
         line: Ints | None = None,
         counted: str = "row",
+        layout: c.Layout | None = None,
     ) -> Measurements:
         """Builds rows from clean columns: floats, NaN only where a reading was not taken.
 
         Raises :class:`~sherkit.errors.MeasurementError` for a row without any reading, half a distance, or a
         pose and repeat given twice. Warns where units do not fit.
         """
-        n = len(values[c.JOINTS[0]])
+        layout = c.layout_of(list(values)) if layout is None else layout
+        n = len(values[layout.joints[0]])
         line = np.arange(n, dtype=np.int64) if line is None else line
         empty = np.full(n, np.nan)
 
         def stack(names: Iterable[str]) -> Floats:
             return np.ascontiguousarray(np.stack([values.get(k, empty) for k in names], axis=1), dtype=float)
 
-        to = stack(c.TO_JOINTS)
-        readings = stack(c.READINGS)
+        to = stack(layout.to_joints) if layout.to_joints else np.full((n, len(layout.joints)), np.nan)
+        readings = stack(layout.readings)
         taken = np.isfinite(readings)
         whole = {k: values[k].astype(np.int64) if k in values else None for k in (c.POSE, c.REPEAT)}
-        known = set(c.KNOWN)
+        known = set(layout.known)
         rest = {k: v for k, v in values.items() if k not in known}
         data = cls(
-            joints_mm=stack(c.JOINTS),
-            to_joints_mm=to,
-            readings_mm=np.where(taken, readings, 0.0),
+            joints=stack(layout.joints),
+            to_joints=to,
+            readings=np.where(taken, readings, 0.0),
             taken=taken,
-            sigma_mm=stack(c.SIGMAS),
+            sigma=stack(layout.sigmas),
             time_s=np.asarray(values[c.TIME], dtype=float) if c.TIME in values else None,
             pose=whole[c.POSE],
             repeat=whole[c.REPEAT],
@@ -110,8 +113,9 @@ class Measurements:
             source=source,
             line=line,
             counted=counted,
-            direction=_directions(values, stack(c.JOINTS)),
+            direction=_directions(values, stack(layout.joints)),
             order=_order(values, n),
+            layout=layout,
         )
         data._check()
         return data
@@ -121,19 +125,10 @@ class Measurements:
         if none.any():
             raise MeasurementError(
                 f"{self.place(none)}: no reading was taken; expected a number in at least one of "
-                "x_mm, y_mm, z_mm, distance_mm"
+                f"{', '.join(self.layout.readings)}"
             )
-        ends = np.isfinite(self.to_joints_mm)
-        half = (ends.any(axis=1) & ~ends.all(axis=1)) | (ends.all(axis=1) != self.taken[:, 3])
-        if half.any():
-            raise MeasurementError(
-                f"{self.place(half)}: a distance needs distance_mm and all of to_q1_mm, to_q2_mm, to_q3_mm"
-            )
-        both = self.taken[:, 3] & self.taken[:, :3].any(axis=1)
-        if both.any():
-            raise MeasurementError(
-                f"{self.place(both)}: a row holds a position or a distance, not both; give each its own row"
-            )
+        if self.layout.distance is not None:
+            self._check_distances()
         if self.pose is not None and self.repeat is not None:
             keys = np.stack([self.pose, self.repeat], axis=1)
             _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
@@ -144,15 +139,29 @@ class Measurements:
                     f"{self.place(again)}: pose {self.pose[row]} repeat {self.repeat[row]} was given before "
                     f"({self.counted} {self.line[other]}); number repeats of a pose 1, 2, 3, …"
                 )
-        self._warn_of_units()
+        if self.layout.joints == c.JOINTS:
+            self._warn_of_units()
+
+    def _check_distances(self) -> None:
+        ends = np.isfinite(self.to_joints)
+        half = (ends.any(axis=1) & ~ends.all(axis=1)) | (ends.all(axis=1) != self.is_distance)
+        if half.any():
+            raise MeasurementError(
+                f"{self.place(half)}: a distance needs distance_mm and all of to_q1_mm, to_q2_mm, to_q3_mm"
+            )
+        both = self.is_distance & self.taken[:, :-1].any(axis=1)
+        if both.any():
+            raise MeasurementError(
+                f"{self.place(both)}: a row holds a position or a distance, not both; give each its own row"
+            )
 
     def _warn_of_units(self) -> None:
         position = self.taken[:, :3].all(axis=1) & ~self.outlier
         if position.sum() < 3:
             return
         # robust spreads: one wild row must not look like a wrong unit
-        spread = _spread(self.joints_mm[position])
-        moved = _spread(self.readings_mm[position, :3])
+        spread = _spread(self.joints[position])
+        moved = _spread(self.readings[position, :3])
         if spread <= 0 or moved <= 0:
             return
         joints, positions = ", ".join(c.JOINTS), ", ".join(c.POSITION)
@@ -171,10 +180,12 @@ class Measurements:
     # -- using -------------------------------------------------------------------------------------------
 
     def __len__(self) -> int:
-        return len(self.joints_mm)
+        return len(self.joints)
 
     def __repr__(self) -> str:
-        kinds = [name for name, any_ in zip(c.READINGS, np.any(self.taken, axis=0).tolist(), strict=True) if any_]
+        kinds = [
+            name for name, any_ in zip(self.layout.readings, np.any(self.taken, axis=0).tolist(), strict=True) if any_
+        ]
         poses = "" if self.pose is None else f", {len(np.unique(self.pose))} poses"
         return f"Measurements({len(self)} rows{poses}, {', '.join(kinds)}, from {self.source})"
 
@@ -194,7 +205,7 @@ class Measurements:
             **{
                 name: pick(getattr(self, name))
                 for name in (
-                    "joints_mm", "to_joints_mm", "readings_mm", "taken", "sigma_mm",
+                    "joints", "to_joints", "readings", "taken", "sigma",
                     "time_s", "pose", "repeat", "outlier", "line", "direction", "order",
                 )
             },
@@ -208,15 +219,61 @@ class Measurements:
         outlier[rows] = True
         return replace(self, outlier=outlier)
 
+    @property
+    def joints_mm(self) -> Floats:
+        """Joint readings (n, 3) of a delta, mm."""
+        return self.joints
+
+    @property
+    def to_joints_mm(self) -> Floats:
+        """Joint readings (n, 3) at the other end of a delta's distances, mm; NaN where a row is none."""
+        return self.to_joints
+
+    @property
+    def readings_mm(self) -> Floats:
+        """Readings (n, 4) of a delta, mm: x, y, z, distance."""
+        return self.readings
+
+    @property
+    def sigma_mm(self) -> Floats:
+        """Declared noise (n, 4) of a delta's readings, mm."""
+        return self.sigma
+
+    @property
+    def coordinates(self) -> int:
+        """How many of the reading columns are coordinates; they come first."""
+        return len(self.layout.coordinates)
+
     @cached_property
     def is_distance(self) -> Bools:
         """Which rows are distances."""
-        return self.taken[:, 3]
+        if self.layout.distance is None:
+            return np.zeros(len(self), dtype=bool)
+        return self.taken[:, -1]
+
+    def unmeasured(self, joints: Floats) -> Measurements:
+        """Rows that were not measured yet: these joints (k, n), and covariates as they were on average."""
+        n = len(joints)
+        made = self.select(np.zeros(n, dtype=np.int64))
+        taken = np.array([name != self.layout.distance for name in self.layout.readings])
+        return replace(
+            made,
+            joints=np.ascontiguousarray(joints),
+            to_joints=np.full_like(joints, np.nan),
+            taken=np.tile(taken, (n, 1)),
+            direction=np.ones_like(joints),
+            outlier=np.zeros(n, dtype=bool),
+            covariates={
+                # a robot warms and stays warm; other covariates come back
+                k: np.full(n, float(v[-1] if k == c.TEMPERATURE else v.mean()))
+                for k, v in self.covariates.items()
+            },
+        )
 
     @cached_property
     def distances_or_none(self) -> Floats | None:
-        """``to_joints_mm`` where any row is a distance, else None, as the core takes it."""
-        return self.to_joints_mm if self.is_distance.any() else None
+        """``to_joints`` where any row is a distance, else None, as the core takes it."""
+        return self.to_joints if self.is_distance.any() else None
 
     @cached_property
     def groups(self) -> Ints:
@@ -236,13 +293,13 @@ class Measurements:
             return None
         sigma: dict[str, float] = {}
         freedom: dict[str, int] = {}
-        for k, name in enumerate(c.READINGS):
+        for k, name in enumerate(self.layout.readings):
             rows = self.taken[:, k] & ~self.outlier
             if not rows.any():
                 continue
             group = np.unique(self.groups[rows], return_inverse=True)[1]
             count = np.bincount(group)
-            value = self.readings_mm[rows, k]
+            value = self.readings[rows, k]
             mean = np.bincount(group, value) / count
             free = int((count - 1).sum())
             if free > 0:
@@ -255,22 +312,23 @@ class Measurements:
     def to_frame(self) -> pl.DataFrame:
         """A polars frame with the file's column names; what was not taken is null."""
         columns: dict[str, Any] = {}
+        layout = self.layout
         for name, values in ((c.TIME, self.time_s), (c.POSE, self.pose), (c.REPEAT, self.repeat)):
             if values is not None:
                 columns[name] = values
-        for k, name in enumerate(c.JOINTS):
-            columns[name] = self.joints_mm[:, k]
+        for k, name in enumerate(self.layout.joints):
+            columns[name] = self.joints[:, k]
         blocks = (
-            (c.TO_JOINTS, self.to_joints_mm),
-            (c.READINGS, np.where(self.taken, self.readings_mm, np.nan)),
-            (c.SIGMAS, self.sigma_mm),
+            (layout.to_joints, self.to_joints),
+            (layout.readings, np.where(self.taken, self.readings, np.nan)),
+            (layout.sigmas, self.sigma),
         )
         for names, block in blocks:
             for k, name in enumerate(names):
                 if np.isfinite(block[:, k]).any():
                     columns[name] = block[:, k]
         # a selection of rows no longer shows how the joints came there
-        columns |= {name: self.direction[:, k] for k, name in enumerate(c.DIRECTIONS) if self._remembers(k)}
+        columns |= {name: self.direction[:, k] for k, name in enumerate(layout.directions) if self._remembers(k)}
         if self.outlier.any():
             columns[c.OUTLIER] = self.outlier.astype(np.int64)
         frame = pl.DataFrame({**columns, **self.covariates, **self.labels})
@@ -282,7 +340,7 @@ class Measurements:
         if not np.isfinite(known).all():
             return False
         values = {} if self.time_s is None else {c.TIME: self.time_s}
-        return not np.array_equal(_directions(values, self.joints_mm)[:, joint], known)
+        return not np.array_equal(_directions(values, self.joints)[:, joint], known)
 
     def save(self, path: str | Path) -> None:
         """Writes CSV or Parquet, by the ending of the name."""
@@ -303,9 +361,9 @@ def _directions(values: Mapping[str, NDArray[Any]], joints: Floats) -> Floats:
         # where a joint did not move, the direction of the motion before still holds
         last = np.maximum.accumulate(np.where(step != 0, np.arange(len(step))[:, None], 0), axis=0)
         out[order] = np.take_along_axis(step, last, axis=0)
-    for k, name in enumerate(c.DIRECTIONS):
-        if name in values:
-            out[:, k] = np.sign(np.asarray(values[name], dtype=float))
+    for k in range(joints.shape[1]):
+        if f"direction_{k + 1}" in values:
+            out[:, k] = np.sign(np.asarray(values[f"direction_{k + 1}"], dtype=float))
     return out
 
 

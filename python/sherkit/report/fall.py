@@ -43,13 +43,16 @@ def fall_of(study: Study, found: Diagnosis[Any] | None = None, required: float |
     rungs = [
         Rung(
             s.action,
-            {name.rsplit("_", 1)[0]: v for name, v in s.held_out_rms_um.items()},
-            {name.rsplit("_", 1)[0]: v for name, v in s.training_rms_um.items()},
+            {name.rsplit("_", 1)[0]: v for name, v in s.held_out_rms.items()},
+            {name.rsplit("_", 1)[0]: v for name, v in s.training_rms.items()},
         )
         for s in study.history
     ]
     known = found is not None and found.noise_origin != "unknown"
-    return Fall(rungs, found.noise if found is not None and known else {}, "µm", required)
+    unit = study.data.layout.unit
+    # an accuracy in µm says nothing of pixels
+    needed = required if unit == "µm" else None
+    return Fall(rungs, found.noise if found is not None and known else {}, unit, needed)
 
 
 def fall(state: Fall) -> Picture[Fall]:

@@ -14,7 +14,7 @@ from bokeh.models import Div
 from bokeh.resources import INLINE
 
 from .. import paper
-from ..calibration import Calibration
+from ..calibrations import AnyCalibration
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
 from ..identification import Fit
@@ -43,7 +43,7 @@ def pictures_of(value: Any) -> list[Picture[Any]]:
         )
         shown: list[Picture[Any]] = [candidates(value)] if value.candidates else []
         return [*shown, residual_map(change)]
-    if isinstance(value, Calibration):
+    if isinstance(value, AnyCalibration):
         return [accuracy_map(accuracy_of(value, paper.REQUIREMENT_UM))]
     if isinstance(value, Fit | ModelFit):
         left = left_of(value)

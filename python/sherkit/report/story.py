@@ -22,11 +22,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from .. import _core, paper
 from ..calibrate import Experiment, Result
-from ..calibration import Calibration
+from ..calibrations import AnyCalibration
 from ..diagnosis import Diagnosis, sentence
 from ..errors import SherkitError
 from ..names import listed
 from ..pictures import Panel, residual_maps, round_bar
+from ..remote_centre import centre_in_words, remote_centre
+from ..spherical_model import SphericalModel
 from ..study import Study
 from .against import Against, against
 from .atlas import atlas_of, signature_atlas
@@ -69,7 +71,7 @@ class Story:
     found: Diagnosis[Any]
     command: str
     sources: Sequence[Source]
-    calibration: Calibration | None = None
+    calibration: AnyCalibration | None = None
     result: Result | None = None
     simulated: bool = False
     #: Lines that a command adds: what else was measured, in sentences.
@@ -102,6 +104,8 @@ def html(story: Story) -> str:
         directions=[str(d) for d in getattr(story.study.fit, "badly_observed", ())],
         unobserved=[str(d) for d in getattr(story.study.fit, "unobserved", ())],
         accuracy=_accuracy_lines(story.calibration),
+        coordinates=listed([quantity(c) for c in story.calibration.coordinates]) if story.calibration else "",
+        example=str([round(float(v), 2) for v in story.calibration.places()[-1][1] * 0.5]) if story.calibration else "",
         measured=_measured(story),
         signature=sentence(story.found.signature) if story.found.signature else None,
         notes={name: one.note for name, one in pictures.items()},
@@ -220,6 +224,8 @@ def _measured(story: Story) -> list[tuple[str, str]]:
         out.append(("marked as outliers, not fitted", f"{left.counted}s {listed(data.line[data.outlier], 30)}"))
     if len(story.found.outliers):
         out.append(("suspected outliers", f"{left.counted}s {listed(data.line[story.found.outliers], 30)}"))
+    if isinstance(story.study.fit.model, SphericalModel):
+        out.append(("remote centre of motion", centre_in_words(remote_centre(story.study.fit))))
     return out + [("remark", text) for text in story.remarks]
 
 
@@ -237,16 +243,20 @@ def _table_one(experiment: Experiment, key: str, beside: bool) -> dict[str, Any]
     axes = list(experiment.lines()[0][2])
     rows: list[tuple[str, list[str], bool]] = []
     for name, printed, rms in experiment.lines():
-        rows.append((name.strip(), [f"{rms[a][0]:.1f} ± {rms[a][1]:.1f}" if a in rms else "" for a in axes], False))
+        rows.append(
+            (name.strip(), [f"{number(rms[a][0])} ± {number(rms[a][1])}" if a in rms else "" for a in axes], False)
+        )
         figures: Mapping[str, tuple[int, int]] = paper.TABLE_I[key].get(printed, {}) if beside else {}
         if figures:
             rows.append(("the paper's robot", [f"{v[0]} ± {v[1]}" for v in figures.values()], True))
     repeats = experiment.fit.data.repeatability
     if repeats:
-        cells = [f"± {1e3 * repeats.sigma_mm[a]:.1f}" if a in repeats.sigma_mm else "" for a in axes]
+        per_unit = experiment.fit.data.layout.per_unit
+        cells = [f"± {number(per_unit * repeats.sigma_mm[a])}" if a in repeats.sigma_mm else "" for a in axes]
         rows.append(("repeatability (1 σ)", cells, False))
     title = {"whole": "the whole workspace", "local": "the region of interest"}[key]
-    return {"title": title, "axes": [a[:-3] for a in axes], "rows": rows}
+    unit = experiment.fit.data.layout.unit
+    return {"title": title, "axes": [a.rsplit("_", 1)[0] for a in axes], "unit": unit, "rows": rows}
 
 
 def _parameter_lines(story: Story) -> list[tuple[str, str, str, str, str, str]]:
@@ -260,23 +270,16 @@ def _parameter_lines(story: Story) -> list[tuple[str, str, str, str, str, str]]:
     return out
 
 
-def _accuracy_lines(calibration: Calibration | None) -> list[tuple[str, str, str]]:
+def _accuracy_lines(calibration: AnyCalibration | None) -> list[tuple[str, str, str]]:
     """Predicted accuracy at places a person would ask for."""
     if calibration is None:
         return []
-    robot = calibration.robot
-    points = [("centre", (0.0, 0.0, 0.0))]
-    if robot.region_half_width_mm:
-        half = robot.region_half_width_mm
-        points.append(("corner of the region of interest", (half, half, half)))
-    if robot.workspace_radius_mm and robot.workspace_z_mm:
-        points.append(("rim of the workspace", (robot.workspace_radius_mm, 0.0, robot.workspace_z_mm[1])))
     out = []
-    for name, x in points:
+    for name, place in calibration.places():
         try:
-            text = f"{1e3 * calibration.accuracy(x):.1f} µm"
-            text += "" if calibration.measured(x) else " (extrapolated: no pose was measured there)"
+            text = f"{1e3 * calibration.accuracy(place):.1f} µm"
+            text += "" if calibration.measured(place) else " (extrapolated: no pose was measured there)"
         except SherkitError as error:
             text = str(error)
-        out.append((name, ", ".join(f"{v:g}" for v in x), text))
+        out.append((name, ", ".join(f"{v:.4g}" for v in place), text))
     return out

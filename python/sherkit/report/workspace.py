@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,8 @@ from bokeh.models import LinearColorMapper, Range1d
 from numpy.typing import NDArray
 
 from ..calibration import Calibration
+from ..calibrations import AnyCalibration
+from ..spherical_calibration import SphericalCalibration
 from .left import Left
 from .picture import Picture, Tables, sources_of, stacked
 from .style import FONT, FONT_SIZE, INK, MUTED, REFUSED, SEQUENTIAL, colour_bar, figure, hover, padded, quantity
@@ -24,18 +26,29 @@ _PANEL = 240
 
 @dataclass(frozen=True, eq=False)
 class AccuracyMap:
-    """Predicted accuracy (95 %), µm, on planes: ``value`` (planes, ny, nx), NaN out of reach; ``measured`` likewise."""
+    """Predicted accuracy (95 %), µm, on planes: ``value_um`` (planes, ny, nx), NaN out of reach; ``measured`` likewise.
 
-    x_mm: Floats
-    y_mm: Floats
-    z_mm: Floats
+    ``x`` (nx,) and ``y`` (ny,) are places in the units of ``labels``, ``titles`` those of the planes.
+    """
+
+    x: Floats
+    y: Floats
+    labels: tuple[str, str]
+    titles: tuple[str, ...]
     value_um: Floats
     measured: NDArray[np.bool_]
     required_um: float
 
 
-def accuracy_of(calibration: Calibration, required_um: float) -> AccuracyMap:
-    """The accuracy of a calibration on three planes of the workspace, or of the box that was measured."""
+def accuracy_of(calibration: AnyCalibration, required_um: float) -> AccuracyMap:
+    """The accuracy of a calibration over the workspace, or over what was measured."""
+    if isinstance(calibration, Calibration):
+        return _of_delta(calibration, required_um)
+    return _of_spherical(calibration, required_um)
+
+
+def _of_delta(calibration: Calibration, required_um: float) -> AccuracyMap:
+    """Three planes."""
     robot, whole = calibration.robot, calibration.whole
     low, high = np.array(whole.low_mm, dtype=float), np.array(whole.high_mm, dtype=float)
     if robot.workspace_radius_mm:
@@ -48,11 +61,32 @@ def accuracy_of(calibration: Calibration, required_um: float) -> AccuracyMap:
     inside = np.ones(len(grid), dtype=bool)
     if robot.workspace_radius_mm:
         inside = np.hypot(grid[:, 0], grid[:, 1]) <= robot.workspace_radius_mm - 0.25 * (x[1] - x[0])
+    titles = tuple(f"z = {one:.3g} mm" for one in z)
+    return _filled(calibration, grid, inside, AccuracyMap(x, y, ("x, mm", "y, mm"), titles, *_EMPTY, required_um))
+
+
+def _of_spherical(calibration: SphericalCalibration, required_um: float) -> AccuracyMap:
+    """The sphere, as a plane in φ and γ."""
+    robot = calibration.robot
+    limits = []
+    for k, given in enumerate((robot.phi_deg, robot.gamma_deg)):
+        low, high = np.rad2deg([calibration.low_rad[k], calibration.high_rad[k]]) if given is None else given
+        limits.append(np.linspace(low, high, _PER_SIDE))
+    phi, gamma = limits
+    grid = np.stack(np.meshgrid(gamma, phi, indexing="ij"), axis=-1).reshape(-1, 2)[:, ::-1]
+    state = AccuracyMap(phi, gamma, ("φ, °", "γ, °"), ("end of the tool",), *_EMPTY, required_um)
+    return _filled(calibration, np.deg2rad(grid), np.ones(len(grid), dtype=bool), state)
+
+
+_EMPTY: tuple[Floats, NDArray[np.bool_]] = (np.zeros(0), np.zeros(0, dtype=bool))
+
+
+def _filled(calibration: AnyCalibration, grid: Floats, inside: NDArray[np.bool_], state: AccuracyMap) -> AccuracyMap:
     value = np.full(len(grid), np.nan)
     value[inside] = 1e3 * calibration.accuracy_batch(np.ascontiguousarray(grid[inside])).values
     measured = np.array([calibration.measured(point) for point in grid])
-    shape = (len(z), _PER_SIDE, _PER_SIDE)
-    return AccuracyMap(x, y, z, value.reshape(shape), measured.reshape(shape), required_um)
+    shape = (len(state.titles), len(state.y), len(state.x))
+    return replace(state, value_um=value.reshape(shape), measured=measured.reshape(shape))
 
 
 def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
@@ -66,12 +100,12 @@ def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
     mapper = LinearColorMapper(palette=SEQUENTIAL, low=0.0, high=max(high, 1.5 * state.required_um))
     mapper.nan_color = "rgba(0, 0, 0, 0)"
     sources = sources_of(_tables(state))
-    x_range, y_range = padded(state.x_mm[0], state.x_mm[-1], 0.03), padded(state.y_mm[0], state.y_mm[-1], 0.03)
+    x_range, y_range = padded(state.x[0], state.x[-1], 0.03), padded(state.y[0], state.y[-1], 0.03)
     figures = []
-    for k, z in enumerate(state.z_mm):
+    for k, title in enumerate(state.titles):
         made = figure(frame_width=_PANEL, frame_height=_PANEL, x_range=x_range, y_range=y_range)
-        made.title.text = f"z = {z:.3g} mm"
-        made.xaxis.axis_label, made.yaxis.axis_label = "x, mm", "y, mm"
+        made.title.text = title
+        made.xaxis.axis_label, made.yaxis.axis_label = state.labels
         place = {"x": "x", "y": "y", "dw": "dw", "dh": "dh", "source": sources[f"plane_{k}"]}
         cells = made.image(image="um", color_mapper=mapper, **place)
         # hatched, not paler: pale means accurate
@@ -81,7 +115,9 @@ def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
             hatch_weight=1.0,
         )  # fmt: skip
         made.multi_line("xs", "ys", source=sources[f"outline_{k}"], line_color=REFUSED, line_width=3, line_cap="square")
-        made.add_tools(hover([cells], ("x, y", "$x{0.0}, $y{0.0} mm"), ("95 % within", "@um{0.0} µm")))
+        made.add_tools(
+            hover([cells], (state.labels[0], "$x{0.0}"), (state.labels[1], "$y{0.0}"), ("95 % within", "@um{0.0} µm"))
+        )
         figures.append(made)
     colour_bar(figures[-1], mapper, "95 % within, µm")
     met = int((known <= state.required_um).sum())
@@ -94,14 +130,14 @@ def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
 
 def _tables(state: AccuracyMap) -> Tables:
     out: Tables = {}
-    (x0, dw), (y0, dh) = (_extent(v) for v in (state.x_mm, state.y_mm))
-    for k in range(len(state.z_mm)):
+    (x0, dw), (y0, dh) = (_extent(v) for v in (state.x, state.y))
+    for k in range(len(state.titles)):
         value = state.value_um[k]
         out[f"plane_{k}"] = {
             "um": [value.astype(np.float32)], "x": [x0], "y": [y0], "dw": [dw], "dh": [dh],
         }  # fmt: skip
-        out[f"beyond_{k}"] = _runs(state.x_mm, state.y_mm, ~state.measured[k] & np.isfinite(value))
-        out[f"outline_{k}"] = _outline(state.x_mm, state.y_mm, value <= state.required_um)
+        out[f"beyond_{k}"] = _runs(state.x, state.y, ~state.measured[k] & np.isfinite(value))
+        out[f"outline_{k}"] = _outline(state.x, state.y, value <= state.required_um)
     return out
 
 

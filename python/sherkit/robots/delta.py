@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
-from ..errors import NotFinite, OutOfReach, ShapeError, SherkitError, Singular
-from ..names import listed
+from ..errors import ShapeError, Singular
+from .batch import Batch, matrix, vector, why
 from .table import Table
 
 Floats = NDArray[np.float64]
@@ -30,26 +30,6 @@ LIMB_PARAMETERS = (
     ("platform_radius", "δr_p"),
     ("platform_angle", "δθ_p"),
 )
-
-
-class Batch(NamedTuple):
-    """Many poses at once. Rows out of reach are marked ``False`` in ``reached`` and NaN in ``values``.
-
-    Take the numbers with :meth:`require` where every row must be in reach, else with ``values[reached]``.
-    """
-
-    values: Floats
-    reached: NDArray[np.bool_]
-    why: tuple[str, ...] = ()
-
-    def require(self, what: str = "row") -> Floats:
-        """The values; raises :class:`OutOfReach` or :class:`NotFinite` naming the rows that have none."""
-        if not self.reached.all():
-            rows = np.flatnonzero(~self.reached)
-            reason = f" (first: {self.why[0]})" if self.why else ""
-            message = f"{what}s {listed(rows)} (counted from 0) cannot be reached{reason}"
-            raise OutOfReach(message, 0, float("nan"))
-        return self.values
 
 
 @dataclass(frozen=True)
@@ -186,13 +166,13 @@ class Delta:
         q = matrix(joints_mm, "joint readings")
         x, reached = self._nominal.forward_batch(q)
         x += np.array(self.target_offset_mm)
-        return Batch(x, reached, self._why(self._nominal.forward, q, reached))
+        return Batch(x, reached, why(self._nominal.forward, q, reached))
 
     def inverse_batch(self, positions_mm: ArrayLike) -> Batch:
         """Joint readings (n, 3) for measured points (n, 3); rows out of reach are marked."""
         x = matrix(positions_mm, "positions") - np.array(self.target_offset_mm)
         q, reached = self._nominal.inverse_batch(x)
-        return Batch(q, reached, self._why(self._nominal.inverse, x, reached))
+        return Batch(q, reached, why(self._nominal.inverse, x, reached))
 
     def jacobian(self, joints_mm: ArrayLike) -> Floats:
         """Velocity Jacobian (3, 3) d position / d joints. Raises as :meth:`forward`, and ``Singular``."""
@@ -207,39 +187,11 @@ class Delta:
         """Derivative of the position by the 18 geometric parameters (n, 3, 18), mm per mm or rad (Eq. 8)."""
         q = matrix(joints_mm, "joint readings")
         values, reached = self._nominal.by_parameters_batch(q)
-        return Batch(values, reached, self._why(self._nominal.forward, q, reached))
+        return Batch(values, reached, why(self._nominal.forward, q, reached))
 
     @cached_property
     def _nominal(self) -> _core.DeltaKinematics:
         return self.kinematics()
-
-    @staticmethod
-    def _why(compute: Any, rows: Floats, reached: NDArray[np.bool_], most: int = 3) -> tuple[str, ...]:
-        reasons = []
-        for row in np.flatnonzero(~reached)[:most]:
-            try:
-                compute(rows[row])
-            except SherkitError as error:
-                reasons.append(f"row {row}: {error}")
-        return tuple(reasons)
-
-
-def vector(value: ArrayLike, what: str) -> Floats:
-    """Three finite numbers, contiguous. Raises :class:`~sherkit.errors.ShapeError`, :class:`NotFinite`."""
-    v = np.ascontiguousarray(value, dtype=float)
-    if v.shape != (3,):
-        raise ShapeError(f"{what}: expected 3 numbers, got an array of shape {v.shape}")
-    if not np.isfinite(v).all():
-        raise NotFinite(f"{what}: {v.tolist()} holds a number that is not finite")
-    return v
-
-
-def matrix(value: ArrayLike, what: str) -> Floats:
-    """Rows of three numbers, contiguous. Raises :class:`~sherkit.errors.ShapeError`."""
-    m = np.ascontiguousarray(value, dtype=float)
-    if m.ndim != 2 or m.shape[1] != 3:
-        raise ShapeError(f"{what}: expected an array of shape (n, 3), got {m.shape}")
-    return m
 
 
 def _check_shape(table: Table, geometry: Mapping[str, Any]) -> None:

@@ -9,12 +9,14 @@ import tomli_w
 
 from ..errors import RobotError
 from .delta import Delta
+from .spherical import Spherical
 from .table import Table
 
-KINDS = {"delta": Delta}
+Robot = Delta | Spherical
+KINDS: dict[str, type[Delta] | type[Spherical]] = {"delta": Delta, "spherical": Spherical}
 
 
-def load_robot(path: str | Path) -> Delta:
+def load_robot(path: str | Path) -> Robot:
     """Reads a robot from TOML. Raises :class:`~sherkit.errors.RobotError` naming file, table and key."""
     path = Path(path)
     try:
@@ -32,7 +34,7 @@ def load_robot(path: str | Path) -> Delta:
     return robot_from_tables(values, str(path))
 
 
-def robot_from_tables(values: dict[str, object], where: str) -> Delta:
+def robot_from_tables(values: dict[str, object], where: str) -> Robot:
     """Reads a robot from parsed TOML tables; ``where`` names the source in errors."""
     table = Table(values, where)
     kind = table.text("kind", tuple(KINDS))
@@ -41,6 +43,6 @@ def robot_from_tables(values: dict[str, object], where: str) -> Delta:
     return robot
 
 
-def save_robot(robot: Delta, path: str | Path) -> None:
+def save_robot(robot: Robot, path: str | Path) -> None:
     """Writes a robot file that :func:`load_robot` reads."""
     Path(path).write_text(tomli_w.dumps(robot.to_tables()), encoding="utf-8")

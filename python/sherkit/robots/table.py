@@ -68,6 +68,10 @@ class Table:
                 hint = nearest(key, self._known) or f"; known keys: {listed(sorted(self._known), 12)}"
                 raise RobotError(f"{self._where}: unknown key {self._name(key)}{hint}")
 
+    def has(self, key: str) -> bool:
+        """Whether a key is given, under its very name."""
+        return key in self._values
+
     def text(self, key: str, allowed: tuple[str, ...], default: str | None = None) -> str:
         """One of the allowed words."""
         expected = "one of " + ", ".join(f"'{a}'" for a in allowed)
@@ -85,13 +89,13 @@ class Table:
         return float(value)
 
     def heights(self, key: str) -> tuple[float, float] | None:
-        """Two heights, the lower first, or None where the key is not given."""
+        """Two numbers, the lower first, or None where the key is not given."""
         self._known.add(key)
         if key not in self._values:
             return None
         low, high = self.numbers(key, 2)
         if not low < high:
-            raise self.fail(key, "two heights, the lower first")
+            raise self.fail(key, "two numbers, the lower first")
         return (low, high)
 
     def positive(self, key: str) -> float | None:

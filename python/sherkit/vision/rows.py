@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from ..errors import MeasurementError
+from ..errors import MeasurementError, SherkitWarning
+from ..measurements import Measurements
+from ..measurements.columns import SPHERICAL_PIXELS
 from .marker import Seen, find_marker
 from .pictures import Picture
 
@@ -17,6 +22,8 @@ Floats = NDArray[np.float64]
 
 TIME, U, V, WHY = "time_s", "u_px", "v_px", "why"
 SIGMA_U, SIGMA_V = "sigma_u_px", "sigma_v_px"
+#: Pictures without a marker that a warning names.
+_NAMED = 5
 
 
 def marker_rows(pictures: Iterable[Picture], kind: str = "corner", identity: int | None = None) -> pl.DataFrame:
@@ -38,7 +45,53 @@ def marker_rows(pictures: Iterable[Picture], kind: str = "corner", identity: int
         SIGMA_V: [s.sigma_px for s in seen],
     }
     frame = pl.DataFrame({k: np.array(v, dtype=float) for k, v in columns.items()})
-    return frame.with_columns(pl.col(pl.Float64).fill_nan(None), pl.Series(WHY, [s.why for s in seen], dtype=pl.String))
+    return frame.with_columns(
+        pl.col(pl.Float64).fill_nan(None), pl.Series(WHY, [s.why or None for s in seen], dtype=pl.String)
+    )
+
+
+def seen_run(
+    plan: Mapping[str, Floats], pictures: Iterable[Picture], *, kind: str = "corner", save_in: Path | None = None
+) -> Measurements:
+    """The run of a plan (columns of joints, time, pose, repeat) whose pixels are read from its pictures, in its order.
+
+    ``save_in`` keeps all pictures as PNG. Raises and warns as :func:`run_of`.
+    """
+    if save_in is not None:
+        save_in.mkdir(parents=True, exist_ok=True)
+
+    def kept() -> Iterable[Picture]:
+        for number, picture in enumerate(pictures, start=1):
+            if save_in is not None:
+                cv2.imwrite(str(save_in / f"picture_{number:04d}.png"), picture.grey)
+            yield picture
+
+    frame = marker_rows(kept(), kind)
+    return run_of(plan, frame, [f"picture {k + 1}" for k in range(len(frame))])
+
+
+def run_of(plan: Mapping[str, Floats], seen: pl.DataFrame, names: Sequence[str]) -> Measurements:
+    """The run of a plan whose pictures gave the :func:`marker_rows` ``seen``, picture by picture; ``names`` for people.
+
+    A picture in which no marker was found has no row in the run, with a warning that says which and why. Raises
+    :class:`~sherkit.errors.MeasurementError` where no picture shows the marker, or plan and pictures differ in number.
+    """
+    count = len(next(iter(plan.values())))
+    if count != len(seen):
+        raise MeasurementError(
+            f"{len(seen)} pictures for {count} rows of joints; expected one picture for each row, in the same order"
+        )
+    good = seen[WHY].is_null().to_numpy()
+    lost = np.flatnonzero(~good)
+    if not good.any():
+        raise MeasurementError(f"no picture shows the marker; {names[0]}: {seen[WHY][0]}")
+    if len(lost):
+        reasons = "; ".join(f"{names[k]}: {seen[WHY][int(k)]}" for k in lost[:_NAMED])
+        more = f"; and {len(lost) - _NAMED} more" if len(lost) > _NAMED else ""
+        warnings.warn(f"{len(lost)} of {len(good)} pictures give no row: {reasons}{more}", SherkitWarning, stacklevel=3)
+    columns = {name: np.asarray(values)[good] for name, values in plan.items()}
+    columns |= {name: seen[name].to_numpy().astype(float)[good] for name in (U, V)}
+    return Measurements.from_columns(columns, "pictures", layout=SPHERICAL_PIXELS)
 
 
 def joined_by_time(

@@ -5,6 +5,22 @@ use core::fmt;
 /// Result of the core's functions.
 pub type Result<T> = core::result::Result<T, Error>;
 
+/// Where a spherical robot loses a freedom or a coordinate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Singularity {
+    /// The elbow axes coincide or are opposite: the tool axis may turn about them freely.
+    ElbowsAligned,
+    /// The cones of the two limbs touch: tool axis and elbow axes lie in one plane.
+    ConesTouch,
+    /// The tool axis lies on the actuated axis: it has no azimuth.
+    Pole,
+    /// A limb is stretched or folded: its joint cannot move the tool axis.
+    LimbStretched {
+        /// Limb, from zero.
+        limb: usize,
+    },
+}
+
 /// A failure that a caller can act on. Limbs are counted from zero here and from one in the text.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Error {
@@ -24,6 +40,41 @@ pub enum Error {
     },
     /// The rods lie in one plane: position does not follow from the joints here.
     Singular,
+    /// The limbs of a spherical robot cannot meet at these joints.
+    LimbsApart {
+        /// How much too far apart (positive) or too near (negative) the elbow axes are, rad.
+        miss_rad: f64,
+    },
+    /// A limb of a spherical robot does not reach this tool axis.
+    AxisOutOfReach {
+        /// Limb, from zero.
+        limb: usize,
+        /// How much too far from (positive) or too near to (negative) the actuated axis, rad.
+        miss_rad: f64,
+    },
+    /// The tool axis is reached by the other assembly of a spherical robot alone.
+    OtherAssembly,
+    /// A spherical robot in a singular pose.
+    SingularPose(Singularity),
+    /// A point that is not in front of the camera.
+    BehindCamera {
+        /// Its depth along the optical axis, mm.
+        depth_mm: f64,
+    },
+    /// The line of sight passes the sphere.
+    RayMisses {
+        /// By how much, mm.
+        miss_mm: f64,
+    },
+    /// The lens distortion folds over here: no single direction belongs to the pixel.
+    LensFolds,
+    /// Numbers that are no camera.
+    InvalidCamera {
+        /// What is wrong.
+        what: &'static str,
+    },
+    /// An optimum at the end of the range or nowhere.
+    NoOptimum,
     /// An input is NaN or infinite.
     NotFinite {
         /// Index of the component.
@@ -75,6 +126,44 @@ impl fmt::Display for Error {
                 f,
                 "singular: the three rods lie in one plane, so the joints do not fix the position"
             ),
+            Self::LimbsApart { miss_rad } => {
+                let (by, what) = far_or_near(miss_rad);
+                write!(
+                    f,
+                    "out of reach: the limbs cannot meet, their elbow axes are {by:.6} rad too {what}"
+                )
+            }
+            Self::AxisOutOfReach { limb, miss_rad } => {
+                let (by, what) = far_or_near(miss_rad);
+                write!(
+                    f,
+                    "out of reach: for limb {} the tool axis is {by:.6} rad too {what} the actuated axis",
+                    limb + 1,
+                    what = if what == "near" {
+                        "near to"
+                    } else {
+                        "far from"
+                    }
+                )
+            }
+            Self::OtherAssembly => write!(
+                f,
+                "out of reach: only the other assembly of the limbs has its tool axis there"
+            ),
+            Self::SingularPose(which) => write_singularity(f, which),
+            Self::BehindCamera { depth_mm } => write!(
+                f,
+                "not seen: the point is behind the camera, at a depth of {depth_mm:.4} mm"
+            ),
+            Self::RayMisses { miss_mm } => {
+                write!(f, "not seen: the ray misses the sphere by {miss_mm:.4} mm")
+            }
+            Self::LensFolds => write!(
+                f,
+                "the lens distortion folds over at this pixel, so that no direction belongs to it"
+            ),
+            Self::InvalidCamera { what } => write!(f, "camera: {what}"),
+            Self::NoOptimum => write!(f, "there is no optimum inside the range"),
             Self::NotFinite { index } => {
                 write!(f, "component {} is not a finite number", index + 1)
             }
@@ -86,6 +175,36 @@ impl fmt::Display for Error {
                 write!(f, "expected {expected} numbers, got {found}")
             }
         }
+    }
+}
+
+fn far_or_near(miss: f64) -> (f64, &'static str) {
+    if miss >= 0.0 {
+        (miss, "far")
+    } else {
+        (-miss, "near")
+    }
+}
+
+fn write_singularity(f: &mut fmt::Formatter<'_>, which: Singularity) -> fmt::Result {
+    match which {
+        Singularity::ElbowsAligned => write!(
+            f,
+            "singular: the elbow axes coincide, so the tool may turn about them"
+        ),
+        Singularity::ConesTouch => write!(
+            f,
+            "singular: tool axis and elbow axes lie in one plane, so the joints do not fix the tool axis"
+        ),
+        Singularity::Pole => write!(
+            f,
+            "singular: the tool axis lies on the actuated axis, where it has no azimuth"
+        ),
+        Singularity::LimbStretched { limb } => write!(
+            f,
+            "singular: limb {} is stretched or folded, so its joint cannot follow the tool axis",
+            limb + 1
+        ),
     }
 }
 

@@ -4,15 +4,19 @@
 //! parameters is lent by the caller, so that the same code serves a control loop and a study of ten
 //! million rows.
 //!
-//! The floors, from below: [`math`] and [`error`]; [`delta`] and [`least_squares`], which know nothing
-//! of each other; [`bernstein`]; [`calibrated`], the model that a control loop runs.
+//! The floors, from below: [`math`], [`trig`] and [`error`]; [`delta`], [`camera`] and [`least_squares`], which know
+//! nothing of each other; [`spherical`], which is seen by a [`camera`]; [`bernstein`]; [`calibrated`], the model that
+//! a control loop runs.
 #![no_std]
 
 pub mod bernstein;
 pub mod calibrated;
+pub mod camera;
 pub mod delta;
 pub mod error;
 pub mod least_squares;
 pub mod math;
+pub mod spherical;
+pub mod trig;
 
-pub use error::{Error, Result};
+pub use error::{Error, Result, Singularity};

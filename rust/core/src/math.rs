@@ -39,6 +39,15 @@ pub trait Real:
     /// Square root.
     #[must_use]
     fn root(self) -> Self;
+    /// Absolute value.
+    #[must_use]
+    fn size(self) -> Self;
+    /// The same size with the sign of another number.
+    #[must_use]
+    fn signed(self, like: Self) -> Self;
+    /// `yes` where this is greater than `other`, else `no`: a choice without a branch.
+    #[must_use]
+    fn above(self, other: Self, yes: Self, no: Self) -> Self;
 }
 
 impl Real for f64 {
@@ -49,6 +58,18 @@ impl Real for f64 {
     #[inline(always)]
     fn root(self) -> Self {
         sqrt(self)
+    }
+    #[inline(always)]
+    fn size(self) -> Self {
+        self.abs()
+    }
+    #[inline(always)]
+    fn signed(self, like: Self) -> Self {
+        self.copysign(like)
+    }
+    #[inline(always)]
+    fn above(self, other: Self, yes: Self, no: Self) -> Self {
+        if self > other { yes } else { no }
     }
 }
 
@@ -84,6 +105,31 @@ impl<const L: usize> Real for Lanes<L> {
     fn root(mut self) -> Self {
         for lane in 0..L {
             self.0[lane] = sqrt(self.0[lane]);
+        }
+        self
+    }
+    #[inline(always)]
+    fn size(mut self) -> Self {
+        for lane in 0..L {
+            self.0[lane] = self.0[lane].abs();
+        }
+        self
+    }
+    #[inline(always)]
+    fn signed(mut self, like: Self) -> Self {
+        for lane in 0..L {
+            self.0[lane] = self.0[lane].copysign(like.0[lane]);
+        }
+        self
+    }
+    #[inline(always)]
+    fn above(mut self, other: Self, yes: Self, no: Self) -> Self {
+        for lane in 0..L {
+            self.0[lane] = if self.0[lane] > other.0[lane] {
+                yes.0[lane]
+            } else {
+                no.0[lane]
+            };
         }
         self
     }

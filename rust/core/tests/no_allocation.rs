@@ -10,10 +10,12 @@ use sherkit_core::bernstein::{
     Correction, Domain, apply_axis, axis_scratch_len, project_axis, push,
 };
 use sherkit_core::calibrated::{Branch, Calibrated};
+use sherkit_core::camera::{Description, Face};
 use sherkit_core::delta::{GEOMETRIC, Kind, Kinematics, Row, Wanted};
 use sherkit_core::least_squares::{
     Levenberg, Loss, Progress, Settings, Stack, levenberg_len, stack_len,
 };
+use sherkit_core::spherical;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::hint::black_box;
@@ -203,6 +205,53 @@ fn least_squares_allocate_nothing() {
         project_axis(2, &points, &mut projector, &mut axis_scratch).unwrap();
         apply_axis(&projector, 5, 3, 1, &points, &mut line);
         black_box(line);
+    });
+    assert_eq!(found, 0);
+}
+
+/// As above, for the spherical robot and its camera, in reach or out of it.
+#[test]
+fn the_spherical_robot_allocates_nothing() {
+    let model = spherical::Model {
+        geometry: spherical::Geometry::equal(0.9, 0.7),
+        radius_mm: 200.0,
+        camera: Description::facing(1.57, 0.8, 446.0, [1100.0, 1100.0, 640.0, 320.0]),
+        face: Face::Near,
+        gravity: -Vector3::y(),
+        home: [0.0; 2],
+    };
+    let now = spherical::Covariates {
+        time_s: 0.0,
+        temperature_c: 20.0,
+        direction: [1.0, -1.0],
+        velocity_rad_s: [0.1, 0.2],
+    };
+    let found = requests(|| {
+        let chain = model
+            .with(&[1e-3; spherical::parameters::PARAMETERS])
+            .unwrap();
+        let mut seen = 0;
+        for half in 0..500 {
+            let half = 0.004 * f64::from(half);
+            let joints = [1.5 + half, 1.5 - half];
+            for kind in [spherical::Kind::Pixels, spherical::Kind::Angles] {
+                let row = spherical::Row {
+                    joints,
+                    covariates: now,
+                    push: Vector3::zeros(),
+                    kind,
+                };
+                if let Ok(p) = black_box(chain.row_predict(&row)) {
+                    seen += 1;
+                    black_box(chain.inverse_residual(&row, &p.value)).ok();
+                }
+            }
+            black_box(chain.centre(&joints, &now)).unwrap();
+            let k = chain.kinematics();
+            black_box(k.forward_lanes(&[[joints[0]; 8], [joints[1]; 8]]));
+            black_box(k.inverse_lanes(&[[1.5; 8], [half; 8]], spherical::Elbows::Open));
+        }
+        assert!(seen > 300);
     });
     assert_eq!(found, 0);
 }

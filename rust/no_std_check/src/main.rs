@@ -4,10 +4,12 @@
 #![no_main]
 
 use core::panic::PanicInfo;
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 use sherkit_core::calibrated::{Branch, Calibrated};
+use sherkit_core::camera::{Description, Face};
 use sherkit_core::delta::parameters::PARAMETERS;
 use sherkit_core::delta::{Assembly, Covariates, GEOMETRIC, Geometry, Model};
+use sherkit_core::spherical;
 
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
@@ -45,5 +47,47 @@ pub extern "C" fn loop_step(
         return 3;
     };
     target.copy_from_slice(next.as_slice());
+    0
+}
+
+/// The same for the spherical robot: the pixel of its marker, and the joints that bring it there.
+#[unsafe(no_mangle)]
+pub extern "C" fn spherical_step(
+    camera: &[f64; 15],
+    joints: &mut [f64; 2],
+    pixel: &[f64; 2],
+) -> i32 {
+    let model = spherical::Model {
+        geometry: spherical::Geometry::equal(0.8, 0.8),
+        radius_mm: 200.0,
+        camera: Description::from_parameters(camera),
+        face: Face::Near,
+        gravity: -Vector3::z(),
+        home: [0.0; 2],
+    };
+    let Ok(chain) = model.with(&[0.0; spherical::parameters::PARAMETERS]) else {
+        return 1;
+    };
+    let row = spherical::Row {
+        joints: *joints,
+        covariates: spherical::Covariates::NONE,
+        push: Vector3::zeros(),
+        kind: spherical::Kind::Pixels,
+    };
+    if chain.row_predict(&row).is_err()
+        || chain
+            .inverse_residual(&row, &Vector2::from(*pixel))
+            .is_err()
+    {
+        return 2;
+    }
+    let seen = chain
+        .camera()
+        .angles_on_sphere(&Vector2::from(*pixel), 200.0, Face::Near);
+    let Ok(angles) = seen else { return 3 };
+    let Ok(found) = chain.kinematics().inverse(&angles, spherical::Elbows::Open) else {
+        return 4;
+    };
+    joints.copy_from_slice(found.as_slice());
     0
 }

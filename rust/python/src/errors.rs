@@ -23,7 +23,30 @@ fn build(py: Python<'_>, error: Error) -> PyResult<PyErr> {
                 .getattr("OutOfReach")?
                 .call1((message, limb + 1, beyond_mm))?
         }
-        Error::Singular => errors.getattr("Singular")?.call1((message,))?,
+        Error::AxisOutOfReach { limb, miss_rad } => {
+            errors
+                .getattr("OutOfReach")?
+                .call1((message, limb + 1, f64::NAN, miss_rad))?
+        }
+        Error::LimbsApart { miss_rad } => {
+            errors
+                .getattr("OutOfReach")?
+                .call1((message, 0, f64::NAN, miss_rad))?
+        }
+        Error::OtherAssembly => {
+            errors
+                .getattr("OutOfReach")?
+                .call1((message, 0, f64::NAN, f64::NAN))?
+        }
+        Error::BehindCamera { .. } | Error::RayMisses { .. } | Error::LensFolds => {
+            errors.getattr("NotSeen")?.call1((message,))?
+        }
+        Error::InvalidCamera { .. } | Error::NoOptimum => {
+            errors.getattr("RobotError")?.call1((message,))?
+        }
+        Error::Singular | Error::SingularPose(_) => {
+            errors.getattr("Singular")?.call1((message,))?
+        }
         Error::NotFinite { .. } => errors.getattr("NotFinite")?.call1((message,))?,
         Error::InvalidGeometry { .. } => errors.getattr("RobotError")?.call1((message,))?,
         Error::NotConverged { .. } => errors.getattr("NotConverged")?.call1((message,))?,

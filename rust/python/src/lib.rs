@@ -3,10 +3,16 @@
 mod arrays;
 mod bernstein;
 mod calibrated;
+mod camera;
 mod errors;
 mod kinematics;
+mod lanes;
 mod model;
 mod solver;
+mod spherical;
+mod spherical_calibrated;
+mod spherical_model;
+mod spherical_rows;
 
 use pyo3::prelude::*;
 
@@ -16,11 +22,18 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add("__version__", env!("CARGO_PKG_VERSION"))?;
     m.add_class::<kinematics::DeltaKinematics>()?;
     m.add_class::<model::DeltaModel>()?;
+    m.add_class::<spherical::SphericalKinematics>()?;
+    m.add_class::<spherical_model::SphericalModel>()?;
+    m.add_class::<spherical_calibrated::SphericalCalibrated>()?;
+    m.add_class::<camera::Camera>()?;
     m.add_class::<solver::Solver>()?;
     m.add_class::<bernstein::Bernstein>()?;
     m.add_class::<calibrated::Calibrated>()?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_basis, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_fit, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_fit_grid, m)?)?;
+    m.add_function(wrap_pyfunction!(spherical::spherical_closed_mapping, m)?)?;
+    m.add_function(wrap_pyfunction!(spherical::spherical_sensitivity, m)?)?;
+    m.add_function(wrap_pyfunction!(spherical::spherical_camera_placement, m)?)?;
     Ok(())
 }

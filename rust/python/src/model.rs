@@ -3,7 +3,7 @@
 use crate::arrays::{fixed, rows, shaped};
 use crate::errors::{shape, to_python};
 use crate::kinematics::assembly;
-use crate::solver::Solver;
+use crate::solver::{Solver, iterate};
 use nalgebra::Vector3;
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
@@ -11,7 +11,6 @@ use numpy::{
 use pyo3::prelude::*;
 use sherkit_core::delta::parameters::{PARAMETERS, Values};
 use sherkit_core::delta::{Covariates, GEOMETRIC, Geometry, Kind, Model, Prediction, Row, Wanted};
-use sherkit_core::least_squares::Progress;
 
 /// Readings a row may have: x, y, z, distance.
 const READINGS: usize = 4;
@@ -55,7 +54,7 @@ fn rows_of(block: &Block<'_>) -> PyResult<Vec<Row>> {
     Ok((0..n).map(row).collect())
 }
 
-fn optional<'a, const N: usize>(
+pub fn optional<'a, const N: usize>(
     name: &str,
     array: Option<&'a PyReadonlyArray2<'_, f64>>,
     n: usize,
@@ -242,10 +241,8 @@ impl DeltaModel {
         let rows = rows_of(&block)?;
         let (readings, weights) = self::readings(rows.len(), &readings, &weights)?;
         py.detach(|| {
-            let mut first = true;
-            loop {
-                solver.begin();
-                let missing = evaluate(
+            iterate(solver, priors, |solver| {
+                evaluate(
                     &self.0,
                     solver,
                     fixed_values,
@@ -253,22 +250,8 @@ impl DeltaModel {
                     &rows,
                     &readings,
                     &weights,
-                )?;
-                if !missing.is_empty() {
-                    if first {
-                        return Ok(("unreachable", missing));
-                    }
-                    solver.fail_trial();
-                } else if priors {
-                    solver.add_priors();
-                }
-                first = false;
-                match solver.step()? {
-                    Progress::Evaluate => {}
-                    Progress::Converged => return Ok(("converged", Vec::new())),
-                    Progress::Exhausted => return Ok(("exhausted", Vec::new())),
-                }
-            }
+                )
+            })
         })
     }
 }

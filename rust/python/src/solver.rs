@@ -11,6 +11,34 @@ use sherkit_core::least_squares::{
     Levenberg, Loss, Progress, Settings, Stack, levenberg_len, stack_len,
 };
 
+/// Iterates to the minimum with rows that `evaluate` adds at the solver's trial. Returns how it ended and the rows
+/// that cannot be computed at the start, with which nothing is solved.
+pub fn iterate(
+    solver: &mut Solver,
+    priors: bool,
+    mut evaluate: impl FnMut(&mut Solver) -> PyResult<Vec<usize>>,
+) -> PyResult<(&'static str, Vec<usize>)> {
+    let mut first = true;
+    loop {
+        solver.begin();
+        let missing = evaluate(solver)?;
+        if !missing.is_empty() {
+            if first {
+                return Ok(("unreachable", missing));
+            }
+            solver.fail_trial();
+        } else if priors {
+            solver.add_priors();
+        }
+        first = false;
+        match solver.step()? {
+            Progress::Evaluate => {}
+            Progress::Converged => return Ok(("converged", Vec::new())),
+            Progress::Exhausted => return Ok(("exhausted", Vec::new())),
+        }
+    }
+}
+
 /// One iteration to the minimum of all rows that are pushed at its trial parameters.
 #[pyclass(module = "sherkit._core")]
 pub struct Solver {

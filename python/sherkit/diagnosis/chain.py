@@ -1,4 +1,4 @@
-"""The delta as a case: measured point in millimetres, effects of the catalogue at every link of the chain."""
+"""A robot with a compiled chain as a case: effects of its catalogue at every link."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..effects import CATALOGUE, Effect, check_user_effect
+from ..chain import ChainModel, axes_of, carry, lacks
+from ..effects import Effect, check_user_effect
 from ..errors import EffectError, FitError
 from ..identification import Fit, identify
 from ..measurements import Measurements
-from ..measurements.columns import JOINTS, POSITION, READINGS
-from ..model import DeltaModel, carry, lacks
 from ..noise import Noise, noise_of
 from ..validation import spatial_blocks
 from .case import Case, Seen
@@ -23,16 +22,14 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-class DeltaCase(Case):
-    """A delta's fit."""
-
-    names = tuple(name[:-3] for name in READINGS)
-    unit = "µm"
-    per_unit = 1e3
-    catalogue = tuple(CATALOGUE.values())
+class ChainCase(Case):
+    """The fit of a robot with a compiled chain."""
 
     def __init__(self, fit: Fit) -> None:
         data = fit.data
+        self.names = data.layout.names
+        self.unit, self.per_unit = data.layout.unit, data.layout.per_unit
+        self.catalogue = tuple(fit.model.catalogue.values())
         self.fit: Fit = fit
         self.axes = _used_axes(data)
         self.source = data.source
@@ -43,44 +40,46 @@ class DeltaCase(Case):
 
     @property
     def residuals(self) -> Floats:
-        """Measured minus predicted (n, 4), mm."""
-        return self.fit.residuals_mm
+        """Measured minus predicted (n, m)."""
+        return self.fit.residuals
 
     def noise(self) -> tuple[Floats, str]:
-        """Noise per reading column, mm, and its origin."""
+        """Noise per reading column and its origin."""
         noise = noise_of(self.fit.data)
-        sigma = np.ones(4)
+        sigma = np.ones(len(self.names))
         for a in self.axes:
-            sigma[a] = float(np.sqrt(np.mean(noise.sigma_mm[self.used[:, a], a] ** 2)))
+            sigma[a] = float(np.sqrt(np.mean(noise.sigma[self.used[:, a], a] ** 2)))
         return sigma, noise.origin
 
     def blocks(self, folds: int, seed: int) -> Ints:
         """Tiles of the workspace, dealt to folds."""
-        return spatial_blocks(self.fit.data, np.nan_to_num(self.fit.predicted_mm[:, :3]), folds, seed)
+        return spatial_blocks(
+            self.fit.data, np.nan_to_num(self.fit.predicted[:, : self.fit.data.coordinates]), folds, seed
+        )
 
-    def refit(self, added: Sequence[tuple[Effect, Mapping[str, float]]]) -> DeltaCase:
+    def refit(self, added: Sequence[tuple[Effect, Mapping[str, float]]]) -> ChainCase:
         """From the drawing, with the noise of this fit."""
         model = self.fit.model
         for effect, settings in added:
             own = {"slip_time_s": settings["time_s"]} if "time_s" in settings else {}
             model = model.with_effect(effect, **own)
-        return DeltaCase(identify(model, self.fit.data, noise=self.fit.noise))
+        return ChainCase(identify(model, self.fit.data, noise=self.fit.noise))
 
-    def on(self, rows: Ints, sigma: Floats) -> DeltaCase:
+    def on(self, rows: Ints, sigma: Floats) -> ChainCase:
         """From the values of this fit."""
         data = self.fit.data.select(rows)
         noise = Noise(np.where(data.taken, sigma, 1.0), self.fit.noise.origin)
-        return DeltaCase(identify(self.fit.model, data, noise=noise, start=self.fit.values))
+        return ChainCase(identify(self.fit.model, data, noise=noise, start=self.fit.values))
 
-    def without(self, rows: Ints) -> DeltaCase:
+    def without(self, rows: Ints) -> ChainCase:
         """From the values of this fit."""
         data = self.fit.data.mark_outliers(rows)
-        return DeltaCase(identify(self.fit.model, data, noise=self.fit.noise, start=self.fit.values))
+        return ChainCase(identify(self.fit.model, data, noise=self.fit.noise, start=self.fit.values))
 
     def left_on(self, rows: Ints, other: Case) -> Floats:
-        """Measured minus predicted, mm."""
+        """Measured minus predicted."""
         data = self.fit.data.select(rows)
-        return data.readings_mm - other.fit.model.predict(data, other.fit.values)
+        return data.readings - other.fit.model.predict(data, other.fit.values)
 
     def owns(self, effect: Effect) -> slice:
         """As the model says."""
@@ -92,16 +91,17 @@ class DeltaCase(Case):
 
     def check(self, effect: Effect) -> None:
         """What a user's effect must pass on these rows."""
-        if effect.name in CATALOGUE:
+        if effect.name in self.fit.model.catalogue:
             raise EffectError(f"'{effect.name}' is the name of a built-in effect; give yours another")
         if not lacks(effect, self.fit.data):
-            check_user_effect(effect, self.fit.model.rows(self.fit.data, self.fit.values))
+            data = self.fit.data
+            check_user_effect(effect, self.fit.model.rows(data, self.fit.values), axes_of(effect, data))
 
     def see(self, rows: Ints, effects: Sequence[Effect], sigma: Floats) -> Seen:
         """Everything at once: derivatives by what is fitted, by every effect, and by the joints."""
         fit, axes = self.fit, self.axes
         part = fit.data.select(rows)
-        residual = (part.readings_mm - fit.model.predict(part, fit.values))[:, axes] / sigma
+        residual = (part.readings - fit.model.predict(part, fit.values))[:, axes] / sigma
         tried, untestable = _can_be_tried(fit.model, effects, part)
         built_in = [e for e in tried if e.function is None and e.search != "time_s"]
         own = [e for e in tried if e.function is not None]
@@ -125,7 +125,7 @@ class DeltaCase(Case):
         for effect in own:
             try:
                 zero = np.zeros(len(effect.parameters))
-                inner = carry(effect, effect.columns(rows_view, zero), part, by_joints, by_body)
+                inner = carry(effect, effect.columns(rows_view, zero, axes_of(effect, part)), part, by_joints, by_body)
             except EffectError as error:
                 untestable[effect.name] = str(error)
                 continue
@@ -136,14 +136,14 @@ class DeltaCase(Case):
 
 def _used_axes(data: Measurements) -> tuple[int, ...]:
     """Readings that diagnosis looks at: the coordinates that were taken."""
-    axes = tuple(k for k in range(3) if data.taken[:, k].any())
+    axes = tuple(k for k in range(data.coordinates) if data.taken[:, k].any())
     if not axes:
         raise FitError(f"{data.source}: diagnosis needs coordinates; these rows are distances only")
     return axes
 
 
 def _can_be_tried(
-    model: DeltaModel, effects: Sequence[Effect], data: Measurements
+    model: ChainModel, effects: Sequence[Effect], data: Measurements
 ) -> tuple[list[Effect], dict[str, str]]:
     """Effects that are not in the model and whose columns are there; the others with the reason."""
     active = {e.name for e in model.effects}
@@ -162,10 +162,11 @@ def _can_be_tried(
 
 def _view(part: Measurements, residual: Floats, fitted: Floats, by_joints: Floats, fit: Fit) -> View:
     position = fit.model.predict(part, fit.values)
-    variables: dict[str, Floats] = {name: part.joints_mm[:, k] for k, name in enumerate(JOINTS)}
-    variables |= {name: position[:, k] for k, name in enumerate(POSITION)}
+    joints, coordinates = part.layout.joints, part.layout.coordinates
+    variables: dict[str, Floats] = {name: part.joints[:, k] for k, name in enumerate(joints)}
+    variables |= {name: position[:, k] for k, name in enumerate(coordinates)}
     variables |= fit.model.covariates(part)
-    patterns = {name: by_joints[:, :, k] for k, name in enumerate(JOINTS)}
+    patterns = {name: by_joints[:, :, k] for k, name in enumerate(joints)}
     constant = [name for name, v in variables.items() if not np.ptp(v) > 0]
     for name in constant:
         del variables[name]
@@ -175,7 +176,7 @@ def _view(part: Measurements, residual: Floats, fitted: Floats, by_joints: Float
         variables=variables,
         patterns=patterns,
         group=part.groups,
-        pattern_of={name: name for name in JOINTS if name in variables},
-        place=tuple(name for name in POSITION if name in variables),
+        pattern_of={name: name for name in joints if name in variables},
+        place=tuple(name for name in coordinates if name in variables),
         time=part.time_s,
     )

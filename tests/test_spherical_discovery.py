@@ -1,0 +1,333 @@
+"""Hidden physics of the spherical robot, found again in pixels: planted in a second simulator, named by the product."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+import sherkit as sk
+from second_simulator.spherical import SPHERICAL_EFFECTS, SecondSpherical, sphere_grid, spherical_plan
+from sherkit.robots import CameraView, Spherical
+
+Floats = NDArray[np.float64]
+
+SIZE_PX = (1280, 640)
+#: The marker of every robot that is drawn here fills the height of the picture on the whole plan.
+FOCAL_PX = 710.0
+VIEW = CameraView.facing(np.pi / 2, np.pi / 4, 446.2, size_px=SIZE_PX, focal_px=(FOCAL_PX, FOCAL_PX))
+HOME_RAD = Spherical(45.0, 45.0, 200.0).inverse([np.pi / 2, np.pi / 4])
+#: The actuated axis leans, so that the weight can be told from what goes with γ alone.
+GRAVITY = (0.0, 0.6, -0.8)
+HOME_DEG = (float(np.rad2deg(HOME_RAD[0])), float(np.rad2deg(HOME_RAD[1])))
+ROBOT = Spherical(45.0, 45.0, 200.0, VIEW, gravity=GRAVITY, home_deg=HOME_DEG)
+#: Table I of the paper, identified less nominal: α, β in rad, R in mm.
+ERRORS = (-0.022, 0.018, 22.0)
+NOISE_PX = 0.15
+EFFECTS = tuple(SPHERICAL_EFFECTS)
+
+
+def patch(half_width_rad: float, gamma_rad: tuple[float, float], per_side: int) -> Floats:
+    """Commanded joints (n, 2) over a patch of the sphere in front of the camera."""
+    middle = np.pi / 2
+    angles = sphere_grid((middle - half_width_rad, middle + half_width_rad), gamma_rad, per_side)
+    return ROBOT.inverse_batch(angles).values
+
+
+#: About as many poses as the delta's plans have: 576, 361 and, for false alarms, 64.
+PLANS = {
+    "whole": patch(1.0, (0.33, 1.25), 24),
+    "local": patch(0.35, (0.55, 1.05), 19),
+    "small": patch(0.5, (0.5, 1.1), 8),
+}
+RATIOS = (1, 2, 5)
+LEVEL = 0.01
+#: Chance with which a correct program fails one of the counts below.
+RARE = 1e-3
+#: Length, in noise, at which what a single effect leaves of a pair shows in 80 % of runs: one column of the 200 that
+#: are tried together at the level, on the two thirds of the rows that are searched.
+SEEN = float(stats.norm.isf(LEVEL / 200 / 2) + stats.norm.isf(0.2)) * np.sqrt(1.5)
+
+
+@dataclass
+class Run:
+    """One simulated run and the robot it was taken on, with what was planted."""
+
+    data: sk.Measurements
+    robot: SecondSpherical
+    plan: dict[str, NDArray[Any]]
+
+    def diagnose(self) -> sk.Diagnosis:
+        """As a user does."""
+        return sk.diagnose(sk.identify(ROBOT, self.data))
+
+    def enough_alone(self) -> set[str]:
+        """Effects of which one, with α, β and R, explains all that was planted but for less than can be seen.
+
+        By the second simulator, without noise and in linear approximation.
+        """
+        plain = self.robot.changed(effects=None)
+        planted = (self.robot.truth(self.plan) - plain.truth(self.plan)).ravel()
+        geometry = plain.fitted_directions(self.plan)
+        out = set()
+        for name in EFFECTS:
+            basis, _ = np.linalg.qr(np.hstack([geometry, plain.fitted_directions(self.plan, (name,))]))
+            if np.linalg.norm(planted - basis @ (basis.T @ planted)) < SEEN * NOISE_PX:
+                out.add(name)
+        return out
+
+
+def real_robot(seed: int) -> SecondSpherical:
+    """A robot whose arcs and radius are off as the paper's were, give or take a half; β stays above α."""
+    alpha, beta, radius = np.array(ERRORS) * np.random.default_rng([seed, 1]).uniform(0.5, 1.5, 3)
+    return SecondSpherical(
+        np.pi / 4 + alpha, np.pi / 4 + beta, 200.0 + radius, VIEW.parameters, GRAVITY, HOME_RAD, seed
+    )  # fmt: skip
+
+
+def measured(
+    where: str,
+    seed: int,
+    effects: Mapping[str, ArrayLike] | None = None,
+    *,
+    scaled: Mapping[str, float] | None = None,
+    repeats: int = 3,
+) -> Run:
+    """A run over a plan, filmed in motion in a random order. Of each ``scaled`` effect a fit of α, β and R leaves the
+    given RMS, in noise."""
+    plan = spherical_plan(PLANS[where], repeats, "shuffled", seed)
+    robot = real_robot(seed)
+    planted: dict[str, Any] = dict(effects or {})
+    for name, ratio in (scaled or {}).items():
+        rng = np.random.default_rng([seed, 2, EFFECTS.index(name)])
+        planted |= robot.at_ratio(name, ratio, NOISE_PX, plan, rng)
+    robot.effects = planted
+    columns = robot.run(plan, noise_px=NOISE_PX, seed=1000 + seed)
+    return Run(sk.from_frame(pl.DataFrame(columns)), robot, plan)
+
+
+def named(d: sk.Diagnosis) -> set[str]:
+    """Effects that lead or are tied with one that does."""
+    return set(d.effects).union(*d.ties)
+
+
+def hidden(name: str, ratio: float, where: str, seed: int) -> sk.Diagnosis:
+    """The diagnosis of a run with one effect whose visible part is ``ratio`` times the noise."""
+    return measured(where, seed, scaled={name: ratio}).diagnose()
+
+
+def held_out_allowance(d: sk.Diagnosis) -> float:
+    """3 % and four standard deviations of the RMS of as many Gaussian readings."""
+    return 0.03 + 4.0 / np.sqrt(2 * 2 * len(d.base.data))
+
+
+def silent(seed: int, repeats: int) -> sk.Diagnosis:
+    """The diagnosis of a run with nothing hidden."""
+    return measured("small", seed, repeats=repeats).diagnose()
+
+
+def alarms(seeds: range, repeats: int) -> list[int]:
+    """The seeds at which something is found where nothing is."""
+    return [seed for seed in seeds if silent(seed, repeats).verdict != "adequate"]
+
+
+# -- one of each ---------------------------------------------------------------------------------------------------
+
+
+def test_the_plan_fills_the_picture() -> None:
+    """Catches a plan that no camera could measure, or too small for what is claimed of it. Every seed used below.
+
+    To the sides the sphere itself ends: there its limb would hide the marker.
+    """
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for seed in (*range(20), 100):
+        pixels = real_robot(seed).pixels(PLANS["whole"])
+        low, high = np.minimum(low, pixels.min(axis=0)), np.maximum(high, pixels.max(axis=0))
+    assert (low >= 0).all()
+    assert (high <= np.array(SIZE_PX) - 1).all()
+    assert (high - low)[1] > 0.95 * SIZE_PX[1]
+    assert (high - low)[0] > 0.6 * SIZE_PX[0]
+
+
+@pytest.mark.parametrize(("k", "name"), list(enumerate(EFFECTS)))
+def test_each_effect_is_found_by_name(k: int, name: str) -> None:
+    """Catches an effect that is never tried, tried with wrong columns, or outranked; and a wrong held-out error.
+
+    Seed 100; ratio 1, 2 or 5 and the whole or local plan in turn. At the 1 % level a second effect may join by chance.
+    """
+    d = hidden(name, RATIOS[k % 3], ("whole", "local")[k % 2], 100)
+    assert d.verdict == "explained"
+    assert name in named(d)
+    assert d.p_missing <= LEVEL
+    assert d.unit == "px"
+    assert d.steps[0].held_out_rms > 1.2 * NOISE_PX
+    assert abs(d.steps[-1].held_out_rms / NOISE_PX - 1) < held_out_allowance(d)
+    report = {c.effect: c for c in d.candidates}[name]
+    assert report.p_value < LEVEL
+    assert d.signature is None
+
+
+@pytest.mark.parametrize("repeats", [1, 3, 5])
+def test_nothing_is_found_where_nothing_is(repeats: int) -> None:
+    """Catches an alarm without cause, and an adequate model without a word on what would have been found.
+
+    Level 1 %, seeds 0 and 1: a correct program fails one of these six with 6 %, these seeds are such that it does not.
+    """
+    for seed in range(2):
+        d = silent(seed, repeats)
+        assert d.verdict == "adequate"
+        assert (d.effects, d.ties, d.signature, d.next_poses) == ((), (), None, ())
+        assert d.p_missing > LEVEL
+        assert set(d.smallest_found) == set(EFFECTS)
+        assert all(rms > 0 for _, rms in d.smallest_found.values())
+        assert d.noise_origin == ("unknown" if repeats == 1 else "repeats")
+
+
+def test_false_alarms_are_few() -> None:
+    """Catches a level that is plainly not held: 40 runs, seeds 2000 to 2039, level 1 %, at most 1.5 %.
+
+    More than 4 alarms would come by chance in one of 1,000 such counts at 1.5 %.
+    """
+    found = alarms(range(2000, 2040), 3)
+    assert len(found) <= stats.binom.isf(RARE, 40, 0.015), found
+
+
+@pytest.mark.parametrize("pair", [("backlash", "lens_distortion"), ("camera_delay", "gravity_flexure")])
+def test_two_effects_are_found_together(pair: tuple[str, str]) -> None:
+    """Catches a search that stops after one effect, or takes one wrong one for two. Seed 7, ratio 2."""
+    d = measured("whole", 7, scaled=dict.fromkeys(pair, 2)).diagnose()
+    assert d.verdict == "explained"
+    assert set(pair) <= named(d)
+    assert [s.effect for s in d.steps] == [None, *d.effects]
+    assert abs(d.steps[-1].held_out_rms / NOISE_PX - 1) < held_out_allowance(d)
+
+
+def test_two_effects_that_one_explains_are_called_by_that_one() -> None:
+    """Catches a simple cause passed over for two, where two are there but no picture tells. Seed 0, ratio 2.
+
+    Joints that are off are nearly a camera that turned: beside one that did, they leave 3 times the noise of one
+    reading in all 3,456.
+    """
+    run = measured("whole", 0, scaled={"joint_offset": 2, "camera_pose": 2})
+    d = run.diagnose()
+    assert run.enough_alone() == {"camera_pose"}
+    assert (d.verdict, d.effects) == ("explained", ("camera_pose",))
+    assert abs(d.steps[-1].held_out_rms / NOISE_PX - 1) < held_out_allowance(d)
+
+
+def test_a_cause_of_many_parameters_is_tied_with_the_small_ones_that_imitate_it() -> None:
+    """Catches a true cause that is never fitted, for want of tries, since five simpler ones explain the run too.
+
+    Seed 9 on the local plan at ratio 1: six parameters of a camera against the two of unequal limbs.
+    """
+    d = hidden("camera_pose", 1, "local", 9)
+    assert d.verdict == "explained"
+    assert "camera_pose" in named(d)
+    assert len(named(d)) >= 5
+
+
+def test_chance_does_not_turn_two_effects_into_three_others() -> None:
+    """Catches a search that falls back on the best single effect where noise alone has refused the right pair.
+
+    Seed 1, whose noise has a ripple by chance (p < 1 %): the pair is named and the ripple described beside it.
+    """
+    d = measured("whole", 1, scaled={"joint_scale": 2, "lens_distortion": 2}).diagnose()
+    assert d.verdict == "partly explained"
+    assert set(d.effects) == {"joint_scale", "lens_distortion"}
+    assert d.signature is not None
+    assert d.signature["shape"] == "periodic"
+
+
+def test_a_turn_that_both_joints_share_is_tied_with_a_camera_that_turned() -> None:
+    """Catches one of two causes that no picture tells apart named as if it were the only one. Exact tie; seed 0."""
+    common = measured("whole", 0, {"joint_offset": [0.002, 0.002]}).diagnose()
+    assert common.effects == ("joint_offset",)
+    assert "camera_pose" in named(common)
+    assert common.next_poses[-1]["separation_sigma"] < 1.0
+
+
+def test_a_delay_needs_the_velocity_and_says_so() -> None:
+    """Catches an effect that is silently skipped, or tried on columns that are not there."""
+    frame = measured("small", 0).data.to_frame().drop("theta2_rad_per_s", "time_s")
+    d = sk.diagnose(sk.identify(ROBOT, sk.from_frame(frame)))
+    assert set(d.untestable) == {"camera_delay", "backlash"}
+    assert "theta2_rad_per_s" in d.untestable["camera_delay"]
+    assert not set(d.untestable) & {c.effect for c in d.candidates}
+
+
+# -- rates ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("where", ["whole", "local"])
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_the_right_effect_is_named_in_98_of_100(ratio: float, where: str) -> None:
+    """Catches any weakness of the search that shows on some draws only, and sizes that do not fit the cause.
+
+    20 seeds of each of 12 effects: the true effect leads or is tied in 98 %, "explained" without it in 1 % at most,
+    and no single effect in less than 98 %, each with a binomial allowance of 1 in 1,000; held-out errors are at the
+    noise.
+    """
+    outcome: Counter[str] = Counter()
+    missed: Counter[str] = Counter()
+    off = []
+    for name in EFFECTS:
+        for seed in range(20):
+            d = hidden(name, ratio, where, seed)
+            kind = "right" if name in named(d) else "wrong" if d.verdict == "explained" else "missed"
+            outcome[kind] += 1
+            missed[name] += kind != "right"
+            if kind == "right" and abs(d.steps[-1].held_out_rms / NOISE_PX - 1) > held_out_allowance(d):
+                off.append((name, seed, d.steps[-1].held_out_rms))
+    count = outcome.total()
+    assert count - outcome["right"] <= stats.binom.isf(RARE, count, 0.02), missed
+    assert outcome["wrong"] <= stats.binom.isf(RARE, count, 0.01), missed
+    assert max(missed.values()) <= stats.binom.isf(RARE, 20, 0.02), missed
+    assert not off
+
+
+@pytest.mark.slow
+def test_pairs_are_named_in_95_of_100() -> None:
+    """Catches pairs of which one effect hides the other. All 66 pairs, three seeds of each, a ratio of 2.
+
+    At least 95 % both named, of all and of those that can be known for two; for some, the second simulator says that
+    one effect alone explains what both do but for less than can be seen (``enough_alone``): then that one or both are
+    named in 98 %. Binomial allowances of 1 in 1,000.
+    """
+    both, right = {True: 0, False: 0}, 0
+    runs: Counter[bool] = Counter()
+    missed = []
+    for k, pair in enumerate(combinations(EFFECTS, 2)):
+        for seed in range(3 * k, 3 * k + 3):
+            run = measured("whole", seed, scaled=dict.fromkeys(pair, 2))
+            d = run.diagnose()
+            alone = run.enough_alone()
+            found = set(pair) <= named(d)
+            runs[bool(alone)] += 1
+            both[bool(alone)] += found
+            right += bool(alone) and (found or bool(alone & named(d)))
+            if not found:
+                missed.append((pair, seed, d.verdict, d.effects, sorted(alone)))
+    for count, named_both in ((runs.total(), sum(both.values())), (runs[False], both[False])):
+        assert count - named_both <= stats.binom.isf(RARE, count, 0.05), missed
+    assert runs[True] - right <= stats.binom.isf(RARE, runs[True], 0.02), missed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("repeats", [1, 3, 5])
+def test_false_alarms_stay_at_the_level(repeats: int) -> None:
+    """Catches a test whose level depends on how often poses are repeated.
+
+    1,000 runs of each, seeds 0 to 999, level 1 %. At most 1.5 %; more than 27 alarms would come by chance in one of
+    1,000 such counts at 1.5 %.
+    """
+    found = alarms(range(1000), repeats)
+    assert len(found) <= stats.binom.isf(RARE, 1000, 0.015), found
