@@ -580,9 +580,12 @@ def test_next_poses_are_numbered(plane: Run) -> None:
     assert plane.study
     made = next_poses(NextPoses(plane.found.next_poses, plane.before))
     above, side = table(made, "orders_0"), table(made, "orders_1")
-    for k, pose in enumerate(plane.found.next_poses, 1):
-        here = (above["x"] == pose["x_mm"]) & (above["y"] == pose["y_mm"])
-        assert above["text"][here].tolist() == [str(k)]
+    places = [(pose["x_mm"], pose["y_mm"]) for pose in plane.found.next_poses]
+    for k, (x, y) in enumerate(places, 1):
+        here = (above["x"] == x) & (above["y"] == y)
+        many = places.count((x, y))
+        # poses on top of each other are counted, not numbered
+        assert above["text"][here].tolist() == [str(k) if many == 1 else f"{many}×"]
     assert len({(x, y) for x, y in zip(side["x"], side["y"], strict=True)}) == len(side["x"])
     assert sum(int(str(t)[:-1]) if str(t).endswith("×") else 1 for t in side["text"]) == len(plane.found.next_poses)
 

@@ -3,7 +3,8 @@
 An effect *explains* where, once it is added, the largest score of the whole family, generic shapes included, is no
 longer significant. Among sets that explain, the smallest and then the lowest BIC leads and the others are tied with
 it. Only where no effect and no pair explains does the best single candidate enter: an effect, if it does better than
-every shape; else the shape, as the description of something that is in no catalogue.
+every shape, or the pair that comes nearest, if it is clearly better than that effect with whatever goes best with it;
+else the shape, as the description of something that is in no catalogue.
 """
 
 from __future__ import annotations
