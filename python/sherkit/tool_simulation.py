@@ -32,8 +32,11 @@ class VirtualTool:
 
     ``tool`` is what the file says; ``true`` the tool in the world (the same if left out). ``noise_nm`` is that of a
     wavelength, ``camera_mm`` of a place, ``camera_warp_mm`` the size of the camera's smooth errors over its field,
-    ``temperature_c`` the slow drift of the eye's warmth (all fibres alike, 10 pm/°C), ``wander_mm2_s`` how fast the hole
-    strays along the shaft, as an eye does, ``hole_mn_mm`` its stiffness.
+    ``temperature_c`` the slow drift of the eye's warmth (all fibres alike, 10 pm/°C), ``wander_mm2_s`` how fast the
+    hole strays along the shaft, as an eye does, ``hole_mn_mm`` its stiffness. ``bias_nm`` (6,) is how far the
+    wavelengths of sections I and II have crept, ``leak`` (6,) how much more than the others each fibre answers to warmth,
+    ``hysteresis_mn`` how far what the gratings feel lags behind the force, ``shaft_bend_mm`` (2,) the tip of the
+    unloaded tool, ``lost`` the share of wavelengths lost on the way.
     """
 
     tool: FlexibleTool
@@ -44,7 +47,10 @@ class VirtualTool:
     temperature_c: float = 1.0
     wander_mm2_s: float = 0.01
     hole_mn_mm: float = 150.0
-    #: Smallest and largest share of the wavelengths lost on the way.
+    bias_nm: tuple[float, ...] = (0.0,) * 6
+    leak: tuple[float, ...] = (0.0,) * 6
+    hysteresis_mn: float = 0.0
+    shaft_bend_mm: tuple[float, float] = (0.0, 0.0)
     lost: float = 0.0
 
     def run(self, experiment: str, *, seconds: float = 60.0, seed: int = 0) -> ToolRun:
@@ -63,7 +69,7 @@ class VirtualTool:
         position, turn, depth, offset, clearance = make(t, rng)
         true = self.true or self.tool
         force = self._force(true, depth, offset, clearance)
-        bent = self._tip(true, force, depth)
+        bent = self._tip(true, force, depth) + np.array([*self.shaft_bend_mm, 0.0])
         tip = position + np.einsum("nij,nj->ni", rotation_of(turn), bent)
         waves = self._wavelengths(true, force, depth, t, rng)
         if self.lost > 0:
@@ -82,7 +88,8 @@ class VirtualTool:
         turn = np.column_stack([_smooth(t, rng, 0.3), _smooth(t, rng, 0.3), _smooth(t, rng, 0.05)])
         depth = np.zeros(len(t))
         waves = self._wavelengths(true, np.zeros((len(t), 2)), depth, t, rng)
-        camera_t, camera = self._seen(true, t, position, rng)
+        tip = position + rotation_of(turn) @ np.array([*self.shaft_bend_mm, 0.0])
+        camera_t, camera = self._seen(true, t, tip, rng)
         return ToolRun(t, position, turn, waves, camera_t, camera, None, "simulated free motion")
 
     # -- what the robot does: pose (n, 3), (n, 3), depth (n,), the hole off the shaft (n, 2), clearance --------
@@ -168,6 +175,8 @@ class VirtualTool:
         """Nine wavelengths (n, 9), nm: the moment at each section bends the fibres, warmth shifts all alike."""
         warm = 0.010 * self.temperature_c * (1 - np.exp(-t / 20.0)) + 0.001 * np.sin(t / 7.0)
         waves = np.tile(np.array(true.reference_nm), (len(t), 1)) + warm[:, None]
+        waves[:, :6] += np.array(self.bias_nm) + warm[:, None] * np.array(self.leak)
+        force = self._felt(force)
         for section in range(2):
             lever = (true.distances_mm[section] - depth).clip(0.0)
             moment = force * lever[:, None]
@@ -178,9 +187,21 @@ class VirtualTool:
             waves[:, 3 * section : 3 * section + 3] += moment @ (shifts @ back).T
         return np.asarray(waves + self.noise_nm * rng.standard_normal(waves.shape))
 
-    def _seen(
-        self, true: FlexibleTool, t: Floats, tip: Floats, rng: np.random.Generator
-    ) -> tuple[Floats, Floats]:
+    def _felt(self, force: Floats) -> Floats:
+        """The force as the glued fibres feel it (n, 2): dragged behind on a rope of the hysteresis' length."""
+        if self.hysteresis_mn == 0.0:
+            return force
+        felt = np.empty_like(force)
+        here = force[0].copy()
+        for k, there in enumerate(force):
+            away = there - here
+            size = float(np.hypot(*away))
+            if size > self.hysteresis_mn:
+                here = there - away * (self.hysteresis_mn / size)
+            felt[k] = here
+        return felt
+
+    def _seen(self, true: FlexibleTool, t: Floats, tip: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
         """Times (m,) by the camera's clock and places (m, 3) in its frame."""
         moment = np.arange(t[0] + 0.013, t[-1], 1.0 / _CAMERA_HZ)
         place = np.column_stack([np.interp(moment, t, tip[:, k]) for k in range(3)])

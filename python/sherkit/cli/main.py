@@ -17,6 +17,7 @@ from .diagnose import diagnose
 from .effects import effects
 from .importing import import_group
 from .simulate import simulate
+from .tool import estimate, register
 from .vision import intrinsics, markers
 
 
@@ -31,6 +32,8 @@ cli.add_command(calibrate)
 cli.add_command(demo)
 cli.add_command(diagnose)
 cli.add_command(effects)
+cli.add_command(estimate)
+cli.add_command(register)
 cli.add_command(simulate)
 cli.add_command(import_group)
 cli.add_command(intrinsics)

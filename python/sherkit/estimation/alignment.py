@@ -19,7 +19,7 @@ _LEAST = 8
 def at_times(time_s: ArrayLike, values: ArrayLike, moments_s: ArrayLike) -> Floats:
     """``values`` (n, k), taken at growing times (n,), at other moments (m,) by straight lines between neighbours.
 
-    Raises :class:`~sherkit.errors.ShapeError` for times that do not grow, moments outside them, or sizes that do not fit.
+    Raises :class:`~sherkit.errors.ShapeError` for times that do not grow, moments outside them, or unlike sizes.
     """
     t, v, at = (np.asarray(a, dtype=float) for a in (time_s, values, moments_s))
     if t.ndim != 1 or len(t) != len(v) or len(t) < 2:
@@ -36,8 +36,11 @@ def at_times(time_s: ArrayLike, values: ArrayLike, moments_s: ArrayLike) -> Floa
 
 @dataclass(frozen=True, eq=False)
 class Aligned:
-    """A camera brought into the robot's frame and clock: ``registration`` takes camera to base, ``delay_s`` ± ``std_s`` is
-    how much later the camera's clock stands, ``rms_mm`` what is left."""
+    """A camera brought into the robot's frame and clock.
+
+    ``registration`` takes camera to base, ``delay_s`` ± ``delay_std_s`` is how much later the camera's clock stands,
+    ``rms_mm`` what is left.
+    """
 
     registration: Registration
     delay_s: float
@@ -52,9 +55,9 @@ def align(
     """Frame and clock of a camera from a motion of the unbent tool that both saw: least squares over both.
 
     Robot (n, 3) at its times, camera (m, 3) at its own; delays up to ``longest_s`` either way are tried. The standard
-    deviation of the delay follows from the curvature of the sum of squares. Raises :class:`~sherkit.errors.FitError` where
-    fewer than eight pictures fall into the robot's time at every delay tried, where nothing moves enough to tell the
-    delay, and as :func:`~sherkit.estimation.registration.register`.
+    deviation of the delay follows from the curvature of the sum of squares. Raises :class:`~sherkit.errors.FitError`
+    where fewer than eight pictures fall into the robot's time at every delay tried, where nothing moves enough to tell
+    the delay, and as :func:`~sherkit.estimation.registration.register`.
     """
     t, x = np.asarray(robot_time_s, dtype=float), np.asarray(robot_mm, dtype=float)
     at, seen = np.asarray(camera_time_s, dtype=float), np.asarray(camera_mm, dtype=float)

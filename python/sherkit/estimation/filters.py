@@ -65,8 +65,10 @@ class Consistency:
         """``consistent``, ``overconfident``, ``too careful``, or ``unknown`` where nothing was measured."""
         if not np.isfinite(self.ratio):
             return "unknown"
-        return "consistent" if self.low <= self.ratio <= self.high else (
-            "overconfident" if self.ratio > self.high else "too careful"
+        return (
+            "consistent"
+            if self.low <= self.ratio <= self.high
+            else ("overconfident" if self.ratio > self.high else "too careful")
         )
 
 
@@ -84,8 +86,8 @@ class Estimate:
 
     ``force_mn`` (n, 2), ``fibre_depth_mm`` (n,) and its ``fibre_depth_std_mm`` are the gratings alone (Eqs. 1, 2), NaN
     or infinite without force; ``held_depth_mm`` (n,) repeats the last depth of a force, as a display would.
-    ``depth`` and ``tip`` are the filters of Eq. 8 and 14, ``together`` the one state (depth, then tip), ``smooth_depth``
-    and ``smooth_together`` the same from all measurements of the run: values and covariances.
+    ``depth`` and ``tip`` are the filters of Eq. 8 and 14, ``together`` the one state (depth, tip), ``smooth_depth`` and
+    ``smooth_together`` the same from all measurements of the run: values and covariances.
     """
 
     tool: FlexibleTool

@@ -46,8 +46,8 @@ class Registration:
 def register(source_mm: ArrayLike, target_mm: ArrayLike, method: str = "quaternion") -> Registration:
     """The transform that takes points (n, 3) to points (n, 3), by ``"quaternion"`` or ``"svd"``; both agree.
 
-    Raises :class:`~sherkit.errors.ShapeError` for clouds of unlike size, and :class:`~sherkit.errors.FitError` that says
-    whether the points are too few or stand on a line.
+    Raises :class:`~sherkit.errors.ShapeError` for clouds of unlike size, and :class:`~sherkit.errors.FitError` that
+    says whether the points are too few or stand on a line.
     """
     a, b = (np.ascontiguousarray(np.atleast_2d(np.asarray(p, dtype=float))) for p in (source_mm, target_mm))
     if a.shape != b.shape or a.ndim != 2 or a.shape[1] != 3:

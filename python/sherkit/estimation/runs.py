@@ -75,7 +75,7 @@ class ToolRun:
     @cached_property
     def present(self) -> Bools:
         """Rows (n,) with nine finite wavelengths."""
-        return np.isfinite(self.wavelengths_nm).all(axis=1)
+        return np.asarray(np.isfinite(self.wavelengths_nm).all(axis=1))
 
     def without_fibres(self, rows: Bools) -> ToolRun:
         """The same run with these wavelengths lost."""
@@ -144,11 +144,17 @@ def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
     _refuse(~np.isfinite(time), f"{source}: row {{}}, column '{TIME}': expected a time, s")
     pose = np.column_stack([columns[n] for n in (*POSITION, *TURN)])
     there = np.isfinite(pose)
-    _refuse(there.any(axis=1) & ~there.all(axis=1), f"{source}: row {{}}: a pose needs all of {listed((*POSITION, *TURN), 6)}")
+    _refuse(
+        there.any(axis=1) & ~there.all(axis=1),
+        f"{source}: row {{}}: a pose needs all of {listed((*POSITION, *TURN), 6)}",
+    )
     robot = there.all(axis=1)
     camera_all = np.column_stack([columns.get(n, np.full(len(time), np.nan)) for n in CAMERA])
     seen = np.isfinite(camera_all)
-    _refuse(seen.any(axis=1) & ~seen.all(axis=1), f"{source}: row {{}}: a place of the camera needs all of {listed(CAMERA, 3)}")
+    _refuse(
+        seen.any(axis=1) & ~seen.all(axis=1),
+        f"{source}: row {{}}: a place of the camera needs all of {listed(CAMERA, 3)}",
+    )
     camera = seen.all(axis=1)
     waves = np.column_stack([columns[n] for n in FIBRES])
     _refuse(~robot & np.isfinite(waves).any(axis=1), f"{source}: row {{}}: wavelengths without the robot's pose")
@@ -172,7 +178,7 @@ def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
     )
 
 
-def _refuse(bad: Bools, sentence: str) -> None:
+def _refuse(bad: Any, sentence: str) -> None:
     if bad.any():
         raise MeasurementError(sentence.format(int(np.argmax(bad)) + 1))
 

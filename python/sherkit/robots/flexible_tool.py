@@ -44,9 +44,9 @@ class FlexibleTool:
     ``length_mm`` is the free length h, ``stiffness_mn_mm2`` the bending stiffness EI, ``distances_mm`` from the tip to
     the sections I and II, ``gains`` (2, 2, 3) K_I and K_II in mN·mm/nm, ``reference_nm`` (9,) the wavelengths of the
     unloaded tool (sections I, II, III, three fibres each), ``noise_nm`` the standard deviation of one. ``camera_*``
-    take the camera's frame to the robot's base: x_base = R(``camera_rotation_rad``) x_camera + ``camera_translation_mm``;
-    the camera's clock stands ``camera_delay_s`` later than the robot's. ``noise`` names what the filters trust:
-    ``"propagated"`` follows the force with ``floor_mm2`` and ``per_second_mm2`` (depth, tip), the others are the paper's.
+    take the camera's frame to the base: x_base = R(``camera_rotation_rad``) x_camera + ``camera_translation_mm``; its
+    clock stands ``camera_delay_s`` later than the robot's. ``noise`` names what the filters trust: ``"propagated"``
+    follows the force with ``floor_mm2`` and ``per_second_mm2`` (depth, tip), the others are the paper's.
     """
 
     length_mm: float = 60.0
@@ -70,11 +70,6 @@ class FlexibleTool:
 
     def __post_init__(self) -> None:
         _ = self.beam, self.sensor, self.filter_noise  # refuses numbers that are no tool
-        if not all(0.0 < d < self.length_mm for d in self.distances_mm):
-            raise RobotError(
-                f"distances_mm: expected sections between tip and clamp, 0 to {self.length_mm:g} mm, got "
-                f"{', '.join(f'{d:g}' for d in self.distances_mm)}"
-            )
 
     # -- files -------------------------------------------------------------------------------------------
 
@@ -88,6 +83,8 @@ class FlexibleTool:
             values["stiffness_mn_mm2"] = s.number("stiffness_mn_mm2", positive=True)
         with table.table("gratings") as g:
             values["distances_mm"] = g.numbers("distances_mm", 2, positive=True)
+            if not values["distances_mm"][0] < values["distances_mm"][1] < values["length_mm"]:
+                raise g.fail("distances_mm", f"I, then II, both less than length_mm = {values['length_mm']:g}")
             values["gains"] = tuple(
                 tuple(g.numbers(f"gain_{section}_{axis}", 3) for axis in ("x", "y")) for section in ("I", "II")
             )
