@@ -34,7 +34,7 @@ class VirtualTool:
     wavelength, ``camera_mm`` of a place, ``camera_warp_mm`` the size of the camera's smooth errors over its field,
     ``temperature_c`` the slow drift of the eye's warmth (all fibres alike, 10 pm/°C), ``wander_mm2_s`` how fast the
     hole strays along the shaft, as an eye does, ``hole_mn_mm`` its stiffness. ``bias_nm`` (6,) is how far the
-    wavelengths of sections I and II have crept, ``leak`` (6,) how much more than the others each fibre answers to warmth,
+    wavelengths of sections I and II have crept, ``leak`` (6,) how much more each fibre answers to warmth,
     ``hysteresis_mn`` how far what the gratings feel lags behind the force, ``shaft_bend_mm`` (2,) the tip of the
     unloaded tool, ``lost`` the share of wavelengths lost on the way.
     """
@@ -45,7 +45,7 @@ class VirtualTool:
     camera_mm: float = 0.2
     camera_warp_mm: float = 0.25
     temperature_c: float = 1.0
-    wander_mm2_s: float = 0.01
+    wander_mm2_s: float = 0.004
     hole_mn_mm: float = 150.0
     bias_nm: tuple[float, ...] = (0.0,) * 6
     leak: tuple[float, ...] = (0.0,) * 6

@@ -19,6 +19,7 @@ from ..simulation import TABLE_II_SIZES, VirtualDelta
 from ..spherical_simulation import PAPER_ERRORS, VirtualSpherical
 from ..tool_simulation import EXPERIMENTS, VirtualTool
 from . import output
+from .tool import is_tool
 from .vision import require_vision
 
 POSES = {"whole": paper_whole, "local": paper_local}
@@ -50,9 +51,12 @@ _PER_SIDE = {"whole": 12, "local": 8}
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the planted errors here (TOML).")
 def simulate(
     robot: Path, destination: Path, poses: str, repeats: int, order: str, errors: float, seed: int,
-    truth: Path | None, **given: Any,
+    truth: Path | None, experiment: str, seconds: float, **given: Any,
 ) -> None:  # fmt: skip
-    """Simulate a run of ROBOT (TOML) with planted errors."""
+    """Simulate a run of ROBOT (TOML) with planted errors, or of a flexible tool (see --experiment)."""
+    if is_tool(robot):
+        _tool(robot, destination, experiment, seconds, seed, given)
+        return
     nominal = load_robot(robot)
     own, other = (_OF_DELTA, _OF_SPHERICAL) if isinstance(nominal, Delta) else (_OF_SPHERICAL, _OF_DELTA)
     wrong = [f"--{name.replace('_', '-')}" for name in other if given[name] is not None]

@@ -70,10 +70,15 @@ def align(
     at, seen = at[inside], seen[inside]
 
     def left(delay: float) -> float:
-        return float((register(seen, at_times(t, x, at - delay)).residuals_mm ** 2).sum())
+        try:
+            return float((register(seen, at_times(t, x, at - delay)).residuals_mm ** 2).sum())
+        except FitError:  # so far off that nothing is left of the cloud's shape
+            return float("inf")
 
     grid = np.linspace(-longest_s, longest_s, 81)
     squares = np.array([left(d) for d in grid])
+    if not np.isfinite(squares).any():
+        register(seen, at_times(t, x, at))  # says why
     best = int(np.argmin(squares))
     if best in (0, len(grid) - 1):
         raise FitError(f"alignment: the delay lies at the end of what was tried, {grid[best]:+g} s; allow a longer one")

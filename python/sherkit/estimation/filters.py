@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 #: Places of the columns of a measurement.
-_FORCE, _DEPTH, _DEPTH_VARIANCE = slice(1, 3), 8 - 1, 8
+_FORCE, _DEPTH, _DEPTH_VARIANCE = slice(1, 3), 7, 8
 #: Two-sided band for the mean NIS.
 NIS_LEVEL = 0.99
 
@@ -108,7 +108,8 @@ class Estimate:
     @property
     def fibre_depth_mm(self) -> Floats:
         """Depth by the gratings alone (n,)."""
-        return self.measurements[:, _DEPTH]
+        told = np.isfinite(self.measurements[:, _DEPTH_VARIANCE])
+        return np.where(told, self.measurements[:, _DEPTH], np.nan)
 
     @property
     def fibre_depth_std_mm(self) -> Floats:

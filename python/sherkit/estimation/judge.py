@@ -64,7 +64,7 @@ def judge(e: Estimate) -> list[Judgement]:
             "kinematics": e.kinematic_depth_mm,
             "filter": e.depth.value[:, 0],
             "filter of both": e.together.value[:, 0],
-            "smoother": e.smooth_together[0][:, 0],
+            "smoother": e.smooth_depth[0][:, 0],
         }
         errors = {name: np.abs(value - truth)[rows] for name, value in signals.items()}
         out.append(_judged("depth", "depth_mm", errors, t0[rows]))
