@@ -69,6 +69,7 @@ test-slow: $(STAMP)
 	$(BIN)/python -m pytest -n 2 -m slow
 
 bench: $(STAMP)
+	$(BIN)/python -m pip install --quiet "$$(ls $(WHEELS)/sherkit-*.whl)[bench]"
 	$(BIN)/python benchmarks/bench.py
 
 format: $(STAMP)
