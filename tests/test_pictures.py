@@ -551,17 +551,19 @@ def test_quantiles_of_the_noise(demo: Run, plane: Run) -> None:
 def test_accuracy_map_is_the_calibration(demo: Run) -> None:
     """Catches swapped axes, an outline around what misses the requirement, and hatching of what was measured."""
     state = accuracy_of(demo.calibration, 20.0)
+    assert EXAMPLE.workspace_z_mm is not None
+    z = np.linspace(EXAMPLE.workspace_z_mm[1], EXAMPLE.workspace_z_mm[0], 3)
     rng = np.random.default_rng(0)
     for _ in range(12):
-        k, j, i = rng.integers(3), rng.integers(len(state.y_mm)), rng.integers(len(state.x_mm))
-        place = [state.x_mm[i], state.y_mm[j], state.z_mm[k]]
+        k, j, i = rng.integers(3), rng.integers(len(state.y)), rng.integers(len(state.x))
+        place = [state.x[i], state.y[j], z[k]]
         assert state.measured[k, j, i] == demo.calibration.measured(place)
         if np.isfinite(state.value_um[k, j, i]):
             assert state.value_um[k, j, i] == pytest.approx(1e3 * demo.calibration.accuracy(place))
         else:
             assert np.hypot(place[0], place[1]) > EXAMPLE.workspace_radius_mm - 1
     made = accuracy_map(state)
-    step_x, step_y = state.x_mm[1] - state.x_mm[0], state.y_mm[1] - state.y_mm[0]
+    step_x, step_y = state.x[1] - state.x[0], state.y[1] - state.y[0]
     hatched = table(made, "beyond_0")
     area = np.sum((hatched["right"] - hatched["left"]) * (hatched["top"] - hatched["bottom"]))
     beyond = ~state.measured[0] & np.isfinite(state.value_um[0])

@@ -218,7 +218,7 @@ def test_optional_lengths_must_be_positive(table: str, key: str, value: float, t
 def test_heights_must_be_in_order(tmp_path: Path) -> None:
     """Catches a workspace upside down."""
     assert refusal(tmp_path, changed("workspace", "z_mm", [22, -22])).startswith(
-        "[workspace] z_mm: expected two heights"
+        "[workspace] z_mm: expected two numbers"
     )
 
 
@@ -241,12 +241,12 @@ def test_tables_are_tables(table: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("tables", "says"),
     [
-        ({"geometry": TABLES["geometry"]}, "kind is missing; expected one of 'delta'"),
-        ({**TABLES, "kind": "scara"}, "kind: expected one of 'delta', found 'scara'"),
-        ({**TABLES, "kind": ["delta"]}, "kind: expected one of 'delta', found ['delta']"),
+        ({"geometry": TABLES["geometry"]}, "kind is missing; expected one of 'delta', 'spherical'"),
+        ({**TABLES, "kind": "scara"}, "kind: expected one of 'delta', 'spherical', found 'scara'"),
+        ({**TABLES, "kind": ["delta"]}, "kind: expected one of 'delta', 'spherical', found ['delta']"),
         ({"kind": "delta"}, "geometry is missing; expected a table"),
         ({**TABLES, "tool": {}}, "unknown key tool"),
-        ({**TABLES, "kind": ""}, "kind: expected one of 'delta', found ''"),
+        ({**TABLES, "kind": ""}, "kind: expected one of 'delta', 'spherical', found ''"),
         ({}, "kind is missing"),
         ("", "kind is missing"),
         ("kind = delta", "is not valid TOML: Invalid value (at line 1"),

@@ -44,7 +44,7 @@ def patch(half_width_rad: float, gamma_rad: tuple[float, float], per_side: int) 
 
 #: About as many poses as the delta's plans have: 576, 361 and, for false alarms, 64.
 PLANS = {
-    "whole": patch(1.0, (0.35, 1.25), 24),
+    "whole": patch(1.0, (0.33, 1.25), 24),
     "local": patch(0.35, (0.55, 1.05), 19),
     "small": patch(0.5, (0.5, 1.1), 8),
 }
@@ -52,6 +52,9 @@ RATIOS = (1, 2, 5)
 LEVEL = 0.01
 #: Chance with which a correct program fails one of the counts below.
 RARE = 1e-3
+#: Length, in noise, at which what a single effect leaves of a pair shows in 80 % of runs: one column of the 200 that
+#: are tried together at the level, on the two thirds of the rows that are searched.
+SEEN = float(stats.norm.isf(LEVEL / 200 / 2) + stats.norm.isf(0.2)) * np.sqrt(1.5)
 
 
 @dataclass
@@ -60,10 +63,26 @@ class Run:
 
     data: sk.Measurements
     robot: SecondSpherical
+    plan: dict[str, NDArray[Any]]
 
     def diagnose(self) -> sk.Diagnosis:
         """As a user does."""
         return sk.diagnose(sk.identify(ROBOT, self.data))
+
+    def enough_alone(self) -> set[str]:
+        """Effects of which one, with α, β and R, explains all that was planted but for less than can be seen.
+
+        By the second simulator, without noise and in linear approximation.
+        """
+        plain = self.robot.changed(effects=None)
+        planted = (self.robot.truth(self.plan) - plain.truth(self.plan)).ravel()
+        geometry = plain.fitted_directions(self.plan)
+        out = set()
+        for name in EFFECTS:
+            basis, _ = np.linalg.qr(np.hstack([geometry, plain.fitted_directions(self.plan, (name,))]))
+            if np.linalg.norm(planted - basis @ (basis.T @ planted)) < SEEN * NOISE_PX:
+                out.add(name)
+        return out
 
 
 def real_robot(seed: int) -> SecondSpherical:
@@ -92,7 +111,7 @@ def measured(
         planted |= robot.at_ratio(name, ratio, NOISE_PX, plan, rng)
     robot.effects = planted
     columns = robot.run(plan, noise_px=NOISE_PX, seed=1000 + seed)
-    return Run(sk.from_frame(pl.DataFrame(columns)), robot)
+    return Run(sk.from_frame(pl.DataFrame(columns)), robot, plan)
 
 
 def named(d: sk.Diagnosis) -> set[str]:
@@ -191,6 +210,42 @@ def test_two_effects_are_found_together(pair: tuple[str, str]) -> None:
     assert abs(d.steps[-1].held_out_rms / NOISE_PX - 1) < held_out_allowance(d)
 
 
+def test_two_effects_that_one_explains_are_called_by_that_one() -> None:
+    """Catches a simple cause passed over for two, where two are there but no picture tells. Seed 0, ratio 2.
+
+    Joints that are off are nearly a camera that turned: beside one that did, they leave 3 times the noise of one
+    reading in all 3,456.
+    """
+    run = measured("whole", 0, scaled={"joint_offset": 2, "camera_pose": 2})
+    d = run.diagnose()
+    assert run.enough_alone() == {"camera_pose"}
+    assert (d.verdict, d.effects) == ("explained", ("camera_pose",))
+    assert abs(d.steps[-1].held_out_rms / NOISE_PX - 1) < held_out_allowance(d)
+
+
+def test_a_cause_of_many_parameters_is_tied_with_the_small_ones_that_imitate_it() -> None:
+    """Catches a true cause that is never fitted, for want of tries, since five simpler ones explain the run too.
+
+    Seed 9 on the local plan at ratio 1: six parameters of a camera against the two of unequal limbs.
+    """
+    d = hidden("camera_pose", 1, "local", 9)
+    assert d.verdict == "explained"
+    assert "camera_pose" in named(d)
+    assert len(named(d)) >= 5
+
+
+def test_chance_does_not_turn_two_effects_into_three_others() -> None:
+    """Catches a search that falls back on the best single effect where noise alone has refused the right pair.
+
+    Seed 1, whose noise has a ripple by chance (p < 1 %): the pair is named and the ripple described beside it.
+    """
+    d = measured("whole", 1, scaled={"joint_scale": 2, "lens_distortion": 2}).diagnose()
+    assert d.verdict == "partly explained"
+    assert set(d.effects) == {"joint_scale", "lens_distortion"}
+    assert d.signature is not None
+    assert d.signature["shape"] == "periodic"
+
+
 def test_a_turn_that_both_joints_share_is_tied_with_a_camera_that_turned() -> None:
     """Catches one of two causes that no picture tells apart named as if it were the only one. Exact tie; seed 0."""
     common = measured("whole", 0, {"joint_offset": [0.002, 0.002]}).diagnose()
@@ -241,19 +296,29 @@ def test_the_right_effect_is_named_in_98_of_100(ratio: float, where: str) -> Non
 
 @pytest.mark.slow
 def test_pairs_are_named_in_95_of_100() -> None:
-    """Catches pairs of which one effect hides the other. All 66 pairs, seeds 0 to 2, each at a ratio of 2.
+    """Catches pairs of which one effect hides the other. All 66 pairs, three seeds of each, a ratio of 2.
 
-    At least 95 % both named, binomial allowance of 1 in 1,000.
+    At least 95 % both named, of all and of those that can be known for two; for some, the second simulator says that
+    one effect alone explains what both do but for less than can be seen (``enough_alone``): then that one or both are
+    named in 98 %. Binomial allowances of 1 in 1,000.
     """
+    both, right = {True: 0, False: 0}, 0
+    runs: Counter[bool] = Counter()
     missed = []
-    count = 0
-    for pair in combinations(EFFECTS, 2):
-        for seed in range(3):
-            count += 1
-            d = measured("whole", seed, scaled=dict.fromkeys(pair, 2)).diagnose()
-            if not set(pair) <= named(d):
-                missed.append((pair, seed, d.effects))
-    assert len(missed) <= stats.binom.isf(RARE, count, 0.05), missed
+    for k, pair in enumerate(combinations(EFFECTS, 2)):
+        for seed in range(3 * k, 3 * k + 3):
+            run = measured("whole", seed, scaled=dict.fromkeys(pair, 2))
+            d = run.diagnose()
+            alone = run.enough_alone()
+            found = set(pair) <= named(d)
+            runs[bool(alone)] += 1
+            both[bool(alone)] += found
+            right += bool(alone) and (found or bool(alone & named(d)))
+            if not found:
+                missed.append((pair, seed, d.verdict, d.effects, sorted(alone)))
+    for count, named_both in ((runs.total(), sum(both.values())), (runs[False], both[False])):
+        assert count - named_both <= stats.binom.isf(RARE, count, 0.05), missed
+    assert runs[True] - right <= stats.binom.isf(RARE, runs[True], 0.02), missed
 
 
 @pytest.mark.slow

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import shutil
+import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
+import tomli_w
+from click.testing import CliRunner
 from numpy.typing import NDArray
 
-from sherkit.errors import MeasurementError, SherkitError
+from sherkit import VirtualSpherical, identify, load_robot, read_measurements, sphere_patch
+from sherkit.cli.main import cli
+from sherkit.errors import MeasurementError, SherkitError, SherkitWarning
+from sherkit.robots import Spherical
+from sherkit.spherical_simulation import PAPER_ERRORS
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: sherkit[vision]")
 
@@ -17,7 +26,7 @@ from sherkit.vision.intrinsics import Intrinsics, charuco_intrinsics, chessboard
 from sherkit.vision.marker import Seen, find_marker  # noqa: E402
 from sherkit.vision.pictures import Picture, frames_of, picture_of  # noqa: E402
 from sherkit.vision.render import View, draw_marker  # noqa: E402
-from sherkit.vision.rows import joined_by_time, marker_rows  # noqa: E402
+from sherkit.vision.rows import joined_by_time, marker_rows, seen_run  # noqa: E402
 
 CAMERA = Intrinsics((1100.0, 1080.0), (645.0, 318.0), (-0.12, 0.05, 0.001, -0.0008), (1280, 640))
 VIEW = View(CAMERA, (0.02, -0.03, 0.1), (5.0, -4.0, 446.2))
@@ -236,3 +245,138 @@ def test_a_row_that_lacks_a_marker_is_a_sentence() -> None:
     assert rows["u_px"].to_list() == [None]
     assert rows["time_s"].to_list() == [1.5]
     assert isinstance(find_marker(np.full((64, 64), 9, np.uint8)), Seen)
+
+
+# -- from the command line -----------------------------------------------------------------------------------------
+
+DIAMOND = Path(__file__).parents[1] / "examples" / "diamond.toml"
+
+
+def sherkit(*arguments: str | Path) -> Any:
+    return CliRunner().invoke(cli, [str(a) for a in arguments])
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a simulated run of 16 poses and its pictures."""
+    folder = tmp_path_factory.mktemp("filmed")
+    robot = load_robot(DIAMOND)
+    assert isinstance(robot, Spherical)
+    virtual = VirtualSpherical(robot, PAPER_ERRORS)
+    plan = virtual.plan(sphere_patch(robot, 4), repeats=1)
+    seen_run(plan, virtual.pictures(plan), save_in=folder / "pictures").save(folder / "run.csv")
+    return folder
+
+
+def test_pictures_become_the_run_that_was_simulated(filmed: Path, tmp_path: Path) -> None:
+    """Catches pictures in another order than their joints, and a format that the reader does not take."""
+    made = sherkit("markers", filmed / "pictures", "--joints", filmed / "run.csv", "-o", tmp_path / "again.csv")
+    assert made.exit_code == 0, made.output
+    assert (tmp_path / "again.csv").read_bytes() == (filmed / "run.csv").read_bytes()
+    fit = identify(load_robot(DIAMOND), read_measurements(tmp_path / "again.csv"))
+    assert (np.abs(fit.values - list(PAPER_ERRORS.values())) < 4.5 * fit.std).all()
+
+
+def test_every_picture_has_a_row(filmed: Path, tmp_path: Path) -> None:
+    """Catches a picture without a marker that vanishes, with joints or without them."""
+    shutil.copytree(filmed / "pictures", tmp_path / "pictures")
+    cv2.imwrite(str(tmp_path / "pictures" / "picture_0003.png"), np.full((640, 1280), 128, np.uint8))
+    made = sherkit("markers", tmp_path / "pictures", "-o", tmp_path / "rows.csv")
+    assert "16 rows written" in made.output
+    assert "1 without a marker" in made.output
+    rows = pl.read_csv(tmp_path / "rows.csv")
+    assert rows["u_px"].is_null().to_list() == [k == 2 for k in range(16)]
+    assert rows["why"][2] == "no marker was found"
+    with pytest.warns(SherkitWarning, match=r"1 of 16 pictures give no row: .*picture_0003\.png: no marker"):
+        made = sherkit("markers", tmp_path / "pictures", "--joints", filmed / "run.csv", "-o", tmp_path / "run.csv")
+    assert made.exit_code == 0, made.output
+    assert read_measurements(tmp_path / "run.csv").pose.tolist() == [k for k in range(1, 17) if k != 3]
+
+
+def test_a_video_is_joined_to_joints_by_time(tmp_path: Path) -> None:
+    """Catches a video joined by number, a delay with the wrong sign, and velocities that are lost on the way."""
+    robot = load_robot(DIAMOND)
+    assert isinstance(robot, Spherical)
+    virtual = VirtualSpherical(robot)
+    start, end = robot.inverse_batch([[1.3, 0.6], [1.8, 0.9]]).values
+    times = np.arange(12) * 0.02
+    way = start + np.outer(times / times[-1], end - start)
+    columns = {"time_s": times, "theta1_rad": way[:, 0], "theta2_rad": way[:, 1]}
+    writer = cv2.VideoWriter(
+        str(tmp_path / "run.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, (1280, 640), isColor=False
+    )
+    for picture in virtual.pictures(columns):
+        writer.write(picture.grey)
+    writer.release()
+    # the camera's clock stands 0.03 s later than that of the joints
+    logged = np.arange(-10, 60) * 0.005
+    log = start + np.outer((logged + 0.03) / times[-1], end - start)
+    pl.DataFrame({"time_s": logged, "theta1_rad": log[:, 0], "theta2_rad": log[:, 1]}).write_csv(
+        tmp_path / "joints.csv"
+    )
+    made = sherkit("markers", tmp_path / "run.avi", "--joints", tmp_path / "joints.csv", "--delay-s", "0.03", "-o",
+                   tmp_path / "run.csv")  # fmt: skip
+    assert made.exit_code == 0, made.output
+    run = read_measurements(tmp_path / "run.csv")
+    np.testing.assert_allclose(run.joints, way, atol=1e-6)
+    speed = (end - start) / times[-1]
+    np.testing.assert_allclose(run.covariates["theta2_rad_per_s"], speed[1], rtol=1e-6)
+    # lossy pictures
+    assert np.abs(run.readings - virtual.true_reading(way)).max() < 0.5
+
+
+def test_the_lens_from_pictures_of_a_board(tmp_path: Path) -> None:
+    """Catches a table [camera] that the robot file refuses, or another lens than the one that took the pictures."""
+    for k, taken in enumerate(photographed(chessboard((9, 6), 40), 12, 5)):
+        cv2.imwrite(str(tmp_path / f"board_{k:02d}.png"), taken)
+    cv2.imwrite(str(tmp_path / "none.png"), np.full((640, 1280), 128, np.uint8))
+    made = sherkit("intrinsics", tmp_path, "--chessboard", "9x6", "--square-mm", "20", "-o", tmp_path / "camera.toml")
+    assert made.exit_code == 0, made.output
+    assert "none.png" in made.stderr
+    lens = tomllib.loads((tmp_path / "camera.toml").read_text())["camera"]
+    assert lens["focal_px"] == pytest.approx(CAMERA.focal_px, rel=5e-3)
+    placed = {**lens, "phi_deg": 90.0, "gamma_deg": 45.0, "distance_mm": 446.2}
+    (tmp_path / "robot.toml").write_text(tomli_w.dumps({**tomllib.loads(DIAMOND.read_text()), "camera": placed}))
+    read = load_robot(tmp_path / "robot.toml")
+    assert isinstance(read, Spherical)
+    assert read.seen.focal_px == tuple(lens["focal_px"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("markers", "nowhere.png"), "nowhere.png: there is no such picture or folder"),
+        (("markers", "empty"), "empty: holds no pictures"),
+        (("markers", "0"), "say for how long, with --seconds"),
+        (("markers", "a.avi", "b.avi"), "give it alone"),
+        (("markers", "a.avi"), "there is no such video"),
+        (("markers", "dark.png", "--joints", "few.csv"), "1 pictures for 2 rows of joints"),
+        (("markers", "dark.png", "--joints", "one.csv"), "no picture shows the marker; "),
+        (("markers", "dark.png", "--joints", "other.csv"), "column 'theta1_rad' is missing; it has q1_mm"),
+        (("markers", "dark.png", "--joints", "hole.csv"), "row 0, column 'theta2_rad': expected a finite number"),
+        (("markers", "text.png"), "is not a picture that can be read"),
+        (("intrinsics", "dark.png", "--square-mm", "10"), "either --chessboard or --charuco"),
+        (("intrinsics", "dark.png", "--square-mm", "10", "--chessboard", "9"), "as 9x6, got '9'"),
+        (("intrinsics", "dark.png", "--square-mm", "10", "--chessboard", "9x6"), "expected 4 or more"),
+        (("intrinsics", "dark.png", "--square-mm", "10", "--charuco", "9x6"), "--marker-mm goes with --charuco"),
+    ],
+)
+def test_wrong_pictures_are_refused(
+    arguments: tuple[str, ...], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a traceback where a person needs to hear which file is wrong."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    cv2.imwrite("dark.png", np.full((64, 64), 9, np.uint8))
+    (tmp_path / "text.png").write_text("text")
+    for name, text in {
+        "one.csv": "theta1_rad,theta2_rad\n1,2\n",
+        "few.csv": "theta1_rad,theta2_rad\n1,2\n2,3\n",
+        "other.csv": "q1_mm\n1\n",
+        "hole.csv": "theta1_rad,theta2_rad\n1,\n",
+    }.items():
+        (tmp_path / name).write_text(text)
+    more = ("-o", "out.csv") if arguments[0] == "markers" else ()
+    refused = sherkit(*arguments, *more)
+    assert isinstance(refused.exception, SherkitError), refused.output
+    assert says in str(refused.exception)

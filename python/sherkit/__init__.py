@@ -4,6 +4,7 @@ from ._core import __version__
 from .calibrate import Experiment, Result, calibrate
 from .calibration import Calibration
 from .calibrations import load_calibration
+from .camera_placement import camera_placement
 from .correction import Correction, choose_correction, fit_grid, fit_polynomial, paper_protocol
 from .diagnosis import Diagnosis, diagnose, play, sentence
 from .effects import CATALOGUE, Effect, effect
@@ -24,6 +25,7 @@ from .errors import (
 )
 from .formats.klipper import import_klipper
 from .identification import Fit, identify, identify_stream
+from .joint_space import TaskError, identify_joints, task_error
 from .measurements import (
     Measurements,
     MeasurementStream,
@@ -81,10 +83,12 @@ __all__ = [
     "SphericalModel",
     "Step",
     "Study",
+    "TaskError",
     "VirtualDelta",
     "VirtualSpherical",
     "__version__",
     "calibrate",
+    "camera_placement",
     "choose_correction",
     "diagnose",
     "effect",
@@ -94,6 +98,7 @@ __all__ = [
     "from_frame",
     "grid",
     "identify",
+    "identify_joints",
     "identify_stream",
     "import_klipper",
     "load_calibration",
@@ -110,4 +115,5 @@ __all__ = [
     "straightness",
     "straightness_by",
     "stream_measurements",
+    "task_error",
 ]

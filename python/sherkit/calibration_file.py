@@ -39,7 +39,7 @@ def tables_of(path: Path, kind: str | None = None) -> tuple[dict[str, Any], dict
     found = robot.get("kind") if isinstance(robot, dict) else None
     if kind is not None and isinstance(found, str) and found != kind:
         raise CalibrationError(
-            f"{path}: is the calibration of a {found} robot, not of a {kind} one; sherkit.load_calibration reads both"
+            f"{path}: robot.kind: expected '{kind}', found '{found}'; sherkit.load_calibration reads every kind"
         )
     return tables, settings
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from .effects import Effect
 from .errors import EffectError, FitError, ShapeError
 from .measurements import Measurements
+from .measurements.columns import Layout
 from .names import listed, nearest
 from .parameters import Parameter
 from .rows import Rows
@@ -41,6 +42,8 @@ class ChainModel(ABC):
     catalogue: ClassVar[Mapping[str, Effect]]
     #: The same in the order in which the core holds their parameters.
     core_order: ClassVar[tuple[Effect, ...]]
+    #: The kinds of run that show this robot.
+    layouts: ClassVar[tuple[Layout, ...]]
 
     def __post_init__(self) -> None:
         known = [p.name for p in self.base]
@@ -88,6 +91,15 @@ class ChainModel(ABC):
     @abstractmethod
     def settings(self) -> dict[str, float | None]:
         """Settings of the effects that are no parameters: what :meth:`with_effect` takes besides the effect."""
+
+    def require_own(self, data: Measurements) -> None:
+        """Raises :class:`~sherkit.errors.FitError` for a run of another kind of robot."""
+        if data.layout not in self.layouts:
+            ways = " or ".join(", ".join(one.coordinates) for one in self.layouts)
+            raise FitError(
+                f"{data.source}: is no run of a {self.robot.kind} robot: expected the columns "
+                f"{', '.join(self.layouts[0].joints)} with {ways}, found {', '.join(data.layout.joints)}"
+            )
 
     # -- parameters --------------------------------------------------------------------------------------
 

@@ -1,8 +1,8 @@
 """Identification from the residual of the inverse kinematics, as the paper of the spherical robot has it (Eq. 6).
 
-Measured joints are compared with those that the inverse kinematics gives for what the camera saw. It is the paper's way,
-to stand beside :func:`~sherkit.identification.identify`, which compares readings: there every reading weighs by its own
-noise, and errors behind the joints (axes that miss the centre, flexure, the marker) have a place.
+Measured joints are compared with those that the inverse kinematics gives for what the camera saw. It is the paper's
+way, to stand beside :func:`~sherkit.identification.identify`, which compares readings: there every reading weighs by
+its own noise, and errors behind the joints (axes that miss the centre, flexure, the marker) have a place.
 """
 
 from __future__ import annotations

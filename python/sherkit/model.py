@@ -16,7 +16,7 @@ from .effects import CATALOGUE, Effect
 from .effects.catalogue import CORE_ORDER
 from .errors import SherkitError
 from .measurements import Measurements
-from .measurements.columns import TEMPERATURE
+from .measurements.columns import DELTA, TEMPERATURE
 from .parameters import Parameter
 from .robots.delta import LIMB_PARAMETERS, Delta
 
@@ -53,6 +53,7 @@ class DeltaModel(ChainModel):
     time_origin_s: float = 0.0
 
     catalogue: ClassVar = CATALOGUE
+    layouts: ClassVar = (DELTA,)
     core_order: ClassVar = CORE_ORDER[1:]
 
     @cached_property
@@ -107,6 +108,7 @@ class DeltaModel(ChainModel):
 
     def block(self, data: Measurements, joints: Floats | None = None, push: Floats | None = None) -> Block:
         """The rows as the core takes them."""
+        self.require_own(data)
         covariates = None
         if self.built_in:
             empty = np.full(len(data), np.nan)

@@ -14,7 +14,7 @@ from .chain import ChainModel
 from .effects.spherical import SPHERICAL_CATALOGUE
 from .errors import SherkitError
 from .measurements import Measurements
-from .measurements.columns import SPHERICAL_ANGLES, TEMPERATURE
+from .measurements.columns import SPHERICAL_ANGLES, SPHERICAL_PIXELS, TEMPERATURE
 from .parameters import Parameter
 from .robots.spherical import CameraView, Spherical
 
@@ -47,6 +47,7 @@ class SphericalModel(ChainModel):
     robot: Spherical
 
     catalogue: ClassVar = SPHERICAL_CATALOGUE
+    layouts: ClassVar = (SPHERICAL_PIXELS, SPHERICAL_ANGLES)
     core_order: ClassVar = tuple(SPHERICAL_CATALOGUE[name] for name in _CHAIN if name != "principal_point")
 
     @cached_property
@@ -100,6 +101,7 @@ class SphericalModel(ChainModel):
 
     def block(self, data: Measurements, joints: Floats | None = None, push: Floats | None = None) -> Block:
         """The rows as the core takes them. Raises :class:`~sherkit.errors.SherkitError` for pixels without a camera."""
+        self.require_own(data)
         angles = data.layout == SPHERICAL_ANGLES
         if not angles:
             _ = self.robot.seen

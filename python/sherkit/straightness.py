@@ -28,15 +28,16 @@ class Line:
     end_rad: Angles
 
 
-#: The paper's two cases. γ ends short of π/2, where a camera at a finite distance no longer sees the sphere.
+#: The paper's two cases. γ ends at 60°, as its calibration does: a marker further out is seen too slantwise from above.
 PAPER_LINES: Mapping[str, Line] = {
-    "vertical": Line((np.pi / 2, np.pi / 6), (np.pi / 2, np.deg2rad(75.0))),
+    "vertical": Line((np.pi / 2, np.pi / 6), (np.pi / 2, np.pi / 3)),
     "horizontal": Line((np.pi / 3, np.pi / 4), (2 * np.pi / 3, np.pi / 4)),
 }
 #: Along a vertical line through the axis φ is constant, and the mean of the joints whatever α and β: it cannot show
-#: them. A line beside the axis can.
-BESIDE = Line((np.pi / 3, np.pi / 4), (np.deg2rad(75.0), np.deg2rad(75.0)))
-LINES: Mapping[str, Line] = {**PAPER_LINES, "beside the axis": BESIDE}
+#: them. A line across can.
+DIAGONAL = Line((np.pi / 3, np.pi / 6), (2 * np.pi / 3, np.pi / 3))
+_SAME_RAD = 1e-6
+LINES: Mapping[str, Line] = {**PAPER_LINES, "diagonal": DIAGONAL}
 
 
 def targets(camera: CameraView, radius_mm: float, line: Line, count: int = 41) -> Floats:
@@ -52,6 +53,9 @@ def targets(camera: CameraView, radius_mm: float, line: Line, count: int = 41) -
     share = np.linspace(0.0, 1.0, count)[:, None]
     pixels = np.ascontiguousarray(ends[0] + share * (ends[1] - ends[0]))
     angles, seen = camera.core.angles_batch(pixels, radius_mm)
+    # beyond the rim a ray meets the near side first
+    hidden = np.abs(angles[[0, -1]] - [line.start_rad, line.end_rad]).max(axis=1) > _SAME_RAD
+    seen[[0, -1]] &= ~hidden
     if not seen.all():
         raise SherkitError(
             f"the camera does not see the sphere of {radius_mm:g} mm at {int((~seen).sum())} of {count} places of the "

@@ -17,6 +17,7 @@ from .diagnose import diagnose
 from .effects import effects
 from .importing import import_group
 from .simulate import simulate
+from .vision import intrinsics, markers
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -32,6 +33,8 @@ cli.add_command(diagnose)
 cli.add_command(effects)
 cli.add_command(simulate)
 cli.add_command(import_group)
+cli.add_command(intrinsics)
+cli.add_command(markers)
 
 
 def main(arguments: list[str] | None = None) -> None:

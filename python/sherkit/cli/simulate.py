@@ -17,6 +17,7 @@ from ..robots import Delta, Spherical, load_robot
 from ..simulation import TABLE_II_SIZES, VirtualDelta
 from ..spherical_simulation import PAPER_ERRORS, VirtualSpherical
 from . import output
+from .vision import require_vision
 
 POSES = {"whole": paper_whole, "local": paper_local}
 _OF_DELTA = {"noise_um": 5.0, "rail_lean_mrad": 0.0, "beam_mrad": 0.0}
@@ -100,7 +101,8 @@ def _spherical(
     }
     if given["pictures"] is None:
         return virtual.measure(angles, repeats=repeats, order=order, seed=seed + 1), planted
-    from ..vision.rows import seen_run  # the extra 'vision'
+    require_vision()
+    from ..vision.rows import seen_run
 
     plan = virtual.plan(angles, repeats=repeats, order=order, seed=seed + 1)
     return seen_run(plan, virtual.pictures(plan, seed=seed), save_in=given["pictures"]), planted

@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
+from scipy import special, stats
 
 from ..effects import Effect
 from ..errors import SherkitError
@@ -40,6 +40,8 @@ _HIDDEN_FROM = 0.97
 _SMALLEST_P = 1e-300
 #: Level at which an axis takes part in a signature.
 _AXIS_LEVEL = 1e-3
+#: An error of the poses' own is told from this part of the noise on.
+_OWN = 0.5
 #: One-sided level of the confirmation on the locked rows.
 _CONFIRMED = 0.05
 
@@ -244,6 +246,9 @@ def diagnose(
     if origin != "declared":
         sigma = _noise_left(final, sigma)
     verdict = _verdict(found, level)
+    own = _own_errors(final, sigma, level) if origin == "repeats" and not found.signature else None
+    if own:
+        notes.append(own)
     ties = _ties(found)
     reports = _candidate_reports(search, base_stage, gains, final, found)
     smallest: dict[str, tuple[float, float]] = {}
@@ -324,6 +329,32 @@ def _noise_left(case: Case, sigma: Floats) -> Floats:
         else:
             out[a] = left.std()
     return out
+
+
+def _own_errors(case: Case, sigma: Floats, level: float) -> str | None:
+    """What poses leave beyond their repeats without any pattern (lack of fit against pure error), as a sentence."""
+    told = []
+    parameters = len(case.fit.values) / len(case.axes)
+    for a in case.axes:
+        used = case.used[:, a]
+        group = np.unique(case.groups[used], return_inverse=True)[1]
+        count = np.bincount(group)
+        between, within = len(count) - parameters, int((count - 1).sum())
+        if between < 5 or within < 5 or not sigma[a] > 0:
+            continue
+        mean = np.bincount(group, case.residuals[used, a]) / count
+        square = float((count * mean**2).sum() / between)
+        own = np.sqrt(max(square - sigma[a] ** 2, 0.0) / count.mean())
+        if stats.f.sf(square / sigma[a] ** 2, between, within) < level / len(case.axes) and own > _OWN * sigma[a]:
+            told.append(f"{case.names[a]} {case.per_unit * own:.2g}")
+    if not told:
+        return None
+    return (
+        "repeats agree better than poses do: each pose is off by an error of its own "
+        f"({', '.join(told)} {case.unit}) that no effect and no shape follows; "
+        "look at what differs from pose to pose but not between repeats: how the marker "
+        "is found, seating, a reading taken before it is still"
+    )
 
 
 def _residual_sigma(case: Case) -> Floats:

@@ -3,7 +3,8 @@
 An effect *explains* where, once it is added, the largest score of the whole family, generic shapes included, is no
 longer significant. Among sets that explain, the smallest and then the lowest BIC leads and the others are tied with
 it. Only where no effect and no pair explains does the best single candidate enter: an effect, if it does better than
-every shape; else the shape, as the description of something that is in no catalogue.
+every shape, or the pair that comes nearest, if it is clearly better than that effect with whatever goes best with it;
+else the shape, as the description of something that is in no catalogue.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ Floats = NDArray[np.float64]
 _TAKES = 0.85
 #: Deviates beyond which no flip is needed to know that something is left.
 _PLAINLY_LEFT = 15.0
+#: Sets refitted in full by Schwarz's criterion, and at most as many again by what they leave.
 _MOST_REFITS = 4
 _MOST_PAIRS = 6
 _MOST_STEPS = 4
@@ -112,7 +114,7 @@ class Search:
         p = self.left(stage.plain)
         found = Found([stage], p_first=p, p_left=p)
         while p <= self.level and len(found.added) + len(found.signature) < _MOST_STEPS:
-            explanations = self.explanations(stage)
+            explanations, nearest = self.explanations(stage)
             shape = self.simpler_shape(stage, explanations)
             if explanations and shape is None:
                 lead, *others = explanations
@@ -125,8 +127,12 @@ class Search:
             best = shape or self.best_single(stage)
             if isinstance(best, Candidate):
                 self.step(f"adding {best.name}")
-                found.added.append(best)
-                stage = self.stage(refit(stage.case, (best,)), stage.nuisance)
+                after = self.stage(refit(stage.case, (best,)), stage.nuisance)
+                added: tuple[Candidate, ...] = (best,)
+                if nearest is not None and self.beats(nearest, after, best):
+                    after, added = nearest.stage, nearest.candidates
+                found.added += added
+                stage = after
                 found.stages.append(stage)
             elif best is not None:
                 found.signature.append(self.refined(stage, best))
@@ -221,16 +227,26 @@ class Search:
         best = max(fine, key=taken)
         return replace(shape, period=float(1.0 / best))
 
-    def explanations(self, stage: Stage) -> list[Explanation]:
-        """Sets of effects that explain what is left: singles, or else pairs; the leading one first."""
+    def explanations(self, stage: Stage) -> tuple[list[Explanation], Explanation | None]:
+        """Sets of effects that explain what is left: singles, or else pairs; the leading one first. Where none does,
+        the pair that comes nearest: by the level of the test, chance refuses the right one now and then."""
         candidates = self.strongest_settings(stage)
-        singles = self._confirm(stage, [(c,) for c in candidates], _MOST_REFITS)
-        if singles:
-            return singles
-        pairs = [pair for pair in combinations(candidates, 2) if pair[0].name != pair[1].name]
-        return self._confirm(stage, pairs, _MOST_PAIRS)
+        singles = self._refitted(stage, [(c,) for c in candidates], _MOST_REFITS)
+        if explaining := [e for e in singles if e.p_left > self.level]:
+            return explaining, None
+        both = [pair for pair in combinations(candidates, 2) if pair[0].name != pair[1].name]
+        pairs = self._refitted(stage, both, _MOST_PAIRS)
+        if explaining := [e for e in pairs if e.p_left > self.level]:
+            return explaining, None
+        return [], next(filter(plausible, pairs), None)
 
-    def _confirm(self, stage: Stage, sets: Sequence[tuple[Candidate, ...]], most: int) -> list[Explanation]:
+    def beats(self, pair: Explanation, after: Stage, single: Candidate) -> bool:
+        """Whether a pair that leaves something is still clearly better than a single one with whatever, shape or
+        effect, goes best with it: else one cause and a shape of no catalogue would be taken for two."""
+        best_with_it = bic(after.plain, (single,)) + min(float(self.scores(after).min(initial=0.0)), 0.0)
+        return bic(pair.stage.plain, pair.candidates) < best_with_it - _CLEARLY
+
+    def _refitted(self, stage: Stage, sets: Sequence[tuple[Candidate, ...]], most: int) -> list[Explanation]:
         """Screens sets by what they take in linear approximation, then refits and tests the best in full."""
         largest = float(stage.plain.gains()[0].max())
         screened = []
@@ -238,19 +254,20 @@ class Search:
             given = stage.given(*members)
             taken = stage.plain.sum_of_squares - given.sum_of_squares
             if taken >= _TAKES * largest:
-                screened.append((bic(given, members), members))
+                screened.append((bic(given, members), schwarz(given, 0), members))
         screened.sort(key=lambda s: s[0])
+        # a cause of many parameters stands behind every smaller one that imitates it, however well it fits: whoever
+        # comes as near the data as the first is heard too
+        near = [s for s in screened[most:] if s[1] < screened[0][1] + _CLEARLY]
         out = []
-        for _, members in screened[:most]:
+        for _, _, members in screened[:most] + near[:most]:
             self.step("refitting with " + " and ".join(c.name for c in members))
             try:
                 case = refit(stage.case, members)
             except SherkitError:
                 continue
             after = self.stage(case, stage.nuisance)
-            p = self.left(after.plain)
-            if p > self.level:
-                out.append(Explanation(members, after, p))
+            out.append(Explanation(members, after, self.left(after.plain)))
         out.sort(key=lambda e: (not plausible(e), bic(e.stage.plain, e.candidates)))
         return out
 

@@ -89,13 +89,13 @@ class Table:
         return float(value)
 
     def heights(self, key: str) -> tuple[float, float] | None:
-        """Two heights, the lower first, or None where the key is not given."""
+        """Two numbers, the lower first, or None where the key is not given."""
         self._known.add(key)
         if key not in self._values:
             return None
         low, high = self.numbers(key, 2)
         if not low < high:
-            raise self.fail(key, "two heights, the lower first")
+            raise self.fail(key, "two numbers, the lower first")
         return (low, high)
 
     def positive(self, key: str) -> float | None:

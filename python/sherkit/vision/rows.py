@@ -22,6 +22,8 @@ Floats = NDArray[np.float64]
 
 TIME, U, V, WHY = "time_s", "u_px", "v_px", "why"
 SIGMA_U, SIGMA_V = "sigma_u_px", "sigma_v_px"
+#: Pictures without a marker that a warning names.
+_NAMED = 5
 
 
 def marker_rows(pictures: Iterable[Picture], kind: str = "corner", identity: int | None = None) -> pl.DataFrame:
@@ -43,7 +45,9 @@ def marker_rows(pictures: Iterable[Picture], kind: str = "corner", identity: int
         SIGMA_V: [s.sigma_px for s in seen],
     }
     frame = pl.DataFrame({k: np.array(v, dtype=float) for k, v in columns.items()})
-    return frame.with_columns(pl.col(pl.Float64).fill_nan(None), pl.Series(WHY, [s.why for s in seen], dtype=pl.String))
+    return frame.with_columns(
+        pl.col(pl.Float64).fill_nan(None), pl.Series(WHY, [s.why or None for s in seen], dtype=pl.String)
+    )
 
 
 def seen_run(
@@ -51,8 +55,7 @@ def seen_run(
 ) -> Measurements:
     """The run of a plan (columns of joints, time, pose, repeat) whose pixels are read from its pictures, in its order.
 
-    Pictures in which no marker was found leave out their rows, with a warning that says how many and why; ``save_in``
-    keeps all pictures as PNG. Raises :class:`~sherkit.errors.MeasurementError` where none shows the marker.
+    ``save_in`` keeps all pictures as PNG. Raises and warns as :func:`run_of`.
     """
     if save_in is not None:
         save_in.mkdir(parents=True, exist_ok=True)
@@ -64,17 +67,30 @@ def seen_run(
             yield picture
 
     frame = marker_rows(kept(), kind)
-    good = frame[WHY].is_null().to_numpy()
+    return run_of(plan, frame, [f"picture {k + 1}" for k in range(len(frame))])
+
+
+def run_of(plan: Mapping[str, Floats], seen: pl.DataFrame, names: Sequence[str]) -> Measurements:
+    """The run of a plan whose pictures gave the :func:`marker_rows` ``seen``, picture by picture; ``names`` for people.
+
+    A picture in which no marker was found has no row in the run, with a warning that says which and why. Raises
+    :class:`~sherkit.errors.MeasurementError` where no picture shows the marker, or plan and pictures differ in number.
+    """
+    count = len(next(iter(plan.values())))
+    if count != len(seen):
+        raise MeasurementError(
+            f"{len(seen)} pictures for {count} rows of joints; expected one picture for each row, in the same order"
+        )
+    good = seen[WHY].is_null().to_numpy()
+    lost = np.flatnonzero(~good)
     if not good.any():
-        raise MeasurementError(f"no picture shows the marker; the first: {frame[WHY][0]}")
-    if not good.all():
-        why = frame[WHY].drop_nulls()[0]
-        warnings.warn(
-            f"{int((~good).sum())} of {len(good)} pictures are without a row (the first: {why})", SherkitWarning,
-            stacklevel=2,
-        )  # fmt: skip
+        raise MeasurementError(f"no picture shows the marker; {names[0]}: {seen[WHY][0]}")
+    if len(lost):
+        reasons = "; ".join(f"{names[k]}: {seen[WHY][int(k)]}" for k in lost[:_NAMED])
+        more = f"; and {len(lost) - _NAMED} more" if len(lost) > _NAMED else ""
+        warnings.warn(f"{len(lost)} of {len(good)} pictures give no row: {reasons}{more}", SherkitWarning, stacklevel=3)
     columns = {name: np.asarray(values)[good] for name, values in plan.items()}
-    columns |= {name: frame[name].to_numpy().astype(float)[good] for name in (U, V)}
+    columns |= {name: seen[name].to_numpy().astype(float)[good] for name in (U, V)}
     return Measurements.from_columns(columns, "pictures", layout=SPHERICAL_PIXELS)
 
 

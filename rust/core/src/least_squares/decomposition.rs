@@ -26,6 +26,10 @@ const ORTHOGONAL: f64 = 1e-15;
 /// what is only rounding would shrink until its products underflow, and never be orthogonal.
 const NOTHING: f64 = 1e-60;
 
+/// A parameter whose plausible size moves the readings by less than this part of what the strongest one does, or of
+/// what is to be explained, is not observed: what its column holds is rounding.
+const ROUNDING: f64 = 1e-13;
+
 /// Singular value decomposition of a column-scaled triangle. `S` is storage of [`decomposition_len`].
 #[derive(Clone, Debug)]
 pub struct Decomposition<S> {
@@ -111,6 +115,17 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Decomposition<S> {
                 return Err(Error::NotFinite { index: k });
             }
             *norm = sqrt(squared);
+        }
+        let left: f64 = triangle[n..].iter().step_by(n + 1).map(|x| x * x).sum();
+        let strongest = p
+            .norms
+            .iter()
+            .zip(sizes)
+            .fold(sqrt(left), |most, (&norm, &size)| most.max(norm * size));
+        for (norm, &size) in p.norms.iter_mut().zip(sizes) {
+            if *norm * size <= ROUNDING * strongest {
+                *norm = 0.0;
+            }
         }
         // row i of the triangle, scaled, is column i of its transpose: one vector to rotate
         for (i, (vector, row)) in p

@@ -1,0 +1,161 @@
+"""``sherkit markers`` and ``sherkit intrinsics``: from pictures to rows, and to the camera that took them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+import polars as pl
+import tomli_w
+
+from ..errors import MeasurementError, SherkitError
+from ..measurements.columns import POSE, REPEAT, SPHERICAL_JOINTS, TIME
+from . import output
+
+if TYPE_CHECKING:
+    from ..vision.pictures import Picture
+
+_MARKERS = ("corner", "aruco", "apriltag")
+
+
+def require_vision() -> None:
+    """Refuses early where what reads pictures is not installed. Raises :class:`~sherkit.errors.SherkitError`."""
+    try:
+        import cv2  # noqa: F401
+    except ModuleNotFoundError:
+        message = "pictures of a camera need the extra 'vision': pip install \"sherkit[vision]\""
+        raise SherkitError(message) from None
+
+
+@click.command()
+@click.argument("sources", nargs=-1, required=True)
+@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), required=True, help="CSV or Parquet.")
+@click.option("--joints", type=click.Path(path_type=Path), help="CSV with theta1_rad, theta2_rad: one row for each "
+              "picture in their order, or for a video with time_s, joined by time.")  # fmt: skip
+@click.option("--marker", type=click.Choice(_MARKERS), default="corner", show_default=True)
+@click.option("--identity", type=int, help="Number of the tag, where several may be seen.")
+@click.option("--delay-s", type=float, default=0.0, show_default=True, help="How much later the camera's clock stands.")
+@click.option("--longest-gap-s", type=click.FloatRange(min=0), default=0.1, show_default=True,
+              help="Joint readings on both sides of a picture may be this far apart.")  # fmt: skip
+@click.option("--seconds", type=click.FloatRange(min=0), help="How long to film with a live camera.")
+def markers(
+    sources: tuple[str, ...], destination: Path, joints: Path | None, marker: str, identity: int | None,
+    delay_s: float, longest_gap_s: float, seconds: float | None,
+) -> None:  # fmt: skip
+    """Find the marker in SOURCES: pictures, folders of them, a video, or the number of a camera.
+
+    Without --joints every picture has a row, and one without a marker says why. With --joints the output is a run that
+    sherkit calibrate reads.
+    """
+    require_vision()
+    from ..vision.rows import WHY, joined_by_time, marker_rows, run_of
+    from ..vision.sources import pictures_from
+
+    pictures, timed = pictures_from(sources, seconds)
+    names: list[str] = []
+
+    def named() -> Iterator[Picture]:
+        for picture in pictures:
+            names.append(picture.name)
+            yield picture
+
+    seen = marker_rows(named(), marker, identity)
+    if len(seen) == 0:
+        raise SherkitError(f"{sources[0]}: holds no picture")
+    if joints is None:
+        _write(seen.with_columns(pl.Series("picture", names)), destination)
+        missing = int(seen[WHY].is_not_null().sum())
+        output.say(f"{len(seen)} rows written to {destination}; {missing} without a marker")
+        return
+    moved = _joints(joints)
+    if timed:
+        moved = joined_by_time(
+            seen.select(TIME), moved, SPHERICAL_JOINTS, delay_s=delay_s, longest_gap_s=longest_gap_s
+        )  # fmt: skip
+    data = run_of({name: moved[name].to_numpy() for name in moved.columns}, seen, names)
+    data.save(destination)
+    output.say(f"{len(data)} rows written to {destination}, of {len(seen)} pictures")
+
+
+def _joints(path: Path) -> pl.DataFrame:
+    """Times, poses, repeats, joints and their velocities of a file; anything else in it is left aside."""
+    from ..measurements.reader import PARQUET, checked
+
+    checked(path)
+    try:
+        frame = pl.read_parquet(path) if path.suffix.lower() in PARQUET else pl.read_csv(path, comment_prefix="#")
+        missing = [name for name in SPHERICAL_JOINTS if name not in frame.columns]
+        if missing:
+            raise MeasurementError(f"{path}: column '{missing[0]}' is missing; it has {', '.join(frame.columns)}")
+        wanted = (TIME, POSE, REPEAT, *SPHERICAL_JOINTS, *(f"{name}_per_s" for name in SPHERICAL_JOINTS))
+        kept = frame.select([pl.col(n).cast(pl.Float64) for n in wanted if n in frame.columns])
+    except pl.exceptions.PolarsError as error:
+        raise MeasurementError(f"{path}: expected a table of numbers: {str(error).splitlines()[0]}") from None
+    for name in kept.columns:
+        bad = (kept[name].is_null() | ~kept[name].is_finite()).fill_null(True)
+        if bad.any():
+            raise MeasurementError(f"{path}: row {int(bad.arg_max() or 0)}, column '{name}': expected a finite number")
+    return kept
+
+
+def _write(frame: pl.DataFrame, path: Path) -> None:
+    if path.suffix.lower() in (".parquet", ".pq"):
+        frame.write_parquet(path)
+    else:
+        frame.write_csv(path)
+
+
+@click.command()
+@click.argument("pictures", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--chessboard", metavar="COLUMNSxROWS", help="Inner corners of a chessboard, as 9x6.")
+@click.option("--charuco", metavar="COLUMNSxROWS", help="Squares of a ChArUco board (5×5 tags), as 8x5.")
+@click.option("--square-mm", type=click.FloatRange(min=0, min_open=True), required=True, help="Side of a square.")
+@click.option("--marker-mm", type=click.FloatRange(min=0, min_open=True), help="Side of a tag of a ChArUco board.")
+@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), help="Write the table [camera] here.")
+def intrinsics(
+    pictures: tuple[Path, ...], chessboard: str | None, charuco: str | None, square_mm: float, marker_mm: float | None,
+    destination: Path | None,
+) -> None:  # fmt: skip
+    """Focal lengths, centre and distortion of a camera from PICTURES of a board (files or folders)."""
+    require_vision()
+    from ..vision.intrinsics import charuco_intrinsics, chessboard_intrinsics
+    from ..vision.sources import picture_files
+
+    if (chessboard is None) == (charuco is None):
+        raise SherkitError("expected either --chessboard or --charuco")
+    if (charuco is None) != (marker_mm is None):
+        raise SherkitError("--marker-mm goes with --charuco: the side of its tags")
+    files = picture_files(pictures)
+    if chessboard is not None:
+        found = chessboard_intrinsics(files, _two("--chessboard", chessboard), square_mm)
+    else:
+        found = charuco_intrinsics(files, _two("--charuco", charuco or ""), square_mm, marker_mm or 0.0)
+    table = output.table(
+        f"Camera of {found.size_px[0]} × {found.size_px[1]} px from {found.pictures} pictures", "", "value", "± std",
+        note=f"corners are left with an RMS of {found.rms_px:.3f} px",
+    )  # fmt: skip
+    labels = ("focal_px x", "focal_px y", "centre_px u", "centre_px v", "k1", "k2", "p1", "p2")
+    values = (*found.focal_px, *found.centre_px, *found.distortion)
+    for label, value, std in zip(labels, values, found.std, strict=True):
+        table.add_row(label, f"{value:.5g}" if abs(value) < 10 else f"{value:.2f}", f"{std:.2g}")
+    output.out.print(table)
+    for name in found.without:
+        output.warn(f"{name}: the board was not found")
+    if destination is not None:
+        lens = {
+            "size_px": list(found.size_px),
+            "focal_px": list(found.focal_px),
+            "centre_px": list(found.centre_px),
+            "distortion": [*found.distortion, 0.0],
+        }
+        destination.write_text(tomli_w.dumps({"camera": lens}), encoding="utf-8")
+        output.say(f"{destination}: the lens, for the table [camera] of a robot file; add where the camera stands")
+
+
+def _two(option: str, text: str) -> tuple[int, int]:
+    parts = text.lower().replace("×", "x").split("x")
+    if len(parts) != 2 or not all(p.isdecimal() and int(p) > 1 for p in parts):
+        raise SherkitError(f"{option}: expected columns and rows as 9x6, got '{text}'")
+    return int(parts[0]), int(parts[1])
