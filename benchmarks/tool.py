@@ -41,7 +41,7 @@ def tip_filter() -> None:
     assert np.abs(filterpy_tool.TipFilter(run).whole() - ours()).max() < 1e-6
     whole = medians(
         {"sherkit filter(), from Python": ours, "filterpy, step by step": lambda: filterpy_tool.TipFilter(run).whole()},
-        3,
+        7,
     )
     show("Tip filter over a recorded run of 100,000 steps", "≥ 100 ×", "sherkit filter(), from Python", whole)
 

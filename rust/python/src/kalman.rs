@@ -60,7 +60,7 @@ impl Stepped<4> for CoreJoint {
 }
 
 /// Steps that are copied at a time; they stay in the second cache.
-const CHUNK: usize = 1024;
+const CHUNK: usize = 256;
 
 /// Some steps of a run, copied, so that nobody else can write them while the lock is not held.
 type Steps<I> = Vec<(I, Option<Measurement>)>;
@@ -93,7 +93,7 @@ fn over<const N: usize, F: Stepped<N>>(
     filter: &mut F,
     count: usize,
     copy: impl Fn(&mut Steps<F::Input>, Range<usize>) -> PyResult<()>,
-    mut after: impl FnMut(usize, Status, &Track<N>) + Send,
+    mut after: impl FnMut(Status, &Track<N>) + Send,
 ) -> PyResult<()> {
     let mut steps = Vec::with_capacity(CHUNK.min(count));
     // shapes are checked before the first step, also where there is none
@@ -101,9 +101,9 @@ fn over<const N: usize, F: Stepped<N>>(
     for start in (0..count).step_by(CHUNK) {
         copy(&mut steps, start..count.min(start + CHUNK))?;
         py.detach(|| {
-            for (i, (input, measurement)) in (start..).zip(&steps) {
+            for (input, measurement) in &steps {
                 let status = filter.advance(input, measurement.as_ref());
-                after(i, status, filter.state());
+                after(status, filter.state());
             }
         });
     }
@@ -125,16 +125,17 @@ fn run<'py, const N: usize, F: Stepped<N>>(
     n: usize,
     copy: impl Fn(&mut Steps<F::Input>, Range<usize>) -> PyResult<()>,
 ) -> PyResult<Run<'py>> {
-    let (mut means, mut covariances) = (vec![0.0; n * N], vec![0.0; n * N * N]);
-    let (mut status, mut nis, mut degrees) = (vec![0; n], vec![0.0; n], vec![0; n]);
-    over(py, filter, n, copy, |i, done, state| {
-        status[i] = done.0;
-        means[i * N..][..N].copy_from_slice(&state.filter().mean);
-        let covariance = state.filter().covariance();
-        covariances[i * N * N..][..N * N].copy_from_slice(covariance.as_flattened());
-        nis[i] = state.consistency().last;
+    // filled as they come: memory that is zeroed first is written twice
+    let (mut means, mut covariances) = (Vec::with_capacity(n * N), Vec::with_capacity(n * N * N));
+    let mut status = Vec::with_capacity(n);
+    let (mut nis, mut degrees) = (Vec::with_capacity(n), Vec::with_capacity(n));
+    over(py, filter, n, copy, |done, state| {
+        status.push(done.0);
+        means.extend_from_slice(&state.filter().mean);
+        covariances.extend_from_slice(state.filter().covariance().as_flattened());
+        nis.push(state.consistency().last);
         // at most as many as a measurement has numbers
-        degrees[i] = u8::try_from(state.consistency().last_degrees).unwrap_or(u8::MAX);
+        degrees.push(u8::try_from(state.consistency().last_degrees).unwrap_or(u8::MAX));
     })?;
     Ok((
         shaped(py, means, [n, N])?,
@@ -157,7 +158,7 @@ fn back<const N: usize, F: Stepped<N>>(
 ) -> PyResult<Smoothed<'_>> {
     let (mut means, mut covariances) = (vec![0.0; n * N], vec![0.0; n * N * N]);
     let mut records: Vec<Record<N>> = Vec::with_capacity(n);
-    over(py, &mut filter, n, copy, |_, _, state| {
+    over(py, &mut filter, n, copy, |_, state| {
         records.push(*state.record());
     })?;
     py.detach(|| {
