@@ -1,6 +1,6 @@
 //! The calibrated delta.
 
-use crate::result::{SHERKIT_NULL, SHERKIT_UNREADABLE, answer, code_of, sherkit_result};
+use crate::result::{SHERKIT_NULL, SHERKIT_UNREADABLE, answer, code_of, finite, sherkit_result};
 use crate::storage::{Opaque, clear, get, given, put, wanted};
 use nalgebra::Vector3;
 use sherkit_core::calibrated::Calibrated;
@@ -100,6 +100,7 @@ pub unsafe extern "C" fn sherkit_delta_forward(
             let position = wanted(position.cast::<[f64; 3]>())?;
             let found = robot.forward(&Vector3::from(*joints), &known(covariates));
             let (x, j) = found.map_err(|e| code_of(&e))?;
+            finite(x.iter().chain(&j))?;
             *position = x.into();
             if let Some(jacobian) = jacobian.cast::<[[f64; 3]; 3]>().as_mut() {
                 *jacobian = j.transpose().into();
@@ -124,7 +125,9 @@ pub unsafe extern "C" fn sherkit_delta_inverse(
             let (robot, position) = (get(robot)?, given(position.cast::<[f64; 3]>())?);
             let joints = wanted(joints.cast::<[f64; 3]>())?;
             let found = robot.inverse(&Vector3::from(*position), &known(covariates));
-            *joints = found.map_err(|e| code_of(&e))?.into();
+            let q = found.map_err(|e| code_of(&e))?;
+            finite(&q)?;
+            *joints = q.into();
         }
         Ok(())
     };

@@ -53,3 +53,9 @@ pub fn answer(done: Result<(), sherkit_result>) -> sherkit_result {
         Err(code) => code,
     }
 }
+
+/// Refuses results that are not finite: a calibration of numbers beyond all measure can make them.
+pub fn finite<'a>(numbers: impl IntoIterator<Item = &'a f64>) -> Result<(), sherkit_result> {
+    let all = numbers.into_iter().all(|x| x.is_finite());
+    if all { Ok(()) } else { Err(SHERKIT_NOT_FINITE) }
+}

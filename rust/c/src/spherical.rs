@@ -1,7 +1,7 @@
 //! The calibrated spherical robot.
 
 use crate::delta::{code_of_reading, numbers};
-use crate::result::{answer, code_of, sherkit_result};
+use crate::result::{answer, code_of, finite, sherkit_result};
 use crate::storage::{Opaque, clear, get, given, put, wanted};
 use nalgebra::Vector2;
 use sherkit_core::flat;
@@ -82,6 +82,7 @@ pub unsafe extern "C" fn sherkit_spherical_forward(
             let angles = wanted(angles.cast::<[f64; 2]>())?;
             let found = robot.forward(&Vector2::from(*joints), &known(covariates));
             let (x, j) = found.map_err(|e| code_of(&e))?;
+            finite(x.iter().chain(&j))?;
             *angles = x.into();
             if let Some(jacobian) = jacobian.cast::<[[f64; 2]; 2]>().as_mut() {
                 *jacobian = j.transpose().into();
@@ -106,7 +107,9 @@ pub unsafe extern "C" fn sherkit_spherical_inverse(
             let (robot, angles) = (get(robot)?, given(angles.cast::<[f64; 2]>())?);
             let joints = wanted(joints.cast::<[f64; 2]>())?;
             let found = robot.inverse(&Vector2::from(*angles), &known(covariates));
-            *joints = found.map_err(|e| code_of(&e))?.into();
+            let q = found.map_err(|e| code_of(&e))?;
+            finite(&q)?;
+            *joints = q.into();
         }
         Ok(())
     };

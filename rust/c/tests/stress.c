@@ -84,7 +84,7 @@ static int once_in(unsigned n)
 static double spoilt(double sane)
 {
     static const double bad[] = {NAN, INFINITY, -INFINITY, DBL_MAX, -DBL_MAX, DBL_MIN, 4.9e-324, 0.0, -0.0, 1e150, -1e150};
-    if (!once_in(200))
+    if (!once_in(1000))
         return sane;
     return bad[draw() % (sizeof bad / sizeof *bad)];
 }
@@ -233,12 +233,13 @@ int main(int argc, char **argv)
              SHERKIT_OK,
          "spherical robot");
     need(sherkit_sensor_init(&sensor.it, &calibration) == SHERKIT_OK, "sensor");
-    unsigned long long updates = 0, moves = 0;
+    unsigned long long updates = 0, moves = 0, starts = 0;
     double time_s = 0.0;
     for (step = 0; step < steps; step++) {
-        if (step % 100000 == 0) {
+        if (step == 0 || once_in(2000)) {
             time_s = 0.0;
             start(&beam, time_s);
+            starts++;
         }
         const double now = once_in(500) ? spoilt(NAN) : once_in(500) ? time_s - 1.0 : time_s + uniform(0.0, 0.01);
         if (now > time_s && now < 1e6)
@@ -292,6 +293,7 @@ int main(int argc, char **argv)
     check_sum(&s);
     need(sherkit_depth_tip_filter_statistics(&joint.it, &s) == SHERKIT_OK, "statistics");
     check_sum(&s);
-    printf("%llu steps of each filter, %llu updates of the joint one, %llu moves of each robot\n", steps, updates, moves);
+    printf("%llu steps of each filter (%llu starts), %llu updates of the joint one, %llu moves of each robot\n", steps,
+           starts, updates, moves);
     return 0;
 }

@@ -226,8 +226,7 @@ impl<'a> Reader<'a> {
         let geometry = self.finite()?;
         let target_offset = Vector3::from(self.finite::<3>()?);
         let [rod_spacing, pole_pitch, h1, h2, h3] = self.finite()?;
-        // never, where they are infinite: an effect at zero does not ask
-        let [time_origin_s, slip_time_s] = self.take()?;
+        let [time_origin_s, slip_time_s] = self.finite()?;
         let model = delta::Model {
             geometry: delta::Geometry::from_parameters(&geometry, assembly),
             target_offset,
@@ -272,7 +271,7 @@ pub fn read_spherical(numbers: &[f64]) -> Result<spherical::Calibrated> {
     let assembly = row.side(spherical::Assembly::Outer, spherical::Assembly::Inner)?;
     let model = spherical::Model {
         geometry: spherical::Geometry::from_parameters(&row.finite()?, assembly),
-        radius_mm: row.one()?,
+        radius_mm: row.finite::<1>()?[0],
         camera: Description::from_parameters(&row.finite()?),
         face: row.side(Face::Near, Face::Far)?,
         gravity: Vector3::from(row.finite::<3>()?),

@@ -696,6 +696,22 @@ fn the_smoother_is_never_worse() {
     );
 }
 
+/// One stamp that is far ahead, after which every measurement is late.
+#[test]
+fn a_stamp_from_the_future_spoils_no_later_one() {
+    let mut filter = DepthFilter::new(5.0, 1.0, 1.0, propagated()).unwrap();
+    let mut random = Random(2);
+    for (time, stamp, expected) in [
+        (1.1, 1e9, Status::UPDATED),
+        (1.2, 1e9, Status::LATE),
+        (1.3, 1.3, Status::UPDATED),
+        (1.4, 1.4, Status::UPDATED),
+    ] {
+        let m = measurement(&mut random, stamp);
+        assert_eq!(filter.step(time, 1.0, Some(&m)), expected, "{time}");
+    }
+}
+
 /// A measurement that is missing, late, used twice or no number, and yet is used, not counted, or not said.
 #[test]
 fn refusals_are_said_and_counted() {

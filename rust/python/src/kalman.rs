@@ -5,8 +5,11 @@ use crate::arrays::{fixed, rows_like, same_length, shaped};
 use crate::errors::to_python;
 use crate::noise::FilterNoise;
 use crate::tool::{MEASUREMENT, POSE, ToolBeam, measurement_of, pose_of};
+use core::ops::Range;
 use nalgebra::Vector3;
-use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{
+    PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
+};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use sherkit_core::kalman::track::Track;
@@ -56,15 +59,20 @@ impl Stepped<4> for CoreJoint {
     }
 }
 
-/// The steps of a run, copied, so that nobody else can write them while the lock is not held.
+/// Steps that are copied at a time; they stay in the second cache.
+const CHUNK: usize = 256;
+
+/// Some steps of a run, copied, so that nobody else can write them while the lock is not held.
 type Steps<I> = Vec<(I, Option<Measurement>)>;
 
-fn steps<I>(
+fn fill<I>(
+    steps: &mut Steps<I>,
+    range: Range<usize>,
     count: usize,
     measurements: &PyReadonlyArray2<'_, f64>,
     present: Option<&PyReadonlyArray1<'_, bool>>,
     input: impl Fn(usize) -> I,
-) -> PyResult<Steps<I>> {
+) -> PyResult<()> {
     let measured = rows_like::<MEASUREMENT>("measurements", measurements, count)?;
     let present = present
         .map(|p| same_length("present", p, count))
@@ -73,7 +81,33 @@ fn steps<I>(
         let there = present.is_none_or(|p| p[i]);
         there.then(|| measurement_of(&measured[i]))
     };
-    Ok((0..count).map(|i| (input(i), measurement(i))).collect())
+    steps.clear();
+    steps.extend(range.map(|i| (input(i), measurement(i))));
+    Ok(())
+}
+
+/// Runs a filter over all steps, chunk by chunk; the lock is held while a chunk is copied. Says after each step where
+/// the filter is.
+fn over<const N: usize, F: Stepped<N>>(
+    py: Python<'_>,
+    filter: &mut F,
+    count: usize,
+    copy: impl Fn(&mut Steps<F::Input>, Range<usize>) -> PyResult<()>,
+    mut after: impl FnMut(Status, &Track<N>) + Send,
+) -> PyResult<()> {
+    let mut steps = Vec::with_capacity(CHUNK.min(count));
+    // shapes are checked before the first step, also where there is none
+    copy(&mut steps, 0..0)?;
+    for start in (0..count).step_by(CHUNK) {
+        copy(&mut steps, start..count.min(start + CHUNK))?;
+        py.detach(|| {
+            for (input, measurement) in &steps {
+                let status = filter.advance(input, measurement.as_ref());
+                after(status, filter.state());
+            }
+        });
+    }
+    Ok(())
 }
 
 /// Estimates `(n, N)`, covariances `(n, N, N)`, status `(n,)`, NIS `(n,)`, its degrees of freedom `(n,)`.
@@ -88,23 +122,21 @@ type Run<'py> = (
 fn run<'py, const N: usize, F: Stepped<N>>(
     py: Python<'py>,
     filter: &mut F,
-    steps: &Steps<F::Input>,
+    n: usize,
+    copy: impl Fn(&mut Steps<F::Input>, Range<usize>) -> PyResult<()>,
 ) -> PyResult<Run<'py>> {
-    let n = steps.len();
-    let (mut means, mut covariances) = (vec![0.0; n * N], vec![0.0; n * N * N]);
-    let (mut status, mut nis, mut degrees) = (vec![0; n], vec![0.0; n], vec![0; n]);
-    py.detach(|| {
-        for (i, (input, measurement)) in steps.iter().enumerate() {
-            status[i] = filter.advance(input, measurement.as_ref()).0;
-            let state = filter.state();
-            means[i * N..][..N].copy_from_slice(&state.filter().mean);
-            let covariance = state.filter().covariance();
-            covariances[i * N * N..][..N * N].copy_from_slice(covariance.as_flattened());
-            nis[i] = state.consistency().last;
-            // at most as many as a measurement has numbers
-            degrees[i] = u8::try_from(state.consistency().last_degrees).unwrap_or(u8::MAX);
-        }
-    });
+    // filled as they come: memory that is zeroed first is written twice
+    let (mut means, mut covariances) = (Vec::with_capacity(n * N), Vec::with_capacity(n * N * N));
+    let mut status = Vec::with_capacity(n);
+    let (mut nis, mut degrees) = (Vec::with_capacity(n), Vec::with_capacity(n));
+    over(py, filter, n, copy, |done, state| {
+        status.push(done.0);
+        means.extend_from_slice(&state.filter().mean);
+        covariances.extend_from_slice(state.filter().covariance().as_flattened());
+        nis.push(state.consistency().last);
+        // at most as many as a measurement has numbers
+        degrees.push(u8::try_from(state.consistency().last_degrees).unwrap_or(u8::MAX));
+    })?;
     Ok((
         shaped(py, means, [n, N])?,
         shaped(py, covariances, [n, N, N])?,
@@ -118,19 +150,18 @@ fn run<'py, const N: usize, F: Stepped<N>>(
 type Smoothed<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>);
 
 /// The run from the filter's state, which stays as it is, and back.
-fn back<'py, const N: usize, F: Stepped<N>>(
-    py: Python<'py>,
+fn back<const N: usize, F: Stepped<N>>(
+    py: Python<'_>,
     mut filter: F,
-    steps: &Steps<F::Input>,
-) -> PyResult<Smoothed<'py>> {
-    let n = steps.len();
+    n: usize,
+    copy: impl Fn(&mut Steps<F::Input>, Range<usize>) -> PyResult<()>,
+) -> PyResult<Smoothed<'_>> {
     let (mut means, mut covariances) = (vec![0.0; n * N], vec![0.0; n * N * N]);
+    let mut records: Vec<Record<N>> = Vec::with_capacity(n);
+    over(py, &mut filter, n, copy, |_, state| {
+        records.push(*state.record());
+    })?;
     py.detach(|| {
-        let mut records: Vec<Record<N>> = Vec::with_capacity(n);
-        for (input, measurement) in steps {
-            filter.advance(input, measurement.as_ref());
-            records.push(*filter.state().record());
-        }
         let mut unmoved = [[0.0; N]; N];
         for k in 0..N {
             unmoved[k][k] = 1.0;
@@ -205,15 +236,19 @@ fn statistics<'py, const N: usize>(
 pub struct DepthFilter(CoreDepth);
 
 impl DepthFilter {
-    fn steps(
+    fn copy_steps(
+        steps: &mut Steps<(f64, f64)>,
+        range: Range<usize>,
         times_s: &PyReadonlyArray1<'_, f64>,
         velocities: &PyReadonlyArray1<'_, f64>,
         measurements: &PyReadonlyArray2<'_, f64>,
         present: Option<&PyReadonlyArray1<'_, bool>>,
-    ) -> PyResult<Steps<(f64, f64)>> {
+    ) -> PyResult<()> {
         let times = times_s.as_slice()?;
         let v = same_length("velocities_mm_s", velocities, times.len())?;
-        steps(times.len(), measurements, present, |i| (times[i], v[i]))
+        fill(steps, range, times.len(), measurements, present, |i| {
+            (times[i], v[i])
+        })
     }
 }
 
@@ -243,8 +278,10 @@ impl DepthFilter {
         measurements: PyReadonlyArray2<'_, f64>,
         present: Option<PyReadonlyArray1<'_, bool>>,
     ) -> PyResult<Run<'py>> {
-        let steps = Self::steps(&times_s, &velocities_mm_s, &measurements, present.as_ref())?;
-        run(py, &mut self.0, &steps)
+        let (v, m, present) = (&velocities_mm_s, &measurements, present.as_ref());
+        run(py, &mut self.0, times_s.len(), |steps, range| {
+            Self::copy_steps(steps, range, &times_s, v, m, present)
+        })
     }
 
     /// The same run from the present state, which stays as it is; every estimate from all measurements.
@@ -257,8 +294,10 @@ impl DepthFilter {
         measurements: PyReadonlyArray2<'_, f64>,
         present: Option<PyReadonlyArray1<'_, bool>>,
     ) -> PyResult<Smoothed<'py>> {
-        let steps = Self::steps(&times_s, &velocities_mm_s, &measurements, present.as_ref())?;
-        back(py, self.0, &steps)
+        let (v, m, present) = (&velocities_mm_s, &measurements, present.as_ref());
+        back(py, self.0, times_s.len(), |steps, range| {
+            Self::copy_steps(steps, range, &times_s, v, m, present)
+        })
     }
 
     #[getter]
@@ -290,19 +329,22 @@ impl DepthFilter {
 pub struct TipFilter(CoreTip);
 
 impl TipFilter {
-    fn steps(
+    #[allow(clippy::too_many_arguments, reason = "one for each column of a run")]
+    fn copy_steps(
+        steps: &mut Steps<<CoreTip as Stepped<3>>::Input>,
+        range: Range<usize>,
         times_s: &PyReadonlyArray1<'_, f64>,
         velocities: &PyReadonlyArray2<'_, f64>,
         poses: &PyReadonlyArray2<'_, f64>,
         depths: &PyReadonlyArray2<'_, f64>,
         measurements: &PyReadonlyArray2<'_, f64>,
         present: Option<&PyReadonlyArray1<'_, bool>>,
-    ) -> PyResult<Steps<<CoreTip as Stepped<3>>::Input>> {
+    ) -> PyResult<()> {
         let times = times_s.as_slice()?;
         let v = rows_like::<3>("velocities_mm_s", velocities, times.len())?;
         let poses = rows_like::<POSE>("poses", poses, times.len())?;
         let depths = rows_like::<2>("depths", depths, times.len())?;
-        steps(times.len(), measurements, present, |i| {
+        fill(steps, range, times.len(), measurements, present, |i| {
             let [depth, variance] = depths[i];
             let (velocity, tool) = (Vector3::from(v[i]), pose_of(&poses[i]));
             (times[i], velocity, tool, (depth, variance))
@@ -358,16 +400,10 @@ impl TipFilter {
         measurements: PyReadonlyArray2<'_, f64>,
         present: Option<PyReadonlyArray1<'_, bool>>,
     ) -> PyResult<Run<'py>> {
-        let present = present.as_ref();
-        let steps = Self::steps(
-            &times_s,
-            &velocities_mm_s,
-            &poses,
-            &depths,
-            &measurements,
-            present,
-        )?;
-        run(py, &mut self.0, &steps)
+        let (v, m, present) = (&velocities_mm_s, &measurements, present.as_ref());
+        run(py, &mut self.0, times_s.len(), |steps, range| {
+            Self::copy_steps(steps, range, &times_s, v, &poses, &depths, m, present)
+        })
     }
 
     /// The same run from the present state, which stays as it is; every estimate from all measurements.
@@ -383,16 +419,10 @@ impl TipFilter {
         measurements: PyReadonlyArray2<'_, f64>,
         present: Option<PyReadonlyArray1<'_, bool>>,
     ) -> PyResult<Smoothed<'py>> {
-        let present = present.as_ref();
-        let steps = Self::steps(
-            &times_s,
-            &velocities_mm_s,
-            &poses,
-            &depths,
-            &measurements,
-            present,
-        )?;
-        back(py, self.0, &steps)
+        let (v, m, present) = (&velocities_mm_s, &measurements, present.as_ref());
+        back(py, self.0, times_s.len(), |steps, range| {
+            Self::copy_steps(steps, range, &times_s, v, &poses, &depths, m, present)
+        })
     }
 
     #[getter]
@@ -424,17 +454,19 @@ impl TipFilter {
 pub struct DepthTipFilter(CoreJoint);
 
 impl DepthTipFilter {
-    fn steps(
+    fn copy_steps(
+        steps: &mut Steps<<CoreJoint as Stepped<4>>::Input>,
+        range: Range<usize>,
         times_s: &PyReadonlyArray1<'_, f64>,
         velocities: &PyReadonlyArray2<'_, f64>,
         poses: &PyReadonlyArray2<'_, f64>,
         measurements: &PyReadonlyArray2<'_, f64>,
         present: Option<&PyReadonlyArray1<'_, bool>>,
-    ) -> PyResult<Steps<<CoreJoint as Stepped<4>>::Input>> {
+    ) -> PyResult<()> {
         let times = times_s.as_slice()?;
         let v = rows_like::<3>("velocities_mm_s", velocities, times.len())?;
         let poses = rows_like::<POSE>("poses", poses, times.len())?;
-        steps(times.len(), measurements, present, |i| {
+        fill(steps, range, times.len(), measurements, present, |i| {
             (times[i], Vector3::from(v[i]), pose_of(&poses[i]))
         })
     }
@@ -486,9 +518,10 @@ impl DepthTipFilter {
         measurements: PyReadonlyArray2<'_, f64>,
         present: Option<PyReadonlyArray1<'_, bool>>,
     ) -> PyResult<Run<'py>> {
-        let present = present.as_ref();
-        let steps = Self::steps(&times_s, &velocities_mm_s, &poses, &measurements, present)?;
-        run(py, &mut self.0, &steps)
+        let (v, m, present) = (&velocities_mm_s, &measurements, present.as_ref());
+        run(py, &mut self.0, times_s.len(), |steps, range| {
+            Self::copy_steps(steps, range, &times_s, v, &poses, m, present)
+        })
     }
 
     /// The same run from the present state, which stays as it is; every estimate from all measurements.
@@ -502,9 +535,10 @@ impl DepthTipFilter {
         measurements: PyReadonlyArray2<'_, f64>,
         present: Option<PyReadonlyArray1<'_, bool>>,
     ) -> PyResult<Smoothed<'py>> {
-        let present = present.as_ref();
-        let steps = Self::steps(&times_s, &velocities_mm_s, &poses, &measurements, present)?;
-        back(py, self.0, &steps)
+        let (v, m, present) = (&velocities_mm_s, &measurements, present.as_ref());
+        back(py, self.0, times_s.len(), |steps, range| {
+            Self::copy_steps(steps, range, &times_s, v, &poses, m, present)
+        })
     }
 
     #[getter]

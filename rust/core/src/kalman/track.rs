@@ -114,8 +114,9 @@ impl<const N: usize> Track<N> {
         if !m.time_s.is_finite() {
             return Err(Status::NOT_FINITE);
         }
-        // the state is still at its old time here; one stamp is used once
-        if m.time_s < self.time_s || m.time_s <= self.used_s {
+        // the state is still at its old time here; one stamp is used once, and one from the future (a clock that is
+        // off) does not make all later ones late
+        if m.time_s < self.time_s || m.time_s == self.used_s {
             return Err(Status::LATE);
         }
         match m.content() {
