@@ -95,7 +95,8 @@ def main(seeds: int) -> dict[str, dict[str, tuple[float, float, float]]]:
         console.print(f"  {name:<26} {words[0]}")
     console.print(
         "A contact that jumps along the shaft (bends) is no random walk: no noise of this kind is right there, and the "
-        "NIS says so.\nOver T1 the camera's own errors, 0.2 mm of noise and 0.25 mm of warp, are nearly all of the tip's."
+        "NIS says so.\nOver T1 the camera's own errors, 0.2 mm of noise and 0.25 mm of warp, are nearly all of the "
+        "tip's."
     )
     return told
 

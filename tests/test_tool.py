@@ -522,7 +522,11 @@ def test_story_from_the_command_line(tmp_path: Path) -> None:
 def test_the_papers_experiments_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
     """Catches an example that stops working, or whose figures fall behind the paper's; two seeds."""
     told = runpy.run_path(str(Path(__file__).parents[1] / "examples" / "flexible_tool.py"))["main"](2)
-    for name, sensor, least in (("phantom", "gratings", 0.94), ("bends", "kinematics", 0.77), ("vessels", "kinematics", 0.77)):
+    for name, sensor, least in (
+        ("phantom", "gratings", 0.94),
+        ("bends", "kinematics", 0.77),
+        ("vessels", "kinematics", 0.77),
+    ):
         raw, paper, ours = (told[name][signal] for signal in (sensor, "paper's noise", "noise by force"))
         assert 1 - paper[1] / raw[1] > least
         assert ours[1] < paper[1]
