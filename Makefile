@@ -1,4 +1,4 @@
-# make demo   the paper's experiments on a virtual robot, calibrated
+# make demo   the paper's experiments on a virtual robot, calibrated; demo-lab: the same through emulated instruments
 # make test   everything that must hold before a commit lands
 # Both set up all they need in .venv; a Python >= 3.11, a Rust toolchain and a C compiler must be there.
 
@@ -10,10 +10,13 @@ STAMP  := $(VENV)/.installed
 PYTHONS := python tests benchmarks examples docs rust/c/examples
 SOURCES := Cargo.toml Cargo.lock pyproject.toml README.md $(shell find rust python -type f -not -name '*.so' -not -path '*/__pycache__/*')
 
-.PHONY: demo test test-rust test-python test-slow lint no-std header header-check bench format clean check-tools
+.PHONY: demo demo-lab test test-rust test-python test-slow lint no-std header header-check bench format clean check-tools
 
 demo: $(STAMP)
 	$(BIN)/sherkit demo
+
+demo-lab: $(STAMP)
+	$(BIN)/sherkit lab --demo
 
 test: lint header-check test-rust no-std test-python
 
@@ -78,4 +81,4 @@ format: $(STAMP)
 	$(BIN)/ruff format --quiet $(PYTHONS)
 
 clean:
-	rm -rf target $(VENV) demo
+	rm -rf target $(VENV) demo demo-lab
