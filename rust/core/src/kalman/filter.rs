@@ -151,7 +151,7 @@ impl<const N: usize> Filter<N> {
             }
             moved[i][i] = 1.0;
         }
-        self.spread(moved, self.mean, noise, input)
+        self.spread::<true>(moved, self.mean, noise, input)
     }
 
     /// Eq. 6: `F x + u`, `F P Fᵀ + Q`. False, and nothing done, where the result is not finite or a variance of the
@@ -172,12 +172,13 @@ impl<const N: usize> Filter<N> {
                 }
             }
         }
-        self.spread(moved, mean, noise, input)
+        self.spread::<false>(moved, mean, noise, input)
     }
 
-    /// Factors of `W D Wᵀ + Q`, by Gram–Schmidt on the rows of `[W | L_Q]` weighted with `[D | D_Q]`.
+    /// Factors of `W D Wᵀ + Q`, by Gram–Schmidt on the rows of `[W | L_Q]` weighted with `[D | D_Q]`. Row `j` of `L_Q`,
+    /// and of `W` where it is `LOWER` triangular, ends at its diagonal and stays so: rows above are taken off alone.
     #[inline]
-    fn spread(
+    fn spread<const LOWER: bool>(
         &mut self,
         mut w: [[f64; N]; N],
         mean: [f64; N],
@@ -198,24 +199,35 @@ impl<const N: usize> Filter<N> {
         }
         for j in 0..N {
             let (one, other) = (w[j], v[j]);
+            let (end, other_end) = (if LOWER { j + 1 } else { N }, j + 1);
             let mut weighted = [[0.0; N]; 2];
-            for k in 0..N {
+            let (mut pivot, mut of_noise) = (0.0, 0.0);
+            for k in 0..end {
                 weighted[0][k] = one[k] * self.factors.pivots[k];
-                weighted[1][k] = other[k] * q.pivots[k];
+                pivot += one[k] * weighted[0][k];
             }
-            let pivot = dot(&one, &weighted[0]) + dot(&other, &weighted[1]);
+            for k in 0..other_end {
+                weighted[1][k] = other[k] * q.pivots[k];
+                of_noise += other[k] * weighted[1][k];
+            }
+            pivot += of_noise;
             // no quotient overflows above it
             let held = pivot > f64::MIN_POSITIVE;
             next.factors.pivots[j] = if held { pivot } else { 0.0 };
             for i in j + 1..N {
-                let share = if held {
-                    (dot(&w[i], &weighted[0]) + dot(&v[i], &weighted[1])) / pivot
-                } else {
-                    0.0
-                };
+                let (mut sum, mut of_noise) = (0.0, 0.0);
+                for k in 0..end {
+                    sum += w[i][k] * weighted[0][k];
+                }
+                for k in 0..other_end {
+                    of_noise += v[i][k] * weighted[1][k];
+                }
+                let share = if held { (sum + of_noise) / pivot } else { 0.0 };
                 next.factors.lower[i][j] = share;
-                for k in 0..N {
+                for k in 0..end {
                     w[i][k] -= share * one[k];
+                }
+                for k in 0..other_end {
                     v[i][k] -= share * other[k];
                 }
             }
