@@ -23,6 +23,7 @@ from sherkit.cli.main import cli
 from sherkit.effects.tool import TOOL_CATALOGUE
 from sherkit.errors import FitError, MeasurementError, RobotError, ShapeError
 from sherkit.estimation.alignment import align, at_times
+from sherkit.estimation.calibration import calibrate_tool, read_loads
 from sherkit.estimation.filters import Estimate, consistency, estimate, status_in_words
 from sherkit.estimation.judge import judge
 from sherkit.estimation.model import ToolModel
@@ -300,6 +301,55 @@ def test_the_band_of_the_mean_nis() -> None:
     assert consistency(600.0, 300).verdict == "overconfident"
     assert consistency(150.0, 300).verdict == "too careful"
     assert consistency(0.0, 0).verdict == "unknown"
+
+
+# -- known loads ---------------------------------------------------------------------------------------------------
+
+
+def test_known_loads_calibrate_the_tool() -> None:
+    """Catches a gain that is transposed or biased, a stiffness by the wrong power, deviations that are made up.
+
+    20 benches, seeds 0 to 19, of a tool that is not as its file says: the RMS of errors in deviations is 1 within 0.25.
+    """
+    there = VirtualTool(TOOL).changed(
+        gains=(np.array(TOOL.gains) * [[[1.05]], [[0.93]]]).tolist(), stiffness_mn_mm2=1.25e6, length_mm=58.7
+    )
+    assert there.true is not None
+    # what the calibration can tell: the common part of three fibres is taken out
+    alike = np.array(there.true.gains) @ (np.eye(3) - 1.0 / 3.0)
+    off: list[Floats] = []
+    for seed in range(20):
+        found = calibrate_tool(TOOL, there.bench(seed=seed))
+        assert found.stiffness_mn_mm2
+        assert found.length_mm
+        gains = (np.array(found.tool.gains) - alike) / found.gains_std
+        shaft = [(found.stiffness_mn_mm2[0] - 1.25e6) / found.stiffness_mn_mm2[1],
+                 (found.length_mm[0] - 58.7) / found.length_mm[1]]  # fmt: skip
+        off.append(np.concatenate([gains.ravel(), shaft]))
+        assert found.tool.noise_nm == pytest.approx(1e-3, rel=0.35)
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.25)
+    assert np.abs(off).max() < 5.0
+    right = calibrate_tool(there.true, there.bench(seed=1)).slope_mn_mm2
+    assert right
+    assert abs(right[0] - 1.25e6) < 4 * right[1]
+
+
+def test_bad_loads_are_refused(tmp_path: Path) -> None:
+    """Catches a calibration of nothing, or of loads that all push one way."""
+    loads = VirtualTool(TOOL).bench(loads=5)
+    with pytest.raises(FitError, match="5 rows with a force; expected 12"):
+        calibrate_tool(TOOL, loads)
+    loads = VirtualTool(TOOL).bench()
+    loads.save(tmp_path / "loads.csv")
+    again = read_loads(tmp_path / "loads.csv")
+    np.testing.assert_array_equal(again.wavelengths_nm, loads.wavelengths_nm)
+    table = pl.read_csv(tmp_path / "loads.csv")
+    table.drop("fbg4_nm").write_csv(tmp_path / "bad.csv")
+    with pytest.raises(MeasurementError, match="column 'fbg4_nm' is missing"):
+        read_loads(tmp_path / "bad.csv")
+    table.with_columns(depth_mm=None).write_csv(tmp_path / "bad.csv")
+    with pytest.raises(MeasurementError, match="row 1, column 'depth_mm': expected a finite number"):
+        read_loads(tmp_path / "bad.csv")
 
 
 # -- registration and alignment ------------------------------------------------------------------------------------

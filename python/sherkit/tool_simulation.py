@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import ShapeError
+from .estimation.calibration import Loads
 from .estimation.runs import ToolRun
 from .robots.flexible_tool import FlexibleTool, rotation_of
 
@@ -91,6 +92,18 @@ class VirtualTool:
         tip = position + rotation_of(turn) @ np.array([*self.shaft_bend_mm, 0.0])
         camera_t, camera = self._seen(true, t, tip, rng)
         return ToolRun(t, position, turn, waves, camera_t, camera, None, "simulated free motion")
+
+    def bench(self, *, loads: int = 80, unloaded: int = 20, deflection_std_mm: float = 0.01, seed: int = 0) -> Loads:
+        """Known loads on a bench, from 20 to 250 mN, all around the shaft and 0 to 25 mm from the tip."""
+        rng = np.random.default_rng([seed, 5])
+        true = self.true or self.tool
+        depth = rng.uniform(0.0, 25.0, loads + unloaded)
+        size = np.concatenate([rng.uniform(20.0, 250.0, loads), np.zeros(unloaded)])
+        way = rng.uniform(0.0, 2 * np.pi, len(size))
+        force = size[:, None] * np.column_stack([np.cos(way), np.sin(way)])
+        waves = self._wavelengths(true, force, depth, np.zeros(len(size)), rng)
+        bent = size * (true.length_mm - depth) ** 3 / (3.0 * true.stiffness_mn_mm2)
+        return Loads(force, depth, waves, bent + deflection_std_mm * rng.standard_normal(len(size)), "simulated loads")
 
     # -- what the robot does: pose (n, 3), (n, 3), depth (n,), the hole off the shaft (n, 2), clearance --------
 

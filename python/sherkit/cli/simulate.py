@@ -44,8 +44,8 @@ _PER_SIDE = {"whole": 12, "local": 8}
 @click.option("--unequal-limbs-mrad", type=float, help="Spherical: limbs that differ by twice this much.")
 @click.option("--pictures", type=click.Path(path_type=Path), help="Spherical: draw pictures into this folder, and read "
               "the pixels from them.")  # fmt: skip
-@click.option("--experiment", type=click.Choice((*EXPERIMENTS, "free")), default="vessels", show_default=True,
-              help="Flexible tool: one of the paper's, or free: unbent, to register the camera.")  # fmt: skip
+@click.option("--experiment", type=click.Choice((*EXPERIMENTS, "free", "bench")), default="vessels", show_default=True,
+              help="Flexible tool: one of the paper's, free (unbent, for the camera), bench (known loads).")  # fmt: skip
 @click.option("--seconds", type=click.FloatRange(min=2), default=60.0, show_default=True, help="Flexible tool.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Draws the robot and the noise.")
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the planted errors here (TOML).")
@@ -78,6 +78,11 @@ def _tool(path: Path, destination: Path, experiment: str, seconds: float, seed: 
     if wrong:
         raise SherkitError(f"{path}: is a flexible tool; {listed(wrong)} is not for that kind")
     virtual = VirtualTool(load_tool(path))
+    if experiment == "bench":
+        loads = virtual.bench(seed=seed)
+        loads.save(destination)
+        output.say(f"{len(loads)} loads written to {destination}")
+        return
     if experiment == "free":
         run = virtual.free_motion(seconds=seconds, seed=seed)
     else:

@@ -13,6 +13,8 @@ import polars as pl
 
 from ..errors import MeasurementError
 from ..estimation.alignment import align
+from ..estimation.calibration import calibrate_tool as run_calibration
+from ..estimation.calibration import read_loads
 from ..estimation.filters import Estimate, Track, status_in_words
 from ..estimation.filters import estimate as run_filters
 from ..estimation.judge import Judgement, judge
@@ -182,6 +184,34 @@ def drawn(e: Estimate) -> Drawn:
         time_s=e.run.time_s, estimate=e.depth.value[:, 0], std=e.depth.std[:, 0], name="insertion depth", unit="mm",
         others=others, force_mN=np.linalg.norm(np.nan_to_num(e.force_mn), axis=1), threshold_mN=_THRESHOLD_MN,
     )  # fmt: skip
+
+
+def calibrate_tool(tool: Path, loads: Path, destination: Path | None) -> None:
+    """Gains, stiffness and length from a bench of known loads, printed and written."""
+    result = run_calibration(load_tool(tool), read_loads(loads))
+    table = output.table(
+        "Gratings", "", "fibre 1", "fibre 2", "fibre 3", "left, mN mm",
+        note=f"{result.loaded} loads, {result.unloaded} rows without; noise of a wavelength "
+        f"{result.tool.noise_nm:.2g} nm",
+    )  # fmt: skip
+    for s, section in enumerate(("I", "II")):
+        for a, axis in enumerate("xy"):
+            cells = (
+                f"{k:.1f} ± {std:.1g}" for k, std in zip(result.tool.gains[s][a], result.gains_std[s, a], strict=True)
+            )
+            table.add_row(f"K_{section} {axis}, mN mm/nm", *cells, f"{result.rms_mn_mm[s]:.2f}" if a == 0 else "")
+    output.out.print(table)
+    if result.slope_mn_mm2 and result.stiffness_mn_mm2 and result.length_mm:
+        shaft = output.table("Shaft", "", "value", "± std")
+        shaft.add_row("EI by the paper's slope, mN mm²", *(f"{v:.4g}" for v in result.slope_mn_mm2))
+        shaft.add_row("EI with the length, mN mm²", *(f"{v:.4g}" for v in result.stiffness_mn_mm2))
+        shaft.add_row("free length h, mm", *(f"{v:.4g}" for v in result.length_mm))
+        output.out.print(shaft)
+    else:
+        output.say("no deflections (deflection_mm): stiffness and length stay as they are")
+    if destination is not None:
+        result.tool.save(destination)
+        output.say(f"calibrated tool written to {destination}")
 
 
 @click.command()
