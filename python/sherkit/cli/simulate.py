@@ -45,7 +45,7 @@ _PER_SIDE = {"whole": 12, "local": 8}
 @click.option("--pictures", type=click.Path(path_type=Path), help="Spherical: draw pictures into this folder, and read "
               "the pixels from them.")  # fmt: skip
 @click.option("--experiment", type=click.Choice((*EXPERIMENTS, "free", "bench")), default="vessels", show_default=True,
-              help="Flexible tool: one of the paper's, free (unbent, for the camera), bench (known loads).")  # fmt: skip
+              help="Flexible tool: one of the paper's, free (unbent), bench (known loads).")  # fmt: skip
 @click.option("--seconds", type=click.FloatRange(min=2), default=60.0, show_default=True, help="Flexible tool.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Draws the robot and the noise.")
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the planted errors here (TOML).")

@@ -84,8 +84,8 @@ def read_loads(path: str | Path) -> Loads:
 class ToolCalibration:
     """What the loads say. ``tool`` has it all; deviations are one σ.
 
-    ``gains_std`` (2, 2, 3); ``rms_mn_mm`` (2,) is what the moments leave at sections I and II. ``slope_mn_mm2`` is EI by
-    the paper's slope at the drawn length, ``stiffness_mn_mm2`` and ``length_mm`` by the fit of both; all None without
+    ``gains_std`` (2, 2, 3); ``rms_mn_mm`` (2,) is what the moments leave at sections I and II. ``slope_mn_mm2`` is EI
+    by the paper's slope at the drawn length, ``stiffness_mn_mm2`` and ``length_mm`` by the fit of both; all None without
     deflections.
     """
 
@@ -126,10 +126,9 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
         variance = np.diag(found["residual_covariance"])
         spread[section] = np.sqrt(np.outer(variance, np.diag(found["unit_covariance"]).clip(0.0)))
         left[section] = float(np.sqrt(variance.mean()))
-    rows = gains.tolist()
     made = replace(
         tool,
-        gains=((tuple(rows[0][0]), tuple(rows[0][1])), (tuple(rows[1][0]), tuple(rows[1][1]))),
+        gains=gains.tolist(),  # type: ignore[arg-type]
         reference_nm=tuple(reference.tolist()),
         noise_nm=noise if noise > 0 else tool.noise_nm,
     )
