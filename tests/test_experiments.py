@@ -13,7 +13,7 @@ import tomli_w
 
 from laboratories import ROBOT, experiment, laboratory
 from sherkit import load_robot, read_measurements
-from sherkit.errors import ExperimentError, InstrumentError, OutOfRange
+from sherkit.errors import ExperimentError, Halted, InstrumentError, OutOfRange
 from sherkit.experiments import (
     Control,
     Goal,
@@ -296,6 +296,27 @@ def test_a_failure_stops_is_told_and_can_be_resumed(lab, tmp_path):
         assert file.done() == set(range(18))
 
 
+def test_a_step_is_tried_again_where_a_line_failed(lab, tmp_path):
+    """Catches a night that is lost for one time-out, and a limit switch that is driven into again and again."""
+    experiment(tmp_path, retry={"attempts": 3}, lasers={"timeout_s": 0.1, "retries": 0})
+    chosen = load_experiment(tmp_path / "experiment.toml")
+
+    def report(now):
+        if now.step in (3, 9):
+            lab.emulators["lasers"].faults.schedule("drop" if now.step == 3 else "disconnect", 2)
+        if now.step == 12:
+            lab.emulators["rails"].faults.schedule("limit_switch", 10)
+
+    with RunFile.create(chosen.run_path, chosen.plan, chosen.about()) as file, chosen.bench() as bench:
+        with pytest.raises(Halted, match="limit switch"):
+            run(chosen.plan, bench, file, attempts=chosen.attempts, report=report)
+        assert file.done() == set(range(13))
+        told = [(step, what) for _, step, what in file.diary()]
+        assert [step for step, _ in told] == [4, 10, 13]
+        assert "tried again after: lasers on" in told[0][1]
+        assert run(chosen.plan, bench, file, attempts=chosen.attempts) == "complete"
+
+
 def test_ctrl_c_stops_the_motors(tmp_path):
     """Catches an interrupt that leaves the motors on their way."""
     laboratory(tmp_path, time_scale=2.0)
@@ -489,7 +510,7 @@ def test_live_identification_says_when_it_is_enough(tmp_path):
     assert forecast is not None
     assert abs(forecast - enough_at) < 0.35 * enough_at
     # three axes of 5 µm each
-    assert 2.0 < live.residual_um < 25.0
+    assert 2.0 < live.residual < 25.0
     assert "further poses no longer help" in live.sentence()
     # what it says of the positions is true of them
     later = Live(robot, plan)
@@ -500,6 +521,20 @@ def test_live_identification_says_when_it_is_enough(tmp_path):
     everywhere = simulated(robot, count=108, noise_mm=0.0)[1]
     left = [later._residual(one) for one in everywhere]
     assert 0.2 * later.worst[1] < max(left) < 3.0 * np.sqrt(3) * later.worst[1]
+
+
+def test_without_a_fit_the_residual_is_that_of_the_drawing(tmp_path):
+    """Catches a residual that is not told while a run is measured, or one of a robot that was not drawn."""
+    (tmp_path / "robot.toml").write_text(tomli_w.dumps(ROBOT))
+    robot = load_robot(tmp_path / "robot.toml")
+    plan, points = simulated(robot, count=20)
+    live = Live(robot, plan, fitting=False)
+    for one, step in zip(points, plan, strict=False):
+        live.add(one)
+        away = np.array([one.values[f"{a}_mm"] for a in "xyz"]) - robot.forward(step.joints)
+        assert live.residual == pytest.approx(1e3 * np.linalg.norm(away), rel=1e-9)
+    assert live.fit is None
+    assert live.short().endswith("µm from the drawing")
 
 
 def test_live_identification_is_the_identification(tmp_path):

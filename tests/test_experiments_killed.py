@@ -121,7 +121,7 @@ def test_a_run_killed_at_a_hundred_moments_loses_nothing(tmp_path):
         seed += 1
         folder = tmp_path / str(seed)
         # slow enough for the motors to be on their way at many of the moments
-        laboratory(folder, time_scale=20.0)
+        laboratory(folder, time_scale=40.0)
         more, on_the_way = killed_run(folder, kills=min(12, 100 - killed), seed=seed)
         killed, moving = killed + more, moving + on_the_way
     print(f"killed {killed} times in {seed} runs, {moving} of them while the motors moved")

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 
 import numpy as np
 import polars as pl
@@ -20,7 +21,7 @@ import tomli_w
 
 from laboratories import ROBOT, experiment, laboratory
 from sherkit.errors import EffectError, ExperimentError, RobotError
-from sherkit.experiments import RunFile
+from sherkit.experiments import RunFile, load_experiment
 from sherkit.instruments import Galil, Hyperion, Keyence, NetFT, Sm130, fetch_scale
 from sherkit.instruments.galil import Axis
 from sherkit.laboratory import RunningLaboratory, load_laboratory, read_ports
@@ -57,6 +58,33 @@ def test_every_instrument_of_a_laboratory_answers(tmp_path):
             assert keyence.read().values == pytest.approx([0.0] * 3, abs=0.03)
             assert sm130.read().values == hyperion.read().values == (1550.0,)
             assert net_ft.read()["fx"] == 0.0
+
+
+def test_every_instrument_can_be_read_in_an_experiment(tmp_path):
+    """Catches a kind that a laboratory starts and an experiment cannot read, and a column in another unit."""
+    laboratory(
+        tmp_path, instrument=[{"name": "rails", "kind": "galil"}, {"name": "lasers", "kind": "keyence"}, *ALL[2:]]
+    )
+    path = experiment(tmp_path)
+    values = tomllib.loads(path.read_text())
+    values["instrument"] += [
+        {"kind": "sm130", "gratings": [1], "columns": ["first_nm"]},
+        {"kind": "hyperion", "gratings": [1], "columns": ["second_nm"]},
+        {
+            "kind": "net_ft",
+            "columns": [f"{f}_mN" for f in ("fx", "fy", "fz")] + [f"{t}_Nmm" for t in ("tx", "ty", "tz")],
+        },
+    ]
+    path.write_text(tomli_w.dumps(values))
+    with RunningLaboratory(load_laboratory(tmp_path / "lab.toml")) as lab:
+        lab.bench.wrench = lambda joints, time_s: [0.25, 0.0, 0.0, 7.0, 0.0, 0.0]
+        lab.write_ports(tmp_path / "ports.json")
+        chosen = load_experiment(path)
+        with chosen.bench() as bench:
+            point = bench.measure(chosen.plan.steps[0])
+    assert point.values["first_nm"] == point.values["second_nm"] == 1550.0
+    assert point.values["fx_mN"] == pytest.approx(250.0)
+    assert point.values["tx_Nmm"] == pytest.approx(7.0)
 
 
 def test_the_lasers_see_the_hidden_robot(tmp_path):
@@ -161,6 +189,13 @@ def test_emulators_listen_on_this_machine_alone(tmp_path):
         assert listening(process.pid) == {"127.0.0.1"}
     with RunningLaboratory(load_laboratory(path)) as lab:
         assert all(re.match(r"(tcp|udp)://127\.0\.0\.1:", p["address"]) for p in lab.ports().values())
+
+
+def test_without_a_file_there_is_an_example(tmp_path):
+    """Catches a first try that ends in a question."""
+    with started("lab", "--json", "--ports", "ports.json", folder=tmp_path) as (_, said):
+        assert list(json.loads(said("}\n}"))) == ["rails", "lasers"]
+        assert list(read_ports(tmp_path / "ports.json")) == ["rails", "lasers"]
 
 
 def test_another_address_is_told(tmp_path):
@@ -317,14 +352,13 @@ def test_the_demo_compensates_what_was_hidden(tmp_path):
 
     lab_demo.lab_demo(tmp_path, repeats=1, time_scale=400.0)
     missed = {}
-    for name in ("check_drawn", "check_calibrated"):
+    for name in ("check_drawn", "check_twelve", "check_calibrated"):
         with RunFile.open(tmp_path / f"{name}.sqlite") as file:
             seen = np.array([[p.values[f"{a}_mm"] for a in "xyz"] for p in file.points()])
-        import tomllib
-
         targets = np.array(tomllib.loads((tmp_path / f"{name}.toml").read_text())["plan"]["list_mm"])
         missed[name] = 1e3 * np.linalg.norm(seen - targets, axis=1)
     assert np.sqrt(np.mean(missed["check_drawn"] ** 2)) > 100.0
+    assert np.sqrt(np.mean(missed["check_twelve"] ** 2)) > 40.0
     assert missed["check_calibrated"].max() < 20.0
     calibrated = (tmp_path / "calibrated.toml").read_text()
     assert "rail_lean" in calibrated

@@ -14,7 +14,7 @@ from laboratories import experiment as delta_experiment
 from laboratories import spherical_laboratory
 from sherkit import identify
 from sherkit.errors import Disconnected, ExperimentError, Garbled, InstrumentError, OutOfRange
-from sherkit.experiments import RunFile, load_experiment, run
+from sherkit.experiments import Live, RunFile, load_experiment, run
 from sherkit.instruments import Camera, Snapshots
 from sherkit.laboratory import RunningLaboratory, load_laboratory
 
@@ -45,6 +45,23 @@ def test_the_camera_sees_the_hidden_robot(lab, tmp_path):
         assert abs(found - hidden[name]) < max(6.0 * std, 5e-4), name
         assert abs(hidden[name]) > 0.01
     assert np.sqrt(np.nanmean(fit.residuals**2)) < 0.1
+
+
+def test_live_identification_speaks_of_pixels(lab, tmp_path):
+    """Catches micrometres for pixels, and a goal whose key is that of another robot."""
+    path = tmp_path / "experiment.toml"
+    path.write_text(path.read_text() + "\n[goal]\nstd_px = 0.2\n")
+    chosen = load_experiment(path)
+    live = Live(chosen.robot, chosen.plan, chosen.goal)
+    with RunFile.create(chosen.run_path, chosen.plan, chosen.about()) as file, chosen.bench() as bench:
+        run(chosen.plan, bench, file, report=lambda now: live.add(now.point))
+    assert live.enough
+    assert "px (standard deviation)" in live.sentence()
+    assert live.short().startswith("residual ")
+    assert "px" in live.short()
+    path.write_text(path.read_text().replace("std_px", "std_um"))
+    with pytest.raises(ExperimentError, match="std_px"):
+        load_experiment(path)
 
 
 def test_a_picture_is_never_an_old_one(lab):

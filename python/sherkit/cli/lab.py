@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import tempfile
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +11,9 @@ from types import FrameType
 
 import click
 
-from ..errors import SherkitError
 from ..laboratory import RunningLaboratory, load_laboratory
 from . import output
-from .lab_demo import lab_demo
+from .lab_demo import lab_demo, write_laboratory
 
 _LOOPBACK = ("127.", "localhost")
 
@@ -31,13 +31,15 @@ def lab(
     laboratory: Path | None, ports: Path | None, host: str | None, time_scale: float | None, as_json: bool, demo: bool,
     folder: Path,
 ) -> None:  # fmt: skip
-    """Start the emulated instruments of LABORATORY (TOML), until Ctrl-C."""
+    """Start the emulated instruments of LABORATORY (TOML), until Ctrl-C; without one, those of an example."""
     if demo:
         lab_demo(folder)
         return
     if laboratory is None:
-        raise SherkitError("name a laboratory file, as in 'sherkit lab lab.toml', or try 'sherkit lab --demo'")
-    chosen = load_laboratory(laboratory)
+        with tempfile.TemporaryDirectory() as example:
+            chosen = replace(load_laboratory(write_laboratory(Path(example))), source="example")
+    else:
+        chosen = load_laboratory(laboratory)
     if host is not None:
         chosen = replace(chosen, host=host)
     if time_scale is not None:

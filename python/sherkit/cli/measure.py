@@ -16,6 +16,9 @@ from ..experiments import Control, Experiment, Live, RunFile, export_run, load_e
 from ..experiments import Progress as Stored
 from . import keys, output
 
+#: Signals by which another program, or a closing terminal, asks for an end; not every system has both.
+_POLITE = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
 
 @click.command()
 @click.argument("experiment", type=click.Path(path_type=Path))
@@ -31,10 +34,10 @@ def measure(experiment: Path, destination: Path | None, resume: bool, is_live: b
     """
     chosen = load_experiment(experiment, ports)
     path = destination or chosen.run_path
-    live = Live(chosen.robot, chosen.plan, chosen.goal) if is_live else None
+    live = Live(chosen.robot, chosen.plan, chosen.goal, fitting=is_live)
     begin = RunFile.resume if resume else RunFile.create
     with begin(path, chosen.plan, chosen.about()) as file, _ended_by_signals():
-        if live is not None:
+        if is_live:
             # what is in the file already counts
             for point in file.points():
                 live.take(point)
@@ -47,12 +50,12 @@ def measure(experiment: Path, destination: Path | None, resume: bool, is_live: b
         "ended": f"ended; go on with: sherkit measure {experiment} --resume",
     }
     output.say(f"{stored} of {len(chosen.plan)} steps are in {path}: {ends[why]}")
-    if live is not None:
+    if is_live:
         output.say(live.sentence())
     output.say(f"Take them out with: sherkit export {path} -o {path.with_suffix('.csv')}")
 
 
-def _measure(chosen: Experiment, file: RunFile, live: Live | None) -> str:
+def _measure(chosen: Experiment, file: RunFile, live: Live) -> str:
     control = Control()
     columns = (
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[left]}"),
@@ -72,15 +75,13 @@ def _measure(chosen: Experiment, file: RunFile, live: Live | None) -> str:
 
     def report(now: Stored) -> None:
         nonlocal told
-        model = ""
-        if live is not None:
-            live.add(now.point)
-            model = live.short()
-            if live.enough and not told:
-                told = True
-                output.err.print(f"[bold green]enough:[/] {live.sentence()}", soft_wrap=True)
-            if live.enough and live.goal is not None and live.goal.stop:
-                control.end()
+        live.add(now.point)
+        model = live.short()
+        if live.enough and not told:
+            told = True
+            output.err.print(f"[bold green]enough:[/] {live.sentence()}", soft_wrap=True)
+        if live.enough and live.goal is not None and live.goal.stop:
+            control.end()
         shown.update(task, completed=now.stored, left=_left(now.seconds_left), model=model)
         if not output.err.is_terminal:
             # a program that reads this may count on the step: it is on the disk
@@ -89,8 +90,9 @@ def _measure(chosen: Experiment, file: RunFile, live: Live | None) -> str:
     with shown, keys.listening(pressed) as heard, chosen.bench() as bench:
         if heard:
             output.err.print("p pauses and goes on, q ends after this step, Ctrl-C stops at once", style="dim")
-        why = run(chosen.plan, bench, file, control=control, warm_up_s=chosen.warm_up_s, report=report)
-    return "goal" if why == "ended" and live is not None and live.enough else why
+        why = run(chosen.plan, bench, file, control=control, warm_up_s=chosen.warm_up_s,
+                  attempts=chosen.attempts, report=report)  # fmt: skip
+    return "goal" if why == "ended" and live.enough else why
 
 
 def _left(seconds: float) -> str:
@@ -107,7 +109,7 @@ def _ended_by_signals() -> Iterator[None]:
         del frame
         raise SystemExit(128 + number)
 
-    before = {n: signal.signal(n, end) for n in (signal.SIGTERM, signal.SIGHUP)}
+    before = {n: signal.signal(n, end) for n in _POLITE}
     try:
         yield
     finally:

@@ -112,6 +112,14 @@ class Bench:
             raise ExperimentError(f"two instruments have the same name: {', '.join(sorted(names))}")
 
     def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def connect(self) -> None:
+        """Opens all ports, stops what still moves, and switches the motors on, where they stand.
+
+        Raises :class:`~sherkit.errors.InstrumentError`; nothing is then left open.
+        """
         with contextlib.ExitStack() as stack:
             stack.callback(self.close)
             self.motion.connect()
@@ -123,7 +131,6 @@ class Bench:
             # switching on moves nothing
             self.motion.enable()
             stack.pop_all()
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -79,6 +79,7 @@ class Experiment:
     checks: Checks
     goal: Goal | None
     warm_up_s: float
+    attempts: int
     run_path: Path
     source: str
     text: str
@@ -177,6 +178,8 @@ def load_experiment(
         )
         warm_up_s = p.number("warm_up_s", 0.0)
     settling, checks, goal = _rules(table, unit)
+    with table.table("retry", optional=True) as r:
+        attempts = r.whole("attempts", 1, least=1)
     instruments = tuple(_instrument(one, known, path, offline, made) for one in table.tables("instrument"))
     table.finish()
     _check_instruments(instruments, path, made)
@@ -189,7 +192,8 @@ def load_experiment(
             f"from {low:g} to {high:g} {unit}"
         )
     return Experiment(
-        made, plan, targets, instruments, settling, checks, goal, warm_up_s, run_path, str(path), tomli_w.dumps(values)
+        made, plan, targets, instruments, settling, checks, goal, warm_up_s, attempts, run_path,
+        str(path), tomli_w.dumps(values),
     )  # fmt: skip
 
 
@@ -222,7 +226,9 @@ def _rules(table: Table, unit: str) -> tuple[Settling, Checks, Goal | None]:
     goal = None
     if table.has("goal"):
         with table.table("goal") as g:
-            goal = Goal(g.number("std_um", positive=True), g.text("of", GOALS, GOALS[0]), g.flag("stop", False))
+            of = g.text("of", GOALS, GOALS[0])
+            name = "std_px" if seen == "px" and of == "position" else "std_um"
+            goal = Goal(g.number(name, positive=True), of, g.flag("stop", False))
     return settling, checks, goal
 
 

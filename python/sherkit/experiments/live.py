@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..errors import FitError
 from ..identification import Fit, identify
 from ..measurements import Measurements, from_frame
-from ..measurements.columns import POSE, REPEAT, TIME
+from ..measurements.columns import DELTA, POSE, REPEAT, SPHERICAL_PIXELS, TIME
 from ..models import model_of
 from ..robots.file import Robot
 from .bench import Point
@@ -30,32 +30,36 @@ GOALS = ("position", "parameters")
 
 @dataclass(frozen=True)
 class Goal:
-    """How well the model is to be known: the largest standard deviation, µm.
+    """How well the model is to be known: the largest standard deviation ``std``, in the unit that people read.
 
     ``of`` "position": of any coordinate that the model predicts at any pose of the plan, measured yet or not. Of
-    "parameters": of any of them, angles at their lever, from the readings alone: directions that no pose can observe do
-    not count. Neither says what physics is missing. With ``stop`` the run ends where the goal is reached.
+    "parameters": of any of them, angles at their lever, µm, from the readings alone: directions that no pose can
+    observe do not count. Neither says what physics is missing. With ``stop`` the run ends where the goal is reached.
     """
 
-    std_um: float
+    std: float
     of: str = "position"
     stop: bool = False
 
 
 class Live:
-    """Takes points, and says what the fit of the rows so far makes of them.
+    """Takes points, and says what the model makes of them: the fit of the rows so far, or else the drawing.
 
-    ``residual_um`` is that of the newest point, before it was fitted: root of the sum over its readings squared;
-    ``worst`` the name and standard deviation, µm, of what is known worst (coordinate or parameter, see :class:`Goal`);
-    both None while too few rows are there.
+    ``residual`` is that of the newest point, before it was fitted: root of the sum over its readings squared, in
+    ``unit``. ``worst`` is the name and standard deviation, in ``goal_unit``, of what is known worst (coordinate or
+    parameter, see :class:`Goal`), None while too few rows are there. Without ``fitting`` there is no fit, and
+    residuals are those of the drawing.
     """
 
-    def __init__(self, robot: Robot, plan: Plan, goal: Goal | None = None) -> None:
+    def __init__(self, robot: Robot, plan: Plan, goal: Goal | None = None, *, fitting: bool = True) -> None:
         self.model = model_of(robot)
         self.goal = goal
+        self.fitting = fitting
+        self.unit = (DELTA if robot.kind == "delta" else SPHERICAL_PIXELS).unit
+        self.goal_unit = "µm" if goal is not None and goal.of == "parameters" else self.unit
         self._joints = np.unique(np.array([s.joints for s in plan]), axis=0)
         self.fit: Fit | None = None
-        self.residual_um: float | None = None
+        self.residual: float | None = None
         self.worst: tuple[str, float] | None = None
         self._points: list[Point] = []
         self._fitted = 0
@@ -68,14 +72,14 @@ class Live:
     @property
     def enough(self) -> bool:
         """Whether the goal is reached: further poses no longer help."""
-        return self.goal is not None and self.worst is not None and self.worst[1] <= self.goal.std_um
+        return self.goal is not None and self.worst is not None and self.worst[1] <= self.goal.std
 
     @property
     def rows_to_go(self) -> int | None:
         """Rows that are still needed if standard deviations go on falling with the root of their number."""
         if self.goal is None or self.worst is None:
             return None
-        needed = self._fitted * (self.worst[1] / self.goal.std_um) ** 2
+        needed = self._fitted * (self.worst[1] / self.goal.std) ** 2
         return max(int(np.ceil(needed)) - self.rows, 0)
 
     def sentence(self) -> str:
@@ -83,17 +87,21 @@ class Live:
         if self.worst is None:
             return f"{self.rows} rows are too few for a fit"
         what, std = self.worst
-        known = f"after {self.rows} rows, {what} is known to {std:.3g} µm (standard deviation), all else better"
+        known = f"after {self.rows} rows, {what} is known to {std:.3g} {self.goal_unit} (standard deviation), all else better"
         if self.goal is None:
             return known
         if self.enough:
-            return f"{known}; the goal is {self.goal.std_um:g} µm: further poses no longer help"
-        return f"{known}; the goal is {self.goal.std_um:g} µm: about {self.rows_to_go} more rows"
+            return f"{known}; the goal is {self.goal.std:g} {self.goal_unit}: further poses no longer help"
+        return f"{known}; the goal is {self.goal.std:g} {self.goal_unit}: about {self.rows_to_go} more rows"
 
     def short(self) -> str:
         """The same in a few words, for a line that changes."""
-        out = "" if self.residual_um is None else f"residual {self.residual_um:.1f} µm"
-        return out if self.worst is None else f"{out}, {self.worst[0]} ±{self.worst[1]:.3g} µm"
+        if self.residual is None:
+            return ""
+        out = f"residual {self.residual:.3g} {self.unit}"
+        if self.fit is None:
+            return f"{out} from the drawing"
+        return out if self.worst is None else f"{out}, {self.worst[0]} ±{self.worst[1]:.3g} {self.goal_unit}"
 
     def take(self, point: Point) -> None:
         """Takes a point in without fitting it: call :meth:`refit` after the last one."""
@@ -102,8 +110,8 @@ class Live:
     def add(self, point: Point) -> None:
         """Takes a point in; fits anew where enough rows have come since the last fit."""
         self.take(point)
-        self.residual_um = self._residual(point)
-        if len(self._points) >= max(self._fitted * (1.0 + _GROWTH), self._fitted + 1):
+        self.residual = self._residual(point)
+        if self.fitting and len(self._points) >= max(self._fitted * (1.0 + _GROWTH), self._fitted + 1):
             self.refit()
 
     def refit(self) -> None:
@@ -121,11 +129,11 @@ class Live:
         free = data.taken.sum() - self.fit.rank
         if free <= 0:
             return
-        names, std = self._std_um(self.fit)
+        names, std = self._std(self.fit)
         k = int(np.argmax(std))
         self.worst = (names[k], float(std[k]))
 
-    def _std_um(self, fit: Fit) -> tuple[tuple[str, ...], Floats]:
+    def _std(self, fit: Fit) -> tuple[tuple[str, ...], Floats]:
         if self.goal is not None and self.goal.of == "parameters":
             lever = np.array([1e3 * p.lever_mm for p in fit.parameters])
             return tuple(p.name for p in fit.parameters), fit.std_from_readings * lever
@@ -136,11 +144,10 @@ class Live:
         std = rows.layout.per_unit * np.sqrt(variance.clip(0.0).max(axis=0))
         return rows.layout.names[: rows.coordinates], std
 
-    def _residual(self, point: Point) -> float | None:
-        if self.fit is None:
-            return None
+    def _residual(self, point: Point) -> float:
         data = self._measurements([point])
-        left = np.where(data.taken, data.readings - self.model.predict(data, self.fit.values), 0.0)
+        values = np.zeros(len(self.model.parameters)) if self.fit is None else self.fit.values
+        left = np.where(data.taken, data.readings - self.model.predict(data, values), 0.0)
         return float(data.layout.per_unit * np.sqrt((left**2).sum()))
 
     def _measurements(self, points: list[Point]) -> Measurements:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..errors import SherkitError
+from ..errors import Disconnected, Garbled, SherkitError, Timeout
 from .bench import Bench, Point
 from .plan import Plan
 from .run_file import RunFile
@@ -72,14 +72,17 @@ def run(
     *,
     control: Control | None = None,
     warm_up_s: float = 0.0,
+    attempts: int = 1,
     report: Callable[[Progress], None] | None = None,
 ) -> str:
     """Takes the steps that the file lacks, in order, and says why it ended: "complete", or "ended" by ``control``.
 
     ``report`` hears of every step once its point is on the disk. ``warm_up_s`` drives through the plan for so long
-    before the first of them, without reading. After a pause and in a run that was interrupted, the first step is
-    approached as the plan has it. Raises :class:`~sherkit.errors.InstrumentError` where an instrument fails: the motors
-    then stand, the file's diary says why, and the run can be resumed.
+    before the first of them, without reading. A step may take ``attempts``: what went wrong on a line (no answer, one
+    that is not understood, a lost connection) may be better with new connections, while a limit switch or a lost beam
+    is not. After a pause and in a run that was interrupted, the first step is approached as the plan has it. Raises
+    :class:`~sherkit.errors.InstrumentError` where an instrument fails: the motors then stand, the file's diary says
+    why, and the run can be resumed.
     """
     control = control or Control()
     bench.check(plan.places())
@@ -92,7 +95,7 @@ def run(
     why = "killed"
     try:
         _warm_up(plan, bench, warm_up_s, control)
-        why = _take(plan, bench, file, missing, control, report)
+        why = _take(plan, bench, file, missing, control, attempts, report)
     except BaseException as error:
         said = str(error) if isinstance(error, SherkitError) else type(error).__name__
         why = f"failed: {said}"
@@ -110,6 +113,7 @@ def _take(
     file: RunFile,
     missing: list[int],
     control: Control,
+    attempts: int,
     report: Callable[[Progress], None] | None,
 ) -> str:
     total = len(plan)
@@ -124,10 +128,7 @@ def _take(
         if control.ended:
             return "ended"
         began = time.monotonic()
-        if number != last + 1:
-            for place in plan.lead_in(number):
-                bench.drive(place)
-        point = _with_directions(bench.measure(plan.steps[number]), plan, number)
+        point = _with_directions(_measured(plan, bench, file, number, number == last + 1, attempts), plan, number)
         file.store(number, point)
         last = number
         took = time.monotonic() - began
@@ -135,6 +136,24 @@ def _take(
         if report is not None:
             report(Progress(number, total - len(missing) + k + 1, total, seconds * (len(missing) - k - 1), point))
     return "complete"
+
+
+def _measured(plan: Plan, bench: Bench, file: RunFile, number: int, follows: bool, attempts: int) -> Point:
+    """The step's point. After a fault of a line all ports are opened anew, and the step is approached as planned."""
+    for left in range(attempts - 1, -1, -1):
+        try:
+            if not follows:
+                for place in plan.lead_in(number):
+                    bench.drive(place)
+            return bench.measure(plan.steps[number])
+        except (Timeout, Garbled, Disconnected) as error:
+            if not left:
+                raise
+            file.note(f"tried again after: {error}", number)
+            follows = False
+            bench.close()
+            bench.connect()
+    raise AssertionError("unreachable")
 
 
 def _with_directions(point: Point, plan: Plan, number: int) -> Point:

@@ -59,6 +59,9 @@ class Snapshots:
     """
 
     def __init__(self, address: str, timeout_s: float = 5.0) -> None:
+        if not address.startswith(("http://", "https://")):
+            # an address of another kind could be a file of this machine
+            raise InstrumentError(f"'{address}': expected http://<address of the picture>")
         self._address = address
         self._timeout_s = timeout_s
 
