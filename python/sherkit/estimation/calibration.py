@@ -85,8 +85,8 @@ class ToolCalibration:
     """What the loads say. ``tool`` has it all; deviations are one σ.
 
     ``gains_std`` (2, 2, 3); ``rms_mn_mm`` (2,) is what the moments leave at sections I and II. ``slope_mn_mm2`` is EI
-    by the paper's slope at the drawn length, ``stiffness_mn_mm2`` and ``length_mm`` by the fit of both; all None without
-    deflections.
+    by the paper's slope at the drawn length, ``stiffness_mn_mm2`` and ``length_mm`` by the fit of both; all None
+    without deflections.
     """
 
     tool: FlexibleTool
