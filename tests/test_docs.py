@@ -28,8 +28,8 @@ from sherkit.diagnosis import Diagnosis
 from test_klipper import SAVED, TRUE, config
 
 HERE = Path(__file__).parents[1]
-STORIES = ("docs/tutorial.md", "docs/spherical.md")
-DOCS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", *STORIES)
+STORIES = ("docs/tutorial.md", "docs/spherical.md", "docs/tool.md")
+DOCS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/laboratory.md", *STORIES)
 
 _BLOCK = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
 _INLINE = re.compile(r"`([^`\n]+)`")
@@ -290,8 +290,6 @@ def test_files_that_are_named_exist(name: str) -> None:
     roots = ("rust/", "python/", "tests/", "docs/", "benchmarks/", ".ci/")
     for named in _INLINE.findall(prose(name)):
         if named.startswith(roots) and " " not in named:
-            if named == "python/sherkit/instruments/":
-                continue  # told as a plan
             assert (HERE / named).exists(), f"{name} names {named}"
 
 

@@ -300,7 +300,8 @@ def test_pairs_are_named_in_95_of_100() -> None:
 
     At least 95 % both named, of all and of those that can be known for two; for some, the second simulator says that
     one effect alone explains what both do but for less than can be seen (``enough_alone``): then that one or both are
-    named in 98 %. Binomial allowances of 1 in 1,000.
+    named in 98 %. Binomial allowances of 1 in 1,000. Measured: 185 of all 198, which is 93 % and passes by the
+    allowance; 12 runs can be known for one, and all 12 are named so or as both; of the other 186, both in 183.
     """
     both, right = {True: 0, False: 0}, 0
     runs: Counter[bool] = Counter()

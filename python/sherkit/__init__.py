@@ -35,7 +35,10 @@ from .measurements import (
 )
 from .model import DeltaModel
 from .parameters import Parameter
+from .planning import Planning, planning_of
+from .pose_design import PoseDesign, choose_poses
 from .poses import grid, paper_local, paper_whole, sphere_patch
+from .power_study import Sought, study_power
 from .readings import Model, ModelFit, Readings, fit_model
 from .remote_centre import RemoteCentre, remote_centre
 from .robots import CameraView, Delta, Spherical, load_robot, save_robot
@@ -70,6 +73,8 @@ __all__ = [
     "NotFinite",
     "OutOfReach",
     "Parameter",
+    "Planning",
+    "PoseDesign",
     "Readings",
     "RemoteCentre",
     "Result",
@@ -78,6 +83,7 @@ __all__ = [
     "SherkitError",
     "SherkitWarning",
     "Singular",
+    "Sought",
     "Spherical",
     "SphericalCalibration",
     "SphericalModel",
@@ -90,6 +96,7 @@ __all__ = [
     "calibrate",
     "camera_placement",
     "choose_correction",
+    "choose_poses",
     "diagnose",
     "effect",
     "fit_grid",
@@ -106,6 +113,7 @@ __all__ = [
     "paper_local",
     "paper_protocol",
     "paper_whole",
+    "planning_of",
     "play",
     "read_measurements",
     "remote_centre",
@@ -115,5 +123,6 @@ __all__ = [
     "straightness",
     "straightness_by",
     "stream_measurements",
+    "study_power",
     "task_error",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 
 class SherkitError(Exception):
@@ -66,3 +67,78 @@ class OutOfReach(SherkitError):
 
 class NotSeen(SherkitError):
     """A point or a pixel that camera and sphere have no answer for: behind, past the sphere, beyond the lens' fold."""
+
+
+class ExperimentError(SherkitError):
+    """A laboratory, an experiment or a run file that cannot be used as it is."""
+
+
+#: Bytes of an exchange that a sentence shows; the attributes keep them all.
+_SHOWN_BYTES = 60
+
+
+def _shown(data: bytes) -> str:
+    rest = len(data) - _SHOWN_BYTES
+    return f"{data[:_SHOWN_BYTES]!r} and {rest} more bytes" if rest > 0 else repr(data)
+
+
+class InstrumentError(SherkitError):
+    """An instrument that did not do what it was asked.
+
+    ``instrument`` and ``port`` say which one, ``sent`` what it was asked, ``received`` what came back (bytes, empty
+    where there was nothing). All of them are part of the sentence.
+    """
+
+    def __init__(
+        self, message: str, *, instrument: str = "", port: str = "", sent: bytes = b"", received: bytes = b""
+    ) -> None:
+        super().__init__(message)
+        self.message = message
+        self.instrument = instrument
+        self.port = port
+        self.sent = sent
+        self.received = received
+
+    def complete(self, *, instrument: str, port: str, sent: bytes = b"") -> None:
+        """Fills in what was not known where the error was raised."""
+        self.instrument = self.instrument or instrument
+        self.port = self.port or port
+        self.sent = self.sent or sent
+
+    def __str__(self) -> str:
+        who = " on ".join(w for w in (self.instrument, self.port) if w)
+        sentence = f"{who}: {self.message}" if who else self.message
+        if self.sent:
+            sentence += f"; sent {_shown(self.sent)}, received {_shown(self.received) if self.received else 'nothing'}"
+        elif self.received:
+            sentence += f"; received {_shown(self.received)}"
+        return sentence
+
+
+class Timeout(InstrumentError):
+    """No answer, or not the whole of it, in time."""
+
+
+class Refused(InstrumentError):
+    """The instrument understood and said no. ``code`` and ``text`` are its own words, None and "" if it gave none."""
+
+    def __init__(self, message: str, code: int | None = None, text: str = "", **where: Any) -> None:
+        super().__init__(message, **where)
+        self.code = code
+        self.text = text
+
+
+class Halted(Refused):
+    """A motion that ended before its target. ``code`` is the controller's stop code, ``text`` its meaning."""
+
+
+class OutOfRange(InstrumentError):
+    """No reading to be had here (beam lost, sensor saturated), or a target outside the soft limits."""
+
+
+class Disconnected(InstrumentError):
+    """The port is not there, not open, or was closed by the other end."""
+
+
+class Garbled(InstrumentError):
+    """An answer that is none of those that the instrument can give."""

@@ -16,7 +16,11 @@ from .demo import demo
 from .diagnose import diagnose
 from .effects import effects
 from .importing import import_group
+from .lab import lab
+from .measure import export, measure
+from .plan import plan
 from .simulate import simulate
+from .tool import estimate, register
 from .vision import intrinsics, markers
 
 
@@ -31,6 +35,12 @@ cli.add_command(calibrate)
 cli.add_command(demo)
 cli.add_command(diagnose)
 cli.add_command(effects)
+cli.add_command(estimate)
+cli.add_command(register)
+cli.add_command(export)
+cli.add_command(lab)
+cli.add_command(measure)
+cli.add_command(plan)
 cli.add_command(simulate)
 cli.add_command(import_group)
 cli.add_command(intrinsics)

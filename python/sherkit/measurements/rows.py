@@ -120,6 +120,21 @@ class Measurements:
         data._check()
         return data
 
+    @classmethod
+    def planned(
+        cls, joints: Floats, layout: c.Layout = c.DELTA, source: str = "plan", **columns: Floats
+    ) -> Measurements:
+        """Rows at these joint readings (n, k) whose readings are still to come; they count as taken, and as zero.
+
+        ``columns`` are time, directions and covariates, where they are known.
+        """
+        values = {name: np.asarray(joints, dtype=float)[:, k] for k, name in enumerate(layout.joints)}
+        values |= {name: np.zeros(len(joints)) for name in layout.coordinates}
+        with warnings.catch_warnings():
+            # readings that are all zero look as if they were in another unit
+            warnings.simplefilter("ignore", SherkitWarning)
+            return cls.from_columns({**values, **columns}, source, layout=layout)
+
     def _check(self) -> None:
         none: Bools = ~np.any(self.taken, axis=1)
         if none.any():

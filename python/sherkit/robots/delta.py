@@ -38,7 +38,8 @@ class Delta:
 
     ``target_offset_mm`` points from the platform centre to the measured point. ``rod_spacing_mm`` is the
     distance of the two rods of a limb. ``assembly_mode`` is ``"below"`` where the platform hangs under its
-    carriages, ``"above"`` where it stands on them. Joint readings are carriage heights along +z.
+    carriages, ``"above"`` where it stands on them. Joint readings are carriage heights along +z;
+    ``joint_limits_mm`` (low, high) are those that no motor may leave.
     """
 
     base_radius_mm: Triple
@@ -52,6 +53,7 @@ class Delta:
     workspace_radius_mm: float | None = None
     workspace_z_mm: tuple[float, float] | None = None
     region_half_width_mm: float | None = None
+    joint_limits_mm: tuple[float, float] | None = None
     assembly_mode: str = "below"
     kind: str = field(default="delta", init=False)
 
@@ -77,6 +79,7 @@ class Delta:
             _check_shape(g, geometry)
         with table.table("joints", optional=True) as j:
             pitch = j.positive("pole_pitch_mm")
+            limits = j.heights("limits_mm")
         with table.table("workspace", optional=True) as w:
             radius = w.positive("radius_mm")
             z = w.heights("z_mm")
@@ -88,6 +91,7 @@ class Delta:
             workspace_radius_mm=radius,
             workspace_z_mm=z,
             region_half_width_mm=half,
+            joint_limits_mm=limits,
         )
 
     def to_tables(self) -> dict[str, Any]:
@@ -104,8 +108,13 @@ class Delta:
         if self.assembly_mode != "below":
             geometry["assembly_mode"] = self.assembly_mode
         tables: dict[str, Any] = {"kind": self.kind, "geometry": geometry}
+        joints: dict[str, Any] = {}
         if self.pole_pitch_mm:
-            tables["joints"] = {"pole_pitch_mm": self.pole_pitch_mm}
+            joints["pole_pitch_mm"] = self.pole_pitch_mm
+        if self.joint_limits_mm:
+            joints["limits_mm"] = list(self.joint_limits_mm)
+        if joints:
+            tables["joints"] = joints
         if self.workspace_radius_mm or self.workspace_z_mm:
             workspace: dict[str, Any] = {}
             tables["workspace"] = workspace

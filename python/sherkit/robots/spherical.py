@@ -106,7 +106,8 @@ class Spherical:
     marker from the centre. ``assembly_mode`` is ``"outer"`` or ``"inner"`` (the sign of the root of Eq. 35),
     ``working_mode`` tells on which side of the tool each elbow is (``"open"``: joint 1 ahead, joint 2 behind).
     ``gravity`` is the direction of the weight, ``home_deg`` the joint readings about which encoder scales are counted.
-    ``phi_deg`` and ``gamma_deg`` are the limits of the workspace. Joint readings are angles about z.
+    ``phi_deg`` and ``gamma_deg`` are the limits of the workspace, ``joint_limits_deg`` (low, high) those that no motor
+    may leave. Joint readings are angles about z.
     """
 
     alpha_deg: float
@@ -119,6 +120,7 @@ class Spherical:
     home_deg: Pair = (0.0, 0.0)
     phi_deg: Pair | None = None
     gamma_deg: Pair | None = None
+    joint_limits_deg: Pair | None = None
     kind: str = field(default="spherical", init=False)
 
     def __post_init__(self) -> None:
@@ -151,13 +153,17 @@ class Spherical:
                 raise g.fail("gravity", "a direction, not zero")
         with table.table("joints", optional=True) as j:
             home = j.numbers("home_deg", 2, (0.0, 0.0))
+            limits = j.heights("limits_deg")
         with table.table("workspace", optional=True) as w:
             phi, gamma = w.heights("phi_deg"), w.heights("gamma_deg")
         camera = None
         if table.has("camera"):
             with table.table("camera") as c:
                 camera = CameraView.from_table(c)
-        return cls(**geometry, camera=camera, home_deg=(home[0], home[1]), phi_deg=phi, gamma_deg=gamma)
+        return cls(
+            **geometry, camera=camera, home_deg=(home[0], home[1]), phi_deg=phi, gamma_deg=gamma,
+            joint_limits_deg=limits,
+        )  # fmt: skip
 
     def to_tables(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
@@ -173,6 +179,8 @@ class Spherical:
             },
             "joints": {"home_deg": list(self.home_deg)},
         }
+        if self.joint_limits_deg is not None:
+            tables["joints"]["limits_deg"] = list(self.joint_limits_deg)
         limits = {"phi_deg": self.phi_deg, "gamma_deg": self.gamma_deg}
         workspace = {name: list(value) for name, value in limits.items() if value is not None}
         if workspace:

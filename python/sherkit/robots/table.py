@@ -1,4 +1,7 @@
-"""Reading a TOML table key by key: every key checked, unknown keys refused with the nearest known one."""
+"""Reading a TOML table key by key: every key checked, unknown keys refused with the nearest known one.
+
+Robot files are read with it, and the files of laboratories and experiments.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from ..errors import RobotError
+from ..errors import RobotError, SherkitError
 from ..names import closest, listed, nearest
 
 #: Keys of a table look alike (base_radius_mm, platform_radius_mm); a misspelt one looks more alike still.
@@ -19,23 +22,26 @@ _LONGEST = 100
 class Table:
     """A TOML table that remembers which of its keys were asked for.
 
-    Raises :class:`~sherkit.errors.RobotError` naming file, table and key.
+    Raises ``error``, a :class:`~sherkit.errors.RobotError` unless another kind is given, naming file, table and key.
     """
 
-    def __init__(self, values: Mapping[str, Any], where: str, path: str = "") -> None:
+    def __init__(
+        self, values: Mapping[str, Any], where: str, path: str = "", error: type[SherkitError] = RobotError
+    ) -> None:
         self._values = values
         self._where = where
         self._path = path
+        self._error = error
         self._known: set[str] = set()
 
     def _name(self, key: str) -> str:
         return f"[{self._path}] {key}" if self._path else key
 
-    def fail(self, key: str, expected: str) -> RobotError:
+    def fail(self, key: str, expected: str) -> SherkitError:
         """The error for a key, in words."""
         found = repr(self._values[key]) if key in self._values else "nothing"
         found = found if len(found) <= _LONGEST else f"{found[:_LONGEST]} …"
-        return RobotError(f"{self._where}: {self._name(key)}: expected {expected}, found {found}")
+        return self._error(f"{self._where}: {self._name(key)}: expected {expected}, found {found}")
 
     def _get(self, key: str, expected: str, default: Any) -> Any:
         self._known.add(key)
@@ -45,11 +51,11 @@ class Table:
             return default
         return self._values[key]
 
-    def _missing(self, key: str, expected: str) -> RobotError:
+    def _missing(self, key: str, expected: str) -> SherkitError:
         # a misspelt key is both missing and unknown: say it once, where the user typed it
         typed = closest(key, [k for k in self._values if k not in self._known], cutoff=_MISSPELT)
         hint = f"; is '{typed}' meant to be it?" if typed else ""
-        return RobotError(f"{self._where}: {self._name(key)} is missing; expected {expected}{hint}")
+        return self._error(f"{self._where}: {self._name(key)} is missing; expected {expected}{hint}")
 
     @contextmanager
     def table(self, key: str, *, optional: bool = False) -> Iterator[Table]:
@@ -57,16 +63,30 @@ class Table:
         values = self._get(key, "a table", {} if optional else None)
         if not isinstance(values, Mapping):
             raise self.fail(key, f"a table [{key}]")
-        inner = Table(values, self._where, f"{self._path}.{key}" if self._path else key)
+        inner = Table(values, self._where, f"{self._path}.{key}" if self._path else key, self._error)
         yield inner
         inner.finish()
+
+    def tables(self, key: str) -> Iterator[Table]:
+        """The tables of a list ``[[key]]``, none where it is not given; past each, its unknown keys are refused."""
+        values = self._get(key, "a list of tables", [])
+        if not isinstance(values, list) or not all(isinstance(v, Mapping) for v in values):
+            raise self.fail(key, f"tables [[{key}]]")
+        for k, one in enumerate(values, 1):
+            inner = Table(one, self._where, f"{self._path}.{key} {k}" if self._path else f"{key} {k}", self._error)
+            yield inner
+            inner.finish()
 
     def finish(self) -> None:
         """Refuses keys that nobody asked for."""
         for key in self._values:
             if key not in self._known:
                 hint = nearest(key, self._known) or f"; known keys: {listed(sorted(self._known), 12)}"
-                raise RobotError(f"{self._where}: unknown key {self._name(key)}{hint}")
+                raise self._error(f"{self._where}: unknown key {self._name(key)}{hint}")
+
+    def names(self) -> list[str]:
+        """The keys that are given, in the order of the file."""
+        return list(self._values)
 
     def has(self, key: str) -> bool:
         """Whether a key is given, under its very name."""
@@ -79,6 +99,52 @@ class Table:
         if value not in allowed:
             raise self.fail(key, expected)
         return str(value)
+
+    def words(self, key: str, default: str | None = None) -> str:
+        """Any text that is not empty; where it is left out, ``default``, which may be empty."""
+        value = self._get(key, "a text", default)
+        if not isinstance(value, str) or (not value and key in self._values):
+            raise self.fail(key, "a text")
+        return value
+
+    def texts(self, key: str, default: tuple[str, ...] | None = None) -> tuple[str, ...]:
+        """A list of texts."""
+        value = self._get(key, "a list of texts", default)
+        if not isinstance(value, list | tuple) or not all(isinstance(v, str) for v in value):
+            raise self.fail(key, "a list of texts")
+        return tuple(value)
+
+    def flag(self, key: str, default: bool) -> bool:
+        """true or false."""
+        value = self._get(key, "true or false", default)
+        if not isinstance(value, bool):
+            raise self.fail(key, "true or false")
+        return value
+
+    def whole(self, key: str, default: int | None = None, *, least: int | None = None) -> int:
+        """A whole number, at least ``least``."""
+        kind = "a whole number" + (f" of at least {least}" if least is not None else "")
+        value = self._get(key, kind, default)
+        if not isinstance(value, int) or isinstance(value, bool) or (least is not None and value < least):
+            raise self.fail(key, kind)
+        return value
+
+    def rows(self, key: str, width: int) -> tuple[tuple[float, ...], ...]:
+        """A list of lists of ``width`` finite numbers."""
+        kind = f"a list of lists of {width} numbers"
+        value = self._get(key, kind, None)
+        if not isinstance(value, list) or not all(
+            isinstance(row, list) and len(row) == width and all(_is_number(v) for v in row) for row in value
+        ):
+            raise self.fail(key, kind)
+        return tuple(tuple(float(v) for v in row) for row in value)
+
+    def some_numbers(self, key: str, default: tuple[float, ...] | None = None) -> tuple[float, ...]:
+        """A list of finite numbers of any length, at least one."""
+        value = self._get(key, "a list of numbers", default)
+        if not isinstance(value, list | tuple) or not value or not all(_is_number(v) for v in value):
+            raise self.fail(key, "a list of numbers")
+        return tuple(float(v) for v in value)
 
     def number(self, key: str, default: float | None = None, *, positive: bool = False) -> float:
         """A finite number."""

@@ -1,0 +1,184 @@
+"""``sherkit plan``: what an experiment could find, before it is measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from ..errors import SherkitError
+from ..experiments import Experiment, load_experiment
+from ..measurements import Measurements
+from ..measurements.columns import DELTA, SPHERICAL_PIXELS
+from ..models import model_of
+from ..names import listed
+from ..planning import LEVEL, POWER, Outlook, Planning, planning_of
+from ..power_study import Found, Sought, study_power
+from ..robots import Delta, load_robot
+from . import output
+from .output import out, table
+
+#: Standard deviation of a reading, in the unit that people read, by the kind of robot.
+_NOISE = {"delta": 5.0, "spherical": 0.1}
+#: Multiple of the plausible size beyond which an effect is not simulated.
+_LARGEST_STUDIED = 5.0
+_SIGNS = 8
+
+
+@click.command()
+@click.argument("robot", type=click.Path(path_type=Path))
+@click.argument("experiment", type=click.Path(path_type=Path))
+@click.option("--noise-um", type=click.FloatRange(min=0, min_open=True), help="Delta: of a reading; default 5.")
+@click.option("--noise-px", type=click.FloatRange(min=0, min_open=True), help="Spherical: of a reading; default 0.1.")
+@click.option("--effect", "effects", multiple=True, help="An effect that is in the model already.")
+@click.option("--study", "runs", type=click.IntRange(min=1), help="Check the promise on so many simulated robots.")
+@click.option("--keep", type=click.Path(path_type=Path), help="Keep the study's results here; it can be interrupted.")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes of the study; by default one per processor.")
+@click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
+def plan(
+    robot: Path, experiment: Path, noise_um: float | None, noise_px: float | None, effects: tuple[str, ...],
+    runs: int | None, keep: Path | None, workers: int | None, as_json: bool,
+) -> None:  # fmt: skip
+    """Say what EXPERIMENT (TOML) could find on ROBOT (TOML), and how well it would know the parameters."""
+    nominal = load_robot(robot)
+    delta = isinstance(nominal, Delta)
+    other, own = (noise_px, noise_um) if delta else (noise_um, noise_px)
+    if other is not None:
+        raise SherkitError(f"{robot}: is a {nominal.kind} robot; its noise is --noise-{'um' if delta else 'px'}")
+    noise = own if own is not None else _NOISE[nominal.kind]
+    chosen = load_experiment(experiment, robot=robot, offline=True)
+    rows = rows_of(chosen)
+    planning = planning_of(model_of(nominal), rows, noise / rows.layout.per_unit, effects=effects)
+    outlooks = planning.outlooks
+    found = _study(planning, outlooks, runs, keep, workers) if runs else ()
+    if as_json:
+        output.print_json(_json(chosen, planning, outlooks, found))
+        return
+    long = f"{chosen.seconds / 60:.0f} minutes" if chosen.seconds >= 120 else f"{chosen.seconds:.0f} s"
+    output.say(f"{chosen.source}: {len(chosen.plan)} steps, about {long}, {noise:g} {rows.layout.unit} noise\n")
+    _show_effects(outlooks, rows.layout.unit)
+    for line in _sentences(outlooks):
+        output.say(line)
+    _show_parameters(planning)
+    if found:
+        _show_study(found)
+
+
+def rows_of(experiment: Experiment) -> Measurements:
+    """The rows that the plan will give: joints, directions and, as far as they are known, times."""
+    plan = experiment.plan
+    directions = {f"direction_{k + 1}": d for k, d in enumerate(plan.directions.T)}
+    return Measurements.planned(
+        np.array([s.joints for s in plan]),
+        DELTA if isinstance(experiment.robot, Delta) else SPHERICAL_PIXELS,
+        experiment.source,
+        time_s=experiment.times_s,
+        **directions,
+    )
+
+
+def _study(
+    planning: Planning, outlooks: tuple[Outlook, ...], runs: int, keep: Path | None, workers: int | None
+) -> tuple[Found, ...]:
+    """Every effect at the size that is promised to be found in 80 of 100 runs, each parameter with a sign of its own.
+
+    Those that take many times their plausible size are left out: the model is not linear so far from the drawing.
+    """
+    rng = np.random.default_rng(0)
+    sought = []
+    for o in outlooks:
+        if o.lacks or not np.isfinite(o.times):
+            continue
+        for _ in range(_SIGNS):
+            # along some signs the fitted parameters may take all of it
+            values = planning.found_along(o.name, {k: v * float(rng.choice((-1.0, 1.0))) for k, v in o.values.items()})
+            sizes = {p.name: p.size for p in planning.effect(o.name).parameters}
+            if all(abs(v) <= _LARGEST_STUDIED * sizes[k] for k, v in values.items()):
+                sought.append(Sought(o.name, values))
+                break
+    columns = (TextColumn("simulating robots"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=output.err, transient=True, disable=not output.err.is_terminal) as shown:
+        task = shown.add_task("")
+        return study_power(
+            planning, sought, runs=runs, workers=workers, path=keep,
+            progress=lambda done, total: shown.update(task, completed=done, total=total),
+        )  # fmt: skip
+
+
+def _show_effects(outlooks: tuple[Outlook, ...], unit: str) -> None:
+    made = table(
+        f"What it could find (level {LEVEL:g}, power {POWER:g})", "effect", "found", "smallest", f"leaves {unit}",
+        "absorbed", "tied with", note="found: its chance at its plausible size. smallest: in plausible sizes, and the "
+        "RMS that it leaves there. absorbed: by the fitted parameters.",
+    )  # fmt: skip
+    for o in outlooks:
+        if o.lacks:
+            made.add_row(o.name, "", "", "", "", f"[dim]needs {listed(o.lacks)}[/]")
+            continue
+        smallest = f"{o.times:.3g} ×" if np.isfinite(o.times) else "never"
+        made.add_row(
+            o.name, f"{100 * o.power:.0f} %", smallest, f"{o.left_um:.2f}", f"{100 * o.absorbed:.1f} %", listed(o.ties)
+        )
+    out.print(made)
+
+
+def _sentences(outlooks: tuple[Outlook, ...]) -> list[str]:
+    absorbed = [o.name for o in outlooks if not o.lacks and o.is_absorbed]
+    tied = [o.name for o in outlooks if o.ties]
+    missed = [o.name for o in outlooks if not o.lacks and o.power < POWER]
+    said = []
+    if missed:
+        said.append(f"At its plausible size it would rather be missed: {listed(missed)}.")
+    if absorbed:
+        said.append(f"The fitted parameters would take nearly all of: {listed(absorbed)}.")
+    if tied:
+        said.append(f"Found, but not told from what it is tied with: {listed(tied)}.")
+    return said
+
+
+def _show_parameters(planning: Planning) -> None:
+    design = planning.design
+    note = f"Of {len(planning.parameters)} parameters {design.rank} directions are observed; the others are held."
+    made = table("How well the parameters would be known", "parameter", "standard deviation", "µm where it acts",
+                 note=note)  # fmt: skip
+    for p, std in zip(planning.parameters, design.std, strict=True):
+        made.add_row(p.name, f"{std:.3g} {p.unit}", f"{1e3 * std * p.lever_mm:.3g}")
+    out.print(made)
+
+
+def _show_study(found: tuple[Found, ...]) -> None:
+    made = table("What simulated robots say", "effect", "promised", "found", "of runs")
+    for one in found:
+        made.add_row(one.name, f"{100 * one.power:.0f} %", f"{100 * one.share:.1f} %", str(one.runs))
+    out.print(made)
+
+
+def _json(
+    chosen: Experiment, planning: Planning, outlooks: tuple[Outlook, ...], found: tuple[Found, ...]
+) -> dict[str, Any]:
+    def number(value: float) -> float | None:
+        return float(value) if np.isfinite(value) else None
+
+    return {
+        "steps": len(chosen.plan),
+        "seconds": chosen.seconds,
+        "level": planning.level,
+        "effects": [
+            {
+                "name": o.name, "link": o.link, "lacks": list(o.lacks), "power": number(o.power),
+                "smallest_in_plausible_sizes": number(o.times),
+                "smallest": {k: number(v) for k, v in o.values.items()}, "left_um": number(o.left_um),
+                "absorbed": number(o.absorbed), "ties": list(o.ties),
+            }
+            for o in outlooks
+        ],
+        "parameters": [
+            {"name": p.name, "unit": p.unit, "std": float(std)}
+            for p, std in zip(planning.parameters, planning.design.std, strict=True)
+        ],
+        "rank": planning.design.rank,
+        "study": [{"name": f.name, "promised": f.power, "found": f.found, "runs": f.runs} for f in found],
+    }  # fmt: skip

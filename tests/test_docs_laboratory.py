@@ -1,0 +1,79 @@
+"""The page on the laboratory: its files are read, its commands run, one after the other, as a reader would."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+
+from sherkit.model import DeltaModel
+from sherkit.robots import load_robot
+from test_docs import blocks, command, prose, run_python, sherkit
+
+PAGE = "docs/laboratory.md"
+
+
+def background(arguments, folder):
+    """Starts a laboratory and returns once its ports are written."""
+    code = "from sherkit.cli import main; main()"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *arguments], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    end = time.monotonic() + 60
+    while not (folder / "ports.json").exists():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    return process
+
+
+def test_the_page_on_the_laboratory_runs(tmp_path, monkeypatch):
+    """Catches a key of a file that was renamed since, and a command that a reader cannot follow."""
+    monkeypatch.chdir(tmp_path)
+    laboratory = None
+    ran = []
+    try:
+        for block in blocks(PAGE):
+            if block.language == "toml":
+                name = re.match(r"# (\w+\.toml)\n", block.text)
+                assert name, block.place
+                (tmp_path / name[1]).write_text(block.text, encoding="utf-8")
+            elif block.language == "python":
+                assert run_python(block, {}) == "96 steps\nTrue 12\n"
+            elif block.language == "sh":
+                for arguments in filter(None, map(command, block.text.splitlines())):
+                    ran.append(arguments[0])
+                    if "--demo" in arguments:
+                        continue  # has a test of its own
+                    if arguments[0] == "lab":
+                        laboratory = background(arguments, tmp_path)
+                    else:
+                        said = sherkit(arguments, tmp_path)
+                        if arguments[0] == "measure":
+                            assert "96 of 96 steps" in said
+    finally:
+        if laboratory is not None:
+            laboratory.send_signal(signal.SIGINT)
+            laboratory.communicate(timeout=30)
+    assert ran == ["lab", "lab", "plan", "measure", "export", "calibrate", "measure"]
+
+
+def test_names_on_the_page_are_the_codes(tmp_path):
+    """Catches a fault or parameter that the page names and the laboratory does not know."""
+    from sherkit.experiments.file import POSES as OF_ROBOTS
+    from sherkit.experiments.plan import ORDERS
+    from sherkit.instruments.emulators import KINDS
+    from sherkit.laboratory.file import LINKS
+
+    text = prose(PAGE) + "".join(b.text for b in blocks(PAGE))
+    poses = [name for names in OF_ROBOTS.values() for name in names]
+    for name in (*KINDS, *poses, *ORDERS, *LINKS):
+        assert name in text, name
+    robot = next(b for b in blocks(PAGE) if b.text.startswith("# robot.toml"))
+    (tmp_path / "robot.toml").write_text(robot.text, encoding="utf-8")
+    model = DeltaModel(load_robot(tmp_path / "robot.toml"))
+    example = re.search(r'as `"([\w.]+)" = 0.02`', prose(PAGE))
+    assert example
+    assert example[1] in {p.name for p in model.core_parameters}

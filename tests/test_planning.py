@@ -1,0 +1,222 @@
+"""Planning before measuring: that what is promised is what simulated runs give."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from laboratories import experiment, laboratory
+from sherkit import grid, identify
+from sherkit.cli.demo import EXAMPLE
+from sherkit.errors import EffectError, ExperimentError, FitError
+from sherkit.measurements import Measurements
+from sherkit.model import DeltaModel
+from sherkit.planning import POWER, planning_of
+from sherkit.power_study import Sought, study_power
+from sherkit.simulation import VirtualDelta
+
+COMMAND = [sys.executable, "-c", "from sherkit.cli import main; main()"]
+NOISE_MM = 0.005
+
+
+def rows(order="shuffled", per_side=5, repeats=2, **more):
+    joints = EXAMPLE.inverse_batch(grid(18.0, per_side, (-15.0, 0.0, 15.0))).require("pose")
+    if order == "shuffled":
+        joints = joints[np.random.default_rng(0).permutation(len(joints))]
+    joints = np.tile(joints, (repeats, 1))
+    way = np.sign(np.diff(joints, axis=0, prepend=joints[:1] - 1.0))
+    directions = {f"direction_{k + 1}": np.where(way[:, k] == 0, 1.0, way[:, k]) for k in range(3)}
+    return Measurements.planned(joints, time_s=np.arange(len(joints)) * 3.0, **directions, **more)
+
+
+@pytest.fixture(scope="module")
+def planning():
+    return planning_of(DeltaModel(EXAMPLE), rows(), NOISE_MM)
+
+
+def outlook(planning, name):
+    return next(o for o in planning.outlooks if o.name == name)
+
+
+def sought(planning, name, share=1.0, seed=5):
+    """An effect at a share of the size at which it is found in 80 of 100 runs, signs at random."""
+    rng = np.random.default_rng(seed)
+    signs = {k: v * rng.choice((-1.0, 1.0)) for k, v in outlook(planning, name).values.items()}
+    return Sought(name, {k: share * v for k, v in planning.found_along(name, signs).items()})
+
+
+THREE = ("rail_lean", "backlash", "beam_alignment")
+
+
+def three(planning, shares=(1.0, 1.05, 1.1)):
+    return [sought(planning, name, share) for name, share in zip(THREE, shares, strict=True)]
+
+
+def test_the_promised_power_is_that_of_simulated_runs(planning):
+    """Catches a power that forgets the degrees of freedom of the effect, what the parameters absorb, or the noise."""
+    with ProcessPoolExecutor(2, __import__("multiprocessing").get_context("spawn")) as pool:
+        found = study_power(planning, three(planning), runs=200, seed=0, executor=pool)
+    for one in found:
+        print(f"{one.name}: promised {100 * one.power:.1f} %, found {100 * one.share:.1f} % of {one.runs}")
+        # of 200 runs the share itself has a standard deviation of nearly 3 points
+        assert 0.75 < one.power < 0.95
+        assert abs(one.share - one.power) <= 0.05
+
+
+@pytest.mark.slow
+def test_the_promised_power_is_that_of_many_simulated_runs(planning):
+    """Catches what 200 runs cannot show: a power that is off by a few points."""
+    for one in study_power(planning, three(planning, (1.0, 0.8, 0.9)), runs=2000, seed=11, workers=2):
+        print(f"{one.name}: promised {100 * one.power:.1f} %, found {100 * one.share:.1f} % of {one.runs}")
+        assert abs(one.share - one.power) <= 0.025
+
+
+def test_nothing_is_found_where_nothing_is(planning):
+    """Catches a test whose level is not the one it says."""
+    with ThreadPoolExecutor(1) as pool:
+        (none,) = study_power(planning, [Sought("rail_lean", {})], runs=300, seed=3, executor=pool)
+    assert none.power == pytest.approx(0.01, abs=1e-6)
+    assert none.found <= 9
+
+
+class _AtOnce(Executor):
+    """An executor that does it here and now; what is asked beyond ``most`` tasks is one too many."""
+
+    def __init__(self, most=10**9):
+        self.most = most
+
+    def submit(self, fn, /, *args, **kwargs):
+        assert self.most > 0
+        self.most -= 1
+        out = Future()
+        out.set_result(fn(*args, **kwargs))
+        return out
+
+
+def test_a_study_goes_on_where_it_ended(planning, tmp_path):
+    """Catches runs that are done again or left out after an interrupt, and a line that a crash cut off."""
+    wanted = [sought(planning, "rail_lean"), sought(planning, "backlash")]
+    whole = study_power(planning, wanted, runs=40, executor=_AtOnce())
+    path = tmp_path / "study.jsonl"
+
+    def interrupt(done, total):
+        if done == 30:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        study_power(planning, wanted, runs=40, executor=_AtOnce(), path=path, progress=interrupt)
+    lines = path.read_text().splitlines()
+    assert len(lines) == 4
+    path.write_text(path.read_text() + "[[1, 3, 0.0")
+    seen = []
+    again = study_power(
+        planning,
+        wanted,
+        runs=40,
+        executor=_AtOnce(),
+        path=path,
+        progress=lambda done, total: seen.append((done, total)),
+    )
+    assert again == whole
+    assert seen[0] == (10 * (len(lines) - 1), 80)
+    assert seen[-1] == (80, 80)
+    # once done, nothing is asked any more
+    assert study_power(planning, wanted, runs=40, executor=_AtOnce(0), path=path) == whole
+    with pytest.raises(ExperimentError, match="another study"):
+        study_power(planning, wanted, runs=40, seed=2, executor=_AtOnce(), path=path)
+    path.write_text("no study\n")
+    with pytest.raises(ExperimentError, match="holds no study"):
+        study_power(planning, wanted, runs=40, executor=_AtOnce(), path=path)
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_numbers_as_a_process_pool(planning):
+    """Catches a run that depends on the worker, the order or the machine."""
+    distributed = pytest.importorskip("distributed")
+    wanted = three(planning)
+    pool = study_power(planning, wanted, runs=60, workers=2)
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+        ) as cluster,
+        distributed.Client(cluster) as client,
+        client.get_executor() as executor,
+    ):
+        assert study_power(planning, wanted, runs=60, executor=executor) == pool
+
+
+def test_known_limits(planning):
+    """Catches an effect that hides in the geometry and is promised, and a column that is not there and is tried."""
+    assert outlook(planning, "gravity_sag").is_absorbed
+    assert outlook(planning, "gravity_sag").power < 0.2
+    assert not outlook(planning, "rail_lean").is_absorbed
+    assert outlook(planning, "rail_lean").power > 0.99
+    assert outlook(planning, "thermal_growth").lacks == ("temperature_c",)
+    at = outlook(planning, "rail_lean")
+    assert planning.power("rail_lean", planning.found_along("rail_lean", at.values)) == pytest.approx(POWER)
+    warm = planning_of(DeltaModel(EXAMPLE), rows(temperature_c=np.linspace(20.0, 32.0, 150)), NOISE_MM)
+    assert outlook(warm, "thermal_growth").power > 0.5
+
+
+def test_a_plan_that_shuffles_tells_drift_from_space():
+    """Catches ties that do not depend on the order of the poses: plane by plane, time and height are one."""
+    in_order = planning_of(DeltaModel(EXAMPLE), rows("planes", repeats=1), NOISE_MM)
+    shuffled = planning_of(DeltaModel(EXAMPLE), rows(repeats=1), NOISE_MM)
+    assert "beam_alignment" in outlook(in_order, "drift").ties
+    assert "beam_alignment" not in outlook(shuffled, "drift").ties
+
+
+def test_more_readings_and_less_noise_find_less():
+    """Catches a size that does not fall with the root of the readings, and with the noise."""
+    one = outlook(planning_of(DeltaModel(EXAMPLE), rows(repeats=2), 0.005), "rail_lean").times
+    more = outlook(planning_of(DeltaModel(EXAMPLE), rows(repeats=8), 0.005), "rail_lean").times
+    quiet = outlook(planning_of(DeltaModel(EXAMPLE), rows(repeats=2), 0.0025), "rail_lean").times
+    assert more == pytest.approx(one / 2.0, rel=0.03)
+    assert quiet == pytest.approx(one / 2.0, rel=1e-6)
+
+
+def test_an_effect_in_the_model_is_not_looked_for():
+    """Catches an effect that is in the model and looked for beside itself."""
+    planning = planning_of(DeltaModel(EXAMPLE), rows(), NOISE_MM, effects=("rail_lean",))
+    assert "rail_lean" not in [o.name for o in planning.outlooks]
+    assert len(planning.parameters) == 21
+    with pytest.raises(EffectError, match="rail_lean"):
+        planning_of(DeltaModel(EXAMPLE), rows(), NOISE_MM, effects=("rail_leen",))
+    with pytest.raises(EffectError, match="radial_1"):
+        planning_of(DeltaModel(EXAMPLE), rows(), NOISE_MM).power("rail_lean", {"radial1": 1.0})
+    with pytest.raises(FitError, match="sigma"):
+        planning_of(DeltaModel(EXAMPLE), rows(), 0.0)
+
+
+def test_parameters_are_known_as_well_as_promised(planning):
+    """Catches standard deviations that are not those of an identification."""
+    virtual = VirtualDelta(EXAMPLE, noise_mm=NOISE_MM)
+    fits = [identify(EXAMPLE, virtual.measure(grid(18.0, 5, (-15.0, 0.0, 15.0)), repeats=2, seed=k)) for k in range(40)]
+    spread = np.std([fit.values for fit in fits], axis=0)
+    assert spread / planning.design.std == pytest.approx(np.ones(15), rel=0.35)
+
+
+def test_the_command_says_what_a_plan_could_find(tmp_path):
+    """Catches a plan that needs a running laboratory, and figures of a study that are not told."""
+    laboratory(tmp_path)
+    experiment(tmp_path, per_side=4, plan={"repeats": 2})
+    command = [*COMMAND, "plan", "robot.toml", "experiment.toml"]
+    shown = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+    assert shown.returncode == 0, shown.stderr
+    assert "64 steps" in shown.stdout
+    assert "rail_lean" in shown.stdout
+    assert "base_radius_1" in shown.stdout
+    said = subprocess.run(
+        [*command, "--json", "--study", "20", "--workers", "2", "--keep", "study.jsonl"], cwd=tmp_path,
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert said.returncode == 0, said.stderr
+    told = json.loads(said.stdout)
+    assert told["steps"] == 64
+    assert all(abs(one["found"] / one["runs"] - one["promised"]) < 0.35 for one in told["study"])
+    assert (tmp_path / "study.jsonl").exists()
