@@ -7,9 +7,10 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 WHEELS := target/wheels
 STAMP  := $(VENV)/.installed
+PYTHONS := python tests benchmarks examples docs rust/c/examples
 SOURCES := Cargo.toml Cargo.lock pyproject.toml README.md $(shell find rust python -type f -not -name '*.so' -not -path '*/__pycache__/*')
 
-.PHONY: demo demo-lab test test-rust test-python test-slow lint no-std bench format clean check-tools
+.PHONY: demo demo-lab test test-rust test-python test-slow lint no-std header header-check bench format clean check-tools
 
 demo: $(STAMP)
 	$(BIN)/sherkit demo
@@ -17,7 +18,7 @@ demo: $(STAMP)
 demo-lab: $(STAMP)
 	$(BIN)/sherkit lab --demo
 
-test: lint test-rust no-std test-python
+test: lint header-check test-rust no-std test-python
 
 check-tools:
 	@command -v $(PYTHON) >/dev/null || { echo "sherkit needs Python 3.11 or later: '$(PYTHON)' was not found (set PYTHON=...)"; exit 1; }
@@ -42,8 +43,10 @@ $(STAMP): $(BIN)/python $(SOURCES)
 lint: $(STAMP)
 	cargo fmt --all --check
 	cargo clippy --quiet --locked --all-targets -- -D warnings
-	$(BIN)/ruff check python tests benchmarks examples docs
-	$(BIN)/ruff format --check --quiet python tests benchmarks examples docs
+	cargo clippy --quiet --locked --profile control -p sherkit-c -- -D warnings
+	cargo clippy --quiet --locked --profile quick -p sherkit-header -- -D warnings
+	$(BIN)/ruff check $(PYTHONS)
+	$(BIN)/ruff format --check --quiet $(PYTHONS)
 	$(BIN)/mypy
 	cd $(VENV) && bin/python -m mypy.stubtest sherkit._core
 
@@ -55,6 +58,13 @@ no-std: | check-tools
 	RUSTFLAGS="-C panic=abort -C link-arg=-nostartfiles -C link-arg=-nostdlib" cargo build --quiet --locked --release \
 		-p sherkit-no-std-check --target $$(rustc -vV | sed -n 's/^host: //p') --target-dir target/no_std
 
+# the C header from the sources of rust/c
+header: | check-tools
+	cargo run --quiet --locked --profile quick -p sherkit-header
+
+header-check: | check-tools
+	cargo run --quiet --locked --profile quick -p sherkit-header -- --check
+
 test-python: $(STAMP)
 	$(BIN)/python -m pytest -n 2 -m "not slow"
 
@@ -62,12 +72,13 @@ test-slow: $(STAMP)
 	$(BIN)/python -m pytest -n 2 -m slow
 
 bench: $(STAMP)
+	$(BIN)/python -m pip install --quiet "$$(ls $(WHEELS)/sherkit-*.whl)[bench]"
 	$(BIN)/python benchmarks/bench.py
 
 format: $(STAMP)
 	cargo fmt --all
-	$(BIN)/ruff check --fix --quiet python tests benchmarks examples docs
-	$(BIN)/ruff format --quiet python tests benchmarks examples docs
+	$(BIN)/ruff check --fix --quiet $(PYTHONS)
+	$(BIN)/ruff format --quiet $(PYTHONS)
 
 clean:
 	rm -rf target $(VENV) demo demo-lab

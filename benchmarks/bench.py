@@ -20,6 +20,7 @@ from scipy_candidates import refit_all, simulator
 from spherical import kinematics as spherical_kinematics
 from spherical import projection
 from timing import medians, show
+from tool import control_loop, tip_filter
 
 import sherkit as sk
 from sherkit.cli.demo import EXAMPLE as ROBOT
@@ -159,7 +160,8 @@ if __name__ == "__main__":
     elif "--diagnosis" in sys.argv:
         diagnosis()
     else:
-        for part in (kinematics, spherical_kinematics, projection, identification, bernstein, streaming):
+        robots = (kinematics, spherical_kinematics, projection, identification, bernstein, streaming)
+        for part in (*robots, tip_filter, control_loop):
             part()
         one_core = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         subprocess.run([sys.executable, __file__, "--diagnosis"], check=True, env=os.environ | one_core)

@@ -28,7 +28,7 @@ from sherkit.diagnosis import Diagnosis
 from test_klipper import SAVED, TRUE, config
 
 HERE = Path(__file__).parents[1]
-STORIES = ("docs/tutorial.md", "docs/spherical.md")
+STORIES = ("docs/tutorial.md", "docs/spherical.md", "docs/tool.md")
 DOCS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/laboratory.md", *STORIES)
 
 _BLOCK = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)

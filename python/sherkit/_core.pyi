@@ -7,27 +7,53 @@ from numpy.typing import NDArray
 
 _Floats = NDArray[np.float64]
 _Bools = NDArray[np.bool_]
+_Bytes = NDArray[np.uint8]
 
 __all__ = [
+    "STATUS_CLOCK",
+    "STATUS_LATE",
+    "STATUS_MISSING",
+    "STATUS_NOT_FINITE",
+    "STATUS_NO_FORCE",
+    "STATUS_NO_MOTION",
+    "STATUS_UPDATED",
     "Bernstein",
     "Calibrated",
     "Camera",
     "DeltaKinematics",
     "DeltaModel",
+    "DepthFilter",
+    "DepthTipFilter",
+    "FilterNoise",
     "Solver",
     "SphericalCalibrated",
     "SphericalKinematics",
     "SphericalModel",
+    "TipFilter",
+    "ToolBeam",
+    "ToolSensor",
     "__version__",
     "bernstein_basis",
     "bernstein_fit",
     "bernstein_fit_grid",
+    "register_points",
     "spherical_camera_placement",
     "spherical_closed_mapping",
     "spherical_sensitivity",
+    "tool_fit_beam",
+    "tool_fit_gain",
+    "tool_fit_slope",
 ]
 
 __version__: str
+
+STATUS_UPDATED: int
+STATUS_MISSING: int
+STATUS_LATE: int
+STATUS_NOT_FINITE: int
+STATUS_NO_FORCE: int
+STATUS_NO_MOTION: int
+STATUS_CLOCK: int
 
 @final
 class DeltaKinematics:
@@ -223,6 +249,9 @@ class SphericalCalibrated:
     """
 
     def __new__(cls, model: SphericalModel, values: _Floats, elbows: str = "open") -> SphericalCalibrated: ...
+    def flat(self) -> _Floats:
+        """All that makes it as a row of numbers (n,), for a control loop in another language."""
+
     def forward(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats]:
         """phi, gamma (2,) and their derivative by the joints (2, 2)."""
 
@@ -275,10 +304,233 @@ class Calibrated:
         local: tuple[DeltaModel, _Floats, Bernstein | None] | None,
         region: tuple[_Floats, _Floats, float] | None,
     ) -> Calibrated: ...
+    def flat(self) -> _Floats:
+        """All that makes it as a row of numbers (n,), for a control loop in another language."""
+
     def forward(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats]: ...
     def inverse(self, position: _Floats, covariates: list[float]) -> _Floats: ...
     def forward_batch(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats, _Bools]: ...
     def inverse_batch(self, positions: _Floats, covariates: list[float]) -> tuple[_Floats, _Bools]: ...
+
+@final
+class ToolSensor:
+    """Nine wavelengths (three fibres at sections I, II, III; nm) into moments, sclera force and insertion depth.
+
+    ``gains`` (2, 2, 3): K_I, K_II in mN·mm/nm. ``distances_mm``: from the tip to sections I and II. ``reference_nm``
+    (9,) of the unloaded tool. A *measurement* is eleven numbers: time (s), force x, y (mN), its covariance xx, xy, yx,
+    yy (mN²), depth (mm), its variance (mm²; infinite where there is no force), covariance of depth with force x, y
+    (mm·mN).
+    """
+
+    def __new__(cls, gains: _Floats, distances_mm: _Floats, reference_nm: _Floats, noise_nm: float) -> ToolSensor: ...
+    def measure(self, time_s: float, wavelengths_nm: _Floats) -> _Floats:
+        """A measurement (11,) from wavelengths (9,)."""
+
+    def measure_batch(
+        self, times_s: _Floats, wavelengths_nm: _Floats
+    ) -> tuple[_Floats, _Floats, _Floats, _Floats, _Bytes]:
+        """Measurements (n, 11), moments (n, 2, 2), misfit (n,), common mode (n, 3) nm, and a code (n,).
+
+        Code 0: force and depth; 1: no force that would tell the depth; 2: not finite, all but the time is NaN.
+        """
+
+    def depth_by_lengths_batch(self, wavelengths_nm: _Floats) -> _Floats:
+        """Depth as Eq. 2 is printed (n, 2), mm, from sections I and II."""
+
+@final
+class ToolBeam:
+    """The shaft as a cantilever (Eq. 9): free length in mm, bending stiffness EI in mN·mm²."""
+
+    def __new__(cls, length_mm: float, stiffness: float) -> ToolBeam: ...
+    @staticmethod
+    def ebrahimi_2020() -> ToolBeam: ...
+    @property
+    def length_mm(self) -> float: ...
+    @property
+    def stiffness(self) -> float: ...
+    def compliance_batch(self, depths_mm: _Floats) -> _Floats:
+        """Tip deflection per force, mm/mN, and its derivatives by depth, length and stiffness (n, 4)."""
+
+    def contact_compliance_batch(self, depths_mm: _Floats) -> _Floats:
+        """Deflection at the contact itself per force (n,), mm/mN."""
+
+    def deflection_batch(self, forces_mn: _Floats, depths_mm: _Floats) -> tuple[_Floats, _Floats]:
+        """Tip deflection (n, 3) in the tool frame, mm, and its derivatives (n, 2, 5).
+
+        Columns of the derivatives: force x, force y, depth, length, stiffness.
+        """
+
+    def tip_batch(self, forces_mn: _Floats, depths_mm: _Floats, poses: _Floats) -> _Floats:
+        """The tip in the base frame (n, 3), mm. A pose is twelve numbers: the rotation's rows, then the shift."""
+
+    def covariance_batch(self, measurements: _Floats) -> _Floats:
+        """Covariance of the deflection's x and y (n, 2, 2), mm², from measurements (n, 11)."""
+
+@final
+class FilterNoise:
+    """What the filters trust. Pairs are (depth, tip) or, for measurements, (depth, across the shaft); mm²."""
+
+    @staticmethod
+    def ebrahimi_2020() -> FilterNoise: ...
+    @staticmethod
+    def ebrahimi_2020_of_force() -> FilterNoise: ...
+    @staticmethod
+    def propagated(
+        per_second: tuple[float, float],
+        floor: tuple[float, float],
+        shared: float = 0.0,
+        per_step: tuple[float, float] = ...,
+    ) -> FilterNoise: ...
+    @staticmethod
+    def switched(
+        at_mn: float,
+        below: tuple[float, float],
+        above: tuple[float, float],
+        per_step: tuple[float, float],
+        per_second: tuple[float, float] = ...,
+        shared: float = 0.0,
+        of_force: bool = False,
+    ) -> FilterNoise: ...
+    def numbers(self) -> dict[str, Any]: ...
+
+_Run = tuple[_Floats, _Floats, _Bytes, _Floats, _Bytes]
+
+@final
+class DepthFilter:
+    """Insertion depth (Eq. 8). ``step`` and ``filter`` run the same steps, to the last bit.
+
+    ``filter``: as many steps as there are times; a measurement that ``present`` says is not there is missing. Returns
+    estimates (n, 1), covariances (n, 1, 1), status (n,), NIS (n,) and its degrees of freedom (n,), and leaves the
+    filter at the end. ``smooth``: estimates and covariances of the same run from the filter's present state, which
+    stays, each from all measurements. Status: a sum of the STATUS flags.
+    """
+
+    def __new__(cls, depth_mm: float, variance: float, time_s: float, noise: FilterNoise) -> DepthFilter: ...
+    def step(self, time_s: float, velocity_mm_s: float, measurement: _Floats | None = None) -> int: ...
+    def filter(
+        self, times_s: _Floats, velocities_mm_s: _Floats, measurements: _Floats, present: _Bools | None = None
+    ) -> _Run: ...
+    def smooth(
+        self, times_s: _Floats, velocities_mm_s: _Floats, measurements: _Floats, present: _Bools | None = None
+    ) -> tuple[_Floats, _Floats]: ...
+    @property
+    def time_s(self) -> float: ...
+    @property
+    def depth_mm(self) -> float: ...
+    @property
+    def variance(self) -> float: ...
+    def statistics(self) -> dict[str, Any]: ...
+    def copy(self) -> DepthFilter: ...
+
+@final
+class TipFilter:
+    """The tip in the base frame (Eqs. 10 to 14), as :class:`DepthFilter`.
+
+    Velocities (n, 3) are those of the unbent tip, mm/s; poses (n, 12) tool to base; ``depths`` (n, 2) with variance.
+    """
+
+    def __new__(
+        cls, beam: ToolBeam, pose: _Floats, variance: float, time_s: float, noise: FilterNoise
+    ) -> TipFilter: ...
+    def step(
+        self,
+        time_s: float,
+        velocity_mm_s: _Floats,
+        pose: _Floats,
+        depth: tuple[float, float],
+        measurement: _Floats | None = None,
+    ) -> int: ...
+    def filter(
+        self,
+        times_s: _Floats,
+        velocities_mm_s: _Floats,
+        poses: _Floats,
+        depths: _Floats,
+        measurements: _Floats,
+        present: _Bools | None = None,
+    ) -> _Run: ...
+    def smooth(
+        self,
+        times_s: _Floats,
+        velocities_mm_s: _Floats,
+        poses: _Floats,
+        depths: _Floats,
+        measurements: _Floats,
+        present: _Bools | None = None,
+    ) -> tuple[_Floats, _Floats]: ...
+    @property
+    def time_s(self) -> float: ...
+    @property
+    def tip_mm(self) -> _Floats: ...
+    @property
+    def covariance(self) -> _Floats: ...
+    def statistics(self) -> dict[str, Any]: ...
+    def copy(self) -> TipFilter: ...
+
+@final
+class DepthTipFilter:
+    """Depth and tip in one state (4,), with their correlation, as :class:`TipFilter`."""
+
+    def __new__(
+        cls,
+        beam: ToolBeam,
+        depth_mm: float,
+        pose: _Floats,
+        variances: tuple[float, float],
+        time_s: float,
+        noise: FilterNoise,
+    ) -> DepthTipFilter: ...
+    def step(self, time_s: float, velocity_mm_s: _Floats, pose: _Floats, measurement: _Floats | None = None) -> int: ...
+    def filter(
+        self,
+        times_s: _Floats,
+        velocities_mm_s: _Floats,
+        poses: _Floats,
+        measurements: _Floats,
+        present: _Bools | None = None,
+    ) -> _Run: ...
+    def smooth(
+        self,
+        times_s: _Floats,
+        velocities_mm_s: _Floats,
+        poses: _Floats,
+        measurements: _Floats,
+        present: _Bools | None = None,
+    ) -> tuple[_Floats, _Floats]: ...
+    @property
+    def time_s(self) -> float: ...
+    @property
+    def depth_mm(self) -> float: ...
+    @property
+    def tip_mm(self) -> _Floats: ...
+    @property
+    def covariance(self) -> _Floats: ...
+    def statistics(self) -> dict[str, Any]: ...
+    def copy(self) -> DepthTipFilter: ...
+
+def tool_fit_gain(distance_mm: float, shifts_nm: _Floats, forces_mn: _Floats, depths_mm: _Floats) -> dict[str, Any]:
+    """Gains K (2, 3) of a section from wavelengths less those of the unloaded tool (n, 3), forces (n, 2), depths (n,).
+
+    Keys: gain, residual_covariance (2, 2), unit_covariance (3, 3), weakest, used (n,): rows that are finite.
+    """
+
+def tool_fit_slope(
+    length_mm: float, forces_mn: _Floats, depths_mm: _Floats, deflections_mm: _Floats, intercept: bool = False
+) -> tuple[float, float]:
+    """Stiffness EI and its standard deviation by the paper's slope, from bends measured at the contact (n,)."""
+
+def tool_fit_beam(
+    forces_mn: _Floats, depths_mm: _Floats, deflections_mm: _Floats, at_tip: _Bools, start: ToolBeam
+) -> dict[str, Any]:
+    """Length and stiffness together from bends (n,). Keys: length_mm, stiffness, covariance, residual_mm, used."""
+
+def register_points(source: _Floats, target: _Floats, method: str = "quaternion") -> dict[str, Any]:
+    """The rigid transform that takes points (n, 3) to points (n, 3), by "quaternion" or "svd".
+
+    Keys: rotation (3, 3), translation_mm (3,), residuals_mm (n, 3), residual_variance (mm²), width_ratio,
+    unit_covariance (6, 6) of small rotation and translation for coordinates of variance 1, used (n,). Rows that are
+    not finite are passed over. Too few points or points on a line are a FitError that says so.
+    """
 
 def bernstein_basis(order: int, t: _Floats) -> _Floats: ...
 def bernstein_fit(

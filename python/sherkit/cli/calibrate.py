@@ -20,6 +20,7 @@ from ..robots import load_robot
 from ..study import Study
 from . import output, reporting, tables
 from .reporting import report_option
+from .tool import calibrate_tool, is_tool
 
 NOT_CONVERGED = 3
 
@@ -57,7 +58,10 @@ def calibrate(
     seed: int,
     report: Path | None,
 ) -> int:
-    """Identify ROBOT (TOML) from the measurements RUN (CSV or Parquet)."""
+    """Identify ROBOT (TOML) from the measurements RUN (CSV or Parquet), or a flexible tool from known loads."""
+    if is_tool(robot):
+        calibrate_tool(robot, run, destination)
+        return 0
     if report is not None:
         reporting.require_view()
     nominal = load_robot(robot)

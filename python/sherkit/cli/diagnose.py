@@ -12,14 +12,20 @@ from ..chain import effects_by_name
 from ..diagnosis import diagnose as run_diagnosis
 from ..diagnosis import template
 from ..effects.file import load_effects
+from ..errors import SherkitError
+from ..estimation.model import ToolModel
+from ..estimation.runs import read_tool_run
 from ..identification import identify
 from ..measurements import read_measurements
 from ..models import model_of
+from ..readings import fit_model
 from ..robots import load_robot
+from ..robots.flexible_tool import load_tool
 from ..study import Study, joined
 from . import output, reporting
 from .diagnosis_tables import diagnosis as print_diagnosis
 from .reporting import report_option
+from .tool import is_tool
 
 
 @click.command()
@@ -39,6 +45,10 @@ def diagnose(
     """Say what ROBOT (TOML) is missing on the measurements RUN (CSV or Parquet), joined with MORE measured later."""
     if report is not None:
         reporting.require_view()
+    if is_tool(robot):
+        _tool(robot, runs, as_json=as_json, added=added, files=files, level=level, seed=seed,
+              refused={"--template": destination, "--report": report})  # fmt: skip
+        return
     nominal = load_robot(robot)
     own = tuple(effect for path in files for effect in load_effects(path))
     with output.steps(12) as step:
@@ -67,3 +77,27 @@ def diagnose(
             output.say(f"\na template of this effect is in {destination}")
     elif destination is not None and not as_json:
         output.say("\nnothing is left that would need a template")
+
+
+def _tool(
+    path: Path, runs: tuple[Path, ...], *, as_json: bool, added: tuple[str, ...], files: tuple[Path, ...], level: float,
+    seed: int, refused: dict[str, Path | None],
+) -> None:  # fmt: skip
+    """A run of a flexible tool against its camera."""
+    for option, given in refused.items():
+        if given is not None:
+            raise SherkitError(f"{option}: is not for a flexible tool; sherkit estimate --report draws its runs")
+    if len(runs) > 1:
+        raise SherkitError(f"{runs[1]}: runs of a flexible tool are diagnosed one at a time")
+    own = tuple(effect for file in files for effect in load_effects(file))
+    with output.steps(12) as step:
+        step(f"reading {runs[0]}")
+        model = ToolModel(load_tool(path), read_tool_run(runs[0]))
+        candidates = {e.name: e for e in model.candidates}
+        step("fitting the camera's offset")
+        fit = fit_model(model, model.readings, effects=effects_by_name(candidates, added, own))
+        found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)
+    if as_json:
+        output.print_json(found.to_json())
+    else:
+        print_diagnosis(found)

@@ -44,7 +44,7 @@ def _p(value: float) -> str:
     return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
 
 
-def diagnosis(d: Diagnosis[Fit]) -> None:
+def diagnosis(d: Diagnosis[Any]) -> None:
     """Everything a diagnosis found."""
     noise = ", ".join(f"{axis} {_short(d, value)}" for axis, value in d.noise.items())
     out.print(f"[bold]1. Is anything missing?[/]  noise {noise} {d.unit} ({_ORIGIN[d.noise_origin]})")

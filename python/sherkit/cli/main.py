@@ -20,6 +20,7 @@ from .lab import lab
 from .measure import export, measure
 from .plan import plan
 from .simulate import simulate
+from .tool import estimate, register
 from .vision import intrinsics, markers
 
 
@@ -34,6 +35,8 @@ cli.add_command(calibrate)
 cli.add_command(demo)
 cli.add_command(diagnose)
 cli.add_command(effects)
+cli.add_command(estimate)
+cli.add_command(register)
 cli.add_command(export)
 cli.add_command(lab)
 cli.add_command(measure)

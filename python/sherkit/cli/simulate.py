@@ -14,9 +14,12 @@ from ..measurements import Measurements
 from ..names import listed
 from ..poses import paper_local, paper_whole, sphere_patch
 from ..robots import Delta, Spherical, load_robot
+from ..robots.flexible_tool import load_tool
 from ..simulation import TABLE_II_SIZES, VirtualDelta
 from ..spherical_simulation import PAPER_ERRORS, VirtualSpherical
+from ..tool_simulation import EXPERIMENTS, VirtualTool
 from . import output
+from .tool import is_tool
 from .vision import require_vision
 
 POSES = {"whole": paper_whole, "local": paper_local}
@@ -41,13 +44,19 @@ _PER_SIDE = {"whole": 12, "local": 8}
 @click.option("--unequal-limbs-mrad", type=float, help="Spherical: limbs that differ by twice this much.")
 @click.option("--pictures", type=click.Path(path_type=Path), help="Spherical: draw pictures into this folder, and read "
               "the pixels from them.")  # fmt: skip
+@click.option("--experiment", type=click.Choice((*EXPERIMENTS, "free", "bench")), default="vessels", show_default=True,
+              help="Flexible tool: one of the paper's, free (unbent), bench (known loads).")  # fmt: skip
+@click.option("--seconds", type=click.FloatRange(min=2), default=60.0, show_default=True, help="Flexible tool.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Draws the robot and the noise.")
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the planted errors here (TOML).")
 def simulate(
     robot: Path, destination: Path, poses: str, repeats: int, order: str, errors: float, seed: int,
-    truth: Path | None, **given: Any,
+    truth: Path | None, experiment: str, seconds: float, **given: Any,
 ) -> None:  # fmt: skip
-    """Simulate a run of ROBOT (TOML) with planted errors."""
+    """Simulate a run of ROBOT (TOML) with planted errors, or of a flexible tool (see --experiment)."""
+    if is_tool(robot):
+        _tool(robot, destination, experiment, seconds, seed, given)
+        return
     nominal = load_robot(robot)
     own, other = (_OF_DELTA, _OF_SPHERICAL) if isinstance(nominal, Delta) else (_OF_SPHERICAL, _OF_DELTA)
     wrong = [f"--{name.replace('_', '-')}" for name in other if given[name] is not None]
@@ -61,6 +70,25 @@ def simulate(
     if truth is not None:
         truth.write_text(tomli_w.dumps(planted), encoding="utf-8")
         output.say(f"planted errors written to {truth}")
+
+
+def _tool(path: Path, destination: Path, experiment: str, seconds: float, seed: int, given: dict[str, Any]) -> None:
+    """A run of the flexible tool as its file has it."""
+    wrong = [f"--{name.replace('_', '-')}" for name, value in given.items() if value is not None]
+    if wrong:
+        raise SherkitError(f"{path}: is a flexible tool; {listed(wrong)} is not for that kind")
+    virtual = VirtualTool(load_tool(path))
+    if experiment == "bench":
+        loads = virtual.bench(seed=seed)
+        loads.save(destination)
+        output.say(f"{len(loads)} loads written to {destination}")
+        return
+    if experiment == "free":
+        run = virtual.free_motion(seconds=seconds, seed=seed)
+    else:
+        run = virtual.run(experiment, seconds=seconds, seed=seed)
+    run.save(destination)
+    output.say(f"{len(run)} rows and {len(run.camera_time_s)} pictures written to {destination}")
 
 
 def _delta(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import EffectError
+from ..errors import EffectError, FitError
 from ..parameters import Parameter
 
 Floats = NDArray[np.float64]
@@ -60,7 +60,7 @@ class Effect:
         p = SimpleNamespace(**dict(zip(names, values.tolist(), strict=True)))
         try:
             out = np.asarray(self.function(rows, p))
-        except EffectError:
+        except (EffectError, FitError):
             raise
         except Exception as error:
             raise EffectError(f"effect '{self.name}' failed: {type(error).__name__}: {error}") from error

@@ -145,12 +145,31 @@ impl<'a> Correction<'a> {
         })
     }
 
+    /// Orders per variable.
+    #[must_use]
+    pub fn orders(&self) -> [usize; 3] {
+        self.orders
+    }
+
+    /// Where it holds.
+    #[must_use]
+    pub fn domain(&self) -> &Domain {
+        &self.domain
+    }
+
+    /// Coefficients, row-major.
+    #[must_use]
+    pub fn coefficients(&self) -> &'a [[f64; 3]] {
+        self.coefficients
+    }
+
     /// Correction at a position, mm, and its derivative by position.
     #[must_use]
     pub fn at(&self, position: &Vector3<f64>) -> (Vector3<f64>, Matrix3<f64>) {
         let (share, gradient) = self.domain.share(position);
         let (t, rate) = self.domain.normalised(position, self.orders);
-        let o = self.orders;
+        // `new` has checked them; said again, the compiler knows that no index below is out of bounds
+        let o = self.orders.map(|order| order.min(MAX_ORDER));
         let b = [basis(o[0], t[0]), basis(o[1], t[1]), basis(o[2], t[2])];
         let d = [
             basis_derivative(o[0], t[0]),

@@ -99,6 +99,23 @@ pub enum Error {
         /// What was given.
         found: usize,
     },
+    /// Fewer points or rows than the unknowns need.
+    TooFew {
+        /// Least number that would do.
+        needed: usize,
+        /// Number there was.
+        found: usize,
+    },
+    /// Points on a line: the turn about it is open.
+    Collinear {
+        /// Width across the line over length along it.
+        ratio: f64,
+    },
+    /// A parameter of a tool, a beam or a filter that means nothing.
+    Invalid {
+        /// What is wrong.
+        what: &'static str,
+    },
 }
 
 impl fmt::Display for Error {
@@ -174,6 +191,15 @@ impl fmt::Display for Error {
             Self::WrongLength { expected, found } => {
                 write!(f, "expected {expected} numbers, got {found}")
             }
+            Self::TooFew { needed, found } => {
+                write!(f, "too few: at least {needed} are needed, got {found}")
+            }
+            Self::Collinear { ratio } => write!(
+                f,
+                "collinear: the points are {ratio:.1e} times as wide as they are long, so the turn about \
+                 their line does not follow from them"
+            ),
+            Self::Invalid { what } => f.write_str(what),
         }
     }
 }

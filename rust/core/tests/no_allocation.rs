@@ -12,10 +12,17 @@ use sherkit_core::bernstein::{
 use sherkit_core::calibrated::{Branch, Calibrated};
 use sherkit_core::camera::{Description, Face};
 use sherkit_core::delta::{GEOMETRIC, Kind, Kinematics, Row, Wanted};
+use sherkit_core::kalman::noise::Variances;
+use sherkit_core::kalman::{DepthFilter, DepthTipFilter, Measurement, Noise, TipFilter, smooth};
 use sherkit_core::least_squares::{
     Levenberg, Loss, Progress, Settings, Stack, levenberg_len, stack_len,
 };
+use sherkit_core::registration::{Method, Moments};
+use sherkit_core::rigid::Rigid;
 use sherkit_core::spherical;
+use sherkit_core::tool::beam::Beam;
+use sherkit_core::tool::calibration::{Bend, GainFit, Place, SlopeFit, fit_beam};
+use sherkit_core::tool::sensing::{Calibration, Sensor};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::hint::black_box;
@@ -205,6 +212,85 @@ fn least_squares_allocate_nothing() {
         project_axis(2, &points, &mut projector, &mut axis_scratch).unwrap();
         apply_axis(&projector, 5, 3, 1, &points, &mut line);
         black_box(line);
+    });
+    assert_eq!(found, 0);
+}
+
+/// As above, for the flexible tool: sensing, filters, smoother, registration, calibration.
+#[test]
+fn the_flexible_tool_allocates_nothing() {
+    let calibration = Calibration {
+        gains: [nalgebra::Matrix2x3::new(4e4, -2e4, -2e4, 0.0, 3.5e4, -3.5e4); 2],
+        distances_mm: [28.0, 34.0],
+        reference_nm: [[1550.0; 3]; 3],
+        noise_nm: 1e-3,
+    };
+    let floor = Variances {
+        depth: 1e-3,
+        across: 1e-4,
+    };
+    let noise = Noise::propagated([0.5, 2.0], floor);
+    let mut records = vec![];
+    records.reserve_exact(500);
+    let tool = Rigid::identity();
+    let beam = Beam::ebrahimi_2020();
+    let mut smoothed = vec![];
+    smoothed.reserve_exact(500);
+    let found = requests(|| {
+        let sensor = Sensor::new(calibration).unwrap();
+        let mut depth = DepthFilter::new(5.0, 1.0, 0.0, noise).unwrap();
+        let mut tip = TipFilter::new(beam, &tool, 0.5, 0.0, noise).unwrap();
+        let mut joint = DepthTipFilter::new(beam, 5.0, &tool, [1.0, 0.5], 0.0, noise).unwrap();
+        let still = Vector3::zeros();
+        for k in 1..=500 {
+            let time = 0.005 * f64::from(k);
+            let mut w = calibration.reference_nm;
+            w[0][0] += 0.02 * (0.1 * f64::from(k)).sin();
+            w[1][1] -= 0.03 * (0.1 * f64::from(k)).sin();
+            if k % 10 == 0 {
+                w[0][0] = f64::NAN;
+            }
+            let m = sensor.read(&w).ok();
+            let m = m.map(|r| Measurement::from_reading(time, &r));
+            black_box(depth.step(time, 1.0, m.as_ref()));
+            let given = (depth.depth_mm(), depth.variance());
+            black_box(tip.step(time, &still, &tool, given, m.as_ref()));
+            black_box(joint.step(time, &still, &tool, m.as_ref()));
+            records.push(*joint.track().record());
+            smoothed.push(joint.track().filter().estimate());
+        }
+        let mut identity = [[0.0; 4]; 4];
+        for k in 0..4 {
+            identity[k][k] = 1.0;
+        }
+        smooth(&identity, &records, &mut smoothed).unwrap();
+        let mut moments = Moments::default();
+        let mut gains = GainFit::new(28.0).unwrap();
+        let mut slope = SlopeFit::new(60.0).unwrap();
+        let bends: [Bend; 60] = std::array::from_fn(|k| {
+            let (force_mn, depth_mm) = (50.0 + k as f64, (k % 20) as f64);
+            Bend {
+                force_mn,
+                depth_mm,
+                deflection_mm: force_mn * beam.contact_compliance(depth_mm) * 1.1,
+                place: Place::Contact,
+            }
+        });
+        for (k, bend) in bends.iter().enumerate() {
+            let (x, y) = (k as f64, (k * k % 17) as f64);
+            let a = Vector3::new(x, y, (k % 5) as f64);
+            moments.push(&a, &(a * 1.001)).unwrap();
+            gains.push(&[x, y, -x - y], &[y, x], bend.depth_mm).unwrap();
+            slope
+                .push(bend.force_mn, bend.depth_mm, bend.deflection_mm)
+                .unwrap();
+        }
+        for method in [Method::Quaternion, Method::SingularValues] {
+            black_box(moments.solve(method)).unwrap();
+        }
+        black_box(gains.solve()).unwrap();
+        black_box(slope.solve(true)).unwrap();
+        black_box(fit_beam(&bends, &beam)).unwrap();
     });
     assert_eq!(found, 0);
 }

@@ -2,7 +2,10 @@
 
 use crate::errors::shape;
 use numpy::ndarray::Dimension;
-use numpy::{IntoPyArray, PyArray, PyArrayMethods, PyReadonlyArray, PyUntypedArrayMethods};
+use numpy::{
+    IntoPyArray, PyArray, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1, PyReadonlyArray2,
+    PyUntypedArrayMethods,
+};
 use pyo3::prelude::*;
 
 /// The numbers of a contiguous array of rows of `N`.
@@ -32,6 +35,33 @@ pub fn fixed<const N: usize, D: Dimension>(
         .map_err(|_| wrong())?
         .try_into()
         .map_err(|_| wrong())
+}
+
+/// Rows of `N`, as many as there are others.
+pub fn rows_like<'a, const N: usize>(
+    name: &str,
+    array: &'a PyReadonlyArray2<'_, f64>,
+    n: usize,
+) -> PyResult<&'a [[f64; N]]> {
+    let found = rows::<N, _>(name, array)?;
+    if found.len() != n {
+        return Err(shape(name, &format!("({n}, {N})"), array.shape()));
+    }
+    Ok(found)
+}
+
+/// As many numbers as there are rows.
+pub fn same_length<'a, T: numpy::Element>(
+    name: &str,
+    array: &'a PyReadonlyArray1<'_, T>,
+    n: usize,
+) -> PyResult<&'a [T]> {
+    let wrong = || shape(name, &format!("({n},), contiguous"), array.shape());
+    let found = array.as_slice().map_err(|_| wrong())?;
+    if found.len() != n {
+        return Err(wrong());
+    }
+    Ok(found)
 }
 
 /// A new array of the given shape from its numbers.

@@ -9,9 +9,13 @@ use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use sherkit_core::bernstein::Domain;
 use sherkit_core::calibrated::{Branch, Calibrated as Core};
-use sherkit_core::delta::{Chain, Covariates};
+use sherkit_core::delta::parameters::Values;
+use sherkit_core::delta::{Chain, Covariates, Model};
+use sherkit_core::flat::{BranchParts, write_delta};
 
 struct OwnedBranch {
+    model: Model,
+    values: Values,
     chain: Chain,
     correction: Option<Bernstein>,
 }
@@ -20,6 +24,14 @@ impl OwnedBranch {
     fn view(&self) -> PyResult<Branch<'_>> {
         Ok(Branch {
             chain: self.chain,
+            correction: self.correction.as_ref().map(Bernstein::view).transpose()?,
+        })
+    }
+
+    fn parts(&self) -> PyResult<BranchParts<'_>> {
+        Ok(BranchParts {
+            model: &self.model,
+            values: &self.values,
             correction: self.correction.as_ref().map(Bernstein::view).transpose()?,
         })
     }
@@ -64,8 +76,11 @@ impl Calibrated {
     fn new(whole: Part<'_>, local: Option<Part<'_>>, region: Option<Region<'_>>) -> PyResult<Self> {
         let branch = |part: Part<'_>| -> PyResult<OwnedBranch> {
             let values = fixed("values", &part.1)?;
+            let model = *part.0.model();
             Ok(OwnedBranch {
-                chain: part.0.model().with(&values).map_err(to_python)?,
+                model,
+                values,
+                chain: model.with(&values).map_err(to_python)?,
                 correction: part.2,
             })
         };
@@ -80,6 +95,18 @@ impl Calibrated {
             whole: branch(whole)?,
             local,
         })
+    }
+
+    /// All that makes it as a row of numbers `(n,)`, for a control loop in another language.
+    fn flat<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let local = match &self.local {
+            None => None,
+            Some((branch, region)) => Some((branch.parts()?, region)),
+        };
+        let local = local.as_ref().map(|(parts, region)| (parts, *region));
+        let mut numbers = Vec::new();
+        write_delta(&self.whole.parts()?, local, |x| numbers.push(x));
+        Ok(PyArray1::from_vec(py, numbers))
     }
 
     /// Position `(3,)` and its derivative by the joints `(3, 3)`.

@@ -41,14 +41,17 @@ fn build(py: Python<'_>, error: Error) -> PyResult<PyErr> {
         Error::BehindCamera { .. } | Error::RayMisses { .. } | Error::LensFolds => {
             errors.getattr("NotSeen")?.call1((message,))?
         }
-        Error::InvalidCamera { .. } | Error::NoOptimum => {
-            errors.getattr("RobotError")?.call1((message,))?
-        }
         Error::Singular | Error::SingularPose(_) => {
             errors.getattr("Singular")?.call1((message,))?
         }
         Error::NotFinite { .. } => errors.getattr("NotFinite")?.call1((message,))?,
-        Error::InvalidGeometry { .. } => errors.getattr("RobotError")?.call1((message,))?,
+        Error::InvalidGeometry { .. }
+        | Error::InvalidCamera { .. }
+        | Error::NoOptimum
+        | Error::Invalid { .. } => errors.getattr("RobotError")?.call1((message,))?,
+        Error::TooFew { .. } | Error::Collinear { .. } => {
+            errors.getattr("FitError")?.call1((message,))?
+        }
         Error::NotConverged { .. } => errors.getattr("NotConverged")?.call1((message,))?,
         Error::WrongLength { .. } => errors.getattr("ShapeError")?.call1((message,))?,
     };

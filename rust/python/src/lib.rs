@@ -5,14 +5,18 @@ mod bernstein;
 mod calibrated;
 mod camera;
 mod errors;
+mod kalman;
 mod kinematics;
 mod lanes;
 mod model;
+mod noise;
 mod solver;
 mod spherical;
 mod spherical_calibrated;
 mod spherical_model;
 mod spherical_rows;
+mod tool;
+mod tool_calibration;
 
 use pyo3::prelude::*;
 
@@ -29,6 +33,19 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<solver::Solver>()?;
     m.add_class::<bernstein::Bernstein>()?;
     m.add_class::<calibrated::Calibrated>()?;
+    m.add_class::<tool::ToolSensor>()?;
+    m.add_class::<tool::ToolBeam>()?;
+    m.add_class::<noise::FilterNoise>()?;
+    m.add_class::<kalman::DepthFilter>()?;
+    m.add_class::<kalman::TipFilter>()?;
+    m.add_class::<kalman::DepthTipFilter>()?;
+    for (name, flag) in kalman::STATUS {
+        m.add(name, flag)?;
+    }
+    m.add_function(wrap_pyfunction!(tool_calibration::tool_fit_gain, m)?)?;
+    m.add_function(wrap_pyfunction!(tool_calibration::tool_fit_slope, m)?)?;
+    m.add_function(wrap_pyfunction!(tool_calibration::tool_fit_beam, m)?)?;
+    m.add_function(wrap_pyfunction!(tool_calibration::register_points, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_basis, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_fit, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_fit_grid, m)?)?;

@@ -8,11 +8,18 @@ use crate::spherical_rows::check_free;
 use nalgebra::Vector2;
 use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
-use sherkit_core::spherical::{Calibrated as Core, Covariates};
+use sherkit_core::flat::write_spherical;
+use sherkit_core::spherical::parameters::Values;
+use sherkit_core::spherical::{Calibrated as Core, Covariates, Elbows, Model};
 
 /// A calibrated spherical robot: where its tool points.
 #[pyclass(frozen, module = "sherkit._core")]
-pub struct SphericalCalibrated(Core);
+pub struct SphericalCalibrated {
+    robot: Core,
+    model: Model,
+    values: Values,
+    elbows: Elbows,
+}
 
 type Single<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<f64>>);
 type Batch<'py> = (
@@ -44,9 +51,22 @@ impl SphericalCalibrated {
         elbows: &str,
     ) -> PyResult<Self> {
         let values = fixed("values", &values)?;
-        Core::new(model.model(), &values, elbows_of(elbows)?)
-            .map(Self)
-            .map_err(to_python)
+        let (model, elbows) = (*model.model(), elbows_of(elbows)?);
+        let robot = Core::new(&model, &values, elbows).map_err(to_python)?;
+        Ok(Self {
+            robot,
+            model,
+            values,
+            elbows,
+        })
+    }
+
+    /// All that makes it as a row of numbers `(n,)`, for a control loop in another language.
+    fn flat<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let mut numbers = Vec::new();
+        let put = |x| numbers.push(x);
+        write_spherical(&self.model, &self.values, self.elbows, put);
+        PyArray1::from_vec(py, numbers)
     }
 
     /// φ, γ `(2,)` and their derivative by the joints `(2, 2)`.
@@ -57,7 +77,10 @@ impl SphericalCalibrated {
         covariates: [f64; 4],
     ) -> PyResult<Single<'py>> {
         let q = Vector2::from(fixed("joints", &joints)?);
-        let (x, j) = self.0.forward(&q, &now(covariates)).map_err(to_python)?;
+        let (x, j) = self
+            .robot
+            .forward(&q, &now(covariates))
+            .map_err(to_python)?;
         let j = j.transpose().as_slice().to_vec();
         Ok((
             PyArray1::from_slice(py, x.as_slice()),
@@ -73,7 +96,10 @@ impl SphericalCalibrated {
         covariates: [f64; 4],
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let x = Vector2::from(fixed("angles", &angles)?);
-        let q = self.0.inverse(&x, &now(covariates)).map_err(to_python)?;
+        let q = self
+            .robot
+            .inverse(&x, &now(covariates))
+            .map_err(to_python)?;
         Ok(PyArray1::from_slice(py, q.as_slice()))
     }
 
@@ -92,7 +118,7 @@ impl SphericalCalibrated {
         let mut p = vec![f64::NAN; q.len() * 2 * free.len()];
         let mut reached = vec![false; q.len()];
         for (i, q) in q.iter().enumerate() {
-            let Ok(found) = self.0.predict(&Vector2::from(*q), &now(covariates)) else {
+            let Ok(found) = self.robot.predict(&Vector2::from(*q), &now(covariates)) else {
                 continue;
             };
             x[2 * i..][..2].copy_from_slice(found.value.as_slice());
@@ -123,7 +149,7 @@ impl SphericalCalibrated {
         let mut out = vec![f64::NAN; x.len() * 2];
         let mut reached = vec![false; x.len()];
         for (i, x) in x.iter().enumerate() {
-            if let Ok(joints) = self.0.inverse(&Vector2::from(*x), &now(covariates)) {
+            if let Ok(joints) = self.robot.inverse(&Vector2::from(*x), &now(covariates)) {
                 out[i * 2..][..2].copy_from_slice(joints.as_slice());
                 reached[i] = true;
             }

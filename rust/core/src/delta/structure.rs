@@ -12,6 +12,7 @@
 
 use super::geometry::LIMBS;
 use super::kinematics::Kinematics;
+use crate::inverse::{Inverse, inverse};
 use crate::math::sqrt;
 use crate::{Error, Result};
 use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3, Vector6};
@@ -312,7 +313,7 @@ fn six_rods(
     let mut centre = *start;
     let mut turn = Rotation3::identity();
     for _ in 0..ITERATIONS {
-        let mut system = Matrix6::zeros();
+        let mut system = [[0.0; 6]; 6];
         let mut miss = Vector6::zeros();
         let mut rods = [[Rod::default(); 2]; LIMBS];
         for (limb, pair) in rods.iter_mut().enumerate() {
@@ -326,22 +327,17 @@ fn six_rods(
                 rod.vector = centre + lever - carriage - offset;
                 rod.length = kinematics.rods()[limb] + 0.5 * side * extras.mismatch[limb];
                 let row = 2 * limb + k;
-                system
-                    .fixed_view_mut::<1, 3>(row, 0)
-                    .copy_from(&rod.vector.transpose());
-                system
-                    .fixed_view_mut::<1, 3>(row, 3)
-                    .copy_from(&lever.cross(&rod.vector).transpose());
+                let (v, t) = (rod.vector, lever.cross(&rod.vector));
+                system[row] = [v.x, v.y, v.z, t.x, t.y, t.z];
                 miss[row] = 0.5 * (rod.length * rod.length - rod.vector.norm_squared());
             }
         }
-        let lu = system.full_piv_lu();
-        let pivots = lu.u().diagonal();
         let worst = miss.amax();
-        if pivots.amin() <= SINGULAR * pivots.amax() || !worst.is_finite() {
+        let Inverse { rows, weakest } = inverse(system).ok_or(Error::Singular)?;
+        if weakest <= SINGULAR || !worst.is_finite() {
             return Err(Error::Singular);
         }
-        let inverse = lu.try_inverse().ok_or(Error::Singular)?;
+        let inverse = Matrix6::from(rows).transpose();
         if worst <= TOLERANCE_MM * sqrt(rods[0][0].vector.norm_squared()) {
             for (limb, pair) in rods.iter_mut().enumerate() {
                 for (k, rod) in pair.iter_mut().enumerate() {

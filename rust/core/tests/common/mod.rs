@@ -220,8 +220,27 @@ impl Random {
         (self.next() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
     }
 
+    /// Standard normal, by Box and Muller.
+    pub fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * (0.5 - 0.5 * self.unit()).max(f64::MIN_POSITIVE).ln()).sqrt();
+        radius * (std::f64::consts::PI * self.unit()).cos()
+    }
+
     /// Log-uniform between `10^-decades` and `10^decades`.
     pub fn magnitude(&mut self, decades: f64) -> f64 {
         10.0_f64.powf(decades * self.unit())
     }
+}
+
+/// A random rotation, by a random quaternion.
+pub fn rotation(random: &mut Random) -> nalgebra::Matrix3<f64> {
+    let q = nalgebra::Quaternion::new(
+        random.normal(),
+        random.normal(),
+        random.normal(),
+        random.normal(),
+    );
+    nalgebra::UnitQuaternion::from_quaternion(q)
+        .to_rotation_matrix()
+        .into_inner()
 }

@@ -1,0 +1,251 @@
+"""``sherkit estimate`` and ``sherkit register``: depth and tip of a flexible tool over a recorded run."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+import numpy as np
+import polars as pl
+
+from ..errors import MeasurementError
+from ..estimation.alignment import align
+from ..estimation.calibration import calibrate_tool as run_calibration
+from ..estimation.calibration import read_loads
+from ..estimation.filters import Estimate, Track, status_in_words
+from ..estimation.filters import estimate as run_filters
+from ..estimation.judge import Judgement, judge
+from ..estimation.runs import read_tool_run, summary
+from ..measurements.reader import PARQUET
+from ..robots.flexible_tool import KIND, NOISES, load_tool
+from . import output, reporting
+
+if TYPE_CHECKING:
+    from ..report.estimate import Estimate as Drawn
+
+#: The force below which the paper trusts no depth, drawn for orientation.
+_THRESHOLD_MN = 50.0
+
+
+def is_tool(path: Path) -> bool:
+    """Whether a TOML file is that of a flexible tool; what cannot be read is left to its reader."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig")).get("kind") == KIND
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return False
+
+
+@click.command()
+@click.argument("tool", type=click.Path(path_type=Path))
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--output", "destination", type=click.Path(path_type=Path), help="Write the estimates (CSV, Parquet)."
+)
+@click.option("--noise", type=click.Choice(NOISES), help="What the filters trust; default: as the tool file says.")
+@click.option("--report", "picture", type=click.Path(path_type=Path, dir_okay=False),
+              help="Draw estimate, band, truth and force over time (HTML, PNG or SVG).")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
+def estimate(
+    tool: Path, run: Path, destination: Path | None, noise: str | None, picture: Path | None, as_json: bool
+) -> None:
+    """Replay RUN (CSV or Parquet) of a flexible TOOL (TOML): insertion depth and tip, and how far they are off."""
+    if picture is not None:
+        reporting.require_view()
+    made = load_tool(tool)
+    if noise is not None:
+        made = made.with_noise(noise)
+    recorded = read_tool_run(run)
+    result = run_filters(made, recorded)
+    judged = judge(result)
+    if destination is not None:
+        _write(_frame(result), destination)
+    if picture is not None:
+        from ..report.estimate import estimate_picture
+        from ..report.export import save_picture
+
+        save_picture(estimate_picture(drawn(result)), picture)
+    if as_json:
+        output.print_json(_json(result, judged))
+        return
+    sizes = summary(recorded)
+    output.say(
+        f"{sizes['rows']} rows of the robot at {sizes['robot_hz']:.0f} Hz, {sizes['pictures']} pictures; "
+        f"noise: {made.noise}"
+    )
+    for j in judged:
+        _print_errors(j)
+    if not judged:
+        output.say("neither depth_mm nor a camera is in this run: nothing to judge by")
+    _print_consistency(result)
+    if destination is not None:
+        output.say(f"estimates written to {destination}")
+    if picture is not None:
+        output.say(f"drawn in {picture}")
+
+
+def _print_errors(j: Judgement) -> None:
+    table = output.table(
+        f"Error of the {j.quantity}, mean, mm", "", "whole run", f"T0 ({100 * j.share_t0:.0f} %)", "T1", "largest",
+        note=f"against {j.truth}; T0: filter and {'gratings' if j.quantity == 'depth' else 'kinematics'} differ by "
+        "more than 0.1 mm",
+    )  # fmt: skip
+    for e in j.errors:
+        cells = (f"{v:.3f}" if np.isfinite(v) else "–" for v in (e.total, e.t0, e.t1, e.largest))
+        table.add_row(e.signal, *cells)
+    output.out.print(table)
+
+
+def _print_consistency(e: Estimate) -> None:
+    table = output.table("Does the filter know its own errors?", "", "NIS / expected", "99 % band", "verdict")
+    for name, track in _tracks(e).items():
+        c = track.consistency
+        band = f"{c.low:.3f} to {c.high:.3f}" if np.isfinite(c.ratio) else "–"
+        table.add_row(name, f"{c.ratio:.3f}" if np.isfinite(c.ratio) else "–", band, c.verdict)
+    output.out.print(table)
+    told = {name: n for name, n in status_in_words(e.depth).items() if n and name != "updated"}
+    if told:
+        output.say("depth was only predicted on rows " + ", ".join(f"{name}: {n}" for name, n in told.items()))
+
+
+def _tracks(e: Estimate) -> dict[str, Track]:
+    return {"depth": e.depth, "tip": e.tip, "both together": e.together}
+
+
+def _json(e: Estimate, judged: list[Judgement]) -> dict[str, object]:
+    def number(v: float) -> float | None:
+        return float(v) if np.isfinite(v) else None
+
+    return {
+        "noise": e.tool.noise,
+        "run": {k: number(v) for k, v in summary(e.run).items()},
+        "errors_mm": {
+            j.quantity: {
+                "share_t0": j.share_t0,
+                "against": j.truth,
+                **{
+                    x.signal: {k: number(getattr(x, k)) for k in ("total", "t0", "t1", "largest")} for x in j.errors
+                },
+            }
+            for j in judged
+        },
+        "consistency": {
+            name: {
+                "ratio": number(t.consistency.ratio), "low": number(t.consistency.low),
+                "high": number(t.consistency.high), "verdict": t.consistency.verdict,
+            }
+            for name, t in _tracks(e).items()
+        },
+        "status": status_in_words(e.depth),
+    }  # fmt: skip
+
+
+def _frame(e: Estimate) -> pl.DataFrame:
+    """Estimates by row, with what the gratings alone say."""
+    smooth, spread = e.smooth_together
+    axes = "xyz"
+    columns = {
+        "time_s": e.run.time_s,
+        "force_x_mn": e.force_mn[:, 0],
+        "force_y_mn": e.force_mn[:, 1],
+        "fibre_depth_mm": e.fibre_depth_mm,
+        "fibre_depth_std_mm": np.where(np.isfinite(e.fibre_depth_std_mm), e.fibre_depth_std_mm, np.nan),
+        "depth_mm": e.depth.value[:, 0],
+        "depth_std_mm": e.depth.std[:, 0],
+        **{f"tip_{a}_mm": e.tip.value[:, k] for k, a in enumerate(axes)},
+        **{f"tip_{a}_std_mm": e.tip.std[:, k] for k, a in enumerate(axes)},
+        "smooth_depth_mm": smooth[:, 0],
+        "smooth_depth_std_mm": np.sqrt(spread[:, 0, 0].clip(0.0)),
+        **{f"smooth_tip_{a}_mm": smooth[:, k + 1] for k, a in enumerate(axes)},
+        "status": e.depth.status | e.tip.status,
+        "nis_depth": e.depth.nis,
+        "nis_tip": e.tip.nis,
+    }
+    return pl.DataFrame(columns).with_columns(pl.col(pl.Float64).fill_nan(None))
+
+
+def _write(frame: pl.DataFrame, path: Path) -> None:
+    if path.suffix.lower() in PARQUET:
+        frame.write_parquet(path)
+    else:
+        frame.write_csv(path)
+
+
+def drawn(e: Estimate) -> Drawn:
+    """The depth over time, for the picture."""
+    from ..report.estimate import Estimate as Drawn
+
+    others = {"gratings": e.fibre_depth_mm}
+    if e.run.depth_mm is not None:
+        others["truth"] = e.run.depth_mm
+    return Drawn(
+        time_s=e.run.time_s, estimate=e.depth.value[:, 0], std=e.depth.std[:, 0], name="insertion depth", unit="mm",
+        others=others, force_mN=np.linalg.norm(np.nan_to_num(e.force_mn), axis=1), threshold_mN=_THRESHOLD_MN,
+    )  # fmt: skip
+
+
+def calibrate_tool(tool: Path, loads: Path, destination: Path | None) -> None:
+    """Gains, stiffness and length from a bench of known loads, printed and written."""
+    result = run_calibration(load_tool(tool), read_loads(loads))
+    table = output.table(
+        "Gratings", "", "fibre 1", "fibre 2", "fibre 3", "left, mN mm",
+        note=f"{result.loaded} loads, {result.unloaded} rows without; noise of a wavelength "
+        f"{result.tool.noise_nm:.2g} nm",
+    )  # fmt: skip
+    for s, section in enumerate(("I", "II")):
+        for a, axis in enumerate("xy"):
+            cells = (
+                f"{k:.1f} ± {std:.1g}" for k, std in zip(result.tool.gains[s][a], result.gains_std[s, a], strict=True)
+            )
+            table.add_row(f"K_{section} {axis}, mN mm/nm", *cells, f"{result.rms_mn_mm[s]:.2f}" if a == 0 else "")
+    output.out.print(table)
+    if result.slope_mn_mm2 and result.stiffness_mn_mm2 and result.length_mm:
+        shaft = output.table("Shaft", "", "value", "± std")
+        shaft.add_row("EI by the paper's slope, mN mm²", *(f"{v:.4g}" for v in result.slope_mn_mm2))
+        shaft.add_row("EI with the length, mN mm²", *(f"{v:.4g}" for v in result.stiffness_mn_mm2))
+        shaft.add_row("free length h, mm", *(f"{v:.4g}" for v in result.length_mm))
+        output.out.print(shaft)
+    else:
+        output.say("no deflections (deflection_mm): stiffness and length stay as they are")
+    if destination is not None:
+        result.tool.save(destination)
+        output.say(f"calibrated tool written to {destination}")
+
+
+@click.command()
+@click.argument("tool", type=click.Path(path_type=Path))
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), help="Write the tool file here.")
+@click.option("--longest-delay-s", type=click.FloatRange(min=0, min_open=True), default=0.5, show_default=True)
+def register(tool: Path, run: Path, destination: Path | None, longest_delay_s: float) -> None:
+    """Frame and clock of the camera from RUN, in which the unbent TOOL was led around freely."""
+    made = load_tool(tool)
+    recorded = read_tool_run(run)
+    if not len(recorded.camera_time_s):
+        raise MeasurementError(f"{run}: holds no place of the camera (camera_x_mm, camera_y_mm, camera_z_mm)")
+    found = align(
+        recorded.time_s, recorded.position_mm, recorded.camera_time_s, recorded.camera_mm, longest_s=longest_delay_s
+    )
+    r = found.registration
+    std = np.sqrt(np.diag(r.covariance).clip(0.0))
+    table = output.table(
+        "Camera in the robot's base", "", "value", "± std", note=f"{len(r.residuals_mm)} pictures, mean error "
+        f"{r.mean_error_mm:.3f} mm (paper: 0.67 mm)",
+    )  # fmt: skip
+    for k, axis in enumerate("xyz"):
+        table.add_row(f"turn {axis}, rad", f"{r.rotation_rad[k]:+.5f}", f"{std[k]:.1g}")
+    for k, axis in enumerate("xyz"):
+        table.add_row(f"shift {axis}, mm", f"{r.translation_mm[k]:+.3f}", f"{std[3 + k]:.1g}")
+    table.add_row("delay, s", f"{found.delay_s:+.4f}", f"{found.delay_std_s:.1g}")
+    output.out.print(table)
+    if destination is not None:
+        turn, shift = r.rotation_rad.tolist(), r.translation_mm.tolist()
+        replace(
+            made,
+            camera_rotation_rad=(turn[0], turn[1], turn[2]),
+            camera_translation_mm=(shift[0], shift[1], shift[2]),
+            camera_delay_s=found.delay_s,
+        ).save(destination)
+        output.say(f"tool with this camera written to {destination}")

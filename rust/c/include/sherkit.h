@@ -1,0 +1,410 @@
+/* sherkit inside a control loop: kinematics of a calibrated robot, fibres and filters of the flexible tool.
+ *
+ * Every function works on memory that the caller owns, takes bounded time, allocates nothing, takes no lock and never
+ * panics. It answers with SHERKIT_OK or says why not; then nothing was written but what its comment says. One object
+ * must not be used by two threads at a time, unless both only read it; different ones may.
+ *
+ * Lengths are mm, angles rad, forces mN, times s, wavelengths nm, temperatures degrees Celsius.
+ *
+ * Made from rust/c/src by cbindgen; do not edit. */
+
+#ifndef SHERKIT_H
+#define SHERKIT_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+// A measurement was used.
+#define SHERKIT_STATUS_UPDATED 1
+
+// There was no measurement.
+#define SHERKIT_STATUS_MISSING 2
+
+// The measurement is older than the state, or has been used already.
+#define SHERKIT_STATUS_LATE 4
+
+// The measurement holds a number that is not finite, or would have made the estimate so.
+#define SHERKIT_STATUS_NOT_FINITE 8
+
+// There is no force that would tell the depth.
+#define SHERKIT_STATUS_NO_FORCE 16
+
+// The motion is not finite: the state stood still, and its covariance does not know how far it is off.
+#define SHERKIT_STATUS_NO_MOTION 32
+
+// The step's time is not finite or lies before the state's: nothing was done at all.
+#define SHERKIT_STATUS_CLOCK 64
+
+// Measurement noise switched at a force, as in the paper.
+#define SHERKIT_NOISE_SWITCHED 0
+
+// The same, with the variances across the shaft those of the force, mN^2.
+#define SHERKIT_NOISE_SWITCHED_OF_FORCE 1
+
+// Measurement noise from the measurement's own covariance.
+#define SHERKIT_NOISE_PROPAGATED 2
+
+// Done.
+#define SHERKIT_OK 0
+
+// A pointer that must point to something is null.
+#define SHERKIT_NULL 1
+
+// The object has not been initialised, or is one of another kind.
+#define SHERKIT_NOT_INITIALISED 2
+
+// A number in or out is NaN or infinite; a covariate may be what lacks.
+#define SHERKIT_NOT_FINITE 3
+
+// The robot cannot take this pose.
+#define SHERKIT_OUT_OF_REACH 4
+
+// The robot stands where joints and position do not follow from each other.
+#define SHERKIT_SINGULAR 5
+
+// The bounded iteration did not settle.
+#define SHERKIT_NOT_CONVERGED 6
+
+// Numbers that mean nothing: a negative variance, a length of zero, a geometry that is no robot.
+#define SHERKIT_INVALID 7
+
+// A calibration that this version cannot read.
+#define SHERKIT_UNREADABLE 8
+
+// One of the SHERKIT codes: SHERKIT_OK, or why not.
+typedef int32_t sherkit_result;
+
+// A calibrated delta robot. Its content is nobody's business.
+typedef struct sherkit_delta {
+    uint64_t words[320];
+} sherkit_delta;
+
+// What a reading of the delta depends on beside its joints. NaN where it is not known; an effect that needs it then
+// gives SHERKIT_NOT_FINITE.
+typedef struct sherkit_delta_covariates {
+    // Time, s, on the clock of the calibration.
+    double time_s;
+    // Temperature, degrees Celsius.
+    double temperature_c;
+    // Direction of the last motion of each joint: 1, -1 or 0.
+    double direction[3];
+} sherkit_delta_covariates;
+
+// The filter of the insertion depth. Its content is nobody's business.
+typedef struct sherkit_depth_filter {
+    uint64_t words[64];
+} sherkit_depth_filter;
+
+// What a filter trusts. Pairs are depth, then across the shaft (measurements) or each axis of the tip (process); mm^2.
+typedef struct sherkit_noise {
+    // One of the SHERKIT_NOISE kinds.
+    uint32_t kind;
+    // Force at which it is switched, mN. Not read where it is propagated.
+    double at_mn;
+    // Variances below that force. Not read where it is propagated.
+    double below[2];
+    // Variances from it on; where it is propagated, what is added for what the models leave out.
+    double above[2];
+    // Process noise that each step adds, mm^2.
+    double per_step[2];
+    // Process noise per time, mm^2/s.
+    double per_second[2];
+    // Share, 0 to 1, of the process noise that depth and tip have in common along the shaft.
+    double shared;
+} sherkit_noise;
+
+// What the fibres tell a filter at one time.
+typedef struct sherkit_measurement {
+    // When the fibres were read, s, on the clock of the steps.
+    double time_s;
+    // Sclera force, tool frame, mN.
+    double force_mn[2];
+    // Its covariance, mN^2.
+    double force_covariance[2][2];
+    // Insertion depth, mm; not read where its variance is infinite.
+    double depth_mm;
+    // Its variance, mm^2; infinite where there is no force that would tell the depth.
+    double depth_variance;
+    // Covariance of depth with force, mm mN.
+    double depth_with_force[2];
+} sherkit_measurement;
+
+// What a step did with what it was given: a sum of these flags. Without SHERKIT_STATUS_UPDATED it only predicted.
+typedef uint32_t sherkit_status;
+
+// Insertion depth after a step.
+typedef struct sherkit_depth_estimate {
+    // Time of the estimate, s.
+    double time_s;
+    // Depth, mm.
+    double depth_mm;
+    // Its variance, mm^2.
+    double variance;
+    // Normalised innovation squared of this step; zero where it only predicted.
+    double nis;
+    // Its degrees of freedom.
+    uint32_t nis_degrees;
+    // What the step did.
+    sherkit_status status;
+} sherkit_depth_estimate;
+
+// How often what happened, and the innovation statistics (NIS). nis_sum over nis_degrees is 1 where the noise is
+// right, more where the filter is overconfident.
+typedef struct sherkit_statistics {
+    // Steps asked for.
+    uint64_t steps;
+    // Steps that used a measurement.
+    uint64_t updated;
+    // Steps without a measurement.
+    uint64_t missing;
+    // Measurements that came late.
+    uint64_t late;
+    // Measurements that were not finite.
+    uint64_t not_finite;
+    // Measurements without force.
+    uint64_t no_force;
+    // Motions that were not finite.
+    uint64_t no_motion;
+    // Steps refused for their time.
+    uint64_t clock;
+    // Updates that the sum is over.
+    uint64_t nis_count;
+    // Their degrees of freedom.
+    uint64_t nis_degrees;
+    // Sum of their normalised innovations squared.
+    double nis_sum;
+} sherkit_statistics;
+
+// The filter of depth and tip together. Its content is nobody's business.
+typedef struct sherkit_depth_tip_filter {
+    uint64_t words[160];
+} sherkit_depth_tip_filter;
+
+// Length and stiffness of the shaft.
+typedef struct sherkit_beam {
+    // Free length h, mm.
+    double length_mm;
+    // Bending stiffness EI, mN mm^2.
+    double stiffness;
+} sherkit_beam;
+
+// Pose of the tool: takes tool coordinates to the base frame. The tool's z axis runs along the unbent shaft and out
+// of the tip, its origin is where the unbent tip would be.
+typedef struct sherkit_pose {
+    // Rotation, rows.
+    double rotation[3][3];
+    // Where the origin goes, mm.
+    double translation_mm[3];
+} sherkit_pose;
+
+// Depth and tip after a step.
+typedef struct sherkit_depth_tip_estimate {
+    // Time of the estimate, s.
+    double time_s;
+    // Insertion depth, mm.
+    double depth_mm;
+    // The tip in the base frame, mm.
+    double tip_mm[3];
+    // Covariance of depth and tip, mm^2.
+    double covariance[4][4];
+    // Normalised innovation squared of this step; zero where it only predicted.
+    double nis;
+    // Its degrees of freedom.
+    uint32_t nis_degrees;
+    // What the step did.
+    sherkit_status status;
+} sherkit_depth_tip_estimate;
+
+// The fibres of a calibrated tool. Its content is nobody's business.
+typedef struct sherkit_sensor {
+    uint64_t words[64];
+} sherkit_sensor;
+
+// Calibration of the gratings.
+typedef struct sherkit_sensor_calibration {
+    // K_I and K_II, mN mm/nm: a row for each of the moments' components, a column for each fibre.
+    double gains[2][2][3];
+    // From the tip to sections I and II, mm.
+    double distances_mm[2];
+    // Wavelengths of the unloaded tool, nm: a row of fibres for each of the sections I, II, III.
+    double reference_nm[3][3];
+    // Standard deviation of one wavelength, nm.
+    double noise_nm;
+} sherkit_sensor_calibration;
+
+// A calibrated spherical robot. Its content is nobody's business.
+typedef struct sherkit_spherical {
+    uint64_t words[192];
+} sherkit_spherical;
+
+// What a pose of the spherical robot depends on beside its joints. NaN where it is not known; an effect that needs
+// it then gives SHERKIT_NOT_FINITE.
+typedef struct sherkit_spherical_covariates {
+    // Time, s, on the clock of the calibration.
+    double time_s;
+    // Temperature, degrees Celsius.
+    double temperature_c;
+    // Direction of the last motion of each joint: 1, -1 or 0.
+    double direction[2];
+} sherkit_spherical_covariates;
+
+// The filter of the tip's position. Its content is nobody's business.
+typedef struct sherkit_tip_filter {
+    uint64_t words[128];
+} sherkit_tip_filter;
+
+// Position of the tip after a step.
+typedef struct sherkit_tip_estimate {
+    // Time of the estimate, s.
+    double time_s;
+    // The tip in the base frame, mm.
+    double tip_mm[3];
+    // Its covariance, mm^2.
+    double covariance[3][3];
+    // Normalised innovation squared of this step; zero where it only predicted.
+    double nis;
+    // Its degrees of freedom.
+    uint32_t nis_degrees;
+    // What the step did.
+    sherkit_status status;
+} sherkit_tip_estimate;
+
+#ifdef __cplusplus
+extern "C" {
+#endif // __cplusplus
+
+// Nowhere defined.
+extern void sherkit_has_a_path_to_a_panic(void);
+
+// Loads a calibration: count numbers as sherkit writes them. They are not copied and must stay as they are for as
+// long as the robot is used. Where it fails the robot is not initialised.
+sherkit_result sherkit_delta_init(struct sherkit_delta *robot, const double *numbers, size_t count);
+
+// Position (3, mm) for joint readings (3, mm), and its derivative by them (9, row by row) unless jacobian is null.
+// Covariates may be null.
+sherkit_result sherkit_delta_forward(const struct sherkit_delta *robot,
+                                     const double *joints,
+                                     const struct sherkit_delta_covariates *covariates,
+                                     double *position,
+                                     double *jacobian);
+
+// Joint readings (3, mm) at which the robot stands at a position (3, mm), to 1 nm. Covariates may be null.
+sherkit_result sherkit_delta_inverse(const struct sherkit_delta *robot,
+                                     const double *position,
+                                     const struct sherkit_delta_covariates *covariates,
+                                     double *joints);
+
+// Starts at a depth (mm) with a variance (mm^2) at a time (s). Where it fails the filter is not initialised.
+sherkit_result sherkit_depth_filter_init(struct sherkit_depth_filter *filter,
+                                         double depth_mm,
+                                         double variance,
+                                         double time_s,
+                                         const struct sherkit_noise *noise);
+
+// One step to a time, with the velocity of the tip along the tool's z axis since the last step (mm/s), and what was
+// measured; null where nothing was. What could not be used is said by the estimate's status, not by the code.
+sherkit_result sherkit_depth_filter_step(struct sherkit_depth_filter *filter,
+                                         double time_s,
+                                         double velocity_mm_s,
+                                         const struct sherkit_measurement *measurement,
+                                         struct sherkit_depth_estimate *estimate);
+
+// How often what happened since the filter was initialised.
+sherkit_result sherkit_depth_filter_statistics(const struct sherkit_depth_filter *filter,
+                                               struct sherkit_statistics *statistics);
+
+// Starts at a depth (mm) with the unbent tip of a pose, with variances of the depth and of each axis of the tip (mm^2),
+// at a time (s). Where it fails the filter is not initialised.
+sherkit_result sherkit_depth_tip_filter_init(struct sherkit_depth_tip_filter *filter,
+                                             const struct sherkit_beam *beam,
+                                             double depth_mm,
+                                             const struct sherkit_pose *pose,
+                                             double depth_variance,
+                                             double tip_variance,
+                                             double time_s,
+                                             const struct sherkit_noise *noise);
+
+// One step to a time, with the velocity of the unbent tip in the base frame since the last step (3, mm/s), the pose
+// of the tool now, and what was measured; null where nothing was. What could not be used is said by the estimate's
+// status, not by the code.
+sherkit_result sherkit_depth_tip_filter_step(struct sherkit_depth_tip_filter *filter,
+                                             double time_s,
+                                             const double *velocity_mm_s,
+                                             const struct sherkit_pose *pose,
+                                             const struct sherkit_measurement *measurement,
+                                             struct sherkit_depth_tip_estimate *estimate);
+
+// How often what happened since the filter was initialised.
+sherkit_result sherkit_depth_tip_filter_statistics(const struct sherkit_depth_tip_filter *filter,
+                                                   struct sherkit_statistics *statistics);
+
+// The noise of Ebrahimi et al. 2020, for steps of 200 Hz.
+struct sherkit_noise sherkit_noise_ebrahimi_2020(void);
+
+// Measurement noise from the sensing; process noise per time, and what the models leave out, of depth and tip.
+struct sherkit_noise sherkit_noise_propagated(double depth_per_second,
+                                              double tip_per_second,
+                                              double depth_floor,
+                                              double across_floor);
+
+// The tool of Ebrahimi et al. 2020: 60 mm, 3 EI = 3.39e6 mN mm^2.
+struct sherkit_beam sherkit_beam_ebrahimi_2020(void);
+
+// Prepares the fibres. Where it fails the sensor is not initialised.
+sherkit_result sherkit_sensor_init(struct sherkit_sensor *sensor, const struct sherkit_sensor_calibration *calibration);
+
+// Force and depth from wavelengths (9, nm; three fibres at each of the sections I, II, III) read at a time. With
+// SHERKIT_NOT_FINITE the measurement is written too, all NaN but the time, so that a filter that is given it counts it.
+sherkit_result sherkit_sensor_read(const struct sherkit_sensor *sensor,
+                                   double time_s,
+                                   const double *wavelengths_nm,
+                                   struct sherkit_measurement *measurement);
+
+// Loads a calibration: count numbers as sherkit writes them. They are copied. Where it fails the robot is not
+// initialised.
+sherkit_result sherkit_spherical_init(struct sherkit_spherical *robot, const double *numbers, size_t count);
+
+// Where the tool points (phi, gamma, rad) for joint readings (2, rad), and its derivative by them (4, row by row)
+// unless jacobian is null. Covariates may be null.
+sherkit_result sherkit_spherical_forward(const struct sherkit_spherical *robot,
+                                         const double *joints,
+                                         const struct sherkit_spherical_covariates *covariates,
+                                         double *angles,
+                                         double *jacobian);
+
+// Joint readings (2, rad) at which the tool points to phi, gamma (rad), to 1e-12 rad. Covariates may be null.
+sherkit_result sherkit_spherical_inverse(const struct sherkit_spherical *robot,
+                                         const double *angles,
+                                         const struct sherkit_spherical_covariates *covariates,
+                                         double *joints);
+
+// Starts with the unbent tip of a pose, with a variance per axis (mm^2), at a time (s). Where it fails the filter is
+// not initialised.
+sherkit_result sherkit_tip_filter_init(struct sherkit_tip_filter *filter,
+                                       const struct sherkit_beam *beam,
+                                       const struct sherkit_pose *pose,
+                                       double variance,
+                                       double time_s,
+                                       const struct sherkit_noise *noise);
+
+// One step to a time, with the velocity of the unbent tip in the base frame since the last step (3, mm/s), the pose
+// of the tool now, the depth (mm) with its variance (mm^2), and what was measured; null where nothing was. What could
+// not be used is said by the estimate's status, not by the code.
+sherkit_result sherkit_tip_filter_step(struct sherkit_tip_filter *filter,
+                                       double time_s,
+                                       const double *velocity_mm_s,
+                                       const struct sherkit_pose *pose,
+                                       double depth_mm,
+                                       double depth_variance,
+                                       const struct sherkit_measurement *measurement,
+                                       struct sherkit_tip_estimate *estimate);
+
+// How often what happened since the filter was initialised.
+sherkit_result sherkit_tip_filter_statistics(const struct sherkit_tip_filter *filter,
+                                             struct sherkit_statistics *statistics);
+
+#ifdef __cplusplus
+}  // extern "C"
+#endif  // __cplusplus
+
+#endif  /* SHERKIT_H */

@@ -1,0 +1,179 @@
+//! The fibres of the flexible tool, its beam and its pose.
+
+use crate::result::{answer, code_of, sherkit_result};
+use crate::storage::{Opaque, clear, get, given, put, wanted};
+use nalgebra::{Matrix2x3, Matrix3, Vector3};
+use sherkit_core::kalman::Measurement;
+use sherkit_core::rigid::Rigid;
+use sherkit_core::tool::beam::Beam;
+use sherkit_core::tool::sensing::{Calibration, Sensor};
+
+/// Calibration of the gratings.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct sherkit_sensor_calibration {
+    /// K_I and K_II, mN mm/nm: a row for each of the moments' components, a column for each fibre.
+    pub gains: [[[f64; 3]; 2]; 2],
+    /// From the tip to sections I and II, mm.
+    pub distances_mm: [f64; 2],
+    /// Wavelengths of the unloaded tool, nm: a row of fibres for each of the sections I, II, III.
+    pub reference_nm: [[f64; 3]; 3],
+    /// Standard deviation of one wavelength, nm.
+    pub noise_nm: f64,
+}
+
+/// The fibres of a calibrated tool. Its content is nobody's business.
+#[repr(C)]
+pub struct sherkit_sensor {
+    words: [u64; 64],
+}
+
+// SAFETY: one array of so many words.
+unsafe impl Opaque for sherkit_sensor {
+    type Value = Sensor;
+    const MARK: u64 = 0x7368_6b73_656e_736f;
+    const WORDS: usize = 64;
+}
+
+/// What the fibres tell a filter at one time.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct sherkit_measurement {
+    /// When the fibres were read, s, on the clock of the steps.
+    pub time_s: f64,
+    /// Sclera force, tool frame, mN.
+    pub force_mn: [f64; 2],
+    /// Its covariance, mN^2.
+    pub force_covariance: [[f64; 2]; 2],
+    /// Insertion depth, mm; not read where its variance is infinite.
+    pub depth_mm: f64,
+    /// Its variance, mm^2; infinite where there is no force that would tell the depth.
+    pub depth_variance: f64,
+    /// Covariance of depth with force, mm mN.
+    pub depth_with_force: [f64; 2],
+}
+
+impl From<&sherkit_measurement> for Measurement {
+    fn from(m: &sherkit_measurement) -> Self {
+        Self {
+            time_s: m.time_s,
+            force: m.force_mn,
+            force_covariance: m.force_covariance,
+            depth: m.depth_mm,
+            depth_variance: m.depth_variance,
+            depth_with_force: m.depth_with_force,
+        }
+    }
+}
+
+/// Length and stiffness of the shaft.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct sherkit_beam {
+    /// Free length h, mm.
+    pub length_mm: f64,
+    /// Bending stiffness EI, mN mm^2.
+    pub stiffness: f64,
+}
+
+impl sherkit_beam {
+    /// The core's beam.
+    pub fn beam(&self) -> Result<Beam, sherkit_result> {
+        Beam::new(self.length_mm, self.stiffness).map_err(|e| code_of(&e))
+    }
+}
+
+/// Pose of the tool: takes tool coordinates to the base frame. The tool's z axis runs along the unbent shaft and out
+/// of the tip, its origin is where the unbent tip would be.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct sherkit_pose {
+    /// Rotation, rows.
+    pub rotation: [[f64; 3]; 3],
+    /// Where the origin goes, mm.
+    pub translation_mm: [f64; 3],
+}
+
+impl From<&sherkit_pose> for Rigid {
+    fn from(pose: &sherkit_pose) -> Self {
+        Self {
+            rotation: Matrix3::from(pose.rotation).transpose(),
+            translation: Vector3::from(pose.translation_mm),
+        }
+    }
+}
+
+/// The tool of Ebrahimi et al. 2020: 60 mm, 3 EI = 3.39e6 mN mm^2.
+#[unsafe(no_mangle)]
+pub extern "C" fn sherkit_beam_ebrahimi_2020() -> sherkit_beam {
+    let beam = Beam::ebrahimi_2020();
+    sherkit_beam {
+        length_mm: beam.length_mm(),
+        stiffness: beam.stiffness(),
+    }
+}
+
+/// Prepares the fibres. Where it fails the sensor is not initialised.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sherkit_sensor_init(
+    sensor: *mut sherkit_sensor,
+    calibration: *const sherkit_sensor_calibration,
+) -> sherkit_result {
+    let run = || {
+        // SAFETY: pointers are null or valid.
+        unsafe {
+            clear(sensor);
+            let c = given(calibration)?;
+            let gain = |[[a, b, c], [d, e, f]]: [[f64; 3]; 2]| Matrix2x3::new(a, b, c, d, e, f);
+            let made = Sensor::new(Calibration {
+                gains: c.gains.map(gain),
+                distances_mm: c.distances_mm,
+                reference_nm: c.reference_nm,
+                noise_nm: c.noise_nm,
+            });
+            put(sensor, made.map_err(|e| code_of(&e))?)
+        }
+    };
+    answer(run())
+}
+
+/// Force and depth from wavelengths (9, nm; three fibres at each of the sections I, II, III) read at a time. With
+/// SHERKIT_NOT_FINITE the measurement is written too, all NaN but the time, so that a filter that is given it counts it.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sherkit_sensor_read(
+    sensor: *const sherkit_sensor,
+    time_s: f64,
+    wavelengths_nm: *const f64,
+    measurement: *mut sherkit_measurement,
+) -> sherkit_result {
+    let run = || {
+        // SAFETY: pointers are null or valid.
+        let (sensor, wavelengths, measurement) = unsafe {
+            (
+                get(sensor)?,
+                given(wavelengths_nm.cast::<[[f64; 3]; 3]>())?,
+                wanted(measurement)?,
+            )
+        };
+        let read = sensor.read(wavelengths).map_err(|e| code_of(&e));
+        let m = match &read {
+            Ok(reading) => Measurement::from_reading(time_s, reading),
+            Err(_) => Measurement {
+                force_covariance: [[f64::NAN; 2]; 2],
+                depth_variance: f64::NAN,
+                depth_with_force: [f64::NAN; 2],
+                ..Measurement::plain(time_s, [f64::NAN; 2], f64::NAN)
+            },
+        };
+        *measurement = sherkit_measurement {
+            time_s: m.time_s,
+            force_mn: m.force,
+            force_covariance: m.force_covariance,
+            depth_mm: m.depth,
+            depth_variance: m.depth_variance,
+            depth_with_force: m.depth_with_force,
+        };
+        read.map(|_| ())
+    };
+    answer(run())
+}

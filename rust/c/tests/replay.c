@@ -1,0 +1,184 @@
+/* Runs what a file of numbers says through the C interface and writes what comes out: test_c_library.py compares it
+ * with the same from Python, to the last bit.
+ *
+ * Both files are doubles. In: lengths of the calibrations and numbers of rows of each part, then the parts. */
+
+#include <math.h>
+#include <stdbool.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "sherkit.h"
+
+static FILE *in, *out;
+
+static void need(int done, const char *what)
+{
+    if (!done) {
+        fprintf(stderr, "replay: %s\n", what);
+        exit(1);
+    }
+}
+
+static void get(double *numbers, size_t count)
+{
+    need(fread(numbers, sizeof(double), count, in) == count, "the input ends too early");
+}
+
+static double *get_new(size_t count)
+{
+    double *numbers = malloc((count + 1) * sizeof(double));
+    need(numbers != NULL, "no memory");
+    get(numbers, count);
+    return numbers;
+}
+
+static void put(const double *numbers, size_t count)
+{
+    need(fwrite(numbers, sizeof(double), count, out) == count, "the output cannot be written");
+}
+
+static void put_one(double number)
+{
+    put(&number, 1);
+}
+
+/* Rows: joints 3, covariates 5, position 3. */
+static void run_delta(size_t count, size_t rows)
+{
+    double *numbers = get_new(count);
+    static sherkit_delta robot;
+    need(sherkit_delta_init(&robot, numbers, count) == SHERKIT_OK, "the delta cannot be read");
+    for (size_t i = 0; i < rows; i++) {
+        double row[11], x[3] = {0}, j[9] = {0}, q[3] = {0};
+        sherkit_delta_covariates now;
+        get(row, 11);
+        now.time_s = row[3];
+        now.temperature_c = row[4];
+        memcpy(now.direction, row + 5, sizeof now.direction);
+        put_one(sherkit_delta_forward(&robot, row, &now, x, j));
+        put(x, 3);
+        put(j, 9);
+        put_one(sherkit_delta_inverse(&robot, row + 8, &now, q));
+        put(q, 3);
+    }
+    free(numbers);
+}
+
+/* Rows: joints 2, covariates 4, angles 2. */
+static void run_spherical(size_t count, size_t rows)
+{
+    double *numbers = get_new(count);
+    static sherkit_spherical robot;
+    need(sherkit_spherical_init(&robot, numbers, count) == SHERKIT_OK, "the spherical robot cannot be read");
+    free(numbers);
+    for (size_t i = 0; i < rows; i++) {
+        double row[8], x[2] = {0}, j[4] = {0}, q[2] = {0};
+        sherkit_spherical_covariates now;
+        get(row, 8);
+        now.time_s = row[2];
+        now.temperature_c = row[3];
+        memcpy(now.direction, row + 4, sizeof now.direction);
+        put_one(sherkit_spherical_forward(&robot, row, &now, x, j));
+        put(x, 2);
+        put(j, 4);
+        put_one(sherkit_spherical_inverse(&robot, row + 6, &now, q));
+        put(q, 2);
+    }
+}
+
+/* First the sensor's 24 numbers and the noise's 11, then rows: time, stamp, whether there is a measurement,
+ * wavelengths 9, velocity 3, pose 12, depth, its variance. */
+static void run_tool(size_t rows)
+{
+    static sherkit_sensor sensor;
+    static sherkit_depth_filter depth;
+    static sherkit_tip_filter tip;
+    static sherkit_depth_tip_filter joint;
+    const sherkit_beam beam = sherkit_beam_ebrahimi_2020();
+    sherkit_sensor_calibration calibration;
+    double numbers[24], n[11];
+    get(numbers, 24);
+    memcpy(calibration.gains, numbers, sizeof calibration.gains);
+    memcpy(calibration.distances_mm, numbers + 12, sizeof calibration.distances_mm);
+    memcpy(calibration.reference_nm, numbers + 14, sizeof calibration.reference_nm);
+    calibration.noise_nm = numbers[23];
+    get(n, 11);
+    sherkit_noise noise = {(uint32_t)n[0],
+                           n[1],
+                           {n[2], n[3]},
+                           {n[4], n[5]},
+                           {n[6], n[7]},
+                           {n[8], n[9]},
+                           n[10]};
+    need(sherkit_sensor_init(&sensor, &calibration) == SHERKIT_OK, "the sensor");
+    for (size_t i = 0; i < rows; i++) {
+        double row[29];
+        sherkit_measurement measured;
+        sherkit_depth_estimate a;
+        sherkit_tip_estimate b;
+        sherkit_depth_tip_estimate c;
+        sherkit_pose pose;
+        get(row, 29);
+        memcpy(pose.rotation, row + 15, sizeof pose.rotation);
+        memcpy(pose.translation_mm, row + 24, sizeof pose.translation_mm);
+        if (i == 0) {
+            need(sherkit_depth_filter_init(&depth, 8.0, 4.0, 0.0, &noise) == SHERKIT_OK, "the depth filter");
+            need(sherkit_tip_filter_init(&tip, &beam, &pose, 1.0, 0.0, &noise) == SHERKIT_OK, "the tip filter");
+            need(sherkit_depth_tip_filter_init(&joint, &beam, 8.0, &pose, 4.0, 1.0, 0.0, &noise) == SHERKIT_OK,
+                 "the joint filter");
+        }
+        sherkit_result read = sherkit_sensor_read(&sensor, row[1], row + 3, &measured);
+        need(read == SHERKIT_OK || read == SHERKIT_NOT_FINITE, "the reading");
+        const sherkit_measurement *given = row[2] != 0.0 ? &measured : NULL;
+        need(sherkit_depth_filter_step(&depth, row[0], row[14], given, &a) == SHERKIT_OK, "a depth step");
+        need(sherkit_tip_filter_step(&tip, row[0], row + 12, &pose, row[27], row[28], given, &b) == SHERKIT_OK,
+             "a tip step");
+        need(sherkit_depth_tip_filter_step(&joint, row[0], row + 12, &pose, given, &c) == SHERKIT_OK, "a joint step");
+        put_one(measured.time_s);
+        put(measured.force_mn, 2);
+        put(&measured.force_covariance[0][0], 4);
+        put_one(measured.depth_mm);
+        put_one(measured.depth_variance);
+        put(measured.depth_with_force, 2);
+        put_one(a.depth_mm);
+        put_one(a.variance);
+        put_one(a.nis);
+        put_one(a.nis_degrees);
+        put_one(a.status);
+        put(b.tip_mm, 3);
+        put(&b.covariance[0][0], 9);
+        put_one(b.nis);
+        put_one(b.nis_degrees);
+        put_one(b.status);
+        put_one(c.depth_mm);
+        put(c.tip_mm, 3);
+        put(&c.covariance[0][0], 16);
+        put_one(c.nis);
+        put_one(c.nis_degrees);
+        put_one(c.status);
+    }
+    sherkit_statistics s;
+    need(sherkit_depth_tip_filter_statistics(&joint, &s) == SHERKIT_OK, "the statistics");
+    double counts[] = {(double)s.steps,    (double)s.updated,   (double)s.missing, (double)s.late,
+                       (double)s.not_finite, (double)s.no_force, (double)s.no_motion, (double)s.clock,
+                       (double)s.nis_count, (double)s.nis_degrees, s.nis_sum};
+    put(counts, 11);
+}
+
+int main(int argc, char **argv)
+{
+    need(argc == 3, "usage: replay in out");
+    in = fopen(argv[1], "rb");
+    out = fopen(argv[2], "wb");
+    need(in != NULL && out != NULL, "a file cannot be opened");
+    double counts[5];
+    get(counts, 5);
+    run_delta((size_t)counts[0], (size_t)counts[1]);
+    run_spherical((size_t)counts[2], (size_t)counts[3]);
+    run_tool((size_t)counts[4]);
+    need(fclose(out) == 0, "the output cannot be written");
+    fclose(in);
+    return 0;
+}

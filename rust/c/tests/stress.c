@@ -1,0 +1,299 @@
+/* Random, missing, late, huge and NaN input through every loop function: `stress [steps] [seed]`.
+ *
+ * Fails where an estimate is not finite, a variance is negative, a result is not finite without a code that says so,
+ * statistics do not add up, or a function writes beside what it was given. Objects stand between words that must not
+ * change, because a sanitizer sees only what the C compiler built. */
+
+#include <float.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "../examples/robots.h"
+#include "sherkit.h"
+
+#define FENCE 0x5aa5c33c0ff0a55aULL
+
+/* An object of the library between two fences. */
+#define FENCED(type, name)                                                                                             \
+    static struct {                                                                                                    \
+        uint64_t before[8];                                                                                            \
+        type it;                                                                                                       \
+        uint64_t after[8];                                                                                             \
+    } name
+
+FENCED(sherkit_delta, delta);
+FENCED(sherkit_spherical, spherical);
+FENCED(sherkit_sensor, sensor);
+FENCED(sherkit_depth_filter, depth);
+FENCED(sherkit_tip_filter, tip);
+FENCED(sherkit_depth_tip_filter, joint);
+FENCED(sherkit_measurement, measured);
+FENCED(sherkit_depth_estimate, of_depth);
+FENCED(sherkit_tip_estimate, of_tip);
+FENCED(sherkit_depth_tip_estimate, of_joint);
+
+static unsigned long long step;
+
+static void fail(const char *what)
+{
+    fprintf(stderr, "stress: step %llu: %s\n", step, what);
+    exit(1);
+}
+
+static void need(int holds, const char *what)
+{
+    if (!holds)
+        fail(what);
+}
+
+#define FENCE_IN(object)                                                                                               \
+    do {                                                                                                               \
+        for (int k = 0; k < 8; k++)                                                                                    \
+            (object).before[k] = (object).after[k] = FENCE;                                                            \
+    } while (0)
+#define CHECK(object)                                                                                                  \
+    do {                                                                                                               \
+        for (int k = 0; k < 8; k++)                                                                                    \
+            need((object).before[k] == FENCE && (object).after[k] == FENCE, "a fence of " #object " is broken");       \
+    } while (0)
+
+static uint64_t seed;
+
+static uint64_t draw(void)
+{
+    /* splitmix64 */
+    uint64_t z = (seed += 0x9e3779b97f4a7c15ULL);
+    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ULL;
+    z = (z ^ (z >> 27)) * 0x94d049bb133111ebULL;
+    return z ^ (z >> 31);
+}
+
+static double uniform(double low, double high)
+{
+    return low + (high - low) * (double)(draw() >> 11) * 0x1p-53;
+}
+
+static int once_in(unsigned n)
+{
+    return draw() % n == 0;
+}
+
+/* Mostly a number that makes sense, at times one that does not. */
+static double spoilt(double sane)
+{
+    static const double bad[] = {NAN, INFINITY, -INFINITY, DBL_MAX, -DBL_MAX, DBL_MIN, 4.9e-324, 0.0, -0.0, 1e150, -1e150};
+    if (!once_in(1000))
+        return sane;
+    return bad[draw() % (sizeof bad / sizeof *bad)];
+}
+
+static int finite(const double *numbers, int count)
+{
+    for (int k = 0; k < count; k++)
+        if (!isfinite(numbers[k]))
+            return 0;
+    return 1;
+}
+
+static void check_estimate(const double *mean, const double *covariance, int n, double nis, uint32_t status)
+{
+    need(finite(mean, n), "an estimate is not finite");
+    need(finite(covariance, n * n), "a covariance is not finite");
+    for (int i = 0; i < n; i++) {
+        need(covariance[i * n + i] >= 0.0, "a variance is negative");
+        for (int j = 0; j < i; j++)
+            need(covariance[i * n + j] == covariance[j * n + i], "a covariance is not symmetric");
+    }
+    need(isfinite(nis) && nis >= 0.0, "the NIS is none");
+    need(status != 0 && status < 128, "a step without a status");
+    need((status & SHERKIT_STATUS_UPDATED) || nis == 0.0, "a NIS without an update");
+}
+
+static double turn(sherkit_pose *pose)
+{
+    double a = uniform(-3.0, 3.0), b = uniform(-3.0, 3.0);
+    double ca = cos(a), sa = sin(a), cb = cos(b), sb = sin(b);
+    double r[3][3] = {{ca, -sa * cb, sa * sb}, {sa, ca * cb, -ca * sb}, {0.0, sb, cb}};
+    memcpy(pose->rotation, r, sizeof r);
+    for (int k = 0; k < 3; k++)
+        pose->translation_mm[k] = spoilt(uniform(-50.0, 50.0));
+    if (once_in(300))
+        pose->rotation[draw() % 3][draw() % 3] = spoilt(NAN);
+    return a;
+}
+
+static void start(const sherkit_beam *beam, double time_s)
+{
+    sherkit_noise noise = once_in(2) ? sherkit_noise_ebrahimi_2020() : sherkit_noise_propagated(0.5, 2.0, 1e-3, 1e-4);
+    if (once_in(3))
+        noise.kind = SHERKIT_NOISE_SWITCHED_OF_FORCE;
+    if (once_in(3))
+        noise.shared = uniform(0.0, 1.0);
+    if (once_in(4))
+        noise.above[0] = noise.above[1] = 0.0;
+    if (once_in(4))
+        noise.per_step[0] = noise.per_step[1] = noise.per_second[0] = noise.per_second[1] = 0.0;
+    sherkit_pose pose;
+    do
+        turn(&pose);
+    while (!finite(pose.translation_mm, 3));
+    need(sherkit_depth_filter_init(&depth.it, 8.0, 4.0, time_s, &noise) == SHERKIT_OK, "the depth filter");
+    need(sherkit_tip_filter_init(&tip.it, beam, &pose, 1.0, time_s, &noise) == SHERKIT_OK, "the tip filter");
+    need(sherkit_depth_tip_filter_init(&joint.it, beam, 8.0, &pose, 4.0, 1.0, time_s, &noise) == SHERKIT_OK,
+         "the joint filter");
+}
+
+static void kinematics(void)
+{
+    double q[3], x[3], j[9], back[3];
+    sherkit_delta_covariates now = {spoilt(0.0), spoilt(20.0), {1.0, spoilt(-1.0), 0.0}};
+    for (int k = 0; k < 3; k++)
+        q[k] = spoilt(uniform(100.0, 160.0));
+    sherkit_result done = sherkit_delta_forward(&delta.it, q, once_in(2) ? &now : NULL, x, j);
+    if (done == SHERKIT_OK) {
+        need(finite(x, 3) && finite(j, 9), "the delta stands nowhere");
+        if (sherkit_delta_inverse(&delta.it, x, &now, back) == SHERKIT_OK)
+            need(finite(back, 3), "joints of the delta");
+    }
+    for (int k = 0; k < 3; k++)
+        x[k] = spoilt(uniform(-60.0, 60.0));
+    if (sherkit_delta_inverse(&delta.it, x, NULL, back) == SHERKIT_OK)
+        need(finite(back, 3), "joints of the delta");
+    sherkit_spherical_covariates then = {spoilt(0.0), spoilt(20.0), {1.0, spoilt(-1.0)}};
+    for (int k = 0; k < 2; k++)
+        q[k] = spoilt(uniform(-1.0, 4.0));
+    done = sherkit_spherical_forward(&spherical.it, q, once_in(2) ? &then : NULL, x, j);
+    if (done == SHERKIT_OK) {
+        need(finite(x, 2) && finite(j, 4), "the spherical robot points nowhere");
+        if (sherkit_spherical_inverse(&spherical.it, x, &then, back) == SHERKIT_OK)
+            need(finite(back, 2), "joints of the spherical robot");
+    }
+}
+
+static void check_sum(const sherkit_statistics *s)
+{
+    need(s->updated <= s->nis_count && s->nis_count <= s->steps, "updates do not add up");
+    need(s->nis_count == s->updated, "updates do not add up");
+    need(isfinite(s->nis_sum), "the sum of the NIS is not finite");
+}
+
+/* What must be refused, is. */
+static void refusals(const sherkit_beam *beam)
+{
+    static const double none[4] = {1.0, 1.0, 64.0, 0.0};
+    static sherkit_delta other;
+    static sherkit_depth_filter empty;
+    sherkit_noise noise = sherkit_noise_ebrahimi_2020();
+    const size_t count = sizeof example_delta / sizeof *example_delta;
+    double x[3];
+    need(sherkit_delta_forward(&other, none, NULL, x, NULL) == SHERKIT_NOT_INITIALISED, "an empty robot moves");
+    need(sherkit_delta_init(NULL, example_delta, count) == SHERKIT_NULL, "a null robot");
+    need(sherkit_delta_init(&other, NULL, count) == SHERKIT_NULL, "null numbers");
+    need(sherkit_delta_init(&other, none, 4) == SHERKIT_UNREADABLE, "a row that is none");
+    need(sherkit_delta_init(&other, example_delta, count - 1) == SHERKIT_UNREADABLE, "a row too short");
+    need(sherkit_delta_init(&other, example_spherical, count) == SHERKIT_UNREADABLE, "another robot's row");
+    need(sherkit_delta_init(&other, example_delta, count) == SHERKIT_OK, "the example");
+    need(sherkit_delta_init(&other, example_delta, 0) == SHERKIT_UNREADABLE, "no row");
+    need(sherkit_delta_forward(&other, none, NULL, x, NULL) == SHERKIT_NOT_INITIALISED, "a robot that failed moves");
+    need(sherkit_depth_filter_step(&empty, 0.0, 0.0, NULL, &of_depth.it) == SHERKIT_NOT_INITIALISED, "an empty filter");
+    need(sherkit_depth_filter_step((sherkit_depth_filter *)&other, 0.0, 0.0, NULL, &of_depth.it) ==
+             SHERKIT_NOT_INITIALISED,
+         "a robot for a filter");
+    need(sherkit_depth_filter_init(&empty, NAN, 1.0, 0.0, &noise) == SHERKIT_INVALID, "a depth that is none");
+    noise.kind = 9;
+    need(sherkit_depth_filter_init(&empty, 0.0, 1.0, 0.0, &noise) == SHERKIT_INVALID, "a noise that is none");
+    need(sherkit_tip_filter_init(&tip.it, beam, NULL, 1.0, 0.0, &noise) == SHERKIT_NULL, "no pose");
+}
+
+int main(int argc, char **argv)
+{
+    const unsigned long long steps = argc > 1 ? strtoull(argv[1], NULL, 10) : 10000000ULL;
+    seed = argc > 2 ? strtoull(argv[2], NULL, 10) : 1;
+    FENCE_IN(delta);
+    FENCE_IN(spherical);
+    FENCE_IN(sensor);
+    FENCE_IN(depth);
+    FENCE_IN(tip);
+    FENCE_IN(joint);
+    FENCE_IN(measured);
+    FENCE_IN(of_depth);
+    FENCE_IN(of_tip);
+    FENCE_IN(of_joint);
+    const sherkit_beam beam = sherkit_beam_ebrahimi_2020();
+    const sherkit_sensor_calibration calibration = {
+        {{{8e3, -4e3, -4e3}, {500.0, 6.5e3, -7e3}}, {{9e3, -4.4e3, -4.6e3}, {-300.0, 7e3, -6.7e3}}},
+        {28.0, 34.0},
+        {{1530.0, 1535.0, 1540.0}, {1545.0, 1550.0, 1555.0}, {1560.0, 1565.0, 1570.0}},
+        2e-4};
+    refusals(&beam);
+    need(sherkit_delta_init(&delta.it, example_delta, sizeof example_delta / sizeof(double)) == SHERKIT_OK, "delta");
+    need(sherkit_spherical_init(&spherical.it, example_spherical, sizeof example_spherical / sizeof(double)) ==
+             SHERKIT_OK,
+         "spherical robot");
+    need(sherkit_sensor_init(&sensor.it, &calibration) == SHERKIT_OK, "sensor");
+    unsigned long long updates = 0, moves = 0, starts = 0;
+    double time_s = 0.0;
+    for (step = 0; step < steps; step++) {
+        if (step == 0 || once_in(2000)) {
+            time_s = 0.0;
+            start(&beam, time_s);
+            starts++;
+        }
+        const double now = once_in(500) ? spoilt(NAN) : once_in(500) ? time_s - 1.0 : time_s + uniform(0.0, 0.01);
+        if (now > time_s && now < 1e6)
+            time_s = now;
+        const double stamp = once_in(50) ? now - 0.1 : spoilt(now);
+        double w[9], v[3];
+        const double bend = once_in(3) ? 0.0 : uniform(-0.05, 0.05);
+        for (int k = 0; k < 9; k++)
+            w[k] = spoilt(calibration.reference_nm[k / 3][k % 3] + bend * (k % 3 - 1) * (1 + k / 3) +
+                          uniform(-5e-4, 5e-4));
+        for (int k = 0; k < 3; k++)
+            v[k] = spoilt(uniform(-5.0, 5.0));
+        sherkit_pose pose;
+        turn(&pose);
+        const sherkit_result read = sherkit_sensor_read(&sensor.it, stamp, w, &measured.it);
+        need(read == SHERKIT_OK || read == SHERKIT_NOT_FINITE, "a reading that is neither");
+        if (once_in(300))
+            measured.it.depth_variance = spoilt(-1.0);
+        if (once_in(300))
+            measured.it.force_covariance[0][1] = spoilt(-1e9);
+        const sherkit_measurement *given = once_in(10) ? NULL : &measured.it;
+        need(sherkit_depth_filter_step(&depth.it, now, v[2], given, &of_depth.it) == SHERKIT_OK, "a depth step");
+        check_estimate(&of_depth.it.depth_mm, &of_depth.it.variance, 1, of_depth.it.nis, of_depth.it.status);
+        const double d = spoilt(of_depth.it.depth_mm), p = spoilt(of_depth.it.variance);
+        need(sherkit_tip_filter_step(&tip.it, now, v, &pose, d, p, given, &of_tip.it) == SHERKIT_OK, "a tip step");
+        check_estimate(of_tip.it.tip_mm, &of_tip.it.covariance[0][0], 3, of_tip.it.nis, of_tip.it.status);
+        need(sherkit_depth_tip_filter_step(&joint.it, now, v, &pose, given, &of_joint.it) == SHERKIT_OK, "a joint step");
+        const double *at = of_joint.it.tip_mm;
+        const double both[4] = {of_joint.it.depth_mm, at[0], at[1], at[2]};
+        check_estimate(both, &of_joint.it.covariance[0][0], 4, of_joint.it.nis, of_joint.it.status);
+        updates += (of_joint.it.status & SHERKIT_STATUS_UPDATED) != 0;
+        if (step % 4 == 0) {
+            kinematics();
+            moves++;
+        }
+        CHECK(depth);
+        CHECK(tip);
+        CHECK(joint);
+        CHECK(measured);
+        CHECK(of_depth);
+        CHECK(of_tip);
+        CHECK(of_joint);
+    }
+    CHECK(delta);
+    CHECK(spherical);
+    CHECK(sensor);
+    sherkit_statistics s;
+    need(sherkit_depth_filter_statistics(&depth.it, &s) == SHERKIT_OK, "statistics");
+    check_sum(&s);
+    need(sherkit_tip_filter_statistics(&tip.it, &s) == SHERKIT_OK, "statistics");
+    check_sum(&s);
+    need(sherkit_depth_tip_filter_statistics(&joint.it, &s) == SHERKIT_OK, "statistics");
+    check_sum(&s);
+    printf("%llu steps of each filter (%llu starts), %llu updates of the joint one, %llu moves of each robot\n", steps,
+           starts, updates, moves);
+    return 0;
+}

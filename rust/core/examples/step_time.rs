@@ -1,0 +1,107 @@
+//! Nanoseconds that one step of each filter of the flexible tool takes, and one reading of the fibres:
+//! `cargo run --release -p sherkit-core --example step_time`.
+//!
+//! Every line is the median of batches, after a warm-up; the force comes and goes, so that both sides of each branch
+//! are taken.
+
+use nalgebra::{Matrix2x3, Vector3};
+use sherkit_core::kalman::noise::Variances;
+use sherkit_core::kalman::{DepthFilter, DepthTipFilter, Measurement, Noise, TipFilter};
+use sherkit_core::rigid::Rigid;
+use sherkit_core::tool::beam::Beam;
+use sherkit_core::tool::sensing::{Calibration, Sensor};
+use std::hint::black_box;
+use std::time::Instant;
+
+/// Steps of one batch; as many different measurements are taken in turn.
+const BATCH: usize = 2000;
+/// Batches of one line.
+const BATCHES: usize = 400;
+
+/// Median over the batches, ns per step.
+fn median(mut step: impl FnMut(usize)) -> f64 {
+    let mut times: Vec<f64> = (0..BATCHES + 20)
+        .map(|batch| {
+            let start = Instant::now();
+            for k in 0..BATCH {
+                step(batch * BATCH + k);
+            }
+            start.elapsed().as_secs_f64() * 1e9 / BATCH as f64
+        })
+        .skip(20)
+        .collect();
+    times.sort_by(f64::total_cmp);
+    times[BATCHES / 2]
+}
+
+fn main() {
+    let calibration = Calibration {
+        gains: [Matrix2x3::new(4e4, -2e4, -2e4, 0.0, 3.5e4, -3.5e4); 2],
+        distances_mm: [28.0, 34.0],
+        reference_nm: [[1550.0; 3]; 3],
+        noise_nm: 1e-4,
+    };
+    let sensor = Sensor::new(calibration).expect("a calibration");
+    let wavelengths: Vec<_> = (0..BATCH)
+        .map(|k| {
+            let bend = 0.02 * (0.01 * k as f64).sin();
+            let mut w = calibration.reference_nm;
+            w[0][0] += bend;
+            w[1][0] += 1.3 * bend;
+            w
+        })
+        .collect();
+    let readings: Vec<_> = wavelengths
+        .iter()
+        .map(|w| sensor.read(w).expect("finite wavelengths"))
+        .collect();
+    let dt = 0.005;
+    let at = |k: usize| Measurement::from_reading(k as f64 * dt, &readings[k % BATCH]);
+    let measured: Vec<_> = (0..BATCH).map(at).collect();
+    let (beam, tool) = (Beam::ebrahimi_2020(), Rigid::identity());
+    let velocity = Vector3::new(0.1, -0.2, 0.05);
+    let floor = Variances {
+        depth: 1e-3,
+        across: 1e-4,
+    };
+
+    println!("sensing        {:8.1} ns", {
+        median(|k| {
+            black_box(sensor.read(black_box(&wavelengths[k % BATCH]))).ok();
+        })
+    });
+    let noises = [
+        ("paper", Noise::ebrahimi_2020()),
+        ("propagated", Noise::propagated([0.5, 2.0], floor)),
+    ];
+    for (name, noise) in noises {
+        let mut depth = DepthFilter::new(5.0, 1.0, 0.0, noise).expect("a filter");
+        let mut tip = TipFilter::new(beam, &tool, 0.5, 0.0, noise).expect("a filter");
+        let mut joint =
+            DepthTipFilter::new(beam, 5.0, &tool, [1.0, 0.5], 0.0, noise).expect("a filter");
+        let stamped = |k: usize| {
+            let mut m = measured[k % BATCH];
+            m.time_s = (k + 1) as f64 * dt;
+            m
+        };
+        println!("depth {name:11} {:5.1} ns", {
+            median(|k| {
+                let m = black_box(stamped(k));
+                black_box(depth.step(m.time_s, 0.1, Some(&m)));
+            })
+        });
+        println!("tip   {name:11} {:5.1} ns", {
+            median(|k| {
+                let m = black_box(stamped(k));
+                let given = black_box((5.0, 0.01));
+                black_box(tip.step(m.time_s, &velocity, black_box(&tool), given, Some(&m)));
+            })
+        });
+        println!("joint {name:11} {:5.1} ns", {
+            median(|k| {
+                let m = black_box(stamped(k));
+                black_box(joint.step(m.time_s, &velocity, black_box(&tool), Some(&m)));
+            })
+        });
+    }
+}

@@ -1,0 +1,290 @@
+//! A calibrated robot as a row of numbers: what one program writes and a control loop in another language reads.
+//!
+//! Every entry is an `f64`, so that nothing depends on word size, padding or byte order but that of the numbers.
+//! The row begins with the version of the layout, the kind of robot and the number of its parameters. A reader refuses
+//! what it does not know, and numbers from which the robot could not compute. A delta's coefficients are not copied:
+//! the row must outlive the robot that is read from it.
+//!
+//! Delta (kind 1): branch of the whole workspace; 1 and low corner, high corner and blend of the region, and its
+//! branch, or 0. A branch is a model (assembly ±1, 18 geometric parameters, target offset, rod spacing, pole pitch,
+//! home, time origin, slip time), the values of all parameters, and 1 and orders, low corner, high corner, fade and
+//! coefficients of its correction, or 0. Spherical (kind 2): assembly ±1, 6 geometric parameters, radius, the camera's 15,
+//! face ±1, gravity, home, place of the elbows (0 open, 1 crossed, 2 ahead, 3 behind), the values of all parameters.
+
+use crate::bernstein::{Correction, Domain, MAX_ORDER, coefficients_len};
+use crate::calibrated::{Branch, Calibrated};
+use crate::camera::{Description, Face};
+use crate::delta;
+use crate::spherical::{self, Elbows};
+use crate::{Error, Result};
+use nalgebra::Vector3;
+
+/// Version of the layout.
+const VERSION: f64 = 1.0;
+const DELTA: f64 = 1.0;
+const SPHERICAL: f64 = 2.0;
+
+/// What a branch of a calibrated delta is made from.
+#[derive(Clone, Copy, Debug)]
+pub struct BranchParts<'a> {
+    /// Nominal robot.
+    pub model: &'a delta::Model,
+    /// Values of all its parameters.
+    pub values: &'a delta::parameters::Values,
+    /// What they leave.
+    pub correction: Option<Correction<'a>>,
+}
+
+/// Writes a calibrated delta, number by number.
+pub fn write_delta(
+    whole: &BranchParts<'_>,
+    local: Option<(&BranchParts<'_>, &Domain)>,
+    mut put: impl FnMut(f64),
+) {
+    let parameters = delta::parameters::PARAMETERS as f64;
+    [VERSION, DELTA, parameters].into_iter().for_each(&mut put);
+    write_branch(whole, &mut put);
+    match local {
+        None => put(0.0),
+        Some((branch, region)) => {
+            put(1.0);
+            write_domain(region, &mut put);
+            write_branch(branch, &mut put);
+        }
+    }
+}
+
+fn write_branch(parts: &BranchParts<'_>, put: &mut impl FnMut(f64)) {
+    let m = parts.model;
+    put(m.geometry.assembly.sign());
+    m.geometry.parameters().into_iter().for_each(&mut *put);
+    m.target_offset.iter().copied().for_each(&mut *put);
+    let [a, b, c] = m.home;
+    let settings = [m.rod_spacing, m.pole_pitch, a, b, c];
+    settings.into_iter().for_each(&mut *put);
+    [m.time_origin_s, m.slip_time_s]
+        .into_iter()
+        .for_each(&mut *put);
+    parts.values.iter().copied().for_each(&mut *put);
+    match &parts.correction {
+        None => put(0.0),
+        Some(correction) => {
+            put(1.0);
+            let orders = correction.orders().map(|order| order as f64);
+            orders.into_iter().for_each(&mut *put);
+            write_domain(correction.domain(), put);
+            let coefficients = correction.coefficients().as_flattened();
+            coefficients.iter().copied().for_each(put);
+        }
+    }
+}
+
+fn write_domain(domain: &Domain, put: &mut impl FnMut(f64)) {
+    let corners = domain.low.iter().chain(&domain.high);
+    corners.copied().for_each(&mut *put);
+    put(domain.fade);
+}
+
+/// Writes a calibrated spherical robot, number by number.
+pub fn write_spherical(
+    model: &spherical::Model,
+    values: &spherical::parameters::Values,
+    elbows: Elbows,
+    mut put: impl FnMut(f64),
+) {
+    let parameters = spherical::parameters::PARAMETERS as f64;
+    [VERSION, SPHERICAL, parameters]
+        .into_iter()
+        .for_each(&mut put);
+    put(model.geometry.assembly.sign());
+    model.geometry.parameters().into_iter().for_each(&mut put);
+    put(model.radius_mm);
+    model.camera.parameters().into_iter().for_each(&mut put);
+    put(match model.face {
+        Face::Near => 1.0,
+        Face::Far => -1.0,
+    });
+    model.gravity.iter().copied().for_each(&mut put);
+    model.home.into_iter().for_each(&mut put);
+    put(match elbows {
+        Elbows::Open => 0.0,
+        Elbows::Crossed => 1.0,
+        Elbows::Ahead => 2.0,
+        Elbows::Behind => 3.0,
+    });
+    values.iter().copied().for_each(&mut put);
+}
+
+/// What is left of a row.
+struct Reader<'a>(&'a [f64]);
+
+const SHORT: Error = Error::Invalid {
+    what: "calibration: the row of numbers ends too early",
+};
+
+fn refuse<T>(what: &'static str) -> Result<T> {
+    Err(Error::Invalid { what })
+}
+
+impl<'a> Reader<'a> {
+    fn take<const N: usize>(&mut self) -> Result<[f64; N]> {
+        let (head, tail) = self.0.split_first_chunk::<N>().ok_or(SHORT)?;
+        self.0 = tail;
+        Ok(*head)
+    }
+
+    fn one(&mut self) -> Result<f64> {
+        self.take::<1>().map(|[x]| x)
+    }
+
+    fn finite<const N: usize>(&mut self) -> Result<[f64; N]> {
+        let found = self.take()?;
+        if found.iter().all(|x: &f64| x.is_finite()) {
+            Ok(found)
+        } else {
+            refuse("calibration: a number of the model is not finite")
+        }
+    }
+
+    fn flag(&mut self) -> Result<bool> {
+        match self.one()? {
+            0.0 => Ok(false),
+            1.0 => Ok(true),
+            _ => refuse("calibration: what should be 0 or 1 is neither"),
+        }
+    }
+
+    /// Either of two by its sign.
+    fn side<T>(&mut self, plus: T, minus: T) -> Result<T> {
+        match self.one()? {
+            1.0 => Ok(plus),
+            -1.0 => Ok(minus),
+            _ => refuse("calibration: what should be 1 or -1 is neither"),
+        }
+    }
+
+    fn head(&mut self, kind: f64, parameters: usize) -> Result<()> {
+        let [version, found, count] = self.take()?;
+        if version != VERSION || count != parameters as f64 {
+            return refuse("calibration: written by another version");
+        }
+        if found != kind {
+            return refuse("calibration: that of another kind of robot");
+        }
+        Ok(())
+    }
+
+    fn end(&self) -> Result<()> {
+        if self.0.is_empty() {
+            Ok(())
+        } else {
+            refuse("calibration: the row of numbers is too long")
+        }
+    }
+
+    /// Corners may be infinite where a variable has order zero.
+    fn domain(&mut self) -> Result<Domain> {
+        let [low, high] = [self.take::<3>()?, self.take::<3>()?];
+        let fade = self.one()?;
+        let ordered = low.iter().zip(&high).all(|(low, high)| low <= high);
+        if !(ordered && fade >= 0.0 && fade.is_finite()) {
+            return refuse("calibration: a box or its fade is none");
+        }
+        Ok(Domain {
+            low: Vector3::from(low),
+            high: Vector3::from(high),
+            fade,
+        })
+    }
+
+    fn correction(&mut self) -> Result<Option<Correction<'a>>> {
+        if !self.flag()? {
+            return Ok(None);
+        }
+        let mut orders = [0; 3];
+        for (order, found) in orders.iter_mut().zip(self.take::<3>()?) {
+            *order = (0..=MAX_ORDER)
+                .find(|k| *k as f64 == found)
+                .ok_or(Error::Invalid {
+                    what: "calibration: an order of the correction is none",
+                })?;
+        }
+        let domain = self.domain()?;
+        let (numbers, tail) = self
+            .0
+            .split_at_checked(3 * coefficients_len(orders))
+            .ok_or(SHORT)?;
+        self.0 = tail;
+        if !numbers.iter().all(|x| x.is_finite()) {
+            return refuse("calibration: a coefficient is not finite");
+        }
+        Correction::new(orders, domain, numbers.as_chunks::<3>().0).map(Some)
+    }
+
+    fn branch(&mut self) -> Result<Branch<'a>> {
+        let assembly = self.side(delta::Assembly::Below, delta::Assembly::Above)?;
+        let geometry = self.finite()?;
+        let target_offset = Vector3::from(self.finite::<3>()?);
+        let [rod_spacing, pole_pitch, h1, h2, h3] = self.finite()?;
+        let [time_origin_s, slip_time_s] = self.finite()?;
+        let model = delta::Model {
+            geometry: delta::Geometry::from_parameters(&geometry, assembly),
+            target_offset,
+            rod_spacing,
+            pole_pitch,
+            home: [h1, h2, h3],
+            time_origin_s,
+            slip_time_s,
+        };
+        Ok(Branch {
+            chain: model.with(&self.finite()?)?,
+            correction: self.correction()?,
+        })
+    }
+}
+
+/// Reads a calibrated delta.
+///
+/// # Errors
+/// [`Error::Invalid`] says what the row lacks; otherwise as [`delta::Model::with`].
+pub fn read_delta(numbers: &[f64]) -> Result<Calibrated<'_>> {
+    let mut row = Reader(numbers);
+    row.head(DELTA, delta::parameters::PARAMETERS)?;
+    let whole = row.branch()?;
+    let local = if row.flag()? {
+        let region = row.domain()?;
+        Some((row.branch()?, region))
+    } else {
+        None
+    };
+    row.end()?;
+    Ok(Calibrated { whole, local })
+}
+
+/// Reads a calibrated spherical robot.
+///
+/// # Errors
+/// [`Error::Invalid`] says what the row lacks; otherwise as [`spherical::Model::with`].
+pub fn read_spherical(numbers: &[f64]) -> Result<spherical::Calibrated> {
+    let mut row = Reader(numbers);
+    row.head(SPHERICAL, spherical::parameters::PARAMETERS)?;
+    let assembly = row.side(spherical::Assembly::Outer, spherical::Assembly::Inner)?;
+    let model = spherical::Model {
+        geometry: spherical::Geometry::from_parameters(&row.finite()?, assembly),
+        radius_mm: row.finite::<1>()?[0],
+        camera: Description::from_parameters(&row.finite()?),
+        face: row.side(Face::Near, Face::Far)?,
+        gravity: Vector3::from(row.finite::<3>()?),
+        home: row.finite()?,
+    };
+    let elbows = match row.one()? {
+        0.0 => Elbows::Open,
+        1.0 => Elbows::Crossed,
+        2.0 => Elbows::Ahead,
+        3.0 => Elbows::Behind,
+        _ => return refuse("calibration: the elbows stand nowhere"),
+    };
+    let values = row.finite()?;
+    row.end()?;
+    spherical::Calibrated::new(&model, &values, elbows)
+}

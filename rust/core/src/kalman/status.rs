@@ -1,0 +1,114 @@
+//! What a step did, as flags, and how often.
+
+use core::ops::BitOr;
+
+/// What a step did with what it was given; several may hold. No flag at all is a filter that has not stepped.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(transparent)]
+pub struct Status(pub u8);
+
+impl Status {
+    /// A measurement was used. Without this the step only predicted.
+    pub const UPDATED: Self = Self(1);
+    /// There was no measurement.
+    pub const MISSING: Self = Self(1 << 1);
+    /// The measurement is older than the state, or has been used already.
+    pub const LATE: Self = Self(1 << 2);
+    /// The measurement holds a number that is not finite, or would have made the estimate so.
+    pub const NOT_FINITE: Self = Self(1 << 3);
+    /// There is no force that would tell the depth.
+    pub const NO_FORCE: Self = Self(1 << 4);
+    /// The motion is not finite: the state stood still, and its covariance does not know how far it is off.
+    pub const NO_MOTION: Self = Self(1 << 5);
+    /// The step's time is not finite or lies before the state's: nothing was done at all.
+    pub const CLOCK: Self = Self(1 << 6);
+
+    /// Whether all flags of `other` are set.
+    #[must_use]
+    pub fn has(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// Whether no measurement was used.
+    #[must_use]
+    pub fn predicted_only(self) -> bool {
+        !self.has(Self::UPDATED)
+    }
+}
+
+impl BitOr for Status {
+    type Output = Self;
+    fn bitor(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+}
+
+/// How often each flag was set. Counters wrap.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(C)]
+pub struct Counts {
+    /// Steps asked for.
+    pub steps: u64,
+    /// [`Status::UPDATED`].
+    pub updated: u64,
+    /// [`Status::MISSING`].
+    pub missing: u64,
+    /// [`Status::LATE`].
+    pub late: u64,
+    /// [`Status::NOT_FINITE`].
+    pub not_finite: u64,
+    /// [`Status::NO_FORCE`].
+    pub no_force: u64,
+    /// [`Status::NO_MOTION`].
+    pub no_motion: u64,
+    /// [`Status::CLOCK`].
+    pub clock: u64,
+}
+
+impl Counts {
+    /// Counts a step.
+    #[inline]
+    pub fn add(&mut self, status: Status) {
+        self.steps = self.steps.wrapping_add(1);
+        for (count, flag) in [
+            (&mut self.updated, Status::UPDATED),
+            (&mut self.missing, Status::MISSING),
+            (&mut self.late, Status::LATE),
+            (&mut self.not_finite, Status::NOT_FINITE),
+            (&mut self.no_force, Status::NO_FORCE),
+            (&mut self.no_motion, Status::NO_MOTION),
+            (&mut self.clock, Status::CLOCK),
+        ] {
+            *count = count.wrapping_add(u64::from(status.has(flag)));
+        }
+    }
+}
+
+/// Normalised innovations squared (NIS). Their mean is the degrees of freedom where the noise is right, more where
+/// the filter is overconfident, less where it is too careful.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
+pub struct Consistency {
+    /// Of the last update.
+    pub last: f64,
+    /// Degrees of freedom of the last update; zero where the last step only predicted.
+    pub last_degrees: u64,
+    /// Sum over all updates.
+    pub sum: f64,
+    /// Sum of their degrees of freedom.
+    pub degrees: u64,
+    /// Updates.
+    pub count: u64,
+}
+
+impl Consistency {
+    /// Sum over its expectation: 1 where the noise is right; zero before the first update.
+    #[must_use]
+    pub fn ratio(&self) -> f64 {
+        if self.degrees == 0 {
+            0.0
+        } else {
+            self.sum / self.degrees as f64
+        }
+    }
+}

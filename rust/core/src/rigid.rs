@@ -1,0 +1,45 @@
+//! A rigid transform: a turn, then a shift.
+
+use nalgebra::{Matrix3, Vector3};
+
+/// `x ↦ R x + t`. The turn is taken to be a rotation; nothing here checks it. Lengths are mm. NaN passes through.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rigid {
+    /// Rotation `R`.
+    pub rotation: Matrix3<f64>,
+    /// Shift `t`, mm: where the origin goes.
+    pub translation: Vector3<f64>,
+}
+
+impl Rigid {
+    /// The transform that moves nothing.
+    #[must_use]
+    pub fn identity() -> Self {
+        Self {
+            rotation: Matrix3::identity(),
+            translation: Vector3::zeros(),
+        }
+    }
+
+    /// Where a point goes.
+    #[must_use]
+    pub fn apply(&self, point: &Vector3<f64>) -> Vector3<f64> {
+        self.rotation * point + self.translation
+    }
+
+    /// Where a point came from: `Rᵀ (y - t)`, as in Eq. 11 of the tool paper.
+    #[must_use]
+    pub fn apply_inverse(&self, point: &Vector3<f64>) -> Vector3<f64> {
+        self.rotation.transpose() * (point - self.translation)
+    }
+
+    /// The way back.
+    #[must_use]
+    pub fn inverse(&self) -> Self {
+        let rotation = self.rotation.transpose();
+        Self {
+            rotation,
+            translation: -(rotation * self.translation),
+        }
+    }
+}

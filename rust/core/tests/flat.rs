@@ -1,0 +1,157 @@
+//! Calibrated robots as rows of numbers: what is written is read back, and what is no calibration is refused.
+
+mod common;
+
+use common::{Random, Robot, config, effects, model_of, robots, some_covariates};
+use nalgebra::{Vector2, Vector3};
+use proptest::prelude::*;
+use sherkit_core::bernstein::{Correction, Domain, coefficients_len};
+use sherkit_core::calibrated::{Branch, Calibrated};
+use sherkit_core::camera::{Description, Face};
+use sherkit_core::delta::parameters::Values;
+use sherkit_core::flat::{BranchParts, read_delta, read_spherical, write_delta, write_spherical};
+use sherkit_core::spherical::{self, Elbows};
+
+/// What a random calibrated delta is made of.
+struct Parts {
+    robot: Robot,
+    values: [Values; 2],
+    orders: [usize; 3],
+    coefficients: Vec<[f64; 3]>,
+    domain: Domain,
+    corrected: bool,
+    has_local: bool,
+}
+
+impl Parts {
+    fn new(robot: Robot, values: &Values, seed: u64) -> Self {
+        let mut random = Random(seed);
+        let centre = robot.position + model_of(&robot).target_offset;
+        let orders = [(); 3].map(|()| usize::try_from(random.next() % 4).expect("small"));
+        Self {
+            robot,
+            values: [*values, values.map(|v| 0.9 * v)],
+            orders,
+            coefficients: (0..coefficients_len(orders))
+                .map(|_| std::array::from_fn(|_| 0.2 * random.unit()))
+                .collect(),
+            domain: Domain {
+                low: centre - Vector3::repeat(20.0 + random.unit()),
+                high: centre + Vector3::repeat(20.0 + random.unit()),
+                fade: 5.0 + random.unit(),
+            },
+            corrected: random.unit() > 0.0,
+            has_local: random.unit() > 0.0,
+        }
+    }
+
+    fn correction(&self) -> Option<Correction<'_>> {
+        let made = || Correction::new(self.orders, self.domain, &self.coefficients);
+        self.corrected
+            .then(|| made().expect("coefficients that fit"))
+    }
+
+    fn made(&self) -> Calibrated<'_> {
+        let branch = |k: usize| Branch {
+            chain: model_of(&self.robot).with(&self.values[k]).expect("values"),
+            correction: self.correction(),
+        };
+        Calibrated {
+            whole: branch(0),
+            local: self.has_local.then(|| (branch(1), self.domain)),
+        }
+    }
+
+    fn written(&self) -> Vec<f64> {
+        let model = model_of(&self.robot);
+        let [whole, local] = [0, 1].map(|k: usize| BranchParts {
+            model: &model,
+            values: &self.values[k],
+            correction: self.correction(),
+        });
+        let mut row = Vec::new();
+        let local = self.has_local.then_some((&local, &self.domain));
+        write_delta(&whole, local, |x| row.push(x));
+        row
+    }
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    /// A number lost, doubled or in another place.
+    #[test]
+    fn a_delta_comes_back_to_the_last_bit(robot in robots(), values in effects(), seed in any::<u64>()) {
+        let parts = Parts::new(robot, &values, seed);
+        let row = parts.written();
+        let read = read_delta(&row).expect("what was written");
+        let joints = robot.joints + Vector3::new(0.3, -0.2, 0.1);
+        let now = some_covariates();
+        prop_assert_eq!(read.forward(&joints, &now), parts.made().forward(&joints, &now));
+    }
+
+    /// A row that is cut, continued or spoilt, and that is taken all the same or panics.
+    #[test]
+    fn a_row_that_is_no_delta_is_refused(robot in robots(), values in effects(), seed in any::<u64>()) {
+        let parts = Parts::new(robot, &values, seed);
+        let row = parts.written();
+        for end in 0..row.len() {
+            prop_assert!(read_delta(&row[..end]).is_err(), "{} of {}", end, row.len());
+        }
+        let mut spoilt = row.clone();
+        spoilt.push(0.0);
+        prop_assert!(read_delta(&spoilt).is_err());
+        for k in 0..row.len() {
+            for bad in [f64::NAN, f64::INFINITY, 1e300, -7.5] {
+                spoilt.clone_from(&row);
+                spoilt[k] = bad;
+                let Ok(robot) = read_delta(&spoilt) else { continue };
+                prop_assert!(!bad.is_nan(), "{}", k);
+                // what is read must answer, whatever it is
+                if let Ok((x, j)) = robot.forward(&parts.robot.joints, &some_covariates()) {
+                    prop_assert!(bad.is_infinite() || x.iter().chain(&j).all(|x| x.is_finite()), "{} {}", k, bad);
+                }
+            }
+        }
+    }
+}
+
+/// The same for the spherical robot.
+#[test]
+fn a_spherical_robot_comes_back_to_the_last_bit() {
+    let model = spherical::Model {
+        geometry: spherical::Geometry::equal(0.9, 0.7),
+        radius_mm: 200.0,
+        camera: Description::facing(1.57, 0.8, 446.0, [1100.0, 1100.0, 640.0, 320.0]),
+        face: Face::Far,
+        gravity: Vector3::new(0.1, -0.9, 0.2),
+        home: [1.4, 1.6],
+    };
+    let values = std::array::from_fn(|k| 1e-4 * (k as f64 - 7.0));
+    let now = spherical::Covariates {
+        time_s: 3.0,
+        temperature_c: 21.0,
+        direction: [1.0, -1.0],
+        velocity_rad_s: [0.0; 2],
+    };
+    for elbows in [Elbows::Open, Elbows::Crossed, Elbows::Ahead, Elbows::Behind] {
+        let mut row = Vec::new();
+        write_spherical(&model, &values, elbows, |x| row.push(x));
+        let read = read_spherical(&row).expect("what was written");
+        let made = spherical::Calibrated::new(&model, &values, elbows).expect("a robot");
+        for joints in [[2.1, 0.9], [2.5, 1.4], [1.4, 2.0]].map(Vector2::from) {
+            assert_eq!(read.forward(&joints, &now), made.forward(&joints, &now));
+            let angles = Vector2::new(1.5, 0.8);
+            assert_eq!(read.inverse(&angles, &now), made.inverse(&angles, &now));
+        }
+        for end in 0..row.len() {
+            assert!(read_spherical(&row[..end]).is_err());
+        }
+        for k in 0..row.len() {
+            let mut spoilt = row.clone();
+            spoilt[k] = f64::NAN;
+            assert!(read_spherical(&spoilt).is_err(), "{k}");
+        }
+        assert!(read_delta(&row).is_err());
+    }
+}

@@ -1,0 +1,299 @@
+//! `ToolSensor` and `ToolBeam`: what the fibres of the flexible tool say, and where its tip goes.
+
+use crate::arrays::{fixed, rows, rows_like, same_length, shaped};
+use crate::errors::to_python;
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
+use numpy::{
+    PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
+    PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use sherkit_core::kalman::Measurement;
+use sherkit_core::rigid::Rigid;
+use sherkit_core::tool::beam::Beam;
+use sherkit_core::tool::sensing::{Calibration, Depth, Reading, Sensor};
+
+/// Wavelengths of a row: three fibres at each of the sections I, II, III.
+const WAVELENGTHS: usize = 9;
+/// Numbers of a measurement: time, force (2), its covariance (4), depth, its variance, covariance with the force (2).
+pub const MEASUREMENT: usize = 11;
+/// Numbers of a pose: the rotation's rows, then the shift.
+pub const POSE: usize = 12;
+
+/// Why a row has no depth.
+#[repr(u8)]
+enum Code {
+    Measured = 0,
+    NoForce = 1,
+    NotFinite = 2,
+}
+
+/// Sections from a row.
+fn sections(row: &[f64; WAVELENGTHS]) -> [[f64; 3]; 3] {
+    let [a, b, c, d, e, f, g, h, i] = *row;
+    [[a, b, c], [d, e, f], [g, h, i]]
+}
+
+/// A pose from its numbers.
+pub fn pose_of(numbers: &[f64; POSE]) -> Rigid {
+    Rigid {
+        rotation: Matrix3::from_row_slice(&numbers[..9]),
+        translation: Vector3::new(numbers[9], numbers[10], numbers[11]),
+    }
+}
+
+/// A measurement from its numbers.
+pub fn measurement_of(numbers: &[f64; MEASUREMENT]) -> Measurement {
+    let [time_s, fx, fy, xx, xy, yx, yy, depth, variance, dx, dy] = *numbers;
+    Measurement {
+        time_s,
+        force: [fx, fy],
+        force_covariance: [[xx, xy], [yx, yy]],
+        depth,
+        depth_variance: variance,
+        depth_with_force: [dx, dy],
+    }
+}
+
+fn numbers_of(m: &Measurement) -> [f64; MEASUREMENT] {
+    let [[xx, xy], [yx, yy]] = m.force_covariance;
+    let ([fx, fy], [dx, dy]) = (m.force, m.depth_with_force);
+    let (depth, variance) = (m.depth, m.depth_variance);
+    [m.time_s, fx, fy, xx, xy, yx, yy, depth, variance, dx, dy]
+}
+
+/// A calibrated tool: nine wavelengths in, moments, force and depth with their uncertainty out.
+#[pyclass(frozen, module = "sherkit._core")]
+pub struct ToolSensor(Sensor);
+
+type Readings<'py> = (
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray1<u8>>,
+);
+
+#[pymethods]
+impl ToolSensor {
+    /// `gains` `(2, 2, 3)`: `K_I`, `K_II` (mN·mm/nm); `distances_mm` from the tip to sections I and II;
+    /// `reference_nm` `(9,)` of the unloaded tool.
+    #[new]
+    fn new(
+        gains: PyReadonlyArray3<'_, f64>,
+        distances_mm: PyReadonlyArray1<'_, f64>,
+        reference_nm: PyReadonlyArray1<'_, f64>,
+        noise_nm: f64,
+    ) -> PyResult<Self> {
+        if gains.shape() != [2, 2, 3] {
+            return Err(crate::errors::shape("gains", "(2, 2, 3)", gains.shape()));
+        }
+        let k = fixed::<12, _>("gains", &gains)?;
+        Sensor::new(Calibration {
+            gains: [
+                Matrix2x3::from_row_slice(&k[..6]),
+                Matrix2x3::from_row_slice(&k[6..]),
+            ],
+            distances_mm: fixed("distances_mm", &distances_mm)?,
+            reference_nm: sections(&fixed("reference_nm", &reference_nm)?),
+            noise_nm,
+        })
+        .map(Self)
+        .map_err(to_python)
+    }
+
+    /// A measurement `(11,)` at a time from wavelengths `(9,)`.
+    fn measure<'py>(
+        &self,
+        py: Python<'py>,
+        time_s: f64,
+        wavelengths_nm: PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let row = fixed("wavelengths_nm", &wavelengths_nm)?;
+        let reading = self.0.read(&sections(&row)).map_err(to_python)?;
+        let measured = Measurement::from_reading(time_s, &reading);
+        Ok(PyArray1::from_slice(py, &numbers_of(&measured)))
+    }
+
+    /// Measurements `(n, 11)` at times `(n,)`, moments `(n, 2, 2)`, misfit `(n,)`, common mode `(n, 3)` and why a row
+    /// has no depth `(n,)`: 0 has one, 1 no force, 2 not finite. The first is what the filters take; of a row that is
+    /// not finite all but the time is NaN.
+    fn measure_batch<'py>(
+        &self,
+        py: Python<'py>,
+        times_s: PyReadonlyArray1<'_, f64>,
+        wavelengths_nm: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<Readings<'py>> {
+        let w = rows::<WAVELENGTHS, _>("wavelengths_nm", &wavelengths_nm)?.to_vec();
+        let times = same_length("times_s", &times_s, w.len())?.to_vec();
+        let n = w.len();
+        let mut measured = vec![f64::NAN; n * MEASUREMENT];
+        let mut moments = vec![f64::NAN; n * 4];
+        let mut misfit = vec![f64::NAN; n];
+        let mut common = vec![f64::NAN; n * 3];
+        let mut codes = vec![Code::NotFinite as u8; n];
+        py.detach(|| {
+            for i in 0..n {
+                measured[i * MEASUREMENT] = times[i];
+                let Ok(reading) = self.0.read(&sections(&w[i])) else {
+                    continue;
+                };
+                let m = Measurement::from_reading(times[i], &reading);
+                measured[i * MEASUREMENT..][..MEASUREMENT].copy_from_slice(&numbers_of(&m));
+                moments[i * 4..][..2].copy_from_slice(reading.moments[0].as_slice());
+                moments[i * 4 + 2..][..2].copy_from_slice(reading.moments[1].as_slice());
+                misfit[i] = reading.misfit;
+                common[i * 3..][..3].copy_from_slice(&reading.common_nm);
+                codes[i] = match reading.depth {
+                    Depth::Measured { .. } => Code::Measured,
+                    Depth::NoForce => Code::NoForce,
+                } as u8;
+            }
+        });
+        Ok((
+            shaped(py, measured, [n, MEASUREMENT])?,
+            shaped(py, moments, [n, 2, 2])?,
+            PyArray1::from_vec(py, misfit),
+            shaped(py, common, [n, 3])?,
+            PyArray1::from_vec(py, codes),
+        ))
+    }
+
+    /// Depth as Eq. 2 is printed, from the lengths of the moments at sections I and II `(n, 2)`, mm. It is not finite
+    /// where the force is zero or a wavelength is not finite.
+    fn depth_by_lengths_batch<'py>(
+        &self,
+        py: Python<'py>,
+        wavelengths_nm: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let w = rows::<WAVELENGTHS, _>("wavelengths_nm", &wavelengths_nm)?;
+        let depth = |reading: Reading| self.0.depth_by_lengths(&reading);
+        let of = |row| self.0.read(&sections(row)).map_or([f64::NAN; 2], depth);
+        let out: Vec<f64> = w.iter().flat_map(of).collect();
+        shaped(py, out, [w.len(), 2])
+    }
+}
+
+/// The shaft as a cantilever.
+#[pyclass(frozen, module = "sherkit._core")]
+pub struct ToolBeam(Beam);
+
+impl ToolBeam {
+    /// The core's beam.
+    pub fn beam(&self) -> Beam {
+        self.0
+    }
+}
+
+#[pymethods]
+impl ToolBeam {
+    /// Free length (mm) and bending stiffness `EI` (mN·mm²).
+    #[new]
+    fn new(length_mm: f64, stiffness: f64) -> PyResult<Self> {
+        Beam::new(length_mm, stiffness).map(Self).map_err(to_python)
+    }
+
+    #[staticmethod]
+    fn ebrahimi_2020() -> Self {
+        Self(Beam::ebrahimi_2020())
+    }
+
+    #[getter]
+    fn length_mm(&self) -> f64 {
+        self.0.length_mm()
+    }
+
+    #[getter]
+    fn stiffness(&self) -> f64 {
+        self.0.stiffness()
+    }
+
+    /// Tip deflection per force (mm/mN) at depths `(n,)`, and its derivatives by depth, length and stiffness `(n, 4)`.
+    fn compliance_batch<'py>(
+        &self,
+        py: Python<'py>,
+        depths_mm: PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let depths = depths_mm.as_slice()?;
+        let of = |d: &f64| {
+            let c = self.0.compliance(*d);
+            [c.value, c.by_depth, c.by_length, c.by_stiffness]
+        };
+        let out: Vec<f64> = depths.iter().flat_map(of).collect();
+        shaped(py, out, [depths.len(), 4])
+    }
+
+    /// Deflection at the contact itself per force `(n,)`, mm/mN.
+    fn contact_compliance_batch<'py>(
+        &self,
+        py: Python<'py>,
+        depths_mm: PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let depths = depths_mm.as_slice()?.iter();
+        let out = depths.map(|d| self.0.contact_compliance(*d)).collect();
+        Ok(PyArray1::from_vec(py, out))
+    }
+
+    /// Tip deflection `(n, 3)` in the tool frame for forces `(n, 2)` at depths `(n,)`, mm, and its derivatives
+    /// `(n, 2, 5)`: by the force's x and y, depth, length, stiffness.
+    fn deflection_batch<'py>(
+        &self,
+        py: Python<'py>,
+        forces_mn: PyReadonlyArray2<'_, f64>,
+        depths_mm: PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>)> {
+        let forces = rows::<2, _>("forces_mn", &forces_mn)?;
+        let depths = same_length("depths_mm", &depths_mm, forces.len())?;
+        let n = forces.len();
+        let mut out = Vec::with_capacity(n * 3);
+        let mut by = Vec::with_capacity(n * 10);
+        for (f, d) in forces.iter().zip(depths) {
+            let f = Vector2::from(*f);
+            out.extend_from_slice(self.0.deflection(&f, *d).as_slice());
+            let derivatives = self.0.deflection_derivatives(&f, *d);
+            by.extend_from_slice(derivatives.transpose().as_slice());
+        }
+        Ok((shaped(py, out, [n, 3])?, shaped(py, by, [n, 2, 5])?))
+    }
+
+    /// The tip in the base frame `(n, 3)`, mm, for poses `(n, 12)`.
+    fn tip_batch<'py>(
+        &self,
+        py: Python<'py>,
+        forces_mn: PyReadonlyArray2<'_, f64>,
+        depths_mm: PyReadonlyArray1<'_, f64>,
+        poses: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let forces = rows::<2, _>("forces_mn", &forces_mn)?;
+        let depths = same_length("depths_mm", &depths_mm, forces.len())?;
+        let poses = rows_like::<POSE>("poses", &poses, forces.len())?;
+        let mut out = Vec::with_capacity(forces.len() * 3);
+        for ((f, d), pose) in forces.iter().zip(depths).zip(poses) {
+            let tip = self.0.tip(&Vector2::from(*f), *d, &pose_of(pose));
+            out.extend_from_slice(tip.as_slice());
+        }
+        shaped(py, out, [forces.len(), 3])
+    }
+
+    /// Covariance of the deflection's x and y `(n, 2, 2)`, mm², that follows from measurements `(n, 11)`.
+    fn covariance_batch<'py>(
+        &self,
+        py: Python<'py>,
+        measurements: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let measured = rows::<MEASUREMENT, _>("measurements", &measurements)?;
+        let mut out = Vec::with_capacity(measured.len() * 4);
+        for m in measured.iter().map(measurement_of) {
+            let [[xx, xy], [yx, yy]] = m.force_covariance;
+            let p = self.0.deflection_covariance(
+                &Vector2::from(m.force),
+                m.depth,
+                &Matrix2::new(xx, xy, yx, yy),
+                m.depth_variance,
+                &Vector2::from(m.depth_with_force),
+            );
+            out.extend_from_slice(p.transpose().as_slice());
+        }
+        shaped(py, out, [measured.len(), 2, 2])
+    }
+}

@@ -1,0 +1,225 @@
+"""The C library: the same bits as from Python, no path to a panic, and nothing that a sanitizer would say.
+
+Needs a C compiler and cargo; without them the tests are skipped and say so.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sherkit import _core
+from sherkit.errors import NotFinite, OutOfReach
+
+Floats = NDArray[np.float64]
+
+ROOT = Path(__file__).parent.parent
+LIBRARY = ROOT / "rust" / "c"
+TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+STRICT = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{LIBRARY / 'include'}"]
+SANITIZED = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer"]
+CODES = {None: 0.0, NotFinite: 3.0, OutOfReach: 4.0}
+
+sys.path.insert(0, str(LIBRARY / "examples"))
+import make_robots  # noqa: E402  (it stands beside the header that it makes)
+
+
+def run(*command: str | Path, **more: Any) -> str:
+    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False, **more)
+    assert done.returncode == 0, f"{' '.join(map(str, command))}: {done.returncode}\n{done.stdout}{done.stderr}"
+    return done.stdout
+
+
+def tool(*names: str) -> str:
+    """The first of these programs that is installed; skips where none is."""
+    for name in names:
+        if shutil.which(name):
+            return name
+    pytest.skip(f"none of {', '.join(names)} is installed, so the C library cannot be tested")
+
+
+@pytest.fixture(scope="module")
+def archive() -> Path:
+    """The static library, built."""
+    tool("cc")
+    command = [tool("cargo"), "build", "--quiet", "--locked", "--profile", "control", "-p", "sherkit-c"]
+    run(*command, "--target-dir", TARGET, cwd=ROOT)
+    return TARGET / "control" / "libsherkit.a"
+
+
+def built(archive: Path, source: str, into: Path, *flags: str) -> Path:
+    program = into / Path(source).stem
+    run("cc", *STRICT, *flags, LIBRARY / source, archive, "-lm", "-o", program)
+    return program
+
+
+def delta_rows() -> Floats:
+    random = np.random.default_rng(1)
+    joints = random.uniform(115, 150, (200, 3))
+    joints[7], joints[8] = [130.0, 400.0, 130.0], [np.nan, 130.0, 130.0]
+    covariates = np.tile([10.0, 21.0, 1.0, -1.0, 0.0], (200, 1))
+    positions = random.uniform(-22, 22, (200, 3))
+    positions[9] = [300.0, 0.0, 0.0]
+    return np.hstack([joints, covariates, positions])
+
+
+def spherical_rows() -> Floats:
+    random = np.random.default_rng(2)
+    mean, half = random.uniform(0.9, 2.2, 200), random.uniform(0.4, 1.3, 200)
+    joints = np.stack([mean + half, mean - half], axis=1)
+    joints[5] = [1.5, -1.5]
+    angles = np.stack([random.uniform(0.8, 2.2, 200), random.uniform(0.4, 1.2, 200)], axis=1)
+    angles[6] = np.nan
+    return np.hstack([joints, np.tile([10.0, 21.0, 1.0, -1.0], (200, 1)), angles])
+
+
+def single(function: Any, numbers: Floats, covariates: Floats, sizes: tuple[int, ...]) -> list[float]:
+    """What the C program writes of a call: its code, and the numbers; zero where there are none."""
+    try:
+        found = function(np.ascontiguousarray(numbers), list(covariates))
+    except (NotFinite, OutOfReach) as error:
+        return [CODES[type(error)], *np.zeros(sum(sizes))]
+    parts = found if isinstance(found, tuple) else (found,)
+    return [0.0, *np.concatenate([p.ravel() for p in parts])]
+
+
+def tool_rows(n: int = 3000) -> Floats:
+    random = np.random.default_rng(3)
+    times = 0.005 * np.arange(1, n + 1)
+    stamps = np.where(random.random(n) < 0.02, times - 0.02, times)
+    bend = 0.04 * np.maximum(0.0, np.sin(3.0 * times))[:, None] * np.array([1.0, -0.4, -0.6, 1.3, -0.5, -0.8, 0, 0, 0])
+    wavelengths = np.linspace(1530, 1560, 9) + bend + 2e-4 * random.normal(size=(n, 9))
+    wavelengths[random.random(n) < 0.02] = np.nan
+    velocities = random.normal(size=(n, 3))
+    velocities[random.random(n) < 0.01] = np.inf
+    c, s = np.cos(0.3 * times), np.sin(0.3 * times)
+    rotations = np.stack([c, -s, 0 * c, s, c, 0 * c, 0 * c, 0 * c, 0 * c + 1], axis=1)
+    shifts = np.stack([np.sin(times), np.cos(times), 5 * np.sin(times)], axis=1)
+    depths = np.stack([8 + np.sin(times), np.full(n, 0.01)], axis=1)
+    present = (random.random(n) > 0.1).astype(float)
+    return np.column_stack([times, stamps, present, wavelengths, velocities, rotations, shifts, depths])
+
+
+GAINS = np.array([[[8.0, -4.0, -4.0], [0.5, 6.5, -7.0]], [[9.0, -4.4, -4.6], [-0.3, 7.0, -6.7]]]) * 1e3
+DISTANCES = np.array([28.0, 34.0])
+REFERENCE = np.linspace(1530, 1560, 9)
+NOISES = {
+    "paper": (_core.FilterNoise.ebrahimi_2020(), [0, 50, 1e6, 10, 0.005, 0.002, 0.0025, 0.01, 0, 0, 0]),
+    "of force": (_core.FilterNoise.ebrahimi_2020_of_force(), [1, 50, 1e6, 10, 0.005, 0.002, 0.0025, 0.01, 0, 0, 0]),
+    "propagated": (
+        _core.FilterNoise.propagated((0.5, 2.0), (1e-3, 1e-4), 0.3),
+        [2, 0, 0, 0, 1e-3, 1e-4, 0, 0, 0.5, 2.0, 0.3],
+    ),
+}
+
+
+def from_python(rows: Floats, noise: _core.FilterNoise) -> Floats:
+    """What the C program writes of the tool, from whole runs in Python."""
+    times, stamps = np.ascontiguousarray(rows[:, 0]), np.ascontiguousarray(rows[:, 1])
+    wavelengths, velocities, poses, depths = (np.ascontiguousarray(p) for p in np.split(rows[:, 3:], [9, 12, 24], 1))
+    present = rows[:, 2] != 0
+    beam = _core.ToolBeam.ebrahimi_2020()
+    measured = _core.ToolSensor(GAINS, DISTANCES, REFERENCE, 2e-4).measure_batch(stamps, wavelengths)[0]
+    along = np.ascontiguousarray(velocities[:, 2])
+    n = len(rows)
+    columns = [measured]
+    filters: list[tuple[Any, tuple[Floats, ...]]] = [
+        (_core.DepthFilter(8.0, 4.0, 0.0, noise), (along,)),
+        (_core.TipFilter(beam, poses[0], 1.0, 0.0, noise), (velocities, poses, depths)),
+        (_core.DepthTipFilter(beam, 8.0, poses[0], (4.0, 1.0), 0.0, noise), (velocities, poses)),
+    ]
+    for filter_, given in filters:
+        means, covariances, status, nis, degrees = filter_.filter(times, *given, measured, present)
+        columns += [means, covariances.reshape(n, -1), np.stack([nis, degrees, status], axis=1)]
+    names = ("steps", "updated", "missing", "late", "not_finite", "no_force", "no_motion", "clock")
+    last = filters[-1][0].statistics()
+    counts = [last[k] for k in (*names, "nis_count", "nis_degrees", "nis_sum")]
+    assert min(counts[:7]) > 0
+    return np.concatenate([np.hstack(columns).ravel(), counts])
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_c_and_python_agree_to_the_last_bit(archive: Path, tmp_path: Path, noise: str) -> None:
+    """Catches rows read as columns, a calibration that loses a number, another rounding in the two builds."""
+    delta, spherical, rows = delta_rows(), spherical_rows(), tool_rows()
+    robots = make_robots.delta(), make_robots.spherical()
+    flats = [robot.flat() for robot in robots]
+    filter_noise, numbers = NOISES[noise]
+    head = [len(flats[0]), len(delta), len(flats[1]), len(spherical), len(rows)]
+    sensor = [*GAINS.ravel(), *DISTANCES, *REFERENCE, 2e-4]
+    parts = [head, flats[0], delta.ravel(), flats[1], spherical.ravel(), sensor, numbers, rows.ravel()]
+    np.concatenate([np.asarray(p, dtype=float) for p in parts]).tofile(tmp_path / "in")
+    run(built(archive, "tests/replay.c", tmp_path, "-O2"), tmp_path / "in", tmp_path / "out")
+    out = np.fromfile(tmp_path / "out")
+    expected: list[float] = []
+    for row in delta:
+        expected += single(robots[0].forward, row[:3], row[3:8], (3, 9))
+        expected += single(robots[0].inverse, row[8:], row[3:8], (3,))
+    for row in spherical:
+        expected += single(robots[1].forward, row[:2], row[2:6], (2, 4))
+        expected += single(robots[1].inverse, row[6:], row[2:6], (2,))
+    kinematics = np.array(expected)
+    assert (kinematics == 3.0).any()
+    assert (kinematics == 4.0).any()
+    np.testing.assert_array_equal(out[: len(kinematics)], kinematics)
+    np.testing.assert_array_equal(out[len(kinematics) :], from_python(rows, filter_noise))
+
+
+def test_nothing_in_the_library_can_panic(archive: Path) -> None:
+    """Catches a bounds check, an unwrap or an overflow check that the compiler could not prove away."""
+    symbols = subprocess.run([tool("nm"), str(archive)], capture_output=True, text=True, check=False).stdout
+    assert len(re.findall(r" T sherkit_", symbols)) >= 18
+    assert not re.findall(r".*(?:sherkit_has_a_path_to_a_panic|panicking|panic_fmt|unwind).*", symbols)
+    # nor can it allocate, lock or wait
+    assert not re.findall(r" U (?:malloc|calloc|free|pthread\w*|__rust_alloc\w*|futex)$", symbols, re.MULTILINE)
+
+
+def test_the_header_serves_c_and_cpp(tmp_path: Path) -> None:
+    """Catches a header that one of the two compilers refuses."""
+    source = tmp_path / "header.c"
+    source.write_text('#include "sherkit.h"\nint main(void) { return SHERKIT_OK; }\n', encoding="utf-8")
+    run(tool("cc"), *STRICT, "-fsyntax-only", source)
+    run(tool("c++"), "-x", "c++", "-std=c++17", "-Wall", "-Wextra", "-Werror", STRICT[-1], "-fsyntax-only", source)
+
+
+def test_the_examples_robots_are_what_flat_writes() -> None:
+    """Catches a change of the layout after which the examples would not start."""
+    assert make_robots.HEADER.read_text(encoding="utf-8") == make_robots.text()
+
+
+@pytest.mark.parametrize("steps", [200_000, pytest.param(10_000_000, marks=pytest.mark.slow)])
+def test_random_missing_and_nan_input_under_sanitizers(archive: Path, tmp_path: Path, steps: int) -> None:
+    """Catches an estimate that is not finite and does not say so, a read or write beside what was given."""
+    program = built(archive, "tests/stress.c", tmp_path, *SANITIZED)
+    assert run(program, str(steps), "7").startswith(f"{steps} steps")
+
+
+def test_the_loop_runs_and_logs(archive: Path, tmp_path: Path) -> None:
+    """Catches an example that does not build, or whose estimate is no better than the unbent tip."""
+    cmake, source = tool("cmake"), LIBRARY / "examples" / "loop"
+    run(cmake, "-S", source, "-B", tmp_path, f"-DSHERKIT_TARGET_DIR={TARGET}")
+    run(cmake, "--build", tmp_path)
+    said = run(tmp_path / "loop", "--seconds", "2", "--log", tmp_path / "log.csv")
+    depth, tip, joint, unbent = (float(x) for x in re.findall(r"([\d.]+) mm", said))
+    assert depth < 1.0
+    assert max(tip, joint) < 0.1 * unbent
+    lines = (tmp_path / "log.csv").read_text(encoding="utf-8").splitlines()
+    assert len(lines) == 2001
+    assert lines[0].startswith("time_s,force_mN,depth_true_mm,depth_mm")
+
+
+def test_the_bare_program_needs_nothing_else(archive: Path) -> None:
+    """Catches a core that needs an operating system or the C library."""
+    tool("make")
+    if not (sys.platform == "linux" and os.uname().machine == "x86_64"):
+        pytest.skip("the bare example begins and ends as a Linux program for x86-64")
+    run("make", "-C", LIBRARY / "examples" / "bare", "run", f"TARGET={TARGET}")

@@ -1,0 +1,612 @@
+"""The flexible tool from its file to what is missing: runs, filters over them, registration, diagnosis, commands."""
+
+from __future__ import annotations
+
+import json
+import runpy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import hypothesis.strategies as st
+import numpy as np
+import polars as pl
+import pytest
+import tomli_w
+from click.testing import CliRunner
+from hypothesis import given, settings
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import sherkit as sk
+from sherkit.cli.main import cli
+from sherkit.effects.tool import TOOL_CATALOGUE
+from sherkit.errors import FitError, MeasurementError, RobotError, ShapeError
+from sherkit.estimation.alignment import align, at_times
+from sherkit.estimation.calibration import calibrate_tool, read_loads
+from sherkit.estimation.filters import Estimate, consistency, estimate, status_in_words
+from sherkit.estimation.judge import judge
+from sherkit.estimation.model import ToolModel
+from sherkit.estimation.registration import register
+from sherkit.estimation.runs import FIBRES, ToolRun, read_tool_run, tool_run_of
+from sherkit.robots.flexible_tool import NOISES, FlexibleTool, load_tool, rotation_of
+from sherkit.tool_simulation import EXPERIMENTS, VirtualTool
+
+Floats = NDArray[np.float64]
+
+#: Filters that know the virtual tool's noise: no floor, and the hole's own random walk.
+KNOWING = FlexibleTool(per_second_mm2=(0.004, 1.0), floor_mm2=(0.0, 0.0))
+TOOL = FlexibleTool(
+    camera_rotation_rad=(0.3, -0.2, 1.0), camera_translation_mm=(50.0, -20.0, 300.0), camera_delay_s=0.031
+)
+
+
+@pytest.fixture(scope="module")
+def runs() -> dict[str, list[ToolRun]]:
+    """The three experiments, two seeds each."""
+    return {name: [VirtualTool(KNOWING).run(name, seed=seed) for seed in range(2)] for name in EXPERIMENTS}
+
+
+@pytest.fixture(scope="module")
+def estimates(runs: dict[str, list[ToolRun]]) -> dict[tuple[str, str], list[Estimate]]:
+    """All of them with the noise that is known, and with the paper's."""
+    return {
+        (name, noise): [estimate(KNOWING.with_noise(noise), run) for run in some]
+        for name, some in runs.items()
+        for noise in ("propagated", "ebrahimi_2020")
+    }
+
+
+# -- the tool and its file -----------------------------------------------------------------------------------------
+
+
+def test_tool_file_is_lossless(tmp_path: Path) -> None:
+    """Catches a field that the file forgets or rounds."""
+    made = replace(TOOL, noise="ebrahimi_2020", start_depth_mm=1.0 / 3.0, noise_nm=1.1e-3)
+    made.save(tmp_path / "tool.toml")
+    assert load_tool(tmp_path / "tool.toml") == made
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value", "says"),
+    [
+        ("shaft", "length_mm", -60.0, "[shaft] length_mm: expected a positive number"),
+        ("shaft", "length", 60.0, "unknown key [shaft] length"),
+        ("gratings", "distances_mm", [50.0, 40.0], "I, then II"),
+        ("gratings", "distances_mm", [50.0, 70.0], "less than length_mm = 60"),
+        ("gratings", "gain_I_x", [1.0, 2.0], "[gratings] gain_I_x: expected 3 numbers"),
+        ("gratings", "reference_nm", [1550.0] * 8, "[gratings] reference_nm: expected 9"),
+        ("filter", "noise", "guessed", "'propagated'"),
+        ("camera", "std_mm", 0.0, "[camera] std_mm"),
+    ],
+)
+def test_a_bad_tool_file_is_refused(table: str, key: str, value: Any, says: str, tmp_path: Path) -> None:
+    """Catches a wrong number that is read, or refused without its table and key."""
+    tables = TOOL.to_tables()
+    tables[table] = {**tables[table], key: value}
+    path = tmp_path / "tool.toml"
+    path.write_text(tomli_w.dumps(tables))
+    with pytest.raises(RobotError) as refused:
+        load_tool(path)
+    assert str(refused.value).startswith(str(path))
+    assert says in str(refused.value)
+
+
+# -- the virtual tool, by a second way -----------------------------------------------------------------------------
+
+
+@settings(max_examples=50)
+@given(
+    length=st.floats(20.0, 100.0), share=st.floats(0.0, 0.95), force=st.floats(-300.0, 300.0),
+    stiffness=st.floats(1e5, 1e7),
+)  # fmt: skip
+def test_bending_is_that_of_the_beam_equation(length: float, share: float, force: float, stiffness: float) -> None:
+    """Catches a wrong power or factor in Eq. 9, in the core and in the virtual tool: the curvature integrated twice."""
+    depth = share * length
+    at = length - depth
+    s = np.linspace(0.0, length, 4001)
+    curvature = force * (at - s).clip(0.0) / stiffness
+    step = s[1] - s[0]
+    slope = np.concatenate([[0.0], np.cumsum((curvature[1:] + curvature[:-1]) / 2 * step)])
+    bent = np.concatenate([[0.0], np.cumsum((slope[1:] + slope[:-1]) / 2 * step)])
+    made = FlexibleTool(length_mm=length, stiffness_mn_mm2=stiffness, distances_mm=(0.6 * length, 0.8 * length))
+    for tip in (
+        VirtualTool._tip(made, np.array([[force, 0.0]]), np.array([depth]))[0, 0],
+        made.beam.deflection_batch(np.array([[force, 0.0]]), np.array([depth]))[0][0, 0],
+    ):
+        assert tip == pytest.approx(bent[-1], rel=1e-5, abs=1e-9)
+
+
+def test_the_contact_is_in_balance() -> None:
+    """Catches a force that does not fit the hole's, or one where the shaft stands free of the edge."""
+    virtual = VirtualTool(TOOL, hole_mn_mm=80.0)
+    rng = np.random.default_rng(0)
+    depth, offset = rng.uniform(0.1, 25.0, 200), 4.0 * rng.standard_normal((200, 2))
+    force = virtual._force(TOOL, depth, offset, 2.0)
+    size, pushed = np.linalg.norm(force, axis=1), np.linalg.norm(offset, axis=1)
+    assert (size[pushed <= 2.0] == 0).all()
+    on = pushed > 2.0
+    bent = size * (TOOL.length_mm - depth) ** 3 / (3 * TOOL.stiffness_mn_mm2)
+    np.testing.assert_allclose(size[on], 80.0 * (pushed - 2.0 - bent)[on], rtol=1e-9)
+    np.testing.assert_allclose(force[:, 0] * offset[:, 1], force[:, 1] * offset[:, 0], atol=1e-6)
+
+
+# -- runs ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_run_is_lossless(tmp_path: Path) -> None:
+    """Catches rows of the robot and of the camera that are mixed up, and wavelengths that are filled in."""
+    run = VirtualTool(TOOL, lost=0.1).run("phantom", seconds=3.0)
+    for name in ("run.csv", "run.parquet"):
+        run.save(tmp_path / name)
+        again = read_tool_run(tmp_path / name)
+        for field in ("time_s", "position_mm", "turn_rad", "wavelengths_nm", "camera_time_s", "camera_mm", "depth_mm"):
+            np.testing.assert_array_equal(getattr(again, field), getattr(run, field))
+
+
+def frame(rows: int = 6) -> pl.DataFrame:
+    """A small run as a table."""
+    run = VirtualTool(TOOL).run("phantom", seconds=2.0)
+    columns: dict[str, Any] = {"time_s": run.time_s[:rows]}
+    for k, axis in enumerate("xyz"):
+        columns[f"robot_{axis}_mm"] = run.position_mm[:rows, k]
+        columns[f"robot_r{axis}_rad"] = run.turn_rad[:rows, k]
+        columns[f"camera_{axis}_mm"] = np.full(rows, 1.0 + k)
+    return pl.DataFrame({**columns, **dict(zip(FIBRES, run.wavelengths_nm[:rows].T, strict=True))})
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda f: f.drop("fbg3_nm"), "column 'fbg3_nm' is missing"),
+        (lambda f: f.rename({"robot_x_mm": "robot_x"}), "is 'robot_x' meant to be it?"),
+        (lambda f: f.with_columns(pl.lit("x").alias("fbg1_nm")), "row 1, column 'fbg1_nm': 'x' is not a number"),
+        (lambda f: f.with_columns(robot_y_mm=None), "row 1: a pose needs all of"),
+        (lambda f: f.with_columns(camera_z_mm=None), "row 1: a place of the camera needs all of"),
+        (lambda f: f.with_columns(time_s=pl.lit(0.0)), "row 2: the time of the robot does not grow"),
+        (lambda f: f.with_columns(time_s=None), "row 1, column 'time_s': expected a time"),
+        (lambda f: f.head(2), "holds 2 rows with a pose; expected 3 or more"),
+    ],
+)
+def test_bad_runs_are_refused(change: Any, says: str) -> None:
+    """Catches a traceback, or NaN that travels on."""
+    with pytest.raises(MeasurementError) as refused:
+        tool_run_of(change(frame()), "run.csv")
+    assert str(refused.value).startswith("run.csv")
+    assert says in str(refused.value)
+
+
+def test_velocity_is_that_of_the_unbent_tip() -> None:
+    """Catches a velocity across the shaft taken for insertion, or one with the wrong sign."""
+    turn = np.tile([0.0, 0.5, 0.0], (4, 1))
+    shaft = rotation_of(turn[0])[0][:, 2]
+    time = np.array([0.0, 0.1, 0.3, 0.4])
+    along = np.array([0.0, 0.1, 0.7, 0.6])
+    run = ToolRun(time, along[:, None] * shaft, turn, np.full((4, 9), 1550.0), np.zeros(0), np.zeros((0, 3)))
+    np.testing.assert_allclose(run.insertion_mm_s, [0.0, 1.0, 3.0, -1.0], atol=1e-12)
+
+
+# -- estimates -----------------------------------------------------------------------------------------------------
+
+
+def test_table_one(estimates: dict[tuple[str, str], list[Estimate]]) -> None:
+    """Catches filters that are no better than the paper's: its Table I, on simulated experiments, seeds 0 and 1.
+
+    Over T0 the paper takes 94 % (depth, against gratings) and 77 % (tip, against kinematics) of the error away.
+    """
+    for seed in range(2):
+        for noise in ("propagated", "ebrahimi_2020"):
+            depth = {j.quantity: j for j in judge(estimates["phantom", noise][seed])}["depth"]
+            assert depth.improvement("filter", "gratings") > 0.94
+            for name in ("bends", "vessels"):
+                tip = {j.quantity: j for j in judge(estimates[name, noise][seed])}["tip"]
+                assert tip.improvement("filter", "kinematics") > 0.77
+
+
+def test_the_propagated_noise_is_better(estimates: dict[tuple[str, str], list[Estimate]]) -> None:
+    """Catches noise that follows the force but loses to a step at 50 mN, on the same T0 and T1 (those of the step)."""
+    for name in EXPERIMENTS:
+        for ours, paper in zip(estimates[name, "propagated"], estimates[name, "ebrahimi_2020"], strict=True):
+            if paper.run.depth_mm is not None:
+                t0 = np.abs(paper.depth.value[:, 0] - paper.held_depth_mm) > 0.1
+                off = [np.abs(e.depth.value[:, 0] - paper.run.depth_mm) for e in (ours, paper)]
+                assert off[0][t0].mean() < off[1][t0].mean()
+                assert off[0][~t0].mean() < off[1][~t0].mean()
+            tips = [{j.quantity: j for j in judge(e)}["tip"].of("filter") for e in (ours, paper)]
+            assert tips[0].t0 < tips[1].t0
+            # the camera's own error, 0.35 mm, is nearly all of it there
+            assert tips[0].t1 < tips[1].t1 + 0.01
+
+
+def test_nis_tells_right_noise_from_wrong(estimates: dict[tuple[str, str], list[Estimate]]) -> None:
+    """Catches a filter that is overconfident without a word: 99 % band of the mean NIS of the depth.
+
+    The noise of the gratings and the random walk of the hole are known here, so the ratio is 1; seeds 0 and 1.
+    """
+    for name in ("phantom", "vessels"):
+        for known, wrong in zip(estimates[name, "propagated"], estimates[name, "ebrahimi_2020"], strict=True):
+            assert known.depth.consistency.verdict == "consistent", known.depth.consistency
+            assert wrong.depth.consistency.verdict == "overconfident"
+    # a contact that jumps along the shaft is no random walk, and the filter says so
+    assert estimates["bends", "propagated"][0].depth.consistency.verdict == "overconfident"
+
+
+def test_smoothing_helps(estimates: dict[tuple[str, str], list[Estimate]]) -> None:
+    """Catches a smoother that is worse than its filter, or one whose covariance grows."""
+    ratios = []
+    for e in (*estimates["phantom", "propagated"], *estimates["vessels", "propagated"]):
+        assert e.run.depth_mm is not None
+        smooth, covariance = e.smooth_depth
+        off, left = (float(np.mean((v[:, 0] - e.run.depth_mm) ** 2)) for v in (e.depth.value, smooth))
+        ratios.append(left / off)
+        assert (covariance[:, 0, 0] <= e.depth.covariance[:, 0, 0] * (1 + 1e-9)).all()
+    # of a single run the smoother may have bad luck; that it is never worse on average is proven in the core's tests
+    assert np.median(ratios) < 0.8
+
+
+def test_lost_wavelengths_are_counted_and_bridged(runs: dict[str, list[ToolRun]]) -> None:
+    """Catches NaN that travels on: half a second without fibres is predicted, counted, and widens the band."""
+    run = runs["vessels"][0]
+    gone = (run.time_s > 20.0) & (run.time_s < 20.5)
+    e = estimate(KNOWING, run.without_fibres(gone))
+    assert status_in_words(e.depth)["without a measurement"] == int(gone.sum())
+    for track in (e.depth, e.tip, e.together):
+        assert np.isfinite(track.value).all()
+        assert np.isfinite(track.covariance).all()
+    assert (np.diff(e.depth.std[gone, 0]) > 0).all()
+    with pytest.raises(MeasurementError, match="no row has wavelengths"):
+        estimate(KNOWING, run.without_fibres(np.ones(len(run), dtype=bool)))
+
+
+def test_a_small_force_has_a_large_deviation(runs: dict[str, list[ToolRun]]) -> None:
+    """Catches a wild depth with a small deviation: of the gratings alone, in standard deviations, by force."""
+    run = runs["phantom"][0]
+    e = estimate(KNOWING, run)
+    assert run.depth_mm is not None
+    size = np.linalg.norm(e.force_mn, axis=1)
+    off = (e.fibre_depth_mm - run.depth_mm) / e.fibre_depth_std_mm
+    for low, high in ((3.0, 6.0), (6.0, 15.0), (15.0, 60.0), (60.0, 1e3)):
+        some = np.isfinite(off) & (size > low) & (size < high)
+        if some.sum() > 100:
+            assert np.sqrt(np.mean(off[some] ** 2)) < 1.25
+    assert np.median(e.fibre_depth_std_mm[(size > 3.0) & (size < 6.0)]) > 1.0
+    assert np.isinf(e.fibre_depth_std_mm[size < 1.0]).all()
+    assert np.isnan(e.fibre_depth_mm[np.isinf(e.fibre_depth_std_mm)]).all()
+
+
+def test_t0_and_t1_are_the_papers() -> None:
+    """Catches another threshold, means of components instead of lengths, or T0 of another signal."""
+    run = VirtualTool(TOOL, camera_mm=0.0, camera_warp_mm=0.0).run("vessels", seconds=12.0, seed=3)
+    e = estimate(TOOL, run)
+    tip = next(j for j in judge(e) if j.quantity == "tip")
+    moments = run.camera_time_s - TOOL.camera_delay_s
+    inside = (moments >= run.time_s[0]) & (moments <= run.time_s[-1])
+    truth = Rotation.from_rotvec(TOOL.camera_rotation_rad).apply(run.camera_mm[inside]) + TOOL.camera_translation_mm
+    mine = {}
+    for name, places in (("filter", e.tip.value), ("kinematics", run.position_mm)):
+        mine[name] = np.column_stack([np.interp(moments[inside], run.time_s, places[:, k]) for k in range(3)])
+    t0 = np.linalg.norm(mine["filter"] - mine["kinematics"], axis=1) > 0.1
+    for name, places in mine.items():
+        off = np.linalg.norm(places - truth, axis=1)
+        found = tip.of(name)
+        assert (found.total, found.t0, found.t1) == pytest.approx((off.mean(), off[t0].mean(), off[~t0].mean()))
+    assert tip.of("filter").total < 0.05
+
+
+def test_the_band_of_the_mean_nis() -> None:
+    """Catches a one-sided band, or degrees of freedom that are not counted: χ² drawn 4,000 times, 99 % within 1.5 %."""
+    rng = np.random.default_rng(1)
+    verdicts = [consistency(float(rng.chisquare(300)), 300).verdict for _ in range(4000)]
+    assert verdicts.count("consistent") / 4000 == pytest.approx(0.99, abs=0.006)
+    assert consistency(600.0, 300).verdict == "overconfident"
+    assert consistency(150.0, 300).verdict == "too careful"
+    assert consistency(0.0, 0).verdict == "unknown"
+
+
+# -- known loads ---------------------------------------------------------------------------------------------------
+
+
+def test_known_loads_calibrate_the_tool() -> None:
+    """Catches a gain that is transposed or biased, a stiffness by the wrong power, deviations that are made up.
+
+    20 benches, seeds 0 to 19, of a tool that is not as its file says: the RMS of errors in deviations is 1 within 0.25.
+    """
+    there = VirtualTool(TOOL).changed(
+        gains=(np.array(TOOL.gains) * [[[1.05]], [[0.93]]]).tolist(), stiffness_mn_mm2=1.25e6, length_mm=58.7
+    )
+    assert there.true is not None
+    # what the calibration can tell: the common part of three fibres is taken out
+    alike = np.array(there.true.gains) @ (np.eye(3) - 1.0 / 3.0)
+    off: list[Floats] = []
+    for seed in range(20):
+        found = calibrate_tool(TOOL, there.bench(seed=seed))
+        assert found.stiffness_mn_mm2
+        assert found.length_mm
+        gains = (np.array(found.tool.gains) - alike) / found.gains_std
+        shaft = [(found.stiffness_mn_mm2[0] - 1.25e6) / found.stiffness_mn_mm2[1],
+                 (found.length_mm[0] - 58.7) / found.length_mm[1]]  # fmt: skip
+        off.append(np.concatenate([gains.ravel(), shaft]))
+        assert found.tool.noise_nm == pytest.approx(1e-3, rel=0.35)
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.25)
+    assert np.abs(off).max() < 5.0
+    right = calibrate_tool(there.true, there.bench(seed=1)).slope_mn_mm2
+    assert right
+    assert abs(right[0] - 1.25e6) < 4 * right[1]
+
+
+def test_bad_loads_are_refused(tmp_path: Path) -> None:
+    """Catches a calibration of nothing, or of loads that all push one way."""
+    loads = VirtualTool(TOOL).bench(loads=5)
+    with pytest.raises(FitError, match="5 rows with a force; expected 12"):
+        calibrate_tool(TOOL, loads)
+    loads = VirtualTool(TOOL).bench()
+    loads.save(tmp_path / "loads.csv")
+    again = read_loads(tmp_path / "loads.csv")
+    np.testing.assert_array_equal(again.wavelengths_nm, loads.wavelengths_nm)
+    table = pl.read_csv(tmp_path / "loads.csv")
+    table.drop("fbg4_nm").write_csv(tmp_path / "bad.csv")
+    with pytest.raises(MeasurementError, match="column 'fbg4_nm' is missing"):
+        read_loads(tmp_path / "bad.csv")
+    table.with_columns(depth_mm=None).write_csv(tmp_path / "bad.csv")
+    with pytest.raises(MeasurementError, match="row 1, column 'depth_mm': expected a finite number"):
+        read_loads(tmp_path / "bad.csv")
+
+
+# -- registration and alignment ------------------------------------------------------------------------------------
+
+
+def test_the_camera_is_found_in_frame_and_time() -> None:
+    """Catches a delay with the wrong sign, a transform that is inverted, and deviations that are made up: 12 runs."""
+    off = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        turn, shift, delay = rng.normal(size=3), 100 * rng.normal(size=3), float(rng.uniform(-0.2, 0.2))
+        there = FlexibleTool(
+            camera_rotation_rad=tuple(turn), camera_translation_mm=tuple(shift), camera_delay_s=delay  # type: ignore[arg-type]
+        )  # fmt: skip
+        run = VirtualTool(there, camera_warp_mm=0.0).free_motion(seconds=10.0, seed=seed)
+        found = align(run.time_s, run.position_mm, run.camera_time_s, run.camera_mm)
+        off.append((found.delay_s - delay) / found.delay_std_s)
+        np.testing.assert_allclose(found.registration.rotation, Rotation.from_rotvec(turn).as_matrix(), atol=0.01)
+        np.testing.assert_allclose(found.registration.apply(run.camera_mm), there.in_base(run.camera_mm), atol=0.2)
+        assert found.rms_mm == pytest.approx(0.2 / np.sqrt(3), rel=0.2)
+    assert np.abs(off).max() < 4.5
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.7)
+
+
+@settings(max_examples=60)
+@given(seed=st.integers(0, 2**31), count=st.integers(3, 40))
+def test_transforms_come_back(seed: int, count: int) -> None:
+    """Catches a reflection, a transposed rotation, and two methods that differ."""
+    rng = np.random.default_rng(seed)
+    turn, shift, points = Rotation.random(random_state=seed), 50 * rng.normal(size=3), 30 * rng.normal(size=(count, 3))
+    # well away from a line
+    if np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] < 3.0:
+        return
+    target = turn.apply(points) + shift
+    both = [register(points, target, method) for method in ("quaternion", "svd")]
+    for found in both:
+        np.testing.assert_allclose(found.rotation, turn.as_matrix(), atol=1e-11)
+        np.testing.assert_allclose(found.translation_mm, shift, atol=1e-9)
+
+
+def test_what_cannot_be_registered_says_why() -> None:
+    """Catches a transform from a line of points, from two of them, or from clouds that do not fit."""
+    line = np.outer(np.arange(9.0), [1.0, 2.0, 3.0])
+    with pytest.raises(FitError, match="collinear"):
+        register(line, line)
+    with pytest.raises(FitError, match="3"):
+        register(line[:2], line[:2])
+    with pytest.raises(ShapeError, match=r"\(9, 3\) and \(8, 3\)"):
+        register(line, line[:8])
+    still = np.tile([[1.0, 2.0, 3.0]], (400, 1))
+    t = np.arange(400) / 200.0
+    with pytest.raises(FitError):
+        align(t, still, t[150:250:10], still[150:250:10])
+    with pytest.raises(FitError, match="pictures lie inside"):
+        align(t, still, t[:50:10], still[:50:10])
+
+
+def test_values_at_other_moments() -> None:
+    """Catches a neighbour instead of a line between two, and a moment outside that is held."""
+    t = np.array([0.0, 1.0, 3.0])
+    np.testing.assert_allclose(at_times(t, [[0.0], [2.0], [0.0]], [0.5, 1.0, 2.0, 3.0])[:, 0], [1.0, 2.0, 1.0, 0.0])
+    with pytest.raises(ShapeError, match="row 0 at 4 s lies outside"):
+        at_times(t, [0.0, 1.0, 2.0], [4.0])
+    with pytest.raises(ShapeError, match="row 2 is not later"):
+        at_times([0.0, 1.0, 1.0], [0.0, 1.0, 2.0], [0.5])
+
+
+# -- what is missing -----------------------------------------------------------------------------------------------
+
+SECONDS = 40.0
+#: Of the camera, per axis.
+NOISE_MM = 0.2 / np.sqrt(3.0)
+_PATTERNS = np.array([[1.0, -1.0, 0.0], [0.5, 0.5, -1.0]])
+
+
+def planted(name: str | None, seed: int, factor: float = 1.0) -> VirtualTool:
+    """A virtual tool with one effect of ``factor`` times about its plausible size, in the world and not in its file."""
+    rng = np.random.default_rng([seed, 7])
+    size = factor * rng.choice([-1, 1]) * rng.uniform(0.7, 1.5)
+    v = VirtualTool(FlexibleTool(), camera_warp_mm=0.0)
+    if name == "tool_stiffness":
+        return v.changed(stiffness_mn_mm2=v.tool.stiffness_mn_mm2 * (1 + 0.06 * size))
+    if name == "tool_length":
+        return v.changed(length_mm=60 + 1.5 * size)
+    if name == "fbg_gain":
+        return v.changed(gains=(np.array(v.tool.gains) * (1 + 0.04 * factor * rng.normal(size=(2, 1, 1)))).tolist())
+    if name == "fbg_bias":
+        return replace(v, bias_nm=tuple((0.01 * factor * rng.normal(size=(2, 2)) @ _PATTERNS).ravel()))
+    if name == "fbg_temperature":
+        leak = tuple((0.1 * factor * rng.normal(size=(2, 2)) @ _PATTERNS).ravel())
+        return replace(v, temperature_c=10.0, leak=leak)
+    if name == "force_hysteresis":
+        return replace(v, hysteresis_mn=6 * abs(size))
+    if name == "shaft_bend":
+        return replace(v, shaft_bend_mm=tuple(0.3 * factor * rng.normal(size=2)))
+    if name == "registration":
+        return v.changed(camera_rotation_rad=tuple(0.02 * factor * rng.normal(size=3)))
+    if name == "camera_delay":
+        return v.changed(camera_delay_s=0.02 * size)
+    assert name is None
+    return v
+
+
+def visible(name: str, seed: int, factor: float) -> float:
+    """What the effect leaves of the tip's places beside the camera's offset, without noise: RMS per axis, in noise."""
+    virtual = replace(planted(name, seed, factor), camera_mm=0.0, noise_nm=1e-6)
+    model = ToolModel(FlexibleTool(), virtual.run("vessels", seconds=SECONDS, seed=seed))
+    fit = sk.fit_model(model, model.readings)
+    return float(np.sqrt(np.mean(fit.residuals**2)) / NOISE_MM)
+
+
+def diagnosed(name: str | None, seed: int, ratio: float = 1.0) -> sk.Diagnosis[Any]:
+    """As a user does, with an effect whose visible part is about ``ratio`` times the camera's noise."""
+    # nearly in proportion: two steps are enough
+    factor = 1.0
+    if name is not None:
+        for _ in range(2):
+            factor *= ratio / visible(name, seed, factor)
+    run = planted(name, seed, factor).run("vessels", seconds=SECONDS, seed=seed)
+    model = ToolModel(FlexibleTool(), run)
+    return sk.diagnose(sk.fit_model(model, model.readings))
+
+
+@pytest.mark.parametrize("name", ["tool_stiffness", "shaft_bend", "registration", "camera_delay"])
+def test_effects_are_found_by_name(name: str) -> None:
+    """Catches an effect that is computed with the wrong sign or not at all; visible part 1 × the noise, seed 1."""
+    d = diagnosed(name, 1)
+    assert name in {*d.effects, *(other for tie in d.ties for other in tie)}
+    assert d.steps[-1].held_out_rms == pytest.approx(NOISE_MM, rel=0.06)
+
+
+def test_nothing_is_found_where_nothing_is() -> None:
+    """Catches an alarm without cause; seeds 0 to 2, level 1 %."""
+    for seed in range(3):
+        d = diagnosed(None, seed)
+        assert (d.verdict, d.effects) == ("adequate", ())
+
+
+def test_values_are_those_that_were_planted() -> None:
+    """Catches an effect that is found with a wrong size: stiffness and delay, seed 2."""
+    for name, parameter in (("tool_stiffness", "relative"), ("camera_delay", "delay")):
+        there = planted(name, 2)
+        assert there.true is not None
+        truth = {
+            "tool_stiffness": there.true.stiffness_mn_mm2 / there.tool.stiffness_mn_mm2 - 1,
+            "camera_delay": there.true.camera_delay_s,
+        }[name]
+        model = ToolModel(there.tool, there.run("vessels", seconds=40.0, seed=2))
+        effect = next(e for e in model.candidates if e.name == name)
+        fit = sk.fit_model(model, model.readings, effects=[effect])
+        found = fit.by_name[f"{name}.{parameter}"]
+        assert abs(found - truth) < max(5 * fit.std_from_readings[-1], 0.02 * abs(truth))
+
+
+def test_a_run_without_pictures_is_refused() -> None:
+    """Catches a diagnosis of nothing."""
+    run = replace(VirtualTool(TOOL).run("vessels", seconds=3.0), camera_time_s=np.zeros(0), camera_mm=np.zeros((0, 3)))
+    with pytest.raises(MeasurementError, match="0 pictures lie within the robot's time"):
+        ToolModel(TOOL, run)
+
+
+@pytest.mark.slow
+def test_the_right_effect_is_named_in_95_of_100() -> None:
+    """Catches any effect that shows on some draws only: ratios 1, 2 and 5, 4 seeds each of 9 effects, 95 % lead or tie.
+
+    More than 13 of 108 missed would come by chance once in 1,000 at 5 %; and no effect more than 4 of its 12.
+    """
+    missed = [
+        (name, seed)
+        for name in TOOL_CATALOGUE
+        for seed in range(12)
+        for d in [diagnosed(name, seed, (1.0, 2.0, 5.0)[seed % 3])]
+        if name not in {*d.effects, *(other for tie in d.ties for other in tie)}
+    ]
+    assert len(missed) <= 13, missed
+    assert max(sum(m[0] == name for m in missed) for name in TOOL_CATALOGUE) <= 4, missed
+
+
+# -- from the command line -----------------------------------------------------------------------------------------
+
+
+def sherkit(*arguments: str | Path) -> Any:
+    return CliRunner().invoke(cli, [str(a) for a in arguments])
+
+
+def test_story_from_the_command_line(tmp_path: Path) -> None:
+    """Catches a verb that does not know the tool: simulate, register, estimate, diagnose, on files alone."""
+    there = tmp_path / "tool.toml"
+    TOOL.save(there)
+    unregistered = tmp_path / "unregistered.toml"
+    replace(TOOL, camera_rotation_rad=(0.0,) * 3, camera_translation_mm=(0.0,) * 3, camera_delay_s=0.0).save(
+        unregistered
+    )
+    for name, experiment in (("free.csv", "free"), ("run.csv", "vessels")):
+        made = sherkit("simulate", there, "-o", tmp_path / name, "--experiment", experiment, "--seconds", "30")
+        assert made.exit_code == 0, made.output
+    made = sherkit("register", unregistered, tmp_path / "free.csv", "-o", tmp_path / "registered.toml")
+    assert made.exit_code == 0, made.output
+    found = load_tool(tmp_path / "registered.toml")
+    assert found.camera_delay_s == pytest.approx(TOOL.camera_delay_s, abs=2e-3)
+    np.testing.assert_allclose(found.camera_rotation_rad, TOOL.camera_rotation_rad, atol=0.03)
+    files = ("-o", tmp_path / "out.csv", "--report", tmp_path / "run.html")
+    made = sherkit("estimate", tmp_path / "registered.toml", tmp_path / "run.csv", *files)
+    assert made.exit_code == 0, made.output
+    assert "Error of the depth" in made.output
+    assert "NIS / expected" in made.output
+    out = pl.read_csv(tmp_path / "out.csv")
+    assert len(out) == 6001
+    assert out["depth_mm"].is_finite().all()
+    assert (tmp_path / "run.html").stat().st_size > 10_000
+    told = json.loads(sherkit("estimate", tmp_path / "registered.toml", tmp_path / "run.csv", "--json").stdout)
+    tip = told["errors_mm"]["tip"]
+    assert tip["filter"]["t0"] < 0.4 * tip["kinematics"]["t0"]
+    late = tmp_path / "late.toml"
+    replace(TOOL, camera_delay_s=TOOL.camera_delay_s + 0.05).save(late)
+    diagnosis = json.loads(sherkit("diagnose", late, tmp_path / "run.csv", "--json").stdout)
+    assert "camera_delay" in {*diagnosis["effects"], *(name for tie in diagnosis["ties"] for name in tie)}
+
+
+def test_the_papers_experiments_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches an example that stops working, or whose figures fall behind the paper's; two seeds."""
+    told = runpy.run_path(str(Path(__file__).parents[1] / "examples" / "flexible_tool.py"))["main"](2)
+    for name, sensor, least in (
+        ("phantom", "gratings", 0.94),
+        ("bends", "kinematics", 0.77),
+        ("vessels", "kinematics", 0.77),
+    ):
+        raw, paper, ours = (told[name][signal] for signal in (sensor, "paper's noise", "noise by force"))
+        assert 1 - paper[1] / raw[1] > least
+        assert ours[1] < paper[1]
+        assert ours[2] < paper[2] + 0.01
+    assert "(simulation beside the paper)" in capsys.readouterr().out
+
+
+def test_wrong_words_are_refused(tmp_path: Path) -> None:
+    """Catches a tool that is taken for a robot, and a robot's option that is taken for a tool's."""
+    TOOL.save(tmp_path / "tool.toml")
+    for arguments, says in (
+        (
+            ("simulate", tmp_path / "tool.toml", "-o", tmp_path / "x.csv", "--noise-px", "1"),
+            "--noise-px is not for that kind",
+        ),
+        (("simulate", tmp_path / "tool.toml", "-o", tmp_path / "x.csv", "--seconds", "1"), "--seconds"),
+        (("estimate", tmp_path / "none.toml", tmp_path / "x.csv"), "there is no such tool file"),
+        (("estimate", tmp_path / "tool.toml", tmp_path / "x.csv"), "there is no such file"),
+        (("diagnose", tmp_path / "tool.toml", "a.csv", "--report", "x.html"), "--report: is not for a flexible tool"),
+        (("diagnose", tmp_path / "tool.toml", "a.csv", "b.csv"), "one at a time"),
+    ):
+        refused = sherkit(*arguments)
+        assert refused.exit_code != 0
+        assert says in f"{refused.exception} {refused.output}"
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_every_noise_runs(noise: str, runs: dict[str, list[ToolRun]]) -> None:
+    """Catches a name that the tool file takes and the core refuses."""
+    e = estimate(KNOWING.with_noise(noise), runs["phantom"][0])
+    assert np.isfinite(e.together.value).all()
+    with pytest.raises(RobotError, match="guess"):
+        KNOWING.with_noise("guess")
