@@ -1,6 +1,7 @@
 """Diagnosis: what a fit misses, where, which effect, what it cannot be told from, what to measure next."""
 
-from .questions import Diagnosis, diagnose
+from .answers import Diagnosis
+from .questions import diagnose
 from .shapes import play
 from .template import sentence, template
 

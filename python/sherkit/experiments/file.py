@@ -18,7 +18,6 @@ from ..chain import effects_by_name
 from ..errors import ExperimentError
 from ..instruments import Axis, Camera, Galil, Hyperion, Keyence, NetFT, Sm130, Snapshots, fetch_scale
 from ..instruments.base import Instrument
-from ..laboratory.file import read_toml
 from ..laboratory.running import read_ports
 from ..laboratory.virtual import middle_of
 from ..measurements import Measurements
@@ -29,7 +28,7 @@ from ..pose_design import choose_poses
 from ..poses import grid, paper_local, paper_whole, sphere_patch
 from ..robots import Delta, Spherical, load_robot
 from ..robots.file import Robot
-from ..robots.table import Table
+from ..robots.table import Table, read_toml
 from ..straightness import LINES
 from ..straightness import targets as line_targets
 from .bench import Bench, Checks, Sensor, Settling
@@ -148,7 +147,7 @@ def load_experiment(
     plan sends it.
     """
     path = Path(path)
-    values = read_toml(path)
+    values = read_toml(path, "experiment", ExperimentError)
     table = Table(values, str(path), error=ExperimentError)
     named = table.words("robot")
     robot_path = path.parent / named if robot is None else Path(robot)

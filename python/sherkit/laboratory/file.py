@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from ..instruments.emulators import KINDS as FAULTS
 from ..names import listed
 from ..robots import Delta, Spherical, load_robot
 from ..robots.file import Robot
-from ..robots.table import Table
+from ..robots.table import Table, read_toml
 from ..simulation import TABLE_II_SIZES, VirtualDelta
 from ..spherical_simulation import PAPER_ERRORS, VirtualSpherical
 from .virtual import HiddenEffects, middle_of
@@ -63,27 +62,10 @@ class Laboratory:
     source: str = "laboratory"
 
 
-def read_toml(path: str | Path) -> dict[str, Any]:
-    """A TOML file's tables. Raises :class:`~sherkit.errors.ExperimentError` where it cannot be read."""
-    path = Path(path)
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise ExperimentError(f"{path}: there is no such file") from None
-    except IsADirectoryError:
-        raise ExperimentError(f"{path}: is a folder, expected a TOML file") from None
-    except OSError as error:
-        raise ExperimentError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ExperimentError(f"{path}: is not a text file, expected TOML") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ExperimentError(f"{path}: is not valid TOML: {error}") from None
-
-
 def load_laboratory(path: str | Path) -> Laboratory:
     """Reads a laboratory. Raises :class:`~sherkit.errors.ExperimentError` naming file, table and key."""
     path = Path(path)
-    table = Table(read_toml(path), str(path), error=ExperimentError)
+    table = Table(read_toml(path, "laboratory", ExperimentError), str(path), error=ExperimentError)
     robot_path = path.parent / table.words("robot")
     robot = load_robot(robot_path)
     seed = table.whole("seed", 0)

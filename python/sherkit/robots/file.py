@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 import tomli_w
 
-from ..errors import RobotError
 from .delta import Delta
 from .spherical import Spherical
-from .table import Table
+from .table import Table, read_toml
 
 Robot = Delta | Spherical
 KINDS: dict[str, type[Delta] | type[Spherical]] = {"delta": Delta, "spherical": Spherical}
@@ -18,20 +16,7 @@ KINDS: dict[str, type[Delta] | type[Spherical]] = {"delta": Delta, "spherical": 
 
 def load_robot(path: str | Path) -> Robot:
     """Reads a robot from TOML. Raises :class:`~sherkit.errors.RobotError` naming file, table and key."""
-    path = Path(path)
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise RobotError(f"{path}: there is no such robot file") from None
-    except IsADirectoryError:
-        raise RobotError(f"{path}: is a folder, expected a robot TOML file") from None
-    except OSError as error:
-        raise RobotError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise RobotError(f"{path}: is not a text file, expected a robot TOML file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise RobotError(f"{path}: is not valid TOML: {error}") from None
-    return robot_from_tables(values, str(path))
+    return robot_from_tables(read_toml(path, "robot"), str(path))
 
 
 def robot_from_tables(values: dict[str, object], where: str) -> Robot:

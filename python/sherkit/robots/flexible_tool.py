@@ -7,7 +7,6 @@ sections, nine wavelengths.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..errors import RobotError
-from .table import Table
+from .table import Table, read_toml
 
 Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -177,18 +176,7 @@ class FlexibleTool:
 
 def load_tool(path: str | Path) -> FlexibleTool:
     """Reads a tool from TOML. Raises :class:`~sherkit.errors.RobotError` naming file, table and key."""
-    path = Path(path)
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise RobotError(f"{path}: there is no such tool file") from None
-    except (IsADirectoryError, OSError) as error:
-        raise RobotError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise RobotError(f"{path}: is not a text file, expected a tool TOML file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise RobotError(f"{path}: is not valid TOML: {error}") from None
-    table = Table(values, str(path))
+    table = Table(read_toml(path, "tool"), str(path))
     table.text("kind", (KIND,))
     made = FlexibleTool.from_table(table)
     table.finish()

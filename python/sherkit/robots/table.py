@@ -5,8 +5,10 @@ Robot files are read with it, and the files of laboratories and experiments.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from ..errors import RobotError, SherkitError
@@ -17,6 +19,23 @@ _MISSPELT = 0.75
 _LARGEST = 1e100
 #: Characters of a wrong value that a message repeats.
 _LONGEST = 100
+
+
+def read_toml(path: str | Path, what: str, error: type[SherkitError] = RobotError) -> dict[str, Any]:
+    """The tables of a TOML file; ``what`` it should be, for messages. Raises ``error`` where it cannot be read."""
+    path = Path(path)
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        raise error(f"{path}: there is no such {what} file") from None
+    except IsADirectoryError:
+        raise error(f"{path}: is a folder, expected a {what} TOML file") from None
+    except OSError as wrong:
+        raise error(f"{path}: cannot be read: {wrong.strerror}") from None
+    except UnicodeDecodeError:
+        raise error(f"{path}: is not a text file, expected a {what} TOML file") from None
+    except tomllib.TOMLDecodeError as wrong:
+        raise error(f"{path}: is not valid TOML: {wrong}") from None
 
 
 class Table:

@@ -1,0 +1,149 @@
+"""The answers of a diagnosis, in the order a person asks, and how they are printed for people and for programs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..identification import Fit
+from ..notebook import Shown
+from ..readings import ModelFit
+from .stage import Stage
+from .template import sentence
+from .where import Dependence
+
+Ints = NDArray[np.int64]
+F = TypeVar("F", Fit, ModelFit)
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateReport:
+    """One effect as an addition to the fit: what it would bring and whether that can be believed.
+
+    ``held_out_std`` is the standard error of ``held_out_rms``, from how much the blocks held out differ.
+    """
+
+    effect: str
+    link: str
+    held_out_rms: float
+    held_out_std: float
+    p_value: float
+    plausible: bool
+    parameters: tuple[dict[str, Any], ...]
+
+    @property
+    def held_out_rms_um(self) -> float:
+        """The same, for a machine that is measured in µm."""
+        return self.held_out_rms
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """One step of the fall: the effect added (None: the model as it came) and the error that held."""
+
+    effect: str | None
+    held_out_rms: float
+
+    @property
+    def held_out_rms_um(self) -> float:
+        """The same, for a machine that is measured in µm."""
+        return self.held_out_rms
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis(Shown, Generic[F]):
+    """The answers, in the order a person asks.
+
+    ``verdict`` is ``adequate``, ``explained``, ``partly explained`` or ``unexplained``. ``ties`` are groups of
+    effects that these rows cannot tell apart, the leading one first. ``fit`` is the model with the named effects
+    on all rows. Errors are RMS of single readings in ``unit``: µm for a delta.
+    """
+
+    verdict: str
+    unit: str
+    noise: dict[str, float]
+    noise_origin: str
+    correlation_in_time: float
+    level: float
+    p_missing: float
+    effects: tuple[str, ...]
+    ties: tuple[tuple[str, ...], ...]
+    steps: tuple[StepReport, ...]
+    candidates: tuple[CandidateReport, ...]
+    untestable: dict[str, str]
+    smallest_found: dict[str, tuple[float, float]]
+    where: tuple[Dependence, ...]
+    neighbour_correlation: float
+    confirmed: float | None
+    signature: dict[str, Any] | None
+    hides_in: dict[str, tuple[str, ...]]
+    outliers: Ints
+    next_poses: tuple[dict[str, float], ...]
+    notes: tuple[str, ...]
+    fit: F = field(repr=False)
+    base: F = field(repr=False)
+    stage: Stage = field(repr=False)
+
+    def __repr__(self) -> str:
+        lines = [f"{self.verdict}: {', '.join(self.effects) or 'no effect added'}"]
+        lines += [f"  these rows cannot tell {' from '.join(tie)}" for tie in self.ties]
+        for s in self.steps:
+            name = "as it came" if s.effect is None else "+ " + s.effect
+            lines.append(f"  {name:<24} {s.held_out_rms:8.2f} {self.unit} held out")
+        noise = float(np.sqrt(np.mean(np.square(list(self.noise.values())))))
+        lines.append(f"  {'noise':<24} {noise:8.2f} {self.unit} ({self.noise_origin})")
+        if self.signature is not None:
+            lines.append(f"  {sentence(self.signature)}")
+        return "\n".join(lines)
+
+    @property
+    def noise_um(self) -> dict[str, float]:
+        """The noise of each reading, for a machine that is measured in µm."""
+        return self.noise
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs; see the README. Keys end in ``_um`` where errors are in µm; else ``unit`` says in what."""
+        um = "_um" if self.unit == "µm" else ""
+        return ({} if um else {"unit": self.unit}) | {
+            "verdict": self.verdict,
+            f"noise{um}": self.noise,
+            "noise_origin": self.noise_origin,
+            "correlation_in_time": self.correlation_in_time,
+            "neighbour_correlation": self.neighbour_correlation,
+            "level": self.level,
+            "p_missing": self.p_missing,
+            "effects": list(self.effects),
+            "ties": [list(t) for t in self.ties],
+            "steps": [{"effect": s.effect, f"held_out_rms{um}": s.held_out_rms} for s in self.steps],
+            "candidates": [
+                {
+                    "effect": c.effect,
+                    "link": c.link,
+                    f"held_out_rms{um}": c.held_out_rms,
+                    f"held_out_std{um}": c.held_out_std,
+                    "p_value": c.p_value,
+                    "plausible": c.plausible,
+                    "parameters": list(c.parameters),
+                }
+                for c in self.candidates
+            ],
+            "untestable": self.untestable,
+            "smallest_found": {
+                name: {"plausible_sizes": _finite(size), f"rms{um}": _finite(rms)}
+                for name, (size, rms) in self.smallest_found.items()
+            },
+            "where": [{"variable": d.variable, f"rms{um}": list(d.rms), "p_value": d.p_value} for d in self.where],
+            "confirmed_p_value": self.confirmed,
+            "signature": self.signature,
+            "hides_in": {k: list(v) for k, v in self.hides_in.items()},
+            "outliers": self.fit.data.line[self.outliers].tolist(),
+            "next_poses": list(self.next_poses),
+            "notes": list(self.notes),
+        }
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
