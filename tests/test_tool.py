@@ -610,3 +610,15 @@ def test_every_noise_runs(noise: str, runs: dict[str, list[ToolRun]]) -> None:
     assert np.isfinite(e.together.value).all()
     with pytest.raises(RobotError, match="guess"):
         KNOWING.with_noise("guess")
+
+
+def test_the_catalogue_tells_of_the_tool(tmp_path: Path) -> None:
+    """Catches effects of the tool that nobody can look up, or that are said to be a robot's."""
+    TOOL.save(tmp_path / "tool.toml")
+    for arguments in ((), ("--robot", tmp_path / "tool.toml")):
+        told = sherkit("effects", *arguments).output
+        assert all(name in told for name in TOOL_CATALOGUE)
+        assert ("rail_lean" in told) == (not arguments)
+    assert "reference_nm" in sherkit("effects", "fbg_bias").output
+    refused = sherkit("effects", "fbg_bias", "--picture", tmp_path / "x.svg")
+    assert "another kind (flexible_tool)" in str(refused.exception)

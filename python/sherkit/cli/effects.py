@@ -8,14 +8,21 @@ import click
 
 from ..chain import effects_by_name
 from ..effects import Effect
+from ..effects.tool import TOOL_CATALOGUE
 from ..errors import SherkitError
 from ..models import MODELS
 from ..robots import Delta, load_robot
+from ..robots.flexible_tool import KIND
 from ..signatures import signature_map
 from . import output
 from .demo import EXAMPLE
+from .tool import is_tool
 
-_TITLES = {"delta": "Effects of the linear delta", "spherical": "Effects of the spherical robot and its camera"}
+_TITLES = {
+    "delta": "Effects of the linear delta",
+    "spherical": "Effects of the spherical robot and its camera",
+    KIND: "Effects of the flexible tool and its camera",
+}
 
 
 @click.command()
@@ -24,9 +31,12 @@ _TITLES = {"delta": "Effects of the linear delta", "spherical": "Effects of the 
 @click.option("--picture", type=click.Path(path_type=Path), help="Draw what the effect leaves on this robot (SVG).")
 def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
     """List the physical effects that can be found and added; with NAME, show one."""
-    nominal = load_robot(robot) if robot else None
-    kinds = MODELS if nominal is None else {nominal.kind: MODELS[nominal.kind]}
-    catalogues = {kind: model.catalogue for kind, model in kinds.items()}
+    catalogues = {kind: model.catalogue for kind, model in MODELS.items()} | {KIND: TOOL_CATALOGUE}
+    nominal = None
+    if robot is not None:
+        nominal = None if is_tool(robot) else load_robot(robot)
+        kind = KIND if nominal is None else nominal.kind
+        catalogues = {kind: catalogues[kind]}
     if name is None:
         for kind, catalogue in catalogues.items():
             made = output.table(_TITLES.get(kind, kind), "effect", "link", "parameters", "needs")
@@ -42,7 +52,9 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
         _show(catalogues[kind][name], _TITLES.get(kind, kind) if len(holders) > 1 else "")
     if picture is not None and name != "datum":
         if nominal is None and "delta" not in holders:
-            raise SherkitError(f"'{name}' is an effect of the {holders[0]} robot; --picture draws on a delta alone")
+            raise SherkitError(
+                f"'{name}' is an effect of another kind ({holders[0]}); --picture draws on a delta alone"
+            )
         if nominal is not None and not isinstance(nominal, Delta):
             raise SherkitError("--picture draws on a delta alone; a report shows the maps of all effects on a run")
         picture.write_text(signature_map(catalogues["delta"][name], nominal or EXAMPLE), encoding="utf-8")
