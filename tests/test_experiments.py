@@ -305,7 +305,7 @@ def test_a_step_is_tried_again_where_a_line_failed(lab, tmp_path):
         if now.step in (3, 9):
             lab.emulators["lasers"].faults.schedule("drop" if now.step == 3 else "disconnect", 2)
         if now.step == 12:
-            # how many answers come before the axes move depends on the machine; a switch that opens at rest does nothing
+            # how many answers come before the axes move depends on the machine; at rest the switch does nothing
             for k in range(40):
                 lab.emulators["rails"].faults.schedule("limit_switch", k)
 
