@@ -21,7 +21,7 @@ import tomli_w
 
 from laboratories import ROBOT, experiment, laboratory
 from sherkit.errors import EffectError, ExperimentError, RobotError
-from sherkit.experiments import RunFile, load_experiment
+from sherkit.experiments import RunFile, load_experiment, run
 from sherkit.instruments import Galil, Hyperion, Keyence, NetFT, Sm130, fetch_scale
 from sherkit.instruments.galil import Axis
 from sherkit.laboratory import RunningLaboratory, load_laboratory, read_ports
@@ -85,6 +85,49 @@ def test_every_instrument_can_be_read_in_an_experiment(tmp_path):
     assert point.values["first_nm"] == point.values["second_nm"] == 1550.0
     assert point.values["fx_mN"] == pytest.approx(250.0)
     assert point.values["tx_Nmm"] == pytest.approx(7.0)
+
+
+def test_a_tool_is_calibrated_by_driving_it_aside(tmp_path):
+    """Catches fibres that are mixed up, a force that is not the one that bends, and a depth from the wrong end."""
+    from sherkit.estimation.calibration import Loads, calibrate_tool
+    from sherkit.estimation.runs import FIBRES
+    from sherkit.robots.flexible_tool import FlexibleTool
+
+    kinds = [{"name": "rails", "kind": "galil"}, {"name": "lasers", "kind": "keyence"}]
+    gratings = {"kind": "sm130", "noise_nm": 2e-4}
+    laboratory(
+        tmp_path, instrument=[*kinds, gratings, {"kind": "net_ft"}], hidden={"errors": 0.0},
+        tool={"depth_mm": 12.0, "clearance_mm": 0.05},
+    )  # fmt: skip
+    # the robot as drawn: known forces at a known depth
+    around = [[1.6 * np.cos(a), 1.6 * np.sin(a), z] for z in (-6.0, 0.0, 6.0) for a in np.arange(8) * np.pi / 4]
+    places = [*around, *[[0.0, 0.0, z] for z in (-6.0, -3.0, 0.0, 3.0, 6.0, 8.0)]]
+    path = experiment(tmp_path)
+    values = tomllib.loads(path.read_text())
+    values["plan"] = {"poses": "list", "list_mm": [[float(v) for v in p] for p in places], "order": "shuffled"}
+    values["check"] = {"agree_within_mm": 0.01}
+    # each fibre is a channel with gratings at sections I, II and III
+    fibres = [FIBRES[3 * section + fibre] for fibre in range(3) for section in range(3)]
+    forces = ["force_x_mn", "force_y_mn", "force_z_mn", "tx_Nmm", "ty_Nmm", "tz_Nmm"]
+    values["instrument"] += [
+        {"kind": "sm130", "gratings": [3, 3, 3], "columns": fibres},
+        {"kind": "net_ft", "columns": forces},
+    ]
+    path.write_text(tomli_w.dumps(values))
+    with RunningLaboratory(load_laboratory(tmp_path / "lab.toml")) as lab:
+        lab.write_ports(tmp_path / "ports.json")
+        chosen = load_experiment(path)
+        with RunFile.create(chosen.run_path, chosen.plan, chosen.about()) as file, chosen.bench() as bench:
+            assert run(chosen.plan, bench, file) == "complete"
+            frame = file.frame()
+    depth = 12.0 - frame["z_mm"].to_numpy()
+    force = frame.select("force_x_mn", "force_y_mn").to_numpy()
+    assert 20.0 < np.linalg.norm(force, axis=1).max() < 500.0
+    loads = Loads(force, depth, frame.select(FIBRES).to_numpy(), np.full(len(frame), np.nan))
+    found = calibrate_tool(FlexibleTool(gains=(((1.0,) * 3,) * 2,) * 2), loads)
+    assert found.unloaded == 6
+    true, fitted = np.array(FlexibleTool().gains), np.array(found.tool.gains)
+    assert np.abs(fitted - true).max() < 0.05 * np.abs(true).max()
 
 
 def test_the_lasers_see_the_hidden_robot(tmp_path):

@@ -105,6 +105,14 @@ class VirtualTool:
         bent = size * (true.length_mm - depth) ** 3 / (3.0 * true.stiffness_mn_mm2)
         return Loads(force, depth, waves, bent + deflection_std_mm * rng.standard_normal(len(size)), "simulated loads")
 
+    def pressed(self, offset_mm: Floats, depth_mm: Floats, clearance_mm: float) -> tuple[Floats, Floats]:
+        """Force (n, 2), mN, tool frame, and wavelengths (n, 9), nm, where the hole stands ``offset_mm`` (n, 2) off the
+        unbent shaft, ``depth_mm`` (n,) from the tip. Without noise and at the reference's warmth."""
+        true = self.true or self.tool
+        force = self._force(true, depth_mm, offset_mm, clearance_mm)
+        still = replace(self, noise_nm=0.0)
+        return force, still._wavelengths(true, force, depth_mm, np.zeros(len(force)), np.random.default_rng(0))
+
     # -- what the robot does: pose (n, 3), (n, 3), depth (n,), the hole off the shaft (n, 2), clearance --------
 
     def _phantom(self, t: Floats, rng: np.random.Generator) -> tuple[Floats, Floats, Floats, Floats, float]:

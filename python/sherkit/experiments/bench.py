@@ -20,7 +20,14 @@ from .plan import Step
 
 #: A reading that is to stand still is looked at again so soon, s.
 _STILL_POLL_S = 0.02
-_UNITS = {("um", "mm"): 1e-3, ("µm", "mm"): 1e-3, ("nm", "mm"): 1e-6, ("N", "mN"): 1e3, ("mN", "N"): 1e-3}
+_UNITS = {
+    ("um", "mm"): 1e-3,
+    ("µm", "mm"): 1e-3,
+    ("nm", "mm"): 1e-6,
+    ("N", "mN"): 1e3,
+    ("mN", "N"): 1e-3,
+    ("N", "mn"): 1e3,
+}
 
 
 @dataclass(frozen=True)

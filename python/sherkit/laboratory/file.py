@@ -14,10 +14,12 @@ from ..instruments.emulators import KINDS as FAULTS
 from ..names import listed
 from ..robots import Delta, Spherical, load_robot
 from ..robots.file import Robot
+from ..robots.flexible_tool import FlexibleTool, load_tool
 from ..robots.table import Table, read_toml
 from ..simulation import TABLE_II_SIZES, VirtualDelta
 from ..spherical_simulation import PAPER_ERRORS, VirtualSpherical
-from .virtual import HiddenEffects, middle_of
+from ..tool_simulation import VirtualTool
+from .virtual import HiddenEffects, ToolInHole, middle_of
 
 #: What each kind of instrument is called, with the ports that it can have; the first is the default.
 LINKS: Mapping[str, tuple[str, ...]] = {
@@ -60,6 +62,7 @@ class Laboratory:
     time_scale: float = 1.0
     host: str = LOOPBACK
     source: str = "laboratory"
+    tool: ToolInHole | None = None
 
 
 def load_laboratory(path: str | Path) -> Laboratory:
@@ -76,6 +79,7 @@ def load_laboratory(path: str | Path) -> Laboratory:
         virtual, hidden = _hidden_in_spherical(table, robot), HiddenEffects()
     else:
         virtual, hidden = _hidden(table, robot, seed)
+    tool = _tool(table, path.parent) if isinstance(robot, Delta) and table.has("tool") else None
     instruments: list[EmulatedInstrument] = []
     for one in table.tables("instrument"):
         instruments.append(_instrument(one, robot))
@@ -84,7 +88,7 @@ def load_laboratory(path: str | Path) -> Laboratory:
     table.finish()
     if not instruments:
         raise ExperimentError(f"{path}: has no [[instrument]]; known kinds: {listed(LINKS)}")
-    return Laboratory(robot, virtual, hidden, tuple(instruments), seed, time_scale, host, str(path))
+    return Laboratory(robot, virtual, hidden, tuple(instruments), seed, time_scale, host, str(path), tool)
 
 
 def _hidden(table: Table, robot: Delta, seed: int) -> tuple[VirtualDelta, HiddenEffects]:
@@ -105,6 +109,14 @@ def _hidden(table: Table, robot: Delta, seed: int) -> tuple[VirtualDelta, Hidden
             for name in p.names():
                 parameters[name] = p.number(name)
     return virtual, HiddenEffects(parameters, period, slip_time_s)
+
+
+def _tool(table: Table, folder: Path) -> ToolInHole:
+    with table.table("tool") as t:
+        name = t.words("file", "")
+        tool = load_tool(folder / name) if name else FlexibleTool()
+        virtual = VirtualTool(tool, hole_mn_mm=t.number("hole_mn_mm", 150.0, positive=True))
+        return ToolInHole(virtual, t.number("depth_mm", 10.0, positive=True), t.number("clearance_mm", 0.05))
 
 
 def _hidden_in_spherical(table: Table, robot: Spherical) -> VirtualSpherical:

@@ -127,7 +127,7 @@ class RunningLaboratory:
 
 def _on_the_bench(laboratory: Laboratory) -> DeltaOnTheBench | SphericalOnTheBench:
     if isinstance(laboratory.virtual, VirtualDelta):
-        return DeltaOnTheBench(laboratory.virtual, laboratory.hidden)
+        return DeltaOnTheBench(laboratory.virtual, laboratory.hidden, laboratory.tool)
     noise = [i.settings["noise_grey"] for i in laboratory.instruments if i.kind == "camera"]
     return SphericalOnTheBench(laboratory.virtual, noise_grey=noise[0] if noise else 0.0, seed=laboratory.seed)
 

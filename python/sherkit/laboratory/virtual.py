@@ -21,6 +21,7 @@ from ..names import nearest
 from ..robots.spherical import Spherical
 from ..simulation import VirtualDelta
 from ..spherical_simulation import VirtualSpherical
+from ..tool_simulation import VirtualTool
 
 Floats = NDArray[np.float64]
 
@@ -49,6 +50,25 @@ class HiddenEffects:
         return made, values
 
 
+@dataclass(frozen=True)
+class ToolInHole:
+    """A tool on the platform, in a hole of the bench: where the robot goes aside, the hole bends it.
+
+    At home the shaft is ``depth_mm`` deep and in the middle; ``clearance_mm`` is how far it is free. The load cell
+    feels the force, the gratings the bending: three fibres, each on a channel of its own, with three gratings.
+    """
+
+    virtual: VirtualTool
+    depth_mm: float = 10.0
+    clearance_mm: float = 0.05
+
+    def felt(self, position_mm: Floats) -> tuple[Floats, Floats]:
+        """Force (2,), mN, and wavelengths (9,), nm, with the platform at ``position_mm`` (3,) from home."""
+        depth = np.array([max(self.depth_mm - float(position_mm[2]), 0.0)])
+        force, waves = self.virtual.pressed(-position_mm[None, :2], depth, self.clearance_mm)
+        return force[0], waves[0]
+
+
 class DeltaOnTheBench(StillRobot):
     """A virtual delta with a cube on its platform, on which three lasers look; zeroed at its home, as in the paper.
 
@@ -56,9 +76,12 @@ class DeltaOnTheBench(StillRobot):
     on it.
     """
 
-    def __init__(self, virtual: VirtualDelta, hidden: HiddenEffects | None = None) -> None:
+    def __init__(
+        self, virtual: VirtualDelta, hidden: HiddenEffects | None = None, tool: ToolInHole | None = None
+    ) -> None:
         robot = virtual.robot
         self.virtual = virtual
+        self.tool = tool
         self.home_joints = robot.inverse([0.0, 0.0, 0.0])
         self._home = virtual.true_reading(self.home_joints)[0]
         self._plain = DeltaModel(robot)
@@ -70,6 +93,22 @@ class DeltaOnTheBench(StillRobot):
     def lasers_mm(self, joints: Floats, time_s: float) -> Sequence[float]:
         """x, y, z of the cube from its place at home, mm; NaN where the robot cannot be."""
         return [float(v) for v in self.position(joints, time_s)]
+
+    def wrench(self, joints: Floats, time_s: float) -> Sequence[float]:
+        """The force on the tool at its hole, N; no torque."""
+        place = self.position(joints, time_s)
+        if self.tool is None or not np.isfinite(place).all():
+            return super().wrench(joints, time_s)
+        force, _ = self.tool.felt(place)
+        return [1e-3 * float(force[0]), 1e-3 * float(force[1]), 0.0, 0.0, 0.0, 0.0]
+
+    def wavelengths_nm(self, joints: Floats, time_s: float) -> Sequence[Sequence[float]]:
+        """The gratings of sections I, II and III on one channel for each of three fibres."""
+        place = self.position(joints, time_s)
+        if self.tool is None or not np.isfinite(place).all():
+            return super().wavelengths_nm(joints, time_s)
+        _, waves = self.tool.felt(place)
+        return [[float(v) for v in fibre] for fibre in waves.reshape(3, 3).T] + [[]]
 
     def position(self, joints: Floats, time_s: float) -> Floats:
         """The same as an array (3,)."""
