@@ -190,7 +190,7 @@ class ToolModel:
                 common = (waves - np.array(tool.reference_nm)).reshape(-1, 3, 3).mean(axis=2)
                 shift = np.repeat(common[:, :2], 3, axis=1) * shift
             waves[:, :6] -= shift
-            return _tips(tool, run, at, _state(tool, replace(run, wavelengths_nm=waves)))
+            return _tips(tool, run, at, _state(tool, run, waves))
         if name == "force_hysteresis":
             lag = float(values[0]) * self._changing
             return _tips(tool, run, at, SimpleNamespace(force=self._felt.force + lag, depth=self._felt.depth))
@@ -205,9 +205,10 @@ class ToolModel:
         return middle + (place - middle) @ rotation_of(values)[0].T
 
 
-def _state(tool: FlexibleTool, run: ToolRun) -> SimpleNamespace:
+def _state(tool: FlexibleTool, run: ToolRun, wavelengths_nm: Floats | None = None) -> SimpleNamespace:
     """Force (n, 2) and smoothed depth (n,) at the rows of the robot; lost wavelengths are bridged."""
-    measured = tool.sensor.measure_batch(run.time_s, np.ascontiguousarray(run.wavelengths_nm))[0]
+    waves = run.wavelengths_nm if wavelengths_nm is None else wavelengths_nm
+    measured = tool.sensor.measure_batch(run.time_s, np.ascontiguousarray(waves))[0]
     start = _core.DepthFilter(tool.start_depth_mm, tool.start_std_mm**2, float(run.time_s[0]), tool.filter_noise)
     depth, _ = start.smooth(run.time_s, np.ascontiguousarray(run.insertion_mm_s), measured, run.present)
     force = measured[:, 1:3]
