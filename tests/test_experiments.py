@@ -13,7 +13,7 @@ import tomli_w
 
 from laboratories import ROBOT, experiment, laboratory
 from sherkit import load_robot, read_measurements
-from sherkit.errors import ExperimentError, Halted, InstrumentError, OutOfRange
+from sherkit.errors import ExperimentError, Halted, InstrumentError, MeasurementError, OutOfRange
 from sherkit.experiments import (
     Control,
     Goal,
@@ -207,6 +207,16 @@ def test_export_reads_a_run_that_goes_on(tmp_path):
     assert not data.taken[0, 1]
     with pytest.raises(ExperimentError, match=r"\.csv or \.parquet"):
         export_run(tmp_path / "a.sqlite", tmp_path / "a.pickle")
+
+
+def test_a_run_file_is_no_table(tmp_path):
+    """Catches a run file handed to calibrate that is refused without the word that helps."""
+    with sqlite3.connect(tmp_path / "run.sqlite") as made:
+        made.execute("create table anything (x)")
+    with pytest.raises(
+        MeasurementError, match=r"is the run file of an experiment; sherkit export run\.sqlite -o run\.csv"
+    ):
+        read_measurements(tmp_path / "run.sqlite")
 
 
 # -- experiments ---------------------------------------------------------------------------------------------

@@ -25,6 +25,8 @@ _HEAD = 4096
 Ints = NDArray[np.int64]
 #: A cell with a decimal comma; other commas belong to labels.
 _DECIMAL_COMMA = r"^(\s*[+-]?\d*),(\d*(?:[eE][+-]?\d+)?\s*)$"
+#: How the files of `sherkit measure` begin (SQLite).
+_RUN_FILE = b"SQLite format 3"
 
 
 def read_measurements(path: str | Path) -> Measurements:
@@ -51,6 +53,10 @@ def checked(path: str | Path) -> Path:
         raise MeasurementError(f"{path}: is a folder, expected a CSV or Parquet file")
     if not path.exists():
         raise MeasurementError(f"{path}: there is no such file")
+    with path.open("rb") as file:
+        if file.read(len(_RUN_FILE)) == _RUN_FILE:
+            hint = f"sherkit export {path.name} -o run.csv makes a table of it"
+            raise MeasurementError(f"{path}: is the run file of an experiment; {hint}")
     return path
 
 
