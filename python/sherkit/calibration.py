@@ -15,11 +15,11 @@ from typing import Any, ClassVar
 import numpy as np
 import tomli_w
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 from . import _core
 from .calibration_file import FORMAT, Keys, check_names, tables_of
 from .correction import MAX_ORDER, Correction
+from .coverage import radius_95
 from .errors import CalibrationError, SherkitError
 from .identification import Fit
 from .measurements.columns import POSITION, TEMPERATURE
@@ -237,10 +237,7 @@ class Calibration(Shown):
             derivative = model.core.derivatives(model.full(part.values), block, model.indices)[0][:, :3]
             share = np.array([part.correction.share(x[row]) if part.correction else 1.0 for row in rows])[:, None, None]
             left = share * part.residual_covariance_mm2 + (1.0 - share) * part.uncorrected_covariance_mm2
-            axes = np.linalg.eigvalsh(derivative @ part.covariance @ derivative.transpose(0, 2, 1) + left).clip(0.0)
-            total, squares = axes.sum(axis=1), (axes**2).sum(axis=1)
-            freedom = np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1.0), 1.0)
-            out[rows] = np.sqrt(total / freedom * stats.chi2.ppf(0.95, freedom))
+            out[rows] = radius_95(derivative @ part.covariance @ derivative.transpose(0, 2, 1) + left)
         return Batch(out, joints.reached, joints.why)
 
     def measured(self, position_mm: ArrayLike) -> bool:

@@ -10,11 +10,11 @@ from typing import ClassVar
 import numpy as np
 import tomli_w
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 from . import _core
 from .calibration_file import FORMAT, Keys, check_names, tables_of
 from .chain import effects_by_name
+from .coverage import radius_95
 from .errors import CalibrationError, SherkitError
 from .identification import Fit
 from .measurements.columns import SPHERICAL_ANGLES, TEMPERATURE
@@ -185,10 +185,7 @@ class SphericalCalibration(Shown):
         angles, _, by_values, _ = self.core.forward_batch(at, list(self.now), self.model.indices)
         across = np.stack([_across(by_values[:, :, k], angles) for k in range(by_values.shape[2])], axis=2)
         spread = across @ self.covariance @ across.transpose(0, 2, 1) + self.residual_covariance_rad2
-        axes = np.linalg.eigvalsh(spread).clip(0.0)
-        total, squares = axes.sum(axis=1), (axes**2).sum(axis=1)
-        freedom = np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1.0), 1.0)
-        out[rows] = self.radius_mm * np.sqrt(total / freedom * stats.chi2.ppf(0.95, freedom))
+        out[rows] = self.radius_mm * radius_95(spread)
         return Batch(out, joints.reached)
 
     def measured(self, angles_rad: ArrayLike) -> bool:

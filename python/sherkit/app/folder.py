@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from ..errors import SherkitError
-from ..measurements.reader import PARQUET
+from ..measurements.tables import PARQUET
 from ..models import MODELS
 from .growing import whole_lines
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..errors import SherkitError
 from ..measurements import Measurements, read_measurements
-from ..measurements.reader import PARQUET
+from ..measurements.tables import PARQUET
 
 
 def read_as(path: Path, name: str) -> Measurements:

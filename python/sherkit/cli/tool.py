@@ -19,7 +19,7 @@ from ..estimation.filters import Estimate, Track, status_in_words
 from ..estimation.filters import estimate as run_filters
 from ..estimation.judge import Judgement, judge
 from ..estimation.runs import read_tool_run, summary
-from ..measurements.reader import PARQUET
+from ..measurements.tables import write_table
 from ..robots.flexible_tool import KIND, NOISES, load_tool
 from . import output, reporting
 
@@ -61,7 +61,7 @@ def estimate(
     result = run_filters(made, recorded)
     judged = judge(result)
     if destination is not None:
-        _write(_frame(result), destination)
+        write_table(_frame(result), destination)
     if picture is not None:
         from ..report.estimate import estimate_picture
         from ..report.export import save_picture
@@ -164,13 +164,6 @@ def _frame(e: Estimate) -> pl.DataFrame:
         "nis_tip": e.tip.nis,
     }
     return pl.DataFrame(columns).with_columns(pl.col(pl.Float64).fill_nan(None))
-
-
-def _write(frame: pl.DataFrame, path: Path) -> None:
-    if path.suffix.lower() in PARQUET:
-        frame.write_parquet(path)
-    else:
-        frame.write_csv(path)
 
 
 def drawn(e: Estimate) -> Drawn:

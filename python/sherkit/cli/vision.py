@@ -12,6 +12,7 @@ import tomli_w
 
 from ..errors import MeasurementError, SherkitError
 from ..measurements.columns import POSE, REPEAT, SPHERICAL_JOINTS, TIME
+from ..measurements.tables import read_table, write_table
 from . import output
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def markers(
     if len(seen) == 0:
         raise SherkitError(f"{sources[0]}: holds no picture")
     if joints is None:
-        _write(seen.with_columns(pl.Series("picture", names)), destination)
+        write_table(seen.with_columns(pl.Series("picture", names)), destination)
         missing = int(seen[WHY].is_not_null().sum())
         output.say(f"{len(seen)} rows written to {destination}; {missing} without a marker")
         return
@@ -81,11 +82,11 @@ def markers(
 
 def _joints(path: Path) -> pl.DataFrame:
     """Times, poses, repeats, joints and their velocities of a file; anything else in it is left aside."""
-    from ..measurements.reader import PARQUET, checked
+    from ..measurements.reader import checked
 
     checked(path)
     try:
-        frame = pl.read_parquet(path) if path.suffix.lower() in PARQUET else pl.read_csv(path, comment_prefix="#")
+        frame = read_table(path)
         missing = [name for name in SPHERICAL_JOINTS if name not in frame.columns]
         if missing:
             raise MeasurementError(f"{path}: column '{missing[0]}' is missing; it has {', '.join(frame.columns)}")
@@ -98,13 +99,6 @@ def _joints(path: Path) -> pl.DataFrame:
         if bad.any():
             raise MeasurementError(f"{path}: row {int(bad.arg_max() or 0)}, column '{name}': expected a finite number")
     return kept
-
-
-def _write(frame: pl.DataFrame, path: Path) -> None:
-    if path.suffix.lower() in (".parquet", ".pq"):
-        frame.write_parquet(path)
-    else:
-        frame.write_csv(path)
 
 
 @click.command()

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..errors import FitError, MeasurementError
-from ..measurements.reader import PARQUET, checked
+from ..measurements.reader import checked
+from ..measurements.tables import read_table, write_table
 from ..robots.flexible_tool import FlexibleTool
 from .runs import FIBRES
 
@@ -48,19 +49,14 @@ class Loads:
         """Writes CSV or Parquet that :func:`read_loads` reads."""
         columns = {**dict(zip(FORCE, self.force_mn.T, strict=True)), DEPTH: self.depth_mm}
         columns |= {DEFLECTION: self.deflection_mm, **dict(zip(FIBRES, self.wavelengths_nm.T, strict=True))}
-        made = pl.DataFrame(columns).with_columns(pl.col(DEFLECTION).fill_nan(None))
-        path = Path(path)
-        if path.suffix.lower() in PARQUET:
-            made.write_parquet(path)
-        else:
-            made.write_csv(path)
+        write_table(pl.DataFrame(columns).with_columns(pl.col(DEFLECTION).fill_nan(None)), path)
 
 
 def read_loads(path: str | Path) -> Loads:
     """Reads the rows of a load bench. Raises :class:`~sherkit.errors.MeasurementError` naming file, column and row."""
     path = checked(path)
     try:
-        frame = pl.read_parquet(path) if path.suffix.lower() in PARQUET else pl.read_csv(path, comment_prefix="#")
+        frame = read_table(path)
         missing = [name for name in (*FORCE, DEPTH, *FIBRES) if name not in frame.columns]
         if missing:
             raise MeasurementError(f"{path}: column '{missing[0]}' is missing; it has {', '.join(frame.columns)}")

@@ -12,7 +12,8 @@ import polars as pl
 from numpy.typing import NDArray
 
 from ..errors import MeasurementError
-from ..measurements.reader import PARQUET, checked
+from ..measurements.reader import checked
+from ..measurements.tables import read_table, write_table
 from ..names import closest, listed
 from ..robots.flexible_tool import rotation_of
 
@@ -96,12 +97,7 @@ class ToolRun:
         )
         camera = pl.DataFrame({TIME: self.camera_time_s, **dict(zip(CAMERA, self.camera_mm.T, strict=True))})
         frame = pl.concat([robot, camera], how="diagonal").sort(TIME, maintain_order=True)
-        frame = frame.with_columns(pl.col(pl.Float64).fill_nan(None))
-        path = Path(path)
-        if path.suffix.lower() in PARQUET:
-            frame.write_parquet(path)
-        else:
-            frame.write_csv(path)
+        write_table(frame.with_columns(pl.col(pl.Float64).fill_nan(None)), path)
 
 
 def read_tool_run(path: str | Path) -> ToolRun:
@@ -112,10 +108,7 @@ def read_tool_run(path: str | Path) -> ToolRun:
     """
     path = checked(path)
     try:
-        if path.suffix.lower() in PARQUET:
-            frame = pl.read_parquet(path)
-        else:
-            frame = pl.read_csv(path, comment_prefix="#", infer_schema_length=None)
+        frame = read_table(path)
     except pl.exceptions.PolarsError as error:
         raise MeasurementError(f"{path}: is not a table: {str(error).splitlines()[0]}") from None
     return tool_run_of(frame, str(path))

@@ -7,6 +7,7 @@ of anything else in the plan end in ``stop``, which brakes the axes of this devi
 from __future__ import annotations
 
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -80,7 +81,7 @@ def _in_thread(task: Callable[[], None], status: Status) -> Status:
     return status
 
 
-class _Device:
+class _Device(ABC):
     """What all devices share: a name, no parent, nothing to stage."""
 
     parent = None
@@ -112,9 +113,9 @@ class _Device:
         """Which columns a table or picture shows."""
         return {"fields": list(self.describe())}
 
+    @abstractmethod
     def describe(self) -> Values:
         """The columns of :meth:`read`, with their units."""
-        raise NotImplementedError
 
     def _column(self, unit: str) -> dict[str, Any]:
         source = f"{self.instrument.kind} {self.instrument.address}"

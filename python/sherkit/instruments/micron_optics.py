@@ -6,6 +6,7 @@ Layouts from the makers' guides. What is uncertain, the token of streaming data,
 from __future__ import annotations
 
 import struct
+from abc import abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -144,8 +145,9 @@ class _Interrogator(Instrument):
         details = {"serial": float(peaks.serial), "device_time_s": peaks.device_time_s}
         return Reading(self.name, self.names, values, ("nm",) * len(values), time_s, details)
 
+    @abstractmethod
     def _peaks(self) -> tuple[Peaks, float]:
-        raise NotImplementedError
+        """Peaks of all channels, and the host's time when they arrived, s."""
 
 
 class Sm130(_Interrogator):

@@ -17,8 +17,7 @@ from ..errors import MeasurementError
 from . import columns as c
 from .frames import clean
 from .rows import Measurements
-
-PARQUET = (".parquet", ".pq")
+from .tables import PARQUET
 
 #: A file with a zero byte among this many is no text.
 _HEAD = 4096

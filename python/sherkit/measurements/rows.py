@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..errors import MeasurementError, SherkitWarning
 from ..names import listed
 from . import columns as c
+from .tables import write_table
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -359,11 +360,7 @@ class Measurements:
 
     def save(self, path: str | Path) -> None:
         """Writes CSV or Parquet, by the ending of the name."""
-        path = Path(path)
-        if path.suffix.lower() in (".parquet", ".pq"):
-            self.to_frame().write_parquet(path)
-        else:
-            self.to_frame().write_csv(path)
+        write_table(self.to_frame(), path)
 
 
 def _directions(values: Mapping[str, NDArray[Any]], joints: Floats) -> Floats:

@@ -10,8 +10,9 @@ import numpy as np
 import polars as pl
 
 from .frames import clean
-from .reader import PARQUET, checked, csv_blocks, not_parquet
+from .reader import checked, csv_blocks, not_parquet
 from .rows import Measurements
+from .tables import PARQUET
 
 BLOCK_ROWS = 100_000
 

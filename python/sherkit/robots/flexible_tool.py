@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from .. import _core
 from ..errors import RobotError
@@ -184,13 +185,5 @@ def load_tool(path: str | Path) -> FlexibleTool:
 
 
 def rotation_of(vectors_rad: Sequence[float] | Floats) -> Floats:
-    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3) (Rodrigues)."""
-    v = np.atleast_2d(np.asarray(vectors_rad, dtype=float))
-    angle = np.linalg.norm(v, axis=1)
-    safe = np.where(angle > 0, angle, 1.0)
-    axis = v / safe[:, None]
-    k = np.zeros((len(v), 3, 3))
-    k[:, 0, 1], k[:, 0, 2], k[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
-    k[:, 1, 0], k[:, 2, 0], k[:, 2, 1] = axis[:, 2], -axis[:, 1], axis[:, 0]
-    sin, cos = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.asarray(np.eye(3) + sin * k + (1.0 - cos) * (k @ k))
+    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3)."""
+    return np.asarray(Rotation.from_rotvec(np.atleast_2d(np.asarray(vectors_rad, dtype=float))).as_matrix())

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import struct
-import threading
 import time
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
 from .faults import Fault
+from .page import Page
 from .server import LOOPBACK, Emulator
 from .world import World
 
@@ -104,7 +104,7 @@ class NetFtEmulator(Emulator):
                 self._listener.sendto(self.faults.garbled(record) if kind == "garble" else record, self._whom)
 
 
-class NetFtPage:
+class NetFtPage(Page):
     """The device's ``netftapi2.xml`` on HTTP, on this machine alone. ``url`` is what the driver fetches."""
 
     def __init__(self, emulator: NetFtEmulator) -> None:
@@ -124,15 +124,6 @@ class NetFtPage:
             def log_message(self, *_: Any) -> None:
                 """Nothing: tests read what is printed."""
 
-        self._server = HTTPServer((LOOPBACK, 0), Handler)
-        self.url = f"http://{LOOPBACK}:{self._server.server_port}/netftapi2.xml"
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True)
-
-    def __enter__(self) -> NetFtPage:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
+        server = HTTPServer((LOOPBACK, 0), Handler)
+        super().__init__(server)
+        self.url = f"http://{LOOPBACK}:{server.server_port}/netftapi2.xml"

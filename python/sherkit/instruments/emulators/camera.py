@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from .faults import Faults
+from .page import Page
 from .server import LOOPBACK
 from .world import World
 
@@ -69,7 +70,7 @@ class Source:
         self._open = False
 
 
-class CameraPage:
+class CameraPage(Page):
     """The camera on HTTP: each request for ``/snapshot.png`` takes a picture. ``address`` is for the driver.
 
     It listens on this machine alone unless ``host`` says otherwise.
@@ -100,16 +101,7 @@ class CameraPage:
             def log_message(self, *_: Any) -> None:
                 """Nothing: tests read what is printed."""
 
-        self._server = ThreadingHTTPServer((host, port), Handler)
-        self._server.daemon_threads = True
-        self.address = f"http://{host}:{self._server.server_port}/snapshot.png"
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True)
-
-    def __enter__(self) -> CameraPage:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
+        server = ThreadingHTTPServer((host, port), Handler)
+        server.daemon_threads = True
+        super().__init__(server)
+        self.address = f"http://{host}:{server.server_port}/snapshot.png"

@@ -9,7 +9,7 @@ from typing import Any
 
 from .faults import Fault
 from .profile import Braking, CutShort, Profile
-from .server import Emulator
+from .server import LineEmulator
 from .world import World
 
 _LETTERS = "ABCDEFGH"
@@ -50,7 +50,7 @@ class _Axis:
         self.reverse = True
 
 
-class GalilEmulator(Emulator):
+class GalilEmulator(LineEmulator):
     """A controller whose axes A, B, … are the joints of the world, in order.
 
     ``travel`` (low, high) of each is where its limit switches sit; ``lag_s`` is how far, in the world's time, the
@@ -59,6 +59,7 @@ class GalilEmulator(Emulator):
     """
 
     links = ("pty", "tcp")
+    ending = b"\r"
 
     def __init__(
         self,
@@ -85,20 +86,6 @@ class GalilEmulator(Emulator):
         self.echo = self.link == "pty"
         self.high_bit = True
         self.last_error = 0
-
-    # --- the line
-
-    def take_command(self, received: bytearray) -> bytes | None:
-        """Up to a carriage return; a line feed after it is ignored."""
-        at = received.find(b"\r")
-        if at < 0:
-            return None
-        line = bytes(received[: at + 1])
-        del received[: at + 1]
-        return line
-
-    def _misheard(self, command: bytes) -> bytes:
-        return self.faults.garbled(command[:-1]).replace(b"\r", b"") + b"\r"
 
     def answer(self, command: bytes, fault: Fault | None) -> bytes:
         """One ``:`` or ``?`` for each command of the line."""

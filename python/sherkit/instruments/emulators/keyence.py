@@ -7,7 +7,7 @@ import random
 from typing import Any
 
 from .faults import Fault
-from .server import Emulator
+from .server import LineEmulator
 from .world import World
 
 _OUTPUTS = 12
@@ -15,7 +15,7 @@ _OUTPUTS = 12
 _SAME_PLACE = 6
 
 
-class KeyenceEmulator(Emulator):
+class KeyenceEmulator(LineEmulator):
     """Answers MS, MM, MA, Q0 and R0.
 
     ``noise_mm`` is the standard deviation of a value, ``decimals`` the places after its point (eight characters in
@@ -25,6 +25,7 @@ class KeyenceEmulator(Emulator):
     """
 
     links = ("pty", "tcp")
+    ending = b"\r"
 
     def __init__(
         self,
@@ -44,18 +45,6 @@ class KeyenceEmulator(Emulator):
         self.decimals = decimals
         self.range_mm = range_mm
         self.measuring = True
-
-    def take_command(self, received: bytearray) -> bytes | None:
-        """Up to a carriage return."""
-        at = received.find(b"\r")
-        if at < 0:
-            return None
-        line = bytes(received[: at + 1])
-        del received[: at + 1]
-        return line
-
-    def _misheard(self, command: bytes) -> bytes:
-        return self.faults.garbled(command[:-1]).replace(b"\r", b"") + b"\r"
 
     def answer(self, command: bytes, fault: Fault | None) -> bytes:
         """The reply, or ER with the command and a code."""

@@ -6,7 +6,7 @@ import struct
 from typing import Any
 
 from .faults import Fault
-from .server import Emulator
+from .server import Emulator, LineEmulator
 from .world import World
 
 
@@ -26,22 +26,11 @@ class _Interrogator(Emulator):
         return [sorted(v + self.random.gauss(0.0, self.noise_nm) for v in channel) for channel in channels]
 
 
-class Sm130Emulator(_Interrogator):
+class Sm130Emulator(LineEmulator, _Interrogator):
     """Answers ``#GET_DATA`` and ``#IDN?`` on TCP, with four channels."""
 
+    ending = b"\n"
     granularity = 1_000_000
-
-    def take_command(self, received: bytearray) -> bytes | None:
-        """Up to a line feed."""
-        at = received.find(b"\n")
-        if at < 0:
-            return None
-        line = bytes(received[: at + 1])
-        del received[: at + 1]
-        return line
-
-    def _misheard(self, command: bytes) -> bytes:
-        return self.faults.garbled(command[:-1]).replace(b"\n", b"") + b"\n"
 
     def answer(self, command: bytes, fault: Fault | None) -> bytes:
         """Ten characters with the length, then the payload."""

@@ -19,7 +19,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Self
+from typing import ClassVar, Self
 
 from .faults import Fault, Faults
 from .world import World
@@ -298,3 +298,21 @@ class Emulator(ABC):
             if sent < len(data):
                 client.outbox.appendleft((due, data[sent:]))
                 return
+
+
+class LineEmulator(Emulator):
+    """An instrument whose commands end with ``ending``."""
+
+    ending: ClassVar[bytes]
+
+    def take_command(self, received: bytearray) -> bytes | None:
+        """Up to the end of the line."""
+        at = received.find(self.ending)
+        if at < 0:
+            return None
+        line = bytes(received[: at + 1])
+        del received[: at + 1]
+        return line
+
+    def _misheard(self, command: bytes) -> bytes:
+        return self.faults.garbled(command[:-1]).replace(self.ending, b"") + self.ending
