@@ -7,7 +7,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 WHEELS := target/wheels
 STAMP  := $(VENV)/.installed
-PYTHONS := python tests benchmarks examples docs rust/c/examples
+PYTHONS := python tests benchmarks examples docs
 SOURCES := Cargo.toml Cargo.lock pyproject.toml README.md $(shell find rust python -type f -not -name '*.so' -not -path '*/__pycache__/*')
 
 .PHONY: demo demo-lab test test-rust test-python test-slow lint no-std header header-check bench format clean check-tools
@@ -68,8 +68,10 @@ header-check: | check-tools
 test-python: $(STAMP)
 	$(BIN)/python -m pytest -n 2 -m "not slow"
 
+# what takes longer, and the property tests once more with other inputs in each run: a failure prints its own
 test-slow: $(STAMP)
-	$(BIN)/python -m pytest -n 2 -m slow
+	SHERKIT_RANDOM=1 cargo test --quiet --locked --release -p sherkit-core
+	SHERKIT_RANDOM=1 $(BIN)/python -m pytest -n 2 -m "slow or hypothesis"
 
 bench: $(STAMP)
 	$(BIN)/python -m pip install --quiet "$$(ls $(WHEELS)/sherkit-*.whl)[bench]"

@@ -46,24 +46,24 @@ def kinematics() -> None:
 
 
 def identification() -> None:
-    virtual = sk.VirtualDelta.draw(ROBOT, 1)
-    data = virtual.measure(sk.paper_whole(), repeats=1, seed=1)
-    model = sk.DeltaModel(ROBOT)
+    virtual = sk.delta.VirtualDelta.draw(ROBOT, 1)
+    data = virtual.measure(sk.delta.paper_whole(), repeats=1, seed=1)
+    model = sk.delta.DeltaModel(ROBOT)
     free = np.array([6 * limb + k for limb in range(3) for k in range(4)])
     offset = np.array(ROBOT.target_offset_mm)
-    measured = data.readings_mm[:, :3]
+    measured = data.readings[:, :3]
 
     def residual(p: np.ndarray) -> np.ndarray:
         full = ROBOT.geometry.copy()
         full[free] += p[:12]
-        return (measured - forward(full, data.joints_mm) - offset - p[12:]).ravel()
+        return (measured - forward(full, data.joints) - offset - p[12:]).ravel()
 
     def scipy_fit() -> object:
         return least_squares(residual, np.zeros(15), method="lm", x_scale=np.maximum(1e-3, np.ones(15)))
 
     fit = sk.identify(model, data)
     cost = float((residual(scipy_fit().x) ** 2).sum())  # type: ignore[attr-defined]
-    ours = float(np.nansum(fit.residuals_mm**2))
+    ours = float(np.nansum(fit.residuals**2))
     assert ours <= cost * (1 + 1e-6), (ours, cost)
     times = medians({"sherkit identify": lambda: sk.identify(model, data), "scipy least_squares lm": scipy_fit}, 15)
     show("Identification of 588 poses to the nonlinear minimum, from Python", "≥ 20 ×", "sherkit identify", times)
@@ -82,8 +82,8 @@ def streaming() -> None:
 def stream(rows: int) -> None:
     import resource
 
-    virtual = sk.VirtualDelta.draw(ROBOT, 1)
-    block = virtual.measure(sk.paper_whole(), repeats=170, seed=1)
+    virtual = sk.delta.VirtualDelta.draw(ROBOT, 1)
+    block = virtual.measure(sk.delta.paper_whole(), repeats=170, seed=1)
 
     def blocks() -> Iterator[sk.Measurements]:
         left = rows
@@ -92,7 +92,7 @@ def stream(rows: int) -> None:
             left -= len(block)
 
     start = time.perf_counter()
-    fit = sk.identify_stream(ROBOT, sk.MeasurementStream(blocks, "bench"))
+    fit = sk.fit.identify_stream(ROBOT, sk.data.MeasurementStream(blocks, "bench"))
     assert fit.converged
     assert fit.rows == rows
     print(time.perf_counter() - start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
@@ -112,7 +112,7 @@ def bernstein() -> None:
         design = (b[0][:, :, None, None] * b[1][:, None, :, None] * b[2][:, None, None, :]).reshape(len(x), -1)
         return np.linalg.lstsq(design, y, rcond=None)[0]
 
-    ours = sk.fit_polynomial(x, y, orders)
+    ours = sk.delta.fit_polynomial(x, y, orders)
     assert np.abs(ours.coefficients_mm - lstsq()).max() < 1e-6
     ticks = np.linspace(-20, 20, 22)
     axes = [ticks, ticks, np.linspace(-20, 20, 21)]
@@ -120,9 +120,9 @@ def bernstein() -> None:
     values = np.stack([np.sin(grid[..., 0] / 9), np.cos(grid[..., 1] / 7), grid[..., 2] ** 2 / 400], axis=-1)
     times = medians(
         {
-            "sherkit, scattered": lambda: sk.fit_polynomial(x, y, orders),
+            "sherkit, scattered": lambda: sk.delta.fit_polynomial(x, y, orders),
             "numpy.linalg.lstsq, scattered": lstsq,
-            "sherkit, grid form (10,164 poses)": lambda: sk.fit_grid(axes, values, orders),
+            "sherkit, grid form (10,164 poses)": lambda: sk.delta.fit_grid(axes, values, orders),
         },
         7,
     )

@@ -25,9 +25,9 @@ FREE = np.array([6 * limb + k for limb in range(3) for k in range(4)])
 NAMES = [f"{name}_{limb}" for limb in (1, 2, 3) for name in ("base_radius", "base_angle", "joint_offset", "rod_length")]
 
 
-def candidates(robot: sk.Delta, data: sk.Measurements) -> dict[str, tuple[int, Callable[[Floats], Floats]]]:
+def candidates(robot: sk.delta.Delta, data: sk.Measurements) -> dict[str, tuple[int, Callable[[Floats], Floats]]]:
     """Each effect: how many parameters, and predicted readings (n, 3) for geometry, datum and effect."""
-    q, offset = data.joints_mm, np.array(robot.target_offset_mm)
+    q, offset = data.joints, np.array(robot.target_offset_mm)
     home = robot.inverse([0.0, 0.0, 0.0])
     time = np.asarray(data.time_s)
     hours = time[:, None] / 3600
@@ -70,9 +70,9 @@ def candidates(robot: sk.Delta, data: sk.Measurements) -> dict[str, tuple[int, C
     }
 
 
-def refit_all(robot: sk.Delta, data: sk.Measurements) -> dict[str, float]:
+def refit_all(robot: sk.delta.Delta, data: sk.Measurements) -> dict[str, float]:
     """RMS (µm) that each candidate leaves after its own least-squares fit."""
-    measured = data.readings_mm[:, :3]
+    measured = data.readings[:, :3]
     out = {}
     for name, (count, predict) in candidates(robot, data).items():
         fit = least_squares(lambda p, f=predict: (measured - f(p)).ravel(), np.zeros(15 + count), method="lm")

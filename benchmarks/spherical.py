@@ -15,7 +15,7 @@ ARC = np.pi / 4
 
 def kinematics() -> None:
     """Forward and inverse, closed form and general mechanism."""
-    robot = sk.Spherical(45.0, 45.0, 200.0)
+    robot = sk.spherical.Spherical(45.0, 45.0, 200.0)
     core = robot.kinematics()
     rng = np.random.default_rng(0)
     mean, half = rng.uniform(0.5, 2.5, POSES), rng.uniform(0.3, 1.2, POSES)
@@ -45,7 +45,7 @@ def kinematics() -> None:
 
 def projection() -> None:
     """Points into pixels through a distorted lens."""
-    view = sk.CameraView.facing(
+    view = sk.spherical.CameraView.facing(
         np.pi / 2, np.pi / 4, 446.2, size_px=(1280, 640), focal_px=(1027.0, 1027.0),
         distortion=(-0.12, 0.05, 0.001, -0.002, 0.005),
     )  # fmt: skip

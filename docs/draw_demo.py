@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 import sherkit as sk
-from sherkit.pictures import Panel, residual_maps
+from sherkit.report.svg import Panel, residual_maps
 
 FOLDER = Path("demo")
 OUT = Path(__file__).parent / "pictures" / "demo.svg"
@@ -18,12 +18,12 @@ def main() -> None:
     before = study.fit
     for name in study.diagnose().effects:
         study.add(name)
-    plane = (np.abs(before.predicted_mm[:, 2]) > 10) & (before.predicted_mm[:, 2] > 0) & (study.data.repeat == 1)
-    where = before.predicted_mm[plane, :3]
+    plane = (np.abs(before.predicted[:, 2]) > 10) & (before.predicted[:, 2] > 0) & (study.data.repeat == 1)
+    where = before.predicted[plane, :3]
     panels = [
-        Panel("as drawn", where, before.nominal_residuals_mm[plane, :3], 1000.0),
-        Panel("geometry calibrated", where, before.residuals_mm[plane, :3], 200.0),
-        Panel(f"{' and '.join(study.effects)} found and added", where, study.fit.residuals_mm[plane, :3], 200.0),
+        Panel("as drawn", where, before.nominal_residuals[plane, :3], 1000.0),
+        Panel("geometry calibrated", where, before.residuals[plane, :3], 200.0),
+        Panel(f"{' and '.join(study.effects)} found and added", where, study.fit.residuals[plane, :3], 200.0),
     ]
     caption = "Measured minus predicted in the plane z = 20 mm of the demo's simulated run (arrows: x, y; blue: lower, "
     OUT.write_text(residual_maps(panels, caption + "orange: higher)."), encoding="utf-8")

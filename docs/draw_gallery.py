@@ -50,38 +50,41 @@ ITEMS = [
          "Where the model is wrong, and which way. An arrow starts at the black dot of its pose and shows the error in "
          "x and y, its colour the error in z; left before, right with the effect added, all on one scale. Compare the "
          "arrows with the circle: noise alone would leave 95 of 100 inside it.",
-         "from sherkit.report.left import left_of\n"
+         "from sherkit.report.residuals import residuals_of\n"
          "from sherkit.report.residual_map import Change, residual_map\n"
-         'residual_map(Change(left_of(before), left_of(study.fit), "as it came", "with rail_lean"), width_px=700)'),
+         'change = Change(residuals_of(before), residuals_of(study.fit), "as it came", "with rail_lean")\n'
+         "residual_map(change, width_px=700)"),
     Item("residual_map_plane", "… of one plane and 20 rows",
          "Each pose was read once, so the noise is unknown and there is no circle. Arrows as long as these after the "
          "effect was added may be nothing but noise.",
-         'residual_map(Change(left_of(before), left_of(study.fit), "as it came", "with rail_lean"), width_px=700)',
+         'change = Change(residuals_of(before), residuals_of(study.fit), "as it came", "with rail_lean")\n'
+         "residual_map(change, width_px=700)",
          "plane"),
     Item("residual_map_many", "… of 20,000 rows",
          "Poses are so many that arrows would hide one another: each is the mean of a cell, and the planes are slabs "
          "of equally many rows.",
-         'residual_map(Change(left_of(before), left_of(study.fit), "as it came", "with rail_lean"), width_px=700)',
+         'change = Change(residuals_of(before), residuals_of(study.fit), "as it came", "with rail_lean")\n'
+         "residual_map(change, width_px=700)",
          "many"),
     Item("against", "Residual against anything",
          "One panel for each reading against a joint, a coordinate, time or any other column. The black line is the "
          "running mean, its band two standard errors: where the band leaves zero, something depends on this variable. "
          "Grey is the error before the effect was added, dashed what the effect explains of it.",
-         "from sherkit.report.against import Against, against\n"
-         'against(Against(left_of(study.fit), "q1_mm", left_of(before)))'),
+         "from sherkit.report.residual_against import ResidualAgainst, residual_against\n"
+         'residual_against(ResidualAgainst(residuals_of(study.fit), "q1_mm", residuals_of(before)))'),
     Item("against_plane", "… of one plane and 20 rows",
          "With a few rows the band is wide: hardly anything can be said, and the picture says so.",
-         'against(Against(left_of(study.fit), "x_mm", left_of(before)))', "plane"),
+         'residual_against(ResidualAgainst(residuals_of(study.fit), "x_mm", residuals_of(before)))', "plane"),
     Item("against_many", "… of 20,000 rows",
          "A sample of the rows is drawn; running mean and band count all of them.",
-         'against(Against(left_of(study.fit), "q1_mm", left_of(before)))', "many"),
+         'residual_against(ResidualAgainst(residuals_of(study.fit), "q1_mm", residuals_of(before)))', "many"),
     Item("fall", "The fall of the error",
          "Every step of a study: filled on poses that the fit had not seen, open on those it was fitted to. The "
          "further apart the two, the more the fit learned by heart. Dotted is the noise, below which nothing can be "
          "gained; dashed the accuracy that is needed.",
-         "from sherkit import paper\n"
-         "from sherkit.report.fall import fall, fall_of\n"
-         "fall(fall_of(study, found, paper.REQUIREMENT_UM))"),
+         "from sherkit.robots.calibrated import REQUIREMENT_UM\n"
+         "from sherkit.report.error_history import error_history, error_history_of\n"
+         "error_history(error_history_of(study, found, REQUIREMENT_UM))"),
     Item("candidates", "Candidates",
          "What each effect would bring if it were added: the error that would remain on poses held out, with two "
          "standard errors. Blue is what the diagnosis names, a cross helps only at a size that is not plausible.",
@@ -109,29 +112,30 @@ ITEMS = [
          "The radius around a commanded position that holds 95 of 100, at three heights. The outline is the region "
          "that meets the requirement; hatched is where no pose was measured, so that the figure is extrapolated.",
          "from sherkit.report.workspace import accuracy_map, accuracy_of\n"
-         "accuracy_map(accuracy_of(study.calibration(), paper.REQUIREMENT_UM))"),
+         "accuracy_map(accuracy_of(study.calibration(), REQUIREMENT_UM))"),
     Item("next_poses", "Poses to measure next",
          "Where tied effects differ most, numbered in the order to measure them, from above and from the side. Here "
          "for the run of one plane and 20 rows: the run of the demo leaves nothing tied.",
          "from sherkit.report.workspace import NextPoses, next_poses\n"
-         "next_poses(NextPoses(found.next_poses, left_of(before)))", "plane"),
+         "next_poses(NextPoses(found.next_poses, residuals_of(before)))", "plane"),
     Item("noise_before", "Against the noise: as it came",
          "Left the readings in units of their noise, right the same as quantiles against those of a Gaussian. Where "
          "the line is steeper than the dashed one there is more than noise.",
-         "from sherkit.report.noise import noise_picture\nnoise_picture(left_of(before))"),
+         "from sherkit.report.noise import noise_picture\nnoise_picture(residuals_of(before))"),
     Item("noise", "Against the noise: with the effect",
          "What is left now lies on the dashed line: it is noise.",
-         "noise_picture(left_of(study.fit))"),
+         "noise_picture(residuals_of(study.fit))"),
     Item("run", "The run in time",
          "What is left in the order in which it was measured: steps, trends and single wild readings show here. "
          "Other columns that vary, a temperature for instance, stand below on the same axis.",
-         "from sherkit.report.run import run_in_time\nrun_in_time(left_of(study.fit))"),
+         "from sherkit.report.run import run_in_time\nrun_in_time(residuals_of(study.fit))"),
     Item("estimate", "An estimate over time (made-up data)",
          "For a tool with sensors of its own: the filter's estimate with its 95 % band, the sensor alone, the truth "
          "where it is known, and the force below; under the dotted line the sensor says little. The numbers are drawn "
          "at random, not measured.",
-         "from sherkit.report.estimate import Estimate, estimate_picture\n"
-         'estimate_picture(Estimate(time, value, std, "depth", "mm", {"sensor alone": raw, "truth": truth}, force, 2))',
+         "from sherkit.report.estimate import EstimateOverTime, estimate_picture\n"
+         'others = {"sensor alone": raw, "truth": truth}\n'
+         'estimate_picture(EstimateOverTime(time, value, std, "depth", "mm", others, force, 2))',
          "tool"),
     Item("reprojection", "Reprojection errors on the camera's picture (made-up data)",
          "Where the camera saw the marker, and how far the model sees it from there; the arrows are much longer than "
@@ -167,8 +171,8 @@ def main() -> None:
         if item.setup not in names:
             names[item.setup] = prepared(item.setup)
         *before, last = item.lines.splitlines()
-        imports += "".join(line + "\n" for line in before)
-        exec(imports, names[item.setup])
+        imports += "".join(line + "\n" for line in before if line.startswith("from"))
+        exec("\n".join([imports, *before]), names[item.setup])
         picture = eval(last, names[item.setup])
         file = OUT / f"{item.file}.png"
         save_picture(picture, file, width_px=_WIDTH_PX)
@@ -208,20 +212,20 @@ def prepared(setup: str) -> dict[str, Any]:
     return names
 
 
-def one_plane(robot: sk.Delta) -> sk.Measurements:
+def one_plane(robot: sk.delta.Delta) -> sk.Measurements:
     """20 poses at one height, each read once."""
     place = np.random.default_rng(3).uniform(-20, 20, (20, 2))
     return _virtual(robot).measure(np.column_stack([place, np.zeros(20)]), repeats=1, seed=6)
 
 
-def many(robot: sk.Delta) -> sk.Measurements:
+def many(robot: sk.delta.Delta) -> sk.Measurements:
     """4000 poses anywhere in the workspace, five readings of each."""
     return _virtual(robot).measure(np.random.default_rng(3).uniform(-20, 20, (4000, 3)), repeats=5, seed=6)
 
 
-def _virtual(robot: sk.Delta) -> sk.VirtualDelta:
+def _virtual(robot: sk.delta.Delta) -> sk.delta.VirtualDelta:
     """The virtual robot of the demo."""
-    return sk.VirtualDelta.draw(robot, 6, rail_lean_rad=8e-3, noise_mm=0.005)
+    return sk.delta.VirtualDelta.draw(robot, 6, rail_lean_rad=8e-3, noise_mm=0.005)
 
 
 def _tool() -> dict[str, Any]:

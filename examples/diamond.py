@@ -20,8 +20,8 @@ from rich.console import Console
 from rich.table import Table
 
 import sherkit as sk
-from sherkit.straightness import LINES, targets
-from sherkit.vision.rows import seen_run
+from sherkit.robots.spherical.pictures import seen_run
+from sherkit.robots.spherical.straightness import LINES, targets
 
 Floats = NDArray[np.float64]
 
@@ -37,18 +37,21 @@ PLACES = 15
 
 
 def followed(
-    hidden: sk.VirtualSpherical, top: sk.CameraView, radius_mm: float, inverse: Callable[[Floats], Floats]
+    hidden: sk.spherical.VirtualSpherical,
+    top: sk.spherical.CameraView,
+    radius_mm: float,
+    inverse: Callable[[Floats], Floats],
 ) -> dict[str, float]:
     """How straight (RMS, mm) the robot follows each line in the picture of ``top``, led by ``inverse`` kinematics."""
     out = {}
     for number, (name, line) in enumerate(LINES.items()):
         joints = inverse(targets(top, radius_mm, line, PLACES))
-        watched = sk.VirtualSpherical(hidden.robot, hidden.errors, camera=top)
+        watched = sk.spherical.VirtualSpherical(hidden.robot, hidden.errors, camera=top)
         plan = {"time_s": np.arange(PLACES) * 1.0, "theta1_rad": joints[:, 0], "theta2_rad": joints[:, 1]}
         pixels = seen_run(plan, watched.pictures(plan, seed=50 + number)).readings
         # the picture in mm, at the distance of the line's middle
         depth_mm = top.translation_mm[2] - radius_mm * np.cos(np.pi / 4)
-        out[name] = sk.straightness(pixels * depth_mm / top.focal_px[0])
+        out[name] = sk.spherical.straightness(pixels * depth_mm / top.focal_px[0])
     return out
 
 
@@ -56,20 +59,20 @@ def main(per_side: int, save_in: Path | None) -> dict[str, Any]:
     """Runs it all, prints the tables, and returns their figures."""
     console = Console(width=110)
     robot = sk.load_robot(HERE / "diamond.toml")
-    assert isinstance(robot, sk.Spherical)
+    assert isinstance(robot, sk.spherical.Spherical)
     lens = np.arctan(320.0 / robot.seen.focal_px[1])
-    best = sk.camera_placement(robot.radius_mm, lens, region="quarter")
+    best = sk.spherical.camera_placement(robot.radius_mm, lens, region="quarter")
     console.print(
         f"Best distance of a camera with a half angle of view of {np.rad2deg(lens):.2f}°: "
         f"[b]{best.distance_mm / 10:.2f} cm[/b] (paper: 44.62 cm); the picture's height shows "
         f"±{np.rad2deg(best.picture_half_angle_rad):.1f}° of the sphere"
     )
 
-    hidden = sk.VirtualSpherical(robot, HIDDEN)
-    plan = hidden.plan(sk.sphere_patch(robot, per_side), repeats=1)
+    hidden = sk.spherical.VirtualSpherical(robot, HIDDEN)
+    plan = hidden.plan(sk.spherical.sphere_patch(robot, per_side), repeats=1)
     data = seen_run(plan, hidden.pictures(plan, seed=3), save_in=save_in)
     console.print(f"{len(plan['pose'])} pictures, the marker found in {len(data)} of them\n")
-    fits = {"readings": sk.identify(robot, data), "joints": sk.identify_joints(robot, data)}
+    fits = {"readings": sk.identify(robot, data), "joints": sk.spherical.identify_joints(robot, data)}
 
     table = Table("", "drawn", "paper", "hidden", "from readings", "off by", "from joints (Eq. 6)", "off by",
                   title="Table I: identified parameters (simulation)", title_justify="left")  # fmt: skip
@@ -86,8 +89,8 @@ def main(per_side: int, save_in: Path | None) -> dict[str, Any]:
 
     fit = fits["readings"]
     model = fit.model
-    assert isinstance(model, sk.SphericalModel)
-    after, before = (sk.task_error(model, data, values) for values in (fit.values, 0.0 * fit.values))
+    assert isinstance(model, sk.spherical.SphericalModel)
+    after, before = (sk.spherical.task_error(model, data, values) for values in (fit.values, 0.0 * fit.values))
     table = Table("rad", "paper φ", "paper γ", "before φ", "before γ", "after φ", "after γ",
                   title="Table II: error in task space (simulation)", title_justify="left")  # fmt: skip
     for row in ("mean", "rms", "root_sum", "largest"):
@@ -98,9 +101,9 @@ def main(per_side: int, save_in: Path | None) -> dict[str, Any]:
     console.print(f"joint space: RMS {joints:.2g} rad (paper: 0.01 rad)\n")
 
     # a camera that looks straight down the actuated axis, 1 m from the base, with a lens that does not distort
-    top = sk.CameraView.facing(np.pi / 2, 0.0, 1000.0, size_px=(1280, 1024), focal_px=(1900.0, 1900.0))
+    top = sk.spherical.CameraView.facing(np.pi / 2, 0.0, 1000.0, size_px=(1280, 1024), focal_px=(1900.0, 1900.0))
     calibration = sk.calibrate(robot, data, correction="none").calibration
-    assert isinstance(calibration, sk.SphericalCalibration)
+    assert isinstance(calibration, sk.spherical.SphericalCalibration)
     radius = robot.radius_mm + float(fit.values[2])
     drawn_way = followed(hidden, top, robot.radius_mm, lambda x: robot.inverse_batch(x).require("place"))
     right_way = followed(hidden, top, radius, lambda x: calibration.inverse_batch(x).require("place"))
@@ -116,7 +119,7 @@ def main(per_side: int, save_in: Path | None) -> dict[str, Any]:
         "show them.\nThe paper's 0.59 cm is about what an arc of constant γ, its second case, is off from its chord: "
         "0.57 cm."
     )
-    console.print(f"\nremote centre: {sk.remote_centre(fit)}")
+    console.print(f"\nremote centre: {sk.spherical.remote_centre(fit)}")
     return {"sigmas": sigmas, "joint_rms_rad": joints, "before": drawn_way, "after": right_way, "best": best}
 
 

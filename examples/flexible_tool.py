@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from sherkit.estimation.alignment import at_times
-from sherkit.estimation.filters import Estimate, estimate
-from sherkit.estimation.judge import MISMATCH_MM
-from sherkit.robots.flexible_tool import FlexibleTool
-from sherkit.tool_simulation import VirtualTool
+from sherkit.robots.tool.alignment import at_times
+from sherkit.robots.tool.filters import Estimate, estimate
+from sherkit.robots.tool.judge import MISMATCH_MM
+from sherkit.robots.tool.tool import FlexibleTool
+from sherkit.robots.tool.virtual import VirtualTool
 
 Floats = NDArray[np.float64]
 

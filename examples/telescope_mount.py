@@ -26,7 +26,7 @@ GEM = Path("gem_mount_pointing") / "gem_pointing.csv"
 MMT = Path("mmt_pointing") / "mmt_pointing.csv"
 
 
-def angles(rows: sk.Readings) -> SimpleNamespace:
+def angles(rows: sk.Measurements) -> SimpleNamespace:
     """Sines and cosines of hour angle h, declination d and the pole's elevation φ, and the side of the pier ±1."""
     h, d, pole = np.deg2rad(rows["hour_angle_deg"]), np.deg2rad(rows["declination_deg"]), np.deg2rad(rows["pole_deg"])
     return SimpleNamespace(
@@ -83,14 +83,14 @@ class Mount:
     polar axis that is off by MA sideways and ME in elevation. The mount turned over the pole flips three of them."""
 
     terms = ("IH", "ID", "CH", "NP", "MA", "ME")
-    parameters = tuple(sk.Parameter(name, name, "arcsec", 3600.0) for name in terms)
+    parameters = tuple(sk.model.Parameter(name, name, "arcsec", 3600.0) for name in terms)
     candidates = (tube_flexure, fork_flexure, axis_flexure, polar_circle, declination_circle)
 
-    def predict(self, data: sk.Readings, values: Floats) -> Floats:
+    def predict(self, data: sk.Measurements, values: Floats) -> Floats:
         """Mount minus star (n, 2), arcsec."""
         return self.derivatives(data, values) @ values
 
-    def derivatives(self, data: sk.Readings, values: Floats) -> Floats:
+    def derivatives(self, data: sk.Measurements, values: Floats) -> Floats:
         """Derivatives (n, 2, 6); the terms are linear."""
         a, zero = angles(data), np.zeros(len(data))
         columns = (
@@ -99,7 +99,7 @@ class Mount:
         )  # fmt: skip
         return np.stack(columns, axis=2)
 
-    def covariates(self, data: sk.Readings) -> dict[str, Floats]:
+    def covariates(self, data: sk.Measurements) -> dict[str, Floats]:
         """What else the error may depend on: the side of the pier."""
         return {"side": data["side"]}
 
@@ -111,10 +111,10 @@ def wrapped(degrees: Floats) -> Floats:
 
 def pointing_run(
     source: str, h: Floats, d: Floats, off: tuple[Floats, Floats], side: Floats, pole: Floats
-) -> sk.Readings:
+) -> sk.Measurements:
     """The rows of one run: directions of the stars, and by how much the mount is off (Δh, Δd); all in degrees."""
     readings = 3600.0 * on_sky(off[0] * np.cos(np.deg2rad(d)), off[1])
-    return sk.Readings(
+    return sk.data.from_arrays(
         place={"hour_angle_deg": h, "declination_deg": d},
         readings=readings,
         names=("parallel", "meridian"),
@@ -125,7 +125,7 @@ def pointing_run(
     )
 
 
-def read_gem(file: Path, run: str) -> sk.Readings:
+def read_gem(file: Path, run: str) -> sk.Measurements:
     """A run of a German equatorial mount. A declination reading above 90° says that it is turned over the pole.
 
     In gem-28, 19 rows read below -150° instead: turned over too, and off by a full turn of the circle. They are left
@@ -141,7 +141,7 @@ def read_gem(file: Path, run: str) -> sk.Readings:
     return pointing_run(run, h_star, d_star, off, np.where(over, -1.0, 1.0), t["latitude_deg"].to_numpy())
 
 
-def read_mmt(file: Path, run: str, encoder: str = "raw") -> sk.Readings:
+def read_mmt(file: Path, run: str, encoder: str = "raw") -> sk.Measurements:
     """A night of an altazimuth telescope: its pole is the zenith, azimuth is its hour angle, elevation its
     declination. ``encoder`` is ``raw``, or ``abs``, which the telescope's own pointing model has corrected."""
     t = pl.read_csv(file).filter(pl.col("file") == run)
@@ -150,9 +150,9 @@ def read_mmt(file: Path, run: str, encoder: str = "raw") -> sk.Readings:
     return pointing_run(run, wrapped(azimuth), elevation, off, np.ones(len(t)), np.full(len(t), 90.0))
 
 
-def diagnosed(rows: sk.Readings) -> sk.Diagnosis:
+def diagnosed(rows: sk.Measurements) -> sk.diagnosis.Diagnosis:
     """What the six terms miss."""
-    return sk.diagnose(sk.fit_model(Mount(), rows))
+    return sk.diagnose(sk.identify(Mount(), rows))
 
 
 def on_both_axes(rms: float) -> float:
@@ -180,7 +180,7 @@ def main() -> None:
         for p in (p for c in d.candidates if c.effect in d.effects for p in c.parameters):
             print(f"    {p['name']} = {p['value']:.0f} ± {p['std']:.0f} {p['unit']}")
         if d.signature:
-            print(f"    left: {sk.sentence(d.signature)}")
+            print(f"    left: {sk.diagnosis.sentence(d.signature)}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Bad measurement files, one thing wrong in each, and the table of the README of what sherkit says to them.
+"""Bad measurement files, one thing wrong in each, and the table in the documents of what sherkit says to them.
 
-``python tests/bad_inputs.py --write`` runs each and rewrites the table between the two markers in README.md.
+``python tests/bad_inputs.py --write`` runs each and rewrites the table between the two markers in docs/files.md.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 
 from sherkit import SherkitError, SherkitWarning, read_measurements
 
-README = Path(__file__).parent.parent / "README.md"
+PAGE = Path(__file__).parent.parent / "docs" / "files.md"
 START, END = "<!-- bad-inputs -->", "<!-- /bad-inputs -->"
 NAME = "readings.csv"
 
@@ -199,16 +199,16 @@ def between_markers(text: str) -> tuple[str, str, str] | None:
 
 
 def main(arguments: list[str]) -> str:
-    """Prints the table, or writes it into the README; returns what went wrong, if anything did."""
+    """Prints the table, or writes it into the page; returns what went wrong, if anything did."""
     if arguments not in ([], ["--write"]):
         return "usage: python tests/bad_inputs.py [--write]"
     if not arguments:
         print(table())
         return ""
-    parts = between_markers(README.read_text(encoding="utf-8"))
+    parts = between_markers(PAGE.read_text(encoding="utf-8"))
     if parts is None:
-        return f"{README} has no {START} … {END}"
-    README.write_text(f"{parts[0]}\n{table()}\n{parts[2]}", encoding="utf-8")
+        return f"{PAGE} has no {START} … {END}"
+    PAGE.write_text(f"{parts[0]}\n{table()}\n{parts[2]}", encoding="utf-8")
     return ""
 
 

@@ -17,7 +17,7 @@ needs_browser = pytest.mark.skipif(
 #: What may be asked for: the page itself, and what it carries within it.
 _WITHIN = ("data:", "blob:")
 _IDLE = "window.Bokeh?.index?.roots.length > 0 && Bokeh.index.roots.every(view => view.is_idle)"
-_TIMEOUT_MS = 30_000
+_TIMEOUT_MS = 600_000
 
 
 @contextmanager

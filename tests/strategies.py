@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import assume
 from numpy.typing import NDArray
 
-from sherkit import Delta
+from sherkit.robots.delta import Delta
 
 Floats = NDArray[np.float64]
 

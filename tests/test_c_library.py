@@ -29,8 +29,8 @@ STRICT = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{LIBRARY 
 SANITIZED = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer"]
 CODES = {None: 0.0, NotFinite: 3.0, OutOfReach: 4.0}
 
-sys.path.insert(0, str(LIBRARY / "examples"))
-import make_robots  # noqa: E402  (it stands beside the header that it makes)
+sys.path.insert(0, str(ROOT / "docs"))
+import make_robots  # noqa: E402  (it writes the header that the examples read)
 
 
 def run(*command: str | Path, **more: Any) -> str:

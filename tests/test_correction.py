@@ -15,24 +15,21 @@ from hypothesis import given, settings
 from numpy.typing import NDArray
 from scipy.special import comb
 
-from sherkit import (
+from sherkit import SherkitError, _core, from_frame, identify
+from sherkit.data.toml import Table
+from sherkit.errors import FitError, ShapeError
+from sherkit.fit.identify import Fit
+from sherkit.robots.delta import (
     Correction,
-    FitError,
-    ShapeError,
-    SherkitError,
     VirtualDelta,
-    _core,
     choose_correction,
     fit_grid,
     fit_polynomial,
-    from_frame,
     grid,
-    identify,
     paper_local,
     paper_protocol,
 )
-from sherkit.correction import Orders, leftover
-from sherkit.identification import Fit
+from sherkit.robots.delta.correction import Orders, leftover
 from strategies import EXAMPLE, between
 
 Floats = NDArray[np.float64]
@@ -233,7 +230,7 @@ def test_no_finite_position_gives_what_is_no_number(x: tuple[float, float, float
 def test_table_and_back_is_the_same_correction(seed: int, orders: Orders) -> None:
     """Catches digits or a box lost on the way to a file."""
     c = example(orders=orders, seed=seed)
-    back = Correction.from_table(c.to_table())
+    back = Correction.from_table(Table(c.to_table(), "a file"))
     x = np.random.default_rng(seed).uniform(-30.0, 30.0, (20, 3))
     np.testing.assert_array_equal(back(x), c(x))
     assert back.to_table() == c.to_table()
@@ -394,7 +391,7 @@ def test_simpler_choice_wins_within_one_standard_error() -> None:
 def test_marked_outliers_do_not_bend_the_correction() -> None:
     """Catches rows that the user has marked, taken out of the fit but not out of the polynomial."""
     fit = measured(wave, 5)
-    readings = fit.data.readings_mm.copy()
+    readings = fit.data.readings.copy()
     bad = np.arange(0, len(readings), 50)
     readings[bad] += 1.0
     spoilt = replace(fit.data, readings=readings).mark_outliers(bad)
@@ -533,5 +530,5 @@ def test_paper_protocol_without_its_plane_says_so() -> None:
 def _few(fit: Fit) -> Fit:
     """The same model on five poses of the middle plane."""
     data = fit.data
-    near = np.flatnonzero(np.abs(data.readings_mm[:, 2]) < 3.0)[:10]
+    near = np.flatnonzero(np.abs(data.readings[:, 2]) < 3.0)[:10]
     return identify(fit.model, data.select(near))

@@ -56,7 +56,7 @@ class Run:
     errors: dict[str, float]
     effects: dict[str, Any] = field(default_factory=dict)
 
-    def diagnose(self, effects: tuple[sk.Effect, ...] = ()) -> sk.Diagnosis:
+    def diagnose(self, effects: tuple[sk.Effect, ...] = ()) -> sk.diagnosis.Diagnosis:
         """As a user does."""
         return sk.diagnose(sk.identify(DELTA, self.data), effects=effects)
 
@@ -87,7 +87,7 @@ def measured(
     return Run(sk.from_frame(pl.DataFrame(columns)), errors, planted)
 
 
-def named(d: sk.Diagnosis) -> set[str]:
+def named(d: sk.diagnosis.Diagnosis) -> set[str]:
     """Effects that lead or are tied with one that does."""
     return set(d.effects).union(*d.ties)
 
@@ -96,7 +96,7 @@ def ratio_of(name: str, where: str, ratio: float) -> float:
     return min(ratio, CAPS.get((name, where), np.inf))
 
 
-def hidden(name: str, ratio: float, where: str, seed: int) -> sk.Diagnosis:
+def hidden(name: str, ratio: float, where: str, seed: int) -> sk.diagnosis.Diagnosis:
     """The diagnosis of a run with one effect whose visible part is ``ratio`` times the noise."""
     return measured(GRIDS[where], seed, scaled={name: ratio_of(name, where, ratio) * NOISE_UM}).diagnose()
 
@@ -129,7 +129,7 @@ CASES = {
 }
 
 
-def silent(case: Case, seed: int) -> sk.Diagnosis:
+def silent(case: Case, seed: int) -> sk.diagnosis.Diagnosis:
     """The diagnosis of a run with nothing hidden."""
     return measured(GRIDS["small"], seed, repeats=case.repeats, order=case.order, noise=case.noise).diagnose()
 
@@ -147,14 +147,14 @@ def test_each_effect_is_found_by_name(k: int, name: str) -> None:
     assert d.verdict == "explained"
     assert name in named(d)
     assert d.p_missing <= LEVEL
-    assert d.steps[0].held_out_rms_um > 1.2 * NOISE_UM
-    assert abs(d.steps[-1].held_out_rms_um / NOISE_UM - 1) < held_out_allowance(d)
+    assert d.steps[0].held_out_rms > 1.2 * NOISE_UM
+    assert abs(d.steps[-1].held_out_rms / NOISE_UM - 1) < held_out_allowance(d)
     report = {c.effect: c for c in d.candidates}[name]
     assert report.p_value < LEVEL
     assert d.signature is None
 
 
-def held_out_allowance(d: sk.Diagnosis) -> float:
+def held_out_allowance(d: sk.diagnosis.Diagnosis) -> float:
     """3 % and four standard deviations of the RMS of as many Gaussian readings."""
     return 0.03 + 4.0 / np.sqrt(2 * 3 * len(d.base.data))
 
@@ -206,7 +206,7 @@ def test_two_effects_are_found_together(pair: tuple[str, str]) -> None:
     assert d.verdict == "explained"
     assert set(pair) <= named(d)
     assert [s.effect for s in d.steps] == [None, *d.effects]
-    assert abs(d.steps[-1].held_out_rms_um / NOISE_UM - 1) < held_out_allowance(d)
+    assert abs(d.steps[-1].held_out_rms / NOISE_UM - 1) < held_out_allowance(d)
 
 
 def test_humidity_is_described_and_not_explained() -> None:
@@ -276,7 +276,7 @@ def later(run: Run, poses: Floats, seed: int) -> sk.Measurements:
     return sk.from_frame(pl.DataFrame(columns), "later")
 
 
-def settled(run: Run, d: sk.Diagnosis, seed: int) -> sk.Diagnosis:
+def settled(run: Run, d: sk.diagnosis.Diagnosis, seed: int) -> sk.diagnosis.Diagnosis:
     """The diagnosis once the poses that the first one asked for were measured."""
     poses = np.array([[p["x_mm"], p["y_mm"], p["z_mm"]] for p in d.next_poses])
     study = sk.Study(DELTA, run.data)
@@ -314,11 +314,11 @@ def cloud(seed: int) -> Floats:
     return np.random.default_rng([seed, 3]).uniform(-18.0, 18.0, (500, 3))
 
 
-def filled_in(d: sk.Diagnosis, folder: Path) -> sk.Effect:
+def filled_in(d: sk.diagnosis.Diagnosis, folder: Path) -> sk.Effect:
     """The effect that a signature writes, loaded as a user's file is."""
     assert d.signature is not None
     path = folder / "my_effects.py"
-    path.write_text(template(d.signature, "unknown_effect", path.name), encoding="utf-8")
+    path.write_text(template(d.signature, d.fit.data.layout, "unknown_effect", path.name), encoding="utf-8")
     spec = importlib.util.spec_from_file_location("my_effects", path)
     assert spec is not None
     assert spec.loader is not None
@@ -329,11 +329,11 @@ def filled_in(d: sk.Diagnosis, folder: Path) -> sk.Effect:
     return effect
 
 
-def compensated_um(run: Run, d: sk.Diagnosis, folder: Path) -> float:
+def compensated_um(run: Run, d: sk.diagnosis.Diagnosis, folder: Path) -> float:
     """Held-out RMS, µm, once the template of the signature is part of the model."""
     study = sk.Study(DELTA, run.data)
     study.add(filled_in(d, folder))
-    return study.history[-1].held_out_um
+    return study.history[-1].held_out
 
 
 @pytest.mark.slow
@@ -402,7 +402,7 @@ def test_crosstalk_of_joints_is_at_least_predicted(ratio: float) -> None:
         d = measured(GRIDS["whole"], seed, scaled={"joint_crosstalk": ratio * NOISE_UM}).diagnose()
         assert d.verdict != "adequate"
         if d.verdict == "explained":
-            assert abs(d.steps[-1].held_out_rms_um / NOISE_UM - 1) < held_out_allowance(d)
+            assert abs(d.steps[-1].held_out_rms / NOISE_UM - 1) < held_out_allowance(d)
 
 
 @pytest.mark.slow
@@ -439,8 +439,8 @@ def test_the_right_effect_is_named_in_98_of_100(ratio: float, where: str) -> Non
             d = hidden(name, ratio, where, seed)
             kind = "right" if name in named(d) else "wrong" if d.verdict == "explained" else "missed"
             outcome[kind] += 1
-            if kind == "right" and abs(d.steps[-1].held_out_rms_um / NOISE_UM - 1) > held_out_allowance(d):
-                off.append((name, seed, d.steps[-1].held_out_rms_um))
+            if kind == "right" and abs(d.steps[-1].held_out_rms / NOISE_UM - 1) > held_out_allowance(d):
+                off.append((name, seed, d.steps[-1].held_out_rms))
     count = outcome.total()
     assert count - outcome["right"] <= stats.binom.isf(RARE, count, 0.02), outcome
     assert outcome["wrong"] <= stats.binom.isf(RARE, count, 0.01), outcome

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import sherkit as sk
 from second_simulator import NOMINAL_CONFIG, Robot, draw_effect, draw_geometric_errors, grid, make_plan, simulate
 from second_simulator.effects import EFFECTS as SIMULATED
-from sherkit.effects.effect import LINKS
+from sherkit.model.effect import LINKS
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]
@@ -46,9 +46,9 @@ CONVENTIONS = (
 
 def test_the_catalogue_says_what_each_effect_is() -> None:
     """Catches an effect that was renamed, moved to another link, lost a parameter, or has nothing to tell a person."""
-    found = {name: (len(e.parameters), e.link, e.needs) for name, e in sk.CATALOGUE.items()}
+    found = {name: (len(e.parameters), e.link, e.needs) for name, e in sk.delta.CATALOGUE.items()}
     assert found == EXPECTED
-    for name, effect in sk.CATALOGUE.items():
+    for name, effect in sk.delta.CATALOGUE.items():
         assert effect.name == name
         assert effect.link in LINKS
         for text in (effect.physics, effect.residuals, effect.workshop):
@@ -59,7 +59,7 @@ def test_the_catalogue_says_what_each_effect_is() -> None:
             assert p.size > 0
             assert p.lever_mm > 0
         assert [p.name for p in effect.qualified()] == [f"{name}.{p.name}" for p in effect.parameters]
-    assert {n for n, e in sk.CATALOGUE.items() if e.search} == {"encoder_cyclic", "slip"}
+    assert {n for n, e in sk.delta.CATALOGUE.items() if e.search} == {"encoder_cyclic", "slip"}
 
 
 def run(seed: int, effects: dict[str, Any] | None = None) -> tuple[sk.Measurements, dict[str, float]]:
@@ -69,16 +69,16 @@ def run(seed: int, effects: dict[str, Any] | None = None) -> tuple[sk.Measuremen
     return sk.from_frame(pl.DataFrame(simulate(ROBOT, plan, errors, effects))), errors
 
 
-def model_of(names: tuple[str, ...], slip_time_s: float = 0.0) -> sk.DeltaModel:
-    effects = tuple(sk.CATALOGUE[n] for n in names if n != "datum")
-    return sk.DeltaModel(EXAMPLE, (), effects, slip_time_s=slip_time_s)
+def model_of(names: tuple[str, ...], slip_time_s: float = 0.0) -> sk.delta.DeltaModel:
+    effects = tuple(sk.delta.CATALOGUE[n] for n in names if n != "datum")
+    return sk.delta.DeltaModel(EXAMPLE, (), effects, slip_time_s=slip_time_s)
 
 
-def values_of(model: sk.DeltaModel, errors: dict[str, float], planted: dict[str, Floats]) -> Floats:
+def values_of(model: sk.delta.DeltaModel, errors: dict[str, float], planted: dict[str, Floats]) -> Floats:
     """The model's values for what was planted in the simulator."""
     by_name = dict(errors)
     for name, parameters in planted.items():
-        names = [p.name for p in sk.CATALOGUE[name].parameters]
+        names = [p.name for p in sk.delta.CATALOGUE[name].parameters]
         names = [f"datum_{a}" for a in "xyz"] if name == "datum" else [f"{name}.{n}" for n in names]
         by_name |= dict(zip(names, UNITS.get(name, 1.0) * parameters[: len(names)], strict=True))
     return np.array([by_name.get(p.name, 0.0) for p in model.parameters])
@@ -102,7 +102,7 @@ def agree(names: tuple[str, ...], seed: int, times: float) -> None:
     model = model_of(names, when)
     predicted = model.predict(data, values_of(model, errors, planted))[:, :3]
     allowed = 1e-9 + sum(mm for pair, mm in CONVENTIONS if pair <= set(names))
-    assert np.abs(predicted - data.readings_mm[:, :3]).max() < allowed
+    assert np.abs(predicted - data.readings[:, :3]).max() < allowed
     without = model.predict(data, values_of(model, errors, {}))[:, :3]
     assert np.abs(without - predicted).max() > 1e-5
 
@@ -131,7 +131,7 @@ def test_an_effect_at_zero_is_none(name: str) -> None:
     np.testing.assert_array_equal(model.predict(data, padded)[:, :3], plain.predict(data, values)[:, :3])
 
 
-def richardson(model: sk.DeltaModel, data: sk.Measurements, values: Floats, k: int) -> Floats:
+def richardson(model: sk.delta.DeltaModel, data: sk.Measurements, values: Floats, k: int) -> Floats:
     """Derivative of the readings by the k-th value: central differences at three steps, extrapolated to zero."""
     # the step moves the point by about 0.1 mm
     h = 0.1 / model.parameters[k].lever_mm
@@ -168,9 +168,9 @@ def test_a_missing_column_is_named() -> None:
     bare = sk.from_frame(data.to_frame().drop("temperature_c"))
     model = model_of(("thermal_growth",))
     values = values_of(model, errors, {"thermal_growth": np.array([1e-4])})
-    with pytest.raises(sk.FitError, match="needs a column that these rows lack"):
+    with pytest.raises(sk.errors.FitError, match="needs a column that these rows lack"):
         model.predict(bare, values)
-    with pytest.raises(sk.EffectError, match="temperature_c"):
+    with pytest.raises(sk.errors.EffectError, match="temperature_c"):
         sk.Study(EXAMPLE, bare).add("thermal_growth")
 
 
@@ -178,11 +178,11 @@ def test_rows_of_both_kinds_do_not_leak_into_each_other() -> None:
     """Catches derivatives of a distance that stay behind in the position after it, where rows share their room."""
     rng = np.random.default_rng(8)
     q = 128.0 + rng.uniform(-5, 5, (40, 3))
-    robot = sk.Delta(
+    robot = sk.delta.Delta(
         (90.0,) * 3, (90.0, 210.0, 330.0), (30.0,) * 3, (90.0, 210.0, 330.0), (120.0,) * 3,
         rod_spacing_mm=40.0, target_offset_mm=(0.0, 0.0, -25.0),
     )  # fmt: skip
-    model = sk.DeltaModel(robot, effects=(sk.CATALOGUE["beam_alignment"],))
+    model = sk.delta.DeltaModel(robot, effects=(sk.delta.CATALOGUE["beam_alignment"],))
     places = robot.forward_batch(q).values
     far = np.arange(40) % 2 == 0
     other = np.roll(q, 1, axis=0)

@@ -11,8 +11,8 @@ import pytest
 
 from laboratories import experiment, laboratory
 from sherkit.errors import Halted, InstrumentError
-from sherkit.experiments import RunFile, load_experiment, run
-from sherkit.laboratory import RunningLaboratory, load_laboratory
+from sherkit.lab.experiment import RunFile, load_experiment, run
+from sherkit.lab.laboratory import RunningLaboratory, load_laboratory
 
 #: Every fault of the emulators; lasers have no limit switch, motors are never out of range.
 OF_RAILS = ("drop", "garble", "stall", "disconnect", "misheard", "limit_switch")

@@ -12,8 +12,8 @@ import time
 import pytest
 
 from laboratories import experiment, laboratory
-from sherkit.experiments import RunFile, load_experiment, run
-from sherkit.laboratory import RunningLaboratory, load_laboratory
+from sherkit.lab.experiment import RunFile, load_experiment, run
+from sherkit.lab.laboratory import RunningLaboratory, load_laboratory
 
 COMMAND = [sys.executable, "-c", "from sherkit.cli import main; main()", "measure", "experiment.toml", "--resume"]
 #: From the start of the program to its first step, and on to the last: kills fall anywhere in it.
@@ -69,7 +69,7 @@ def killed_run(folder, kills, seed):
                 process.send_signal(signal.SIGKILL)
             else:
                 first = ""
-            said, wrong = process.communicate(timeout=120)
+            said, wrong = process.communicate(timeout=600)
             said = first + said
             with RunFile.open(path) if path.exists() and path.stat().st_size else _Nothing() as file:
                 done = file.done()

@@ -18,20 +18,14 @@ from scipy import stats
 from scipy.optimize import least_squares, minimize_scalar
 
 from second_simulator import Robot, draw_geometric_errors, make_plan, simulate, whole_grid
-from sherkit import (
-    FitError,
-    Measurements,
-    MeasurementStream,
-    VirtualDelta,
-    from_frame,
-    grid,
-    identify,
-    identify_stream,
-    read_measurements,
-)
-from sherkit.identification import Fit
-from sherkit.model import DeltaModel
-from sherkit.validation import hold_out
+from sherkit import Measurements, from_frame, identify, read_measurements
+from sherkit.data import MeasurementStream
+from sherkit.errors import FitError
+from sherkit.fit import identify_stream
+from sherkit.fit.hold_out import hold_out
+from sherkit.fit.identify import Fit
+from sherkit.robots.delta import VirtualDelta, grid
+from sherkit.robots.delta.model import DeltaModel
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]
@@ -162,7 +156,7 @@ def test_fitted_readings_err_by_the_rank() -> None:
     """
     p = []
     for values, fit in fits(ALL, SIGMA_MM, 200):
-        missed = fit.predicted_mm[:, :3] - exact(ALL, values, fit.data.joints_mm)
+        missed = fit.predicted[:, :3] - exact(ALL, values, fit.data.joints)
         p.append(stats.chi2.sf((missed**2).sum() / SIGMA_MM**2, 12))
     assert stats.kstest(p, "uniform").pvalue > 1e-3
 
@@ -204,7 +198,7 @@ def test_single_step_is_the_least_squares_solution_of_numpy() -> None:
     data = run(ALL, values, rng)
     fit = identify(ALL, data, linear=True)
     jacobian = ALL.derivatives(data, np.zeros(15))[:, :3].reshape(-1, 15)
-    left = (data.readings_mm - ALL.predict(data, np.zeros(15)))[:, :3].ravel()
+    left = (data.readings - ALL.predict(data, np.zeros(15)))[:, :3].ravel()
     any_solution = np.linalg.lstsq(jacobian, left, rcond=1e-10)[0]
     np.testing.assert_allclose(jacobian @ fit.values, jacobian @ any_solution, rtol=0, atol=1e-9)
     shortest = sizes(ALL) * np.linalg.lstsq(jacobian * sizes(ALL), left, rcond=1e-10)[0]
@@ -215,7 +209,7 @@ def test_single_step_is_the_least_squares_solution_of_numpy() -> None:
 def test_single_step_is_not_silently_dropped() -> None:
     """Catches a linear fit that moves nothing and says nothing: errors so large that the step leaves the reach."""
     data, fit = _far_off(), identify(ALL, _far_off())
-    assert max(fit.rms_um().values()) < 10.0  # the iterated fit gets there
+    assert max(fit.rms().values()) < 10.0  # the iterated fit gets there
     with pytest.raises(FitError, match="cannot reach"):
         identify(ALL, data, linear=True)
 
@@ -246,7 +240,7 @@ def test_stream_steps_back_where_memory_does() -> None:
     data = _far_off()
     fit = identify(ALL, data)
     streamed = identify_stream(ALL, MeasurementStream(lambda: iter([data]), "blocks"))
-    np.testing.assert_allclose(ALL.predict(data, streamed.values), fit.predicted_mm, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(ALL.predict(data, streamed.values), fit.predicted, rtol=0, atol=1e-6)
 
 
 def test_minimum_is_that_of_scipy_on_the_simulator() -> None:
@@ -256,12 +250,12 @@ def test_minimum_is_that_of_scipy_on_the_simulator() -> None:
     fit = identify(ALL, data)
 
     def miss(values: Floats) -> Floats:
-        return (data.readings_mm[:, :3] - exact(ALL, values, data.joints_mm)).ravel()
+        return (data.readings[:, :3] - exact(ALL, values, data.joints)).ravel()
 
     other = least_squares(miss, np.zeros(15), jac="3-point", x_scale=sizes(ALL), xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    assert (fit.residuals_mm[:, :3] ** 2).sum() == pytest.approx(2 * other.cost, rel=1e-6)
-    np.testing.assert_allclose(fit.residuals_mm[:, :3].ravel(), miss(other.x), rtol=0, atol=1e-6)
-    np.testing.assert_allclose(fit.residuals_mm[:, :3].ravel(), miss(fit.values), rtol=0, atol=1e-9)
+    assert (fit.residuals[:, :3] ** 2).sum() == pytest.approx(2 * other.cost, rel=1e-6)
+    np.testing.assert_allclose(fit.residuals[:, :3].ravel(), miss(other.x), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(fit.residuals[:, :3].ravel(), miss(fit.values), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["position", "distance"])
@@ -299,7 +293,7 @@ def test_full_geometry_has_rank_twelve() -> None:
     fit = identify(EXAMPLE, run(TWELVE, planted(TWELVE, rng), rng), free=GEOMETRIC)
     assert fit.rank == 12
     assert len(fit.unobserved) == 6
-    assert fit.rms_um()["x_mm"] == pytest.approx(1e3 * SIGMA_MM, rel=0.3)
+    assert fit.rms()["x_mm"] == pytest.approx(1e3 * SIGMA_MM, rel=0.3)
     _check_unobserved(fit)
 
 
@@ -312,7 +306,7 @@ def test_datum_is_reported_as_unobserved() -> None:
     (rise,) = (d for d in fit.unobserved if "datum_z" in d.change)
     assert set(rise.change) == {"datum_z", "joint_offset_1", "joint_offset_2", "joint_offset_3"}
     assert [rise.change[f"joint_offset_{k}"] / rise.change["datum_z"] for k in (1, 2, 3)] == pytest.approx([-1.0] * 3)
-    assert all(np.isinf(d.std_mm) for d in fit.unobserved)
+    assert all(np.isinf(d.std) for d in fit.unobserved)
     _check_unobserved(fit)
 
 
@@ -328,9 +322,9 @@ def test_heights_alone_give_rank_nine(planes: tuple[float, ...]) -> None:
     assert np.linalg.matrix_rank(scaled, tol=1e-9 * np.linalg.norm(scaled, 2)) == 9
     assert len(fit.unobserved) == 6
     assert {"datum_x alone", "datum_y alone"} <= {str(d) for d in fit.unobserved}
-    assert fit.rms_um().keys() == {"z_mm"}
+    assert fit.rms().keys() == {"z_mm"}
     assert np.isfinite(fit.std).all()
-    assert (fit.residuals_mm[:, 2] ** 2).sum() < (fit.nominal_residuals_mm[:, 2] ** 2).sum() / 1e4
+    assert (fit.residuals[:, 2] ** 2).sum() < (fit.nominal_residuals[:, 2] ** 2).sum() / 1e4
     _check_unobserved(fit)
 
 
@@ -341,7 +335,7 @@ def test_distances_alone_give_rank_eight() -> None:
     fit = identify(TWELVE, distances(values, 200, rng))
     assert fit.rank == 8
     assert len(fit.unobserved) == 4
-    assert fit.rms_um()["distance_mm"] == pytest.approx(1e3 * SIGMA_MM, rel=0.3)
+    assert fit.rms()["distance_mm"] == pytest.approx(1e3 * SIGMA_MM, rel=0.3)
     _check_unobserved(fit)
 
 
@@ -370,9 +364,9 @@ def spoilt(seed: int, share: float = 0.05) -> tuple[Floats, Measurements, NDArra
     rows = np.sort(rng.choice(len(data), round(share * len(data)), replace=False))
     jump = rng.normal(size=(len(rows), 3))
     jump *= SIGMA_MM * rng.uniform(20.0, 100.0, (len(rows), 1)) / np.linalg.norm(jump, axis=1, keepdims=True)
-    readings = data.readings_mm[:, :3].copy()
+    readings = data.readings[:, :3].copy()
     readings[rows] += jump
-    return values, table(data.joints_mm, readings), rows
+    return values, table(data.joints, readings), rows
 
 
 @ROBUST
@@ -414,24 +408,24 @@ def test_marked_outliers_are_not_fitted_and_stay() -> None:
     """Catches a mark that is ignored: rows marked by the user change nothing, not even where out of reach."""
     _, data, rows = spoilt(7)
     kept = np.setdiff1d(np.arange(len(data)), rows)
-    joints = data.joints_mm.copy()
+    joints = data.joints.copy()
     joints[rows[0]] += np.array([500.0, 0.0, 0.0])
-    fit = identify(TWELVE, table(joints, data.readings_mm[:, :3]).mark_outliers(rows))
+    fit = identify(TWELVE, table(joints, data.readings[:, :3]).mark_outliers(rows))
     without = identify(TWELVE, data.select(kept))
     np.testing.assert_allclose(fit.values, without.values, rtol=0, atol=1e-12)
     np.testing.assert_allclose(fit.covariance, without.covariance, rtol=1e-9)
-    assert fit.rms_um() == pytest.approx(without.rms_um(), rel=1e-9)
+    assert fit.rms() == pytest.approx(without.rms(), rel=1e-9)
     assert len(fit.data) == len(data)
-    assert np.isfinite(fit.residuals_mm[rows[1:], :3]).all()
+    assert np.isfinite(fit.residuals[rows[1:], :3]).all()
 
 
 def test_suspects_are_rows_of_the_whole_table() -> None:
     """Catches suspects counted among the fitted rows: some are marked, some hold no x, and rows keep their numbers."""
     values, data, rows = spoilt(6)
     marked = np.setdiff1d(np.arange(0, 30, 3), rows)
-    x = data.readings_mm[:, 0].copy()
+    x = data.readings[:, 0].copy()
     x[1:20:3] = np.nan
-    columns = dict(zip(JOINTS, data.joints_mm.T, strict=True)) | dict(zip(AXES, data.readings_mm.T[:3], strict=True))
+    columns = dict(zip(JOINTS, data.joints.T, strict=True)) | dict(zip(AXES, data.readings.T[:3], strict=True))
     fit = identify(TWELVE, from_frame(columns | {"x_mm": x}).mark_outliers(marked), loss="cauchy")
     assert fit.outliers.tolist() == rows.tolist()
     assert (np.abs(fit.values - values) < 5 * fit.std).all()
@@ -442,7 +436,7 @@ def test_mark_in_the_table_counts() -> None:
     _, data, rows = spoilt(7)
     mark = np.zeros(len(data), dtype=int)
     mark[rows] = 1
-    fit = identify(TWELVE, table(data.joints_mm, data.readings_mm[:, :3], outlier=mark))
+    fit = identify(TWELVE, table(data.joints, data.readings[:, :3], outlier=mark))
     np.testing.assert_array_equal(fit.values, identify(TWELVE, data.mark_outliers(rows)).values)
 
 
@@ -457,7 +451,7 @@ def test_priors_decide_where_rows_are_few() -> None:
     fit = identify(ALL, data, priors=True)
 
     def miss(values: Floats) -> Floats:
-        left = data.readings_mm[:, :3] - exact(ALL, values, data.joints_mm)
+        left = data.readings[:, :3] - exact(ALL, values, data.joints)
         return np.concatenate([left.ravel() / 0.05, values / sizes(ALL)])
 
     other = least_squares(miss, np.zeros(15), jac="3-point", x_scale=sizes(ALL), xtol=1e-14, ftol=1e-14, gtol=1e-14)
@@ -495,7 +489,7 @@ def test_priors_do_not_need_declared_noise() -> None:
     """Catches a prior weighed against the placeholder of 1 mm: 147 poses at 5 µm without repeats must still fit."""
     rng = np.random.default_rng(93)
     data = run(TWELVE, planted(TWELVE, rng), rng)
-    assert max(identify(TWELVE, data, priors=True).rms_um().values()) < 1.2e3 * SIGMA_MM
+    assert max(identify(TWELVE, data, priors=True).rms().values()) < 1.2e3 * SIGMA_MM
 
 
 def test_start_does_not_move_the_prior() -> None:
@@ -513,7 +507,7 @@ def test_priors_hold_with_a_robust_loss(loss: str) -> None:
     rng = np.random.default_rng(5)
     data = run(model, np.array([2.0]), rng, 2.0, grid(20.0, 3, (0.0,)), **declared(9, 2.0))
     free, held = identify(model, data, loss=loss), identify(model, data, loss=loss, priors=True)
-    spread = [1.482602218505602 * np.median(np.abs(held.residuals_mm[:, k])) for k in range(3)]
+    spread = [1.482602218505602 * np.median(np.abs(held.residuals[:, k])) for k in range(3)]
     rho: dict[str, Callable[[Floats], Floats]] = {
         "huber": lambda u: np.where(np.abs(u) < 1.345, u**2, 1.345 * (2 * np.abs(u) - 1.345)),
         "cauchy": lambda u: 2.385**2 * np.log1p((u / 2.385) ** 2),
@@ -521,7 +515,7 @@ def test_priors_hold_with_a_robust_loss(loss: str) -> None:
     }
 
     def cost(value: float) -> float:
-        left = data.readings_mm[:, :3] - exact(model, np.array([value]), data.joints_mm)
+        left = data.readings[:, :3] - exact(model, np.array([value]), data.joints)
         return float(rho[loss](left / spread).sum() + (value / 2.0) ** 2)
 
     best = minimize_scalar(cost, bracket=(0.0, 4.0)).x
@@ -546,7 +540,7 @@ def test_declared_noise_weighs_as_in_numpy() -> None:
     _, data, sigma = uneven(0)
     fit = identify(TWELVE, data, linear=True)
     jacobian = TWELVE.derivatives(data, np.zeros(12))[:, :3].reshape(-1, 12)
-    left = fit.nominal_residuals_mm[:, :3].ravel()
+    left = fit.nominal_residuals[:, :3].ravel()
     weighted = np.linalg.lstsq(jacobian / sigma.reshape(-1, 1), left / sigma.ravel(), rcond=None)[0]
     np.testing.assert_allclose(fit.values, weighted, rtol=0, atol=1e-9)
     assert fit.noise.origin == "declared"
@@ -562,7 +556,7 @@ def test_declared_noise_gives_better_estimates() -> None:
         values, data, _ = uneven(seed)
         fit = identify(TWELVE, data)
         root = np.linalg.cholesky(fit.covariance / fit.scale**2)
-        unweighted = identify(TWELVE, table(data.joints_mm, data.readings_mm[:, :3]))
+        unweighted = identify(TWELVE, table(data.joints, data.readings[:, :3]))
         for found, into in ((fit, weighted), (unweighted, alike)):
             into.append(float((np.linalg.solve(root, found.values - values) ** 2).sum()))
     assert 5e-4 < stats.chi2(12 * 40).cdf(sum(weighted)) < 1 - 5e-4
@@ -579,7 +573,7 @@ def test_repeats_tell_the_noise_of_each_axis() -> None:
     fit = identify(TWELVE, data)
     assert fit.noise.origin == "repeats"
     # 294 degrees of freedom: 15 % is 3.6 deviations, level 0.1 % over three axes
-    np.testing.assert_allclose(fit.noise.sigma_mm[:, :3], np.broadcast_to(sigma, (len(data), 3)), rtol=0.15)
+    np.testing.assert_allclose(fit.noise.sigma[:, :3], np.broadcast_to(sigma, (len(data), 3)), rtol=0.15)
     assert fit.scale == pytest.approx(1.0, abs=0.15)
 
 
@@ -632,7 +626,7 @@ def test_held_out_residuals_are_the_noise() -> None:
     )
     data = from_frame({k: v for k, v in columns.items() if k not in ("temperature_c", "humidity_pct")})
     held = hold_out(ALL, data)
-    rms = np.sqrt((held.residuals_mm[:, :3] ** 2).mean(axis=0))
+    rms = np.sqrt((held.residuals[:, :3] ** 2).mean(axis=0))
     np.testing.assert_allclose(rms, 0.005, rtol=0.03)
     # a block is never split within a pose, and none is the whole run
     assert all(len(np.unique(held.block[data.pose == p])) == 1 for p in (1, 17, 588))
@@ -648,9 +642,9 @@ def test_held_out_residuals_come_from_fits_without_their_block() -> None:
     for block in range(4):
         without = identify(TWELVE, data.select(held.block != block))
         inside = held.block == block
-        left = data.readings_mm[inside, :3] - exact(TWELVE, without.values, data.joints_mm[inside])
-        np.testing.assert_allclose(held.residuals_mm[inside, :3], left, rtol=0, atol=1e-9)
-    assert np.isnan(held.residuals_mm[:, 3]).all()
+        left = data.readings[inside, :3] - exact(TWELVE, without.values, data.joints[inside])
+        np.testing.assert_allclose(held.residuals[inside, :3], left, rtol=0, atol=1e-9)
+    assert np.isnan(held.residuals[:, 3]).all()
     other = hold_out(TWELVE, data, folds=4, seed=2)
     assert (other.block != held.block).any()
 

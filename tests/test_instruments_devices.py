@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from sherkit.errors import Halted, InstrumentError, OutOfRange
-from sherkit.instruments import Axis, Galil, Keyence
-from sherkit.instruments.devices import Detector, GalilAxes, GalilAxis, KeyenceDetector, Status
-from sherkit.instruments.emulators import Faults, GalilEmulator, KeyenceEmulator, World
+from sherkit.lab.emulators import Faults, GalilEmulator, KeyenceEmulator, World
+from sherkit.lab.instruments import Axis, Galil, Keyence
+from sherkit.lab.instruments.devices import Detector, GalilAxes, GalilAxis, KeyenceDetector, Status
 
 
 @pytest.fixture
 def lab():
     """Motors and lasers on their emulators; lasers read the joints."""
-    world = World((1.0, 2.0, 3.0), time_scale=20.0)
+    world = World((1.0, 2.0, 3.0), time_scale=5.0)
     axes = [Axis(x, 10000.0, (-50.0, 50.0), name=f"q{k}") for k, x in enumerate("ABC", 1)]
     faults = Faults()
     with (
@@ -62,7 +62,7 @@ def test_an_axis_moves_stops_and_tells_its_failure(lab):
     with pytest.raises(InstrumentError):
         GalilAxis(g, "q9")
     status = axis.set(5.0)
-    status.wait(60.0)
+    status.wait(600.0)
     assert axis.locate() == {"setpoint": 5.0, "readback": pytest.approx(5.0, abs=1e-3)}
     assert set(axis.read()) == set(axis.describe()) == {"q2"}
     assert axis.describe()["q2"]["units"] == "mm"
@@ -74,7 +74,7 @@ def test_an_axis_moves_stops_and_tells_its_failure(lab):
             axis.set(0.0)
         axis.stop(success=success)
         before = world.joints()
-        error = status.exception(60.0)
+        error = status.exception(600.0)
         assert np.array_equal(before, world.joints())
         assert (error is None) == success
         if not success:
@@ -85,7 +85,7 @@ def test_axes_move_together_and_apart(lab):
     """Catches a stop of one axis that stops the others, and columns without their axis."""
     world, g, _, _ = lab
     every = GalilAxes(g, "rails")
-    every.set((4.0, 5.0, 6.0)).wait(60.0)
+    every.set((4.0, 5.0, 6.0)).wait(600.0)
     assert every.position == pytest.approx((4.0, 5.0, 6.0), abs=1e-3)
     assert list(every.read()) == list(every.describe()) == ["rails_q1", "rails_q2", "rails_q3"]
     with pytest.raises(OutOfRange):
@@ -96,8 +96,8 @@ def test_axes_move_together_and_apart(lab):
     while not world.joints()[1] < 4.0:
         time.sleep(0.005)
     b.stop(success=False)
-    assert isinstance(other.exception(60.0), Halted)
-    moving.wait(60.0)
+    assert isinstance(other.exception(600.0), Halted)
+    moving.wait(600.0)
     assert world.joints()[0] == pytest.approx(40.0, abs=1e-3)
     assert world.joints()[1] > -40.0
 
@@ -106,7 +106,7 @@ def test_a_detector_hands_a_reading_over_once(lab):
     """Catches an old reading that is handed over again."""
     world, _, k, _ = lab
     detector = KeyenceDetector(k, "laser")
-    detector.trigger().wait(30.0)
+    detector.trigger().wait(600.0)
     world.set_joint(0, lambda _: 9.0)
     assert detector.read()["laser_out1"]["value"] == 1.0
     assert detector.read()["laser_out1"]["value"] == 9.0
@@ -176,7 +176,7 @@ def test_bluesky_pauses_and_resumes(lab, engine):
     pauser.start()
     with pytest.raises(utils.RunEngineInterrupted):
         run(plans.scan([KeyenceDetector(k, "laser")], GalilAxis(g, "q1"), 0.0, 40.0, 3))
-    pauser.join(30.0)
+    pauser.join(600.0)
     assert run.state == "paused"
     before = world.joints()
     time.sleep(0.1)

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from sherkit.errors import Disconnected, InstrumentError, OutOfRange
-from sherkit.instruments import Axis, Galil, Hyperion, Keyence, NetFT, Scale, Sm130
-from sherkit.instruments.emulators import (
+from sherkit.lab.emulators import (
     Faults,
     GalilEmulator,
     HyperionEmulator,
@@ -23,6 +22,7 @@ from sherkit.instruments.emulators import (
     StillRobot,
     World,
 )
+from sherkit.lab.instruments import Axis, Galil, Hyperion, Keyence, NetFT, Scale, Sm130
 
 COUNTS_PER_MM = 10000.0
 AXES = [Axis(x, COUNTS_PER_MM, (-40.0, 40.0)) for x in "ABC"]
@@ -207,16 +207,16 @@ def test_an_answer_that_comes_too_late_is_not_the_next_one():
     """Catches a driver that takes the answer to an older question for that to its present one."""
     world = World((1.0, 2.0, 3.0), robot=Mixing())
     faults = Faults()
-    with GalilEmulator(world, COUNTS_PER_MM, faults=faults) as e, Galil(e.address, AXES, timeout_s=0.3) as g:
-        faults.schedule("stall", 0, 0.5)
+    with GalilEmulator(world, COUNTS_PER_MM, faults=faults) as e, Galil(e.address, AXES, timeout_s=1.0) as g:
+        faults.schedule("stall", 0, 1.5)
         with pytest.raises(InstrumentError):
             g.command("MG _TPC")
         assert g.read().values == (1.0, 2.0, 3.0)
     for link in ("pty", "tcp"):
-        with KeyenceEmulator(world, link=link, faults=faults) as e, Keyence(e.address, (1,), timeout_s=0.3) as k:
+        with KeyenceEmulator(world, link=link, faults=faults) as e, Keyence(e.address, (1,), timeout_s=1.0) as k:
             assert k.read().values[0] == pytest.approx(5.4)
             k.retries = 0
-            faults.schedule("stall", 0, 0.5)
+            faults.schedule("stall", 0, 1.5)
             with pytest.raises(InstrumentError):
                 k.read()
             # the old value is on its way when the world has changed

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sherkit.errors import InstrumentError
-from sherkit.instruments import ati, camera, galil, keyence, micron_optics
+from sherkit.lab.instruments import ati, camera, galil_line, keyence, micron_optics
 
 FAST = 20_000
 SLOW = 1_000_000
@@ -97,22 +97,22 @@ def scale_is_right(scale, data):
 #: What to call, replies as they should be, and what must hold for a value that is returned.
 PARSERS = {
     "galil answer": (
-        galil.parse_answer,
+        galil_line.parse_answer,
         [b":", b"?", b" 200.0000\r\n:", b" 200, -10, 0\r\n:", b" 2\xc8\xc9\xba\x8d\x8a00.0000 1.0000\r\n:"],
         answer_is_right,
     ),
     "galil numbers": (
-        lambda data: galil.parse_numbers(data.decode("latin-1"), 3),
+        lambda data: galil_line.parse_numbers(data.decode("latin-1"), 3),
         [b" 200, -10, 0", b" 200.0000 -10.0000 0.0000", b" 1,2,3"],
         numbers_are_right,
     ),
     "galil counts": (
-        lambda data: galil.parse_counts(data.decode("latin-1"), 2),
+        lambda data: galil_line.parse_counts(data.decode("latin-1"), 2),
         [b" 200, -10", b" 2147483647.0000 -2147483648.0000"],
         numbers_are_right,
     ),
     "galil refusal": (
-        lambda data: galil.parse_refusal(data.decode("latin-1")),
+        lambda data: galil_line.parse_refusal(data.decode("latin-1")),
         [b"1 Unrecognized command", b"22 Begin not possible due to Limit Switch", b"6 Number out of range"],
         refusal_is_right,
     ),

@@ -12,7 +12,9 @@ from hypothesis import assume, example, given, settings
 from numpy.typing import NDArray
 
 from second_simulator import Robot, truth
-from sherkit import Delta, NotFinite, OutOfReach, ShapeError, SherkitError, Singular, VirtualDelta
+from sherkit import SherkitError
+from sherkit.errors import NotFinite, OutOfReach, ShapeError, Singular
+from sherkit.robots.delta import Delta, VirtualDelta
 from strategies import EXAMPLE, between, deltas, posed_deltas, triples
 
 Floats = NDArray[np.float64]

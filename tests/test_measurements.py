@@ -19,16 +19,10 @@ import pytest
 from hypothesis import given
 
 from bad_inputs import BAD, GOOD, NAME, Bad
-from sherkit import (
-    MeasurementError,
-    Measurements,
-    SherkitError,
-    SherkitWarning,
-    from_frame,
-    read_measurements,
-    stream_measurements,
-)
-from sherkit.measurements.columns import READINGS
+from sherkit import Measurements, SherkitError, SherkitWarning, from_frame, read_measurements
+from sherkit.data import stream_measurements
+from sherkit.errors import MeasurementError
+from sherkit.robots.delta.columns import DELTA
 
 NONE = float("nan")
 #: Positions, one of them a height alone, and distances; a covariate and a label.
@@ -157,13 +151,13 @@ def plain() -> Measurements:
 
 def test_rows_are_what_the_table_says(plain: Measurements) -> None:
     """Catches swapped columns and a missing reading taken for zero."""
-    assert plain.joints_mm[2].tolist() == [141.655, 130.071, 126.512]
-    assert plain.readings_mm[2].tolist() == [-1.957, 8.034, 4.991, 0.0]
+    assert plain.joints[2].tolist() == [141.655, 130.071, 126.512]
+    assert plain.readings[2].tolist() == [-1.957, 8.034, 4.991, 0.0]
     assert plain.taken.astype(int).tolist() == [[1, 1, 1, 0], [1, 1, 1, 0], [1, 1, 1, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
-    assert plain.to_joints_mm[4].tolist() == [141.655, 130.071, 126.512]
+    assert plain.to_joints[4].tolist() == [141.655, 130.071, 126.512]
     assert plain.is_distance.tolist() == [False, False, False, False, True]
-    assert plain.sigma_mm[2, 0] == 0.01
-    assert np.isnan(plain.sigma_mm[:, 1:]).all()
+    assert plain.sigma[2, 0] == 0.01
+    assert np.isnan(plain.sigma[:, 1:]).all()
     assert plain.outlier.tolist() == [False, True, False, False, False]
     assert plain.groups.tolist() == [0, 0, 1, 2, 3]
     assert plain.covariates["temperature_c"].tolist() == COLUMNS["temperature_c"]
@@ -199,7 +193,7 @@ def test_labels_keep_commas_quotes_and_line_ends(tmp_path: Path) -> None:
     text = 'q1_mm;q2_mm;q3_mm;z_mm;note\n1,5;2;3;4,25;"12,5 kg, ""heavy"""\n5;6;7;8;"two\n\n# lines"\n9;8;7;x;"a, b"\n'
     found = read_measurements(write(tmp_path, text.replace(";x;", ";6;")))
     assert found.labels["note"].tolist() == ['12,5 kg, "heavy"', "two\n\n# lines", "a, b"]
-    assert found.joints_mm[0, 0] == 1.5
+    assert found.joints[0, 0] == 1.5
     assert found.line.tolist() == [2, 3, 6]
     with pytest.raises(MeasurementError, match="line 6, column 'z_mm': 'x' is not a number"):
         read_measurements(write(tmp_path, text))
@@ -232,7 +226,7 @@ def runs(draw: st.DrawFn) -> Measurements:
     some = column(st.sampled_from([(1, 1, 1), (1, 0, 1), (0, 0, 1), (0, 1, 0)])).astype(bool) & ~distance[:, None]
     for k in (1, 2, 3):
         columns[f"to_q{k}_mm"] = np.where(distance, column(NUMBERS), np.nan)
-    for name, rows in zip(READINGS, [*some.T, distance], strict=True):
+    for name, rows in zip(DELTA.readings, [*some.T, distance], strict=True):
         columns[name] = np.where(rows, column(NUMBERS), np.nan)
         if draw(st.booleans()):
             columns[f"sigma_{name}"] = column(st.floats(1e-9, 1e3) | st.just(np.nan))
@@ -423,8 +417,8 @@ def test_streams_read_every_csv(plain: Measurements, tmp_path: Path) -> None:
     for kind, made in CSV.items():
         blocks = list(stream_measurements(write(tmp_path, made(cells())), block_rows=2).blocks())
         assert {len(b) for b in blocks} <= {1, 2}, kind
-        joints = np.concatenate([b.joints_mm for b in blocks])
-        assert np.array_equal(joints, plain.joints_mm), kind
+        joints = np.concatenate([b.joints for b in blocks])
+        assert np.array_equal(joints, plain.joints), kind
 
 
 # -- using ---------------------------------------------------------------------------------------------------
@@ -452,7 +446,7 @@ def test_repeatability_is_the_pooled_spread_of_poses() -> None:
     assert found is not None
     assert found.degrees_of_freedom == {f"{a}_mm": n for a, n in freedom.items()}
     for axis in "xyz":
-        assert found.sigma_mm[f"{axis}_mm"] == pytest.approx(np.sqrt(squares[axis] / freedom[axis]), rel=1e-12)
+        assert found.sigma[f"{axis}_mm"] == pytest.approx(np.sqrt(squares[axis] / freedom[axis]), rel=1e-12)
 
 
 def test_repeatability_needs_repeats(plain: Measurements) -> None:
@@ -464,7 +458,7 @@ def test_repeatability_needs_repeats(plain: Measurements) -> None:
 def test_select_takes_masks_and_indices(plain: Measurements) -> None:
     """Catches a field that is not selected along with the others, and lines that no longer name their rows."""
     part = plain.select(np.array([4, 0]))
-    assert part.joints_mm.tolist() == plain.joints_mm[[4, 0]].tolist()
+    assert part.joints.tolist() == plain.joints[[4, 0]].tolist()
     assert (part.line.tolist(), part.labels["operator"].tolist()) == ([4, 0], ["Émilie", "Ada"])
     assert part.covariates["temperature_c"].tolist() == [-0.5, 20.0]
     assert len(part.groups) == 2
@@ -553,11 +547,11 @@ def test_any_file_is_refused_in_words_or_read(content: str | bytes, tmp_path_fac
     if refused:
         assert refused.startswith(str(path))
         return
-    assert np.isfinite(found.joints_mm).all()
-    assert np.isfinite(found.readings_mm).all()
+    assert np.isfinite(found.joints).all()
+    assert np.isfinite(found.readings).all()
     assert found.taken.any(axis=1).all()
-    assert np.isfinite(found.to_joints_mm[found.is_distance]).all()
-    assert (np.isnan(found.sigma_mm) | (found.sigma_mm > 0)).all()
+    assert np.isfinite(found.to_joints[found.is_distance]).all()
+    assert (np.isnan(found.sigma) | (found.sigma > 0)).all()
     assert all(np.isfinite(v).all() for v in found.covariates.values())
     streamed = list(stream_measurements(path, block_rows=1000).blocks())
     # a block does not see the row before it, so that a stream knows no directions

@@ -24,24 +24,24 @@ from scipy import stats
 
 import sherkit as sk
 from browsing import needs_browser, opened
-from sherkit import paper
 from sherkit.diagnosis import Diagnosis
-from sherkit.poses import paper_whole
 from sherkit.report import style
-from sherkit.report.against import Against, against
 from sherkit.report.atlas import atlas_of, signature_atlas
 from sherkit.report.candidates import candidates
-from sherkit.report.estimate import Estimate, estimate_picture
+from sherkit.report.error_history import error_history, error_history_of
+from sherkit.report.estimate import EstimateOverTime, estimate_picture
 from sherkit.report.export import save_picture
-from sherkit.report.fall import fall, fall_of
-from sherkit.report.left import Left, left_of
 from sherkit.report.noise import noise_picture
 from sherkit.report.parameters import correlations, directions, parameters
 from sherkit.report.picture import Picture
 from sherkit.report.reprojection import Reprojection, reprojection
+from sherkit.report.residual_against import ResidualAgainst, residual_against
 from sherkit.report.residual_map import Change, residual_map
+from sherkit.report.residuals import Residuals, residuals_of
 from sherkit.report.run import run_in_time
 from sherkit.report.workspace import NextPoses, accuracy_map, accuracy_of, next_poses
+from sherkit.robots.calibrated import REQUIREMENT_UM
+from sherkit.robots.delta.paper import paper_whole
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]
@@ -67,25 +67,25 @@ class Run:
         return study
 
     @cached_property
-    def before(self) -> Left:
+    def before(self) -> Residuals:
         assert self.study
-        return left_of(self.fit)
+        return residuals_of(self.fit)
 
     @cached_property
-    def after(self) -> Left:
-        return left_of(self.study.fit)
+    def after(self) -> Residuals:
+        return residuals_of(self.study.fit)
 
     @cached_property
-    def calibration(self) -> sk.Calibration:
+    def calibration(self) -> sk.delta.DeltaCalibration:
         return self.study.calibration()
 
-    found: Diagnosis[Any] = None  # type: ignore[assignment]
+    found: Diagnosis = None  # type: ignore[assignment]
     fit: sk.Fit = None  # type: ignore[assignment]
 
 
-def virtual() -> sk.VirtualDelta:
+def virtual() -> sk.delta.VirtualDelta:
     """The demo's robot, with rails that lean."""
-    return sk.VirtualDelta.draw(EXAMPLE, 6, rail_lean_rad=8e-3, noise_mm=0.005)
+    return sk.delta.VirtualDelta.draw(EXAMPLE, 6, rail_lean_rad=8e-3, noise_mm=0.005)
 
 
 @pytest.fixture(scope="module")
@@ -117,27 +117,29 @@ def change(run: Run) -> Change:
 PICTURES: dict[str, Callable[[Run], Picture[Any]]] = {
     "residual_map": lambda r: residual_map(change(r)),
     "planes_across": lambda r: residual_map(change(r), planes_across=True, width_px=800),
-    "against": lambda r: against(Against(r.after, "q1_mm", r.before)),
-    "against_plain": lambda r: against(Against(r.before, "direction_1")),
-    "fall": lambda r: fall(fall_of(r.study, r.found, paper.REQUIREMENT_UM)),
+    "against": lambda r: residual_against(ResidualAgainst(r.after, "q1_mm", r.before)),
+    "against_plain": lambda r: residual_against(ResidualAgainst(r.before, "direction_1")),
+    "fall": lambda r: error_history(error_history_of(r.study, r.found, REQUIREMENT_UM)),
     "candidates": lambda r: candidates(r.found),
     "atlas": lambda r: signature_atlas(atlas_of(r.fit)),
     "parameters": lambda r: parameters(r.study.fit),
     "correlations": lambda r: correlations(r.study.fit),
     "directions": lambda r: directions(r.study.fit),
-    "accuracy": lambda r: accuracy_map(accuracy_of(r.calibration, paper.REQUIREMENT_UM)),
+    "accuracy": lambda r: accuracy_map(accuracy_of(r.calibration, REQUIREMENT_UM)),
     "next_poses": lambda r: next_poses(NextPoses(r.found.next_poses, r.before)),
     "noise": lambda r: noise_picture(r.after),
     "run": lambda r: run_in_time(r.after),
 }
 
 
-def tool(count: int = 2000) -> Estimate:
+def tool(count: int = 2000) -> EstimateOverTime:
     """An estimate with spikes of one step, some of them in lines beside it."""
     rng = np.random.default_rng(0)
     time_s = np.linspace(0.0, 20.0, count)
     value, raw, force = (rng.normal(size=count) for _ in range(3))
-    return Estimate(time_s, value, np.full(count, 0.1), "depth", "mm", {"sensor": raw, "truth": 0 * value}, force, 2.0)
+    return EstimateOverTime(
+        time_s, value, np.full(count, 0.1), "depth", "mm", {"sensor": raw, "truth": 0 * value}, force, 2.0
+    )
 
 
 def camera(count: int = 100) -> Reprojection:
@@ -316,7 +318,7 @@ def test_arrows_are_means_of_poses(demo: Run, plane: Run) -> None:
         made = residual_map(change(one))
         data = one.data
         for moment, fit in (("before", one.fit), ("after", one.study.fit)):
-            left = 1e3 * fit.residuals_mm[:, :3]
+            left = 1e3 * fit.residuals[:, :3]
             use = ~data.outlier
             expected = {
                 tuple(np.round(left[use & (data.groups == g)].mean(axis=0), 2)): int((use & (data.groups == g)).sum())
@@ -340,9 +342,9 @@ def test_arrows_stand_where_poses_are(demo: Run) -> None:
         for j in (0, 50, 150):
             rows = np.asarray(t["rows"][j])
             assert len(set(demo.data.pose[rows])) == 1
-            np.testing.assert_allclose(t["ex"][j], 1e3 * before.residuals_mm[rows, 0].mean(), atol=1e-3)
-            np.testing.assert_allclose(t["x"][j], before.predicted_mm[rows, 0].mean(), atol=1e-4)
-            assert abs(before.predicted_mm[rows, 2].mean() - plane_mm) < 5
+            np.testing.assert_allclose(t["ex"][j], 1e3 * before.residuals[rows, 0].mean(), atol=1e-3)
+            np.testing.assert_allclose(t["x"][j], before.predicted[rows, 0].mean(), atol=1e-4)
+            assert abs(before.predicted[rows, 2].mean() - plane_mm) < 5
         scale = (t["x1"] - t["x"]) / t["ex"]
         far = np.abs(t["ex"]) > 20
         if far.any():
@@ -390,7 +392,7 @@ def test_cells_count_every_reading(many: Run) -> None:
     assert a["n"].sum() == len(many.data)
     assert len(a["n"]) <= 3 * 225
     mean = (a["n"][:, None] * np.stack([a["ex"], a["ey"], a["ez"]], axis=1)).sum(axis=0) / a["n"].sum()
-    np.testing.assert_allclose(mean, 1e3 * many.study.fit.residuals_mm[:, :3].mean(axis=0), atol=1e-3)
+    np.testing.assert_allclose(mean, 1e3 * many.study.fit.residuals[:, :3].mean(axis=0), atol=1e-3)
     assert "mean of a cell" in made.note
 
 
@@ -399,11 +401,11 @@ def test_cells_count_every_reading(many: Run) -> None:
 
 def test_thinned_points_and_means_of_all(many: Run) -> None:
     """Catches a mean of the drawn rows alone, a note that hides the rest, points of other rows."""
-    made = against(Against(many.before, "direction_1"))
+    made = residual_against(ResidualAgainst(many.before, "direction_1"))
     assert "3000 of 20000 are drawn" in made.note
     points, mean = table(made, "points"), table(made, "mean")
     assert len(points["r0"]) == 3000
-    left = 1e3 * many.fit.residuals_mm[:, :3]
+    left = 1e3 * many.fit.residuals[:, :3]
     np.testing.assert_allclose(points["r2"], left[points["row"], 2], atol=1e-3)
     np.testing.assert_allclose(points["v"], many.data.direction[points["row"], 0])
     for at, value in zip(mean["v"], mean["m1"], strict=True):
@@ -412,9 +414,9 @@ def test_thinned_points_and_means_of_all(many: Run) -> None:
 
 def test_running_mean_of_all_rows(many: Run) -> None:
     """Catches a window of another width, rows counted twice, and a band that counts repeats as independent."""
-    made = against(Against(many.before, "q2_mm"))
+    made = residual_against(ResidualAgainst(many.before, "q2_mm"))
     mean = table(made, "mean")
-    v, left = many.data.joints_mm[:, 1], 1e3 * many.fit.residuals_mm[:, :3]
+    v, left = many.data.joints[:, 1], 1e3 * many.fit.residuals[:, :3]
     ordered = np.sort(v)
     n = len(v)
     for j in range(5, len(mean["v"]) - 5, 7):
@@ -429,8 +431,8 @@ def test_running_mean_of_all_rows(many: Run) -> None:
 
 def test_what_the_effect_explains(demo: Run) -> None:
     """Catches a dashed line of another sign or of another effect."""
-    made = against(Against(demo.after, "time_s", demo.before))
-    gained, mean_before = table(made, "gained"), table(against(Against(demo.before, "time_s")), "mean")
+    made = residual_against(ResidualAgainst(demo.after, "time_s", demo.before))
+    gained, mean_before = table(made, "gained"), table(residual_against(ResidualAgainst(demo.before, "time_s")), "mean")
     mean_after = table(made, "mean")
     for k in range(3):
         np.testing.assert_allclose(gained[f"g{k}"], mean_before[f"m{k}"] - mean_after[f"m{k}"], atol=1e-3)
@@ -441,7 +443,7 @@ def test_what_the_effect_explains(demo: Run) -> None:
 
 def test_marked_outliers_stay_in_sight(demo: Run) -> None:
     """Catches outliers that are thinned away or drawn like the others."""
-    points = table(against(Against(demo.after, "q1_mm")), "points")
+    points = table(residual_against(ResidualAgainst(demo.after, "q1_mm")), "points")
     large = points["row"][points["size"] > 8]
     assert set(large) == set(np.flatnonzero(demo.data.outlier))
     points = table(run_in_time(demo.after), "run")
@@ -456,7 +458,7 @@ def test_run_in_time(many: Run) -> None:
     assert "4000 of 20000" in made.note
     assert np.all(np.diff(t["t"]) > 0)
     row = np.searchsorted(many.data.time_s, t["t"])
-    np.testing.assert_allclose(t["r1"], 1e3 * many.study.fit.residuals_mm[row, 1], atol=1e-3)
+    np.testing.assert_allclose(t["r1"], 1e3 * many.study.fit.residuals[row, 1], atol=1e-3)
     assert {f.yaxis[0].axis_label for f in plots(made)} == {"residual, µm", "temperature, °C"}
 
 
@@ -465,12 +467,12 @@ def test_run_in_time(many: Run) -> None:
 
 def test_fall_is_the_history(demo: Run) -> None:
     """Catches steps in another order, fitted for held out, and lines of noise or need that are off the picture."""
-    made = fall(fall_of(demo.study, demo.found, 20.0))
+    made = error_history(error_history_of(demo.study, demo.found, 20.0))
     t = table(made, "steps")
     assert [str(s).split(". ", 1)[1] for s in t["step"]] == [s.action for s in demo.study.history]
     for axis in "xyz":
-        assert t[f"held_{axis}"].tolist() == [s.held_out_rms_um[f"{axis}_mm"] for s in demo.study.history]
-        assert t[f"fit_{axis}"].tolist() == [s.training_rms_um[f"{axis}_mm"] for s in demo.study.history]
+        assert t[f"held_{axis}"].tolist() == [s.held_out_rms[f"{axis}_mm"] for s in demo.study.history]
+        assert t[f"fit_{axis}"].tolist() == [s.training_rms[f"{axis}_mm"] for s in demo.study.history]
     figure = plots(made)[0]
     lines = [s.location for s in figure.select({"type": Span})]
     assert sorted(lines) == pytest.approx(sorted([20.0, *demo.found.noise.values()]))
@@ -529,14 +531,14 @@ def test_parameters_with_their_intervals(plane: Run) -> None:
     std = np.sqrt(np.diag(fit.covariance))
     np.testing.assert_allclose(cells["value"].reshape(len(std), -1), fit.covariance / np.outer(std, std), atol=1e-5)
     rows_ = table(directions(fit), "directions")
-    assert rows_["std"].tolist() == [d.std_mm for d in fit.badly_observed]
+    assert rows_["std"].tolist() == [d.std for d in fit.badly_observed]
 
 
 def test_quantiles_of_the_noise(demo: Run, plane: Run) -> None:
     """Catches residuals over another axis' noise, outliers among them, and a Gaussian of another width."""
     made = noise_picture(demo.before)
     t = table(made, "quantiles")
-    u = 1e3 * demo.fit.residuals_mm[~demo.data.outlier, 1] / demo.found.noise["y"]
+    u = 1e3 * demo.fit.residuals[~demo.data.outlier, 1] / demo.found.noise["y"]
     level = stats.norm.cdf(t["gauss"])
     for j in (0, 10, 100, 199):
         below = np.mean(u <= t["q_1"][j])
@@ -698,5 +700,5 @@ def test_notebook_cells(plane: Run, what: str, tmp_path: Path) -> None:
     inside.write_text(unescape(html.split('srcdoc="', 1)[1].rsplit('" style', 1)[0]), encoding="utf-8")
     with opened(inside) as page:
         assert page.locator(".bk-Figure").count() > 0
-        assert page.locator("pre").inner_text().strip() == repr(value).strip()
+        assert page.locator("pre").inner_text().strip() == str(value).strip()
         assert page.evaluate("document.documentElement.scrollWidth") <= 1200

@@ -11,14 +11,16 @@ import numpy as np
 import pytest
 
 from laboratories import experiment, laboratory
-from sherkit import grid, identify
+from sherkit import identify
 from sherkit.cli.demo import EXAMPLE
+from sherkit.data import Measurements
 from sherkit.errors import EffectError, ExperimentError, FitError
-from sherkit.measurements import Measurements
-from sherkit.model import DeltaModel
-from sherkit.planning import POWER, planning_of
-from sherkit.power_study import Sought, study_power
-from sherkit.simulation import VirtualDelta
+from sherkit.planning.outlook import POWER, planning_of
+from sherkit.planning.power import Sought, study_power
+from sherkit.robots.delta import grid
+from sherkit.robots.delta.columns import DELTA
+from sherkit.robots.delta.model import DeltaModel
+from sherkit.robots.delta.virtual import VirtualDelta
 
 COMMAND = [sys.executable, "-c", "from sherkit.cli import main; main()"]
 NOISE_MM = 0.005
@@ -31,7 +33,7 @@ def rows(order="shuffled", per_side=5, repeats=2, **more):
     joints = np.tile(joints, (repeats, 1))
     way = np.sign(np.diff(joints, axis=0, prepend=joints[:1] - 1.0))
     directions = {f"direction_{k + 1}": np.where(way[:, k] == 0, 1.0, way[:, k]) for k in range(3)}
-    return Measurements.planned(joints, time_s=np.arange(len(joints)) * 3.0, **directions, **more)
+    return Measurements.planned(joints, DELTA, time_s=np.arange(len(joints)) * 3.0, **directions, **more)
 
 
 @pytest.fixture(scope="module")
@@ -206,14 +208,14 @@ def test_the_command_says_what_a_plan_could_find(tmp_path):
     laboratory(tmp_path)
     experiment(tmp_path, per_side=4, plan={"repeats": 2})
     command = [*COMMAND, "plan", "robot.toml", "experiment.toml"]
-    shown = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+    shown = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
     assert shown.returncode == 0, shown.stderr
     assert "64 steps" in shown.stdout
     assert "rail_lean" in shown.stdout
     assert "base_radius_1" in shown.stdout
     said = subprocess.run(
         [*command, "--json", "--study", "20", "--workers", "2", "--keep", "study.jsonl"], cwd=tmp_path,
-        capture_output=True, text=True, timeout=300, check=False,
+        capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     assert said.returncode == 0, said.stderr
     told = json.loads(said.stdout)

@@ -7,21 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sherkit import grid, paper_whole
 from sherkit.cli.demo import EXAMPLE
-from sherkit.effects import CATALOGUE
+from sherkit.data import Measurements
 from sherkit.errors import ShapeError
-from sherkit.identification import identify
-from sherkit.measurements import Measurements
-from sherkit.model import DeltaModel
-from sherkit.pose_design import choose_poses, design_of
-from sherkit.simulation import VirtualDelta
+from sherkit.fit.identify import identify
+from sherkit.planning.poses import choose_poses, design_of
+from sherkit.robots.delta import grid, paper_whole
+from sherkit.robots.delta.columns import DELTA
+from sherkit.robots.delta.effects import CATALOGUE
+from sherkit.robots.delta.model import DeltaModel
+from sherkit.robots.delta.virtual import VirtualDelta
 
 TWELVE = tuple(n for n in DeltaModel(EXAMPLE).default if not n.startswith("datum"))
 
 
 def rows(poses):
-    return Measurements.planned(EXAMPLE.inverse_batch(poses).require("pose"))
+    return Measurements.planned(EXAMPLE.inverse_batch(poses).require("pose"), DELTA)
 
 
 @pytest.mark.parametrize("free", [(), TWELVE], ids=["with the datum", "the twelve alone"])

@@ -15,9 +15,11 @@ import pytest
 import tomli_w
 from hypothesis import given
 
-from bad_inputs import README
+from bad_inputs import PAGE
 from second_simulator import write_robot_toml
-from sherkit import Delta, RobotError, load_robot, save_robot
+from sherkit import load_robot, save_robot
+from sherkit.errors import RobotError
+from sherkit.robots.delta import Delta
 from strategies import EXAMPLE, between, deltas
 
 TEXT = """\
@@ -104,8 +106,8 @@ def test_the_second_simulator_means_the_same_robot(tmp_path: Path) -> None:
 
 
 def test_the_readme_shows_the_example(tmp_path: Path) -> None:
-    """Catches a README whose robot file is refused."""
-    shown = re.search(r"```toml\n(kind = .*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    """Catches a page whose robot file is refused."""
+    shown = re.search(r"```toml\n(kind = .*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     assert shown is not None
     assert load_robot(saved(tmp_path, shown[1])) == EXAMPLE
 

@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from sherkit.diagnosis import play
+from sherkit.diagnosis import play_operator
+from sherkit.diagnosis.linearised import Linearised, correlation_in_time, orthonormal, whiten
 from sherkit.diagnosis.scan import Columns, Scan, deviate
 from sherkit.diagnosis.shapes import build
-from sherkit.diagnosis.view import View, correlation_in_time, orthonormal, whiten
 
 Floats = NDArray[np.float64]
 
@@ -230,17 +230,17 @@ def test_the_filter_in_time_whitens() -> None:
 
 def test_play_follows_with_its_dead_zone() -> None:
     """Catches a play operator that forgets where it was, moves inside its zone, or lags by another width."""
-    assert play(np.array([0.0, 0.4, 1.0, 0.9, 0.3, -1.0, -0.8]), 1.0).tolist() == pytest.approx(
+    assert play_operator(np.array([0.0, 0.4, 1.0, 0.9, 0.3, -1.0, -0.8]), 1.0).tolist() == pytest.approx(
         [0.0, 0.0, 0.5, 0.5, 0.5, -0.5, -0.5]
     )
     q = np.cumsum(np.random.default_rng(0).normal(size=500))
     for width in (0.1, 2.0):
-        out = play(q, width)
+        out = play_operator(q, width)
         assert np.abs(out - q).max() <= 0.5 * width + 1e-12
         moved = np.diff(out) != 0
         assert (np.diff(out)[moved] * np.diff(q)[moved] > 0).all()
         np.testing.assert_allclose(np.abs(out - q)[1:][moved], 0.5 * width, atol=1e-12)
-    np.testing.assert_array_equal(play(q, 0.0), q)
+    np.testing.assert_array_equal(play_operator(q, 0.0), q)
 
 
 def test_shapes_follow_from_the_variables_alone() -> None:
@@ -249,7 +249,7 @@ def test_shapes_follow_from_the_variables_alone() -> None:
     n = 200
     time = np.sort(rng.uniform(0, 100, n))
     q = {f"q{k}_mm": rng.uniform(0, 40, n) for k in (1, 2, 3)}
-    view = View(
+    view = Linearised(
         residual=rng.normal(size=(n, 3)),
         fitted=rng.normal(size=(n, 3, 2)),
         variables={**q, "x_mm": rng.uniform(-20, 20, n), "time_s": time, "lamp": np.full(n, 3.0)},

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 import sherkit as sk
 from second_simulator.spherical import SecondSpherical, sphere_grid, spherical_plan
-from sherkit.camera_placement import sensitivity
+from sherkit import load_robot, save_robot
 from sherkit.cli.main import cli
-from sherkit.joint_space import identify_joints, task_error
-from sherkit.robots import CameraView, Spherical, load_robot, save_robot
-from sherkit.straightness import LINES, PAPER_LINES, targets
+from sherkit.robots.spherical import CameraView, Spherical
+from sherkit.robots.spherical.paper import identify_joints, task_error
+from sherkit.robots.spherical.straightness import LINES, PAPER_LINES, targets
 from strategies import EXAMPLE as DELTA
 from strategies import between
 
@@ -36,21 +36,21 @@ assert isinstance(ROBOT, Spherical)
 #: What is hidden in the runs below: rad, rad, mm.
 HIDDEN = {"alpha": -0.022, "beta": 0.0183, "radius": 22.1}
 TRUE = np.array(list(HIDDEN.values()))
-ANGLES = sk.sphere_patch(ROBOT, 9)
+ANGLES = sk.spherical.sphere_patch(ROBOT, 9)
 TABLES: dict[str, Any] = tomllib.loads(EXAMPLE.read_text())
 
 
 @pytest.fixture(scope="module")
 def run() -> sk.Measurements:
     """A run with nothing hidden but α, β and R."""
-    return sk.VirtualSpherical(ROBOT, HIDDEN).measure(ANGLES, repeats=3, seed=1)
+    return sk.spherical.VirtualSpherical(ROBOT, HIDDEN).measure(ANGLES, repeats=3, seed=1)
 
 
 @pytest.fixture(scope="module")
-def calibration(run: sk.Measurements) -> sk.SphericalCalibration:
+def calibration(run: sk.Measurements) -> sk.spherical.SphericalCalibration:
     """What a user deploys."""
     made = sk.calibrate(ROBOT, run).calibration
-    assert isinstance(made, sk.SphericalCalibration)
+    assert isinstance(made, sk.spherical.SphericalCalibration)
     return made
 
 
@@ -124,7 +124,7 @@ def test_a_bad_robot_file_is_refused(table: str, key: str, value: Any, says: str
         tables[table][key] = value
     path = tmp_path / "robot.toml"
     path.write_text(tomli_w.dumps(tables))
-    with pytest.raises(sk.RobotError) as refused:
+    with pytest.raises(sk.errors.RobotError) as refused:
         load_robot(path)
     assert str(refused.value).startswith(str(path))
     assert says in str(refused.value)
@@ -172,13 +172,13 @@ def test_poses_out_of_reach_say_so() -> None:
     """Catches NaN handed on, a row that is lost, an error that does not say which limb or pose."""
     far = ROBOT.inverse_batch([[1.5, 0.8], [1.5, 1.7], [1.5, 0.5]])
     assert far.reached.tolist() == [True, False, True]
-    with pytest.raises(sk.OutOfReach, match=r"poses 1 \(counted from 0\)"):
+    with pytest.raises(sk.errors.OutOfReach, match=r"poses 1 \(counted from 0\)"):
         far.require("pose")
-    with pytest.raises(sk.OutOfReach):
+    with pytest.raises(sk.errors.OutOfReach):
         ROBOT.inverse([1.5, 1.7])
-    with pytest.raises(sk.ShapeError):
+    with pytest.raises(sk.errors.ShapeError):
         ROBOT.forward([1.0, 2.0, 3.0])
-    with pytest.raises(sk.NotFinite):
+    with pytest.raises(sk.errors.NotFinite):
         ROBOT.forward([1.0, np.nan])
     with pytest.raises(sk.SherkitError, match=r"\[camera\]"):
         _ = Spherical(45.0, 45.0, 200.0).seen
@@ -231,7 +231,7 @@ def test_what_tells_the_radius(run: sk.Measurements) -> None:
 def test_joint_space_and_task_space_errors(run: sk.Measurements) -> None:
     """Catches a table II whose RMS is a root of the sum, or that compares a thing with itself."""
     fit = identify_joints(ROBOT, run)
-    assert isinstance(fit.model, sk.SphericalModel)
+    assert isinstance(fit.model, sk.spherical.SphericalModel)
     before, after = (task_error(fit.model, run, values) for values in (0 * fit.values, fit.values))
     for error in (before, after):
         np.testing.assert_allclose(np.array(error.root_sum), np.sqrt(len(run)) * np.array(error.rms))
@@ -241,10 +241,10 @@ def test_joint_space_and_task_space_errors(run: sk.Measurements) -> None:
     assert min(before.rms) > 0.03
     left = fit.model.joint_residuals(run, fit.values)
     assert float(np.sqrt((left**2).mean())) < 1e-3
-    with pytest.raises(sk.FitError, match="marker_offset: acts behind the joints"):
-        identify_joints(fit.model.with_effect(sk.SPHERICAL_CATALOGUE["marker_offset"]), run)
+    with pytest.raises(sk.errors.FitError, match="marker_offset: acts behind the joints"):
+        identify_joints(fit.model.with_effect(sk.spherical.SPHERICAL_CATALOGUE["marker_offset"]), run)
     halved = run.to_frame().with_columns(u_px=pl.when(pl.int_range(pl.len()) == 7).then(None).otherwise(pl.col("u_px")))
-    with pytest.raises(sk.FitError, match="needs both readings"):
+    with pytest.raises(sk.errors.FitError, match="needs both readings"):
         identify_joints(ROBOT, sk.from_frame(halved))
 
 
@@ -263,7 +263,7 @@ def test_remote_centre_covers_the_truth() -> None:
         )  # fmt: skip
         plan = spherical_plan(ROBOT.inverse_batch(sphere_grid((1.1, 2.0), (0.5, 1.0), 8)).values, 2, "shuffled", seed)
         data = sk.from_frame(pl.DataFrame(there.run(plan, noise_px=0.15, seed=seed)))
-        found = sk.remote_centre(sk.identify(ROBOT, data))
+        found = sk.spherical.remote_centre(sk.identify(ROBOT, data))
         truth = there.centre_mm(np.asarray(data.joints))
         worst = np.linalg.norm(truth, axis=1).max()
         failures += worst > found.within_mm
@@ -274,22 +274,22 @@ def test_remote_centre_covers_the_truth() -> None:
 
 def test_where_nothing_misses_the_centre(run: sk.Measurements) -> None:
     """Catches a centre that is said to wander where it does not, or a robot without one that is given one."""
-    found = sk.remote_centre(sk.identify(ROBOT, run))
+    found = sk.spherical.remote_centre(sk.identify(ROBOT, run))
     size, std = found.largest
     assert size < 4 * std
     assert 0 < found.within_mm < 0.2
-    of_delta = sk.identify(DELTA, sk.VirtualDelta.draw(DELTA, 1).measure(sk.paper_local(), repeats=1))
-    with pytest.raises(sk.FitError, match="remote centre"):
-        sk.remote_centre(of_delta)
+    of_delta = sk.identify(DELTA, sk.delta.VirtualDelta.draw(DELTA, 1).measure(sk.delta.paper_local(), repeats=1))
+    with pytest.raises(sk.errors.FitError, match="remote centre"):
+        sk.spherical.remote_centre(of_delta)
 
 
 # -- the calibration -----------------------------------------------------------------------------------------------
 
 
-def test_calibration_points_the_true_robot(calibration: sk.SphericalCalibration) -> None:
+def test_calibration_points_the_true_robot(calibration: sk.spherical.SphericalCalibration) -> None:
     """Catches a calibration that drives the nominal robot: commanded directions are reached by the hidden one."""
     assert isinstance(ROBOT, Spherical)
-    hidden = sk.VirtualSpherical(ROBOT, HIDDEN)
+    hidden = sk.spherical.VirtualSpherical(ROBOT, HIDDEN)
     for x in ANGLES[::7]:
         axis = hidden.axes(calibration.inverse(x))[0]
         there = np.array([np.arctan2(axis[1], axis[0]), np.arccos(axis[2])])
@@ -299,7 +299,7 @@ def test_calibration_points_the_true_robot(calibration: sk.SphericalCalibration)
     assert calibration.radius_mm == pytest.approx(222.1, abs=0.05)
 
 
-def test_calibration_derivative_is_that_of_differences(calibration: sk.SphericalCalibration) -> None:
+def test_calibration_derivative_is_that_of_differences(calibration: sk.spherical.SphericalCalibration) -> None:
     """Catches a Jacobian of another pose or of the nominal robot."""
     q = calibration.inverse([1.7, 0.8])
     step = 1e-6
@@ -309,17 +309,17 @@ def test_calibration_derivative_is_that_of_differences(calibration: sk.Spherical
     np.testing.assert_allclose(calibration.jacobian(q), numeric, atol=1e-8)
 
 
-def test_calibration_file_is_lossless(calibration: sk.SphericalCalibration, tmp_path: Path) -> None:
+def test_calibration_file_is_lossless(calibration: sk.spherical.SphericalCalibration, tmp_path: Path) -> None:
     """Catches a number that the file rounds, a wrong value that loads, and a file of another kind of robot."""
     path = tmp_path / "calibration.toml"
     calibration.save(path)
     again = sk.load_calibration(path)
-    assert isinstance(again, sk.SphericalCalibration)
+    assert isinstance(again, sk.spherical.SphericalCalibration)
     q = calibration.inverse([1.6, 0.7])
     assert again.forward(q).tolist() == calibration.forward(q).tolist()
     assert again.accuracy([1.6, 0.7]) == calibration.accuracy([1.6, 0.7])
-    with pytest.raises(sk.CalibrationError, match=r"robot\.kind"):
-        sk.Calibration.load(path)
+    with pytest.raises(sk.errors.CalibrationError, match=r"robot\.kind"):
+        sk.delta.DeltaCalibration.load(path)
     tables = tomllib.loads(path.read_text())
     for key, value in [
         ("covariance", [[1.0]]), ("low_rad", [1.0]), ("rows", "many"),
@@ -327,7 +327,7 @@ def test_calibration_file_is_lossless(calibration: sk.SphericalCalibration, tmp_
     ]:  # fmt: skip
         broken = {**tables, "whole": {**tables["whole"], key: value}}
         path.write_text(tomli_w.dumps(broken))
-        with pytest.raises(sk.CalibrationError, match=key):
+        with pytest.raises(sk.errors.CalibrationError, match=key):
             sk.load_calibration(path)
 
 
@@ -338,9 +338,9 @@ def test_predicted_accuracy_holds() -> None:
     share lies between 0.90 and 0.99 but for one in 1,000; seed 9.
     """
     assert isinstance(ROBOT, Spherical)
-    hidden = sk.VirtualSpherical(ROBOT, HIDDEN)
+    hidden = sk.spherical.VirtualSpherical(ROBOT, HIDDEN)
     made = sk.calibrate(ROBOT, hidden.measure(ANGLES, repeats=3, seed=8)).calibration
-    assert isinstance(made, sk.SphericalCalibration)
+    assert isinstance(made, sk.spherical.SphericalCalibration)
     new = hidden.measure(ANGLES, repeats=3, seed=9)
     seen, _ = ROBOT.seen.core.angles_batch(np.ascontiguousarray(new.readings), made.radius_mm)
     told = made.forward_batch(np.ascontiguousarray(new.joints)).values
@@ -358,13 +358,13 @@ def test_straightness_is_that_of_the_line() -> None:
     along, across = np.array([0.6, 0.8]), np.array([-0.8, 0.6])
     wave = np.where(np.arange(40) % 2 == 0, 0.1, -0.1)
     places = np.array([7.0, -3.0]) + t[:, None] * along + wave[:, None] * across
-    assert sk.straightness(places) == pytest.approx(0.1, rel=1e-2)
-    assert sk.straightness(places[:, ::-1]) == pytest.approx(sk.straightness(places), rel=1e-12)
-    by_name = sk.straightness_by(["a"] * 20 + ["b"] * 20, places)
+    assert sk.spherical.straightness(places) == pytest.approx(0.1, rel=1e-2)
+    assert sk.spherical.straightness(places[:, ::-1]) == pytest.approx(sk.spherical.straightness(places), rel=1e-12)
+    by_name = sk.spherical.straightness_by(["a"] * 20 + ["b"] * 20, places)
     assert set(by_name) == {"a", "b"}
     for bad, says in [(np.zeros((2, 2)), "at least 3"), (np.array([[0, 0], [1, np.nan], [2, 2.0]]), "row 1")]:
-        with pytest.raises(sk.ShapeError, match=says):
-            sk.straightness(bad)
+        with pytest.raises(sk.errors.ShapeError, match=says):
+            sk.spherical.straightness(bad)
 
 
 def test_lines_are_straight_in_the_picture() -> None:
@@ -377,11 +377,11 @@ def test_lines_are_straight_in_the_picture() -> None:
              np.cos(angles[:, 1])]
         )  # fmt: skip
         pixels, _ = top.core.project_batch(np.ascontiguousarray(200.0 * axis))
-        assert sk.straightness(pixels) < 1e-9
+        assert sk.spherical.straightness(pixels) < 1e-9
         np.testing.assert_allclose(angles[[0, -1]], [line.start_rad, line.end_rad], atol=1e-9)
     turned = np.linspace(*(PAPER_LINES["horizontal"].start_rad[0], PAPER_LINES["horizontal"].end_rad[0]), 41)
     arc = 200.0 * np.sin(np.pi / 4) * np.column_stack([np.cos(turned), np.sin(turned)])
-    assert sk.straightness(arc) == pytest.approx(5.9, abs=0.4)
+    assert sk.spherical.straightness(arc) == pytest.approx(5.9, abs=0.4)
     with pytest.raises(sk.SherkitError, match="does not see"):
         targets(CameraView.facing(np.pi / 2, 0.0, 300.0, size_px=(1280, 1024), focal_px=(600.0, 600.0)), 200.0,
                 PAPER_LINES["vertical"])  # fmt: skip
@@ -391,10 +391,10 @@ def test_where_to_put_the_camera() -> None:
     """Catches another optimum than the paper's 44.62 cm, one that is none, and what the lens does not let in."""
     for degrees, region in [(26.90, "half"), (17.31, "quarter")]:
         lens = np.deg2rad(degrees)
-        best = sk.camera_placement(200.0, lens, region=region)
+        best = sk.spherical.camera_placement(200.0, lens, region=region)
         assert best.distance_mm == pytest.approx(446.2, abs=0.1)
         for factor in (0.98, 1.02):
-            beside = sk.camera_placement(200.0, lens, region=region, distance_mm=factor * best.distance_mm)
+            beside = sk.spherical.camera_placement(200.0, lens, region=region, distance_mm=factor * best.distance_mm)
             assert beside.benefit_mm2 < best.benefit_mm2
         assert best.half_angle_rad == pytest.approx(np.arccos(200.0 / best.distance_mm))
         # by the law of sines, from the camera's edge ray to where it meets the sphere
@@ -404,24 +404,9 @@ def test_where_to_put_the_camera() -> None:
             assert seen_under == pytest.approx(lens)
     for lens, distance in [(2.0, None), (-0.1, None), (0.3, 150.0)]:
         with pytest.raises(sk.SherkitError):
-            sk.camera_placement(200.0, lens, distance_mm=distance)
-    with pytest.raises(sk.ShapeError, match="region"):
-        sk.camera_placement(200.0, 0.3, region="third")
-
-
-def test_sensitivity_is_the_derivative() -> None:
-    """Catches the paper's approximation taken for the derivative."""
-    arcs, step = np.linspace(0.0, 1.0, 7), 1e-6
-
-    def seen_under(arc: Floats) -> Floats:
-        return np.arctan2(200.0 * np.sin(arc), 446.2 - 200.0 * np.cos(arc))
-
-    exact, paper = sensitivity(200.0, 446.2, arcs)
-    np.testing.assert_allclose(exact, (seen_under(arcs + step) - seen_under(arcs - step)) / (2 * step), atol=1e-8)
-    assert paper[0] == 1.0
-    assert exact[0] == pytest.approx(200.0 / 246.2)
-    with pytest.raises(sk.ShapeError, match="distance_mm"):
-        sensitivity(200.0, 100.0, arcs)
+            sk.spherical.camera_placement(200.0, lens, distance_mm=distance)
+    with pytest.raises(sk.errors.ShapeError, match="region"):
+        sk.spherical.camera_placement(200.0, 0.3, region="third")
 
 
 # -- from the command line -----------------------------------------------------------------------------------------
@@ -439,7 +424,7 @@ def test_story_from_the_command_line(tmp_path: Path) -> None:
     assert made.exit_code == 0, made.output
     assert tomllib.loads((tmp_path / "truth.toml").read_text())["joint_offset_rad"] == [0.002, -0.001]
     listed = sherkit("effects", "--robot", EXAMPLE)
-    for name in sk.SPHERICAL_CATALOGUE:
+    for name in sk.spherical.SPHERICAL_CATALOGUE:
         assert name in listed.output
     found = sherkit("diagnose", EXAMPLE, run, "--json")
     told = json.loads(found.stdout)
@@ -452,8 +437,8 @@ def test_story_from_the_command_line(tmp_path: Path) -> None:
     assert "px, RMS ± std" in done.output
     assert "remote centre of motion: off by at most" in done.output
     again = sk.load_calibration(calibration)
-    assert isinstance(again, sk.SphericalCalibration)
-    assert again.effects == ("joint_offset",)
+    assert isinstance(again, sk.spherical.SphericalCalibration)
+    assert again.whole.effects == ("joint_offset",)
     text = (tmp_path / "report.html").read_text()
     assert "remote centre" in text
     assert "θ" in text or "theta1" in text
@@ -481,7 +466,7 @@ def test_an_error_of_every_pose_is_told() -> None:
     A marker that is found a little off at every pose, the same in each repeat; 81 poses × 3, seeds 4 and 5.
     """
     assert isinstance(ROBOT, Spherical)
-    clean = sk.VirtualSpherical(ROBOT, HIDDEN).measure(ANGLES, repeats=3, order="shuffled", seed=4)
+    clean = sk.spherical.VirtualSpherical(ROBOT, HIDDEN).measure(ANGLES, repeats=3, order="shuffled", seed=4)
     own = 0.5 * np.random.default_rng(5).normal(size=(len(ANGLES), 2))[clean.pose - 1]
     frame = clean.to_frame()
     off = frame.with_columns(pl.col("u_px") + own[:, 0], pl.col("v_px") + own[:, 1])

@@ -28,9 +28,16 @@ def plan(n: int = 400, seed: int = 1) -> Floats:
     return np.stack([mean + half, mean - half], axis=1)
 
 
-def rows(joints: Floats, angles: bool = False, **more: Any) -> Any:
-    kinds = np.full(len(joints), True) if angles else None
-    return (joints, kinds, more.get("covariates"), more.get("push"))
+#: Where the parameters of each effect stand.
+PLACES: dict[str, list[int]] = {}
+for _row in _core.SphericalModel.CATALOGUE:
+    _start = sum(map(len, PLACES.values()))
+    PLACES[_row["name"]] = list(range(_start, _start + len(_row["parameters"])))
+COUNT = _core.SphericalModel.PARAMETERS
+
+
+def rows(joints: Floats, **more: Any) -> Any:
+    return (joints, None, more.get("covariates"), more.get("push"))
 
 
 def test_batches_are_the_single_poses_and_mark_what_has_no_answer() -> None:
@@ -86,49 +93,52 @@ def test_errors_say_what_is_wrong() -> None:
         _core.Camera(folded).undistort(np.array([3000.0, 320.0]))
     with pytest.raises(RobotError, match="focal"):
         _core.Camera(np.zeros(15))
-    with pytest.raises(ShapeError, match="angles"):
-        _core.SphericalModel(GEOMETRY, CAMERA, SETTINGS).predict(np.zeros(39), (plan(3), np.array([True]), None, None))
+    with pytest.raises(ShapeError, match="readings"):
+        _core.SphericalModel(GEOMETRY, CAMERA, SETTINGS, readings="words")
+    model = _core.SphericalModel(GEOMETRY, CAMERA, SETTINGS)
+    with pytest.raises(ShapeError, match="reads no distances"):
+        model.predict(np.zeros(COUNT), (plan(3), plan(3), None, None))
+    with pytest.raises(ShapeError, match="covariates"):
+        model.predict(np.zeros(COUNT), rows(plan(3), covariates=np.zeros((3, 5))))
     with pytest.raises(ShapeError, match="free"):
-        _core.SphericalModel(GEOMETRY, CAMERA, SETTINGS).derivatives(np.zeros(39), rows(plan(3)), [39])
+        model.derivatives(np.zeros(COUNT), rows(plan(3)), [COUNT])
 
 
 def test_pixels_lead_back_to_angles() -> None:
     """Catches a chain, a camera and a kinematics that do not mean the same frame."""
     joints = plan(50)
     model = _core.SphericalModel(GEOMETRY, CAMERA, SETTINGS)
-    readings, reached = model.predict(np.zeros(39), rows(joints))
+    readings, reached = model.predict(np.zeros(COUNT), rows(joints))
     assert reached.all()
     camera = _core.Camera(CAMERA)
-    angles, seen = camera.angles_batch(np.ascontiguousarray(readings[:, :2]), 200.0)
+    angles, seen = camera.angles_batch(readings, 200.0)
     expected, _ = _core.SphericalKinematics(GEOMETRY).forward_batch(joints)
     # the side of the sphere that faces the camera: the line of sight enters it there
-    markers, _ = model.markers(np.zeros(39), rows(joints))
+    markers, _ = model.markers(np.zeros(COUNT), rows(joints))
     near = markers @ camera.position > 200.0**2
     assert seen[near].all()
     assert near.sum() > 30
     np.testing.assert_allclose(angles[near], expected[near], atol=1e-9)
-    direct, _ = model.predict(np.zeros(39), rows(joints, angles=True))
-    np.testing.assert_allclose(direct[:, 2:], expected, atol=1e-12)
-    assert (direct[:, :2] == 0).all()
-    assert (readings[:, 2:] == 0).all()
+    direct, _ = model.reading("angles").predict(np.zeros(COUNT), rows(joints))
+    np.testing.assert_allclose(direct, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["pixels", "angles", "inverse"])
 def test_the_solver_finds_what_was_planted(kind: str) -> None:
     """Catches a residual or a derivative of the wrong sign, and readings of the wrong columns."""
-    planted = np.zeros(39)
+    planted = np.zeros(COUNT)
     planted[:3] = [-0.022, 0.0183, 10.0]
     free = [0, 1] if kind == "angles" else [0, 1, 2]
     if kind != "angles":
-        planted[16:18] = [1e-3, -1e-3]
+        planted[PLACES["lens_distortion"][2:]] = [1e-3, -1e-3]
     else:
-        free += [3, 4]
-        planted[3:5] = [0.01, -0.02]
+        free += PLACES["datum"]
+        planted[PLACES["datum"]] = [0.01, -0.02]
     if kind == "pixels":
-        free += [28, 29, 36, 37]
-        planted[28:30] = [0.004, -0.003]
-        planted[36:38] = [0.7, -1.1]
-    model = _core.SphericalModel(GEOMETRY, CAMERA, SETTINGS)
+        free += PLACES["unequal_limbs"] + PLACES["marker_offset"]
+        planted[PLACES["unequal_limbs"]] = [0.004, -0.003]
+        planted[PLACES["marker_offset"]] = [0.7, -1.1]
+    model = _core.SphericalModel(GEOMETRY, CAMERA, SETTINGS, readings="angles" if kind == "angles" else "pixels")
     joints = plan()
     if kind == "inverse":
         # away from the edge of the sphere and from stretched limbs, so that every row has an inverse at the start too
@@ -136,7 +146,7 @@ def test_the_solver_finds_what_was_planted(kind: str) -> None:
         inside = (markers @ _core.Camera(CAMERA).position > 1.3 * 200.0**2) & (joints[:, 0] - joints[:, 1] > 1.4)
         joints = np.ascontiguousarray(joints[inside])
         assert len(joints) > 50
-    block = rows(joints, angles=kind == "angles")
+    block = rows(joints)
     readings, reached = model.predict(planted, block)
     assert reached.all()
     start = planted.copy()
@@ -152,15 +162,7 @@ def test_the_solver_finds_what_was_planted(kind: str) -> None:
 
 
 def test_the_papers_figures() -> None:
-    """Catches the optimum, the mapping or the sensitivity with the paper's misprints."""
+    """Catches the optimum with the paper's misprints."""
     for degrees, region in [(26.90, "half"), (17.31, "quarter")]:
         found = _core.spherical_camera_placement(200.0, math.radians(degrees), 5.0, region)
         assert found["distance_mm"] == pytest.approx(446.2, abs=0.1)
-    exact, paper = _core.spherical_sensitivity(200.0, 300.0, np.array([0.0, 0.3]))
-    assert exact[0] == pytest.approx(2 / 3)
-    assert paper[0] == 1.0
-    settings = np.array([200.0, 246.2, 640.0, 320.0, math.atan(640 / 1100), math.atan(320 / 1100)])
-    pixels = np.stack([np.full(9, 640.0), np.linspace(200.0, 440.0, 9)], axis=1)
-    closed, _ = _core.spherical_closed_mapping(settings, pixels)
-    general, _ = _core.Camera(CAMERA).angles_batch(pixels, 200.0)
-    np.testing.assert_allclose(closed, general, atol=1e-12)

@@ -26,7 +26,8 @@ from second_simulator import (
     write_csv,
     write_robot_toml,
 )
-from sherkit import Calibration, load_robot
+from sherkit import load_robot
+from sherkit.robots.calibrated import Calibration
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +38,7 @@ NOISE_UM = 5.0
 
 def sherkit(folder: Path, *arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
     """Runs the command in ``folder``; it must end with ``code``."""
-    done = subprocess.run([SHERKIT, *arguments], cwd=folder, capture_output=True, encoding="utf-8", timeout=100)
+    done = subprocess.run([SHERKIT, *arguments], cwd=folder, capture_output=True, encoding="utf-8", timeout=600)
     assert done.returncode == code, done.stderr
     return done
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import sherkit as sk
 from second_simulator import Robot, draw_geometric_errors, grid, make_plan, scaled_effect, simulate, truth
-from sherkit.validation import spatial_blocks
+from sherkit.fit.hold_out import spatial_blocks
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]
@@ -54,7 +54,7 @@ def leaning() -> sk.Measurements:
     return run(0, *planted(0, "rail_lean"))
 
 
-def held_out_um(model: sk.DeltaModel, data: sk.Measurements, seed: int = 0) -> dict[str, float]:
+def held_out_um(model: sk.delta.DeltaModel, data: sk.Measurements, seed: int = 0) -> dict[str, float]:
     """Held-out RMS per axis by five explicit refits."""
     nominal = model.predict(data, np.zeros(len(model.parameters)))[:, :3]
     block = spatial_blocks(data, nominal, 5, seed)
@@ -62,7 +62,7 @@ def held_out_um(model: sk.DeltaModel, data: sk.Measurements, seed: int = 0) -> d
     for fold in range(5):
         part, out = data.select(np.flatnonzero(block != fold)), data.select(np.flatnonzero(block == fold))
         fit = sk.identify(model, part)
-        left[block == fold] = (out.readings_mm - model.predict(out, fit.values))[:, :3]
+        left[block == fold] = (out.readings - model.predict(out, fit.values))[:, :3]
     left = left[~data.outlier]
     return {f"{a}_mm": float(1e3 * np.sqrt(np.mean(left[:, k] ** 2))) for k, a in enumerate("xyz")}
 
@@ -82,7 +82,7 @@ def test_every_step_is_an_independent_refit(leaning: sk.Measurements) -> None:
     more = run(5, *planted(0, "rail_lean"))
     later = more.to_frame().with_columns(pl.col("time_s") + 1e4)
     study.extend(sk.from_frame(later))
-    lean, drift = sk.CATALOGUE["rail_lean"], sk.CATALOGUE["drift"]
+    lean, drift = sk.delta.CATALOGUE["rail_lean"], sk.delta.CATALOGUE["drift"]
     marked = leaning.mark_outliers(np.array([3, 40]))
     expected: list[tuple[tuple[sk.Effect, ...], sk.Measurements]] = [
         ((), leaning), ((lean,), leaning), ((lean, drift), leaning), ((drift,), leaning), ((lean, drift), leaning),
@@ -90,15 +90,15 @@ def test_every_step_is_an_independent_refit(leaning: sk.Measurements) -> None:
     ]  # fmt: skip
     assert len(study.history) == len(expected)
     for step, (effects, data) in zip(study.history, expected, strict=True):
-        model = sk.DeltaModel(EXAMPLE, (), effects)
+        model = sk.delta.DeltaModel(EXAMPLE, (), effects)
         fit = sk.identify(model, data)
         assert step.effects == tuple(e.name for e in effects)
         assert step.rows == len(data)
-        same(step.training_rms_um, fit.rms_um())
+        same(step.training_rms, fit.rms())
         same(step.parameters, fit.by_name, 1e-7)
-        same(step.held_out_rms_um, held_out_um(model, data))
-        assert step.held_out_um == pytest.approx(np.sqrt(np.mean(np.square(list(step.held_out_rms_um.values())))))
-    assert study.history[1].held_out_um < 1.1e3 * NOISE_MM < study.history[0].held_out_um
+        same(step.held_out_rms, held_out_um(model, data))
+        assert step.held_out == pytest.approx(np.sqrt(np.mean(np.square(list(step.held_out_rms.values())))))
+    assert study.history[1].held_out < 1.1e3 * NOISE_MM < study.history[0].held_out
     assert len(study.data) == 2 * len(leaning)
     assert study.data.outlier.sum() == 2
     assert len(np.unique(study.data.groups)) == 2 * len(np.unique(leaning.groups))
@@ -129,8 +129,8 @@ def test_undo_goes_back_to_the_start(leaning: sk.Measurements) -> None:
     step = study.undo()
     assert study.effects == ()
     same(step.parameters, first.parameters)
-    same(step.held_out_rms_um, first.held_out_rms_um)
-    with pytest.raises(sk.EffectError, match="nothing to undo"):
+    same(step.held_out_rms, first.held_out_rms)
+    with pytest.raises(sk.errors.EffectError, match="nothing to undo"):
         study.undo()
 
 
@@ -138,10 +138,10 @@ def test_a_change_that_fails_changes_nothing(leaning: sk.Measurements) -> None:
     """Catches a study left between two states by an error: every row marked, so that nothing is left to fit."""
     study = sk.Study(EXAMPLE, leaning)
     before = (study.model, study.data, len(study.history))
-    with pytest.raises(sk.FitError):
+    with pytest.raises(sk.errors.FitError):
         study.mark_outliers(range(len(leaning)))
     assert (study.model, study.data, len(study.history)) == before
-    with pytest.raises(sk.EffectError, match="nothing to undo"):
+    with pytest.raises(sk.errors.EffectError, match="nothing to undo"):
         study.undo()
 
 
@@ -157,7 +157,7 @@ def test_a_diagnosis_is_kept_until_something_changes(leaning: sk.Measurements) -
     again = study.diagnose()
     assert again is not d
     assert again.verdict == "adequate"
-    assert abs(study.history[-1].held_out_um / d.steps[-1].held_out_rms_um - 1) < 0.05
+    assert abs(study.history[-1].held_out / d.steps[-1].held_out_rms - 1) < 0.05
 
 
 def test_another_level_is_another_question(leaning: sk.Measurements) -> None:
@@ -182,18 +182,18 @@ def test_a_saved_study_comes_back_whole(tmp_path: Path) -> None:
     assert back.effects == study.effects == ("slip", "encoder_cyclic", "wave")
     assert (back.model.period_mm, back.model.slip_time_s) == (2.5, study.model.slip_time_s)
     assert back.seed == 3
-    for name in ("joints_mm", "readings_mm", "time_s", "pose", "repeat", "outlier", "direction"):
+    for name in ("joints", "readings", "time_s", "pose", "repeat", "outlier", "direction"):
         np.testing.assert_array_equal(getattr(back.data, name), getattr(study.data, name))
     for name, values in study.data.covariates.items():
         np.testing.assert_array_equal(back.data.covariates[name], values)
     for a, b in zip(back.history, study.history, strict=True):
-        for f in ("action", "effects", "training_rms_um", "held_out_rms_um", "parameters", "rows"):
+        for f in ("action", "effects", "training_rms", "held_out_rms", "parameters", "rows"):
             assert getattr(a, f) == getattr(b, f)
-    np.testing.assert_allclose(back.fit.predicted_mm, study.fit.predicted_mm, atol=1e-9)
+    np.testing.assert_allclose(back.fit.predicted, study.fit.predicted, atol=1e-9)
     assert repr(back) == repr(study)
     back.remove("wave")
     study.remove("wave")
-    same(back.history[-1].held_out_rms_um, study.history[-1].held_out_rms_um)
+    same(back.history[-1].held_out_rms, study.history[-1].held_out_rms)
 
 
 def test_a_loaded_history_holds_the_fit_of_each_step(leaning: sk.Measurements, tmp_path: Path) -> None:
@@ -203,7 +203,7 @@ def test_a_loaded_history_holds_the_fit_of_each_step(leaning: sk.Measurements, t
     study.save(tmp_path)
     back = sk.Study.load(tmp_path)
     for step in back.history:
-        same(step.fit.rms_um(), step.training_rms_um)
+        same(step.fit.rms(), step.training_rms)
 
 
 def test_a_folder_that_is_no_study_says_so(leaning: sk.Measurements, tmp_path: Path) -> None:
@@ -216,7 +216,7 @@ def test_a_folder_that_is_no_study_says_so(leaning: sk.Measurements, tmp_path: P
     study = sk.Study(EXAMPLE, leaning, effects=[wave])
     study.add("wave")
     study.save(tmp_path)
-    with pytest.raises(sk.EffectError, match="wave"):
+    with pytest.raises(sk.errors.EffectError, match="wave"):
         sk.Study.load(tmp_path)
 
 
@@ -231,7 +231,7 @@ def test_a_calibration_deploys_the_effects() -> None:
     targets = np.random.default_rng(0).uniform(-15.0, 15.0, (200, 3))
     still = {"time_s": np.zeros(200), "temperature_c": np.full(200, 20.0), "humidity_pct": np.full(200, 45.0)}
 
-    def misses(calibration: sk.Calibration) -> Floats:
+    def misses(calibration: sk.delta.DeltaCalibration) -> Floats:
         joints = calibration.inverse_batch(targets).require()
         columns = still | {f"q{k + 1}_mm": joints[:, k] for k in range(3)}
         return np.linalg.norm(truth(ROBOT, columns, errors, effects) - targets, axis=1)
@@ -252,7 +252,7 @@ def test_declared_noise_survives_a_run_that_declares_none() -> None:
     study = sk.Study(EXAMPLE, sk.from_frame(frame))
     study.extend(second)
     n = len(first)
-    np.testing.assert_allclose(study.data.sigma_mm[:n, :3], 0.005)
+    np.testing.assert_allclose(study.data.sigma[:n, :3], 0.005)
     other = sk.Study(EXAMPLE, first)
     other.extend(sk.from_frame(second.to_frame().drop("pose", "repeat")))
     assert other.data.repeatability is not None
@@ -269,7 +269,7 @@ def test_declared_noise_survives_a_run_that_declares_none() -> None:
 def test_effects_that_cannot_be_added_say_why(name: str, message: str, leaning: sk.Measurements) -> None:
     """Catches a misspelt or doubled effect that is taken, or refused without a hint."""
     study = sk.Study(EXAMPLE, leaning)
-    with pytest.raises(sk.EffectError, match=message):
+    with pytest.raises(sk.errors.EffectError, match=message):
         study.add(name)
     assert len(study.history) == 1
 
@@ -278,14 +278,14 @@ def test_adding_twice_removing_what_is_not_there_and_missing_columns(leaning: sk
     """Catches silent acceptance of each."""
     study = sk.Study(EXAMPLE, leaning)
     study.add("drift")
-    with pytest.raises(sk.EffectError, match="in the model already"):
+    with pytest.raises(sk.errors.EffectError, match="in the model already"):
         study.add("drift")
-    with pytest.raises(sk.EffectError, match="'slip' is not in the model"):
+    with pytest.raises(sk.errors.EffectError, match="'slip' is not in the model"):
         study.remove("slip")
     bare = sk.from_frame(leaning.to_frame().drop("time_s", "temperature_c"))
     for name, column in (("drift", "time_s"), ("slip", "time_s"), ("thermal_growth", "temperature_c"),
                          ("backlash", "direction")):  # fmt: skip
-        with pytest.raises(sk.EffectError, match=column):
+        with pytest.raises(sk.errors.EffectError, match=column):
             sk.Study(EXAMPLE, bare).add(name)
 
 
@@ -332,7 +332,7 @@ def test_a_users_mistake_is_named(function: Any, message: str, leaning: sk.Measu
     """Catches a faulty function that reaches a fit, or fails there without its name."""
     made = sk.effect(at="body", parameters={"a": "mm"})(function)
     for use in (lambda: sk.Study(EXAMPLE, leaning, effects=[made]), lambda: sk.Study(EXAMPLE, leaning).add(made)):
-        with pytest.raises(sk.EffectError, match=message):
+        with pytest.raises(sk.errors.EffectError, match=message):
             use()
 
 
@@ -352,7 +352,7 @@ def test_diagnosis_without_a_study_checks_users_effects_too(
     refused or reported untestable with the reason."""
     try:
         d = sk.diagnose(sk.identify(EXAMPLE, leaning), effects=(made,))
-    except sk.EffectError as error:
+    except sk.errors.EffectError as error:
         assert message in str(error)  # noqa: PT017
     else:
         assert message in d.untestable.get(made.name, "")
@@ -360,12 +360,12 @@ def test_diagnosis_without_a_study_checks_users_effects_too(
 
 def test_a_wrong_declaration_is_named(leaning: sk.Measurements) -> None:
     """Catches a link that does not exist, an effect without parameters, a name that is taken."""
-    with pytest.raises(sk.EffectError, match="at='structure' is no link"):
+    with pytest.raises(sk.errors.EffectError, match="at='structure' is no link"):
         sk.effect(at="structure", parameters={"a": "mm"})
-    with pytest.raises(sk.EffectError, match="at least one parameter"):
+    with pytest.raises(sk.errors.EffectError, match="at least one parameter"):
         sk.effect(at="body", parameters={})
     taken = dataclasses.replace(wave, name="drift")
-    with pytest.raises(sk.EffectError, match="name of a built-in effect"):
+    with pytest.raises(sk.errors.EffectError, match="name of a built-in effect"):
         sk.Study(EXAMPLE, leaning, effects=[taken])
 
 
@@ -418,7 +418,7 @@ def test_a_users_effect_at_each_link_is_recovered(effect: sk.Effect, values: lis
     """Catches an effect carried to the readings by the wrong derivative, or not fitted: within 4 deviations of the
     truth (seed 8), to 1e-6 mm without noise, and found by diagnosis."""
     exact = run(8, ERRORS, change=moved_by(effect, np.array(values)), noise=0.0)
-    model = sk.DeltaModel(EXAMPLE, (), (effect,))
+    model = sk.delta.DeltaModel(EXAMPLE, (), (effect,))
     fit = sk.identify(model, exact)
     assert fit.converged
     np.testing.assert_allclose(fit.values[model.owns(effect)], values, atol=1e-6)
@@ -428,7 +428,7 @@ def test_a_users_effect_at_each_link_is_recovered(effect: sk.Effect, values: lis
     study.add(effect.name)
     place = study.model.owns(effect)
     assert (np.abs(study.fit.values[place] - values) < 4 * study.fit.std[place]).all()
-    assert study.history[-1].held_out_um < 1.1e3 * NOISE_MM
+    assert study.history[-1].held_out < 1.1e3 * NOISE_MM
     assert study.diagnose().verdict == "adequate"
 
 
@@ -444,16 +444,16 @@ def test_a_users_derivative_is_used_and_checked(leaning: sk.Measurements) -> Non
     """Catches a derivative that is ignored, taken unchecked, or disagrees with the difference it stands for."""
     given = dataclasses.replace(damp, derivative=d_damp)
     data = run(8, ERRORS, change=moved_by(damp, np.array([0.03, -0.05])))
-    fits = [sk.identify(sk.DeltaModel(EXAMPLE, (), (e,)), data) for e in (damp, given)]
+    fits = [sk.identify(sk.delta.DeltaModel(EXAMPLE, (), (e,)), data) for e in (damp, given)]
     np.testing.assert_allclose(fits[0].values, fits[1].values, rtol=1e-6, atol=1e-9)
     columns = [f.model.derivatives(data, fits[0].values) for f in fits]
     np.testing.assert_allclose(columns[0][:, :3], columns[1][:, :3], atol=1e-9)
     wrong = dataclasses.replace(damp, derivative=lambda rows, p: 1.01 * d_damp(rows, p))
-    with pytest.raises(sk.EffectError, match="does not agree with a difference"):
+    with pytest.raises(sk.errors.EffectError, match="does not agree with a difference"):
         sk.Study(EXAMPLE, leaning, effects=[wrong])
     short = dataclasses.replace(damp, derivative=lambda rows, p: d_damp(rows, p)[:, :2])
-    with pytest.raises(sk.EffectError, match="shape"):
+    with pytest.raises(sk.errors.EffectError, match="shape"):
         sk.Study(EXAMPLE, leaning, effects=[short])
     raises = dataclasses.replace(damp, derivative=lambda rows, p: d_damp(rows, p) * p.nothing)
-    with pytest.raises(sk.EffectError, match="damp"):
+    with pytest.raises(sk.errors.EffectError, match="damp"):
         sk.Study(EXAMPLE, leaning, effects=[raises])

@@ -20,17 +20,18 @@ from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from sherkit.cli.main import cli
-from sherkit.effects.tool import TOOL_CATALOGUE
 from sherkit.errors import FitError, MeasurementError, RobotError, ShapeError
-from sherkit.estimation.alignment import align, at_times
-from sherkit.estimation.calibration import calibrate_tool, read_loads
-from sherkit.estimation.filters import Estimate, consistency, estimate, status_in_words
-from sherkit.estimation.judge import judge
-from sherkit.estimation.model import ToolModel
-from sherkit.estimation.registration import register
-from sherkit.estimation.runs import FIBRES, ToolRun, read_tool_run, tool_run_of
-from sherkit.robots.flexible_tool import NOISES, FlexibleTool, load_tool, rotation_of
-from sherkit.tool_simulation import EXPERIMENTS, VirtualTool
+from sherkit.robots.tool.alignment import align, at_times
+from sherkit.robots.tool.calibration import calibrate_tool, read_loads
+from sherkit.robots.tool.columns import FIBRES
+from sherkit.robots.tool.effects import TOOL_CATALOGUE
+from sherkit.robots.tool.filters import Estimate, consistency, estimate, status_in_words
+from sherkit.robots.tool.judge import judge
+from sherkit.robots.tool.model import ToolModel
+from sherkit.robots.tool.registration import register
+from sherkit.robots.tool.runs import ToolRun, read_tool_run, tool_run_of
+from sherkit.robots.tool.tool import NOISES, FlexibleTool, load_tool, rotation_of
+from sherkit.robots.tool.virtual import EXPERIMENTS, VirtualTool
 
 Floats = NDArray[np.float64]
 
@@ -457,11 +458,11 @@ def visible(name: str, seed: int, factor: float) -> float:
     """What the effect leaves of the tip's places beside the camera's offset, without noise: RMS per axis, in noise."""
     virtual = replace(planted(name, seed, factor), camera_mm=0.0, noise_nm=1e-6)
     model = ToolModel(FlexibleTool(), virtual.run("vessels", seconds=SECONDS, seed=seed))
-    fit = sk.fit_model(model, model.readings)
+    fit = sk.identify(model, model.readings)
     return float(np.sqrt(np.mean(fit.residuals**2)) / NOISE_MM)
 
 
-def diagnosed(name: str | None, seed: int, ratio: float = 1.0) -> sk.Diagnosis[Any]:
+def diagnosed(name: str | None, seed: int, ratio: float = 1.0) -> sk.diagnosis.Diagnosis:
     """As a user does, with an effect whose visible part is about ``ratio`` times the camera's noise."""
     # nearly in proportion: two steps are enough
     factor = 1.0
@@ -470,7 +471,7 @@ def diagnosed(name: str | None, seed: int, ratio: float = 1.0) -> sk.Diagnosis[A
             factor *= ratio / visible(name, seed, factor)
     run = planted(name, seed, factor).run("vessels", seconds=SECONDS, seed=seed)
     model = ToolModel(FlexibleTool(), run)
-    return sk.diagnose(sk.fit_model(model, model.readings))
+    return sk.diagnose(sk.identify(model, model.readings))
 
 
 @pytest.mark.parametrize("name", ["tool_stiffness", "shaft_bend", "registration", "camera_delay"])
@@ -499,7 +500,7 @@ def test_values_are_those_that_were_planted() -> None:
         }[name]
         model = ToolModel(there.tool, there.run("vessels", seconds=40.0, seed=2))
         effect = next(e for e in model.candidates if e.name == name)
-        fit = sk.fit_model(model, model.readings, effects=[effect])
+        fit = sk.identify(model, model.readings, effects=[effect])
         found = fit.by_name[f"{name}.{parameter}"]
         assert abs(found - truth) < max(5 * fit.std_from_readings[-1], 0.02 * abs(truth))
 

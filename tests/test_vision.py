@@ -14,19 +14,19 @@ import tomli_w
 from click.testing import CliRunner
 from numpy.typing import NDArray
 
-from sherkit import VirtualSpherical, identify, load_robot, read_measurements, sphere_patch
+from sherkit import identify, load_robot, read_measurements
 from sherkit.cli.main import cli
 from sherkit.errors import MeasurementError, SherkitError, SherkitWarning
-from sherkit.robots import Spherical
-from sherkit.spherical_simulation import PAPER_ERRORS
+from sherkit.robots.spherical import Spherical, VirtualSpherical, sphere_patch
+from sherkit.robots.spherical.virtual import PAPER_ERRORS
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: sherkit[vision]")
 
+from sherkit.robots.spherical.pictures import joined_by_time, marker_rows, seen_run  # noqa: E402
 from sherkit.vision.intrinsics import Intrinsics, charuco_intrinsics, chessboard_intrinsics  # noqa: E402
 from sherkit.vision.marker import Seen, find_marker  # noqa: E402
-from sherkit.vision.pictures import Picture, frames_of, picture_of  # noqa: E402
+from sherkit.vision.pictures import CameraPicture, frames_of, picture_of  # noqa: E402
 from sherkit.vision.render import View, draw_marker  # noqa: E402
-from sherkit.vision.rows import joined_by_time, marker_rows, seen_run  # noqa: E402
 
 CAMERA = Intrinsics((1100.0, 1080.0), (645.0, 318.0), (-0.12, 0.05, 0.001, -0.0008), (1280, 640))
 VIEW = View(CAMERA, (0.02, -0.03, 0.1), (5.0, -4.0, 446.2))
@@ -241,7 +241,7 @@ def test_camera_and_joints_are_joined_by_time() -> None:
 
 def test_a_row_that_lacks_a_marker_is_a_sentence() -> None:
     """Catches NaN that travels on: what is not found is empty in the table."""
-    rows = marker_rows([Picture(np.full((64, 64), 9, np.uint8), "dark", 1.5)])
+    rows = marker_rows([CameraPicture(np.full((64, 64), 9, np.uint8), "dark", 1.5)])
     assert rows["u_px"].to_list() == [None]
     assert rows["time_s"].to_list() == [1.5]
     assert isinstance(find_marker(np.full((64, 64), 9, np.uint8)), Seen)

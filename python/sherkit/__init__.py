@@ -1,128 +1,52 @@
-"""sherkit finds the physics that a robot's model is missing."""
+"""sherkit finds the physics that a robot's model is missing.
 
+What a person does stands here; what belongs to one robot or to one step stands in the submodules: ``sk.delta``,
+``sk.spherical``, ``sk.tool``; ``sk.data``, ``sk.model``, ``sk.fit``, ``sk.diagnosis``, ``sk.planning``, ``sk.report``,
+``sk.lab``, ``sk.errors``.
+"""
+
+from importlib import import_module as _import_module
+from typing import Any as _Any
+
+from . import data, diagnosis, errors, fit, lab, model, planning
 from ._core import __version__
-from .calibrate import Experiment, Result, calibrate
-from .calibration import Calibration
-from .calibrations import load_calibration
-from .camera_placement import camera_placement
-from .correction import Correction, choose_correction, fit_grid, fit_polynomial, paper_protocol
-from .diagnosis import Diagnosis, diagnose, play, sentence
-from .effects import CATALOGUE, Effect, effect
-from .effects.spherical import SPHERICAL_CATALOGUE
-from .errors import (
-    CalibrationError,
-    EffectError,
-    FitError,
-    MeasurementError,
-    NotConverged,
-    NotFinite,
-    OutOfReach,
-    RobotError,
-    ShapeError,
-    SherkitError,
-    SherkitWarning,
-    Singular,
-)
-from .formats.klipper import import_klipper
-from .identification import Fit, identify, identify_stream
-from .joint_space import TaskError, identify_joints, task_error
-from .measurements import (
-    Measurements,
-    MeasurementStream,
-    from_frame,
-    read_measurements,
-    stream_measurements,
-)
-from .model import DeltaModel
-from .parameters import Parameter
-from .planning import Planning, planning_of
-from .pose_design import PoseDesign, choose_poses
-from .poses import grid, paper_local, paper_whole, sphere_patch
-from .power_study import Sought, study_power
-from .readings import Model, ModelFit, Readings, fit_model
-from .remote_centre import RemoteCentre, remote_centre
-from .robots import CameraView, Delta, Spherical, load_robot, save_robot
-from .simulation import VirtualDelta
-from .spherical_calibration import SphericalCalibration
-from .spherical_model import SphericalModel
-from .spherical_simulation import VirtualSpherical
-from .straightness import straightness, straightness_by
-from .study import Step, Study
+from .calibrate import calibrate
+from .data import Measurements, from_frame, read_measurements
+from .diagnosis import diagnose
+from .errors import SherkitError, SherkitWarning
+from .fit.identify import identify
+from .model.effect import Effect, effect
+from .model.robot_file import load_robot, save_robot
+from .notebook import Shown as _Shown
+from .robots import delta, spherical, tool
+from .robots.files import load_calibration
+from .study import Study
 
 __all__ = [
-    "CATALOGUE",
-    "SPHERICAL_CATALOGUE",
-    "Calibration",
-    "CalibrationError",
-    "CameraView",
-    "Correction",
-    "Delta",
-    "DeltaModel",
-    "Diagnosis",
-    "Effect",
-    "EffectError",
-    "Experiment",
-    "Fit",
-    "FitError",
-    "MeasurementError",
-    "MeasurementStream",
-    "Measurements",
-    "Model",
-    "ModelFit",
-    "NotConverged",
-    "NotFinite",
-    "OutOfReach",
-    "Parameter",
-    "Planning",
-    "PoseDesign",
-    "Readings",
-    "RemoteCentre",
-    "Result",
-    "RobotError",
-    "ShapeError",
-    "SherkitError",
-    "SherkitWarning",
-    "Singular",
-    "Sought",
-    "Spherical",
-    "SphericalCalibration",
-    "SphericalModel",
-    "Step",
-    "Study",
-    "TaskError",
-    "VirtualDelta",
-    "VirtualSpherical",
-    "__version__",
-    "calibrate",
-    "camera_placement",
-    "choose_correction",
-    "choose_poses",
-    "diagnose",
-    "effect",
-    "fit_grid",
-    "fit_model",
-    "fit_polynomial",
-    "from_frame",
-    "grid",
-    "identify",
-    "identify_joints",
-    "identify_stream",
-    "import_klipper",
-    "load_calibration",
-    "load_robot",
-    "paper_local",
-    "paper_protocol",
-    "paper_whole",
-    "planning_of",
-    "play",
-    "read_measurements",
-    "remote_centre",
-    "save_robot",
-    "sentence",
-    "sphere_patch",
-    "straightness",
-    "straightness_by",
-    "stream_measurements",
-    "study_power",
-    "task_error",
-]
+    "Effect", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__", "calibrate", "data", "delta",
+    "diagnose", "diagnosis", "effect", "errors", "fit", "from_frame", "identify", "lab", "load_calibration",
+    "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "spherical", "tool",
+]  # fmt: skip
+
+
+def _draw(value: object) -> str | None:
+    """HTML of a value for a notebook, where ``sherkit[view]`` is installed; what draws is loaded when asked for."""
+    try:
+        from .report.notebook import cell
+    except ModuleNotFoundError:
+        return None
+    return cell(value)
+
+
+_Shown.draw = _draw
+
+
+def __getattr__(name: str) -> _Any:
+    # what draws needs Bokeh, and is loaded when it is asked for
+    if name == "report":
+        return _import_module(f".{name}", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

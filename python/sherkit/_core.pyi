@@ -1,6 +1,6 @@
 """The compiled core: numerics in Rust. Arrays are float64 and contiguous; errors are ``sherkit.errors``."""
 
-from typing import Any, final
+from typing import Any, Self, final, type_check_only
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +38,6 @@ __all__ = [
     "bernstein_fit_grid",
     "register_points",
     "spherical_camera_placement",
-    "spherical_closed_mapping",
-    "spherical_sensitivity",
     "tool_fit_beam",
     "tool_fit_gain",
     "tool_fit_slope",
@@ -65,31 +63,45 @@ class DeltaKinematics:
     def jacobian_batch(self, joints: _Floats) -> tuple[_Floats, _Bools]: ...
     def by_parameters_batch(self, joints: _Floats) -> tuple[_Floats, _Bools]: ...
 
+#: Joints (n, k), other ends of distances (n, k), covariates (n, 2 + 2 k), displacements of the point (n, 3) mm.
 _Block = tuple[_Floats, _Floats | None, _Floats | None, _Floats | None]
 
-@final
-class DeltaModel:
+@type_check_only
+class _Model:
+    """The measurement chain of a robot of k joints, whose runs have m columns of readings.
+
+    A block of rows: joints (n, k), joints at the other end of a distance (NaN elsewhere) or None, covariates (time s,
+    temperature °C, k directions, k velocities) or None, displacements of the measured point or None. Rows that cannot
+    be computed are NaN and ``False``. ``CATALOGUE`` has a dict for each effect: name, link, base (whether every model
+    has it), needs, search, parameters; these have name, symbol, unit, size, lever_mm (None where the robot says it).
+    """
+
     PARAMETERS: int
+    CATALOGUE: list[dict[str, Any]]
+    def predict(self, values: _Floats, block: _Block) -> tuple[_Floats, _Bools]:
+        """Readings (n, m); what does not apply to a row is zero."""
+
+    def derivatives(self, values: _Floats, block: _Block, free: list[int]) -> tuple[_Floats, _Floats, _Floats, _Bools]:
+        """By the parameters in ``free`` (n, m, free), the joints (n, m, k), a displacement of the point (n, m, 3)."""
+
+    def accumulate(
+        self, solver: Solver, values: _Floats, free: list[int], block: _Block, readings: _Floats, weights: _Floats
+    ) -> list[int]:
+        """Adds rows to the solver at its trial; returns those that cannot be computed there."""
+
+    def solve(
+        self, solver: Solver, values: _Floats, free: list[int], block: _Block, readings: _Floats, weights: _Floats,
+        priors: bool,
+    ) -> tuple[str, list[int]]:  # fmt: skip
+        """Iterates to the minimum; how it ended, and rows that cannot be computed at the start."""
+
+@final
+class DeltaModel(_Model):
+    """Readings are x, y, z, distance. ``settings``: rod spacing, pole pitch, three home readings, origin, slip time."""
+
     def __new__(
         cls, geometry: _Floats, target_offset: _Floats, assembly_mode: str, settings: _Floats
     ) -> DeltaModel: ...
-    def predict(self, values: _Floats, block: _Block) -> tuple[_Floats, _Bools]: ...
-    def derivatives(
-        self, values: _Floats, block: _Block, free: list[int]
-    ) -> tuple[_Floats, _Floats, _Floats, _Bools]: ...
-    def accumulate(
-        self, solver: Solver, values: _Floats, free: list[int], block: _Block, readings: _Floats, weights: _Floats
-    ) -> list[int]: ...
-    def solve(
-        self,
-        solver: Solver,
-        values: _Floats,
-        free: list[int],
-        block: _Block,
-        readings: _Floats,
-        weights: _Floats,
-        priors: bool,
-    ) -> tuple[str, list[int]]: ...
 
 @final
 class SphericalKinematics:
@@ -161,19 +173,14 @@ class Camera:
     def on_sphere_batch(self, pixels: _Floats, radius_mm: float, face: str = "near") -> tuple[_Floats, _Bools]:
         """Points (n, 3) of the sphere that pixels show, mm."""
 
-_SphericalBlock = tuple[_Floats, _Bools | None, _Floats | None, _Floats | None]
-
 @final
-class SphericalModel:
-    """The measurement chain of the spherical robot seen by a camera.
+class SphericalModel(_Model):
+    """Readings are u, v (px) or phi, gamma (rad), as ``readings`` says: "pixels" or "angles".
 
-    ``settings``: radius of the sphere (mm), direction of the weight (3), home joint readings (2, rad). A block of rows:
-    joints (n, 2), which rows read angles (n,) or None for pixels throughout, covariates (n, 6) (time s, temperature
-    °C, two directions, two velocities rad/s) or None, displacements of the marker (n, 3) mm or None. Readings and
-    weights are (n, 4): u, v (px), phi, gamma (rad); a row uses the two of its kind.
+    ``settings``: radius of the sphere (mm), direction of the weight (3), home joint readings (2, rad), and perhaps
+    origin of time and slip time (s).
     """
 
-    PARAMETERS: int
     def __new__(
         cls,
         geometry: _Floats,
@@ -181,90 +188,53 @@ class SphericalModel:
         settings: _Floats,
         assembly_mode: str = "outer",
         face_mode: str = "near",
+        readings: str = "pixels",
     ) -> SphericalModel: ...
-    def predict(self, values: _Floats, block: _SphericalBlock) -> tuple[_Floats, _Bools]:
-        """Readings (n, 4), zero where they do not apply, and which rows could be computed; the others are NaN."""
-
-    def derivatives(
-        self, values: _Floats, block: _SphericalBlock, free: list[int]
-    ) -> tuple[_Floats, _Floats, _Floats, _Bools]:
-        """By the parameters in ``free`` (n, 4, free), the joint readings (n, 4, 2), the marker's place (n, 4, 3)."""
+    def reading(self, readings: str) -> SphericalModel:
+        """The same robot for runs of the other kind."""
 
     def camera(self, values: _Floats) -> Camera:
         """The camera with its errors."""
 
-    def markers(self, values: _Floats, block: _SphericalBlock) -> tuple[_Floats, _Bools]:
+    def markers(self, values: _Floats, block: _Block) -> tuple[_Floats, _Bools]:
         """Markers (n, 3), base frame, mm."""
 
-    def centres(
-        self, values: _Floats, block: _SphericalBlock, free: list[int]
-    ) -> tuple[_Floats, _Floats, _Floats, _Bools]:
+    def centres(self, values: _Floats, block: _Block, free: list[int]) -> tuple[_Floats, _Floats, _Floats, _Bools]:
         """Displacement of the remote centre (n, 3), mm; by the parameters (n, 3, free) and the joints (n, 3, 2)."""
 
     def inverse_residuals(
-        self, values: _Floats, block: _SphericalBlock, readings: _Floats, free: list[int]
+        self, values: _Floats, block: _Block, readings: _Floats, free: list[int]
     ) -> tuple[_Floats, _Floats, _Bools]:
         """Measured joints minus the inverse kinematics of the readings (n, 2), rad (Eq. 6); by (n, 2, free)."""
 
-    def accumulate(
-        self,
-        solver: Solver,
-        values: _Floats,
-        free: list[int],
-        block: _SphericalBlock,
-        readings: _Floats,
-        weights: _Floats,
-    ) -> list[int]:
-        """Adds rows to the solver at its trial; returns those that cannot be computed there."""
-
-    def solve(
-        self,
-        solver: Solver,
-        values: _Floats,
-        free: list[int],
-        block: _SphericalBlock,
-        readings: _Floats,
-        weights: _Floats,
-        priors: bool,
-    ) -> tuple[str, list[int]]:
-        """Iterates to the minimum over readings; how it ended, and rows that cannot be computed at the start."""
-
     def solve_inverse(
-        self,
-        solver: Solver,
-        values: _Floats,
-        free: list[int],
-        block: _SphericalBlock,
-        readings: _Floats,
-        weights: _Floats,
+        self, solver: Solver, values: _Floats, free: list[int], block: _Block, readings: _Floats, weights: _Floats,
         priors: bool,
-    ) -> tuple[str, list[int]]:
-        """As ``solve``, over the paper's residuals of the joints; weights are (n, 2), 1/rad."""
+    ) -> tuple[str, list[int]]:  # fmt: skip
+        """As ``solve``, over the paper's residuals of the joints; weights are 1/rad."""
 
-@final
-class SphericalCalibrated:
-    """A calibrated spherical robot: where the end of its tool axis is, seen from the nominal centre. Angles in rad.
+@type_check_only
+class _Calibrated:
+    """The model that a control loop runs. Covariates are time s, temperature °C and a direction for each joint."""
 
-    ``values`` are those of all parameters of the model; covariates are time s, temperature °C and two directions.
-    """
-
-    def __new__(cls, model: SphericalModel, values: _Floats, elbows: str = "open") -> SphericalCalibrated: ...
     def flat(self) -> _Floats:
         """All that makes it as a row of numbers (n,), for a control loop in another language."""
 
     def forward(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats]:
-        """phi, gamma (2,) and their derivative by the joints (2, 2)."""
+        """Where it is (k,), and the derivative by the joints (k, k)."""
 
-    def inverse(self, angles: _Floats, covariates: list[float]) -> _Floats:
-        """Joint readings (2,) for phi, gamma (2,)."""
+@final
+class SphericalCalibrated(_Calibrated):
+    """Where the end of the tool axis is, seen from the nominal centre: phi and gamma, rad."""
 
+    def __new__(cls, model: SphericalModel, values: _Floats, elbows: str = "open") -> SphericalCalibrated: ...
+    def inverse(self, angles: _Floats, covariates: list[float]) -> _Floats: ...
     def forward_batch(
         self, joints: _Floats, covariates: list[float], free: list[int]
     ) -> tuple[_Floats, _Floats, _Floats, _Bools]:
         """phi, gamma (n, 2); by the joints (n, 2, 2) and by the parameters in ``free`` (n, 2, free); which reached."""
 
-    def inverse_batch(self, angles: _Floats, covariates: list[float]) -> tuple[_Floats, _Bools]:
-        """Joint readings (n, 2) for phi, gamma (n, 2)."""
+    def inverse_batch(self, angles: _Floats, covariates: list[float]) -> tuple[_Floats, _Bools]: ...
 
 @final
 class Solver:
@@ -297,17 +267,15 @@ class Bernstein:
     def evaluate(self, positions: _Floats) -> tuple[_Floats, _Floats]: ...
 
 @final
-class Calibrated:
+class Calibrated(_Calibrated):
+    """Where the measured point of a delta is, mm; a part is a model, the values of its parameters, a correction."""
+
     def __new__(
         cls,
         whole: tuple[DeltaModel, _Floats, Bernstein | None],
         local: tuple[DeltaModel, _Floats, Bernstein | None] | None,
         region: tuple[_Floats, _Floats, float] | None,
     ) -> Calibrated: ...
-    def flat(self) -> _Floats:
-        """All that makes it as a row of numbers (n,), for a control loop in another language."""
-
-    def forward(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats]: ...
     def inverse(self, position: _Floats, covariates: list[float]) -> _Floats: ...
     def forward_batch(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats, _Bools]: ...
     def inverse_batch(self, positions: _Floats, covariates: list[float]) -> tuple[_Floats, _Bools]: ...
@@ -394,16 +362,34 @@ class FilterNoise:
     def numbers(self) -> dict[str, Any]: ...
 
 _Run = tuple[_Floats, _Floats, _Bytes, _Floats, _Bytes]
+_Smoothed = tuple[_Floats, _Floats]
+
+class _ToolFilter:
+    """A filter of the flexible tool. ``step`` and ``filter`` run the same steps, to the last bit.
+
+    ``step`` returns the status, a sum of the STATUS flags. ``filter``: as many steps as there are times; a measurement
+    that ``present`` says is not there is missing. Returns estimates (n, k), covariances (n, k, k), status (n,), NIS
+    (n,) and its degrees of freedom (n,), and leaves the filter at the end. ``smooth``: estimates and covariances of the
+    same run from the filter's present state, which stays, each from all measurements. Velocities are mm/s, poses (n,
+    12) take the tool's frame to the base.
+    """
+
+    @property
+    def time_s(self) -> float: ...
+    def statistics(self) -> dict[str, Any]: ...
+    def copy(self) -> Self: ...
+
+class _WithTip(_ToolFilter):
+    """A filter whose state holds the tip, in the base frame."""
+
+    @property
+    def tip_mm(self) -> _Floats: ...
+    @property
+    def covariance(self) -> _Floats: ...
 
 @final
-class DepthFilter:
-    """Insertion depth (Eq. 8). ``step`` and ``filter`` run the same steps, to the last bit.
-
-    ``filter``: as many steps as there are times; a measurement that ``present`` says is not there is missing. Returns
-    estimates (n, 1), covariances (n, 1, 1), status (n,), NIS (n,) and its degrees of freedom (n,), and leaves the
-    filter at the end. ``smooth``: estimates and covariances of the same run from the filter's present state, which
-    stays, each from all measurements. Status: a sum of the STATUS flags.
-    """
+class DepthFilter(_ToolFilter):
+    """Insertion depth (1,), by Eq. 8. Velocities (n,) are those along the shaft."""
 
     def __new__(cls, depth_mm: float, variance: float, time_s: float, noise: FilterNoise) -> DepthFilter: ...
     def step(self, time_s: float, velocity_mm_s: float, measurement: _Floats | None = None) -> int: ...
@@ -412,22 +398,15 @@ class DepthFilter:
     ) -> _Run: ...
     def smooth(
         self, times_s: _Floats, velocities_mm_s: _Floats, measurements: _Floats, present: _Bools | None = None
-    ) -> tuple[_Floats, _Floats]: ...
-    @property
-    def time_s(self) -> float: ...
+    ) -> _Smoothed: ...
     @property
     def depth_mm(self) -> float: ...
     @property
     def variance(self) -> float: ...
-    def statistics(self) -> dict[str, Any]: ...
-    def copy(self) -> DepthFilter: ...
 
 @final
-class TipFilter:
-    """The tip in the base frame (Eqs. 10 to 14), as :class:`DepthFilter`.
-
-    Velocities (n, 3) are those of the unbent tip, mm/s; poses (n, 12) tool to base; ``depths`` (n, 2) with variance.
-    """
+class TipFilter(_WithTip):
+    """The tip (3,), by Eqs. 10 to 14. Velocities (n, 3) are those of the unbent tip; ``depths`` (n, 2): mm, mm²."""
 
     def __new__(
         cls, beam: ToolBeam, pose: _Floats, variance: float, time_s: float, noise: FilterNoise
@@ -457,19 +436,11 @@ class TipFilter:
         depths: _Floats,
         measurements: _Floats,
         present: _Bools | None = None,
-    ) -> tuple[_Floats, _Floats]: ...
-    @property
-    def time_s(self) -> float: ...
-    @property
-    def tip_mm(self) -> _Floats: ...
-    @property
-    def covariance(self) -> _Floats: ...
-    def statistics(self) -> dict[str, Any]: ...
-    def copy(self) -> TipFilter: ...
+    ) -> _Smoothed: ...
 
 @final
-class DepthTipFilter:
-    """Depth and tip in one state (4,), with their correlation, as :class:`TipFilter`."""
+class DepthTipFilter(_WithTip):
+    """Depth and tip in one state (4,), with their correlation; velocities as for :class:`TipFilter`."""
 
     def __new__(
         cls,
@@ -496,17 +467,9 @@ class DepthTipFilter:
         poses: _Floats,
         measurements: _Floats,
         present: _Bools | None = None,
-    ) -> tuple[_Floats, _Floats]: ...
-    @property
-    def time_s(self) -> float: ...
+    ) -> _Smoothed: ...
     @property
     def depth_mm(self) -> float: ...
-    @property
-    def tip_mm(self) -> _Floats: ...
-    @property
-    def covariance(self) -> _Floats: ...
-    def statistics(self) -> dict[str, Any]: ...
-    def copy(self) -> DepthTipFilter: ...
 
 def tool_fit_gain(distance_mm: float, shifts_nm: _Floats, forces_mn: _Floats, depths_mm: _Floats) -> dict[str, Any]:
     """Gains K (2, 3) of a section from wavelengths less those of the unloaded tool (n, 3), forces (n, 2), depths (n,).
@@ -539,17 +502,6 @@ def bernstein_fit(
 def bernstein_fit_grid(
     orders: tuple[int, int, int], axes: tuple[_Floats, _Floats, _Floats], values: _Floats
 ) -> _Floats: ...
-def spherical_closed_mapping(settings: _Floats, pixels: _Floats) -> tuple[_Floats, _Bools]:
-    """phi, gamma (n, 2) by the paper's closed mapping (Eqs. 10 to 12, corrected).
-
-    ``settings``: radius, distance from the surface (mm), half width and height (px), half angles of view (rad).
-    """
-
-def spherical_sensitivity(
-    radius_mm: float, clearance_mm: float, arcs: _Floats, step_rad: float = 0.0
-) -> tuple[_Floats, _Floats]:
-    """Exact dtheta/ddelta and the paper's approximation of (delta/theta) dtheta/ddelta (Eq. 27)."""
-
 def spherical_camera_placement(
     radius_mm: float, lens_rad: float, weight: float, region: str = "half", distance_mm: float | None = None
 ) -> dict[str, float]:

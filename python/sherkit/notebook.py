@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, ClassVar
+
 
 class Shown:
-    """A value with a picture: IPython asks for it; where ``sherkit[view]`` is not installed the plain text stands."""
+    """A value with a picture: IPython asks for it; where nothing that draws is installed the plain text stands.
+
+    ``draw`` gives the HTML of a value, or None; the package's door fills it, so that no value knows of pictures.
+    """
+
+    draw: ClassVar[Callable[[Any], str | None] | None] = None
 
     def _repr_html_(self) -> str | None:
-        # the one look upwards: what draws stands on the highest floor and is loaded when a notebook asks for it
-        try:
-            from .report.notebook import cell
-        except ModuleNotFoundError:
-            return None
-        return cell(self)
+        draw = Shown.draw
+        return None if draw is None else draw(self)

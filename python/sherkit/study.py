@@ -11,34 +11,32 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
-from .calibrate import Experiment, calibration_of
-from .calibrations import AnyCalibration
-from .chain import ChainModel, axes_of, effects_by_name, lacks
-from .correction import choose_correction
+from .data import Measurements, from_frame
+from .data.columns import OUTLIER, POSE, REPEAT, Layout
+from .data.given import RunLike, run_of
 from .diagnosis import Diagnosis, diagnose
-from .diagnosis.search import slip_time
-from .effects import Effect, check_user_effect
+from .diagnosis.slip import slip_time
 from .errors import EffectError, MeasurementError, SherkitError, SherkitWarning
-from .identification import Fit, identify
-from .measurements import Measurements, from_frame
-from .measurements.columns import OUTLIER, POSE, REPEAT, Layout
-from .models import model_of
+from .fit.hold_out import hold_out
+from .fit.identify import Fit, identify
+from .model.base import lacks
+from .model.chain import ChainModel
+from .model.effect import Effect, effects_by_name
+from .model.kinds import model_of, robot_from_tables
+from .model.robot_file import RobotLike, robot_of
 from .names import listed
 from .notebook import Shown
-from .robots import Delta, Robot
-from .robots.file import robot_from_tables
-from .validation import hold_out
-
-Ints = NDArray[np.int64]
+from .robots.calibrated import Calibration, calibration_class
+from .robots.calibration_run import CalibrationRun
+from .types import Ints
 
 _FORMAT = 2
 _FOLLOWED = "the run so far"
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class StudyStep:
     """One state of a study: what was done, and the error it left by reading, in ``unit``, fitted and held out.
 
     ``fit`` is None for steps of a loaded study whose rows were others than the last ones: those were not kept.
@@ -55,7 +53,7 @@ class Step:
 
     def __repr__(self) -> str:
         axes = ", ".join(f"{k.rsplit('_', 1)[0]} {v:.3g}" for k, v in self.held_out_rms.items())
-        return f"Step({self.action}: held out {axes} {self.unit})"
+        return f"StudyStep({self.action}: held out {axes} {self.unit})"
 
     @property
     def held_out(self) -> float:
@@ -63,52 +61,37 @@ class Step:
         values = list(self.held_out_rms.values())
         return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
 
-    @property
-    def held_out_um(self) -> float:
-        """The same for a delta, µm."""
-        return self.held_out
-
-    @property
-    def held_out_rms_um(self) -> dict[str, float]:
-        """:attr:`held_out_rms` of a delta, µm."""
-        return self.held_out_rms
-
-    @property
-    def training_rms_um(self) -> dict[str, float]:
-        """:attr:`training_rms` of a delta, µm."""
-        return self.training_rms
-
 
 class Study(Shown):
-    """Compares a robot with its measurements, step by step.
+    """Compares a robot with its measurements, step by step. Both may be given by their files.
 
     ``effects`` are the user's own, beside the catalogue; ``free`` and ``loss`` are those of
-    :func:`~sherkit.identification.identify`. Every change refits all parameters and takes the held-out
+    :func:`~sherkit.fit.identify.identify`. Every change refits all parameters and takes the held-out
     error anew; :attr:`history` holds each step. Raises :class:`~sherkit.errors.FitError` where the rows cannot be
     fitted.
     """
 
     def __init__(
         self,
-        robot: Robot,
-        data: Measurements,
+        robot: RobotLike,
+        data: RunLike,
         *,
         effects: Sequence[Effect] = (),
         free: Sequence[str] = (),
         loss: str = "linear",
         seed: int = 0,
     ) -> None:
-        self.robot = robot
-        self.data = data
+        self.robot = robot_of(robot)
+        self.data = run_of(data)
         self.seed = seed
         self.loss = loss
         self.own: dict[str, Effect] = {}
-        self.history: list[Step] = []
+        self.history: list[StudyStep] = []
         self._undone: list[tuple[ChainModel, Measurements]] = []
-        self._diagnosis: Diagnosis[Fit] | None = None
+        self._diagnosis: Diagnosis | None = None
         for effect in effects:
             self._register(effect)
-        self.model = model_of(robot, free)
+        self.model = model_of(self.robot, free)
         self._record("the geometric model")
 
     # -- state -------------------------------------------------------------------------------------------
@@ -123,11 +106,11 @@ class Study(Shown):
         """Names of the effects in the model."""
         return tuple(e.name for e in self.model.effects)
 
-    def _record(self, action: str) -> Step:
+    def _record(self, action: str) -> StudyStep:
         fit = identify(self.model, self.data, loss=self.loss)
         held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss)
         names = [p.name for p in fit.parameters]
-        step = Step(
+        step = StudyStep(
             action=action,
             effects=self.effects,
             training_rms=fit.rms(),
@@ -142,7 +125,7 @@ class Study(Shown):
         self._diagnosis = None
         return step
 
-    def _change(self, model: ChainModel, data: Measurements, action: str) -> Step:
+    def _change(self, model: ChainModel, data: Measurements, action: str) -> StudyStep:
         before = (self.model, self.data)
         self.model, self.data = model, data
         try:
@@ -155,7 +138,7 @@ class Study(Shown):
 
     # -- what a person does ------------------------------------------------------------------------------
 
-    def diagnose(self, *, level: float = 0.01, step: Callable[[str], None] = lambda _: None) -> Diagnosis[Fit]:
+    def diagnose(self, *, level: float = 0.01, step: Callable[[str], None] = lambda _: None) -> Diagnosis:
         """What is missing now. The answer is kept until something changes."""
         if self._diagnosis is None or self._diagnosis.level != level:
             self._diagnosis = diagnose(
@@ -163,7 +146,9 @@ class Study(Shown):
             )
         return self._diagnosis
 
-    def add(self, effect: str | Effect, *, period_mm: float | None = None, slip_time_s: float | None = None) -> Step:
+    def add(
+        self, effect: str | Effect, *, period_mm: float | None = None, slip_time_s: float | None = None
+    ) -> StudyStep:
         """Adds an effect by name, or a user's own, and refits.
 
         A slip's time is taken from the diagnosis where it is not given, else searched for. Raises
@@ -186,7 +171,7 @@ class Study(Shown):
             settings["period_mm"] = period_mm
         return self._change(self.model.with_effect(chosen, **settings), self.data, f"added {chosen.name}")
 
-    def remove(self, name: str) -> Step:
+    def remove(self, name: str) -> StudyStep:
         """Takes an effect out and refits. Raises :class:`~sherkit.errors.EffectError` where it is not in the model."""
         if name not in self.effects:
             raise EffectError(f"'{name}' is not in the model; it has {listed(self.effects) or 'no effects'}")
@@ -197,14 +182,14 @@ class Study(Shown):
         """Whether there is a change to take back."""
         return bool(self._undone)
 
-    def undo(self) -> Step:
+    def undo(self) -> StudyStep:
         """Takes the last change back. Raises :class:`~sherkit.errors.EffectError` where there is none."""
         if not self._undone:
             raise EffectError("there is nothing to undo")
         self.model, self.data = self._undone.pop()
         return self._record("undone")
 
-    def extend(self, more: Measurements) -> Step:
+    def extend(self, more: Measurements) -> StudyStep:
         """Joins new measurements to the study and refits.
 
         Raises :class:`~sherkit.errors.MeasurementError` where the new run starts before the old one ends; warns of
@@ -212,7 +197,7 @@ class Study(Shown):
         """
         return self._change(self.model, joined(self.data, more), f"{len(more)} rows joined")
 
-    def mark_outliers(self, rows: Sequence[int]) -> Step:
+    def mark_outliers(self, rows: Sequence[int]) -> StudyStep:
         """Marks rows (by number from 0) as outliers: kept, listed, not fitted.
 
         Raises :class:`~sherkit.errors.MeasurementError` for a row that is not there.
@@ -225,7 +210,7 @@ class Study(Shown):
         marked = self.data.mark_outliers(np.asarray(rows, dtype=np.int64))
         return self._change(self.model, marked, f"{len(rows)} rows marked as outliers")
 
-    def follow(self, data: Measurements) -> Step:
+    def follow(self, data: Measurements) -> StudyStep:
         """Takes the same run with the rows that were added to it since, keeps the marks, and refits.
 
         Steps that follow one another make one step of the history. Raises
@@ -247,14 +232,19 @@ class Study(Shown):
                 raise
         return self._change(self.model, marked, f"{_FOLLOWED}: {len(data)} rows")
 
-    def calibration(self) -> AnyCalibration:
-        """The model to deploy: what was identified, and for a delta a Bernstein correction where one helps on held-out
-        blocks."""
+    @property
+    def deployable(self) -> bool:
+        """Whether robots of this kind have calibrations."""
+        return calibration_class(self.robot) is not Calibration
+
+    def calibration(self) -> Calibration:
+        """The model to deploy: what was identified, and a correction where the robot has one and it helps on held-out
+        blocks. Raises :class:`~sherkit.errors.CalibrationError` where its kind has no calibration."""
+        made = calibration_class(self.robot)
+        made.require(self.robot)
         held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss).residuals
-        full = self.data.taken[:, :3].all(axis=1) & ~self.data.outlier
-        polynomial = isinstance(self.robot, Delta) and full.sum() >= 20
-        choice = choose_correction(self.fit, seed=self.seed) if polynomial else None
-        return calibration_of(Experiment(self.fit, held, choice, None))
+        correction = made.correct(self.fit, seed=self.seed) if made.may_correct(self.fit) else None
+        return made.of(CalibrationRun(self.fit, held, correction, made.in_region(self.fit)))
 
     def register(self, effect: Effect) -> None:
         """Makes a user's effect one that diagnosis tries and :meth:`add` knows by name; a newer one replaces it.
@@ -267,11 +257,8 @@ class Study(Shown):
         self._diagnosis = None
 
     def _register(self, effect: Effect) -> None:
-        if effect.name in model_of(self.robot).catalogue:
-            raise EffectError(f"'{effect.name}' is the name of a built-in effect; give yours another")
         plain = model_of(self.robot)
-        rows = plain.rows(self.data, np.zeros(len(plain.parameters)))
-        check_user_effect(effect, rows, axes_of(effect, self.data))
+        plain.check_effect(effect, self.data, np.zeros(len(plain.parameters)))
         self.own[effect.name] = effect
 
     # -- files -------------------------------------------------------------------------------------------
@@ -346,7 +333,7 @@ class Study(Shown):
                 study._undone.clear()
         study._fit = identify(study.model, study.data, loss=study.loss)
         study.history = [
-            Step(
+            StudyStep(
                 action=s["action"],
                 effects=tuple(s["effects"]),
                 training_rms=s["training_rms"],

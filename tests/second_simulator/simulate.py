@@ -16,13 +16,14 @@ from .effects import (
     disturbed_point,
     draw_effect,
     joint_readings,
+    rail_directions,
     sensor_reading,
     true_joints,
 )
 from .geometry import FITTED_SIZES, Array, Errors, Robot, inverse_kinematics, with_errors
 from .noise import Noise
 from .plans import COLUMN_NAMES, make_plan
-from .solve import solve_pose
+from .solve import Limbs, given_way, solve_pose
 
 STEP = 1e-3  # of the central differences, mm; angles move their carriage by as much
 RANK_TOLERANCE = 1e-7  # above difference noise (1e-9), below any real singular value
@@ -34,7 +35,7 @@ MAX_FACTOR = 2.0  # steeply nonlinear effects overshoot to where no pose exists
 def platform_pose(
     robot: Robot, columns: Columns, errors: Errors | None = None, effects: Effects | None = None
 ) -> tuple[Array, Array, Array]:
-    """Carriages (n, 3, 3), platform centres (n, 3) in mm and rotation matrices (n, 3, 3)."""
+    """Carriages (n, 3, 3) under load, platform centres (n, 3) in mm and rotation matrices (n, 3, 3)."""
     full = complete(effects)
     real = with_errors(robot, errors)
     home = inverse_kinematics(robot, np.zeros(3))[0]
@@ -42,8 +43,13 @@ def platform_pose(
     # Repeats of a pose share their mechanism: each distinct one is solved once.
     distinct, row = np.unique(joints, axis=0, return_inverse=True)
     carriages = carriage_points(real, home, distinct, full["rail_lean"])
-    centre, turn = solve_pose(real, carriages, full["rod_mismatch"], full["gravity_sag"])
-    return carriages[row], centre[row], turn[row]
+    limbs = Limbs(
+        full["rod_mismatch"], full["gravity_sag"], full["limb_twist"], full["drive_compliance"],
+        rail_directions(real, full["rail_lean"]),
+    )  # fmt: skip
+    centre, turn = solve_pose(real, carriages, limbs)
+    loaded, _ = given_way(real, limbs, carriages, centre, turn)
+    return loaded[row], centre[row], turn[row]
 
 
 def truth(robot: Robot, columns: Columns, errors: Errors | None = None, effects: Effects | None = None) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 
 from .geometry import Array, Robot, tangential
@@ -31,44 +33,76 @@ def limb_tension(axes: Array) -> Array:
     return np.linalg.solve(np.swapaxes(axes, 1, 2), load)[..., 0]
 
 
+@dataclass(frozen=True)
+class Limbs:
+    """What is wrong with the limbs and their drives, one value per limb; zero is the ideal robot.
+
+    ``mismatch`` mm, ``compliance`` of a limb along itself mm/N, ``twist`` rad, ``drive`` compliance of a carriage
+    along its rail mm/N, whose direction is ``rail`` (3, 3).
+    """
+
+    mismatch: Array = field(default_factory=lambda: np.zeros(3))
+    compliance: Array = field(default_factory=lambda: np.zeros(3))
+    twist: Array = field(default_factory=lambda: np.zeros(3))
+    drive: Array = field(default_factory=lambda: np.zeros(3))
+    rail: Array = field(default_factory=lambda: np.tile([0.0, 0.0, 1.0], (3, 1)))
+
+
+def limb_axes(robot: Robot, carriages: Array, centre: Array, turn: Array) -> Array:
+    """Unit vectors (n, 3, 3) from the middle of each platform joint to its carriage."""
+    limbs = carriages - centre[:, None] - robot.platform_joints() @ np.swapaxes(turn, 1, 2)
+    return limbs / np.linalg.norm(limbs, axis=-1, keepdims=True)
+
+
+def given_way(robot: Robot, limbs: Limbs, carriages: Array, centre: Array, turn: Array) -> tuple[Array, Array]:
+    """Where the loaded carriages stand (n, 3, 3) and the limbs' tensions (n, 3), at a pose.
+
+    The limb pulls its carriage with -F u; the part of it along the rail moves the carriage by the drive's compliance.
+    Tension is taken along the limb's line to the unloaded carriage: the difference is of second order.
+    """
+    axes = limb_axes(robot, carriages, centre, turn)
+    tension = limb_tension(axes)
+    pull = -tension * np.sum(axes * limbs.rail, axis=-1)
+    return carriages + (limbs.drive * pull)[..., None] * limbs.rail, tension
+
+
 def rod_residuals(
-    robot: Robot, carriages: Array, mismatch: Array, compliance: Array, centre: Array, turn: Array
+    robot: Robot, carriages: Array, limbs: Limbs, centre: Array, turn: Array
 ) -> tuple[Array, Array, Array]:
     """Rod length errors (n, 6) in mm at a trial pose, rod unit vectors and platform lever arms.
 
-    Rod k of limb i joins C_i + k (s/2) e_t(pair_i) to c + R (p_i + k (s/2) e_t(pair_i)) and
-    measures l_i + k m_i / 2 + c_i F_i, with k = +1 or -1 and the tension F_i of the trial pose.
+    Rod k of limb i joins C_i + k (s/2) e_t(pair_i + twist_i) to c + R (p_i + k (s/2) e_t(pair_i)) and
+    measures l_i + k m_i / 2 + c_i F_i, with k = +1 or -1 and the tension F_i of the trial pose. C_i has given way.
     """
     half = 0.5 * robot.rod_spacing * ROD_SIGNS[None, :, None]
     joints = robot.platform_joints()
-    pair = half * tangential(robot.pair_angle)[:, None]
-    tops = carriages[:, :, None] + pair
-    ends = joints[:, None] + pair
+    loaded = np.any(limbs.compliance) or np.any(limbs.drive)
+    tension = np.zeros(carriages.shape[:2])
+    if loaded:
+        carriages, tension = given_way(robot, limbs, carriages, centre, turn)
+    tops = carriages[:, :, None] + half * tangential(robot.pair_angle + limbs.twist)[:, None]
+    ends = joints[:, None] + half * tangential(robot.pair_angle)[:, None]
     turned_back = np.swapaxes(turn, 1, 2)
     levers = ends.reshape(6, 3) @ turned_back
     rods = tops.reshape(-1, 6, 3) - centre[:, None] - levers
     measured = np.sqrt(np.sum(rods**2, axis=-1))
-    lengths = robot.rod_length[:, None] + 0.5 * mismatch[:, None] * ROD_SIGNS
-    lengths = np.broadcast_to(lengths.ravel(), measured.shape)
-    if np.any(compliance):
-        limbs = carriages - centre[:, None] - joints @ turned_back
-        tension = limb_tension(limbs / np.linalg.norm(limbs, axis=-1, keepdims=True))
-        lengths = lengths + np.repeat(compliance * tension, 2, axis=1)
+    lengths = robot.rod_length[:, None] + 0.5 * limbs.mismatch[:, None] * ROD_SIGNS
+    lengths = lengths.ravel() + np.repeat(limbs.compliance * tension, 2, axis=1)
     return measured - lengths, rods / measured[..., None], levers
 
 
-def solve_pose(robot: Robot, carriages: Array, mismatch: Array, compliance: Array) -> tuple[Array, Array]:
-    """Platform centres (n, 3) in mm and rotation matrices (n, 3, 3) for carriages (n, 3, 3).
+def solve_pose(robot: Robot, carriages: Array, limbs: Limbs) -> tuple[Array, Array]:
+    """Platform centres (n, 3) in mm and rotation matrices (n, 3, 3) for unloaded carriages (n, 3, 3).
 
-    ``mismatch`` (3) in mm and ``compliance`` (3) in mm/N are per limb. The Jacobian leaves out
-    the sag's own tiny derivative: the residual keeps it, so the converged pose is still exact.
+    The Jacobian leaves out the tiny derivatives of what the loads do: the residual keeps them, so the converged pose
+    is still exact.
     """
     drop = np.sqrt(robot.rod_length**2 - (robot.base_radius - robot.platform_radius) ** 2)
     centre = np.zeros((len(carriages), 3))
     centre[:, 2] = np.mean(carriages[..., 2] - drop, axis=1)
     turn = np.tile(np.eye(3), (len(carriages), 1, 1))
     for _ in range(MAX_ITERATIONS):
-        residual, axes, levers = rod_residuals(robot, carriages, mismatch, compliance, centre, turn)
+        residual, axes, levers = rod_residuals(robot, carriages, limbs, centre, turn)
         worst = np.max(np.abs(residual))
         if worst < TOLERANCE_MM:
             return centre, turn

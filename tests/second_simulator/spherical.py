@@ -18,6 +18,13 @@ Mechanism:
   gravity_flexure (2)        c_i, rad: how far a distal link opens under the whole weight square to it
 Measured point:
   marker_offset (2)          mm, square to the tool axis: towards elbow 1, then ahead of it about the tool axis
+then, at the marker p that this gives:
+  thermal_growth (1)         a, 1/degC: a (T - 20) p, about the remote centre
+  drift (3)                  mm/h, linear in time from its zero
+  slip (4)                   step x y z in mm, then the time in s from which it is there
+In no catalogue, and therefore no effect by name (``Unmodelled``): a sine of u in the pixels, and an error of the
+marker's centre that is the same in every repeat of a pose.
+
 Sensor:
   camera_pose (6)            turn about the camera's own axes after its rotation, rad, then translation, mm
   focal_length (1)           relative error of both focal lengths
@@ -48,8 +55,27 @@ SCALE_TOLERANCE = 1e-3
 MAX_RESCALINGS = 60
 MAX_FACTOR = 2.0  # steeply nonlinear effects overshoot to where no pose exists
 COLUMN_NAMES = (
-    "pose", "repeat", "time_s", "theta1_rad", "theta2_rad", "u_px", "v_px", "theta1_rad_per_s", "theta2_rad_per_s",
+    "pose", "repeat", "time_s", "temperature_c", "theta1_rad", "theta2_rad", "u_px", "v_px", "theta1_rad_per_s",
+    "theta2_rad_per_s",
 )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Now:
+    """What a row is besides its joints: direction of each joint's last motion and velocity in rad/s (n, 2); time in s
+    and temperature in degC (n,)."""
+
+    direction: ArrayLike | None = None
+    velocity: ArrayLike | None = None
+    time_s: ArrayLike | None = None
+    temperature_c: ArrayLike | None = None
+
+    def needed(self, name: str, what: str) -> Array:
+        """A covariate that an effect at work asks for."""
+        found = getattr(self, name)
+        if found is None:
+            raise ValueError(f"{what} needs the {name.split('_')[0]}")
+        return np.asarray(found, float)
 
 
 @dataclass(frozen=True)
@@ -58,6 +84,7 @@ class Effect:
 
     typical: tuple[float, ...]
     positive: bool = False  # physically one-signed
+    fixed: int = 0  # of these the last ones, which never scale
 
     @property
     def size(self) -> int:
@@ -73,11 +100,37 @@ SPHERICAL_EFFECTS: dict[str, Effect] = {
     "axis_offset": Effect((0.3,) * 4),
     "gravity_flexure": Effect((3e-3,) * 2, positive=True),
     "marker_offset": Effect((0.5,) * 2),
+    "thermal_growth": Effect((1e-3,)),
+    "drift": Effect((2.0,) * 3),
+    "slip": Effect((0.5, 0.5, 0.5, 100.0), fixed=1),
     "camera_pose": Effect((1e-3,) * 3 + (0.5,) * 3),
     "focal_length": Effect((2e-3,)),
     "lens_distortion": Effect((0.01, 0.01, 1e-3, 1e-3)),
     "camera_delay": Effect((5e-3,), positive=True),
 }
+
+
+@dataclass(frozen=True)
+class Unmodelled:
+    """What a picture does that no effect of a catalogue does, added to the noise-free pixels.
+
+    ``sine_px``: amplitude along u and v of a sine of u itself (a lens or sensor with a ripple, a grid printed badly),
+    with ``period_px`` and ``phase_rad``. ``scatter_px``: sd per axis of an error that each pose has for itself and
+    all its repeats share (the marker's centre is found a little off, as its edges fall on the pixels).
+    """
+
+    sine_px: tuple[float, float] = (0.0, 0.0)
+    period_px: float = 100.0
+    phase_rad: float = 0.0
+    scatter_px: float = 0.0
+
+    def moved(self, pixels: Array, pose: NDArray[np.int64], rng: np.random.Generator) -> Array:
+        """Pixels (n, 2) as they are shown; ``pose`` (n,) counts from 1."""
+        sine = np.sin(2 * np.pi * pixels[:, :1] / self.period_px + self.phase_rad)
+        own = self.scatter_px * rng.normal(size=(int(pose.max()) + 1, 2))
+        return pixels + sine * np.asarray(self.sine_px) + own[pose]
+
+
 GEOMETRY: dict[str, float] = {"alpha_rad": 1.0, "beta_rad": 1.0, "radius_mm": 200.0}  # size of each, for its step
 PRINCIPAL_POINT = "principal_point"  # fitted by some, hidden by none
 
@@ -98,7 +151,10 @@ def draw_spherical_effect(name: str, rng: np.random.Generator) -> Array:
     effect = SPHERICAL_EFFECTS[name]
     if effect.positive:
         return np.array(effect.typical) * rng.uniform(0.5, 1.5, effect.size)
-    return np.array(effect.typical) * rng.normal(size=effect.size)
+    drawn = np.array(effect.typical) * rng.normal(size=effect.size)
+    if effect.fixed:
+        drawn[-effect.fixed :] = np.array(effect.typical)[-effect.fixed :]
+    return drawn
 
 
 def camera_facing(phi_rad: float, gamma_rad: float, distance_mm: float, intrinsics: ArrayLike) -> Array:
@@ -140,6 +196,8 @@ def spherical_plan(
         "pose": visited + 1,
         "repeat": repeat,
         "time_s": time_s,
+        # the room swings about its mean while the run lasts
+        "temperature_c": 20.0 + 1.5 * np.sin(5.0 * np.pi * np.linspace(0.0, 1.0, n)),
         **{f"theta{i + 1}_rad": theta[:, i] for i in range(2)},
         **{f"theta{i + 1}_rad_per_s": velocity[:, i] for i in range(2)},
     }
@@ -213,7 +271,7 @@ class SecondSpherical:
 
     # joints
 
-    def true_joints(self, joints: ArrayLike, direction: ArrayLike | None, velocity: ArrayLike | None) -> Array:
+    def true_joints(self, joints: ArrayLike, now: Now) -> Array:
         """Joint angles (n, 2) that the picture shows, behind the readings."""
         r = np.atleast_2d(np.asarray(joints, float))
         hidden = self._effects
@@ -221,13 +279,9 @@ class SecondSpherical:
         theta = r + hidden["joint_offset"] + hidden["joint_scale"] * (r - self.home_rad)
         theta = theta + sine * np.sin(r) + cosine * np.cos(r)
         if np.any(hidden["backlash"]):
-            if direction is None:
-                raise ValueError("backlash needs the direction of the last motion")
-            theta = theta + 0.5 * hidden["backlash"] * np.asarray(direction, float)
+            theta = theta + 0.5 * hidden["backlash"] * now.needed("direction", "backlash")
         if np.any(hidden["camera_delay"]):
-            if velocity is None:
-                raise ValueError("a delay of the camera needs the velocity of the joints")
-            theta = theta - hidden["camera_delay"] * np.asarray(velocity, float)
+            theta = theta - hidden["camera_delay"] * now.needed("velocity", "a delay of the camera")
         return theta
 
     def joints_at(self, angles: ArrayLike) -> Array:
@@ -323,17 +377,28 @@ class SecondSpherical:
         ]
         return 0.5 * (limbs[0] + limbs[1])
 
-    def centre_mm(
-        self, joints: ArrayLike, *, direction: ArrayLike | None = None, velocity: ArrayLike | None = None
-    ) -> Array:
-        """Where the centre of the platform stands (n, 3), mm, instead of at the remote centre."""
-        return self._centre(self.true_joints(joints, direction, velocity))
+    def centre_mm(self, joints: ArrayLike, **now: ArrayLike) -> Array:
+        """Where the platform's centre stands (n, 3), mm, instead of at the remote one; ``now`` as :class:`Now`."""
+        return self._centre(self.true_joints(joints, Now(**now)))
 
-    def markers(
-        self, joints: ArrayLike, *, direction: ArrayLike | None = None, velocity: ArrayLike | None = None
-    ) -> Array:
-        """Marker (n, 3), mm."""
-        theta = self.true_joints(joints, direction, velocity)
+    def markers(self, joints: ArrayLike, **now: ArrayLike) -> Array:
+        """Marker (n, 3), mm; ``now`` as :class:`Now`."""
+        return self._wandering(self._on_the_tool(joints, Now(**now)), Now(**now))
+
+    def _wandering(self, point: Array, now: Now) -> Array:
+        """Where a marker (n, 3) is that grows, drifts and slips."""
+        growth, drift, slip = (self._effects[name] for name in ("thermal_growth", "drift", "slip"))
+        if np.any(growth):
+            point = point * (1.0 + growth * (now.needed("temperature_c", "growth") - 20.0)[:, None])
+        if np.any(drift):
+            point = point + np.outer(now.needed("time_s", "drift") / 3600.0, drift)
+        if np.any(slip[:3]):
+            point = point + np.outer(now.needed("time_s", "slip") >= slip[3], slip[:3])
+        return point
+
+    def _on_the_tool(self, joints: ArrayLike, now: Now) -> Array:
+        """Where the tool holds the marker (n, 3)."""
+        theta = self.true_joints(joints, now)
         towards, ahead = self._effects["marker_offset"]
         # the elbow lies on the -x side of the distal link's frame, and ahead is a quarter turn on about z
         return self._centre(theta) + self.distal_link(theta).apply([-towards, -ahead, self.radius_mm])
@@ -358,22 +423,15 @@ class SecondSpherical:
         bent_y = y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y
         return np.column_stack([fx * longer * bent_x + cx, fy * longer * bent_y + cy])
 
-    def pixels(
-        self, joints: ArrayLike, *, direction: ArrayLike | None = None, velocity: ArrayLike | None = None
-    ) -> Array:
-        """Noise-free pixels (n, 2) of the marker at joint readings (n, 2).
+    def pixels(self, joints: ArrayLike, **now: ArrayLike) -> Array:
+        """Noise-free pixels (n, 2) of the marker at joint readings (n, 2); ``now`` as :class:`Now`."""
+        return self.image(self.markers(joints, **now))
 
-        ``direction`` (n, 2) is that of each joint's last motion, ``velocity`` (n, 2) in rad/s.
-        """
-        return self.image(self.markers(joints, direction=direction, velocity=velocity))
-
-    def angles(
-        self, joints: ArrayLike, *, direction: ArrayLike | None = None, velocity: ArrayLike | None = None
-    ) -> Array:
+    def angles(self, joints: ArrayLike, **now: ArrayLike) -> Array:
         """Direction phi, gamma (n, 2) of the marker from the remote centre, phi within a quarter turn of the joints'
         mean; gamma is negative where that takes the other side of the actuated axis."""
-        x, y, z = self.markers(joints, direction=direction, velocity=velocity).T
-        mean = np.mean(self.true_joints(joints, direction, velocity), axis=1)
+        x, y, z = self.markers(joints, **now).T
+        mean = np.mean(self.true_joints(joints, Now(**now)), axis=1)
         turns = np.round((np.arctan2(y, x) - mean) / np.pi)
         beyond = np.where(turns % 2, -1.0, 1.0)
         return np.column_stack([np.arctan2(y, x) - np.pi * turns, beyond * np.arctan2(np.hypot(x, y), z)])
@@ -384,7 +442,8 @@ class SecondSpherical:
         """Noise-free pixels (n, 2) for the rows of a plan or of a run."""
         theta = pair(plan, "rad")
         direction = motion_direction(theta, plan["time_s"])
-        return self.pixels(theta, direction=direction, velocity=pair(plan, "rad_per_s"))
+        known = {name: plan[name] for name in ("time_s", "temperature_c")}
+        return self.pixels(theta, direction=direction, velocity=pair(plan, "rad_per_s"), **known)
 
     def run(
         self,
@@ -393,14 +452,18 @@ class SecondSpherical:
         noise_px: float = 0.0,
         order: Order = "planes",
         seed: int | None = None,
+        unmodelled: Unmodelled | None = None,
     ) -> dict[str, NDArray[Any]]:
         """Columns of a measurement file, in time order; ``noise_px`` is a gaussian sd per axis.
 
-        A plan of ``spherical_plan`` instead of joints (n, 2) is taken as it stands; ``seed`` then rules only the noise.
+        A plan of ``spherical_plan`` instead of joints (n, 2) is taken as it stands; ``seed`` then rules only the noise
+        and the scatter of poses, each from a stream of its own.
         """
         seed = self.seed if seed is None else seed
         plan = spherical_plan(joints, repeats, order, seed) if isinstance(joints, np.ndarray) else dict(joints)
         exact = self.truth(plan)
+        if unmodelled is not None:
+            exact = unmodelled.moved(exact, plan["pose"], np.random.default_rng([seed, 3]))
         measured = exact + noise_px * np.random.default_rng([seed, 1]).normal(size=exact.shape)
         columns = {**plan, "u_px": measured[:, 0], "v_px": measured[:, 1]}
         return {name: columns[name] for name in COLUMN_NAMES}
@@ -424,7 +487,9 @@ class SecondSpherical:
                     vary("camera", self.camera, np.eye(15)[k])
             else:
                 now = self._effects[name]
-                for by in STEP * np.diag(np.maximum(100.0 * np.array(SPHERICAL_EFFECTS[name].typical), 1.0)):
+                effect = SPHERICAL_EFFECTS[name]
+                steps = STEP * np.diag(np.maximum(100.0 * np.array(effect.typical), 1.0))
+                for by in steps[: effect.size - effect.fixed]:
                     ahead, behind = ({"effects": self._effects | {name: now + s * by}} for s in (1, -1))
                     changes.append((ahead, behind))
         basis = np.zeros((2 * len(plan["time_s"]), 0))
@@ -470,5 +535,6 @@ class SecondSpherical:
             if last:
                 power = float(np.clip(np.log(rms / last) / np.log(factor), 0.5, 10.0))
             factor = min((target_px / rms) ** (1 / power), MAX_FACTOR)
-            parameters = parameters * factor
+            parameters = parameters.copy()
+            parameters[: len(parameters) - SPHERICAL_EFFECTS[effect].fixed] *= factor
         raise RuntimeError(f"{effect} does not reach {target_px} px")

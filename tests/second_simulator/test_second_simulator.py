@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from . import (
 )
 from .geometry import Array
 from .solve import PLATFORM_WEIGHT_N
+from .spherical import SecondSpherical, Unmodelled, camera_facing, sphere_grid, spherical_plan
 
 ROBOT = Robot.from_dict()
 PLAN = make_plan(ROBOT, local_grid(), repeats=2)
@@ -119,6 +120,99 @@ def test_only_mismatch_tilts_the_platform() -> None:
     assert np.abs(turn - np.eye(3)).max() < 1e-12
     _, _, turn = platform_pose(ROBOT, PLAN, errors(), {"rod_mismatch": [0.1, 0, 0]})
     assert np.abs(turn - np.eye(3)).max() > 1e-3
+
+
+MIRRORED = [0, 2, 1]  # joints as the mirror x -> -x sees them: limb 1 stands on the mirror's plane
+FLIP_X = np.array([-1.0, 1.0, 1.0])
+
+
+def plan_with(q: Array) -> dict[str, NDArray[Any]]:
+    """The plan of all tests with other joint readings."""
+    return PLAN | {f"q{i + 1}_mm": q[:, i] for i in range(3)}
+
+
+@pytest.mark.parametrize(
+    ("name", "here", "mirrored"),
+    [
+        ("limb_twist", [0.01, 0.02, -0.005], [-0.01, 0.005, -0.02]),
+        ("drive_compliance", [0.01, 0.02, 0.03], [0.01, 0.03, 0.02]),
+    ],
+)
+def test_structural_effects_are_seen_in_a_mirror(name: str, here: ArrayLike, mirrored: ArrayLike) -> None:
+    """Catches a limb that is taken for another, and a turn counted the wrong way: a mirror turns angles, not loads."""
+    seen = truth(ROBOT, plan_with(Q[:, MIRRORED]), None, {name: mirrored})
+    np.testing.assert_allclose(seen, truth(ROBOT, PLAN, None, {name: here}) * FLIP_X, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["limb_twist", "drive_compliance"])
+def test_structural_effects_turn_with_the_limbs(name: str) -> None:
+    """Catches an effect that depends on where a limb stands: a third of a turn of a symmetric robot changes nothing."""
+    one = truth(ROBOT, PLAN, None, {name: [0.01, 0.02, 0.03]})
+    next_limb = truth(ROBOT, plan_with(Q[:, [2, 0, 1]]), None, {name: [0.03, 0.01, 0.02]})
+    c, s = np.cos(2 * np.pi / 3), np.sin(2 * np.pi / 3)
+    np.testing.assert_allclose(next_limb, one @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T, atol=1e-10)
+
+
+def test_six_twisted_rods_keep_their_lengths() -> None:
+    """Catches a twist that is linearised, put at the platform instead of the carriage, or counted the wrong way."""
+    twist = np.array([0.05, -0.03, 0.02])
+    carriages, centre, turn = platform_pose(ROBOT, PLAN, errors(), {"limb_twist": twist})
+    real = with_errors(ROBOT, errors())
+    for row in range(0, 726, 50):
+        for i in range(3):
+            above, below = real.pair_angle[i] + twist[i], real.pair_angle[i]
+            joint = 30.0 * np.array([np.cos(real.platform_angle[i]), np.sin(real.platform_angle[i]), 0])
+            for side in (20.0, -20.0):
+                top = carriages[row, i] + side * np.array([-np.sin(above), np.cos(above), 0])
+                end = centre[row] + turn[row] @ (joint + side * np.array([-np.sin(below), np.cos(below), 0]))
+                assert abs(np.linalg.norm(top - end) - real.rod_length[i]) < 1e-10
+
+
+def test_a_twist_tilts_the_platform_as_three_lines_say() -> None:
+    """Catches a wrong size or sign of the tilt: to first order both rods of a limb stay as long as each other where
+    the platform turns by w with u . (w x e_t) = twist u . (de_t/dangle), whatever their spacing."""
+    twist = np.array([3e-5, -2e-5, 1e-5])
+    carriages, centre, turn = platform_pose(ROBOT, PLAN, None, {"limb_twist": twist})
+    angle = ROBOT.pair_angle
+    along = np.stack([-np.sin(angle), np.cos(angle), np.zeros(3)], axis=1)
+    inward = -np.stack([np.cos(angle), np.sin(angle), np.zeros(3)], axis=1)
+    for row in range(0, 726, 50):
+        axes = carriages[row] - centre[row] - ROBOT.platform_joints()
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        w = np.linalg.solve(np.cross(along, axes), twist * np.sum(axes * inward, axis=1))
+        tilt = turn[row][[2, 0, 1], [1, 2, 0]]
+        np.testing.assert_allclose(tilt, w, atol=2e-3 * np.abs(twist).max())
+    narrow = replace(ROBOT, rod_spacing=10.0)
+    np.testing.assert_allclose(platform_pose(narrow, PLAN, None, {"limb_twist": twist})[2], turn, atol=1e-8)
+
+
+def test_a_base_angle_alone_leaves_the_platform_flat_and_a_twist_does_not() -> None:
+    """Catches the world that was forgotten: a rail turned with its joint axes is a twist as well."""
+    _, _, flat = platform_pose(ROBOT, PLAN, {"base_angle_1": 0.01})
+    assert np.abs(flat - np.eye(3)).max() < 1e-12
+    _, _, tilted = platform_pose(ROBOT, PLAN, {"base_angle_1": 0.01}, {"limb_twist": [0.01, 0, 0]})
+    assert np.abs(tilted - np.eye(3)).max() > 1e-3
+
+
+def test_a_drive_gives_way_by_the_work_of_its_load() -> None:
+    """Catches a wrong size or sign of the load: a carriage moved by dq lifts the weight by dz, so that it carries
+    W dz/dq; all three carry the whole weight."""
+    loaded, _, _ = platform_pose(ROBOT, PLAN, None, {"drive_compliance": [1e-5] * 3})
+    free, _, _ = platform_pose(ROBOT, PLAN)
+    drop = (free - loaded)[..., 2] / 1e-5
+    assert drop.min() > 0
+    np.testing.assert_allclose(drop.sum(axis=1), PLATFORM_WEIGHT_N, rtol=1e-6)
+    for i in range(3):
+        step = 1e-4 * np.eye(3)[i]
+        lift = (truth(ROBOT, plan_with(Q + step)) - truth(ROBOT, plan_with(Q - step)))[:, 2] / 2e-4
+        np.testing.assert_allclose(drop[:, i], PLATFORM_WEIGHT_N * lift, rtol=1e-4)
+
+
+def test_equal_drives_lower_the_middle_by_a_third_of_the_weight() -> None:
+    """Catches a load that is not shared, and one that moves the carriage up."""
+    middle = make_plan(ROBOT, np.zeros((1, 3)))
+    sunk = truth(ROBOT, middle, None, {"drive_compliance": [0.3] * 3})
+    np.testing.assert_allclose(sunk, [[0, 0, -0.3 * PLATFORM_WEIGHT_N / 3]], atol=1e-10)
 
 
 def test_untilted_robot_is_the_intersection_of_three_spheres() -> None:
@@ -292,11 +386,24 @@ def test_unknown_names_are_refused() -> None:
         truth(ROBOT, PLAN, {"base_radius_4": 1.0})
 
 
-def test_speed() -> None:
-    plan = make_plan(ROBOT, whole_grid(), 3)
-    rng = np.random.default_rng(0)
-    for i in (1, 2, 3):  # every row distinct: the worst case
-        plan[f"q{i}_mm"] = plan[f"q{i}_mm"] + rng.normal(0, 1e-3, len(plan["pose"]))
-    start = time.perf_counter()
-    simulate(ROBOT, plan, errors(), {"rod_mismatch": [0.1, 0, 0], "gravity_sag": [0.01] * 3}, 0.001)
-    assert time.perf_counter() - start < 0.15
+def test_what_a_picture_does_beside_the_effects() -> None:
+    """Catches a sine of another size, period or axis, an error of a pose that its repeats do not share, and noise that
+    changes with what is planted."""
+    camera = camera_facing(np.pi / 2, np.pi / 4, 446.2, [710.0, 710.0, 639.5, 319.5])
+    robot = SecondSpherical(0.8, 0.8, 200.0, camera)
+    joints = robot.joints_at(sphere_grid((1.1, 2.0), (0.5, 1.1), 20))
+    plan = spherical_plan(joints, 2, "shuffled", 1)
+    plain = robot.run(plan, noise_px=0.1, seed=4)
+
+    def moved(unmodelled: Unmodelled) -> Array:
+        shown = robot.run(plan, noise_px=0.1, seed=4, unmodelled=unmodelled)
+        return np.column_stack([shown[name] - plain[name] for name in ("u_px", "v_px")])
+
+    u = robot.truth(plan)[:, 0]
+    sine = moved(Unmodelled(sine_px=(3.0, 1.0), period_px=37.0, phase_rad=0.3))
+    np.testing.assert_allclose(sine, np.outer(np.sin(2 * np.pi * u / 37.0 + 0.3), [3.0, 1.0]), atol=1e-10)
+    scatter = moved(Unmodelled(scatter_px=0.4))
+    for pose in (1, 7, 400):
+        assert np.ptp(scatter[plan["pose"] == pose], axis=0).max() < 1e-10
+    assert scatter.std(axis=0) == pytest.approx([0.4, 0.4], rel=0.15)
+    np.testing.assert_allclose(moved(Unmodelled()), 0, atol=1e-12)

@@ -7,9 +7,9 @@ import json
 from pathlib import Path
 from typing import IO, Any
 
+from ..data.tables import PARQUET
 from ..errors import SherkitError
-from ..measurements.tables import PARQUET
-from ..models import MODELS
+from ..model.kinds import KINDS
 from .growing import whole_lines
 
 TYPED = "typed_effects.py"
@@ -83,7 +83,7 @@ def require_same(folder: Path, robot: Path, run: Path, *, follow: bool) -> None:
 def require_effects(folder: Path, known: set[str], typed: Path) -> None:
     """Refuses a study whose effects are not all there, and says where they may be."""
     state = json.loads((folder / "study.json").read_text(encoding="utf-8"))
-    built_in = MODELS[state["robot"]["kind"]].catalogue
+    built_in = KINDS[state["robot"]["kind"]].model.catalogue
     needed = {name for name in state["effects"] if name not in built_in} - known
     if needed and typed.exists():
         raise SherkitError(

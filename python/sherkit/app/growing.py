@@ -7,9 +7,9 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
+from ..data import Measurements, read_measurements
+from ..data.tables import PARQUET
 from ..errors import SherkitError
-from ..measurements import Measurements, read_measurements
-from ..measurements.tables import PARQUET
 
 
 def read_as(path: Path, name: str) -> Measurements:

@@ -18,17 +18,17 @@ from bokeh.models import Button, CustomJS, Div, FileInput, Select, TextAreaInput
 from jinja2 import Environment, PackageLoader
 from tornado.ioloop import IOLoop
 
-from .. import paper
 from ..diagnosis import sentence, template
 from ..names import listed
-from ..report.against import Against, against
-from ..report.against import note as against_note
-from ..report.fall import Fall, Rung, fall
-from ..report.left import Left
+from ..report.error_history import ErrorHistory, ErrorOfStep, error_history
 from ..report.parameters import parameters
 from ..report.picture import Picture
+from ..report.residual_against import ResidualAgainst, residual_against
+from ..report.residual_against import note as against_note
 from ..report.residual_map import Change, residual_map
+from ..report.residuals import Residuals
 from ..report.style import INK, MUTED, REFUSED, number, quantity
+from ..robots.calibrated import REQUIREMENT_UM
 from .workbench import Moment, Workbench, rights_of
 
 _LEFT, _MIDDLE, _RIGHT = 322, 880, 430
@@ -49,7 +49,7 @@ def floor_heave(rows, p):
 '''
 
 
-class Page:
+class StudyPage:
     """One browser's view of a workbench."""
 
     def __init__(self, document: Document, bench: Workbench, links: str) -> None:
@@ -218,7 +218,7 @@ class Page:
         if found is None or found.signature is None:
             self._told("error", "there is no unexplained shape to fill in: every shape found has an effect")
             return
-        self.lines.value = template(found.signature, file=str(self.bench.typed_path))
+        self.lines.value = template(found.signature, found.fit.data.layout, file=str(self.bench.typed_path))
 
     # -- drawing -----------------------------------------------------------------------------------------
 
@@ -314,7 +314,7 @@ class Page:
     def _fill_selects(self, moment: Moment) -> None:
         steps = [
             (str(k), f"{k}. {s.action}")
-            for k, (s, left) in enumerate(zip(moment.history, moment.lefts, strict=True))
+            for k, (s, left) in enumerate(zip(moment.history, moment.residuals, strict=True))
             if left
         ]
         self.before.options, self.after.options = steps, steps
@@ -333,7 +333,7 @@ class Page:
     @staticmethod
     def _step_before(moment: Moment) -> int:
         """The first state that can still be shown: the fall is seen from where it began."""
-        return next(k for k, left in enumerate(moment.lefts) if left is not None)
+        return next(k for k, left in enumerate(moment.residuals) if left is not None)
 
     def _quiet(self, select: Select, value: str) -> None:
         self._filling = True
@@ -352,12 +352,12 @@ class Page:
         self._drawn = wanted
         titles = dict(self.after.options)
         change = Change(before, after, titles[self.before.value], titles[self.after.value])
-        lines = Against(after, str(self.variable.value), before if before is not after else None)
+        lines = ResidualAgainst(after, str(self.variable.value), before if before is not after else None)
         key = (len(after), tuple(after.names), tuple(after.place))
         if self._middle_of != key:
             self._middle_of = key
             self._place("map", self.map_place, residual_map(change, planes_across=True, width_px=_MIDDLE - _BESIDE))
-            self._place("against", self.against_place, against(lines))
+            self._place("against", self.against_place, residual_against(lines))
             self._watch_selection()
         else:
             self._pictures["map"].show(change)
@@ -368,8 +368,8 @@ class Page:
         self._select(())
 
     @staticmethod
-    def _left(moment: Moment, which: str) -> Left | None:
-        return moment.lefts[int(which)] if which else None
+    def _left(moment: Moment, which: str) -> Residuals | None:
+        return moment.residuals[int(which)] if which else None
 
     def _place(self, name: str, place: Any, picture: Picture[Any]) -> None:
         self._pictures[name] = picture
@@ -379,15 +379,15 @@ class Page:
         ]  # fmt: skip
 
     def _draw_right(self, moment: Moment) -> None:
-        rungs = [
-            Rung(s.action, {k.rsplit("_", 1)[0]: v for k, v in s.held_out_rms.items()},
+        steps = [
+            ErrorOfStep(s.action, {k.rsplit("_", 1)[0]: v for k, v in s.held_out_rms.items()},
                  {k.rsplit("_", 1)[0]: v for k, v in s.training_rms.items()})
             for s in moment.history
         ]  # fmt: skip
         left = moment.now
         known = left.noise_origin != "unknown"
         noise = dict(zip(left.names, left.noise.tolist(), strict=True)) if known else {}
-        state = Fall(rungs, noise, left.unit, paper.REQUIREMENT_UM if left.unit == "µm" else None)
+        state = ErrorHistory(steps, noise, left.unit, REQUIREMENT_UM if left.unit == "µm" else None)
         last = moment.history[-1]
         floor = f"noise {number(float(np.sqrt(np.mean(left.noise**2))))} {escape(left.unit)}<br>" if known else ""
         self.numbers.text = (
@@ -399,7 +399,7 @@ class Page:
         units = tuple(dict.fromkeys(p.unit for p in fit.parameters)) if fit is not None else ()
         if self._right_of != (tuple(noise), units):
             self._right_of = (tuple(noise), units)
-            self._pictures["fall"] = fall(state)
+            self._pictures["fall"] = error_history(state)
             self.fall_place.children = [self._pictures["fall"].root]
             if fit is not None:
                 self._pictures["parameters"] = parameters(fit)
@@ -409,7 +409,7 @@ class Page:
             if fit is not None:
                 self._pictures["parameters"].show(fit)
         # in so narrow a picture the names of two steps already meet
-        self._pictures["fall"].root.xaxis.major_label_orientation = 0.5 if len(rungs) > 1 else 0.0
+        self._pictures["fall"].root.xaxis.major_label_orientation = 0.5 if len(steps) > 1 else 0.0
 
     # -- rows --------------------------------------------------------------------------------------------
 

@@ -25,9 +25,9 @@ from tornado.ioloop import IOLoop
 from tornado.web import RequestHandler
 
 from ..errors import SherkitError
-from ..report.story import Source, Story, html
+from ..report.story import SourceFile, Story, html
 from ..study import Study
-from .page import Page
+from .page import StudyPage
 from .workbench import Progress, Workbench
 
 _LINKS = (
@@ -111,7 +111,7 @@ def _free_port(address: str) -> int:
 
 
 def _make(document: Document, bench: Workbench, links: str, follow: Path | None) -> None:
-    Page(document, bench, links)
+    StudyPage(document, bench, links)
     if follow is not None:
 
         def look() -> None:
@@ -143,9 +143,10 @@ class _Download(RequestHandler):
 
     def _report(self, study: Study, step: Progress) -> bytes:
         found = study.diagnose(step=step)
-        sources = [Source.of(path) for path in self.bench.sources if path.exists()]
+        sources = [SourceFile.of(path) for path in self.bench.sources if path.exists()]
         title = f"What was found on {Path(study.data.source).name}"
-        return html(Story(title, study, found, self.command, sources, study.calibration())).encode("utf-8")
+        calibration = study.calibration() if study.deployable else None
+        return html(Story(title, study, found, self.command, sources, calibration)).encode("utf-8")
 
     def _study(self, study: Study, _: Progress) -> bytes:
         study.save(self.bench.folder)

@@ -21,15 +21,15 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ..data import Measurements, read_measurements
 from ..diagnosis import Diagnosis
-from ..effects import Effect
-from ..effects.file import load_effects
 from ..errors import EffectError, MeasurementError, SherkitError, SherkitWarning
-from ..measurements import Measurements, read_measurements
+from ..model.effect import Effect
+from ..model.effect_file import load_effects
+from ..model.robot_file import load_robot
 from ..names import listed
-from ..report.left import Left, left_of
-from ..robots import load_robot
-from ..study import Step, Study
+from ..report.residuals import Residuals, residuals_of
+from ..study import Study, StudyStep
 from .folder import SOURCES, TYPED, begun_from, hold, require_effects, require_same
 from .growing import read_as, read_so_far
 
@@ -46,7 +46,7 @@ class Moment:
     """The study as it stands: model, rows and history, what is left at every step that is known, and a diagnosis
     where it is done.
 
-    ``lefts`` (one for each step of the history) are None where the rows of that step are no longer the rows of today.
+    ``residuals`` (one for each step of the history) are None where the rows of that step are no longer those of today.
     """
 
     data: Measurements
@@ -54,16 +54,16 @@ class Moment:
     own: tuple[str, ...]
     #: Names of the built-in effects of this robot.
     catalogue: tuple[str, ...]
-    history: tuple[Step, ...]
-    lefts: tuple[Left | None, ...]
-    diagnosis: Diagnosis[Any] | None
+    history: tuple[StudyStep, ...]
+    residuals: tuple[Residuals | None, ...]
+    diagnosis: Diagnosis | None
     can_undo: bool
     number: int
 
     @property
-    def now(self) -> Left:
+    def now(self) -> Residuals:
         """What the current model leaves."""
-        last = self.lefts[-1]
+        last = self.residuals[-1]
         assert last is not None  # the current step always has a fit
         return last
 
@@ -89,7 +89,7 @@ class Workbench:
         self._pending = 0
         self._waiting = 0
         self._lock = threading.Lock()
-        self._lefts: WeakKeyDictionary[Any, Left] = WeakKeyDictionary()
+        self._residuals: WeakKeyDictionary[Any, Residuals] = WeakKeyDictionary()
         self._number = 0
         self._typed = set(typed)
         self._warned: set[str] = set()
@@ -398,14 +398,14 @@ class Workbench:
 
     def _moment(self) -> Moment:
         study = self._study
-        lefts: list[Left | None] = []
+        residuals: list[Residuals | None] = []
         for step in study.history:
             if step.fit is None or len(step.fit.data) != len(study.data):
-                lefts.append(None)
+                residuals.append(None)
                 continue
-            if step.fit not in self._lefts:
-                self._lefts[step.fit] = left_of(step.fit)
-            lefts.append(self._lefts[step.fit])
+            if step.fit not in self._residuals:
+                self._residuals[step.fit] = residuals_of(step.fit)
+            residuals.append(self._residuals[step.fit])
         self._number += 1
         return Moment(
             data=study.data,
@@ -413,7 +413,7 @@ class Workbench:
             own=tuple(study.own),
             catalogue=tuple(study.model.catalogue),
             history=tuple(study.history),
-            lefts=tuple(lefts),
+            residuals=tuple(residuals),
             diagnosis=None,
             can_undo=study.can_undo,
             number=self._number,

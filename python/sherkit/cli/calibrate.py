@@ -9,14 +9,14 @@ import numpy as np
 
 from ..calibrate import CORRECTIONS, to_json
 from ..calibrate import calibrate as run_calibration
-from ..chain import effects_by_name
+from ..data import Measurements, read_measurements
 from ..diagnosis import diagnose
-from ..effects.file import load_effects
 from ..errors import MeasurementError
-from ..identification import LOSSES
-from ..measurements import Measurements, read_measurements
-from ..models import catalogue_of
-from ..robots import load_robot
+from ..fit.robust import LOSSES
+from ..model.effect import effects_by_name
+from ..model.effect_file import load_effects
+from ..model.kinds import catalogue_of
+from ..model.robot_file import load_robot
 from ..study import Study
 from . import output, reporting, tables
 from .reporting import report_option
@@ -32,7 +32,7 @@ NOT_CONVERGED = 3
 @click.option("-o", "--output", "destination", type=click.Path(path_type=Path), help="Write the calibration here.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 @click.option("--loss", type=click.Choice(LOSSES), default="linear", show_default=True, help="Against outliers.")
-@click.option("--free", default="", help="Parameters to identify, separated by commas; default: 12 and the datum.")
+@click.option("--free", default="", help="Parameters to identify, separated by commas; default: those of its kind.")
 @click.option("--effect", "added", multiple=True, help="A physical effect to identify too; see sherkit effects.")
 @click.option("--effects", "files", type=click.Path(path_type=Path), multiple=True, help="Python file of your effects.")
 @click.option("--priors", is_flag=True, help="Take plausible sizes as knowledge, not only where nothing is observed.")

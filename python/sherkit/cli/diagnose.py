@@ -8,19 +8,18 @@ from pathlib import Path
 
 import click
 
-from ..chain import effects_by_name
+from ..data import read_measurements
 from ..diagnosis import diagnose as run_diagnosis
 from ..diagnosis import template
-from ..effects.file import load_effects
 from ..errors import SherkitError
-from ..estimation.model import ToolModel
-from ..estimation.runs import read_tool_run
-from ..identification import identify
-from ..measurements import read_measurements
-from ..models import model_of
-from ..readings import fit_model
-from ..robots import load_robot
-from ..robots.flexible_tool import load_tool
+from ..fit.identify import identify
+from ..model.effect import effects_by_name
+from ..model.effect_file import load_effects
+from ..model.kinds import model_of
+from ..model.robot_file import load_robot
+from ..robots.tool.model import ToolModel
+from ..robots.tool.runs import read_tool_run
+from ..robots.tool.tool import load_tool
 from ..study import Study, joined
 from . import output, reporting
 from .diagnosis_tables import diagnosis as print_diagnosis
@@ -72,7 +71,9 @@ def diagnose(
     if report is not None and not as_json:
         output.say(f"\nthe report is in {report}")
     if destination is not None and found.signature is not None:
-        destination.write_text(template(found.signature, file=str(destination)), encoding="utf-8")
+        destination.write_text(
+            template(found.signature, found.fit.data.layout, file=str(destination)), encoding="utf-8"
+        )
         if not as_json:
             output.say(f"\na template of this effect is in {destination}")
     elif destination is not None and not as_json:
@@ -93,9 +94,9 @@ def _tool(
     with output.steps(12) as step:
         step(f"reading {runs[0]}")
         model = ToolModel(load_tool(path), read_tool_run(runs[0]))
-        candidates = {e.name: e for e in model.candidates}
         step("fitting the camera's offset")
-        fit = fit_model(model, model.readings, effects=effects_by_name(candidates, added, own))
+        candidates = {e.name: e for e in model.candidates}
+        fit = identify(model, model.readings, effects=effects_by_name(candidates, added, own))
         found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)
     if as_json:
         output.print_json(found.to_json())

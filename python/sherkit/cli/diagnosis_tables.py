@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from rich.markup import escape
 from rich.table import Table
 
 from ..diagnosis import Diagnosis, sentence
-from ..identification import Fit
 from ..names import listed
 from .output import out, table
 
@@ -26,12 +23,12 @@ _VERDICT = {
 _MOST = 8
 
 
-def _short(d: Diagnosis[Any], value: float) -> str:
+def _short(d: Diagnosis, value: float) -> str:
     """A number in the unit of a diagnosis: a tenth of a micrometre is enough, of a pixel it is not."""
     return f"{value:.1f}" if d.unit == "µm" else f"{value:.3g}"
 
 
-def _long(d: Diagnosis[Any], value: float) -> str:
+def _long(d: Diagnosis, value: float) -> str:
     return f"{value:.2f}" if d.unit == "µm" else f"{value:.4g}"
 
 
@@ -44,7 +41,7 @@ def _p(value: float) -> str:
     return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
 
 
-def diagnosis(d: Diagnosis[Any]) -> None:
+def diagnosis(d: Diagnosis) -> None:
     """Everything a diagnosis found."""
     noise = ", ".join(f"{axis} {_short(d, value)}" for axis, value in d.noise.items())
     out.print(f"[bold]1. Is anything missing?[/]  noise {noise} {d.unit} ({_ORIGIN[d.noise_origin]})")
@@ -86,7 +83,7 @@ def diagnosis(d: Diagnosis[Any]) -> None:
     out.print(falling(d))
 
 
-def falling(d: Diagnosis[Fit]) -> Table:
+def falling(d: Diagnosis) -> Table:
     """The error on poses held out, step by step."""
     made = table("Error on poses held out", "model", f"{d.unit} RMS")
     for s in d.steps:
@@ -96,7 +93,7 @@ def falling(d: Diagnosis[Fit]) -> Table:
     return made
 
 
-def _where(d: Diagnosis[Fit]) -> Table:
+def _where(d: Diagnosis) -> Table:
     made = table("", "against", "p", f"{d.unit} RMS from its lowest to its highest sixth")
     for line in d.where[:_MOST]:
         made.add_row(line.variable, _p(line.p_value), "  ".join(_short(d, v) for v in line.rms))
@@ -104,7 +101,7 @@ def _where(d: Diagnosis[Fit]) -> Table:
     return made
 
 
-def _candidates(d: Diagnosis[Fit]) -> Table:
+def _candidates(d: Diagnosis) -> Table:
     made = table("", "effect", "link", f"held out {d.unit}", "p", "size", "largest parameter")
     for c in d.candidates:
         worst = max(c.parameters, key=lambda q: abs(q["value"]) / max(q["std"], 1e-300))
@@ -118,7 +115,7 @@ def _candidates(d: Diagnosis[Fit]) -> Table:
     return made
 
 
-def _power(d: Diagnosis[Fit]) -> Table:
+def _power(d: Diagnosis) -> Table:
     made = table(
         "Smallest effects that would have been found (80 % power)",
         "effect",
@@ -130,7 +127,7 @@ def _power(d: Diagnosis[Fit]) -> Table:
     return made
 
 
-def _poses(d: Diagnosis[Fit]) -> Table:
+def _poses(d: Diagnosis) -> Table:
     axes = [name for name in d.next_poses[0] if name != "separation_sigma"]
     made = table("Poses to measure next, in this order", "", *map(_with_unit, axes), "separation, σ")
     for k, pose in enumerate(d.next_poses, start=1):
@@ -139,7 +136,7 @@ def _poses(d: Diagnosis[Fit]) -> Table:
     return made
 
 
-def _next(d: Diagnosis[Fit]) -> list[str]:
+def _next(d: Diagnosis) -> list[str]:
     if d.ties and d.next_poses:
         return ["measure the poses below, some time after this run, and diagnose both: sherkit diagnose ROBOT RUN MORE"]
     if d.ties:

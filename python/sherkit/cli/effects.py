@@ -6,23 +6,18 @@ from pathlib import Path
 
 import click
 
-from ..chain import effects_by_name
-from ..effects import Effect
-from ..effects.tool import TOOL_CATALOGUE
 from ..errors import SherkitError
-from ..models import MODELS
-from ..robots import Delta, load_robot
-from ..robots.flexible_tool import KIND
-from ..signatures import signature_map
+from ..model.effect import Effect, effects_by_name
+from ..model.kinds import KINDS, Robot
+from ..model.robot_file import load_robot
+from ..report.signature import signature_map
+from ..robots.tool.effects import TOOL_CATALOGUE
+from ..robots.tool.tool import KIND
 from . import output
 from .demo import EXAMPLE
 from .tool import is_tool
 
-_TITLES = {
-    "delta": "Effects of the linear delta",
-    "spherical": "Effects of the spherical robot and its camera",
-    KIND: "Effects of the flexible tool and its camera",
-}
+_OF_TOOL = "the flexible tool and its camera"
 
 
 @click.command()
@@ -31,7 +26,7 @@ _TITLES = {
 @click.option("--picture", type=click.Path(path_type=Path), help="Draw what the effect leaves on this robot (SVG).")
 def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
     """List the physical effects that can be found and added; with NAME, show one."""
-    catalogues = {kind: model.catalogue for kind, model in MODELS.items()} | {KIND: TOOL_CATALOGUE}
+    catalogues = {name: kind.model.catalogue for name, kind in KINDS.items()} | {KIND: TOOL_CATALOGUE}
     nominal = None
     if robot is not None:
         nominal = None if is_tool(robot) else load_robot(robot)
@@ -39,7 +34,7 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
         catalogues = {kind: catalogues[kind]}
     if name is None:
         for kind, catalogue in catalogues.items():
-            made = output.table(_TITLES.get(kind, kind), "effect", "link", "parameters", "needs")
+            made = output.table(_title(kind), "effect", "link", "parameters", "needs")
             for e in catalogue.values():
                 made.add_row(e.name, e.link, str(len(e.parameters)), ", ".join(e.needs))
             output.out.print(made)
@@ -49,16 +44,19 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
     if not holders:
         effects_by_name({k: v for catalogue in catalogues.values() for k, v in catalogue.items()}, (name,))
     for kind in holders:
-        _show(catalogues[kind][name], _TITLES.get(kind, kind) if len(holders) > 1 else "")
+        _show(catalogues[kind][name], _title(kind) if len(holders) > 1 else "")
     if picture is not None and name != "datum":
-        if nominal is None and "delta" not in holders:
+        if nominal is None and EXAMPLE.kind not in holders:
             raise SherkitError(
-                f"'{name}' is an effect of another kind ({holders[0]}); --picture draws on a delta alone"
+                f"'{name}' is an effect of another kind ({holders[0]}); --picture draws on a {EXAMPLE.kind} alone"
             )
-        if nominal is not None and not isinstance(nominal, Delta):
-            raise SherkitError("--picture draws on a delta alone; a report shows the maps of all effects on a run")
-        picture.write_text(signature_map(catalogues["delta"][name], nominal or EXAMPLE), encoding="utf-8")
+        drawn: Robot = EXAMPLE if nominal is None else nominal
+        picture.write_text(signature_map(catalogues[drawn.kind][name], drawn), encoding="utf-8")
         output.say(f"what {name} leaves on this robot is drawn in {picture}")
+
+
+def _title(kind: str) -> str:
+    return f"Effects of {KINDS[kind].title if kind in KINDS else _OF_TOOL}"
 
 
 def _show(effect: Effect, of: str) -> None:

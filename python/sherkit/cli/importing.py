@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from ..formats.klipper import import_klipper
-from ..robots import save_robot
+from ..model.robot_file import save_robot
+from ..robots.delta.klipper import import_klipper
 from . import output
 
 

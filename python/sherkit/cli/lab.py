@@ -8,12 +8,14 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 import click
 
-from ..laboratory import RunningLaboratory, load_laboratory
 from . import output
-from .lab_demo import lab_demo, write_laboratory
+
+if TYPE_CHECKING:
+    from ..lab.laboratory import RunningLaboratory
 
 _LOOPBACK = ("127.", "localhost")
 
@@ -32,6 +34,10 @@ def lab(
     folder: Path,
 ) -> None:  # fmt: skip
     """Start the emulated instruments of LABORATORY (TOML), until Ctrl-C; without one, those of an example."""
+    # emulators are loaded by who wants them: not where a robot is measured
+    from ..lab.laboratory import RunningLaboratory, load_laboratory
+    from .lab_demo import lab_demo, write_laboratory
+
     if demo:
         lab_demo(folder)
         return

@@ -7,25 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from ..calibrate import calibrate
-from ..calibration import Calibration
+from ..data import read_measurements
 from ..diagnosis import Diagnosis
-from ..errors import SherkitError
-from ..experiments import Live, RunFile, export_run, load_experiment, run
-from ..experiments import Progress as Stored
-from ..identification import Fit
-from ..laboratory import RunningLaboratory, load_laboratory
-from ..measurements import read_measurements
-from ..measurements.columns import POSITION
-from ..robots import load_robot
+from ..lab.experiment import Live, RunFile, RunProgress, export_run, load_experiment, run
+from ..lab.laboratory import RunningLaboratory, load_laboratory
+from ..model.robot_file import load_robot
+from ..robots.delta.columns import POSITION
 from ..study import Study
+from ..types import Floats
 from . import diagnosis_tables, output
 from .demo import EXAMPLE
-
-Floats = NDArray[np.float64]
 
 _LIMITS_MM = (60.0, 200.0)
 _TIME_SCALE = 50.0
@@ -116,8 +110,6 @@ def lab_demo(folder: Path, *, repeats: int = 2, time_scale: float = _TIME_SCALE)
         diagnosis_tables.diagnosis(found)
         calibration = study.calibration()
         calibration.save(folder / "calibrated.toml")
-        if not isinstance(calibration, Calibration):
-            raise SherkitError("the demo's robot is a delta")
         output.out.rule("Deployed back")
         for name in _COMPARED:
             _measured(folder, name)
@@ -166,7 +158,7 @@ def _measured(folder: Path, name: str) -> float:
     ):
         task = shown.add_task(f"measuring {name}", total=len(experiment.plan), model="")
 
-        def report(now: Stored) -> None:
+        def report(now: RunProgress) -> None:
             if live is not None:
                 live.add(now.point)
             shown.update(task, completed=now.stored, model=live.short() if live is not None else "")
@@ -177,7 +169,7 @@ def _measured(folder: Path, name: str) -> float:
     return time.monotonic() - began
 
 
-def _found(folder: Path) -> tuple[Diagnosis[Fit], Study]:
+def _found(folder: Path) -> tuple[Diagnosis, Study]:
     study = Study(load_robot(folder / "robot.toml"), read_measurements(folder / "local.csv"))
     with output.steps(12) as step:
         found = study.diagnose(step=step)

@@ -7,7 +7,8 @@ import warnings
 
 import click
 
-from .. import _core
+import sherkit._core as _core
+
 from ..errors import SherkitError
 from . import output
 from .app import app

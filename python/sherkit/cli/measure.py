@@ -12,8 +12,7 @@ from typing import NoReturn
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from ..experiments import Control, Experiment, Live, RunFile, export_run, load_experiment, run
-from ..experiments import Progress as Stored
+from ..lab.experiment import Control, Experiment, Live, RunFile, RunProgress, export_run, load_experiment, run
 from . import keys, output
 
 #: Signals by which another program, or a closing terminal, asks for an end; not every system has both.
@@ -73,7 +72,7 @@ def _measure(chosen: Experiment, file: RunFile, live: Live) -> str:
             control.end()
             shown.update(task, description="ending")
 
-    def report(now: Stored) -> None:
+    def report(now: RunProgress) -> None:
         nonlocal told
         live.add(now.point)
         model = live.short()

@@ -9,20 +9,19 @@ import click
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from ..data import Measurements
 from ..errors import SherkitError
-from ..experiments import Experiment, load_experiment
-from ..measurements import Measurements
-from ..measurements.columns import DELTA, SPHERICAL_PIXELS
-from ..models import model_of
+from ..lab.experiment import Experiment, load_experiment
+from ..model.kinds import Robot, kind_of, model_of
+from ..model.robot_file import load_robot
 from ..names import listed
-from ..planning import LEVEL, POWER, Outlook, Planning, planning_of
-from ..power_study import Found, Sought, study_power
-from ..robots import Delta, load_robot
+from ..planning.outlook import LEVEL, POWER, Outlook, Planning, planning_of
+from ..planning.power import Found, Sought, study_power
 from . import output
 from .output import out, table
 
-#: Standard deviation of a reading, in the unit that people read, by the kind of robot.
-_NOISE = {"delta": 5.0, "spherical": 0.1}
+#: Standard deviation of a reading by the unit that people read.
+_NOISE = {"µm": 5.0, "px": 0.1}
 #: Multiple of the plausible size beyond which an effect is not simulated.
 _LARGEST_STUDIED = 5.0
 _SIGNS = 8
@@ -31,8 +30,8 @@ _SIGNS = 8
 @click.command()
 @click.argument("robot", type=click.Path(path_type=Path))
 @click.argument("experiment", type=click.Path(path_type=Path))
-@click.option("--noise-um", type=click.FloatRange(min=0, min_open=True), help="Delta: of a reading; default 5.")
-@click.option("--noise-px", type=click.FloatRange(min=0, min_open=True), help="Spherical: of a reading; default 0.1.")
+@click.option("--noise-um", type=click.FloatRange(min=0, min_open=True), help="Of a reading in µm; default 5.")
+@click.option("--noise-px", type=click.FloatRange(min=0, min_open=True), help="Of a reading in px; default 0.1.")
 @click.option("--effect", "effects", multiple=True, help="An effect that is in the model already.")
 @click.option("--study", "runs", type=click.IntRange(min=1), help="Check the promise on so many simulated robots.")
 @click.option("--keep", type=click.Path(path_type=Path), help="Keep the study's results here; it can be interrupted.")
@@ -44,11 +43,7 @@ def plan(
 ) -> None:  # fmt: skip
     """Say what EXPERIMENT (TOML) could find on ROBOT (TOML), and how well it would know the parameters."""
     nominal = load_robot(robot)
-    delta = isinstance(nominal, Delta)
-    other, own = (noise_px, noise_um) if delta else (noise_um, noise_px)
-    if other is not None:
-        raise SherkitError(f"{robot}: is a {nominal.kind} robot; its noise is --noise-{'um' if delta else 'px'}")
-    noise = own if own is not None else _NOISE[nominal.kind]
+    noise = _noise(robot, nominal, {"µm": noise_um, "px": noise_px})
     chosen = load_experiment(experiment, robot=robot, offline=True)
     rows = rows_of(chosen)
     planning = planning_of(model_of(nominal), rows, noise / rows.layout.per_unit, effects=effects)
@@ -67,13 +62,24 @@ def plan(
         _show_study(found)
 
 
+def _noise(path: Path, robot: Robot, given: dict[str, float | None]) -> float:
+    """Standard deviation of a reading of this robot, in the unit in which people read it."""
+    unit = kind_of(robot).layout.unit
+    if unit not in given:
+        raise SherkitError(f"{path}: is a {robot.kind} robot, read in {unit}; noise is known in {listed(given)}")
+    if any(value is not None for other, value in given.items() if other != unit):
+        raise SherkitError(f"{path}: is a {robot.kind} robot; its noise is --noise-{unit.replace('µ', 'u')}")
+    chosen = given[unit]
+    return _NOISE[unit] if chosen is None else chosen
+
+
 def rows_of(experiment: Experiment) -> Measurements:
     """The rows that the plan will give: joints, directions and, as far as they are known, times."""
     plan = experiment.plan
     directions = {f"direction_{k + 1}": d for k, d in enumerate(plan.directions.T)}
     return Measurements.planned(
         np.array([s.joints for s in plan]),
-        DELTA if isinstance(experiment.robot, Delta) else SPHERICAL_PIXELS,
+        kind_of(experiment.robot).layout,
         experiment.source,
         time_s=experiment.times_s,
         **directions,

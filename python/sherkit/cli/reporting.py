@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -13,8 +13,8 @@ from . import output
 
 if TYPE_CHECKING:
     from ..calibrate import Result
-    from ..calibrations import AnyCalibration
     from ..diagnosis import Diagnosis
+    from ..robots.calibrated import Calibration
     from ..study import Study
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -40,20 +40,22 @@ def require_view() -> None:
 
 
 def write(
-    path: Path, title: str, study: Study, found: Diagnosis[Any], sources: Sequence[Path], *,
-    calibration: AnyCalibration | None = None, result: Result | None = None, simulated: bool = False,
+    path: Path, title: str, study: Study, found: Diagnosis, sources: Sequence[Path], *,
+    calibration: Calibration | None = None, result: Result | None = None, simulated: bool = False,
+    printed: Mapping[str, Any] | None = None,
 ) -> None:  # fmt: skip
     """Writes the report of a study that stands at the last state to be told."""
-    from ..report.story import Source, Story, write_report  # Bokeh takes a second to load
+    from ..report.story import SourceFile, Story, write_report  # Bokeh takes a second to load
 
     story = Story(
         title=title,
         study=study,
         found=found,
         command=output.command_line(),
-        sources=[Source.of(p) for p in sources],
+        sources=[SourceFile.of(p) for p in sources],
         calibration=calibration,
         result=result,
         simulated=simulated,
+        printed=printed or {},
     )
     write_report(story, path)

@@ -7,14 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 from rich.table import Table
 
-from .. import paper
-from ..calibrate import Experiment, Result
-from ..calibration import Calibration
-from ..calibrations import AnyCalibration
+from ..calibrate import Result
 from ..errors import SherkitError
 from ..names import listed
-from ..remote_centre import centre_in_words, remote_centre
-from ..spherical_model import SphericalModel
+from ..robots.calibrated import REQUIREMENT_UM, Calibration, calibration_class
+from ..robots.calibration_run import CalibrationRun
+from ..robots.delta import paper
 from .output import out, table
 
 
@@ -24,7 +22,7 @@ def _pm(value: tuple[float, float] | None, unit: str = "µm") -> str:
     return f"{value[0]:.1f} ± {value[1]:.1f}" if unit == "µm" else f"{value[0]:.3g} ± {value[1]:.3g}"
 
 
-def errors(e: Experiment, title: str, beside: Mapping[str, Mapping[str, tuple[int, int]]] | None = None) -> Table:
+def errors(e: CalibrationRun, title: str, beside: Mapping[str, Mapping[str, tuple[int, int]]] | None = None) -> Table:
     """Table I: error per axis before, after the geometry, held out, after the correction."""
     layout, taken = e.fit.data.layout, np.any(e.fit.data.taken, axis=0)
     axes = [name for name, any_ in zip(layout.readings, taken.tolist(), strict=True) if any_]
@@ -36,11 +34,11 @@ def errors(e: Experiment, title: str, beside: Mapping[str, Mapping[str, tuple[in
             made.add_row("  the paper's robot", *[f"{v[0]} ± {v[1]}" for v in printed.values()], style="dim")
     repeats = e.fit.data.repeatability
     if repeats:
-        made.add_row("repeatability (1 σ)", *[f"± {layout.per_unit * v:.3g}" for v in repeats.sigma_mm.values()])
+        made.add_row("repeatability (1 σ)", *[f"± {layout.per_unit * v:.3g}" for v in repeats.sigma.values()])
     return made
 
 
-def parameters(e: Experiment, title: str) -> Table:
+def parameters(e: CalibrationRun, title: str) -> Table:
     """Table II: identified errors with their standard deviations, four per limb."""
     fit = e.fit
     note = "± readings: what the readings leave.  ± total: with what they do not tell, from plausible sizes."
@@ -54,26 +52,22 @@ def parameters(e: Experiment, title: str) -> Table:
     return made
 
 
-def polynomials(e: Experiment, title: str, beside: Mapping[str, tuple[object, ...]] | None = None) -> Table | None:
-    """Table III: order, error on the test part and on the other planes, by the paper's protocol."""
-    p = e.paper
-    if p is None:
+def polynomials(e: CalibrationRun, title: str, beside: Mapping[str, tuple[object, ...]] | None = None) -> Table | None:
+    """Table III: the errors of the robot's correction as its paper has them; None where it has none."""
+    found = e.correction.cells() if e.correction is not None else None
+    if found is None:
         return None
-    planes = sorted(p.other_planes_um, reverse=True)
-    made = table(
-        title, "µm, RMS ± std", "order", f"test, z = {round(p.plane_mm)}", *[f"z = {round(z)}" for z in planes]
-    )
-    for axis in "xyz":
-        cells = [_pm((p.other_planes_um[z][axis], p.other_planes_std_um[z][axis])) for z in planes]
-        made.add_row(axis, str(p.orders[axis]), _pm((p.test_um[axis], p.test_std_um[axis])), *cells)
+    made = table(title, "µm, RMS ± std", *found.columns)
+    for line in found.lines:
+        made.add_row(*line)
         if beside:
-            order, *rest = beside[axis]
-            numbers = [f"{v[0]} ± {v[1]}" for v in rest if isinstance(v, tuple)][: 1 + len(planes)]
+            order, *rest = beside[line[0]]
+            numbers = [f"{v[0]} ± {v[1]}" for v in rest if isinstance(v, tuple)][: len(found.columns) - 1]
             made.add_row("  the paper's robot", str(order), *numbers, style="dim")
     return made
 
 
-def account(e: Experiment, title: str) -> None:
+def account(e: CalibrationRun, title: str) -> None:
     """How well the parameters are known, in sentences."""
     fit = e.fit
     out.print(f"[bold]{title}[/]")
@@ -105,10 +99,8 @@ def account(e: Experiment, title: str) -> None:
     if fit.data.outlier.any():
         marked = fit.data.line[fit.data.outlier]
         out.print(f"  marked as outliers and not fitted: {fit.data.counted}s {listed(marked, 20)}")
-    if e.choice is not None:
-        chosen = e.choice.correction
-        text = "none helps on held-out blocks" if chosen is None else f"order {chosen.orders} in (x, y, z)"
-        out.print(f"  Bernstein correction by blocked cross-validation: {text}")
+    if e.correction is not None:
+        out.print(f"  {e.correction}")
 
 
 _NOISE = {
@@ -118,10 +110,10 @@ _NOISE = {
 }
 
 
-def accuracy(calibration: AnyCalibration) -> None:
+def accuracy(calibration: Calibration) -> None:
     """Predicted accuracy at the centre and at the rims, against what injection needs."""
     made = table(
-        f"Predicted accuracy, 95 % (retinal injection needs {paper.REQUIREMENT_UM:.0f} µm)",
+        f"Predicted accuracy, 95 % (retinal injection needs {REQUIREMENT_UM:.0f} µm)",
         "at",
         *(name.rpartition("_")[0] + ", " + name.rpartition("_")[2] for name in calibration.coordinates),
         "µm",
@@ -156,11 +148,8 @@ def result(r: Result, *, demo: bool = False) -> None:
         account(e, f"How well the {name} run knows its parameters")
         out.print()
     accuracy(r.calibration)
-    if isinstance(r.whole.fit.model, SphericalModel):
-        out.print(f"remote centre of motion: {centre_in_words(remote_centre(r.whole.fit))}")
-    jump = r.calibration.border_jump_mm() if isinstance(r.calibration, Calibration) else None
-    if jump is not None:
-        out.print(f"local and whole model differ by at most {1e3 * jump:.1f} µm on the region's border; blended there")
+    for note in (*calibration_class(r.whole.fit.model.robot).about(r.whole.fit), *r.calibration.notes()):
+        out.print(str(note))
 
 
 def _paper_parameters(key: str) -> Table:

@@ -11,20 +11,20 @@ import click
 import numpy as np
 import polars as pl
 
+from ..data.tables import write_table
 from ..errors import MeasurementError
-from ..estimation.alignment import align
-from ..estimation.calibration import calibrate_tool as run_calibration
-from ..estimation.calibration import read_loads
-from ..estimation.filters import Estimate, Track, status_in_words
-from ..estimation.filters import estimate as run_filters
-from ..estimation.judge import Judgement, judge
-from ..estimation.runs import read_tool_run, summary
-from ..measurements.tables import write_table
-from ..robots.flexible_tool import KIND, NOISES, load_tool
+from ..robots.tool.alignment import align
+from ..robots.tool.calibration import calibrate_tool as run_calibration
+from ..robots.tool.calibration import read_loads
+from ..robots.tool.filters import Estimate, Track, status_in_words
+from ..robots.tool.filters import estimate as run_filters
+from ..robots.tool.judge import Judgement, judge
+from ..robots.tool.runs import read_tool_run, summary
+from ..robots.tool.tool import KIND, NOISES, load_tool
 from . import output, reporting
 
 if TYPE_CHECKING:
-    from ..report.estimate import Estimate as Drawn
+    from ..report.estimate import EstimateOverTime as Drawn
 
 #: The force below which the paper trusts no depth, drawn for orientation.
 _THRESHOLD_MN = 50.0
@@ -168,7 +168,7 @@ def _frame(e: Estimate) -> pl.DataFrame:
 
 def drawn(e: Estimate) -> Drawn:
     """The depth over time, for the picture."""
-    from ..report.estimate import Estimate as Drawn
+    from ..report.estimate import EstimateOverTime as Drawn
 
     others = {"gratings": e.fibre_depth_mm}
     if e.run.depth_mm is not None:

@@ -10,13 +10,14 @@ import click
 import polars as pl
 import tomli_w
 
+from ..data.columns import POSE, REPEAT, TIME
+from ..data.tables import read_table, write_table
 from ..errors import MeasurementError, SherkitError
-from ..measurements.columns import POSE, REPEAT, SPHERICAL_JOINTS, TIME
-from ..measurements.tables import read_table, write_table
+from ..robots.spherical.columns import SPHERICAL_JOINTS
 from . import output
 
 if TYPE_CHECKING:
-    from ..vision.pictures import Picture
+    from ..vision.pictures import CameraPicture
 
 _MARKERS = ("corner", "aruco", "apriltag")
 
@@ -51,13 +52,13 @@ def markers(
     sherkit calibrate reads.
     """
     require_vision()
-    from ..vision.rows import WHY, joined_by_time, marker_rows, run_of
+    from ..robots.spherical.pictures import WHY, joined_by_time, marker_rows, run_of
     from ..vision.sources import pictures_from
 
     pictures, timed = pictures_from(sources, seconds)
     names: list[str] = []
 
-    def named() -> Iterator[Picture]:
+    def named() -> Iterator[CameraPicture]:
         for picture in pictures:
             names.append(picture.name)
             yield picture
@@ -82,7 +83,7 @@ def markers(
 
 def _joints(path: Path) -> pl.DataFrame:
     """Times, poses, repeats, joints and their velocities of a file; anything else in it is left aside."""
-    from ..measurements.reader import checked
+    from ..data.reader import checked
 
     checked(path)
     try:

@@ -2,7 +2,7 @@
 
 from .answers import Diagnosis
 from .questions import diagnose
-from .shapes import play
+from .shapes import play_operator
 from .template import sentence, template
 
-__all__ = ["Diagnosis", "diagnose", "play", "sentence", "template"]
+__all__ = ["Diagnosis", "diagnose", "play_operator", "sentence", "template"]

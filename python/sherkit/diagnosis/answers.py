@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..identification import Fit
+from ..fit.identify import Fit
 from ..notebook import Shown
-from ..readings import ModelFit
+from ..types import Ints
 from .stage import Stage
 from .template import sentence
 from .where import Dependence
-
-Ints = NDArray[np.int64]
-F = TypeVar("F", Fit, ModelFit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +30,6 @@ class CandidateReport:
     plausible: bool
     parameters: tuple[dict[str, Any], ...]
 
-    @property
-    def held_out_rms_um(self) -> float:
-        """The same, for a machine that is measured in µm."""
-        return self.held_out_rms
-
 
 @dataclass(frozen=True)
 class StepReport:
@@ -47,14 +38,9 @@ class StepReport:
     effect: str | None
     held_out_rms: float
 
-    @property
-    def held_out_rms_um(self) -> float:
-        """The same, for a machine that is measured in µm."""
-        return self.held_out_rms
-
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis(Shown, Generic[F]):
+class Diagnosis(Shown):
     """The answers, in the order a person asks.
 
     ``verdict`` is ``adequate``, ``explained``, ``partly explained`` or ``unexplained``. ``ties`` are groups of
@@ -83,8 +69,8 @@ class Diagnosis(Shown, Generic[F]):
     outliers: Ints
     next_poses: tuple[dict[str, float], ...]
     notes: tuple[str, ...]
-    fit: F = field(repr=False)
-    base: F = field(repr=False)
+    fit: Fit = field(repr=False)
+    base: Fit = field(repr=False)
     stage: Stage = field(repr=False)
 
     def __repr__(self) -> str:
@@ -98,11 +84,6 @@ class Diagnosis(Shown, Generic[F]):
         if self.signature is not None:
             lines.append(f"  {sentence(self.signature)}")
         return "\n".join(lines)
-
-    @property
-    def noise_um(self) -> dict[str, float]:
-        """The noise of each reading, for a machine that is measured in µm."""
-        return self.noise
 
     def to_json(self) -> dict[str, Any]:
         """For programs; see the README. Keys end in ``_um`` where errors are in µm; else ``unit`` says in what."""

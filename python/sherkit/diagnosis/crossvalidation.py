@@ -9,25 +9,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..types import Floats, Ints
 from .scan import Columns
 from .stage import Stage
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOutError:
     """Root mean square error of held-out readings and its standard error, from how much the blocks differ."""
 
     rms: float
     std: float
 
 
-def held_out(stage: Stage, block: Ints) -> tuple[HeldOut, list[HeldOut]]:
-    """Held-out error (in the unit of the case, axes together) of the fit itself and with each candidate.
+def held_out(stage: Stage, block: Ints) -> tuple[HeldOutError, list[HeldOutError]]:
+    """Held-out error (in the unit of the run, axes together) of the fit itself and with each candidate.
 
     ``block`` (n,) is the fold of each row.
     """
@@ -53,7 +50,7 @@ def held_out(stage: Stage, block: Ints) -> tuple[HeldOut, list[HeldOut]]:
         counts.append(len(part))
     total = np.sum(grams, axis=0)
     fitted = list(range(p))
-    unit = stage.case.per_unit
+    unit = stage.run.per_unit
     base = _error(grams, counts, total, fitted, unit)
     return base, [_error(grams, counts, total, fitted + place, unit) for place in places]
 
@@ -70,7 +67,9 @@ def _unwhitened(stage: Stage, columns: Columns) -> Floats:
     return stage.physical[:, :, list(columns.dense)]
 
 
-def _error(grams: Sequence[Floats], counts: Sequence[int], total: Floats, columns: list[int], unit: float) -> HeldOut:
+def _error(
+    grams: Sequence[Floats], counts: Sequence[int], total: Floats, columns: list[int], unit: float
+) -> HeldOutError:
     """What blocks left out in turn show."""
     squares = []
     last = total.shape[0] - 1
@@ -88,4 +87,4 @@ def _error(grams: Sequence[Floats], counts: Sequence[int], total: Floats, column
     folds = len(squares)
     variance = float((apart**2).sum()) * folds / max(folds - 1, 1) / count**2
     # the error of a mean square is twice the root's size
-    return HeldOut(unit * rms, unit * np.sqrt(variance) / (2 * rms) if rms > 0 else 0.0)
+    return HeldOutError(unit * rms, unit * np.sqrt(variance) / (2 * rms) if rms > 0 else 0.0)

@@ -8,16 +8,15 @@ cause in time from one in space where the run had mixed them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..data import Measurements
 from ..errors import FitError
-from ..identification import Fit
-from ..measurements import Measurements
-
-Floats = NDArray[np.float64]
+from ..fit.identify import Fit
+from ..types import Floats
 
 MOST = 12
 _PAUSE_S = 600.0
@@ -34,8 +33,11 @@ def next_poses(true: Fit, rivals: list[Fit], sigma: Floats, most: int = MOST) ->
     if grid is None or not rivals:
         return ()
     poses, rows = grid
+    # the same poses at each later moment at which they could be measured
+    later = [_at(rows, true, k) for k in range(most)]
     try:
-        problems = [_Problem(true, rival, rows, sigma) for rival in rivals]
+        told = [true.model.predict(one, true.values) for one in later]
+        problems = [_Problem(true, rival, later, told, sigma) for rival in rivals]
     except FitError:
         return ()
     chosen: list[int] = []
@@ -56,33 +58,33 @@ def next_poses(true: Fit, rivals: list[Fit], sigma: Floats, most: int = MOST) ->
 
 
 class _Problem:
-    """One rival: its normal equations with the old rows, and what each new pose would add."""
+    """One rival: its normal equations with the old rows, and what each new pose would add.
 
-    def __init__(self, true: Fit, rival: Fit, rows: Measurements, sigma: Floats) -> None:
-        count = rows.coordinates
+    ``later`` are the rows of the poses at each moment, ``told`` what the true model says of them.
+    """
+
+    def __init__(
+        self, true: Fit, rival: Fit, later: Sequence[Measurements], told: Sequence[Floats], sigma: Floats
+    ) -> None:
+        count = later[0].coordinates
         sigma = sigma[:count]
         data = rival.data
-        used = data.taken[:, :count] & ~data.outlier[:, None]
+        used = data.used[:, :count]
         old = rival.model.derivatives(data, rival.values)[:, :count]
         old = np.where(used[:, :, None], old / sigma[:, None], 0.0)
         scale = np.linalg.norm(old.reshape(-1, old.shape[2]), axis=0)
         self.scale = np.where(scale > 0, scale, 1.0)
         flat = old.reshape(-1, old.shape[2]) / self.scale
-        apart = (true.model.predict(data, true.values) - rival.model.predict(data, rival.values))[:, :count]
+        apart = (true.model.predict(data, true.values) - rival.predicted)[:, :count]
         apart = np.where(used, apart / sigma, 0.0).reshape(-1)
         self.gram = flat.T @ flat
         self.right = flat.T @ apart
         self.square = float(apart @ apart)
         self.distance = 0.0
         self.new = []
-        # the same poses at each later moment at which they could be measured
-        for k in range(MOST):
-            later = _at(rows, true, k)
-            columns = rival.model.derivatives(later, rival.values)[:, :count] / sigma[:, None] / self.scale
-            away = (true.model.predict(later, true.values) - rival.model.predict(later, rival.values))[
-                :, :count
-            ] / sigma
-            self.new.append((columns, away))
+        for rows, there in zip(later, told, strict=True):
+            columns = rival.model.derivatives(rows, rival.values)[:, :count] / sigma[:, None] / self.scale
+            self.new.append((columns, (there - rival.model.predict(rows, rival.values))[:, :count] / sigma))
 
     def scores(self, k: int) -> Floats:
         """Distance of the refitted rival from the true model once each pose is added as the k-th."""

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, special
 
 from .scan import deviate
 from .stage import Candidate, Stage
-
-Floats = NDArray[np.float64]
 
 POWER = 0.8
 
@@ -51,4 +48,4 @@ def smallest_found(stage: Stage, candidate: Candidate, threshold: float) -> tupl
         return float("inf"), float("inf")
     times = float(np.sqrt(needed / at_size))
     rms = float(np.sqrt(needed / (stage.scan.n * stage.scan.m)) * np.sqrt(np.mean(stage.sigma**2)))
-    return times, rms * stage.case.per_unit
+    return times, rms * stage.run.per_unit

@@ -7,26 +7,24 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special, stats
 
-from ..effects import Effect
-from ..errors import SherkitError
-from ..identification import Fit
-from ..readings import ModelFit
-from .answers import CandidateReport, Diagnosis, F, StepReport
-from .case import Case
-from .chain import ChainCase
-from .crossvalidation import HeldOut, held_out
-from .general import ModelCase
+from ..data.given import RunLike
+from ..errors import EffectError, FitError, SherkitError
+from ..fit.identify import Fit, identify
+from ..model.any import Model
+from ..model.effect import Effect
+from ..model.robot_file import RobotLike
+from ..types import Floats, Ints
+from .answers import CandidateReport, Diagnosis, StepReport
+from .crossvalidation import HeldOutError, held_out
+from .fitted_run import FittedRun
 from .power import smallest_found
-from .search import Found, Search, is_plausible, moment_of_step, refit
+from .search import Search, SearchResult, is_plausible, refit
 from .shapes import Shape
+from .slip import moment_of_step
 from .stage import Candidate, Stage, columns_of, stage_of, suspected_outliers
 from .where import neighbour_correlation, where
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LEVEL = 0.01
 #: Part of the data locked away before the search.
@@ -44,67 +42,74 @@ _OWN = 0.5
 _CONFIRMED = 0.05
 
 
-def case_of(fit: Fit | ModelFit) -> Case:
-    """A fit as diagnosis sees it."""
-    return ChainCase(fit) if isinstance(fit, Fit) else ModelCase(fit)
-
-
 def diagnose(
-    fit: F,
+    fit: Fit | RobotLike | Model,
+    data: RunLike = None,
     *,
     effects: Sequence[Effect] = (),
     level: float = LEVEL,
     seed: int = 0,
     step: Callable[[str], None] = lambda _: None,
-) -> Diagnosis[F]:
-    """Diagnoses what a fit leaves. ``effects`` are the user's own, beside the catalogue or the model's candidates.
+) -> Diagnosis:
+    """Diagnoses what a fit leaves, or what that of a robot or model to ``data`` does, as :func:`identify` takes them.
 
-    Raises :class:`~sherkit.errors.FitError` where there is too little to diagnose, and
+    ``effects`` are the user's own, beside the catalogue or the model's candidates. Raises
+    :class:`~sherkit.errors.FitError` where there is too little to diagnose, and
     :class:`~sherkit.errors.EffectError` for a user's effect that is none.
     """
-    case: Case = case_of(fit)
+    if not isinstance(fit, Fit):
+        fit = identify(fit, data)
+    elif data is not None:
+        raise FitError("diagnose: a fit has its rows already; give a robot and rows, or the fit alone")
     for effect in effects:
-        case.check(effect)
-    every = (*case.catalogue, *effects)
-    axes = case.axes
+        if not isinstance(effect, Effect):
+            raise EffectError(
+                f"diagnose: {effect!r} is no effect of yours; those of the catalogue are tried anyway, and one that is "
+                "to be in the model already belongs to identify or Study"
+            )
+    run = FittedRun(fit)
+    for effect in effects:
+        run.model.check_effect(effect, run.data, fit.values)
+    every = (*run.catalogue, *effects)
+    axes = run.axes
     notes: list[str] = []
 
     step("noise and outliers")
-    case, wild = _without_outliers(case, every)
-    sigma, origin = case.noise()
-    rows = np.flatnonzero(case.whole)
+    run, wild = _without_outliers(run, every)
+    sigma, origin = run.noise
+    rows = np.flatnonzero(run.whole)
     if len(wild):
         notes.append(f"{len(wild)} suspected outliers are listed and left out of the tests")
     if origin == "unknown":
-        sigma = _residual_sigma(case)
+        sigma = _residual_sigma(run)
         notes.append(
             "neither repeats nor a declared noise: how much of the rest is noise cannot be known, only whether "
             "it has structure; repeat some poses or add sigma columns"
         )
-    block = case.blocks(_FOLDS, seed)
+    block = run.blocks(_FOLDS, seed)
     split = len(rows) >= _SPLIT_FROM
     locked = np.isin(block[rows], np.arange(round(_FOLDS * _LOCKED))) if split else np.zeros(len(rows), dtype=bool)
 
     # on all rows: among those that are left after locking some away, neighbours are rare
-    base_stage = stage_of(case, every, rows, sigma, thorough=False)
-    search = Search(case, every, rows[~locked], sigma, level=level, rho=base_stage.rho, seed=seed, step=step)
-    found = search.run()
+    base_stage = stage_of(run, every, rows, sigma, thorough=False)
+    search = Search(run, every, rows[~locked], sigma, level=level, rho=base_stage.rho, seed=seed, step=step)
+    found = search.find()
 
-    confirmed = _confirm(search, found, case, rows[locked]) if found.added and locked.any() else None
+    confirmed = _confirm(search, found, run, rows[locked]) if found.added and locked.any() else None
     if found.added and not found.explained and confirmed is not None and confirmed > _CONFIRMED:
         # effects that leave something and do not help on the locked rows have not earned their names
         found = search.without_effects(found)
         confirmed = None
 
     step("fitting all rows")
-    found.added = [_at_its_moment(case, found.added, c) for c in found.added]
-    final = refit(case, found.added) if found.added else case
+    found.added = [_at_its_moment(run, found.added, c) for c in found.added]
+    final = refit(run, found.added) if found.added else run
     stage = stage_of(final, every, rows, sigma, rho=search.rho, thorough=False) if found.added else base_stage
 
     step("held-out errors")
     base_error, gains = held_out(base_stage, block[base_stage.rows])
     steps = [StepReport(None, base_error.rms)]
-    partial = case
+    partial = run
     for k, candidate in enumerate(found.added):
         last = k == len(found.added) - 1
         partial = final if last else refit(partial, (candidate,))
@@ -127,8 +132,8 @@ def diagnose(
     hidden = {c.name: hides_in(base_stage, c) for c in base_stage.candidates}
     return Diagnosis(
         verdict=verdict,
-        unit=case.unit,
-        noise={case.names[a]: case.per_unit * float(sigma[a]) for a in axes},
+        unit=run.unit,
+        noise={run.names[a]: run.per_unit * float(sigma[a]) for a in axes},
         noise_origin=origin,
         correlation_in_time=float(search.rho or 0.0),
         level=level,
@@ -148,49 +153,45 @@ def diagnose(
         next_poses=_next(found, sigma) if ties else (),
         notes=tuple(notes),
         fit=final.fit,
-        base=case.fit,
+        base=run.fit,
         stage=stage,
     )
 
 
-def _without_outliers(case: Case, effects: Sequence[Effect]) -> tuple[Case, Ints]:
+def _without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[FittedRun, Ints]:
     """The fit without the rows that are suspected to be outliers, and these rows."""
     wild = np.zeros(0, dtype=np.int64)
-    while True:
-        rows = np.flatnonzero(case.whole)
-        first = stage_of(case, effects, rows, case.noise()[0], rho=0.0, thorough=False)
-        more = suspected_outliers(first, case.worst_first)
-        if not len(more):
-            return case, wild
-        case, wild = case.without(more), np.sort(np.concatenate([wild, more]))
-        if not case.worst_first:
-            return case, wild
+    while len(more := suspected_outliers(run, effects)):
+        run, wild = run.without(more), np.sort(np.concatenate([wild, more]))
+        if not run.data.layout.worst_first:
+            break
+    return run, wild
 
 
-def _next(found: Found, sigma: Floats) -> tuple[dict[str, float], ...]:
+def _next(found: SearchResult, sigma: Floats) -> tuple[dict[str, float], ...]:
     """Poses that would tell the leading set from those tied with it."""
-    return found.stages[-1].case.next_poses([other.stage.case for other in found.alternatives], sigma)
+    return found.stages[-1].run.next_poses([other.stage.run for other in found.alternatives], sigma)
 
 
-def _at_its_moment(case: Case, added: Sequence[Candidate], candidate: Candidate) -> Candidate:
+def _at_its_moment(run: FittedRun, added: Sequence[Candidate], candidate: Candidate) -> Candidate:
     """A slip at the moment that all rows give, with the other effects in the model."""
     if candidate.effect.search != "time_s":
         return candidate
     others = [c for c in added if c is not candidate]
-    moment = moment_of_step(refit(case, others) if others else case, candidate.effect)
+    moment = moment_of_step(refit(run, others) if others else run, candidate.effect)
     return candidate if moment is None else replace(candidate, setting=moment)
 
 
-def _noise_left(case: Case, sigma: Floats) -> Floats:
+def _noise_left(run: FittedRun, sigma: Floats) -> Floats:
     """Noise once what was found is in the model: repeats of a pose then differ by noise alone, whatever varied
     between them; without repeats, what is left."""
     out = sigma.copy()
-    for a in case.axes:
-        used = case.used[:, a]
-        group = np.unique(case.groups[used], return_inverse=True)[1]
+    for a in run.axes:
+        used = run.used[:, a]
+        group = np.unique(run.data.groups[used], return_inverse=True)[1]
         count = np.bincount(group)
         free = int((count - 1).sum())
-        left = case.residuals[used, a]
+        left = run.residuals[used, a]
         if free >= 5:
             mean = np.bincount(group, left) / count
             out[a] = np.sqrt(((left - mean[group]) ** 2).sum() / free)
@@ -199,40 +200,40 @@ def _noise_left(case: Case, sigma: Floats) -> Floats:
     return out
 
 
-def _own_errors(case: Case, sigma: Floats, level: float) -> str | None:
+def _own_errors(run: FittedRun, sigma: Floats, level: float) -> str | None:
     """What poses leave beyond their repeats without any pattern (lack of fit against pure error), as a sentence."""
     told = []
-    parameters = len(case.fit.values) / len(case.axes)
-    for a in case.axes:
-        used = case.used[:, a]
-        group = np.unique(case.groups[used], return_inverse=True)[1]
+    parameters = len(run.fit.values) / len(run.axes)
+    for a in run.axes:
+        used = run.used[:, a]
+        group = np.unique(run.data.groups[used], return_inverse=True)[1]
         count = np.bincount(group)
         between, within = len(count) - parameters, int((count - 1).sum())
         if between < 5 or within < 5 or not sigma[a] > 0:
             continue
-        mean = np.bincount(group, case.residuals[used, a]) / count
+        mean = np.bincount(group, run.residuals[used, a]) / count
         square = float((count * mean**2).sum() / between)
         own = np.sqrt(max(square - sigma[a] ** 2, 0.0) / count.mean())
-        if stats.f.sf(square / sigma[a] ** 2, between, within) < level / len(case.axes) and own > _OWN * sigma[a]:
-            told.append(f"{case.names[a]} {case.per_unit * own:.2g}")
+        if stats.f.sf(square / sigma[a] ** 2, between, within) < level / len(run.axes) and own > _OWN * sigma[a]:
+            told.append(f"{run.names[a]} {run.per_unit * own:.2g}")
     if not told:
         return None
     return (
         "repeats agree better than poses do: each pose is off by an error of its own "
-        f"({', '.join(told)} {case.unit}) that no effect and no shape follows; "
+        f"({', '.join(told)} {run.unit}) that no effect and no shape follows; "
         "look at what differs from pose to pose but not between repeats: how the marker "
         "is found, seating, a reading taken before it is still"
     )
 
 
-def _residual_sigma(case: Case) -> Floats:
-    sigma = np.ones(len(case.names))
-    for a in case.axes:
-        sigma[a] = max(float(np.std(case.residuals[case.used[:, a], a])), 1e-12)
+def _residual_sigma(run: FittedRun) -> Floats:
+    sigma = np.ones(len(run.names))
+    for a in run.axes:
+        sigma[a] = max(float(np.std(run.residuals[run.used[:, a], a])), 1e-12)
     return sigma
 
 
-def _verdict(found: Found, level: float) -> str:
+def _verdict(found: SearchResult, level: float) -> str:
     if not found.added and not found.signature:
         return "adequate" if found.p_left > level else "unexplained"
     if found.explained:
@@ -240,7 +241,7 @@ def _verdict(found: Found, level: float) -> str:
     return "partly explained" if found.added else "unexplained"
 
 
-def _ties(found: Found) -> tuple[tuple[str, ...], ...]:
+def _ties(found: SearchResult) -> tuple[tuple[str, ...], ...]:
     """Groups of effects each of which could stand in for the first, everything else as it is."""
     lead = [c.name for c in found.added]
     groups: dict[str, list[str]] = {}
@@ -255,18 +256,18 @@ def _ties(found: Found) -> tuple[tuple[str, ...], ...]:
 
 
 def _candidate_reports(
-    search: Search, base: Stage, gains: list[HeldOut], final: Case, found: Found
+    search: Search, base: Stage, gains: list[HeldOutError], final: FittedRun, found: SearchResult
 ) -> tuple[CandidateReport, ...]:
     """Every effect that could be tried, the named ones first, then by held-out error."""
     z = base.deviates[base.n_shapes :]
-    best: dict[str, tuple[float, HeldOut, Candidate]] = {}
+    best: dict[str, tuple[float, HeldOutError, Candidate]] = {}
     for score, error, candidate in zip(z.tolist(), gains, base.candidates, strict=True):
         if candidate.name not in best or error.rms < best[candidate.name][1].rms:
             best[candidate.name] = (score, error, candidate)
     fits = {c.name: final for c in found.added}
     for alternative in found.alternatives:
         for candidate in alternative.candidates:
-            fits.setdefault(candidate.name, alternative.stage.case)
+            fits.setdefault(candidate.name, alternative.stage.run)
     out = []
     for name, (score, error, candidate) in best.items():
         # kept above what a float can tell from zero: a p of zero would claim too much
@@ -282,12 +283,12 @@ def _candidate_reports(
     return tuple(out)
 
 
-def _parameters(base: Stage, candidate: Candidate, case: Case | None) -> tuple[Floats, Floats, bool]:
+def _parameters(base: Stage, candidate: Candidate, run: FittedRun | None) -> tuple[Floats, Floats, bool]:
     """Values, deviations and plausibility of a candidate: from its full fit, else in linear approximation."""
     effect = candidate.effect
-    if case is not None:
-        place = case.owns(effect)
-        return case.fit.values[place], case.fit.std_from_readings[place], is_plausible(case, effect)
+    if run is not None:
+        place = run.owns(effect)
+        return run.fit.values[place], run.fit.std_from_readings[place], is_plausible(run, effect)
     scan = base.scan
     columns = scan.take(candidate.columns)
     columns = columns - scan.basis @ (scan.basis.T @ columns)
@@ -305,24 +306,24 @@ def _parameters(base: Stage, candidate: Candidate, case: Case | None) -> tuple[F
     return x, std, bool((np.abs(x) - 2 * std <= 5 * size).all())
 
 
-def _confirm(search: Search, found: Found, case: Case, locked: Ints) -> float:
+def _confirm(search: Search, found: SearchResult, run: FittedRun, locked: Ints) -> float:
     """One-sided p that the added effects help on the rows that were locked away, coefficients frozen.
 
     Paired differences of squared error, signs flipped over whole poses.
     """
-    before = search.base
-    after = refit(before, found.added)
-    axes = case.axes
+    # what the search fitted last has just these effects
+    before, after = search.base, found.stages[-1].run
+    axes = run.axes
     sigma = search.sigma[list(axes)]
 
-    def squares(one: Case) -> Floats:
-        return ((case.left_on(locked, one)[:, axes] / sigma) ** 2).sum(axis=1)
+    def squares(one: FittedRun) -> Floats:
+        return ((run.residuals_on(locked, one)[:, axes] / sigma) ** 2).sum(axis=1)
 
     try:
         gain = squares(before) - squares(after)
     except SherkitError:
         return 1.0
-    per_pose = np.bincount(np.unique(case.groups[locked], return_inverse=True)[1], gain)
+    per_pose = np.bincount(np.unique(run.data.groups[locked], return_inverse=True)[1], gain)
     signs = np.random.default_rng(search.seed).integers(0, 2, (1999, len(per_pose))) * 2.0 - 1.0
     return float((1 + (signs @ per_pose >= per_pose.sum()).sum()) / 2000)
 
@@ -339,15 +340,15 @@ def hides_in(stage: Stage, candidate: Candidate) -> tuple[str, ...]:
     order = np.argsort(stage.view.group, kind="stable")
     target = np.empty_like(whole).reshape(stage.scan.n, stage.scan.m)
     target[order] = whole.reshape(stage.scan.n, stage.scan.m)
-    scale = np.array([p.size for p in stage.case.fit.parameters])
+    scale = np.array([p.size for p in stage.run.fit.parameters])
     length = fitted.shape[1]
     x = np.linalg.lstsq(fitted * scale[:length], target.reshape(-1), rcond=1e-9)[0]
-    names = [p.name for p in stage.case.fit.parameters]
+    names = [p.name for p in stage.run.fit.parameters]
     top = np.argsort(-np.abs(x))
     return tuple(names[k] for k in top[:6] if abs(x[k]) >= 0.3 * abs(x[top[0]]))
 
 
-def _signature(found: Found, stage: Stage) -> dict[str, Any]:
+def _signature(found: SearchResult, stage: Stage) -> dict[str, Any]:
     """The leading shape of what no effect explains, in words and numbers. ``stage`` has it among its shapes."""
     shape: Shape = stage.nuisance[0]
     before = stage
@@ -356,7 +357,7 @@ def _signature(found: Found, stage: Stage) -> dict[str, Any]:
     gain = plain.sum_of_squares - given.sum_of_squares
     # what is left once every shape that was found is in the model stands for the noise
     excess = max(plain.sum_of_squares - stage.plain.sum_of_squares * plain.free / stage.plain.free, gain)
-    axis = [before.case.names[before.axes[shape.axis]]] if shape.axis is not None else _axes_of(before, shape)
+    axis = [before.run.names[before.axes[shape.axis]]] if shape.axis is not None else _axes_of(before, shape)
     return {
         "depends_on": list(shape.depends_on),
         "shape": shape.shape,
@@ -385,5 +386,5 @@ def _axes_of(stage: Stage, shape: Shape) -> list[str]:
     noise = stage.plain.sum_of_squares / stage.plain.free
     count = max(len(shape.functions), len(shape.dense))
     enough = noise * float(special.chdtri(count, _AXIS_LEVEL))
-    axes = [stage.case.names[stage.axes[k]] for k in range(stage.scan.m) if by_axis[k] > enough]
-    return axes or [stage.case.names[stage.axes[int(np.argmax(by_axis))]]]
+    axes = [stage.run.names[stage.axes[k]] for k in range(stage.scan.m) if by_axis[k] > enough]
+    return axes or [stage.run.names[stage.axes[int(np.argmax(by_axis))]]]

@@ -14,12 +14,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .view import orthonormal
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from ..types import Floats, Ints
+from .linearised import orthonormal
 
 #: Directions of a shape with less than this part left after projection cannot be told from the fit.
 _LEFT = 0.02
@@ -119,9 +116,9 @@ class Scan:
             out[k] = gram
         return out
 
-    def condition(self, columns: Floats) -> Given:
+    def condition(self, columns: Floats) -> ConditionalScan:
         """The family once ``columns`` (N, k), in the order of :attr:`residual`, are part of the model too."""
-        return Given(self, columns)
+        return ConditionalScan(self, columns)
 
     def take(self, columns: Columns) -> Floats:
         """A candidate's columns in full, (N, k)."""
@@ -136,7 +133,7 @@ class Scan:
         return out.reshape(self.n * self.m, -1)
 
 
-class Given:
+class ConditionalScan:
     """The family given the fitted parameters and some more columns."""
 
     def __init__(self, scan: Scan, columns: Floats) -> None:

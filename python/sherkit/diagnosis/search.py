@@ -16,17 +16,14 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..effects import CATALOGUE, Effect
-from ..errors import EffectError, SherkitError
-from ..identification import Fit
-from .case import Case
-from .chain import ChainCase
-from .scan import Given
+from ..errors import SherkitError
+from ..model.effect import Effect
+from ..types import Floats
+from .fitted_run import FittedRun
+from .linearised import whiten
+from .scan import ConditionalScan
 from .shapes import OVERSAMPLING, Shape, wave
 from .stage import Candidate, Stage, columns_of, stage_of
-from .view import whiten
-
-Floats = NDArray[np.float64]
 
 #: A set that explains must take at least this part of what the best candidate takes.
 _TAKES = 0.85
@@ -55,7 +52,7 @@ class Explanation:
 
 
 @dataclass(eq=False)
-class Found:
+class SearchResult:
     """What a search found. ``added`` effects in order; ``alternatives`` sets that explain as well as the leading one;
     ``signature`` shapes that describe what no effect explains; ``p_first`` the familywise p before anything."""
 
@@ -74,7 +71,7 @@ class Search:
 
     def __init__(
         self,
-        base: Case,
+        base: FittedRun,
         effects: Sequence[Effect],
         rows: NDArray[np.int64],
         sigma: Floats,
@@ -93,13 +90,13 @@ class Search:
         self.rho = rho
         self.base = base.on(rows, sigma)
 
-    def stage(self, case: Case, nuisance: Sequence[Shape] = ()) -> Stage:
-        """The stage of a case; the correlation of the noise is estimated once, at the first."""
-        stage = stage_of(case, self.effects, np.arange(len(self.rows)), self.sigma, rho=self.rho, nuisance=nuisance)
+    def stage(self, run: FittedRun, nuisance: Sequence[Shape] = ()) -> Stage:
+        """The stage of a run; the correlation of the noise is estimated once, at the first."""
+        stage = stage_of(run, self.effects, np.arange(len(self.rows)), self.sigma, rho=self.rho, nuisance=nuisance)
         self.rho = stage.rho
         return stage
 
-    def left(self, given: Given) -> float:
+    def left(self, given: ConditionalScan) -> float:
         """Familywise p of what is left."""
         largest = float(given.deviates().max())
         if largest > _PLAINLY_LEFT:
@@ -108,11 +105,11 @@ class Search:
 
     # -- the search --------------------------------------------------------------------------------------
 
-    def run(self) -> Found:
+    def find(self) -> SearchResult:
         """Searches until nothing significant is left, or nothing explains what is."""
         stage = self.stage(self.base)
         p = self.left(stage.plain)
-        found = Found([stage], p_first=p, p_left=p)
+        found = SearchResult([stage], p_first=p, p_left=p)
         while p <= self.level and len(found.added) + len(found.signature) < _MOST_STEPS:
             explanations, nearest = self.explanations(stage)
             shape = self.simpler_shape(stage, explanations)
@@ -127,7 +124,7 @@ class Search:
             best = shape or self.best_single(stage)
             if isinstance(best, Candidate):
                 self.step(f"adding {best.name}")
-                after = self.stage(refit(stage.case, (best,)), stage.nuisance)
+                after = self.stage(refit(stage.run, (best,)), stage.nuisance)
                 added: tuple[Candidate, ...] = (best,)
                 if nearest is not None and self.beats(nearest, after, best):
                     after, added = nearest.stage, nearest.candidates
@@ -136,7 +133,7 @@ class Search:
                 found.stages.append(stage)
             elif best is not None:
                 found.signature.append(self.refined(stage, best))
-                stage = self.stage(stage.case, found.signature)
+                stage = self.stage(stage.run, found.signature)
                 found.stages.append(stage)
             else:
                 break
@@ -146,17 +143,17 @@ class Search:
         found.explained = p > self.level and not found.signature and bool(found.added)
         return found
 
-    def without_effects(self, found: Found) -> Found:
+    def without_effects(self, found: SearchResult) -> SearchResult:
         """The same search with every effect taken back: shapes alone describe what is left."""
         stage = found.stages[0]
-        out = Found([stage], p_first=found.p_first, p_left=found.p_first)
+        out = SearchResult([stage], p_first=found.p_first, p_left=found.p_first)
         p = found.p_first
         while p <= self.level and len(out.signature) < _MOST_STEPS:
             shape = self.best_shape(stage)
             if shape is None:
                 break
             out.signature.append(self.refined(stage, shape))
-            stage = self.stage(stage.case, out.signature)
+            stage = self.stage(stage.run, out.signature)
             out.stages.append(stage)
             p = self.left(stage.plain)
         out.p_left = p
@@ -176,7 +173,7 @@ class Search:
             np.concatenate([stage.nuisance_columns, stage.scan.take(columns_of(shape))], axis=1)
         )
         of_shape = schwarz(given, len(stage.scan.numbers(columns_of(shape))))
-        of_pair = min(bic(stage.given(*e.candidates), e.candidates) for e in explanations)
+        of_pair = min(bic(stage.with_effects(*e.candidates), e.candidates) for e in explanations)
         if of_shape < of_pair - _CLEARLY and self.left(given) > self.level:
             return shape
         return None
@@ -251,7 +248,7 @@ class Search:
         largest = float(stage.plain.gains()[0].max())
         screened = []
         for members in sets:
-            given = stage.given(*members)
+            given = stage.with_effects(*members)
             taken = stage.plain.sum_of_squares - given.sum_of_squares
             if taken >= _TAKES * largest:
                 screened.append((bic(given, members), schwarz(given, 0), members))
@@ -263,10 +260,10 @@ class Search:
         for _, _, members in screened[:most] + near[:most]:
             self.step("refitting with " + " and ".join(c.name for c in members))
             try:
-                case = refit(stage.case, members)
+                run = refit(stage.run, members)
             except SherkitError:
                 continue
-            after = self.stage(case, stage.nuisance)
+            after = self.stage(run, stage.nuisance)
             out.append(Explanation(members, after, self.left(after.plain)))
         out.sort(key=lambda e: (not plausible(e), bic(e.stage.plain, e.candidates)))
         return out
@@ -305,7 +302,7 @@ class Search:
             return self._finer(stage, stage.candidates[int(np.argmin(effects))])
         return self.best_shape(stage)
 
-    def _prune(self, found: Found) -> None:
+    def _prune(self, found: SearchResult) -> None:
         """Takes out effects that later ones have made needless."""
         if len(found.added) < 2:
             return
@@ -319,17 +316,17 @@ class Search:
                 found.p_left = p
 
 
-def refit(case: Case, candidates: Sequence[Candidate]) -> Case:
+def refit(run: FittedRun, candidates: Sequence[Candidate]) -> FittedRun:
     """The full fit with these candidates, at the settings they were found with."""
-    return case.refit([c.addition for c in candidates])
+    return run.refit([c.addition for c in candidates])
 
 
-def bic(given: Given, members: Sequence[Candidate]) -> float:
+def bic(given: ConditionalScan, members: Sequence[Candidate]) -> float:
     """Schwarz's criterion of a model whose residual is ``given``, for the added effects."""
     return schwarz(given, sum(len(c.effect.parameters) + (c.effect.search is not None) for c in members))
 
 
-def schwarz(given: Given, count: int) -> float:
+def schwarz(given: ConditionalScan, count: int) -> float:
     """Schwarz's criterion of a model whose residual is ``given``, for ``count`` added parameters."""
     n = given.scan.n * given.scan.m
     return float(n * np.log(given.sum_of_squares / n) + count * np.log(n))
@@ -337,28 +334,12 @@ def schwarz(given: Given, count: int) -> float:
 
 def plausible(explanation: Explanation) -> bool:
     """Whether every added effect came out with a plausible size."""
-    case = explanation.stage.case
-    return all(is_plausible(case, c.effect) for c in explanation.candidates)
+    run = explanation.stage.run
+    return all(is_plausible(run, c.effect) for c in explanation.candidates)
 
 
-def is_plausible(case: Case, effect: Effect, times: float = 5.0) -> bool:
+def is_plausible(run: FittedRun, effect: Effect, times: float = 5.0) -> bool:
     """Whether no parameter of an effect is beyond ``times`` its plausible size, give or take two deviations."""
-    place, fit = case.owns(effect), case.fit
+    place, fit = run.owns(effect), run.fit
     size = np.array([p.size for p in effect.parameters])
     return bool((np.abs(fit.values[place]) - 2 * fit.std_from_readings[place] <= times * size).all())
-
-
-def moment_of_step(case: Case, effect: Effect) -> float | None:
-    """The moment at which a step takes most of what a case leaves; None where no moment can be searched for."""
-    rows = np.flatnonzero(case.whole)
-    search = Search(case, (effect,), rows, case.noise()[0], level=0.01, rho=0.0)
-    found = [c for c in search.strongest_settings(search.stage(search.base)) if c.effect.search == "time_s"]
-    return found[0].setting if found else None
-
-
-def slip_time(fit: Fit) -> float:
-    """The moment at which a step of the measured point leaves least. Raises :class:`EffectError` without time."""
-    moment = moment_of_step(ChainCase(fit), CATALOGUE["slip"])
-    if moment is None:
-        raise EffectError("'slip': no moment can be searched for in these rows")
-    return moment

@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .view import View
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from ..types import Floats
+from .linearised import Linearised
 
 _ORDERS = 3
 _STEPS = 24
@@ -56,7 +54,7 @@ class Family:
 
 
 class _Builder:
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: Linearised) -> None:
         self.view = view
         self.shapes: list[Shape] = []
         self.functions: list[Floats] = []
@@ -80,7 +78,7 @@ class _Builder:
             self.shapes.append(Shape(depends_on, shape, axis=axis, functions=functions, **about))  # type: ignore[arg-type]
 
 
-def build(view: View, *, thorough: bool = True, periods: Sequence[tuple[str, float]] = ()) -> Family:
+def build(view: Linearised, *, thorough: bool = True, periods: Sequence[tuple[str, float]] = ()) -> Family:
     """All shapes for the variables of a view; periods and hysteresis only where ``thorough``.
 
     ``periods`` (variable, period) are looked at besides those of the grid.
@@ -166,11 +164,11 @@ def _hysteretic(b: _Builder) -> None:
         columns = (b.column(pattern, direction),)
         b.shapes.append(Shape((joint,), "hysteretic", pattern=pattern, setting=0.0, dense=columns))
         for width in _PLAY_WIDTHS:
-            columns = (b.column(pattern, play(q, width) - q),)
+            columns = (b.column(pattern, play_operator(q, width) - q),)
             b.shapes.append(Shape((joint,), "hysteretic", pattern=pattern, setting=width, dense=columns))
 
 
-def play(q: Floats, width: float) -> Floats:
+def play_operator(q: Floats, width: float) -> Floats:
     """The play operator: what follows ``q`` with a dead zone of ``width`` (Visintin, *Differential Models of
     Hysteresis*, 1994)."""
     out = np.empty_like(q)

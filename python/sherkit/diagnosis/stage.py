@@ -10,16 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from ..effects import Effect
+from ..data.noise import MAD
 from ..errors import FitError
-from ..noise import MAD
-from .case import Case
-from .scan import Columns, Given, Scan
+from ..model.effect import Effect
+from ..types import Bools, Floats
+from .fitted_run import FittedRun
+from .linearised import Linearised, correlation_in_time, orthonormal, whiten
+from .scan import Columns, ConditionalScan, Scan
 from .shapes import Family, Shape, build
-from .view import View, correlation_in_time, orthonormal, whiten
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 #: Chance that a run without outliers has a row taken for one.
 _OUTLIER_LEVEL = 0.01
@@ -44,11 +42,9 @@ class Candidate:
         return self.effect.name
 
     @property
-    def addition(self) -> tuple[Effect, dict[str, float]]:
+    def addition(self) -> tuple[Effect, float | None]:
         """What a refit adds: the effect at the setting that was found."""
-        if self.effect.search != "time_s" or self.setting is None:
-            return self.effect, {}
-        return self.effect, {"time_s": self.setting}
+        return self.effect, self.setting if self.effect.search == "time_s" else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,13 +57,13 @@ class Stage:
     ``untestable`` effect to the reason why it cannot.
     """
 
-    case: Case
+    run: FittedRun
     rows: NDArray[np.int64]
     axes: tuple[int, ...]
     sigma: Floats
     rho: float
     lag: NDArray[np.int64]
-    view: View
+    view: Linearised
     family: Family
     scan: Scan
     candidates: tuple[Candidate, ...]
@@ -77,7 +73,7 @@ class Stage:
     physical: Floats = field(repr=False)
 
     @cached_property
-    def plain(self) -> Given:
+    def plain(self) -> ConditionalScan:
         """Nothing added, besides the nuisance shapes."""
         return self.scan.condition(self.nuisance_columns)
 
@@ -87,7 +83,7 @@ class Stage:
         parts = [self.scan.take(columns_of(s)) for s in self.nuisance]
         return np.concatenate(parts, axis=1) if parts else np.zeros((self.scan.n * self.scan.m, 0))
 
-    def given(self, *added: Candidate) -> Given:
+    def with_effects(self, *added: Candidate) -> ConditionalScan:
         """The family once these effects are added, in linear approximation."""
         parts = [self.nuisance_columns] + [self.scan.take(c.columns) for c in added]
         return self.scan.condition(np.concatenate(parts, axis=1))
@@ -109,7 +105,7 @@ def columns_of(shape: Shape) -> Columns:
 
 
 def stage_of(
-    case: Case,
+    run: FittedRun,
     effects: Sequence[Effect],
     rows: NDArray[np.int64],
     sigma: Floats,
@@ -118,46 +114,43 @@ def stage_of(
     nuisance: Sequence[Shape] = (),
     thorough: bool = True,
 ) -> Stage:
-    """Builds the stage for a case on the given ones of its rows. ``sigma`` (columns,) is the noise per reading.
+    """Builds the stage for a run on the given ones of its rows. ``sigma`` (columns,) is the noise per reading.
 
     Only a ``thorough`` one has the shapes that cost time: periods and hysteresis.
 
     Raises :class:`FitError` where no row has all readings.
     """
-    axes = case.axes
-    rows = rows[case.whole[rows]]
-    if case.time_s is not None:
-        rows = rows[np.argsort(case.time_s[rows], kind="stable")]
-    if len(rows) < 10:
-        raise FitError(
-            f"{case.source}: {len(rows)} rows with all readings are too few to diagnose; expected 10 or more"
-        )
-    sigma = sigma[list(axes)]
-    seen = case.see(rows, effects, sigma)
-    view = seen.view
-    residual, fitted = view.residual, view.fitted
-    dense: list[Floats] = []
+    rows = testable(run, rows)
+    sigma = sigma[list(run.axes)]
+    view = run.linearised(rows, effects, sigma)
     candidates: list[Candidate] = []
-    for effect, columns in seen.columns:
-        first = len(dense)
-        dense += [columns[:, :, k] for k in range(columns.shape[2])]
-        candidates.append(Candidate(effect, Columns(dense=tuple(range(first, len(dense))), exact=True)))
+    offset = 0
+    for effect, columns in view.effects:
+        first, offset = offset, offset + columns.shape[2]
+        candidates.append(Candidate(effect, Columns(dense=tuple(range(first, offset)), exact=True)))
+    physical = _stacked(view)
     periods = [(n.depends_on[0], n.period) for n in nuisance if n.period is not None]
     family = build(view, thorough=thorough, periods=periods)
-    for effect in seen.in_time:
+    stepped: list[Floats] = []
+    for effect, moved in view.in_time:
         for shape in family.shapes:
-            if shape.shape == "step" and shape.axis is None:
-                about = Columns(functions=shape.functions, exact=True)
-                candidates.append(Candidate(effect, about, shape.setting))
+            if shape.shape != "step" or shape.axis is not None:
+                continue
+            about = Columns(functions=shape.functions, exact=True)
+            if moved is not None and view.time is not None and shape.setting is not None:
+                after = (view.time >= shape.setting)[:, None, None]
+                stepped.append(np.where(after, moved, 0.0))
+                first, offset = offset, offset + moved.shape[2]
+                about = Columns(dense=tuple(range(first, offset)), exact=True)
+            candidates.append(Candidate(effect, about, shape.setting))
 
-    physical = np.stack(dense, axis=2) if dense else np.zeros((len(rows), len(axes), 0))
     if rho is None:
-        rho = correlation_in_time(residual, _rich_basis(fitted, physical, family))
-    lag = _lags(case.order[rows])
-    offset = physical.shape[2]
+        rho = correlation_in_time(view.residual, _rich_basis(view.fitted, physical, family))
+    physical = np.concatenate([physical, *stepped], axis=2)
+    lag = _lags(run.data.order[rows])
     scan = Scan(
-        whiten(residual, rho, lag),
-        whiten(fitted, rho, lag),
+        whiten(view.residual, rho, lag),
+        whiten(view.fitted, rho, lag),
         whiten(family.functions, rho, lag),
         whiten(np.concatenate([physical, family.dense], axis=2), rho, lag),
         [Columns(s.functions, s.axis, tuple(k + offset for k in s.dense)) for s in family.shapes]
@@ -166,9 +159,9 @@ def stage_of(
     )
     shifted = tuple(_shift(s, offset) for s in family.shapes)
     return Stage(
-        case=case,
+        run=run,
         rows=rows,
-        axes=axes,
+        axes=run.axes,
         sigma=sigma,
         rho=rho,
         lag=lag,
@@ -176,10 +169,28 @@ def stage_of(
         family=Family(shifted, family.functions, family.dense),
         scan=scan,
         candidates=tuple(candidates),
-        untestable=seen.untestable,
+        untestable=dict(view.untestable),
         nuisance=tuple(_again(n, shifted) for n in nuisance),
         physical=physical,
     )
+
+
+def testable(run: FittedRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Those of these rows that have all readings, in the order of time. Raises :class:`FitError` for too few."""
+    rows = rows[run.whole[rows]]
+    if run.data.time_s is not None:
+        rows = rows[np.argsort(run.data.time_s[rows], kind="stable")]
+    if len(rows) < 10:
+        raise FitError(
+            f"{run.data.source}: {len(rows)} rows with all readings are too few to diagnose; expected 10 or more"
+        )
+    return rows
+
+
+def _stacked(view: Linearised) -> Floats:
+    """Columns (n, m, k) of every effect."""
+    columns = [columns for _, columns in view.effects]
+    return np.concatenate(columns, axis=2) if columns else np.zeros((len(view), view.axes, 0))
 
 
 def _lags(place: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -187,15 +198,18 @@ def _lags(place: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.concatenate([[1], np.maximum(np.diff(place), 1)])
 
 
-def suspected_outliers(stage: Stage, part: float = 0.0) -> NDArray[np.int64]:
+def suspected_outliers(run: FittedRun, effects: Sequence[Effect]) -> NDArray[np.int64]:
     """Rows (indices of the data) that neither noise, nor any effect, nor a smooth shape explains.
 
     A row of a pose that was read three times or more must also stand apart from the other readings of its pose: what
-    all of them show is the model's failing, not theirs. Only rows as far off as ``part`` of the farthest are listed.
+    all of them show is the model's failing, not theirs. Only rows as far off as the layout's part of the farthest are
+    listed. Raises :class:`FitError` for too few rows.
     """
-    e = stage.view.residual
+    rows = testable(run, np.flatnonzero(run.whole))
+    view = run.linearised(rows, effects, run.noise[0][list(run.axes)])
+    e = view.residual
     n, m = e.shape
-    basis = _rich_basis(stage.view.fitted, stage.physical, stage.family)
+    basis = _rich_basis(view.fitted, _stacked(view), build(view, thorough=False))
     left = e.reshape(-1)
     for _ in range(3):
         # what is smooth is estimated from residuals whose wild rows are cut to size
@@ -207,10 +221,10 @@ def suspected_outliers(stage: Stage, part: float = 0.0) -> NDArray[np.int64]:
     spread = MAD * np.median(np.abs(rest - center), axis=0)
     threshold = float(stats.norm.isf(0.5 * _OUTLIER_LEVEL / (n * m)))
     far = np.abs(rest - center) / np.maximum(spread, 1e-12)
-    wild = (far > threshold) & _apart(rest, stage.view.group, threshold)
-    farthest = part * far.max(where=wild, initial=0.0)
+    wild = (far > threshold) & _apart(rest, view.group, threshold)
+    farthest = run.data.layout.worst_first * far.max(where=wild, initial=0.0)
     alone: Bools = np.any(wild & (far >= farthest), axis=1)
-    return stage.rows[alone & ~_visits(stage.view.time, alone)]
+    return rows[alone & ~_visits(view.time, alone)]
 
 
 def _visits(time: Floats | None, wild: Bools) -> Bools:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..measurements.columns import JOINTS, POSITION
+from ..data.columns import TIME, Layout, bare, unit_in
 
 _HEAD = '''"""Written by `sherkit diagnose`: {sentence}
 
@@ -15,6 +15,8 @@ Rename it after the cause once you know it; then `sherkit diagnose robot.toml ru
 import numpy as np
 import sherkit as sk
 '''
+#: Plausible sizes that a template starts from.
+_SIZES = {"mm": 0.05, "rad": 1e-3, "px": 1.0}
 
 
 def sentence(signature: Mapping[str, Any]) -> str:
@@ -28,56 +30,71 @@ def sentence(signature: Mapping[str, Any]) -> str:
         "smooth": f"varies smoothly (order {signature['order']}) with {what}",
         "periodic": f"repeats with {what}, period {signature['period'] or 0.0:.3g}",
         "step": f"steps at {what} = {signature.get('at') or 0.0:.0f}",
-        "hysteretic": f"depends on the way {what} came there (width {signature.get('at') or 0.0:g} mm)",
+        "hysteretic": f"depends on the way {what} came there "
+        f"(width {signature.get('at') or 0.0:g} {unit_in(signature['depends_on'][0])})",
         "interaction": f"depends on {what} together",
     }[shape]
     return f"{where} {how} ({share})."
 
 
-def template(signature: Mapping[str, Any], name: str = "unknown_effect", file: str = "my_effects.py") -> str:
-    """Python source of an effect that takes this shape. It runs as it is with ``--effects``."""
+def template(
+    signature: Mapping[str, Any], layout: Layout, name: str = "unknown_effect", file: str = "my_effects.py"
+) -> str:
+    """Python source of an effect that takes this shape on rows of this ``layout``. It runs as it is with ``--effects``.
+
+    An error of a joint is added to the joint, one of the point to the point, any other to the readings.
+    """
     joint = signature.get("joint")
-    names, terms = _terms(signature)
-    if joint:
-        at, targets = "joints", [JOINTS.index(joint)]
-    else:
-        at, targets = "body", [POSITION.index(f"{a}_mm") for a in signature["axis"]]
-    labels = [f"{n}_{'q' + str(t + 1) if joint else 'xyz'[t]}" for t in targets for n in names]
-    parameters = ", ".join(f'"{label}": ("mm", 0.05)' for label in labels)
+    names, terms = _terms(signature, layout)
+    # the point is pushed where its coordinates are what is read
+    columns, at = (
+        (layout.joints, "joints") if joint else (layout.coordinates, "body" if _is_point(layout) else "sensor")
+    )
+    targets = [layout.joints.index(joint)] if joint else [layout.names.index(axis) for axis in signature["axis"]]
+    parameters = []
+    for t in targets:
+        unit = unit_in(columns[t]) or layout.unit
+        parameters += [f'"{n}_{bare(columns[t])}": ("{unit}", {_SIZES.get(unit, 1.0)})' for n in names]
     lines = [_HEAD.format(sentence=sentence(signature), file=file), ""]
-    needs = [n for n in signature["depends_on"] if n not in (*JOINTS, *POSITION)]
+    needs = [n for n in signature["depends_on"] if n not in (*layout.joints, *layout.coordinates)]
     needed = f", needs=({', '.join(repr(n) for n in needs)},)" if needs else ""
-    lines += [f'@sk.effect(at="{at}", parameters={{{parameters}}}{needed})', f"def {name}(rows, p):"]
-    lines += [f'    """{sentence(signature)}"""', *[f"    {line}" for line in _variables(signature)]]
-    lines.append("    out = np.zeros((len(rows), 3))")
-    for target in targets:
-        suffix = f"q{target + 1}" if joint else "xyz"[target]
-        total = " + ".join(f"p.{n}_{suffix} * ({t})" for n, t in zip(names, terms, strict=True))
-        lines.append(f"    out[:, {target}] = {total}")
+    lines += [f'@sk.effect(at="{at}", parameters={{{", ".join(parameters)}}}{needed})', f"def {name}(rows, p):"]
+    lines += [f'    """{sentence(signature)}"""', *[f"    {line}" for line in _variables(signature, layout)]]
+    lines.append(f"    out = np.zeros((len(rows), {len(columns)}))")
+    for t in targets:
+        total = " + ".join(f"p.{n}_{bare(columns[t])} * ({term})" for n, term in zip(names, terms, strict=True))
+        lines.append(f"    out[:, {t}] = {total}")
     return "\n".join([*lines, "    return out", ""])
 
 
-def _column(name: str) -> str:
-    if name in JOINTS:
-        return f"rows.joints[:, {JOINTS.index(name)}]"
-    if name in POSITION:
-        return f"rows.position[:, {POSITION.index(name)}]"
-    return "rows.time" if name == "time_s" else f"rows.{name}"
+def _is_point(layout: Layout) -> bool:
+    """Whether what is read are the three coordinates of a point."""
+    return [unit_in(name) for name in layout.coordinates] == ["mm"] * 3
 
 
-def _variables(signature: Mapping[str, Any]) -> list[str]:
+def _column(name: str, layout: Layout) -> str:
+    if name in layout.joints:
+        return f"rows.joints[:, {layout.joints.index(name)}]"
+    if name in layout.coordinates:
+        return f"rows.position[:, {layout.coordinates.index(name)}]"
+    if name == TIME:
+        return "rows.time"
+    return f"rows.{name}" if name.isidentifier() else f"rows[{name!r}]"
+
+
+def _variables(signature: Mapping[str, Any], layout: Layout) -> list[str]:
     """Lines that bring each variable to about -1 … 1, with the numbers of this run written in."""
     out = []
     for letter, name in zip("uv", signature["depends_on"], strict=False):
         if signature["shape"] in ("periodic", "step", "hysteretic"):
-            out.append(f"{letter} = {_column(name)}")
+            out.append(f"{letter} = {_column(name, layout)}")
         else:
             middle, half = signature["ranges"][name]
-            out.append(f"{letter} = ({_column(name)} - {middle!r}) / {half!r}")
+            out.append(f"{letter} = ({_column(name, layout)} - {middle!r}) / {half!r}")
     return out
 
 
-def _terms(signature: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+def _terms(signature: Mapping[str, Any], layout: Layout) -> tuple[list[str], list[str]]:
     shape = signature["shape"]
     if shape == "smooth":
         orders = range(1, (signature["order"] or 1) + 1)
@@ -89,9 +106,9 @@ def _terms(signature: Mapping[str, Any]) -> tuple[list[str], list[str]]:
         return ["step"], [f"(u >= {signature['at']!r}).astype(float)"]
     if shape == "hysteretic":
         if not signature.get("at"):
-            joint = JOINTS.index(signature["depends_on"][0])
+            joint = layout.joints.index(signature["depends_on"][0])
             return ["width"], [f"0.5 * rows.direction[:, {joint}]"]
-        return ["play"], [f"sk.play(u, {signature['at']!r}) - u"]
+        return ["play"], [f"sk.diagnosis.play_operator(u, {signature['at']!r}) - u"]
     if signature.get("joint"):
         return ["other", "other_squared", "product"], ["v", "v**2", "u * v"]
     return ["product"], ["u * v"]

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from .stage import Stage
-
-Floats = NDArray[np.float64]
 
 _BINS = 6
 
@@ -25,17 +22,12 @@ class Dependence:
     rms: tuple[float, ...]
     p_value: float
 
-    @property
-    def rms_um(self) -> tuple[float, ...]:
-        """The same, for a machine that is measured in µm."""
-        return self.rms
-
 
 def where(stage: Stage) -> tuple[Dependence, ...]:
     """One line for each variable (joints, coordinates, time, directions, covariates), the clearest first."""
     out = []
     z = stage.deviates[: stage.n_shapes]
-    error = stage.view.residual * stage.sigma * stage.case.per_unit
+    error = stage.view.residual * stage.sigma * stage.run.per_unit
     for name, values in stage.view.variables.items():
         scores = [s for s, shape in zip(z.tolist(), stage.family.shapes, strict=True) if shape.depends_on == (name,)]
         if not scores:

@@ -13,17 +13,15 @@ from typing import Any
 import numpy as np
 from bokeh.core.properties import value
 from bokeh.models import Range1d
-from numpy.typing import NDArray
 
-from ..diagnosis.questions import case_of
+from ..diagnosis.fitted_run import FittedRun
+from ..diagnosis.linearised import orthonormal
 from ..diagnosis.stage import Stage, stage_of
-from ..diagnosis.view import orthonormal
-from ..effects import Effect
+from ..model.effect import Effect
+from ..types import Floats
 from .picture import Picture, Tables, sources_of, stacked
 from .residual_map import plane_of_most, round_number
 from .style import ADDED, FONT, FONT_SIZE, INK, figure, quantity
-
-Floats = NDArray[np.float64]
 
 _TILE = 216
 _PER_ROW = 4
@@ -34,7 +32,7 @@ _MOST_ARROWS = 120
 class Tile:
     """One map: ``title``, and how much of the measured map it explains (1 for the measured one itself).
 
-    ``error`` (k, m) in the unit of the case at the drawn poses.
+    ``error`` (k, m) in the unit of the layout at the drawn poses.
     """
 
     title: str
@@ -62,9 +60,9 @@ def atlas_of(fit: Any, effects: Sequence[Effect] = ()) -> Atlas:
     ``effects`` are the user's own, beside the catalogue. Raises :class:`~sherkit.errors.FitError` where there is too
     little to diagnose.
     """
-    case = case_of(fit)
-    sigma = case.noise()[0]
-    stage = stage_of(case, (*case.catalogue, *effects), np.flatnonzero(case.whole), sigma, rho=0.0, thorough=False)
+    run = FittedRun(fit)
+    every = (*run.catalogue, *effects)
+    stage = stage_of(run, every, np.flatnonzero(run.whole), run.noise[0], rho=0.0, thorough=False)
     measured, signatures = _signatures(stage)
     view = stage.view
     names = view.place
@@ -90,16 +88,16 @@ def atlas_of(fit: Any, effects: Sequence[Effect] = ()) -> Atlas:
         across=names[0] if names else "pose",
         up=names[1] if len(names) > 1 else "",
         plane=plane,
-        unit=case.unit,
-        names=tuple(case.names[a] for a in case.axes),
+        unit=run.unit,
+        names=tuple(run.names[a] for a in run.axes),
     )
 
 
 def _signatures(stage: Stage) -> tuple[Floats, list[tuple[str, float, Floats]]]:
-    """Measured error (n, m) in the unit of the case, and for every effect its name, share explained, and error."""
+    """Measured error (n, m) in the unit of the layout, and for every effect its name, share explained, and error."""
     view = stage.view
     n, m = view.residual.shape
-    unit = stage.sigma * stage.case.per_unit
+    unit = stage.sigma * stage.run.per_unit
     fitted = view.fitted.reshape(n * m, -1)
     basis = orthonormal(fitted)
     residual = view.residual.ravel()

@@ -15,7 +15,7 @@ from .style import ADDED, FONT, FONT_SIZE, INK, MUTED, PLAIN, REFUSED, figure, h
 _ROW_HEIGHT, _AROUND = 30, 110
 
 
-def candidates(found: Diagnosis[Any]) -> Picture[Diagnosis[Any]]:
+def candidates(found: Diagnosis) -> Picture[Diagnosis]:
     """A line for every effect that could be tried: error on poses held out, with two standard errors.
 
     Blue: named by the diagnosis. Grey: tried. Crosses: only at an implausible size. Effects that the rows cannot
@@ -50,7 +50,7 @@ def candidates(found: Diagnosis[Any]) -> Picture[Diagnosis[Any]]:
     )  # fmt: skip
     made.ygrid.grid_line_color = None
 
-    def tune(new: Diagnosis[Any]) -> None:
+    def tune(new: Diagnosis) -> None:
         made.y_range.factors = _names(new)[::-1]
         made.x_range.start, made.x_range.end = _reach(new)
         made.height = _ROW_HEIGHT * len(_names(new)) + _AROUND
@@ -63,7 +63,7 @@ def candidates(found: Diagnosis[Any]) -> Picture[Diagnosis[Any]]:
     return Picture("candidates", single("candidates", made), sources, _tables, tune, note=note)
 
 
-def _order(found: Diagnosis[Any]) -> list[Any]:
+def _order(found: Diagnosis) -> list[Any]:
     """Effects as reported, with those tied to one right behind it."""
     reports = {c.effect: c for c in found.candidates}
     out: list[str] = []
@@ -73,17 +73,17 @@ def _order(found: Diagnosis[Any]) -> list[Any]:
     return [reports[name] for name in out]
 
 
-def _names(found: Diagnosis[Any]) -> list[str]:
+def _names(found: Diagnosis) -> list[str]:
     return [c.effect for c in _order(found)]
 
 
-def _noise(found: Diagnosis[Any]) -> float:
+def _noise(found: Diagnosis) -> float:
     if found.noise_origin == "unknown":
         return 0.0
     return float(np.sqrt(np.mean(np.square(list(found.noise.values())))))
 
 
-def _reach(found: Diagnosis[Any]) -> tuple[float, float]:
+def _reach(found: Diagnosis) -> tuple[float, float]:
     values = [max(c.held_out_rms, 1e-12) for c in found.candidates] + [found.steps[0].held_out_rms]
     # an addition that overfits a small run may hold out absurdly badly; it need not set the scale
     top = min(max(values), 5 * found.steps[0].held_out_rms)
@@ -96,7 +96,7 @@ def _lowest(candidate: Any) -> float:
     return float(max(candidate.held_out_rms - 2 * candidate.held_out_std, 0.3 * candidate.held_out_rms, 1e-12))
 
 
-def _tables(found: Diagnosis[Any]) -> Tables:
+def _tables(found: Diagnosis) -> Tables:
     order = _order(found)
     high = _reach(found)[1]
     named = set(found.effects)
@@ -120,7 +120,7 @@ def _tables(found: Diagnosis[Any]) -> Tables:
     return {"effects": table} | _brackets(found, [c.effect for c in order])
 
 
-def _brackets(found: Diagnosis[Any], order: list[str]) -> Tables:
+def _brackets(found: Diagnosis, order: list[str]) -> Tables:
     """A bracket at the right edge for every group that the rows cannot tell apart."""
     low, high = _reach(found)
     stem, tick = (low * (high / low) ** part for part in (0.89, 0.875))

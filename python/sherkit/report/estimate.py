@@ -10,10 +10,9 @@ import numpy as np
 from bokeh.models import Span
 from numpy.typing import NDArray
 
+from ..types import Floats
 from .picture import Picture, Tables, sources_of, stacked
 from .style import ADDED, COLOURS, INK, MUTED, PLAIN, figure, hover, legend
-
-Floats = NDArray[np.float64]
 
 _HEIGHT, _BELOW = 320, 190
 #: More steps than this are drawn as the extremes of equal stretches, so that no spike of any line is lost.
@@ -22,7 +21,7 @@ _TWO_SIDED_95 = 1.959964
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class EstimateOverTime:
     """Values over ``time_s`` (n,): ``estimate`` and its ``std`` (n,) in ``unit``.
 
     ``others`` are further lines in the same unit by name (the sensor alone, the truth), NaN where there is none;
@@ -39,8 +38,8 @@ class Estimate:
     threshold_mN: float | None = None
 
 
-def estimate_picture(state: Estimate) -> Picture[Estimate]:
-    """Estimate with its 95 % band, the other lines, and the force on the same axis of time."""
+def estimate_picture(state: EstimateOverTime) -> Picture[EstimateOverTime]:
+    """The estimate with its 95 % band, the other lines, and the force on the same axis of time."""
     sources = sources_of(_tables(state))
     made = figure(height=_HEIGHT, sizing_mode="stretch_width")
     made.yaxis.axis_label = f"{state.name}, {state.unit}"
@@ -72,7 +71,7 @@ def estimate_picture(state: Estimate) -> Picture[Estimate]:
     return Picture("estimate", stacked("estimate", figures, sizing_mode="stretch_width"), sources, _tables, note=note)
 
 
-def _window(state: Estimate) -> tuple[float, float]:
+def _window(state: EstimateOverTime) -> tuple[float, float]:
     values = [state.estimate, *(v for name, v in state.others.items() if name == "truth")]
     known = np.concatenate([v[np.isfinite(v)] for v in values])
     if not len(known):
@@ -82,7 +81,7 @@ def _window(state: Estimate) -> tuple[float, float]:
     return float(low - room), float(high + room)
 
 
-def _tables(state: Estimate) -> Tables:
+def _tables(state: EstimateOverTime) -> Tables:
     band = _TWO_SIDED_95 * state.std
     lines = [state.estimate, state.estimate - band, state.estimate + band, *state.others.values()]
     keep = _drawn([*lines, state.force_mN] if state.force_mN is not None else lines)

@@ -5,20 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-from .left import Left
+from ..types import Floats
 from .picture import Picture, Tables, sources_of, stacked
+from .residuals import Residuals
 from .style import COLOURS, INK, MARKERS, figure, hover, legend
-
-Floats = NDArray[np.float64]
 
 _BINS, _CURVE, _QUANTILES = (11, 41), 121, 200
 _HEIGHT = 360
 
 
-def noise_picture(left: Left) -> Picture[Left]:
+def noise_picture(left: Residuals) -> Picture[Residuals]:
     """Left a histogram of what remains over its noise, right its quantiles against those of the noise.
 
     On the dashed line the remains are noise; a steeper line means that they are larger, bent ends that single readings
@@ -54,7 +52,7 @@ def noise_picture(left: Left) -> Picture[Left]:
     return Picture("noise", root, sources, _tables, note=note)
 
 
-def _tables(left: Left) -> Tables:
+def _tables(left: Residuals) -> Tables:
     bins: dict[str, Any] = {}
     quantiles: dict[str, Any] = {}
     # few readings in many bars are a comb
@@ -74,7 +72,7 @@ def _tables(left: Left) -> Tables:
     return {"bins": bins, "quantiles": quantiles, "normal": {"x": x, "y": stats.norm.pdf(x)}}
 
 
-def _over_noise(left: Left, k: int) -> Floats:
+def _over_noise(left: Residuals, k: int) -> Floats:
     values = left.values[~left.outlier, k]
     values = values[np.isfinite(values)]
     sigma = left.noise[k] if left.noise_origin != "unknown" else values.std()

@@ -13,19 +13,17 @@ from bokeh.layouts import column
 from bokeh.models import Div
 from bokeh.resources import INLINE
 
-from .. import paper
-from ..calibrations import AnyCalibration
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
-from ..identification import Fit
-from ..readings import ModelFit
+from ..fit.identify import Fit
+from ..robots.calibrated import REQUIREMENT_UM, Calibration
 from ..study import Study
 from .candidates import candidates
-from .fall import fall, fall_of
-from .left import left_of
+from .error_history import error_history, error_history_of
 from .parameters import parameters
 from .picture import Picture
 from .residual_map import Change, residual_map
+from .residuals import residuals_of
 from .workspace import accuracy_map, accuracy_of
 
 _HEIGHT_PX = 560
@@ -35,18 +33,20 @@ def pictures_of(value: Any) -> list[Picture[Any]]:
     """The pictures that say most about a value, the first one first. Raises ``TypeError`` for what has none."""
     if isinstance(value, Study):
         before = next((s.fit for s in value.history if s.fit is not None), value.fit)
-        change = Change(left_of(before), left_of(value.fit), value.history[0].action, value.history[-1].action)
-        return [fall(fall_of(value)), residual_map(change)]
+        change = Change(
+            residuals_of(before), residuals_of(value.fit), value.history[0].action, value.history[-1].action
+        )
+        return [error_history(error_history_of(value)), residual_map(change)]
     if isinstance(value, Diagnosis):
         change = Change(
-            left_of(value.base), left_of(value.fit), "as it came", " and ".join(value.effects) or "the same"
+            residuals_of(value.base), residuals_of(value.fit), "as it came", " and ".join(value.effects) or "the same"
         )
         shown: list[Picture[Any]] = [candidates(value)] if value.candidates else []
         return [*shown, residual_map(change)]
-    if isinstance(value, AnyCalibration):
-        return [accuracy_map(accuracy_of(value, paper.REQUIREMENT_UM))]
-    if isinstance(value, Fit | ModelFit):
-        left = left_of(value)
+    if isinstance(value, Calibration):
+        return [accuracy_map(accuracy_of(value, REQUIREMENT_UM))]
+    if isinstance(value, Fit):
+        left = residuals_of(value)
         return [residual_map(Change(left, left, "left by the fit", "left by the fit")), parameters(value)]
     raise TypeError(f"no picture is known for {type(value).__name__}")
 
@@ -57,7 +57,7 @@ def cell(value: Any) -> str | None:
         pictures = pictures_of(value)
     except SherkitError:
         return None
-    parts: list[Any] = [Div(text=f"<pre style='font-size:14px'>{escape(repr(value))}</pre>")]
+    parts: list[Any] = [Div(text=f"<pre style='font-size:14px'>{escape(str(value))}</pre>")]
     for one in pictures:
         parts += [one.root, Div(text=f"<p style='font-size:14px;color:#555'>{escape(one.note)}</p>", width=900)]
     page = file_html(column(*parts, sizing_mode="stretch_width"), INLINE, "")

@@ -9,8 +9,7 @@ from bokeh.core.properties import value
 from bokeh.models import FactorRange, LinearColorMapper, Range1d, Span, Whisker
 from bokeh.transform import dodge, transform
 
-from ..identification import Fit
-from ..readings import ModelFit
+from ..fit.identify import Fit
 from .picture import Picture, Table, Tables, single, sources_of, stacked
 from .style import ADDED, DIVERGING_AREAS, FONT, FONT_SIZE, INK, MUTED, SEQUENTIAL, colour_bar, figure, hover, padded
 
@@ -22,7 +21,7 @@ _CELL = 24
 _LETTERS, _LINE, _BAR = 84, 20, 36
 
 
-def parameters(fit: Fit | ModelFit) -> Picture[Fit | ModelFit]:
+def parameters(fit: Fit) -> Picture[Fit]:
     """Every identified value with its 95 % interval, a panel for each unit.
 
     Dark: what the readings leave; pale: with what they do not tell at all, from plausible sizes.
@@ -50,7 +49,7 @@ def parameters(fit: Fit | ModelFit) -> Picture[Fit | ModelFit]:
         )  # fmt: skip
         figures.append(made)
 
-    def tune(new: Fit | ModelFit) -> None:
+    def tune(new: Fit) -> None:
         for unit, made in zip(_units(new), figures, strict=False):
             table = _tables(new)[_key(unit)]
             names, reach = table["name"], _reach(table)
@@ -74,7 +73,7 @@ def _shown(unit: str) -> tuple[str, float]:
     return ("°", float(np.rad2deg(1.0))) if unit == "rad" else (unit, 1.0)
 
 
-def _units(fit: Fit | ModelFit) -> list[str]:
+def _units(fit: Fit) -> list[str]:
     return list(dict.fromkeys(_shown(p.unit)[0] for p in fit.parameters))
 
 
@@ -82,13 +81,12 @@ def _key(unit: str) -> str:
     return f"unit_{unit}"
 
 
-def _tables(fit: Fit | ModelFit) -> Tables:
+def _tables(fit: Fit) -> Tables:
     out: Tables = {}
-    total = getattr(fit, "std", fit.std_from_readings)
     for unit in _units(fit):
         rows = [k for k, p in enumerate(fit.parameters) if _shown(p.unit)[0] == unit]
         factor = np.array([_shown(fit.parameters[k].unit)[1] for k in rows])
-        value, std, std_all = (np.asarray(v)[rows] * factor for v in (fit.values, fit.std_from_readings, total))
+        value, std, std_all = (np.asarray(v)[rows] * factor for v in (fit.values, fit.std_from_readings, fit.std))
         out[_key(unit)] = {
             "name": [fit.parameters[k].name for k in rows],
             "value": value, "std": std, "std_all": std_all,
@@ -98,7 +96,7 @@ def _tables(fit: Fit | ModelFit) -> Tables:
     return out
 
 
-def correlations(fit: Fit | ModelFit) -> Picture[Fit | ModelFit]:
+def correlations(fit: Fit) -> Picture[Fit]:
     """Correlations of the identified values: what the readings cannot set apart, they set together."""
     names = [p.name for p in fit.parameters][:_MOST_CORRELATED]
     sources = sources_of(_correlation_tables(fit))
@@ -119,7 +117,7 @@ def correlations(fit: Fit | ModelFit) -> Picture[Fit | ModelFit]:
     return Picture("correlations", single("correlations", made), sources, _correlation_tables, note=note)
 
 
-def _correlation_tables(fit: Fit | ModelFit) -> Tables:
+def _correlation_tables(fit: Fit) -> Tables:
     names = [p.name for p in fit.parameters][:_MOST_CORRELATED]
     covariance = np.asarray(fit.covariance)[: len(names), : len(names)]
     std = np.sqrt(np.diag(covariance).clip(1e-300))
@@ -173,4 +171,4 @@ def _direction_tables(fit: Fit) -> Tables:
     # the sentence ends in its size, which the bar shows
     texts = ["\n".join(wrap(str(d).rsplit(":", 1)[0], _LETTERS)) for d in found]
     rows = [str(k) for k in range(len(found))]
-    return {"directions": {"row": rows, "text": texts, "std": [d.std_mm for d in found]}}
+    return {"directions": {"row": rows, "text": texts, "std": [d.std for d in found]}}

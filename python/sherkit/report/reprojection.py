@@ -8,11 +8,10 @@ import numpy as np
 from bokeh.models import LinearColorMapper, Range1d
 from numpy.typing import NDArray
 
+from ..types import Floats
 from .picture import Picture, Tables, single, sources_of
 from .residual_map import round_number
 from .style import INK, SEQUENTIAL, colour_bar, figure, hover, number
-
-Floats = NDArray[np.float64]
 
 _WIDTH = 820
 _MOST = 1500

@@ -16,12 +16,10 @@ from bokeh.core.properties import value
 from bokeh.models import ColumnDataSource, FixedTicker, LinearColorMapper, Range1d
 from numpy.typing import NDArray
 
-from .left import Left
+from ..types import Bools, Floats
 from .picture import Picture, Table, Tables, sources_of, stacked
+from .residuals import Residuals
 from .style import DIVERGING, FONT, FONT_SIZE, INK, MUTED, colour_bar, figure, hover, number, padded, quantity
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 #: More arrows than this in one panel become the means of cells.
 _MOST_ARROWS = 300
@@ -49,8 +47,8 @@ _FLATTEST, _TALLEST = 0.35, 1.2
 class Change:
     """Two moments of a study: what the model left before, and what it leaves now."""
 
-    before: Left
-    after: Left
+    before: Residuals
+    after: Residuals
     before_title: str = "before"
     after_title: str = "after"
 
@@ -155,7 +153,7 @@ class _Scale:
         # as long as the longest arrows, and long enough to be compared with
         self.bar = round_number(max(typical, _SHORTEST_BAR * self.pixel / self.per_unit), up=True)
 
-    def _circle(self, left: Left, mask: Bools) -> float:
+    def _circle(self, left: Residuals, mask: Bools) -> float:
         """Radius that holds 95 of 100 means of repeats that are noise alone, as long as arrows are drawn."""
         use = _used(left, mask)
         repeats = max(int(use.sum()) / max(len(np.unique(left.group[use])), 1), 1.0)
@@ -173,7 +171,7 @@ def round_number(value: float, *, up: bool = False) -> float:
     return float(power * max(s for s in steps if s * power <= value * (1 + 1e-9)))
 
 
-def _cut(left: Left) -> _Panels:
+def _cut(left: Residuals) -> _Panels:
     """Panels by the third coordinate, the highest first, as they lie in the workspace."""
     names = list(left.place)
     n = len(left)
@@ -220,7 +218,7 @@ def plane_of_most(place: Mapping[str, Floats], error: Floats) -> tuple[str, Bool
     return max(planes_of(place, len(error)), key=lambda plane: float(np.nanmean(error[plane[1]] ** 2)))
 
 
-def _arrows(left: Left, panels: _Panels, mask: Bools) -> Table:
+def _arrows(left: Residuals, panels: _Panels, mask: Bools) -> Table:
     """Mean error of every pose in a panel, or of every cell where poses are many."""
     rows = np.flatnonzero(_used(left, mask))
     if not len(rows):
@@ -252,7 +250,7 @@ def _arrows(left: Left, panels: _Panels, mask: Bools) -> Table:
     return table
 
 
-def _used(left: Left, mask: Bools) -> Bools:
+def _used(left: Residuals, mask: Bools) -> Bools:
     """Rows of a panel that are drawn."""
     return mask & ~left.outlier & np.isfinite(left.values).all(axis=1)
 
@@ -296,7 +294,7 @@ def _tables(change: Change, panels: _Panels, scale: _Scale) -> Tables:
     return out
 
 
-def _key(panels: _Panels, scale: _Scale, left: Left, title: str, plane: str, rms: float, panel: int) -> Table:
+def _key(panels: _Panels, scale: _Scale, left: Residuals, title: str, plane: str, rms: float, panel: int) -> Table:
     """Title, scale bar and noise circle of one panel: a table with a single row."""
     x_range, y_range = scale.ranges
     x0, y0, x1, y1 = (float(v) for v in (x_range.start, y_range.start, x_range.end, y_range.end))
@@ -352,7 +350,7 @@ def _ranges(
 def _panel(
     sources: dict[str, ColumnDataSource], k: int, moment: str, panels: _Panels, mapper: LinearColorMapper,
     ranges: tuple[Range1d, Range1d],
-    left: Left,
+    left: Residuals,
     width: int,
 ) -> Any:  # fmt: skip
     source, key = sources[f"{moment}_{k}"], sources[f"{moment}_{k}_key"]

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from bokeh.models import Span
 
-from .left import Left
 from .picture import Picture, Tables, sources_of, stacked, thinned
+from .residuals import Residuals
 from .style import COLOURS, MARKERS, MUTED, figure, hover, legend, quantity
 
 _HEIGHT, _BELOW = 320, 150
@@ -19,7 +19,7 @@ _FEW = 300
 _LETTERS = 15
 
 
-def run_in_time(left: Left) -> Picture[Left]:
+def run_in_time(left: Residuals) -> Picture[Residuals]:
     """All readings in the order they were taken; outliers larger. Covariates that vary stand below on the same axis."""
     sources = sources_of(_tables(left))
     made = figure(height=_HEIGHT, sizing_mode="stretch_width", tools="pan,box_zoom,wheel_zoom,box_select,reset")
@@ -49,7 +49,7 @@ def run_in_time(left: Left) -> Picture[Left]:
     return Picture("run", stacked("run", figures, sizing_mode="stretch_width"), sources, _tables, note=note)
 
 
-def _below(left: Left) -> list[str]:
+def _below(left: Residuals) -> list[str]:
     """Covariates, not coordinates, joints, directions or time; at most two."""
     known = {*left.place, "time_s"}
     names = [
@@ -58,7 +58,7 @@ def _below(left: Left) -> list[str]:
     return names[:2]
 
 
-def _tables(left: Left) -> Tables:
+def _tables(left: Residuals) -> Tables:
     rows = np.asarray(thinned(len(left), MOST_POINTS, np.flatnonzero(left.outlier)))
     time = left.variables.get("time_s", left.row.astype(float))
     table: dict[str, Any] = {"t": time[rows], "line": left.line[rows].astype(np.int32)}

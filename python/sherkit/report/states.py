@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from ..diagnosis import Diagnosis
-from ..diagnosis.questions import case_of
-from ..diagnosis.search import moment_of_step
-from ..effects import Effect
+from ..diagnosis.fitted_run import FittedRun
+from ..diagnosis.slip import moment_of_step
 from ..errors import SherkitError
+from ..model.effect import Effect
 from ..names import listed
-from .against import gained, means, points, shown
-from .left import Left, left_of
 from .picture import Picture, Table
+from .residual_against import gained, means, points, shown
 from .residual_map import Change
+from .residuals import Residuals, residuals_of
 
 _MOST_SINGLE = 14
 
@@ -30,11 +30,11 @@ class State:
     """A fit to look at: its title and what it leaves."""
 
     title: str
-    left: Left
+    left: Residuals
 
 
 def states_of(
-    found: Diagnosis[Any], known: Sequence[str], path: Mapping[tuple[str, ...], Any], effects: Sequence[Effect] = ()
+    found: Diagnosis, known: Sequence[str], path: Mapping[tuple[str, ...], Any], effects: Sequence[Effect] = ()
 ) -> list[State]:
     """The model as diagnosed, each single addition that could be fitted, then the steps of ``path``: effects and fit.
 
@@ -42,26 +42,25 @@ def states_of(
 
     ``effects`` are the user's own. An effect that cannot be fitted alone is left out.
     """
-    case = case_of(found.base)
-    out = [State(title_of(known), left_of(found.base))]
-    named = {e.name: e for e in (*case.catalogue, *effects)}
+    run = FittedRun(found.base)
+    out = [State(title_of(known), residuals_of(found.base))]
+    named = {e.name: e for e in (*run.catalogue, *effects)}
     taken = {frozenset(added) for added in path}
     for candidate in found.candidates[:_MOST_SINGLE]:
         effect = named.get(candidate.effect)
         title = title_of([*known, candidate.effect])
         if effect is None or {*known, candidate.effect} in taken:
             continue
-        settings: dict[str, float] = {}
+        moment = None
         try:
             if effect.search == "time_s":
-                moment = moment_of_step(case, effect)
+                moment = moment_of_step(run, effect)
                 if moment is None:
                     continue
-                settings["time_s"] = moment
-            out.append(State(title, left_of(case.refit([(effect, settings)]).fit)))
+            out.append(State(title, residuals_of(run.refit([(effect, moment)]).fit)))
         except SherkitError:
             continue
-    return out + [State(title_of(added), left_of(fit)) for added, fit in path.items()]
+    return out + [State(title_of(added), residuals_of(fit)) for added, fit in path.items()]
 
 
 def title_of(effects: Sequence[str]) -> str:
@@ -91,7 +90,7 @@ def packed(states: Sequence[State], maps: Picture[Change]) -> dict[str, Any]:
     return out
 
 
-def _at(left: Left, name: str) -> Any:
+def _at(left: Residuals, name: str) -> Any:
     return left.variables[name][shown(left)]
 
 

@@ -20,40 +20,40 @@ from bokeh.embed import components
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from .. import _core, paper
-from ..calibrate import Experiment, Result
-from ..calibrations import AnyCalibration
+import sherkit._core as _core
+
+from ..calibrate import Result
 from ..diagnosis import Diagnosis, sentence
 from ..errors import SherkitError
 from ..names import listed
-from ..pictures import Panel, residual_maps, round_bar
-from ..remote_centre import centre_in_words, remote_centre
-from ..spherical_model import SphericalModel
+from ..robots.calibrated import REQUIREMENT_UM, Calibration, calibration_class
+from ..robots.calibration_run import CalibrationRun
 from ..study import Study
-from .against import Against, against
 from .atlas import atlas_of, signature_atlas
 from .candidates import candidates
-from .fall import fall, fall_of
-from .left import Left, left_of
+from .error_history import error_history, error_history_of
 from .noise import noise_picture
 from .parameters import correlations, directions, parameters
 from .picture import Picture
+from .residual_against import ResidualAgainst, residual_against
 from .residual_map import Change, planes_of, residual_map
+from .residuals import Residuals, residuals_of
 from .run import run_in_time
 from .states import State, packed, states_of, title_of
 from .style import number, quantity
+from .svg import Panel, residual_maps, round_bar
 from .workspace import NextPoses, accuracy_map, accuracy_of, next_poses
 
 
 @dataclass(frozen=True)
-class Source:
+class SourceFile:
     """A file that a report was made from, with the SHA-256 of its bytes."""
 
     name: str
     sha256: str
 
     @classmethod
-    def of(cls, path: str | Path) -> Source:
+    def of(cls, path: str | Path) -> SourceFile:
         """Reads and hashes a file."""
         return cls(str(path), hashlib.sha256(Path(path).read_bytes()).hexdigest())
 
@@ -63,17 +63,19 @@ class Story:
     """What a report tells. ``study`` is at the state that is told last; ``found`` was asked of ``found.base``.
 
     ``calibration`` is what the report says how to use; ``result`` a calibration run with its tables. ``command`` makes
-    the report again from ``sources``. ``simulated`` says so at the top, and sets the paper's figures beside.
+    the report again from ``sources``. ``simulated`` says so at the top. ``printed`` are the figures of a
+    paper to stand beside, by run, by line of its table and by reading: RMS and deviation, in the unit that people read.
     """
 
     title: str
     study: Study
-    found: Diagnosis[Any]
+    found: Diagnosis
     command: str
-    sources: Sequence[Source]
-    calibration: AnyCalibration | None = None
+    sources: Sequence[SourceFile]
+    calibration: Calibration | None = None
     result: Result | None = None
     simulated: bool = False
+    printed: Mapping[str, Mapping[str, Mapping[str, tuple[int, int]]]] = field(default_factory=dict)
     #: Lines that a command adds: what else was measured, in sentences.
     remarks: Sequence[str] = field(default_factory=tuple)
 
@@ -97,15 +99,15 @@ def html(story: Story) -> str:
         story=story,
         found=story.found,
         study=story.study,
-        left=left_of(story.found.base),
-        final=left_of(story.study.fit),
+        left=residuals_of(story.found.base),
+        final=residuals_of(story.study.fit),
         lines=_error_lines(story),
         parameters=_parameter_lines(story),
         directions=[str(d) for d in getattr(story.study.fit, "badly_observed", ())],
         unobserved=[str(d) for d in getattr(story.study.fit, "unobserved", ())],
         accuracy=_accuracy_lines(story.calibration),
         coordinates=listed([quantity(c) for c in story.calibration.coordinates]) if story.calibration else "",
-        example=str([round(float(v), 2) for v in story.calibration.places()[-1][1] * 0.5]) if story.calibration else "",
+        example=_example(story.calibration),
         measured=_measured(story),
         signature=sentence(story.found.signature) if story.found.signature else None,
         notes={name: one.note for name, one in pictures.items()},
@@ -117,7 +119,7 @@ def html(story: Story) -> str:
         titles=list(enumerate(swaps["titles"])) if swaps else [],
         still=_still(story),
         machine=_in_script(story.found.to_json()),
-        required=paper.REQUIREMENT_UM,
+        required=REQUIREMENT_UM,
         versions=[("sherkit", _core.__version__), ("Python", platform.python_version()),
                   *((name, version(name)) for name in ("numpy", "scipy", "polars", "bokeh"))],
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -140,7 +142,7 @@ def _p(value: float) -> str:
 def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | None]:
     """All pictures that these rows allow, and the tables to switch them by."""
     study, found = story.study, story.found
-    before, after = left_of(found.base), left_of(study.fit)
+    before, after = residuals_of(found.base), residuals_of(study.fit)
     out: dict[str, Picture[Any]] = {}
     swaps: dict[str, Any] | None = None
     states, now = _states(story)
@@ -148,18 +150,18 @@ def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | N
     out["residual_map"] = residual_map(Change(before, chosen.left, states[0].title, chosen.title))
     if before.variables:
         variable = _leading(found, before)
-        out["against"] = against(Against(chosen.left, variable, before if now else None))
+        out["against"] = residual_against(ResidualAgainst(chosen.left, variable, before if now else None))
         swaps = packed(states, out["residual_map"]) | {"start": list(before.variables).index(variable), "state": now}
     if found.candidates:
         out["candidates"] = candidates(found)
         out["atlas"] = signature_atlas(atlas_of(found.base, tuple(study.own.values())))
-    out["fall"] = fall(fall_of(study, found, paper.REQUIREMENT_UM))
+    out["fall"] = error_history(error_history_of(study, found, REQUIREMENT_UM))
     out["parameters"] = parameters(study.fit)
     out["correlations"] = correlations(study.fit)
     if getattr(study.fit, "badly_observed", ()):
         out["directions"] = directions(study.fit)
     if story.calibration is not None:
-        out["accuracy"] = accuracy_map(accuracy_of(story.calibration, paper.REQUIREMENT_UM))
+        out["accuracy"] = accuracy_map(accuracy_of(story.calibration, REQUIREMENT_UM))
     if found.next_poses:
         out["next_poses"] = next_poses(NextPoses(found.next_poses, before))
     out["noise_before"], out["noise_after"] = noise_picture(before), noise_picture(after)
@@ -177,7 +179,7 @@ def _states(story: Story) -> tuple[list[State], int]:
     return states, next((k for k, s in enumerate(states) if s.title == title_of(study.effects)), 0)
 
 
-def _leading(found: Diagnosis[Any], left: Left) -> str:
+def _leading(found: Diagnosis, left: Residuals) -> str:
     """The variable on which the error depends most clearly."""
     known = [d.variable for d in found.where if d.variable in left.variables]
     return known[0] if known else next(iter(left.variables))
@@ -185,7 +187,7 @@ def _leading(found: Diagnosis[Any], left: Left) -> str:
 
 def _still(story: Story) -> str | None:
     """The residual map as plain SVG, for readers without JavaScript."""
-    before, after = left_of(story.found.base), left_of(story.study.fit)
+    before, after = residuals_of(story.found.base), residuals_of(story.study.fit)
     names = list(before.place)
     if len(names) < 2 or before.unit != "µm" or len(before.names) < 3:
         return None
@@ -202,7 +204,7 @@ def _still(story: Story) -> str | None:
 
 def _measured(story: Story) -> list[tuple[str, str]]:
     """What was measured, as pairs of a question and its answer."""
-    data, left = story.study.data, left_of(story.study.fit)
+    data, left = story.study.data, residuals_of(story.study.fit)
     poses = len(np.unique(data.groups))
     repeats = f"{len(data) / poses:.3g} readings of each on average" if poses < len(data) else "each read once"
     out = [("run", data.source), ("rows", f"{len(data)} at {poses} poses, {repeats}")]
@@ -224,8 +226,7 @@ def _measured(story: Story) -> list[tuple[str, str]]:
         out.append(("marked as outliers, not fitted", f"{left.counted}s {listed(data.line[data.outlier], 30)}"))
     if len(story.found.outliers):
         out.append(("suspected outliers", f"{left.counted}s {listed(data.line[story.found.outliers], 30)}"))
-    if isinstance(story.study.fit.model, SphericalModel):
-        out.append(("remote centre of motion", centre_in_words(remote_centre(story.study.fit))))
+    out += [(note.name, note.text) for note in calibration_class(story.study.robot).about(story.study.fit)]
     return out + [("remark", text) for text in story.remarks]
 
 
@@ -235,27 +236,27 @@ def _error_lines(story: Story) -> list[dict[str, Any]]:
     if story.result is not None:
         for key, one in (("whole", story.result.whole), ("local", story.result.local)):
             if one is not None:
-                out.append(_table_one(one, key, story.simulated))
+                out.append(_table_one(one, key, story.printed.get(key, {})))
     return out
 
 
-def _table_one(experiment: Experiment, key: str, beside: bool) -> dict[str, Any]:
-    axes = list(experiment.lines()[0][2])
+def _table_one(run: CalibrationRun, key: str, beside: Mapping[str, Mapping[str, tuple[int, int]]]) -> dict[str, Any]:
+    axes = list(run.lines()[0][2])
     rows: list[tuple[str, list[str], bool]] = []
-    for name, printed, rms in experiment.lines():
+    for name, printed, rms in run.lines():
         rows.append(
             (name.strip(), [f"{number(rms[a][0])} ± {number(rms[a][1])}" if a in rms else "" for a in axes], False)
         )
-        figures: Mapping[str, tuple[int, int]] = paper.TABLE_I[key].get(printed, {}) if beside else {}
+        figures = beside.get(printed, {})
         if figures:
             rows.append(("the paper's robot", [f"{v[0]} ± {v[1]}" for v in figures.values()], True))
-    repeats = experiment.fit.data.repeatability
+    repeats = run.fit.data.repeatability
     if repeats:
-        per_unit = experiment.fit.data.layout.per_unit
-        cells = [f"± {number(per_unit * repeats.sigma_mm[a])}" if a in repeats.sigma_mm else "" for a in axes]
+        per_unit = run.fit.data.layout.per_unit
+        cells = [f"± {number(per_unit * repeats.sigma[a])}" if a in repeats.sigma else "" for a in axes]
         rows.append(("repeatability (1 σ)", cells, False))
     title = {"whole": "the whole workspace", "local": "the region of interest"}[key]
-    unit = experiment.fit.data.layout.unit
+    unit = run.fit.data.layout.unit
     return {"title": title, "axes": [a.rsplit("_", 1)[0] for a in axes], "unit": unit, "rows": rows}
 
 
@@ -270,7 +271,16 @@ def _parameter_lines(story: Story) -> list[tuple[str, str, str, str, str, str]]:
     return out
 
 
-def _accuracy_lines(calibration: AnyCalibration | None) -> list[tuple[str, str, str]]:
+def _example(calibration: Calibration | None) -> str:
+    """A place that can be written down in a few digits and reached: the last of those that a person would ask for."""
+    if calibration is None:
+        return ""
+    places = [[round(float(v), 2) for v in place] for _, place in calibration.places()]
+    reached = calibration.inverse_batch(places).reached
+    return str(next((place for place, ok in zip(places[::-1], reached[::-1], strict=True) if ok), places[0]))
+
+
+def _accuracy_lines(calibration: Calibration | None) -> list[tuple[str, str, str]]:
     """Predicted accuracy at places a person would ask for."""
     if calibration is None:
         return []

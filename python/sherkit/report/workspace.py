@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,14 +11,11 @@ from bokeh.core.properties import value
 from bokeh.models import LinearColorMapper, Range1d
 from numpy.typing import NDArray
 
-from ..calibration import Calibration
-from ..calibrations import AnyCalibration
-from ..spherical_calibration import SphericalCalibration
-from .left import Left
+from ..robots.calibrated import Calibration
+from ..types import Floats
 from .picture import Picture, Tables, sources_of, stacked
+from .residuals import Residuals
 from .style import FONT, FONT_SIZE, INK, MUTED, REFUSED, SEQUENTIAL, colour_bar, figure, hover, padded, quantity
-
-Floats = NDArray[np.float64]
 
 _PER_SIDE = 41
 _PANEL = 240
@@ -40,53 +37,16 @@ class AccuracyMap:
     required_um: float
 
 
-def accuracy_of(calibration: AnyCalibration, required_um: float) -> AccuracyMap:
+def accuracy_of(calibration: Calibration, required_um: float) -> AccuracyMap:
     """The accuracy of a calibration over the workspace, or over what was measured."""
-    if isinstance(calibration, Calibration):
-        return _of_delta(calibration, required_um)
-    return _of_spherical(calibration, required_um)
-
-
-def _of_delta(calibration: Calibration, required_um: float) -> AccuracyMap:
-    """Three planes."""
-    robot, whole = calibration.robot, calibration.whole
-    low, high = np.array(whole.low_mm, dtype=float), np.array(whole.high_mm, dtype=float)
-    if robot.workspace_radius_mm:
-        low[:2], high[:2] = -robot.workspace_radius_mm, robot.workspace_radius_mm
-    if robot.workspace_z_mm:
-        low[2], high[2] = robot.workspace_z_mm
-    x, y = (np.linspace(low[k], high[k], _PER_SIDE) for k in range(2))
-    z = np.linspace(high[2], low[2], 3) if high[2] > low[2] else np.array([low[2]])
-    grid = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1).reshape(-1, 3)[:, ::-1]
-    inside = np.ones(len(grid), dtype=bool)
-    if robot.workspace_radius_mm:
-        inside = np.hypot(grid[:, 0], grid[:, 1]) <= robot.workspace_radius_mm - 0.25 * (x[1] - x[0])
-    titles = tuple(f"z = {one:.3g} mm" for one in z)
-    return _filled(calibration, grid, inside, AccuracyMap(x, y, ("x, mm", "y, mm"), titles, *_EMPTY, required_um))
-
-
-def _of_spherical(calibration: SphericalCalibration, required_um: float) -> AccuracyMap:
-    """The sphere, as a plane in φ and γ."""
-    robot = calibration.robot
-    limits = []
-    for k, given in enumerate((robot.phi_deg, robot.gamma_deg)):
-        low, high = np.rad2deg([calibration.low_rad[k], calibration.high_rad[k]]) if given is None else given
-        limits.append(np.linspace(low, high, _PER_SIDE))
-    phi, gamma = limits
-    grid = np.stack(np.meshgrid(gamma, phi, indexing="ij"), axis=-1).reshape(-1, 2)[:, ::-1]
-    state = AccuracyMap(phi, gamma, ("φ, °", "γ, °"), ("end of the tool",), *_EMPTY, required_um)
-    return _filled(calibration, np.deg2rad(grid), np.ones(len(grid), dtype=bool), state)
-
-
-_EMPTY: tuple[Floats, NDArray[np.bool_]] = (np.zeros(0), np.zeros(0, dtype=bool))
-
-
-def _filled(calibration: AnyCalibration, grid: Floats, inside: NDArray[np.bool_], state: AccuracyMap) -> AccuracyMap:
-    value = np.full(len(grid), np.nan)
-    value[inside] = 1e3 * calibration.accuracy_batch(np.ascontiguousarray(grid[inside])).values
-    measured = np.array([calibration.measured(point) for point in grid])
-    shape = (len(state.titles), len(state.y), len(state.x))
-    return replace(state, value_um=value.reshape(shape), measured=measured.reshape(shape))
+    planes = calibration.planes(_PER_SIDE)
+    value = np.full(len(planes.grid), np.nan)
+    value[planes.inside] = 1e3 * calibration.accuracy_batch(np.ascontiguousarray(planes.grid[planes.inside])).values
+    measured = np.array([calibration.measured(point) for point in planes.grid])
+    shape = (len(planes.titles), len(planes.y), len(planes.x))
+    return AccuracyMap(
+        planes.x, planes.y, planes.labels, planes.titles, value.reshape(shape), measured.reshape(shape), required_um
+    )
 
 
 def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
@@ -185,7 +145,7 @@ class NextPoses:
     """Poses to measure next, in order, and where the run has been."""
 
     poses: Sequence[dict[str, float]]
-    left: Left
+    left: Residuals
 
 
 def next_poses(state: NextPoses) -> Picture[NextPoses]:

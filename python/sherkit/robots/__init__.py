@@ -1,7 +1,3 @@
-"""Robots: nominal geometry, workspace, region of interest, and how to read them from TOML."""
+"""Robots: one folder each, with what is the robot's own; which kinds there are; files of their calibrations."""
 
-from .delta import Delta
-from .file import Robot, load_robot, save_robot
-from .spherical import CameraView, Spherical
-
-__all__ = ["CameraView", "Delta", "Robot", "Spherical", "load_robot", "save_robot"]
+from . import kinds as kinds

@@ -1,4 +1,4 @@
-"""A camera as an instrument: its intrinsics, a marker in pictures and videos, rows of pixels joined to joint readings.
+"""A camera as an instrument: its intrinsics, a marker in pictures and videos.
 
 Needs OpenCV (``pip install "sherkit[vision]"``).
 """

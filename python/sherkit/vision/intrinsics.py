@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from ..errors import SherkitError
 from ..names import listed
-from .pictures import Picture, picture_of
-
-Floats = NDArray[np.float64]
+from ..types import Floats
+from .pictures import CameraPicture, picture_of
 
 #: A camera has nine unknowns and each picture adds six: fewer pictures than this fix them badly.
 _FEWEST = 4
@@ -59,7 +58,7 @@ def chessboard_intrinsics(
     board = np.zeros((corners[0] * corners[1], 3), np.float32)
     board[:, :2] = np.mgrid[0 : corners[0], 0 : corners[1]].T.reshape(-1, 2) * square_mm
 
-    def find(picture: Picture) -> tuple[Any, Any] | None:
+    def find(picture: CameraPicture) -> tuple[Any, Any] | None:
         found, points = cv2.findChessboardCorners(picture.grey, corners)
         if not found:
             return None
@@ -79,7 +78,7 @@ def charuco_intrinsics(
     board = cv2.aruco.CharucoBoard(squares, square_mm, marker_mm, cv2.aruco.getPredefinedDictionary(dictionary))
     detector = cv2.aruco.CharucoDetector(board)
 
-    def find(picture: Picture) -> tuple[Any, Any] | None:
+    def find(picture: CameraPicture) -> tuple[Any, Any] | None:
         points, ids, _, _ = detector.detectBoard(picture.grey)
         if ids is None or len(ids) < _FEWEST_CORNERS:
             return None

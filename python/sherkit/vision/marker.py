@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..errors import SherkitError
-from .pictures import Picture, picture_of
-
-Floats = NDArray[np.float64]
+from ..types import Floats
+from .pictures import CameraPicture, picture_of
 
 KINDS = ("corner", "aruco", "apriltag")
 _DICTIONARIES = {"aruco": cv2.aruco.DICT_4X4_50, "apriltag": cv2.aruco.DICT_APRILTAG_36h11}
@@ -66,7 +65,9 @@ def _none(why: str) -> Seen:
     return Seen(float("nan"), float("nan"), float("nan"), why)
 
 
-def find_marker(given: str | Path | NDArray[Any] | Picture, kind: str = "corner", identity: int | None = None) -> Seen:
+def find_marker(
+    given: str | Path | NDArray[Any] | CameraPicture, kind: str = "corner", identity: int | None = None
+) -> Seen:
     """The marker of a picture, or why there is none.
 
     ``identity`` is the number of the tag where several may be seen. Raises :class:`~sherkit.errors.SherkitError` for an

@@ -15,7 +15,7 @@ from ..errors import SherkitError
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class CameraPicture:
     """Grey values (height, width), 0 to 255, with a name for messages and the moment of the exposure, s."""
 
     grey: NDArray[np.uint8]
@@ -29,13 +29,13 @@ class Picture:
 
 
 def picture_of(
-    given: str | Path | NDArray[Any] | Picture, name: str = "picture", time_s: float = float("nan")
-) -> Picture:
+    given: str | Path | NDArray[Any] | CameraPicture, name: str = "picture", time_s: float = float("nan")
+) -> CameraPicture:
     """A picture from a file or an array, grey (h, w) or colour in OpenCV's order (h, w, 3).
 
     Raises :class:`~sherkit.errors.SherkitError` where it is none.
     """
-    if isinstance(given, Picture):
+    if isinstance(given, CameraPicture):
         return given
     if isinstance(given, str | Path):
         path = Path(given)
@@ -44,16 +44,16 @@ def picture_of(
         read = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         if read is None:
             raise SherkitError(f"{path}: is not a picture that can be read")
-        return Picture(np.asarray(read, np.uint8), str(path), time_s)
+        return CameraPicture(np.asarray(read, np.uint8), str(path), time_s)
     array = np.asarray(given)
     if array.ndim == 3 and array.shape[2] == 3:
         array = np.asarray(cv2.cvtColor(array, cv2.COLOR_BGR2GRAY))
     if array.ndim != 2 or array.dtype != np.uint8:
         raise SherkitError(f"{name}: expected grey values (height, width) as uint8, got {array.shape} of {array.dtype}")
-    return Picture(array, name, time_s)
+    return CameraPicture(array, name, time_s)
 
 
-def frames_of(video: str | Path | int) -> Iterator[Picture]:
+def frames_of(video: str | Path | int) -> Iterator[CameraPicture]:
     """The pictures of a video file, or of a live camera by its number, with their time in s.
 
     A file's times are those it holds, from its start; a live camera's are the host's, from the first picture. Raises

@@ -12,9 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..types import Floats
 from .intrinsics import Intrinsics
-
-Floats = NDArray[np.float64]
 
 _SAMPLES = 4
 _PAPER, _BLACK, _WHITE = 128.0, 25.0, 230.0

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ..errors import SherkitError
-from .pictures import Picture, frames_of, picture_of
+from .pictures import CameraPicture, frames_of, picture_of
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 VIDEOS = (".avi", ".mp4", ".mkv", ".mov", ".m4v", ".mjpg")
@@ -32,7 +32,7 @@ def picture_files(sources: Sequence[str | Path]) -> list[Path]:
     return out
 
 
-def pictures_from(sources: Sequence[str], seconds: float | None = None) -> tuple[Iterator[Picture], bool]:
+def pictures_from(sources: Sequence[str], seconds: float | None = None) -> tuple[Iterator[CameraPicture], bool]:
     """The pictures of ``sources``, and whether they carry times: one video, a live camera's number, or files.
 
     ``seconds`` ends a live camera. Raises :class:`~sherkit.errors.SherkitError` for an empty or mixed choice.
@@ -51,7 +51,7 @@ def pictures_from(sources: Sequence[str], seconds: float | None = None) -> tuple
     return (picture_of(path) for path in picture_files(sources)), False
 
 
-def _for(frames: Iterator[Picture], seconds: float) -> Iterator[Picture]:
+def _for(frames: Iterator[CameraPicture], seconds: float) -> Iterator[CameraPicture]:
     end = time.monotonic() + seconds
     for picture in frames:
         yield picture

@@ -14,27 +14,6 @@
 #include <stddef.h>
 #include <stdint.h>
 
-// A measurement was used.
-#define SHERKIT_STATUS_UPDATED 1
-
-// There was no measurement.
-#define SHERKIT_STATUS_MISSING 2
-
-// The measurement is older than the state, or has been used already.
-#define SHERKIT_STATUS_LATE 4
-
-// The measurement holds a number that is not finite, or would have made the estimate so.
-#define SHERKIT_STATUS_NOT_FINITE 8
-
-// There is no force that would tell the depth.
-#define SHERKIT_STATUS_NO_FORCE 16
-
-// The motion is not finite: the state stood still, and its covariance does not know how far it is off.
-#define SHERKIT_STATUS_NO_MOTION 32
-
-// The step's time is not finite or lies before the state's: nothing was done at all.
-#define SHERKIT_STATUS_CLOCK 64
-
 // Measurement noise switched at a force, as in the paper.
 #define SHERKIT_NOISE_SWITCHED 0
 
@@ -71,12 +50,33 @@
 // A calibration that this version cannot read.
 #define SHERKIT_UNREADABLE 8
 
+// A measurement was used.
+#define SHERKIT_STATUS_UPDATED 1
+
+// There was no measurement.
+#define SHERKIT_STATUS_MISSING 2
+
+// The measurement is older than the state, or has been used already.
+#define SHERKIT_STATUS_LATE 4
+
+// The measurement holds a number that is not finite, or would have made the estimate so.
+#define SHERKIT_STATUS_NOT_FINITE 8
+
+// There is no force that would tell the depth.
+#define SHERKIT_STATUS_NO_FORCE 16
+
+// The motion is not finite: the state stood still, and its covariance does not know how far it is off.
+#define SHERKIT_STATUS_NO_MOTION 32
+
+// The step's time is not finite or lies before the state's: nothing was done at all.
+#define SHERKIT_STATUS_CLOCK 64
+
 // One of the SHERKIT codes: SHERKIT_OK, or why not.
 typedef int32_t sherkit_result;
 
 // A calibrated delta robot. Its content is nobody's business.
 typedef struct sherkit_delta {
-    uint64_t words[320];
+    uint64_t words[352];
 } sherkit_delta;
 
 // What a reading of the delta depends on beside its joints. NaN where it is not known; an effect that needs it then
@@ -175,10 +175,10 @@ typedef struct sherkit_statistics {
     double nis_sum;
 } sherkit_statistics;
 
-// The filter of depth and tip together. Its content is nobody's business.
-typedef struct sherkit_depth_tip_filter {
-    uint64_t words[160];
-} sherkit_depth_tip_filter;
+// The filter of the tip's position. Its content is nobody's business.
+typedef struct sherkit_tip_filter {
+    uint64_t words[128];
+} sherkit_tip_filter;
 
 // Length and stiffness of the shaft.
 typedef struct sherkit_beam {
@@ -196,6 +196,27 @@ typedef struct sherkit_pose {
     // Where the origin goes, mm.
     double translation_mm[3];
 } sherkit_pose;
+
+// Position of the tip after a step.
+typedef struct sherkit_tip_estimate {
+    // Time of the estimate, s.
+    double time_s;
+    // The tip in the base frame, mm.
+    double tip_mm[3];
+    // Its covariance, mm^2.
+    double covariance[3][3];
+    // Normalised innovation squared of this step; zero where it only predicted.
+    double nis;
+    // Its degrees of freedom.
+    uint32_t nis_degrees;
+    // What the step did.
+    sherkit_status status;
+} sherkit_tip_estimate;
+
+// The filter of depth and tip together. Its content is nobody's business.
+typedef struct sherkit_depth_tip_filter {
+    uint64_t words[160];
+} sherkit_depth_tip_filter;
 
 // Depth and tip after a step.
 typedef struct sherkit_depth_tip_estimate {
@@ -248,27 +269,6 @@ typedef struct sherkit_spherical_covariates {
     double direction[2];
 } sherkit_spherical_covariates;
 
-// The filter of the tip's position. Its content is nobody's business.
-typedef struct sherkit_tip_filter {
-    uint64_t words[128];
-} sherkit_tip_filter;
-
-// Position of the tip after a step.
-typedef struct sherkit_tip_estimate {
-    // Time of the estimate, s.
-    double time_s;
-    // The tip in the base frame, mm.
-    double tip_mm[3];
-    // Its covariance, mm^2.
-    double covariance[3][3];
-    // Normalised innovation squared of this step; zero where it only predicted.
-    double nis;
-    // Its degrees of freedom.
-    uint32_t nis_degrees;
-    // What the step did.
-    sherkit_status status;
-} sherkit_tip_estimate;
-
 #ifdef __cplusplus
 extern "C" {
 #endif // __cplusplus
@@ -312,6 +312,31 @@ sherkit_result sherkit_depth_filter_step(struct sherkit_depth_filter *filter,
 // How often what happened since the filter was initialised.
 sherkit_result sherkit_depth_filter_statistics(const struct sherkit_depth_filter *filter,
                                                struct sherkit_statistics *statistics);
+
+// Starts with the unbent tip of a pose, with a variance per axis (mm^2), at a time (s). Where it fails the filter is
+// not initialised.
+sherkit_result sherkit_tip_filter_init(struct sherkit_tip_filter *filter,
+                                       const struct sherkit_beam *beam,
+                                       const struct sherkit_pose *pose,
+                                       double variance,
+                                       double time_s,
+                                       const struct sherkit_noise *noise);
+
+// One step to a time, with the velocity of the unbent tip in the base frame since the last step (3, mm/s), the pose
+// of the tool now, the depth (mm) with its variance (mm^2), and what was measured; null where nothing was. What could
+// not be used is said by the estimate's status, not by the code.
+sherkit_result sherkit_tip_filter_step(struct sherkit_tip_filter *filter,
+                                       double time_s,
+                                       const double *velocity_mm_s,
+                                       const struct sherkit_pose *pose,
+                                       double depth_mm,
+                                       double depth_variance,
+                                       const struct sherkit_measurement *measurement,
+                                       struct sherkit_tip_estimate *estimate);
+
+// How often what happened since the filter was initialised.
+sherkit_result sherkit_tip_filter_statistics(const struct sherkit_tip_filter *filter,
+                                             struct sherkit_statistics *statistics);
 
 // Starts at a depth (mm) with the unbent tip of a pose, with variances of the depth and of each axis of the tip (mm^2),
 // at a time (s). Where it fails the filter is not initialised.
@@ -377,31 +402,6 @@ sherkit_result sherkit_spherical_inverse(const struct sherkit_spherical *robot,
                                          const double *angles,
                                          const struct sherkit_spherical_covariates *covariates,
                                          double *joints);
-
-// Starts with the unbent tip of a pose, with a variance per axis (mm^2), at a time (s). Where it fails the filter is
-// not initialised.
-sherkit_result sherkit_tip_filter_init(struct sherkit_tip_filter *filter,
-                                       const struct sherkit_beam *beam,
-                                       const struct sherkit_pose *pose,
-                                       double variance,
-                                       double time_s,
-                                       const struct sherkit_noise *noise);
-
-// One step to a time, with the velocity of the unbent tip in the base frame since the last step (3, mm/s), the pose
-// of the tool now, the depth (mm) with its variance (mm^2), and what was measured; null where nothing was. What could
-// not be used is said by the estimate's status, not by the code.
-sherkit_result sherkit_tip_filter_step(struct sherkit_tip_filter *filter,
-                                       double time_s,
-                                       const double *velocity_mm_s,
-                                       const struct sherkit_pose *pose,
-                                       double depth_mm,
-                                       double depth_variance,
-                                       const struct sherkit_measurement *measurement,
-                                       struct sherkit_tip_estimate *estimate);
-
-// How often what happened since the filter was initialised.
-sherkit_result sherkit_tip_filter_statistics(const struct sherkit_tip_filter *filter,
-                                             struct sherkit_statistics *statistics);
 
 #ifdef __cplusplus
 }  // extern "C"

@@ -1,23 +1,23 @@
 //! The calibrated delta.
 
-use crate::result::{SHERKIT_NULL, SHERKIT_UNREADABLE, answer, code_of, finite, sherkit_result};
-use crate::storage::{Opaque, clear, get, given, put, wanted};
-use nalgebra::Vector3;
-use sherkit_core::calibrated::Calibrated;
-use sherkit_core::delta::Covariates;
-use sherkit_core::{Error, flat};
+use crate::result::sherkit_result;
+use crate::robot::{self, Robot};
+use crate::storage::Opaque;
+use nalgebra::{Matrix3, Vector3};
+use sherkit_core::delta::{Calibrated, Covariates};
+use sherkit_core::{Result, flat};
 
 /// A calibrated delta robot. Its content is nobody's business.
 #[repr(C)]
 pub struct sherkit_delta {
-    words: [u64; 320],
+    words: [u64; 352],
 }
 
 // SAFETY: one array of so many words.
 unsafe impl Opaque for sherkit_delta {
     type Value = Calibrated<'static>;
     const MARK: u64 = 0x7368_6b64_656c_7461;
-    const WORDS: usize = 320;
+    const WORDS: usize = 352;
 }
 
 /// What a reading of the delta depends on beside its joints. NaN where it is not known; an effect that needs it then
@@ -33,27 +33,39 @@ pub struct sherkit_delta_covariates {
     pub direction: [f64; 3],
 }
 
-/// The code of an error while a calibration is read.
-pub fn code_of_reading(error: &Error) -> sherkit_result {
-    match error {
-        Error::Invalid { .. } | Error::WrongLength { .. } => SHERKIT_UNREADABLE,
-        other => code_of(other),
+impl From<sherkit_delta_covariates> for Covariates {
+    fn from(c: sherkit_delta_covariates) -> Self {
+        Self {
+            time_s: c.time_s,
+            temperature_c: c.temperature_c,
+            direction: c.direction,
+            ..Self::NONE
+        }
     }
 }
 
-/// The numbers of a calibration.
-///
-/// # Safety
-/// The pointer is null or points to so many numbers.
-pub unsafe fn numbers<'a>(first: *const f64, count: usize) -> Result<&'a [f64], sherkit_result> {
-    if first.is_null() {
-        return Err(SHERKIT_NULL);
+impl Robot<3> for sherkit_delta {
+    type Known = sherkit_delta_covariates;
+
+    fn read(numbers: &'static [f64]) -> Result<Self::Value> {
+        flat::read_delta(numbers)
     }
-    if count > isize::MAX as usize / 8 {
-        return Err(SHERKIT_UNREADABLE);
+
+    fn forward_at(
+        robot: &Self::Value,
+        joints: &Vector3<f64>,
+        now: &Covariates,
+    ) -> Result<(Vector3<f64>, Matrix3<f64>)> {
+        robot.forward(joints, now)
     }
-    // SAFETY: the caller's word, and the length is one that an array can have.
-    Ok(unsafe { core::slice::from_raw_parts(first, count) })
+
+    fn inverse_at(
+        robot: &Self::Value,
+        place: &Vector3<f64>,
+        now: &Covariates,
+    ) -> Result<Vector3<f64>> {
+        robot.inverse(place, now)
+    }
 }
 
 /// Loads a calibration: count numbers as sherkit writes them. They are not copied and must stay as they are for as
@@ -64,23 +76,8 @@ pub unsafe extern "C" fn sherkit_delta_init(
     numbers: *const f64,
     count: usize,
 ) -> sherkit_result {
-    // SAFETY: pointers are null or valid.
-    answer(unsafe {
-        clear(robot);
-        self::numbers(numbers, count)
-            .and_then(|row| flat::read_delta(row).map_err(|e| code_of_reading(&e)))
-            .and_then(|found| put(robot, found))
-    })
-}
-
-/// What is known, or nothing.
-unsafe fn known(covariates: *const sherkit_delta_covariates) -> Covariates {
-    // SAFETY: null or valid.
-    unsafe { covariates.as_ref() }.map_or(Covariates::NONE, |c| Covariates {
-        time_s: c.time_s,
-        temperature_c: c.temperature_c,
-        direction: c.direction,
-    })
+    // SAFETY: the caller's word.
+    unsafe { robot::init(robot, numbers, count) }
 }
 
 /// Position (3, mm) for joint readings (3, mm), and its derivative by them (9, row by row) unless jacobian is null.
@@ -93,22 +90,8 @@ pub unsafe extern "C" fn sherkit_delta_forward(
     position: *mut f64,
     jacobian: *mut f64,
 ) -> sherkit_result {
-    let run = || {
-        // SAFETY: pointers are null or valid.
-        unsafe {
-            let (robot, joints) = (get(robot)?, given(joints.cast::<[f64; 3]>())?);
-            let position = wanted(position.cast::<[f64; 3]>())?;
-            let found = robot.forward(&Vector3::from(*joints), &known(covariates));
-            let (x, j) = found.map_err(|e| code_of(&e))?;
-            finite(x.iter().chain(&j))?;
-            *position = x.into();
-            if let Some(jacobian) = jacobian.cast::<[[f64; 3]; 3]>().as_mut() {
-                *jacobian = j.transpose().into();
-            }
-        }
-        Ok(())
-    };
-    answer(run())
+    // SAFETY: the caller's word.
+    unsafe { robot::forward(robot, joints, covariates, position, jacobian) }
 }
 
 /// Joint readings (3, mm) at which the robot stands at a position (3, mm), to 1 nm. Covariates may be null.
@@ -119,17 +102,6 @@ pub unsafe extern "C" fn sherkit_delta_inverse(
     covariates: *const sherkit_delta_covariates,
     joints: *mut f64,
 ) -> sherkit_result {
-    let run = || {
-        // SAFETY: pointers are null or valid.
-        unsafe {
-            let (robot, position) = (get(robot)?, given(position.cast::<[f64; 3]>())?);
-            let joints = wanted(joints.cast::<[f64; 3]>())?;
-            let found = robot.inverse(&Vector3::from(*position), &known(covariates));
-            let q = found.map_err(|e| code_of(&e))?;
-            finite(&q)?;
-            *joints = q.into();
-        }
-        Ok(())
-    };
-    answer(run())
+    // SAFETY: the caller's word.
+    unsafe { robot::inverse(robot, position, covariates, joints) }
 }

@@ -18,14 +18,14 @@
 #![allow(clippy::missing_errors_doc, clippy::doc_markdown)]
 
 mod delta;
-mod depth_filter;
-mod depth_tip_filter;
-mod filters;
+mod filter;
+mod noise;
 mod result;
+mod robot;
 mod sensing;
 mod spherical;
+mod status;
 mod storage;
-mod tip_filter;
 
 use core::panic::PanicInfo;
 

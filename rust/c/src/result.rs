@@ -46,6 +46,11 @@ pub fn code_of(error: &Error) -> sherkit_result {
     }
 }
 
+/// What the core made, or the code of its error.
+pub fn coded<T>(made: sherkit_core::Result<T>) -> Result<T, sherkit_result> {
+    made.map_err(|error| code_of(&error))
+}
+
 /// The code of what was done.
 pub fn answer(done: Result<(), sherkit_result>) -> sherkit_result {
     match done {

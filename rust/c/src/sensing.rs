@@ -1,11 +1,11 @@
 //! The fibres of the flexible tool, its beam and its pose.
 
-use crate::result::{answer, code_of, sherkit_result};
-use crate::storage::{Opaque, clear, get, given, put, wanted};
+use crate::result::{answer, coded, sherkit_result};
+use crate::storage::{get, given, init, opaque, wanted};
 use nalgebra::{Matrix2x3, Matrix3, Vector3};
-use sherkit_core::kalman::Measurement;
-use sherkit_core::rigid::Rigid;
+use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::beam::Beam;
+use sherkit_core::tool::filters::Measurement;
 use sherkit_core::tool::sensing::{Calibration, Sensor};
 
 /// Calibration of the gratings.
@@ -28,12 +28,7 @@ pub struct sherkit_sensor {
     words: [u64; 64],
 }
 
-// SAFETY: one array of so many words.
-unsafe impl Opaque for sherkit_sensor {
-    type Value = Sensor;
-    const MARK: u64 = 0x7368_6b73_656e_736f;
-    const WORDS: usize = 64;
-}
+opaque!(sherkit_sensor, Sensor, 0x7368_6b73_656e_736f, 64);
 
 /// What the fibres tell a filter at one time.
 #[repr(C)]
@@ -79,7 +74,7 @@ pub struct sherkit_beam {
 impl sherkit_beam {
     /// The core's beam.
     pub fn beam(&self) -> Result<Beam, sherkit_result> {
-        Beam::new(self.length_mm, self.stiffness).map_err(|e| code_of(&e))
+        coded(Beam::new(self.length_mm, self.stiffness))
     }
 }
 
@@ -119,22 +114,19 @@ pub unsafe extern "C" fn sherkit_sensor_init(
     sensor: *mut sherkit_sensor,
     calibration: *const sherkit_sensor_calibration,
 ) -> sherkit_result {
-    let run = || {
+    let made = || {
         // SAFETY: pointers are null or valid.
-        unsafe {
-            clear(sensor);
-            let c = given(calibration)?;
-            let gain = |[[a, b, c], [d, e, f]]: [[f64; 3]; 2]| Matrix2x3::new(a, b, c, d, e, f);
-            let made = Sensor::new(Calibration {
-                gains: c.gains.map(gain),
-                distances_mm: c.distances_mm,
-                reference_nm: c.reference_nm,
-                noise_nm: c.noise_nm,
-            });
-            put(sensor, made.map_err(|e| code_of(&e))?)
-        }
+        let c = unsafe { given(calibration)? };
+        let gain = |[[a, b, c], [d, e, f]]: [[f64; 3]; 2]| Matrix2x3::new(a, b, c, d, e, f);
+        coded(Sensor::new(Calibration {
+            gains: c.gains.map(gain),
+            distances_mm: c.distances_mm,
+            reference_nm: c.reference_nm,
+            noise_nm: c.noise_nm,
+        }))
     };
-    answer(run())
+    // SAFETY: as above.
+    answer(unsafe { init(sensor, made) })
 }
 
 /// Force and depth from wavelengths (9, nm; three fibres at each of the sections I, II, III) read at a time. With
@@ -155,7 +147,7 @@ pub unsafe extern "C" fn sherkit_sensor_read(
                 wanted(measurement)?,
             )
         };
-        let read = sensor.read(wavelengths).map_err(|e| code_of(&e));
+        let read = coded(sensor.read(wavelengths));
         let m = match &read {
             Ok(reading) => Measurement::from_reading(time_s, reading),
             Err(_) => Measurement {

@@ -1,11 +1,11 @@
 //! The calibrated spherical robot.
 
-use crate::delta::{code_of_reading, numbers};
-use crate::result::{answer, code_of, finite, sherkit_result};
-use crate::storage::{Opaque, clear, get, given, put, wanted};
-use nalgebra::Vector2;
-use sherkit_core::flat;
+use crate::result::sherkit_result;
+use crate::robot::{self, Robot};
+use crate::storage::Opaque;
+use nalgebra::{Matrix2, Vector2};
 use sherkit_core::spherical::{Calibrated, Covariates};
+use sherkit_core::{Result, flat};
 
 /// A calibrated spherical robot. Its content is nobody's business.
 #[repr(C)]
@@ -33,6 +33,41 @@ pub struct sherkit_spherical_covariates {
     pub direction: [f64; 2],
 }
 
+impl From<sherkit_spherical_covariates> for Covariates {
+    fn from(c: sherkit_spherical_covariates) -> Self {
+        Self {
+            time_s: c.time_s,
+            temperature_c: c.temperature_c,
+            direction: c.direction,
+            ..Self::NONE
+        }
+    }
+}
+
+impl Robot<2> for sherkit_spherical {
+    type Known = sherkit_spherical_covariates;
+
+    fn read(numbers: &'static [f64]) -> Result<Self::Value> {
+        flat::read_spherical(numbers)
+    }
+
+    fn forward_at(
+        robot: &Self::Value,
+        joints: &Vector2<f64>,
+        now: &Covariates,
+    ) -> Result<(Vector2<f64>, Matrix2<f64>)> {
+        robot.forward(joints, now)
+    }
+
+    fn inverse_at(
+        robot: &Self::Value,
+        place: &Vector2<f64>,
+        now: &Covariates,
+    ) -> Result<Vector2<f64>> {
+        robot.inverse(place, now)
+    }
+}
+
 /// Loads a calibration: count numbers as sherkit writes them. They are copied. Where it fails the robot is not
 /// initialised.
 #[unsafe(no_mangle)]
@@ -41,28 +76,8 @@ pub unsafe extern "C" fn sherkit_spherical_init(
     numbers: *const f64,
     count: usize,
 ) -> sherkit_result {
-    // SAFETY: pointers are null or valid.
-    answer(unsafe {
-        clear(robot);
-        self::numbers(numbers, count)
-            .and_then(|row| flat::read_spherical(row).map_err(|e| code_of_reading(&e)))
-            .and_then(|found| put(robot, found))
-    })
-}
-
-/// What is known, or nothing. A loop commands places, so velocities are zero.
-unsafe fn known(covariates: *const sherkit_spherical_covariates) -> Covariates {
-    // SAFETY: null or valid.
-    let known = unsafe { covariates.as_ref() }.map_or(Covariates::NONE, |c| Covariates {
-        time_s: c.time_s,
-        temperature_c: c.temperature_c,
-        direction: c.direction,
-        ..Covariates::NONE
-    });
-    Covariates {
-        velocity_rad_s: [0.0; 2],
-        ..known
-    }
+    // SAFETY: the caller's word.
+    unsafe { robot::init(robot, numbers, count) }
 }
 
 /// Where the tool points (phi, gamma, rad) for joint readings (2, rad), and its derivative by them (4, row by row)
@@ -75,22 +90,8 @@ pub unsafe extern "C" fn sherkit_spherical_forward(
     angles: *mut f64,
     jacobian: *mut f64,
 ) -> sherkit_result {
-    let run = || {
-        // SAFETY: pointers are null or valid.
-        unsafe {
-            let (robot, joints) = (get(robot)?, given(joints.cast::<[f64; 2]>())?);
-            let angles = wanted(angles.cast::<[f64; 2]>())?;
-            let found = robot.forward(&Vector2::from(*joints), &known(covariates));
-            let (x, j) = found.map_err(|e| code_of(&e))?;
-            finite(x.iter().chain(&j))?;
-            *angles = x.into();
-            if let Some(jacobian) = jacobian.cast::<[[f64; 2]; 2]>().as_mut() {
-                *jacobian = j.transpose().into();
-            }
-        }
-        Ok(())
-    };
-    answer(run())
+    // SAFETY: the caller's word.
+    unsafe { robot::forward(robot, joints, covariates, angles, jacobian) }
 }
 
 /// Joint readings (2, rad) at which the tool points to phi, gamma (rad), to 1e-12 rad. Covariates may be null.
@@ -101,17 +102,6 @@ pub unsafe extern "C" fn sherkit_spherical_inverse(
     covariates: *const sherkit_spherical_covariates,
     joints: *mut f64,
 ) -> sherkit_result {
-    let run = || {
-        // SAFETY: pointers are null or valid.
-        unsafe {
-            let (robot, angles) = (get(robot)?, given(angles.cast::<[f64; 2]>())?);
-            let joints = wanted(joints.cast::<[f64; 2]>())?;
-            let found = robot.inverse(&Vector2::from(*angles), &known(covariates));
-            let q = found.map_err(|e| code_of(&e))?;
-            finite(&q)?;
-            *joints = q.into();
-        }
-        Ok(())
-    };
-    answer(run())
+    // SAFETY: the caller's word.
+    unsafe { robot::inverse(robot, angles, covariates, joints) }
 }

@@ -23,6 +23,19 @@ pub unsafe trait Opaque: Sized {
     };
 }
 
+/// Says what an object of C holds: its type, the core's, the mark, the words.
+macro_rules! opaque {
+    ($object:ty, $value:ty, $mark:literal, $words:literal) => {
+        // SAFETY: `repr(C)`, one array of so many words.
+        unsafe impl $crate::storage::Opaque for $object {
+            type Value = $value;
+            const MARK: u64 = $mark;
+            const WORDS: usize = $words;
+        }
+    };
+}
+pub(crate) use opaque;
+
 fn mark<T: Opaque>(object: *const T) -> *const u64 {
     object.cast()
 }
@@ -56,6 +69,21 @@ pub unsafe fn clear<T: Opaque>(object: *mut T) {
     if !object.is_null() {
         // SAFETY: as above.
         unsafe { mark(object).cast_mut().write(0) };
+    }
+}
+
+/// Puts what `make` gives into an object; where it gives nothing the object is none.
+///
+/// # Safety
+/// As [`put`].
+pub unsafe fn init<T: Opaque>(
+    object: *mut T,
+    make: impl FnOnce() -> Result<T::Value, sherkit_result>,
+) -> Result<(), sherkit_result> {
+    // SAFETY: the caller's word.
+    unsafe {
+        clear(object);
+        put(object, make()?)
     }
 }
 

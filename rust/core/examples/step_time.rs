@@ -5,10 +5,10 @@
 //! are taken.
 
 use nalgebra::{Matrix2x3, Vector3};
-use sherkit_core::kalman::noise::Variances;
-use sherkit_core::kalman::{DepthFilter, DepthTipFilter, Measurement, Noise, TipFilter};
-use sherkit_core::rigid::Rigid;
+use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::beam::Beam;
+use sherkit_core::tool::filters::noise::Variances;
+use sherkit_core::tool::filters::{DepthFilter, DepthTipFilter, Measurement, Noise, TipFilter};
 use sherkit_core::tool::sensing::{Calibration, Sensor};
 use std::hint::black_box;
 use std::time::Instant;

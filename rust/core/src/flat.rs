@@ -9,18 +9,19 @@
 //! branch, or 0. A branch is a model (assembly ±1, 18 geometric parameters, target offset, rod spacing, pole pitch,
 //! home, time origin, slip time), the values of all parameters, and 1 and orders, low corner, high corner, fade and
 //! coefficients of its correction, or 0. Spherical (kind 2): assembly ±1, 6 geometric parameters, radius, the camera's 15,
-//! face ±1, gravity, home, place of the elbows (0 open, 1 crossed, 2 ahead, 3 behind), the values of all parameters.
+//! face ±1, gravity, home, time origin, slip time, place of the elbows (0 open, 1 crossed, 2 ahead, 3 behind), the values of all parameters.
 
-use crate::bernstein::{Correction, Domain, MAX_ORDER, coefficients_len};
-use crate::calibrated::{Branch, Calibrated};
 use crate::camera::{Description, Face};
+use crate::chain::Robot;
 use crate::delta;
-use crate::spherical::{self, Elbows};
+use crate::delta::correction::{Correction, Domain, MAX_ORDER, coefficients_len};
+use crate::delta::{Branch, Calibrated};
+use crate::spherical::{self, Elbows, Readings};
 use crate::{Error, Result};
 use nalgebra::Vector3;
 
 /// Version of the layout.
-const VERSION: f64 = 1.0;
+const VERSION: f64 = 2.0;
 const DELTA: f64 = 1.0;
 const SPHERICAL: f64 = 2.0;
 
@@ -30,7 +31,7 @@ pub struct BranchParts<'a> {
     /// Nominal robot.
     pub model: &'a delta::Model,
     /// Values of all its parameters.
-    pub values: &'a delta::parameters::Values,
+    pub values: &'a delta::Values,
     /// What they leave.
     pub correction: Option<Correction<'a>>,
 }
@@ -41,7 +42,7 @@ pub fn write_delta(
     local: Option<(&BranchParts<'_>, &Domain)>,
     mut put: impl FnMut(f64),
 ) {
-    let parameters = delta::parameters::PARAMETERS as f64;
+    let parameters = delta::PARAMETERS as f64;
     [VERSION, DELTA, parameters].into_iter().for_each(&mut put);
     write_branch(whole, &mut put);
     match local {
@@ -88,11 +89,11 @@ fn write_domain(domain: &Domain, put: &mut impl FnMut(f64)) {
 /// Writes a calibrated spherical robot, number by number.
 pub fn write_spherical(
     model: &spherical::Model,
-    values: &spherical::parameters::Values,
+    values: &spherical::Values,
     elbows: Elbows,
     mut put: impl FnMut(f64),
 ) {
-    let parameters = spherical::parameters::PARAMETERS as f64;
+    let parameters = spherical::PARAMETERS as f64;
     [VERSION, SPHERICAL, parameters]
         .into_iter()
         .for_each(&mut put);
@@ -106,6 +107,8 @@ pub fn write_spherical(
     });
     model.gravity.iter().copied().for_each(&mut put);
     model.home.into_iter().for_each(&mut put);
+    put(model.time_origin_s);
+    put(model.slip_time_s);
     put(match elbows {
         Elbows::Open => 0.0,
         Elbows::Crossed => 1.0,
@@ -246,10 +249,10 @@ impl<'a> Reader<'a> {
 /// Reads a calibrated delta.
 ///
 /// # Errors
-/// [`Error::Invalid`] says what the row lacks; otherwise as [`delta::Model::with`].
+/// [`Error::Invalid`] says what the row lacks; otherwise as [`Robot::with`].
 pub fn read_delta(numbers: &[f64]) -> Result<Calibrated<'_>> {
     let mut row = Reader(numbers);
-    row.head(DELTA, delta::parameters::PARAMETERS)?;
+    row.head(DELTA, delta::PARAMETERS)?;
     let whole = row.branch()?;
     let local = if row.flag()? {
         let region = row.domain()?;
@@ -264,18 +267,21 @@ pub fn read_delta(numbers: &[f64]) -> Result<Calibrated<'_>> {
 /// Reads a calibrated spherical robot.
 ///
 /// # Errors
-/// [`Error::Invalid`] says what the row lacks; otherwise as [`spherical::Model::with`].
+/// [`Error::Invalid`] says what the row lacks; otherwise as [`Robot::with`].
 pub fn read_spherical(numbers: &[f64]) -> Result<spherical::Calibrated> {
     let mut row = Reader(numbers);
-    row.head(SPHERICAL, spherical::parameters::PARAMETERS)?;
+    row.head(SPHERICAL, spherical::PARAMETERS)?;
     let assembly = row.side(spherical::Assembly::Outer, spherical::Assembly::Inner)?;
     let model = spherical::Model {
         geometry: spherical::Geometry::from_parameters(&row.finite()?, assembly),
         radius_mm: row.finite::<1>()?[0],
         camera: Description::from_parameters(&row.finite()?),
         face: row.side(Face::Near, Face::Far)?,
+        readings: Readings::Angles,
         gravity: Vector3::from(row.finite::<3>()?),
         home: row.finite()?,
+        time_origin_s: row.finite::<1>()?[0],
+        slip_time_s: row.finite::<1>()?[0],
     };
     let elbows = match row.one()? {
         0.0 => Elbows::Open,

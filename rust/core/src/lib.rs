@@ -4,27 +4,20 @@
 //! parameters is lent by the caller, so that the same code serves a control loop and a study of ten
 //! million rows.
 //!
-//! The floors, from below: [`math`], [`trig`], [`inverse`] and [`error`]; [`delta`], [`camera`] and [`least_squares`], which know
-//! nothing of each other; [`spherical`], which is seen by a [`camera`]; [`bernstein`]; [`calibrated`], the model that
-//! a control loop runs; [`flat`], which carries it there. Beside them, for the flexible tool: [`rigid`] and [`jacobi`]; [`registration`] and [`tool`]
-//! (fibres, beam, their calibration); [`kalman`], the filters that a control loop runs.
+//! The floors, from below: [`numbers`] and [`error`]; [`fit`] and [`camera`], which know nothing of each other;
+//! [`chain`], what all robots share; [`delta`] and [`spherical`], each with what only its mechanism has; [`flat`], which
+//! carries a calibrated robot to a control loop. Beside them, for the flexible tool: [`tool`] (fibres, beam, their
+//! calibration, and the filters that a control loop runs).
 #![no_std]
 
-pub mod bernstein;
-pub mod calibrated;
 pub mod camera;
+pub mod chain;
 pub mod delta;
 pub mod error;
+pub mod fit;
 pub mod flat;
-pub mod inverse;
-pub mod jacobi;
-pub mod kalman;
-pub mod least_squares;
-pub mod math;
-pub mod registration;
-pub mod rigid;
+pub mod numbers;
 pub mod spherical;
 pub mod tool;
-pub mod trig;
 
 pub use error::{Error, Result, Singularity};

@@ -6,11 +6,11 @@ use common::{Random, config, derivative};
 use nalgebra::{SVector, Vector3};
 use proptest::prelude::*;
 use sherkit_core::Error;
-use sherkit_core::bernstein::{
-    Correction, Domain, MAX_ORDER, apply_axis, axis_scratch_len, back_substitute, basis,
-    basis_derivative, coefficients_len, project_axis, push,
+use sherkit_core::delta::correction::{
+    Correction, Domain, MAX_ORDER, apply_axis, axis_scratch_len, basis, basis_derivative,
+    coefficients_len, project_axis, push,
 };
-use sherkit_core::least_squares::{Stack, stack_len};
+use sherkit_core::fit::{Stack, back_substitute, stack_len};
 
 const WIDTH: usize = MAX_ORDER + 1;
 

@@ -8,10 +8,10 @@ use common::{
 use nalgebra::Vector3;
 use proptest::prelude::*;
 use sherkit_core::Error;
-use sherkit_core::bernstein::{Correction, Domain, coefficients_len};
-use sherkit_core::calibrated::{Branch, Calibrated};
-use sherkit_core::delta::Wanted;
-use sherkit_core::delta::parameters::{PARAMETERS, Values};
+use sherkit_core::chain::Robot as _;
+use sherkit_core::chain::effects::Wanted;
+use sherkit_core::delta::correction::{Correction, Domain, coefficients_len};
+use sherkit_core::delta::{Branch, CATALOGUE, Calibrated, PARAMETERS, Values};
 
 /// What a random calibrated robot is made of; [`Parts::with`] puts it together.
 #[derive(Clone, Debug)]
@@ -98,7 +98,7 @@ fn parts() -> impl Strategy<Value = Parts> {
             let mut random = Random(seed);
             // the local model differs by a tenth of what is plausible
             let mut local = whole;
-            for (l, size) in local.iter_mut().zip(plausible()) {
+            for (l, size) in local.iter_mut().zip(plausible::<PARAMETERS>(CATALOGUE)) {
                 *l += 0.1 * size * random.unit();
             }
             let orders = [(); 2]

@@ -3,30 +3,34 @@
 mod common;
 
 use common::{
-    anchor, config, derivative, drawing, effects, joints_at, model_of, robots, rods,
-    some_covariates,
+    anchor, config, derivative, drawing, effects, joints_at, model_of, plausible, range_of, robots,
+    rods, some_covariates,
 };
 use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3, Vector6};
 use proptest::prelude::*;
 use sherkit_core::Error;
-use sherkit_core::delta::parameters::{
-    BACKLASH, BEAM_ALIGNMENT, DATUM, DRIFT, ENCODER_CYCLIC, GEOMETRY, GRAVITY_SAG, JOINT_SCALE,
-    PARAMETERS, RAIL_LEAN, ROD_MISMATCH, SENSOR_LINEARITY, SLIP, THERMAL_GROWTH, Values,
-};
-use sherkit_core::delta::{Covariates, Kind, LIMBS, PER_LIMB, Row, Wanted};
+use sherkit_core::chain::Robot as _;
+use sherkit_core::chain::effects::Wanted;
+use sherkit_core::delta::{CATALOGUE, Covariates, LIMBS, PARAMETERS, Row, Values};
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-/// Step for differences: a few hundredths of a millimetre of movement.
-fn step_of(parameter: usize) -> f64 {
-    match parameter {
-        p if GEOMETRY.contains(&p) && matches!(p % PER_LIMB, 1 | 5) => 2e-4,
-        p if JOINT_SCALE.contains(&p) || RAIL_LEAN.contains(&p) => 1e-4,
-        p if THERMAL_GROWTH.contains(&p) || BEAM_ALIGNMENT.contains(&p) => 5e-5,
-        p if SENSOR_LINEARITY.contains(&p) => 2e-6,
-        _ => 0.02,
-    }
+/// Where the parameters of an effect stand.
+const fn of(name: &str) -> Range<usize> {
+    range_of(CATALOGUE, name)
 }
+
+const BACKLASH: Range<usize> = of("backlash");
+const BEAM_ALIGNMENT: Range<usize> = of("beam_alignment");
+const DATUM: Range<usize> = of("datum");
+const DRIFT: Range<usize> = of("drift");
+const ENCODER_CYCLIC: Range<usize> = of("encoder_cyclic");
+const GRAVITY_SAG: Range<usize> = of("gravity_sag");
+const JOINT_SCALE: Range<usize> = of("joint_scale");
+const ROD_MISMATCH: Range<usize> = of("rod_mismatch");
+const SENSOR_LINEARITY: Range<usize> = of("sensor_linearity");
+const SLIP: Range<usize> = of("slip");
+const THERMAL_GROWTH: Range<usize> = of("thermal_growth");
 
 proptest! {
     #![proptest_config(config())]
@@ -45,9 +49,16 @@ proptest! {
         let model = model_of(&robot);
         let joints = [robot.joints.x, robot.joints.y, robot.joints.z];
         let to = std::array::from_fn(|i| joints[i] + moves[i]);
-        let row = |kind| Row { joints, covariates: some_covariates(), push: Vector3::from(push), kind };
+        let row = |to| Row { joints, to, covariates: some_covariates(), push: Vector3::from(push) };
         let chain = model.with(&values).unwrap();
-        for row in [row(Kind::Position), row(Kind::Distance { to })] {
+        // steps that move the reading by a few hundredths of a millimetre
+        let place = chain.row_predict(&row(None), Wanted::ALL).unwrap();
+        let sizes: Values = plausible(CATALOGUE);
+        let steps: Values = std::array::from_fn(|p| {
+            let moved = place.by_parameters.column(p).norm();
+            if moved > 0.0 { (0.02 / moved).min(0.3 * sizes[p]) } else { 0.3 * sizes[p] }
+        });
+        for row in [row(None), row(Some(to))] {
             let predicted = chain.row_predict(&row, Wanted::ALL).unwrap();
             prop_assert_eq!(predicted.value, chain.row_value(&row).unwrap());
             for p in 0..PARAMETERS {
@@ -55,10 +66,10 @@ proptest! {
                     let mut v = values;
                     v[p] += h;
                     model.with(&v).unwrap().row_value(&row).unwrap()
-                }, step_of(p));
+                }, steps[p]);
                 let column = predicted.by_parameters.column(p).into_owned();
                 let difference = (column - differences).norm() / column.norm().max(1.0);
-                prop_assert!(difference < 1e-7, "{:?} parameter {p}: {difference}", row.kind);
+                prop_assert!(difference < 1e-7, "{:?} parameter {p}: {difference}", row.to);
             }
             for axis in 0..3 {
                 let differences = derivative(|h| {
@@ -70,14 +81,14 @@ proptest! {
                 let differences = derivative(|h| {
                     let mut r = row;
                     r.joints[axis] += h;
-                    if let Kind::Distance { to } = &mut r.kind {
+                    if let Some(to) = &mut r.to {
                         to[axis] += h;
                     }
                     chain.row_value(&r).unwrap()
                 }, 0.02);
                 let column = predicted.by_joints.column(axis);
                 let difference = (column - differences).norm() / column.norm().max(1.0);
-                prop_assert!(difference < 1e-7, "{:?} joint {axis}: {difference}", row.kind);
+                prop_assert!(difference < 1e-7, "{:?} joint {axis}: {difference}", row.to);
             }
         }
     }
@@ -91,7 +102,7 @@ proptest! {
     ) {
         let chain = model_of(&robot).with(&values).unwrap();
         let predict = |w| chain.predict(&robot.joints, &some_covariates(), &Vector3::zeros(), w).unwrap();
-        let (all, some) = (predict(Wanted::ALL), predict(Wanted::of(&wanted)));
+        let (all, some) = (predict(Wanted::ALL), predict(Wanted::of(CATALOGUE, &wanted)));
         prop_assert_eq!((all.value, all.by_joints, all.by_body), (some.value, some.by_joints, some.by_body));
         for p in 0..PARAMETERS {
             let (all, some) = (all.by_parameters.column(p), some.by_parameters.column(p));
@@ -118,8 +129,7 @@ proptest! {
         let sides = [robot.geometry.assembly.sign(); LIMBS];
         if let Some(to) = joints_at(&robot.geometry, &(robot.position + away), sides) {
             let joints = [robot.joints.x, robot.joints.y, robot.joints.z];
-            let kind = Kind::Distance { to: [to.x, to.y, to.z] };
-            let row = Row { joints, covariates: nothing, push: still, kind };
+            let row = Row { joints, to: Some([to.x, to.y, to.z]), covariates: nothing, push: still };
             let found = chain.row_value(&row).unwrap();
             prop_assert!((found - Vector3::new(away.norm(), 0.0, 0.0)).amax() < 1e-8);
         }
@@ -160,8 +170,8 @@ proptest! {
         early.time_s = model.slip_time_s - 1.0;
         let mut only = [0.0; PARAMETERS];
         only[SLIP].fill(0.1);
-        let of = |values| model.with(values).unwrap().value(&robot.joints, &early, &still).unwrap();
-        prop_assert_eq!(of(&only), of(&[0.0; PARAMETERS]));
+        let at = |values| model.with(values).unwrap().value(&robot.joints, &early, &still).unwrap();
+        prop_assert_eq!(at(&only), at(&[0.0; PARAMETERS]));
     }
 
     /// Sag that goes up, or with the wrong share of the weight: against forces from statics and rods that stretch.
@@ -259,9 +269,9 @@ fn a_distance_of_zero_has_a_finite_derivative() {
     };
     let row = Row {
         joints,
+        to: Some(joints),
         covariates: some_covariates(),
         push: Vector3::zeros(),
-        kind: Kind::Distance { to: joints },
     };
     let chain = model_of(&robot).with(&[0.0; PARAMETERS]).unwrap();
     let predicted = chain.row_predict(&row, Wanted::ALL).unwrap();

@@ -5,10 +5,10 @@ mod common;
 use common::{Random, Robot, config, effects, model_of, robots, some_covariates};
 use nalgebra::{Vector2, Vector3};
 use proptest::prelude::*;
-use sherkit_core::bernstein::{Correction, Domain, coefficients_len};
-use sherkit_core::calibrated::{Branch, Calibrated};
 use sherkit_core::camera::{Description, Face};
-use sherkit_core::delta::parameters::Values;
+use sherkit_core::chain::Robot as _;
+use sherkit_core::delta::correction::{Correction, Domain, coefficients_len};
+use sherkit_core::delta::{Branch, Calibrated, Values};
 use sherkit_core::flat::{BranchParts, read_delta, read_spherical, write_delta, write_spherical};
 use sherkit_core::spherical::{self, Elbows};
 
@@ -124,15 +124,18 @@ fn a_spherical_robot_comes_back_to_the_last_bit() {
         radius_mm: 200.0,
         camera: Description::facing(1.57, 0.8, 446.0, [1100.0, 1100.0, 640.0, 320.0]),
         face: Face::Far,
+        readings: spherical::Readings::Pixels,
         gravity: Vector3::new(0.1, -0.9, 0.2),
         home: [1.4, 1.6],
+        time_origin_s: 0.0,
+        slip_time_s: 0.0,
     };
     let values = std::array::from_fn(|k| 1e-4 * (k as f64 - 7.0));
     let now = spherical::Covariates {
         time_s: 3.0,
         temperature_c: 21.0,
         direction: [1.0, -1.0],
-        velocity_rad_s: [0.0; 2],
+        velocity: [0.0; 2],
     };
     for elbows in [Elbows::Open, Elbows::Crossed, Elbows::Ahead, Elbows::Behind] {
         let mut row = Vec::new();

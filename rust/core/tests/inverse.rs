@@ -4,7 +4,7 @@ mod common;
 
 use common::Random;
 use nalgebra::SMatrix;
-use sherkit_core::inverse::inverse;
+use sherkit_core::numbers::inverse::inverse;
 
 /// Rows or columns swapped back wrongly, an elimination that is not exact.
 #[test]

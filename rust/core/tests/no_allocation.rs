@@ -6,22 +6,24 @@ mod common;
 
 use common::{Robot, drawing, model_of, some_covariates};
 use nalgebra::{SMatrix, Vector3};
-use sherkit_core::bernstein::{
+use sherkit_core::camera::{Description, Face};
+use sherkit_core::chain::Robot as _;
+use sherkit_core::chain::effects::Wanted;
+use sherkit_core::delta::correction::{
     Correction, Domain, apply_axis, axis_scratch_len, project_axis, push,
 };
-use sherkit_core::calibrated::{Branch, Calibrated};
-use sherkit_core::camera::{Description, Face};
-use sherkit_core::delta::{GEOMETRIC, Kind, Kinematics, Row, Wanted};
-use sherkit_core::kalman::noise::Variances;
-use sherkit_core::kalman::{DepthFilter, DepthTipFilter, Measurement, Noise, TipFilter, smooth};
-use sherkit_core::least_squares::{
-    Levenberg, Loss, Progress, Settings, Stack, levenberg_len, stack_len,
-};
-use sherkit_core::registration::{Method, Moments};
-use sherkit_core::rigid::Rigid;
+use sherkit_core::delta::{Branch, Calibrated};
+use sherkit_core::delta::{GEOMETRIC, Kinematics, Row};
+use sherkit_core::fit::{Levenberg, Loss, Progress, Settings, Stack, levenberg_len, stack_len};
+use sherkit_core::numbers::registration::{Method, Moments};
+use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::spherical;
 use sherkit_core::tool::beam::Beam;
 use sherkit_core::tool::calibration::{Bend, GainFit, Place, SlopeFit, fit_beam};
+use sherkit_core::tool::filters::noise::Variances;
+use sherkit_core::tool::filters::{
+    DepthFilter, DepthTipFilter, Measurement, Noise, TipFilter, smooth,
+};
 use sherkit_core::tool::sensing::{Calibration, Sensor};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -115,7 +117,7 @@ fn the_calibrated_robot_allocates_nothing() {
     let coefficients = [[0.01, -0.02, 0.03]; 64];
     let found = requests(|| {
         let model = model_of(&robot);
-        let sizes = common::plausible();
+        let sizes: sherkit_core::delta::Values = common::plausible(sherkit_core::delta::CATALOGUE);
         let chain = model.with(&sizes.map(|s| 0.3 * s)).unwrap();
         let other = model.with(&sizes.map(|s| 0.4 * s)).unwrap();
         let domain = Domain {
@@ -145,7 +147,7 @@ fn the_calibrated_robot_allocates_nothing() {
                 joints: [joints.x, joints.y, joints.z],
                 covariates: now,
                 push: Vector3::zeros(),
-                kind: Kind::Distance { to: [200.0; 3] },
+                to: Some([200.0; 3]),
             };
             let _ = black_box(chain.row_predict(&row, Wanted::ALL));
             let _ = black_box(chain.row_value(&row));
@@ -303,37 +305,43 @@ fn the_spherical_robot_allocates_nothing() {
         radius_mm: 200.0,
         camera: Description::facing(1.57, 0.8, 446.0, [1100.0, 1100.0, 640.0, 320.0]),
         face: Face::Near,
+        readings: spherical::Readings::Pixels,
         gravity: -Vector3::y(),
         home: [0.0; 2],
+        time_origin_s: 0.0,
+        slip_time_s: 0.0,
     };
     let now = spherical::Covariates {
         time_s: 0.0,
         temperature_c: 20.0,
         direction: [1.0, -1.0],
-        velocity_rad_s: [0.1, 0.2],
+        velocity: [0.1, 0.2],
     };
     let found = requests(|| {
-        let chain = model
-            .with(&[1e-3; spherical::parameters::PARAMETERS])
-            .unwrap();
+        let pointing = spherical::Model {
+            readings: spherical::Readings::Angles,
+            ..model
+        };
+        let values = [1e-3; spherical::PARAMETERS];
+        let [chain, pointing] = [model, pointing].map(|model| model.with(&values).unwrap());
         let mut seen = 0;
         for half in 0..500 {
             let half = 0.004 * f64::from(half);
             let joints = [1.5 + half, 1.5 - half];
-            for kind in [spherical::Kind::Pixels, spherical::Kind::Angles] {
+            for chain in [&chain, &pointing] {
                 let row = spherical::Row {
                     joints,
+                    to: None,
                     covariates: now,
                     push: Vector3::zeros(),
-                    kind,
                 };
-                if let Ok(p) = black_box(chain.row_predict(&row)) {
+                if let Ok(p) = black_box(chain.row_predict(&row, Wanted::ALL)) {
                     seen += 1;
                     black_box(chain.inverse_residual(&row, &p.value)).ok();
                 }
             }
             black_box(chain.centre(&joints, &now)).unwrap();
-            let k = chain.kinematics();
+            let k = chain.structure().kinematics();
             black_box(k.forward_lanes(&[[joints[0]; 8], [joints[1]; 8]]));
             black_box(k.inverse_lanes(&[[1.5; 8], [half; 8]], spherical::Elbows::Open));
         }

@@ -6,9 +6,9 @@ use common::{Random, config, rotation};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use proptest::prelude::*;
 use sherkit_core::Error;
-use sherkit_core::jacobi::{singular_values, symmetric_eigen};
-use sherkit_core::registration::{Method, Moments};
-use sherkit_core::rigid::Rigid;
+use sherkit_core::numbers::jacobi::{singular_values, symmetric_eigen};
+use sherkit_core::numbers::registration::{Method, Moments};
+use sherkit_core::numbers::rigid::Rigid;
 
 const METHODS: [Method; 2] = [Method::Quaternion, Method::SingularValues];
 

@@ -2,67 +2,79 @@
 
 mod common;
 
-use common::{Random, config, derivative};
+use common::{Random, config, derivative, plausible, range_of};
 use nalgebra::{Matrix3, Rotation3, SVector, Vector2, Vector3};
 use proptest::prelude::*;
 use sherkit_core::camera::{Camera, Description, Face};
-use sherkit_core::spherical::parameters::{
-    AXIS_OFFSET, BACKLASH, CAMERA_DELAY, CAMERA_POSE, DATUM, ENCODER_ECCENTRICITY, FOCAL_LENGTH,
-    GEOMETRY, GRAVITY_FLEXURE, JOINT_OFFSET, JOINT_SCALE, LENS_DISTORTION, MARKER_OFFSET,
-    PARAMETERS, PRINCIPAL_POINT, UNEQUAL_LIMBS, Values,
-};
+use sherkit_core::chain::Robot as _;
+use sherkit_core::chain::effects::Wanted;
 use sherkit_core::spherical::{
-    Assembly, Chain, Covariates, Geometry, Kind, Kinematics, Limb, Model, Row,
+    Assembly, CATALOGUE, Chain, Covariates, Geometry, Kinematics, Limb, Model, PARAMETERS,
+    Readings, Row, Values,
 };
 use sherkit_core::{Error, Singularity};
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
+use std::ops::Range;
 
-const KINDS: [Kind; 2] = [Kind::Pixels, Kind::Angles];
+const KINDS: [Readings; 2] = [Readings::Pixels, Readings::Angles];
 
-fn plausible() -> Values {
-    let mut size = [0.0; PARAMETERS];
-    for (range, s) in [
-        (GEOMETRY, 0.02),
-        (DATUM, 0.02),
-        (CAMERA_POSE, 0.02),
-        (FOCAL_LENGTH, 0.02),
-        (PRINCIPAL_POINT, 10.0),
-        (LENS_DISTORTION, 0.01),
-        (JOINT_OFFSET, 0.02),
-        (JOINT_SCALE, 0.01),
-        (ENCODER_ECCENTRICITY, 0.005),
-        (BACKLASH, 0.005),
-        (UNEQUAL_LIMBS, 0.01),
-        (AXIS_OFFSET, 1.0),
-        (GRAVITY_FLEXURE, 0.02),
-        (MARKER_OFFSET, 2.0),
-        (CAMERA_DELAY, 0.02),
-    ] {
-        size[range].fill(s);
-    }
-    size[GEOMETRY.start + 2] = 10.0;
-    size[CAMERA_POSE.start + 3..CAMERA_POSE.end].fill(5.0);
-    size
+/// Where the parameters of an effect stand.
+const fn of(name: &str) -> Range<usize> {
+    range_of(CATALOGUE, name)
+}
+
+const GEOMETRY: Range<usize> = of("geometry");
+const DATUM: Range<usize> = of("datum");
+const CAMERA_POSE: Range<usize> = of("camera_pose");
+const FOCAL_LENGTH: Range<usize> = of("focal_length");
+const PRINCIPAL_POINT: Range<usize> = of("principal_point");
+const LENS_DISTORTION: Range<usize> = of("lens_distortion");
+const JOINT_OFFSET: Range<usize> = of("joint_offset");
+const JOINT_SCALE: Range<usize> = of("joint_scale");
+const ENCODER_ECCENTRICITY: Range<usize> = of("encoder_eccentricity");
+const BACKLASH: Range<usize> = of("backlash");
+const UNEQUAL_LIMBS: Range<usize> = of("unequal_limbs");
+const AXIS_OFFSET: Range<usize> = of("axis_offset");
+const GRAVITY_FLEXURE: Range<usize> = of("gravity_flexure");
+const MARKER_OFFSET: Range<usize> = of("marker_offset");
+const CAMERA_DELAY: Range<usize> = of("camera_delay");
+const THERMAL_GROWTH: Range<usize> = of("thermal_growth");
+const DRIFT: Range<usize> = of("drift");
+const SLIP: Range<usize> = of("slip");
+
+/// The same robot read in pixels and in angles.
+fn both(model: Model) -> [Model; 2] {
+    let [pixels, angles] = KINDS;
+    [
+        Model {
+            readings: pixels,
+            ..model
+        },
+        Model {
+            readings: angles,
+            ..model
+        },
+    ]
 }
 
 fn effects() -> impl Strategy<Value = Values> {
     any::<u64>().prop_map(|seed| {
         let mut random = Random(seed);
-        plausible().map(|s| s * random.unit())
+        plausible(CATALOGUE).map(|s| s * random.unit())
     })
 }
 
-fn row(joints: [f64; 2], kind: Kind) -> Row {
+fn row(joints: [f64; 2]) -> Row {
     Row {
         joints,
+        to: None,
         covariates: Covariates {
-            time_s: 100.0,
+            time_s: 5000.0,
             temperature_c: 24.0,
             direction: [1.0, -1.0],
-            velocity_rad_s: [0.3, -0.7],
+            velocity: [0.3, -0.7],
         },
         push: Vector3::new(0.4, -0.6, 0.2),
-        kind,
     }
 }
 
@@ -93,8 +105,11 @@ fn robots() -> impl Strategy<Value = (Model, [f64; 2])> {
                     radius_mm: 200.0,
                     camera,
                     face: Face::Near,
+                    readings: Readings::Pixels,
                     gravity,
                     home: [0.3, -0.2],
+                    time_origin_s: 100.0,
+                    slip_time_s: 2000.0,
                 },
                 [mean + half, mean - half],
             ))
@@ -109,15 +124,16 @@ fn near<const N: usize>(a: SVector<f64, N>, b: SVector<f64, N>, tolerance: f64) 
 proptest! {
     #![proptest_config(config())]
 
-    /// A column of the 39 that forgets a link behind its own, or a sign; at zero effects, where loads and frames come
+    /// A column that forgets a link behind its own, or a sign; at zero effects, where loads and frames come
     /// from the unbent pose, and at effects of plausible size.
     #[test]
     fn derivatives_are_exact(robot in robots(), values in effects(), quiet in any::<bool>()) {
         let (model, joints) = robot;
         let values = if quiet { [0.0; PARAMETERS] } else { values };
-        let chain = model.with(&values).unwrap();
-        for row in KINDS.map(|kind| row(joints, kind)) {
-            let found = chain.row_predict(&row).unwrap();
+        let (row, sizes): (Row, Values) = (row(joints), plausible(CATALOGUE));
+        for model in both(model) {
+            let chain = model.with(&values).unwrap();
+            let found = chain.row_predict(&row, Wanted::ALL).unwrap();
             prop_assert_eq!(found.value, chain.row_value(&row).unwrap());
             for p in 0..PARAMETERS {
                 let at = |h: f64| {
@@ -125,9 +141,9 @@ proptest! {
                     v[p] += h;
                     model.with(&v).unwrap().row_value(&row).unwrap()
                 };
-                let expected = derivative(at, 0.1 * plausible()[p]);
+                let expected = derivative(at, 0.1 * sizes[p]);
                 let column: Vector2<f64> = found.by_parameters.column(p).into();
-                prop_assert!(near(column, expected, 3e-7), "{:?} parameter {p}: {column} {expected}", row.kind);
+                prop_assert!(near(column, expected, 3e-7), "{:?} parameter {p}: {column} {expected}", model.readings);
             }
             for axis in 0..3 {
                 let expected = derivative(|h| {
@@ -153,18 +169,20 @@ proptest! {
     fn without_effects_the_chain_is_the_papers_model(robot in robots()) {
         let (model, joints) = robot;
         let chain = model.with(&[0.0; PARAMETERS]).unwrap();
-        let bare = |kind| Row { covariates: Covariates::NONE, push: Vector3::zeros(), ..row(joints, kind) };
+        let bare = Row { covariates: Covariates::NONE, push: Vector3::zeros(), ..row(joints) };
+        let pointing = Model { readings: Readings::Angles, ..model }.with(&[0.0; PARAMETERS]).unwrap();
         let angles = Kinematics::new(&model.geometry).unwrap().forward(&Vector2::from(joints)).unwrap();
         let ((sp, cp), (sg, cg)) = (angles.x.sin_cos(), angles.y.sin_cos());
         let point = Vector3::new(sg * cp, sg * sp, cg) * model.radius_mm;
         let pixel = Camera::new(&model.camera).unwrap().project(&point).unwrap();
-        prop_assert!((chain.row_value(&bare(Kind::Angles)).unwrap() - angles).amax() < 1e-13);
-        prop_assert!((chain.row_value(&bare(Kind::Pixels)).unwrap() - pixel).amax() < 1e-9);
+        prop_assert!((pointing.row_value(&bare).unwrap() - angles).amax() < 1e-13);
+        prop_assert!((chain.row_value(&bare).unwrap() - pixel).amax() < 1e-9);
         // and back: the camera's own inverse gives the angles, so that Eq. 6 has nothing left
-        let seen = chain.camera().angles_on_sphere(&pixel, model.radius_mm, Face::Near).unwrap();
+        let camera = model.camera(&[0.0; PARAMETERS]).unwrap();
+        let seen = camera.angles_on_sphere(&pixel, model.radius_mm, Face::Near).unwrap();
         prop_assert!((seen - angles).amax() < 1e-9);
-        for (kind, reading) in [(Kind::Pixels, pixel), (Kind::Angles, angles)] {
-            let left = chain.inverse_residual(&bare(kind), &reading).unwrap();
+        for (chain, reading) in [(&chain, pixel), (&pointing, angles)] {
+            let left = chain.inverse_residual(&bare, &reading).unwrap();
             prop_assert!(left.value.amax() < 1e-8, "{}", left.value);
         }
     }
@@ -174,17 +192,20 @@ proptest! {
     fn derivatives_of_the_papers_residual_are_exact(robot in robots(), values in effects(), off in prop::array::uniform2(-0.01..0.01_f64)) {
         let (model, joints) = robot;
         let mut values = values;
-        for range in [AXIS_OFFSET, GRAVITY_FLEXURE, MARKER_OFFSET] {
+        let behind = [AXIS_OFFSET, GRAVITY_FLEXURE, MARKER_OFFSET, THERMAL_GROWTH, DRIFT, SLIP];
+        for range in behind.clone() {
             values[range].fill(0.0);
         }
-        let chain = model.with(&values).unwrap();
-        for row in KINDS.map(|kind| Row { push: Vector3::zeros(), ..row(joints, kind) }) {
-            let scale = if row.kind == Kind::Pixels { 500.0 } else { 1.0 };
+        let row = Row { push: Vector3::zeros(), ..row(joints) };
+        let sizes: Values = plausible(CATALOGUE);
+        for model in both(model) {
+            let chain = model.with(&values).unwrap();
+            let scale = if model.readings == Readings::Pixels { 500.0 } else { 1.0 };
             let reading = chain.row_value(&row).unwrap() + Vector2::from(off) * scale;
             let Ok(found) = chain.inverse_residual(&row, &reading) else { continue };
             // stretched limbs and the edge of the sphere are too steep for differences
             let steepest = (0..PARAMETERS)
-                .map(|p| found.by_parameters.column(p).amax() * plausible()[p])
+                .map(|p| found.by_parameters.column(p).amax() * sizes[p])
                 .fold(0.0, f64::max);
             if steepest > 0.15 {
                 continue;
@@ -196,12 +217,12 @@ proptest! {
                     model.with(&v).unwrap().inverse_residual(&row, &reading).unwrap().value
                 };
                 let column: Vector2<f64> = found.by_parameters.column(p).into();
-                if AXIS_OFFSET.contains(&p) || GRAVITY_FLEXURE.contains(&p) || MARKER_OFFSET.contains(&p) {
+                if behind.iter().any(|range| range.contains(&p)) {
                     prop_assert_eq!(column.amax(), 0.0);
                     continue;
                 }
-                let expected = derivative(at, 0.02 * plausible()[p]);
-                prop_assert!(near(column, expected, 1e-5), "{:?} parameter {p}: {column} {expected}", row.kind);
+                let expected = derivative(at, 0.02 * sizes[p]);
+                prop_assert!(near(column, expected, 1e-5), "{:?} parameter {p}: {column} {expected}", model.readings);
             }
         }
     }
@@ -211,7 +232,7 @@ proptest! {
     fn the_centre_moves_with_the_joints(robot in robots(), values in effects()) {
         let (model, joints) = robot;
         let chain = model.with(&values).unwrap();
-        let r = row(joints, Kind::Pixels);
+        let r = row(joints);
         let found = chain.centre(&joints, &r.covariates).unwrap();
         let mut expected = Vector3::zeros();
         let theta = joints_by_hand(&model, &values, &joints, &r.covariates);
@@ -225,19 +246,24 @@ proptest! {
             expected += turn * Vector3::new(along, across, 0.0) / 2.0;
         }
         prop_assert!((found.value - expected).amax() < 1e-12);
-        let of = |v: &Values, q: &[f64; 2]| model.with(v).unwrap().centre(q, &r.covariates).unwrap().value;
+        let sizes: Values = plausible(CATALOGUE);
+        let at = |v: &Values, q: &[f64; 2]| model.with(v).unwrap().centre(q, &r.covariates).unwrap().value;
         for p in 0..PARAMETERS {
-            let column = derivative(|h| { let mut v = values; v[p] += h; of(&v, &joints) }, 0.1 * plausible()[p]);
+            let column = derivative(|h| { let mut v = values; v[p] += h; at(&v, &joints) }, 0.1 * sizes[p]);
             prop_assert!(near(found.by_parameters.column(p).into(), column, 1e-8), "{p}");
         }
         for i in 0..2 {
-            let column = derivative(|h| { let mut q = joints; q[i] += h; of(&values, &q) }, 1e-2);
+            let column = derivative(|h| { let mut q = joints; q[i] += h; at(&values, &q) }, 1e-2);
             prop_assert!(near(found.by_joints.column(i).into(), column, 1e-8));
         }
         // and the marker goes with it
-        let mut still = values;
+        let (mut still, mut values) = (values, values);
         still[AXIS_OFFSET].fill(0.0);
-        let moved = chain.marker(&r).unwrap() - model.with(&still).unwrap().marker(&r).unwrap();
+        for values in [&mut still, &mut values] {
+            values[THERMAL_GROWTH].fill(0.0);
+        }
+        let chain = model.with(&values).unwrap();
+        let moved = chain.row_point(&r).unwrap() - model.with(&still).unwrap().row_point(&r).unwrap();
         prop_assert!((moved - expected).amax() < 1e-11);
     }
 
@@ -248,9 +274,9 @@ proptest! {
         let (model, joints) = robot;
         let mut values = [0.0; PARAMETERS];
         values[GRAVITY_FLEXURE].copy_from_slice(&soft);
-        let r = Row { push: Vector3::zeros(), ..row(joints, Kind::Pixels) };
-        let of = |v: &Values| model.with(v).unwrap().marker(&r).unwrap() / model.radius_mm;
-        let (still, bent) = (of(&[0.0; PARAMETERS]), of(&values));
+        let r = Row { push: Vector3::zeros(), ..row(joints) };
+        let at = |v: &Values| model.with(v).unwrap().row_point(&r).unwrap() / model.radius_mm;
+        let (still, bent) = (at(&[0.0; PARAMETERS]), at(&values));
         let moved = bent - still;
         // E = Σ (Δβ_i)²/(2κ_i) - g·x, with β_i the angle between elbow and tool axis
         let elbow = |i: usize| {
@@ -281,17 +307,17 @@ proptest! {
     #[test]
     fn simple_effects_are_what_they_say(robot in robots(), values in effects()) {
         let (model, joints) = robot;
-        let r = row(joints, Kind::Pixels);
-        let v = |range: std::ops::Range<usize>, k: usize| values[range.start + k];
+        let r = row(joints);
+        let v = |range: Range<usize>, k: usize| values[range.start + k];
         let theta = joints_by_hand(&model, &values, &joints, &r.covariates);
         // the same joints without effects of joints, and the marker without its offset
         let mut plain = values;
-        for range in [JOINT_OFFSET, JOINT_SCALE, ENCODER_ECCENTRICITY, BACKLASH, CAMERA_DELAY, MARKER_OFFSET] {
+        for range in [JOINT_OFFSET, JOINT_SCALE, ENCODER_ECCENTRICITY, BACKLASH, CAMERA_DELAY, MARKER_OFFSET, THERMAL_GROWTH, DRIFT, SLIP] {
             plain[range].fill(0.0);
         }
         let chain = model.with(&plain).unwrap();
         let straight = Row { joints: theta, ..r };
-        let marker = chain.marker(&straight).unwrap() - r.push;
+        let marker = chain.row_point(&straight).unwrap() - r.push;
         let radius = model.radius_mm + v(GEOMETRY, 2);
         let axis = (marker - chain.centre(&theta, &r.covariates).unwrap().value) / radius;
         prop_assert!((axis.norm() - 1.0).abs() < 1e-12);
@@ -299,8 +325,12 @@ proptest! {
         let alpha = model.geometry.limbs[0].alpha_rad + v(GEOMETRY, 0) + v(UNEQUAL_LIMBS, 0);
         let elbow = Vector3::new(alpha.sin() * azimuth.cos(), alpha.sin() * azimuth.sin(), alpha.cos());
         let towards = (elbow - axis * axis.dot(&elbow)).normalize();
-        let marker = marker + towards * v(MARKER_OFFSET, 0) + axis.cross(&towards) * v(MARKER_OFFSET, 1) + r.push;
-        let found = model.with(&values).unwrap().marker(&r).unwrap();
+        let marker = marker + towards * v(MARKER_OFFSET, 0) + axis.cross(&towards) * v(MARKER_OFFSET, 1);
+        // everything grows about the remote centre, then the marker wanders and slips
+        let warm = 1.0 + v(THERMAL_GROWTH, 0) * (r.covariates.temperature_c - 20.0);
+        let hours = (r.covariates.time_s - model.time_origin_s) / 3600.0;
+        let marker = marker * warm + Vector3::from_fn(|k, _| v(DRIFT, k) * hours + v(SLIP, k)) + r.push;
+        let found = model.with(&values).unwrap().row_point(&r).unwrap();
         prop_assert!((found - marker).amax() < 1e-9, "{}", found - marker);
         // the camera
         let mut c = model.camera;
@@ -317,7 +347,7 @@ proptest! {
         c.translation = Vector3::zeros();
         let pixel = Camera::new(&c).unwrap().project(&seen).unwrap();
         prop_assert!((model.with(&values).unwrap().row_value(&r).unwrap() - pixel).amax() < 1e-8);
-        let angles = model.with(&values).unwrap().row_value(&Row { kind: Kind::Angles, ..r }).unwrap();
+        let angles = Model { readings: Readings::Angles, ..model }.with(&values).unwrap().row_value(&r).unwrap();
         let d = marker.normalize();
         prop_assert!((angles.x - v(DATUM, 0) - d.y.atan2(d.x)).abs() < 1e-12);
         prop_assert!((angles.y - v(DATUM, 1) - d.z.acos()).abs() < 1e-11);
@@ -329,15 +359,15 @@ proptest! {
         let (model, joints) = robot;
         let mut values = [0.0; PARAMETERS];
         values[UNEQUAL_LIMBS].copy_from_slice(&[a, b]);
-        let r = Row { push: Vector3::zeros(), ..row(joints, Kind::Pixels) };
-        let found = model.with(&values).unwrap().marker(&r).unwrap() / model.radius_mm;
+        let r = Row { push: Vector3::zeros(), ..row(joints) };
+        let found = model.with(&values).unwrap().row_point(&r).unwrap() / model.radius_mm;
         let elbow = |i: usize, sign: f64| {
             let limb = &model.geometry.limbs[i];
             let ((sa, ca), (s, c)) = ((limb.alpha_rad + sign * a).sin_cos(), (joints[i] + limb.offset_rad).sin_cos());
             (Vector3::new(sa * c, sa * s, ca), (limb.beta_rad + sign * b).cos())
         };
         let ((e1, c1), (e2, c2)) = (elbow(0, 1.0), elbow(1, -1.0));
-        let mut x = model.with(&[0.0; PARAMETERS]).unwrap().marker(&r).unwrap().normalize();
+        let mut x = model.with(&[0.0; PARAMETERS]).unwrap().row_point(&r).unwrap().normalize();
         for _ in 0..20 {
             let m = Matrix3::from_rows(&[e1.transpose(), e2.transpose(), x.transpose() * 2.0]);
             let miss = Vector3::new(x.dot(&e1) - c1, x.dot(&e2) - c2, x.norm_squared() - 1.0);
@@ -359,15 +389,15 @@ proptest! {
         for (p, b) in wild {
             values[p] = f64::from_bits(b);
         }
-        let Ok(chain): Result<Chain, Error> = model.with(&values) else { return Ok(()) };
-        for kind in KINDS {
+        for model in both(model) {
+            let Ok(chain): Result<Chain, Error> = model.with(&values) else { continue };
             for joints in [joints, [bits[0], bits[1]]] {
-                for covariates in [Covariates::NONE, row(joints, kind).covariates] {
-                    let row = Row { covariates, ..row(joints, kind) };
+                for covariates in [Covariates::NONE, row(joints).covariates] {
+                    let row = Row { covariates, ..row(joints) };
                     if let Ok(value) = chain.row_value(&row) {
                         prop_assert!(value.iter().all(|v| v.is_finite()));
                     }
-                    let _ = chain.row_predict(&row);
+                    let _ = chain.row_predict(&row, Wanted::ALL);
                     let _ = chain.inverse_residual(&row, &Vector2::new(bits[2], bits[3]));
                 }
             }
@@ -384,7 +414,7 @@ fn joints_by_hand(
 ) -> [f64; 2] {
     std::array::from_fn(|i| {
         let q = joints[i];
-        let v = |range: std::ops::Range<usize>, k: usize| values[range.start + k];
+        let v = |range: Range<usize>, k: usize| values[range.start + k];
         q + v(JOINT_OFFSET, i)
             + v(JOINT_SCALE, i) * (q - model.home[i])
             + v(ENCODER_ECCENTRICITY, 2 * i) * q.sin()
@@ -392,7 +422,7 @@ fn joints_by_hand(
             // the full width between the two directions
             + v(BACKLASH, i) * covariates.direction[i] / 2.0
             // the camera shows where the robot was
-            - v(CAMERA_DELAY, 0) * covariates.velocity_rad_s[i]
+            - v(CAMERA_DELAY, 0) * covariates.velocity[i]
     })
 }
 
@@ -402,22 +432,36 @@ fn the_papers() -> Model {
         radius_mm: 200.0,
         camera: Description::facing(FRAC_PI_2, FRAC_PI_4, 446.2, [1100.0, 1100.0, 640.0, 320.0]),
         face: Face::Near,
+        readings: Readings::Pixels,
         gravity: -Vector3::z(),
         home: [0.0; 2],
+        time_origin_s: 0.0,
+        slip_time_s: 0.0,
     }
 }
 
 /// An effect whose covariate is missing and that is quietly left out, or one at zero that spoils the reading.
 #[test]
 fn an_effect_without_its_covariate_is_refused() {
-    for kind in KINDS {
+    for readings in KINDS {
         let bare = Row {
             covariates: Covariates::NONE,
-            ..row([2.3, 0.9], kind)
+            ..row([2.3, 0.9])
         };
-        let value = |values: &Values| the_papers().with(values).unwrap().row_value(&bare);
+        let model = Model {
+            readings,
+            ..the_papers()
+        };
+        let value = |values: &Values| model.with(values).unwrap().row_value(&bare);
         assert!(value(&[0.0; PARAMETERS]).is_ok());
-        for p in [BACKLASH.start, BACKLASH.start + 1, CAMERA_DELAY.start] {
+        for p in [
+            BACKLASH.start,
+            BACKLASH.start + 1,
+            CAMERA_DELAY.start,
+            THERMAL_GROWTH.start,
+            DRIFT.start,
+            SLIP.start + 2,
+        ] {
             let mut values = [0.0; PARAMETERS];
             values[p] = 1e-3;
             assert!(
@@ -452,12 +496,12 @@ fn what_cannot_be_predicted_says_why() {
         Err(Error::InvalidCamera { .. })
     ));
     let behind = with(CAMERA_POSE.start + 5, -1000.0).unwrap();
-    let found = behind.row_value(&row([2.3, 0.9], Kind::Pixels));
+    let found = behind.row_value(&row([2.3, 0.9]));
     assert!(matches!(found, Err(Error::BehindCamera { .. })));
     let aligned = model
         .with(&[0.0; PARAMETERS])
         .unwrap()
-        .row_value(&row([1.0, 1.0], Kind::Pixels));
+        .row_value(&row([1.0, 1.0]));
     assert_eq!(
         aligned,
         Err(Error::SingularPose(Singularity::ElbowsAligned))
@@ -472,7 +516,7 @@ fn what_cannot_be_predicted_says_why() {
     ));
     // a reading past the sphere
     let chain = model.with(&[0.0; PARAMETERS]).unwrap();
-    let past = chain.inverse_residual(&row([2.3, 0.9], Kind::Pixels), &Vector2::new(2500.0, 320.0));
+    let past = chain.inverse_residual(&row([2.3, 0.9]), &Vector2::new(2500.0, 320.0));
     assert!(matches!(past, Err(Error::RayMisses { .. })));
 }
 
@@ -482,7 +526,7 @@ fn the_papers_residual_knows_no_turns() {
     let chain = the_papers().with(&[0.0; PARAMETERS]).unwrap();
     let here = Row {
         push: Vector3::zeros(),
-        ..row([2.3, 0.9], Kind::Pixels)
+        ..row([2.3, 0.9])
     };
     let reading = chain.row_value(&here).unwrap();
     let turned = Row {

@@ -2,13 +2,13 @@
 
 mod common;
 
+use common::closed_form;
 use common::{config, derivative};
 use nalgebra::{Vector2, Vector3};
 use proptest::prelude::*;
-use sherkit_core::spherical::{
-    Assembly, Elbows, GEOMETRIC, Geometry, Kinematics, Limb, closed_form,
-};
-use sherkit_core::{Error, Singularity, trig};
+use sherkit_core::numbers::trig;
+use sherkit_core::spherical::{Assembly, Elbows, GEOMETRIC, Geometry, Kinematics, Limb};
+use sherkit_core::{Error, Singularity};
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
 /// Limbs that differ by a little, in either assembly.

@@ -6,7 +6,7 @@ use common::{Random, config, derivative, rotation};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, SVector, Vector1, Vector2, Vector3};
 use proptest::prelude::*;
 use sherkit_core::Error;
-use sherkit_core::rigid::Rigid;
+use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::beam::Beam;
 use sherkit_core::tool::calibration::{Bend, GainFit, Place, SlopeFit, fit_beam};
 use sherkit_core::tool::sensing::{Calibration, Depth, Sensor};

@@ -5,10 +5,12 @@
 
 use core::panic::PanicInfo;
 use nalgebra::{Vector2, Vector3};
-use sherkit_core::calibrated::{Branch, Calibrated};
 use sherkit_core::camera::{Description, Face};
-use sherkit_core::delta::parameters::PARAMETERS;
-use sherkit_core::delta::{Assembly, Covariates, GEOMETRIC, Geometry, Model};
+use sherkit_core::chain::Robot;
+use sherkit_core::chain::effects::Wanted;
+use sherkit_core::delta::{
+    Assembly, Branch, Calibrated, Covariates, GEOMETRIC, Geometry, Model, PARAMETERS,
+};
 use sherkit_core::spherical;
 
 #[panic_handler]
@@ -62,30 +64,38 @@ pub extern "C" fn spherical_step(
         radius_mm: 200.0,
         camera: Description::from_parameters(camera),
         face: Face::Near,
+        readings: spherical::Readings::Pixels,
         gravity: -Vector3::z(),
         home: [0.0; 2],
+        time_origin_s: 0.0,
+        slip_time_s: 0.0,
     };
-    let Ok(chain) = model.with(&[0.0; spherical::parameters::PARAMETERS]) else {
+    let Ok(chain) = model.with(&[0.0; spherical::PARAMETERS]) else {
         return 1;
     };
     let row = spherical::Row {
         joints: *joints,
+        to: None,
         covariates: spherical::Covariates::NONE,
         push: Vector3::zeros(),
-        kind: spherical::Kind::Pixels,
     };
-    if chain.row_predict(&row).is_err()
+    if chain.row_predict(&row, Wanted::ALL).is_err()
         || chain
             .inverse_residual(&row, &Vector2::from(*pixel))
             .is_err()
     {
         return 2;
     }
-    let seen = chain
-        .camera()
-        .angles_on_sphere(&Vector2::from(*pixel), 200.0, Face::Near);
+    let Ok(camera) = model.camera(&[0.0; spherical::PARAMETERS]) else {
+        return 1;
+    };
+    let seen = camera.angles_on_sphere(&Vector2::from(*pixel), 200.0, Face::Near);
     let Ok(angles) = seen else { return 3 };
-    let Ok(found) = chain.kinematics().inverse(&angles, spherical::Elbows::Open) else {
+    let Ok(found) = chain
+        .structure()
+        .kinematics()
+        .inverse(&angles, spherical::Elbows::Open)
+    else {
         return 4;
     };
     joints.copy_from_slice(found.as_slice());

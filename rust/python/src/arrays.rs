@@ -8,6 +8,9 @@ use numpy::{
 };
 use pyo3::prelude::*;
 
+/// An array, and which of its rows could be computed.
+pub type Marked<'py, A> = (Bound<'py, A>, Bound<'py, numpy::PyArray1<bool>>);
+
 /// The numbers of a contiguous array of rows of `N`.
 pub fn rows<'a, const N: usize, D: Dimension>(
     name: &str,
@@ -75,4 +78,17 @@ where
     [usize; K]: numpy::ndarray::IntoDimension<Dim = numpy::ndarray::Dim<[usize; K]>>,
 {
     numbers.into_pyarray(py).reshape(dims)
+}
+
+/// Rows of `width` numbers, and which of them could be computed.
+pub fn marked(
+    py: Python<'_>,
+    values: Vec<f64>,
+    reached: Vec<bool>,
+    width: usize,
+) -> PyResult<Marked<'_, numpy::PyArray2<f64>>> {
+    Ok((
+        shaped(py, values, [reached.len(), width])?,
+        numpy::PyArray1::from_vec(py, reached),
+    ))
 }

@@ -7,11 +7,11 @@ use numpy::{
     PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
-use sherkit_core::bernstein::{
-    Correction, Domain, MAX_ORDER, apply_axis, axis_scratch_len, back_substitute, basis,
-    coefficients_len, project_axis, push,
+use sherkit_core::delta::correction::{
+    Correction, Domain, MAX_ORDER, apply_axis, axis_scratch_len, basis, coefficients_len,
+    project_axis, push,
 };
-use sherkit_core::least_squares::{Stack, stack_len};
+use sherkit_core::fit::{Stack, back_substitute, stack_len};
 
 /// Design elements below which a second thread costs more than it brings.
 const WORTH_A_THREAD: usize = 200_000;

@@ -1,9 +1,8 @@
 //! `Camera`: projection and its inverse onto a sphere, single and batched.
 
-use crate::arrays::{fixed, rows, shaped};
+use crate::arrays::{Marked, fixed, marked, rows, shaped};
 use crate::errors::{shape, to_python};
 use crate::lanes::{Block, LANES, LaneMap, in_lanes};
-use crate::spherical::{Marked, marked};
 use nalgebra::{Vector2, Vector3};
 use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;

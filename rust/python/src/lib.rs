@@ -2,19 +2,15 @@
 
 mod arrays;
 mod bernstein;
-mod calibrated;
 mod camera;
+mod delta;
 mod errors;
-mod kalman;
-mod kinematics;
+mod filter;
 mod lanes;
-mod model;
 mod noise;
+mod robot;
 mod solver;
 mod spherical;
-mod spherical_calibrated;
-mod spherical_model;
-mod spherical_rows;
 mod tool;
 mod tool_calibration;
 
@@ -24,22 +20,22 @@ use pyo3::prelude::*;
 #[pymodule]
 fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add("__version__", env!("CARGO_PKG_VERSION"))?;
-    m.add_class::<kinematics::DeltaKinematics>()?;
-    m.add_class::<model::DeltaModel>()?;
+    m.add_class::<delta::DeltaKinematics>()?;
+    m.add_class::<delta::DeltaModel>()?;
     m.add_class::<spherical::SphericalKinematics>()?;
-    m.add_class::<spherical_model::SphericalModel>()?;
-    m.add_class::<spherical_calibrated::SphericalCalibrated>()?;
+    m.add_class::<spherical::SphericalModel>()?;
+    m.add_class::<spherical::SphericalCalibrated>()?;
     m.add_class::<camera::Camera>()?;
     m.add_class::<solver::Solver>()?;
     m.add_class::<bernstein::Bernstein>()?;
-    m.add_class::<calibrated::Calibrated>()?;
+    m.add_class::<delta::Calibrated>()?;
     m.add_class::<tool::ToolSensor>()?;
     m.add_class::<tool::ToolBeam>()?;
     m.add_class::<noise::FilterNoise>()?;
-    m.add_class::<kalman::DepthFilter>()?;
-    m.add_class::<kalman::TipFilter>()?;
-    m.add_class::<kalman::DepthTipFilter>()?;
-    for (name, flag) in kalman::STATUS {
+    m.add_class::<filter::DepthFilter>()?;
+    m.add_class::<filter::TipFilter>()?;
+    m.add_class::<filter::DepthTipFilter>()?;
+    for (name, flag) in filter::STATUS {
         m.add(name, flag)?;
     }
     m.add_function(wrap_pyfunction!(tool_calibration::tool_fit_gain, m)?)?;
@@ -49,8 +45,6 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(bernstein::bernstein_basis, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_fit, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_fit_grid, m)?)?;
-    m.add_function(wrap_pyfunction!(spherical::spherical_closed_mapping, m)?)?;
-    m.add_function(wrap_pyfunction!(spherical::spherical_sensitivity, m)?)?;
     m.add_function(wrap_pyfunction!(spherical::spherical_camera_placement, m)?)?;
     Ok(())
 }

@@ -3,8 +3,8 @@
 use crate::errors::to_python;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use sherkit_core::kalman::noise::Variances;
-use sherkit_core::kalman::{Noise, Trust};
+use sherkit_core::tool::filters::noise::Variances;
+use sherkit_core::tool::filters::{Noise, Trust};
 
 /// Noise of a filter.
 #[pyclass(frozen, eq, module = "sherkit._core")]

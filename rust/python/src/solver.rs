@@ -7,9 +7,7 @@ use numpy::{
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use sherkit_core::least_squares::{
-    Levenberg, Loss, Progress, Settings, Stack, levenberg_len, stack_len,
-};
+use sherkit_core::fit::{Levenberg, Loss, Progress, Settings, Stack, levenberg_len, stack_len};
 
 /// Iterates to the minimum with rows that `evaluate` adds at the solver's trial. Returns how it ended and the rows
 /// that cannot be computed at the start, with which nothing is solved.

@@ -1,19 +1,32 @@
-//! `SphericalKinematics` and the functions of the paper's vision: mapping, sensitivity, place of the camera.
+//! The spherical robot from Python: `SphericalKinematics`, `SphericalModel`, `SphericalCalibrated`, and where its camera
+//! should stand.
 
-use crate::arrays::{fixed, rows, shaped};
+use crate::arrays::{Marked, fixed, rows, shaped};
+use crate::camera::face;
 use crate::errors::{shape, to_python};
-use crate::lanes::{Block, LANES, LaneMap, in_lanes};
-use nalgebra::Vector2;
+use crate::lanes::{self, LANES, LaneMap};
+use crate::robot::{
+    self, Block, Calibrated as _, Derivatives, Problem, Single, calibrated_class, check_free,
+    copied, each, many, model_class, now, one, put, rows_of,
+};
+use crate::solver::Solver;
+use nalgebra::{Matrix2, Vector2, Vector3};
 use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use sherkit_core::spherical::vision::{self, ClosedMapping, Region};
-use sherkit_core::spherical::{Assembly, Elbows, GEOMETRIC, Geometry, Kinematics};
-
-pub type Marked<'py, A> = (Bound<'py, A>, Bound<'py, PyArray1<bool>>);
+use sherkit_core::Result;
+use sherkit_core::camera::{Camera, Description};
+use sherkit_core::chain::Robot;
+use sherkit_core::chain::effects::Wanted;
+use sherkit_core::flat::write_spherical;
+use sherkit_core::spherical::vision::{self, Region};
+use sherkit_core::spherical::{
+    self, Assembly, CATALOGUE, Calibrated as Core, Covariates, Elbows, GEOMETRIC, Geometry,
+    Kinematics, Model, PARAMETERS, Readings, Values,
+};
 
 /// The assembly of this name.
-pub fn assembly(name: &str) -> PyResult<Assembly> {
+fn assembly(name: &str) -> PyResult<Assembly> {
     match name {
         "outer" => Ok(Assembly::Outer),
         "inner" => Ok(Assembly::Inner),
@@ -22,7 +35,7 @@ pub fn assembly(name: &str) -> PyResult<Assembly> {
 }
 
 /// The working mode of this name.
-pub fn elbows_of(name: &str) -> PyResult<Elbows> {
+fn elbows_of(name: &str) -> PyResult<Elbows> {
     match name {
         "open" => Ok(Elbows::Open),
         "crossed" => Ok(Elbows::Crossed),
@@ -49,7 +62,7 @@ struct Forward<'a>(&'a Kinematics);
 
 impl LaneMap<2, 2> for Forward<'_> {
     #[inline(always)]
-    fn run(self, from: &Block<2>) -> (Block<2>, [bool; LANES]) {
+    fn run(self, from: &lanes::Block<2>) -> (lanes::Block<2>, [bool; LANES]) {
         self.0.forward_lanes::<LANES>(from)
     }
 }
@@ -59,8 +72,17 @@ struct Inverse<'a>(&'a Kinematics, Elbows);
 
 impl LaneMap<2, 2> for Inverse<'_> {
     #[inline(always)]
-    fn run(self, from: &Block<2>) -> (Block<2>, [bool; LANES]) {
+    fn run(self, from: &lanes::Block<2>) -> (lanes::Block<2>, [bool; LANES]) {
         self.0.inverse_lanes::<LANES>(from, self.1)
+    }
+}
+
+/// What a run of this name reads.
+fn readings_of(name: &str) -> PyResult<Readings> {
+    match name {
+        "pixels" => Ok(Readings::Pixels),
+        "angles" => Ok(Readings::Angles),
+        _ => Err(shape("readings", "'pixels' or 'angles'", &[])),
     }
 }
 
@@ -83,9 +105,7 @@ impl SphericalKinematics {
         py: Python<'py>,
         joints: PyReadonlyArray1<'_, f64>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let q = Vector2::from(fixed("joints", &joints)?);
-        let found = self.0.forward(&q).map_err(to_python)?;
-        Ok(PyArray1::from_slice(py, found.as_slice()))
+        one(py, "joints", &joints, |q| self.0.forward(q))
     }
 
     #[pyo3(signature = (angles, elbows="open"))]
@@ -95,9 +115,8 @@ impl SphericalKinematics {
         angles: PyReadonlyArray1<'_, f64>,
         elbows: &str,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let x = Vector2::from(fixed("angles", &angles)?);
-        let found = self.0.inverse(&x, elbows_of(elbows)?).map_err(to_python)?;
-        Ok(PyArray1::from_slice(py, found.as_slice()))
+        let elbows = elbows_of(elbows)?;
+        one(py, "angles", &angles, |x| self.0.inverse(x, elbows))
     }
 
     fn forward_batch<'py>(
@@ -105,9 +124,7 @@ impl SphericalKinematics {
         py: Python<'py>,
         joints: PyReadonlyArray2<'_, f64>,
     ) -> PyResult<Marked<'py, PyArray2<f64>>> {
-        let q = rows::<2, _>("joints", &joints)?;
-        let (found, reached) = in_lanes(q, Forward(&self.0));
-        marked(py, found, reached, 2)
+        many(py, "joints", &joints, Forward(&self.0))
     }
 
     #[pyo3(signature = (angles, elbows="open"))]
@@ -117,9 +134,7 @@ impl SphericalKinematics {
         angles: PyReadonlyArray2<'_, f64>,
         elbows: &str,
     ) -> PyResult<Marked<'py, PyArray2<f64>>> {
-        let x = rows::<2, _>("angles", &angles)?;
-        let (found, reached) = in_lanes(x, Inverse(&self.0, elbows_of(elbows)?));
-        marked(py, found, reached, 2)
+        many(py, "angles", &angles, Inverse(&self.0, elbows_of(elbows)?))
     }
 
     /// Derivative of φ, γ by the joint angles `(n, 2, 2)` and by the six parameters `(n, 2, 6)`.
@@ -185,72 +200,289 @@ fn both<'py>(
     ))
 }
 
-pub fn marked(
-    py: Python<'_>,
-    values: Vec<f64>,
-    reached: Vec<bool>,
-    width: usize,
-) -> PyResult<Marked<'_, PyArray2<f64>>> {
-    let n = reached.len();
-    Ok((
-        shaped(py, values, [n, width])?,
-        PyArray1::from_vec(py, reached),
-    ))
-}
+/// A nominal spherical robot and camera whose errors and effects are to be identified. Readings are u, v in pixels or
+/// φ, γ in rad, throughout.
+#[pyclass(frozen, module = "sherkit._core")]
+pub struct SphericalModel(Model);
 
-/// φ, γ of pixels by the paper's closed mapping; `settings`: radius, distance from the surface (mm), half width and
-/// height (px), half angles of view (rad).
-#[pyfunction]
-pub fn spherical_closed_mapping<'py>(
-    py: Python<'py>,
-    settings: PyReadonlyArray1<'_, f64>,
-    pixels: PyReadonlyArray2<'_, f64>,
-) -> PyResult<Marked<'py, PyArray2<f64>>> {
-    let [radius_mm, clearance_mm, nx, ny, ax, ay] = fixed("settings", &settings)?;
-    let mapping = ClosedMapping {
-        radius_mm,
-        clearance_mm,
-        half_size: [nx, ny],
-        half_angle: [ax, ay],
-    };
-    let pixels = rows::<2, _>("pixels", &pixels)?;
-    let mut out = vec![f64::NAN; pixels.len() * 2];
-    let mut reached = vec![false; pixels.len()];
-    for ((pixel, out), ok) in pixels
-        .iter()
-        .zip(out.as_chunks_mut::<2>().0)
-        .zip(&mut reached)
-    {
-        if let Ok(found) = mapping.angles(*pixel) {
-            *out = found;
-            *ok = true;
-        }
+model_class!(SphericalModel, Model, spherical, {
+    /// `settings`: radius of the sphere (mm), direction of the weight (3), home joint readings (2, rad), time origin and
+    /// slip time (s), which may be left out.
+    #[new]
+    #[pyo3(signature = (geometry, camera, settings, assembly_mode="outer", face_mode="near", readings="pixels"))]
+    fn new(
+        geometry: PyReadonlyArray1<'_, f64>,
+        camera: PyReadonlyArray1<'_, f64>,
+        settings: PyReadonlyArray1<'_, f64>,
+        assembly_mode: &str,
+        face_mode: &str,
+        readings: &str,
+    ) -> PyResult<Self> {
+        let p = fixed::<GEOMETRIC, _>("geometry", &geometry)?;
+        let geometry = Geometry::from_parameters(&p, assembly(assembly_mode)?);
+        geometry.check().map_err(to_python)?;
+        let camera = Description::from_parameters(&fixed("camera", &camera)?);
+        Camera::new(&camera).map_err(to_python)?;
+        let given = settings.as_slice()?;
+        let [radius_mm, gx, gy, gz, h1, h2, time_origin_s, slip_time_s] = match *given {
+            [r, gx, gy, gz, h1, h2] => [r, gx, gy, gz, h1, h2, 0.0, 0.0],
+            _ => fixed("settings", &settings)?,
+        };
+        let model = Model {
+            geometry,
+            radius_mm,
+            camera,
+            face: face(face_mode)?,
+            readings: readings_of(readings)?,
+            gravity: Vector3::new(gx, gy, gz),
+            home: [h1, h2],
+            time_origin_s,
+            slip_time_s,
+        };
+        model.with(&[0.0; PARAMETERS]).map_err(to_python)?;
+        Ok(Self(model))
     }
-    marked(py, out, reached, 2)
+
+    /// The same robot whose run holds other readings.
+    fn reading(&self, readings: &str) -> PyResult<Self> {
+        let readings = readings_of(readings)?;
+        Ok(Self(Model { readings, ..self.0 }))
+    }
+
+    /// The camera with its errors.
+    fn camera(&self, values: PyReadonlyArray1<'_, f64>) -> PyResult<crate::camera::Camera> {
+        let camera = self.0.camera(&fixed("values", &values)?);
+        Ok(crate::camera::Camera(camera.map_err(to_python)?))
+    }
+
+    /// Markers in the base frame `(n, 3)`, mm.
+    fn markers<'py>(
+        &self,
+        py: Python<'py>,
+        values: PyReadonlyArray1<'_, f64>,
+        block: Block<'_>,
+    ) -> PyResult<Marked<'py, PyArray2<f64>>> {
+        let chain = robot::chain(&self.0, &values)?;
+        each(py, &rows_of(&block)?, |row| chain.row_point(row))
+    }
+
+    /// Displacement of the platform's centre `(n, 3)`, mm, and its derivatives by the parameters whose indices are
+    /// given `(n, 3, free)` and by the joint readings `(n, 3, 2)`.
+    fn centres<'py>(
+        &self,
+        py: Python<'py>,
+        values: PyReadonlyArray1<'_, f64>,
+        block: Block<'_>,
+        free: Vec<usize>,
+    ) -> PyResult<Batch<'py>> {
+        check_free::<PARAMETERS>(&free)?;
+        let chain = robot::chain(&self.0, &values)?;
+        let rows = rows_of::<2>(&block)?;
+        let n = rows.len();
+        let mut out = vec![f64::NAN; n * 3];
+        let mut by_parameters = vec![f64::NAN; n * 3 * free.len()];
+        let mut by_joints = vec![f64::NAN; n * 6];
+        let mut reached = vec![false; n];
+        for (i, row) in rows.iter().enumerate() {
+            let Ok(centre) = chain.centre(&row.joints, &row.covariates) else {
+                continue;
+            };
+            reached[i] = true;
+            out[3 * i..][..3].copy_from_slice(centre.value.as_slice());
+            put(&mut by_joints[6 * i..][..6], &centre.by_joints);
+            for axis in 0..3 {
+                let line = &mut by_parameters[(3 * i + axis) * free.len()..][..free.len()];
+                for (o, &k) in line.iter_mut().zip(&free) {
+                    *o = centre.by_parameters[(axis, k)];
+                }
+            }
+        }
+        Ok((
+            shaped(py, out, [n, 3])?,
+            shaped(py, by_parameters, [n, 3, free.len()])?,
+            shaped(py, by_joints, [n, 3, 2])?,
+            PyArray1::from_vec(py, reached),
+        ))
+    }
+
+    /// The paper's residuals `(n, 2)`, rad: measured joints minus the inverse kinematics of the readings `(n, 2)`
+    /// (Eq. 6), and their derivatives by the parameters whose indices are given `(n, 2, free)`.
+    fn inverse_residuals<'py>(
+        &self,
+        py: Python<'py>,
+        values: PyReadonlyArray1<'_, f64>,
+        block: Block<'_>,
+        readings: PyReadonlyArray2<'_, f64>,
+        free: Vec<usize>,
+    ) -> PyResult<(
+        Bound<'py, PyArray2<f64>>,
+        Bound<'py, PyArray3<f64>>,
+        Bound<'py, PyArray1<bool>>,
+    )> {
+        check_free::<PARAMETERS>(&free)?;
+        let chain = robot::chain(&self.0, &values)?;
+        let rows = rows_of::<2>(&block)?;
+        let n = rows.len();
+        let readings = copied::<2>("readings", &readings, n)?;
+        let mut out = vec![f64::NAN; n * 2];
+        let mut by_parameters = vec![f64::NAN; n * 2 * free.len()];
+        let mut reached = vec![false; n];
+        for (i, (row, reading)) in rows.iter().zip(&readings).enumerate() {
+            let Ok(found) = chain.inverse_residual(row, &Vector2::from(*reading)) else {
+                continue;
+            };
+            reached[i] = true;
+            out[2 * i..][..2].copy_from_slice(found.value.as_slice());
+            for axis in 0..2 {
+                let line = &mut by_parameters[(2 * i + axis) * free.len()..][..free.len()];
+                for (o, &k) in line.iter_mut().zip(&free) {
+                    *o = found.by_parameters[(axis, k)];
+                }
+            }
+        }
+        Ok((
+            shaped(py, out, [n, 2])?,
+            shaped(py, by_parameters, [n, 2, free.len()])?,
+            PyArray1::from_vec(py, reached),
+        ))
+    }
+
+    /// As [`Self::solve`], for the paper's residuals (Eq. 6): weights are those of the joints, 1/rad.
+    #[allow(
+        clippy::too_many_arguments,
+        reason = "one argument for each part of the problem"
+    )]
+    fn solve_inverse(
+        &self,
+        py: Python<'_>,
+        solver: &mut Solver,
+        values: PyReadonlyArray1<'_, f64>,
+        free: Vec<usize>,
+        block: Block<'_>,
+        readings: PyReadonlyArray2<'_, f64>,
+        weights: PyReadonlyArray2<'_, f64>,
+        priors: bool,
+    ) -> PyResult<(&'static str, Vec<usize>)> {
+        let taken = (&readings, &weights);
+        let problem = Problem::new(&self.0, solver, &values, free, &block, taken)?;
+        problem.solve(py, solver, priors, |problem, solver| {
+            problem.fill(solver, |chain, row, reading, weight, solver| {
+                let reading = Vector2::new(reading[0], reading[1]);
+                let Ok(found) = chain.inverse_residual(row, &reading) else {
+                    return false;
+                };
+                for axis in 0..2 {
+                    // the solver wants the derivative of what is predicted: minus that of the residual
+                    let line = problem
+                        .free
+                        .iter()
+                        .map(|&k| -found.by_parameters[(axis, k)]);
+                    solver.add(line, found.value[axis], weight[axis]);
+                }
+                true
+            })
+        })
+    }
+});
+
+/// A calibrated spherical robot: where its tool points.
+#[pyclass(frozen, module = "sherkit._core")]
+pub struct SphericalCalibrated {
+    robot: Core,
+    model: Model,
+    values: Values,
+    elbows: Elbows,
 }
 
-/// Exact sensitivity dθ/dδ and the paper's approximation S (Eq. 27) at angles δ at the centre.
-#[pyfunction]
-#[pyo3(signature = (radius_mm, clearance_mm, arcs, step_rad=0.0))]
-pub fn spherical_sensitivity<'py>(
-    py: Python<'py>,
-    radius_mm: f64,
-    clearance_mm: f64,
-    arcs: PyReadonlyArray1<'_, f64>,
-    step_rad: f64,
-) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>)> {
-    let arcs = arcs.as_slice()?;
-    let exact = arcs
-        .iter()
-        .map(|&d| vision::sensitivity(radius_mm, clearance_mm, d));
-    let paper = arcs
-        .iter()
-        .map(|&d| vision::approximate_sensitivity(radius_mm, clearance_mm, d, step_rad));
-    Ok((
-        PyArray1::from_vec(py, exact.collect()),
-        PyArray1::from_vec(py, paper.collect()),
-    ))
+/// A vector, its derivatives by joints and by parameters, or by parameters and joints, and which rows are in reach.
+type Batch<'py> = (
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray1<bool>>,
+);
+
+impl robot::Calibrated<2> for SphericalCalibrated {
+    type Core<'a> = &'a Core;
+
+    fn core(&self) -> PyResult<&Core> {
+        Ok(&self.robot)
+    }
+
+    fn write(&self, put: impl FnMut(f64)) -> PyResult<()> {
+        write_spherical(&self.model, &self.values, self.elbows, put);
+        Ok(())
+    }
+
+    fn forward_at(
+        core: &&Core,
+        joints: &Vector2<f64>,
+        now: &Covariates,
+    ) -> Result<(Vector2<f64>, Matrix2<f64>)> {
+        core.forward(joints, now)
+    }
+
+    fn inverse_at(core: &&Core, place: &Vector2<f64>, now: &Covariates) -> Result<Vector2<f64>> {
+        core.inverse(place, now)
+    }
 }
+
+calibrated_class!(SphericalCalibrated, 2, angles, angles, {
+    /// The model with identified `values` of all its parameters.
+    #[new]
+    #[pyo3(signature = (model, values, elbows="open"))]
+    fn new(
+        model: PyRef<'_, SphericalModel>,
+        values: PyReadonlyArray1<'_, f64>,
+        elbows: &str,
+    ) -> PyResult<Self> {
+        let values = fixed("values", &values)?;
+        let (model, elbows) = (model.0, elbows_of(elbows)?);
+        let robot = Core::new(&model, &values, elbows).map_err(to_python)?;
+        Ok(Self {
+            robot,
+            model,
+            values,
+            elbows,
+        })
+    }
+
+    /// φ, γ `(n, 2)`, by the joints `(n, 2, 2)`, by the parameters in `free` `(n, 2, free)`, and which rows are in reach.
+    fn forward_batch<'py>(
+        &self,
+        py: Python<'py>,
+        joints: PyReadonlyArray2<'_, f64>,
+        covariates: Vec<f64>,
+        free: Vec<usize>,
+    ) -> PyResult<Batch<'py>> {
+        check_free::<PARAMETERS>(&free)?;
+        let (now, wanted) = (now(&covariates)?, Wanted::of(CATALOGUE, &free));
+        let q = rows::<2, _>("joints", &joints)?;
+        let mut x = vec![f64::NAN; q.len() * 2];
+        let mut j = vec![f64::NAN; q.len() * 4];
+        let mut p = vec![f64::NAN; q.len() * 2 * free.len()];
+        let mut reached = vec![false; q.len()];
+        for (i, q) in q.iter().enumerate() {
+            let Ok(found) = self.robot.predict(&Vector2::from(*q), &now, wanted) else {
+                continue;
+            };
+            x[2 * i..][..2].copy_from_slice(found.value.as_slice());
+            put(&mut j[4 * i..][..4], &found.by_joints);
+            for axis in 0..2 {
+                for (k, &index) in free.iter().enumerate() {
+                    p[(2 * i + axis) * free.len() + k] = found.by_parameters[(axis, index)];
+                }
+            }
+            reached[i] = true;
+        }
+        Ok((
+            shaped(py, x, [q.len(), 2])?,
+            shaped(py, j, [q.len(), 2, 2])?,
+            shaped(py, p, [q.len(), 2, free.len()])?,
+            PyArray1::from_vec(py, reached),
+        ))
+    }
+});
 
 /// What a camera sees from a distance from the centre, by default from the best one (Eqs. 29 to 33).
 #[pyfunction]

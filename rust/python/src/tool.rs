@@ -8,9 +8,9 @@ use numpy::{
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
-use sherkit_core::kalman::Measurement;
-use sherkit_core::rigid::Rigid;
+use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::beam::Beam;
+use sherkit_core::tool::filters::Measurement;
 use sherkit_core::tool::sensing::{Calibration, Depth, Reading, Sensor};
 
 /// Wavelengths of a row: three fibres at each of the sections I, II, III.

@@ -10,7 +10,7 @@ use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use sherkit_core::Error;
-use sherkit_core::registration::{Method, Moments};
+use sherkit_core::numbers::registration::{Method, Moments};
 use sherkit_core::tool::calibration::{Bend, GainFit, Place, SlopeFit, fit_beam};
 
 /// A small matrix as an array.

@@ -1,6 +1,6 @@
 //! Brown–Conrady distortion and its inverse by Newton's method.
 
-use crate::math::Real;
+use crate::numbers::math::Real;
 use crate::{Error, Result};
 use nalgebra::{Matrix2, SMatrix};
 

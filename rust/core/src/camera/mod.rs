@@ -15,7 +15,7 @@ mod sphere;
 pub use rotation::{left_jacobian, right_jacobian, rotation_matrix, rotation_vector};
 pub use sphere::Face;
 
-use crate::math::Real;
+use crate::numbers::math::Real;
 use crate::{Error, Result};
 use lens::Lens;
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
@@ -63,8 +63,8 @@ impl Description {
     /// set-up (φ = π/2, γ = π/4). Its x axis points to growing φ, its y axis to growing γ.
     #[must_use]
     pub fn facing(phi_rad: f64, gamma_rad: f64, distance_mm: f64, intrinsics: [f64; 4]) -> Self {
-        let (sp, cp) = crate::math::sin_cos(phi_rad);
-        let (sg, cg) = crate::math::sin_cos(gamma_rad);
+        let (sp, cp) = crate::numbers::math::sin_cos(phi_rad);
+        let (sg, cg) = crate::numbers::math::sin_cos(gamma_rad);
         let rotation = Matrix3::new(-sp, cp, 0.0, cg * cp, cg * sp, -sg, -sg * cp, -sg * sp, -cg);
         Self {
             intrinsics,
@@ -188,7 +188,7 @@ impl Camera {
         &self,
         points: &[[f64; L]; 3],
     ) -> ([[f64; L]; 2], [bool; L]) {
-        use crate::math::Lanes;
+        use crate::numbers::math::Lanes;
         let (pixel, depth) = self.formula([Lanes(points[0]), Lanes(points[1]), Lanes(points[2])]);
         let mut seen = [false; L];
         for lane in 0..L {

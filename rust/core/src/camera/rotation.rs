@@ -1,6 +1,6 @@
 //! Rotation vectors and how their matrices change, exact at small angles.
 
-use crate::math::{sin_cos, sqrt};
+use crate::numbers::math::{sin_cos, sqrt};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 /// Below this angle the coefficients come from their series, whose first left-out term is then below rounding.

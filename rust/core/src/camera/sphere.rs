@@ -1,7 +1,7 @@
 //! From a pixel to the point of a sphere about the base's origin, exact for any pose of the camera.
 
 use super::Camera;
-use crate::math::sqrt;
+use crate::numbers::math::sqrt;
 use crate::{Error, Result};
 use nalgebra::{Vector2, Vector3};
 

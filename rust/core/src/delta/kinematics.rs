@@ -8,7 +8,7 @@
 
 use super::geometry::{Assembly, GEOMETRIC, Geometry, LIMBS, PER_LIMB};
 use super::trilateration::{culprit, meet};
-use crate::math::{Lanes, Real, Triple, dot, sin_cos, sqrt, subtract};
+use crate::numbers::math::{Lanes, Real, Triple, dot, sin_cos, sqrt, subtract};
 use crate::{Error, Result};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 

@@ -3,17 +3,20 @@
 //! Source: Xiao et al., "Delta Robot Kinematic Calibration for Precise Robot-Assisted Retinal Surgery",
 //! ISMR 2022, Eqs. 1 to 9 (two signs of Eq. 2 are misprinted; Eq. 3 is right).
 
-mod chain;
+mod calibrated;
+pub mod correction;
+mod effects;
 mod geometry;
 mod kinematics;
-pub mod parameters;
-mod row;
+mod model;
+mod nominal;
 mod structure;
 mod trilateration;
 
-pub use chain::{
-    Chain, Covariates, LINEARITY_SPAN_MM, Model, Prediction, REFERENCE_TEMPERATURE_C, Wanted,
-};
+pub use calibrated::{Branch, Calibrated};
+pub use effects::{CATALOGUE, PARAMETERS, Values};
 pub use geometry::{Assembly, GEOMETRIC, Geometry, IDENTIFIABLE, LIMBS, Limb, PER_LIMB};
 pub use kinematics::{Kinematics, Pose};
-pub use row::{Kind, Row};
+pub use model::{Chain, Covariates, Prediction, READINGS, Row};
+pub use nominal::Model;
+pub use structure::Structure;

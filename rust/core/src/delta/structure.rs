@@ -10,12 +10,16 @@
 //! `(I - C M) dL = dl + C h`, `M_ij = L_i s_z (g_i·g_j) L_j - g_iz δ_ij`,
 //! `h_i = L_i (s_z g_i·dx₀ - Σ_k g_kz g_i·dv_k)`, `s = Σ g_k`, `dx₀ = Σ g_k r_k·dv_k`.
 
-use super::geometry::LIMBS;
+use super::effects::{AT, PARAMETERS, Values};
+use super::geometry::{Geometry, IDENTIFIABLE, LIMBS, PER_LIMB};
 use super::kinematics::Kinematics;
-use crate::inverse::{Inverse, inverse};
-use crate::math::sqrt;
+use super::nominal::Model;
+use crate::chain::Mechanism;
+use crate::chain::effects::{Wanted, values_of};
+use crate::numbers::inverse::{Inverse, inverse};
+use crate::numbers::math::{sin_cos, sqrt};
 use crate::{Error, Result};
-use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, Rotation3, SMatrix, Vector3, Vector6};
 
 const ITERATIONS: usize = 60;
 /// Lengths and Newton steps are settled when nothing moves by more than this, mm.
@@ -23,22 +27,145 @@ const TOLERANCE_MM: f64 = 1e-12;
 /// Pivot ratio below which the six rods do not fix the platform.
 const SINGULAR: f64 = 1e-12;
 
+/// The delta with given errors: what joins its joints to the measured point.
+#[derive(Clone, Copy, Debug)]
+pub struct Structure {
+    kinematics: Kinematics,
+    extras: Extras,
+}
+
 /// What of the structure is not in [`Kinematics`].
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Extras {
+struct Extras {
     /// From the platform centre to the measured point, platform frame, mm.
-    pub target: Vector3<f64>,
+    target: Vector3<f64>,
     /// Half the distance between the rods of a limb along its joint axis, mm.
-    pub half_pair: [Vector3<f64>; LIMBS],
+    half_pair: [Vector3<f64>; LIMBS],
     /// Difference of the two rods of a limb, mm.
-    pub mismatch: [f64; LIMBS],
+    mismatch: [f64; LIMBS],
     /// Stretch of a limb under the whole weight, mm.
-    pub compliance: [f64; LIMBS],
+    compliance: [f64; LIMBS],
+}
+
+impl Structure {
+    /// The mechanism with its errors.
+    ///
+    /// # Errors
+    /// As [`Kinematics::leaning`].
+    pub fn new(model: &Model, values: &Values) -> Result<Self> {
+        let mut geometry = model.geometry.parameters();
+        for (g, e) in geometry.iter_mut().zip(values) {
+            *g += e;
+        }
+        let geometry = Geometry::from_parameters(&geometry, model.geometry.assembly);
+        let at = AT.structure;
+        let [r1, t1, r2, t2, r3, t3] = values_of(at.rail_lean, values);
+        let lean = [[r1, t1], [r2, t2], [r3, t3]];
+        let half = 0.5 * model.rod_spacing;
+        let pair = |limb: usize| {
+            // the joint axes of a limb are alike at carriage and platform, or equal rods would tilt it too
+            let (sin, cos) = sin_cos(model.geometry.limbs[limb].platform_angle_rad);
+            Vector3::new(-sin * half, cos * half, 0.0)
+        };
+        Ok(Self {
+            kinematics: Kinematics::leaning(&geometry, lean, model.home)?,
+            extras: Extras {
+                target: model.target_offset,
+                half_pair: [pair(0), pair(1), pair(2)],
+                mismatch: values_of(at.rod_mismatch, values),
+                compliance: values_of(at.gravity_sag, values),
+            },
+        })
+    }
+
+    /// Joint readings near those that bring the measured point to a place: effects but lean left out.
+    ///
+    /// # Errors
+    /// As [`Kinematics::inverse`].
+    pub fn rough_inverse(&self, point: &Vector3<f64>) -> Result<Vector3<f64>> {
+        self.kinematics.inverse(&(point - self.extras.target))
+    }
+}
+
+impl Mechanism<LIMBS, PARAMETERS> for Structure {
+    type Solved = Solved;
+
+    #[inline]
+    fn solve(&self, joints: &Vector3<f64>) -> Result<Solved> {
+        Solved::of(&self.kinematics, &self.extras, joints)
+    }
+
+    #[inline]
+    fn point(&self, solved: &Solved) -> Vector3<f64> {
+        solved.point
+    }
+
+    #[inline]
+    fn point_at(&self, joints: &Vector3<f64>) -> Result<Vector3<f64>> {
+        if self.extras.is_plain() {
+            return Ok(self.kinematics.forward(joints)? + self.extras.target);
+        }
+        Ok(self.solve(joints)?.point)
+    }
+
+    #[inline]
+    fn columns<const M: usize>(
+        &self,
+        joints: &Vector3<f64>,
+        solved: &Solved,
+        by_point: &SMatrix<f64, M, 3>,
+        wanted: Wanted,
+        d: &mut SMatrix<f64, M, PARAMETERS>,
+    ) -> SMatrix<f64, M, LIMBS> {
+        let at = AT.structure;
+        if let Some(place) = wanted.wants(at.rod_mismatch) {
+            let columns = by_point * solved.by_rod_mismatch(&self.kinematics, &self.extras);
+            d.fixed_columns_mut::<LIMBS>(place.start)
+                .copy_from(&columns);
+        }
+        let limbs = [at.limb_1, at.limb_2, at.limb_3];
+        let platforms = [at.platform_1, at.platform_2, at.platform_3];
+        let mut by_joints = SMatrix::<f64, M, LIMBS>::zeros();
+        for limb in 0..LIMBS {
+            let joint = joints[limb];
+            let by = self.kinematics.by_limb(limb, joint);
+            let by_joint = by_point * solved.by_carriage(limb, &by.joint);
+            by_joints.set_column(limb, &by_joint);
+            if wanted.wants(limbs[limb]).is_some() {
+                let first = limb * PER_LIMB;
+                let radius = solved.by_carriage(limb, &by.base_radius);
+                let angle = solved.by_carriage(limb, &by.base_angle);
+                d.set_column(first, &(by_point * radius));
+                d.set_column(first + 1, &(by_point * angle));
+                d.set_column(first + 2, &by_joint);
+                d.set_column(first + 3, &(by_point * solved.by_length(limb)));
+            }
+            if wanted.wants(platforms[limb]).is_some() {
+                let first = limb * PER_LIMB + IDENTIFIABLE;
+                // the kinematics gives the sphere centre, which moves against the platform end
+                let radius = solved.by_platform(limb, &-by.platform_radius);
+                let angle = solved.by_platform(limb, &-by.platform_angle);
+                d.set_column(first, &(by_point * radius));
+                d.set_column(first + 1, &(by_point * angle));
+            }
+            if let Some(place) = wanted.wants(at.rail_lean) {
+                for (k, lean) in self.kinematics.by_lean(limb, joint).iter().enumerate() {
+                    let column = by_point * solved.by_carriage(limb, lean);
+                    d.set_column(place.start + 2 * limb + k, &column);
+                }
+            }
+            if let Some(place) = wanted.wants(at.gravity_sag) {
+                let column = by_point * solved.by_compliance(limb);
+                d.set_column(place.start + limb, &column);
+            }
+        }
+        by_joints
+    }
 }
 
 impl Extras {
     /// Whether three spheres are all there is.
-    pub fn is_plain(&self) -> bool {
+    fn is_plain(&self) -> bool {
         self.mismatch == [0.0; LIMBS] && self.is_stiff()
     }
 
@@ -74,9 +201,9 @@ struct Tilted {
 
 /// The solved structure.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Structure {
+pub struct Solved {
     /// Measured point, base frame, mm.
-    pub point: Vector3<f64>,
+    point: Vector3<f64>,
     /// Rods of the parallel platform.
     rods: [Vector3<f64>; LIMBS],
     /// Columns `g_i` of the inverse of the rods.
@@ -86,9 +213,9 @@ pub(super) struct Structure {
     tilted: Option<Tilted>,
 }
 
-impl Structure {
+impl Solved {
     #[inline]
-    pub fn solve(kinematics: &Kinematics, extras: &Extras, joints: &Vector3<f64>) -> Result<Self> {
+    fn of(kinematics: &Kinematics, extras: &Extras, joints: &Vector3<f64>) -> Result<Self> {
         if extras.is_stiff() {
             return Self::unloaded(kinematics, extras, joints);
         }
@@ -140,7 +267,7 @@ impl Structure {
 
     /// Derivative of the measured point by a movement of the carriage end of a limb.
     #[inline]
-    pub fn by_carriage(&self, limb: usize, moved: &Vector3<f64>) -> Vector3<f64> {
+    fn by_carriage(&self, limb: usize, moved: &Vector3<f64>) -> Vector3<f64> {
         let stiff = match &self.tilted {
             None => self.answers.column(limb) * self.rods[limb].dot(moved),
             Some(tilted) => tilted.by_end(limb, moved),
@@ -150,7 +277,7 @@ impl Structure {
 
     /// Derivative by a movement of the platform end of a limb, given in the platform frame.
     #[inline]
-    pub fn by_platform(&self, limb: usize, moved: &Vector3<f64>) -> Vector3<f64> {
+    fn by_platform(&self, limb: usize, moved: &Vector3<f64>) -> Vector3<f64> {
         let sphere = -moved;
         let stiff = match &self.tilted {
             None => self.answers.column(limb) * self.rods[limb].dot(&sphere),
@@ -161,7 +288,7 @@ impl Structure {
 
     /// Derivative by the length of the rods of a limb.
     #[inline]
-    pub fn by_length(&self, limb: usize) -> Vector3<f64> {
+    fn by_length(&self, limb: usize) -> Vector3<f64> {
         match &self.loaded {
             None => self.by_true_length(limb),
             Some(loaded) => self.by_true_lengths(&loaded.answer.column(limb).into_owned()),
@@ -169,7 +296,7 @@ impl Structure {
     }
 
     /// Derivative by the compliance of a limb: its share of the weight lengthens its rods.
-    pub fn by_compliance(&self, limb: usize) -> Vector3<f64> {
+    fn by_compliance(&self, limb: usize) -> Vector3<f64> {
         match &self.loaded {
             None => {
                 let share = shares(&self.answers, &self.lengths)[limb];
@@ -183,7 +310,7 @@ impl Structure {
     }
 
     /// Derivative by the difference of the two rods of each limb, one column a limb.
-    pub fn by_rod_mismatch(&self, kinematics: &Kinematics, extras: &Extras) -> Matrix3<f64> {
+    fn by_rod_mismatch(&self, kinematics: &Kinematics, extras: &Extras) -> Matrix3<f64> {
         match &self.tilted {
             None => self.mismatch_of_parallel(kinematics, extras),
             Some(tilted) => tilted.by_mismatch(),
@@ -205,8 +332,9 @@ impl Structure {
         })
     }
 
-    /// What a movement of a sphere centre does by way of the loads.
-    #[inline]
+    /// What a movement of a sphere centre does by way of the loads. Inlined, so that the limb is a constant and no index
+    /// is left to be checked.
+    #[inline(always)]
     fn by_load(&self, limb: usize, moved: &Vector3<f64>) -> Vector3<f64> {
         let Some(loaded) = &self.loaded else {
             return Vector3::zeros();

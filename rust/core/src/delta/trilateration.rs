@@ -5,7 +5,7 @@
 //! `x = s_1 + [k_2 (d_3 × n) + k_3 (n × d_2)]/|n|² ± t n`, `t² = (l_1² - |…|²)/|n|²`.
 //! Branch-free, so that loops over lanes vectorise. A negative or NaN `t²` means that the spheres miss.
 
-use crate::math::{Real, Triple, add, cross, dot, scale, sqrt, subtract};
+use crate::numbers::math::{Real, Triple, add, cross, dot, scale, sqrt, subtract};
 use nalgebra::Vector3;
 
 /// Where the spheres meet.

@@ -6,9 +6,8 @@
 //! the assembly's times that of `sin A`, `A = (ψ₁ - ψ₂)/2`: with equal limbs this is the sign of Eq. 35.
 
 use super::geometry::LIMBS;
-use super::kinematics::Kinematics;
-use crate::math::{Real, add, cross, dot, scale};
-use crate::trig;
+use crate::numbers::math::{Real, add, cross, dot, scale};
+use crate::numbers::trig;
 
 /// Where the cones meet, in the frame turned to the mean azimuth of the elbows; one pose or many side by side.
 #[derive(Clone, Copy)]
@@ -24,10 +23,21 @@ pub(super) struct Meeting<T> {
     pub polar_squared: T,
 }
 
-impl Kinematics {
+/// The cones of both limbs: sines and cosines are taken once.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cones {
+    /// Sign of the assembly.
+    pub sign: f64,
+    pub sin_alpha: [f64; LIMBS],
+    pub cos_alpha: [f64; LIMBS],
+    pub cos_beta: [f64; LIMBS],
+    pub offset: [f64; LIMBS],
+}
+
+impl Cones {
     /// Half sum and half difference of the elbow axes, for the sine and cosine of `A`.
     #[inline(always)]
-    pub(super) fn halves<T: Real>(&self, (sin, cos): (T, T)) -> [[T; 3]; 2] {
+    pub fn halves<T: Real>(&self, (sin, cos): (T, T)) -> [[T; 3]; 2] {
         let of = T::splat;
         let ([s1, s2], [c1, c2]) = (self.sin_alpha, self.cos_alpha);
         let (sum, difference) = (of(0.5 * (s1 + s2)), of(0.5 * (s1 - s2)));
@@ -39,7 +49,7 @@ impl Kinematics {
 
     /// The formula of the module, without branches. `half` has the sine and cosine of `A`.
     #[inline(always)]
-    pub(super) fn meet<T: Real>(&self, mean: T, half: (T, T)) -> Meeting<T> {
+    pub fn meet<T: Real>(&self, mean: T, half: (T, T)) -> Meeting<T> {
         let of = T::splat;
         let [s, d] = self.halves(half);
         let (ss, dd) = (dot(s, s), dot(d, d));
@@ -70,7 +80,7 @@ impl Kinematics {
     /// Joint angles, cosines of `ψ_i - φ`, and a number with the sign of the assembly, for φ and the sine and cosine
     /// of γ. No branches.
     #[inline(always)]
-    pub(super) fn reach<T: Real>(
+    pub fn reach<T: Real>(
         &self,
         phi: T,
         (sin, cos): (T, T),

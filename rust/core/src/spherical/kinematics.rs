@@ -5,16 +5,14 @@
 //!
 //! NaN or infinite input gives [`Error::NotFinite`]. Stack: below 1 kB.
 
-use super::cones::Meeting;
+use super::cones::{Cones, Meeting};
 use super::geometry::{Elbows, Geometry, LIMBS};
-use super::pose::Pose;
-use crate::math::{Lanes, Real, dot, sin_cos, sqrt};
-use crate::{Error, Result, Singularity, trig};
+use super::pose::{Pose, SINGULAR};
+use crate::numbers::math::{Lanes, Real, dot, sin_cos, sqrt};
+use crate::numbers::trig;
+use crate::{Error, Result, Singularity};
 use core::f64::consts::PI;
 use nalgebra::{Matrix3, Vector2, Vector3};
-
-/// Sines and products of unit vectors below this count as singular.
-pub(super) const SINGULAR: f64 = 1e-9;
 
 /// Where the cones touch, rounding leaves elbow axes and tool axis a volume of the root of an ulp.
 const TOUCHING: f64 = 1e-7;
@@ -22,13 +20,9 @@ const TOUCHING: f64 = 1e-7;
 /// A spherical robot ready to compute with: sines and cosines are taken once.
 #[derive(Clone, Copy, Debug)]
 pub struct Kinematics {
-    pub(super) sign: f64,
-    pub(super) sin_alpha: [f64; LIMBS],
-    pub(super) cos_alpha: [f64; LIMBS],
+    cones: Cones,
     alpha: [f64; LIMBS],
     beta: [f64; LIMBS],
-    pub(super) cos_beta: [f64; LIMBS],
-    pub(super) offset: [f64; LIMBS],
 }
 
 impl Kinematics {
@@ -42,20 +36,22 @@ impl Kinematics {
         let alpha = limbs.map(|l| sin_cos(l.alpha_rad));
         let beta = limbs.map(|l| l.beta_rad);
         Ok(Self {
-            sign: geometry.assembly.sign(),
-            sin_alpha: alpha.map(|a| a.0),
-            cos_alpha: alpha.map(|a| a.1),
+            cones: Cones {
+                sign: geometry.assembly.sign(),
+                sin_alpha: alpha.map(|a| a.0),
+                cos_alpha: alpha.map(|a| a.1),
+                cos_beta: beta.map(|b| sin_cos(b).1),
+                offset: limbs.map(|l| l.offset_rad),
+            },
             alpha: limbs.map(|l| l.alpha_rad),
             beta,
-            cos_beta: beta.map(|b| sin_cos(b).1),
-            offset: limbs.map(|l| l.offset_rad),
         })
     }
 
     /// The same with other distal arcs, rad.
     pub(super) fn with_beta(mut self, beta: [f64; LIMBS]) -> Self {
         self.beta = beta;
-        self.cos_beta = beta.map(|b| sin_cos(b).1);
+        self.cones.cos_beta = beta.map(|b| sin_cos(b).1);
         self
     }
 
@@ -64,7 +60,10 @@ impl Kinematics {
     }
 
     fn azimuths(&self, joints: &Vector2<f64>) -> [f64; LIMBS] {
-        [joints.x + self.offset[0], joints.y + self.offset[1]]
+        [
+            joints.x + self.cones.offset[0],
+            joints.y + self.cones.offset[1],
+        ]
     }
 
     /// Solves for the tool axis; the pole is let through.
@@ -78,12 +77,12 @@ impl Kinematics {
         } else {
             sin_cos(half)
         };
-        let m = self.meet(0.5 * (a + b), sines);
+        let m = self.cones.meet(0.5 * (a + b), sines);
         if m.spread_squared < SINGULAR * SINGULAR {
             return Err(Error::SingularPose(Singularity::ElbowsAligned));
         }
         if m.height_squared < 0.0 {
-            let [_, d] = self.halves(sines);
+            let [_, d] = self.cones.halves(sines);
             let between = 2.0 * libm::asin(sqrt(dot(d, d)).min(1.0));
             return Err(Error::LimbsApart {
                 miss_rad: self.apart(between),
@@ -127,11 +126,13 @@ impl Kinematics {
         joints: &[[f64; L]; LIMBS],
     ) -> ([[f64; L]; 2], [bool; L]) {
         let [a, b] = [
-            Lanes(joints[0]) + Lanes::splat(self.offset[0]),
-            Lanes(joints[1]) + Lanes::splat(self.offset[1]),
+            Lanes(joints[0]) + Lanes::splat(self.cones.offset[0]),
+            Lanes(joints[1]) + Lanes::splat(self.cones.offset[1]),
         ];
         let half = Lanes::splat(0.5) * (a - b);
-        let m = self.meet(Lanes::splat(0.5) * (a + b), trig::sin_cos(half));
+        let m = self
+            .cones
+            .meet(Lanes::splat(0.5) * (a + b), trig::sin_cos(half));
         let mut out = [m.angles[0].0, m.angles[1].0];
         let mut reached = [false; L];
         let mut far = false;
@@ -168,12 +169,12 @@ impl Kinematics {
         if sines.0.abs() < SINGULAR {
             return Err(Error::SingularPose(Singularity::Pole));
         }
-        let (joints, cosines, side) = self.reach(angles.x, sines, elbows.signs());
+        let (joints, cosines, side) = self.cones.reach(angles.x, sines, elbows.signs());
         if let Some(limb) = cosines.iter().position(|c| c.abs() > 1.0) {
             let miss_rad = miss_of(self.alpha[limb], self.beta[limb], angles.y);
             return Err(Error::AxisOutOfReach { limb, miss_rad });
         }
-        if self.sign * side < 0.0 {
+        if self.cones.sign * side < 0.0 {
             return Err(Error::OtherAssembly);
         }
         Ok(Vector2::from(joints))
@@ -189,7 +190,7 @@ impl Kinematics {
     ) -> ([[f64; L]; LIMBS], [bool; L]) {
         let gamma = Lanes(angles[1]);
         let sines = trig::sin_cos(gamma);
-        let (joints, cosines, side) = self.reach(Lanes(angles[0]), sines, elbows.signs());
+        let (joints, cosines, side) = self.cones.reach(Lanes(angles[0]), sines, elbows.signs());
         let mut out = [joints[0].0, joints[1].0];
         let mut reached = [false; L];
         let mut far = false;
@@ -197,7 +198,7 @@ impl Kinematics {
             reached[lane] = (cosines[0].0[lane].abs() <= 1.0)
                 & (cosines[1].0[lane].abs() <= 1.0)
                 & (sines.0.0[lane].abs() >= SINGULAR)
-                & (self.sign * side.0[lane] >= 0.0)
+                & (self.cones.sign * side.0[lane] >= 0.0)
                 & (out[0][lane].abs() < f64::INFINITY);
             far |= gamma.0[lane].abs() > trig::LARGEST_RAD;
         }
@@ -245,7 +246,7 @@ impl Kinematics {
         }
         let azimuths = self.azimuths(near);
         let signs = azimuths.map(|a| 1.0_f64.copysign(sin_cos(a - angles.x).0));
-        let (joints, cosines, _) = self.reach(angles.x, (sin, cos), signs);
+        let (joints, cosines, _) = self.cones.reach(angles.x, (sin, cos), signs);
         if let Some(limb) = cosines.iter().position(|c| c.abs() > 1.0) {
             let miss_rad = miss_of(self.alpha[limb], self.beta[limb], angles.y);
             return Err(Error::AxisOutOfReach { limb, miss_rad });
@@ -265,7 +266,7 @@ impl Kinematics {
         let (mut elbows, mut normals, mut tangents) = (zero, zero, zero);
         for (i, azimuth) in azimuths.into_iter().enumerate() {
             let (sin, cos) = sin_cos(azimuth);
-            let (sa, ca) = (self.sin_alpha[i], self.cos_alpha[i]);
+            let (sa, ca) = (self.cones.sin_alpha[i], self.cones.cos_alpha[i]);
             elbows[i] = Vector3::new(sa * cos, sa * sin, ca);
             normals[i] = Vector3::new(-sin, cos, 0.0);
             tangents[i] = Vector3::new(ca * cos, ca * sin, -sa);
@@ -288,10 +289,10 @@ impl Kinematics {
             normals,
             tangents,
             answers,
-            sin_alpha: self.sin_alpha,
-            cos_alpha: self.cos_alpha,
+            sin_alpha: self.cones.sin_alpha,
+            cos_alpha: self.cones.cos_alpha,
             sin_beta: self.beta.map(|b| sin_cos(b).0),
-            cos_beta: self.cos_beta,
+            cos_beta: self.cones.cos_beta,
         })
     }
 }

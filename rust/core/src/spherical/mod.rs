@@ -9,22 +9,25 @@
 //! 35; Eqs. 11, 12 and 27 are misprinted).
 
 mod calibrated;
-mod chain;
-pub mod closed_form;
+mod centre;
 mod cones;
+mod effects;
 mod geometry;
-mod joints;
 mod kinematics;
-pub mod parameters;
+mod model;
+mod nominal;
 mod pose;
 mod residual;
 mod structure;
 pub mod vision;
 
 pub use calibrated::Calibrated;
-pub use chain::{Centre, Chain, Kind, Model, Prediction, Row};
+pub use centre::Centre;
+pub use effects::{CATALOGUE, PARAMETERS, Values};
 pub use geometry::{Assembly, Elbows, GEOMETRIC, Geometry, LIMBS, Limb, PER_LIMB};
-pub use joints::Covariates;
 pub use kinematics::Kinematics;
+pub use model::{Chain, Covariates, Instrument, Prediction, READINGS, Row};
+pub use nominal::{Model, Readings};
 pub use pose::Pose;
 pub use residual::InverseResidual;
+pub use structure::Structure;

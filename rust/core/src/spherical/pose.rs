@@ -2,10 +2,13 @@
 //! `e₁ᵀ, e₂ᵀ, xᵀ`, `M dx = (-x·de₁ - sin β₁ dβ₁, -x·de₂ - sin β₂ dβ₂, 0)`.
 
 use super::geometry::{GEOMETRIC, LIMBS, PER_LIMB};
-use super::kinematics::SINGULAR;
-use crate::math::{sin_cos, sqrt};
+use crate::chain::angles_by_axis;
+use crate::numbers::math::sin_cos;
 use crate::{Error, Result, Singularity};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, SMatrix, Vector3};
+
+/// Sines and products of unit vectors below this count as singular.
+pub(super) const SINGULAR: f64 = 1e-9;
 
 /// A solved pose, from which every derivative follows.
 #[derive(Clone, Copy, Debug)]
@@ -120,35 +123,4 @@ impl Pose {
         }
         Ok(gain)
     }
-}
-
-/// φ, γ of a direction, φ within a quarter turn of `mean`; γ is negative where that takes the other side of the
-/// actuated axis.
-pub(super) fn angles_of(direction: &Vector3<f64>, mean: f64) -> Result<[f64; 2]> {
-    let (sin, cos) = sin_cos(mean);
-    let x = direction.x * cos + direction.y * sin;
-    let y = direction.y * cos - direction.x * sin;
-    let polar = sqrt(x * x + y * y);
-    if polar < SINGULAR * direction.norm() {
-        return Err(Error::SingularPose(Singularity::Pole));
-    }
-    let side = 1.0_f64.copysign(x);
-    let phi = mean + libm::atan2(side * y, x.abs());
-    Ok([phi, side * libm::atan2(polar, direction.z)])
-}
-
-/// Derivative of φ, γ of a direction of any length by that direction; `gamma` gives the side.
-pub(super) fn angles_by_axis(v: &Vector3<f64>, gamma: f64) -> SMatrix<f64, 2, 3> {
-    let polar_squared = v.x * v.x + v.y * v.y;
-    let polar = sqrt(polar_squared).copysign(gamma);
-    let squared = polar_squared + v.z * v.z;
-    let along = v.z / (squared * polar);
-    SMatrix::<f64, 2, 3>::new(
-        -v.y / polar_squared,
-        v.x / polar_squared,
-        0.0,
-        v.x * along,
-        v.y * along,
-        -polar / squared,
-    )
 }

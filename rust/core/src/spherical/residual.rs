@@ -1,13 +1,16 @@
 //! The residual that the paper minimises: measured joints minus the inverse kinematics of what was seen (Eq. 6).
 //!
 //! Kinematics, sphere, camera, datum and the effects of the joints take part; those of the body (axes that miss the
-//! centre, flexure, offset of the marker) have no place in it and are left out, with columns of zero.
+//! centre, flexure, offset, growth, drift and slip of the marker) have no place in it and are left out, with columns of
+//! zero.
 
-use super::chain::{Chain, Kind, Row};
+use super::effects::{AT, PARAMETERS};
 use super::geometry::{LIMBS, PER_LIMB};
-use super::parameters::{DATUM, GEOMETRY, PARAMETERS, UNEQUAL_LIMBS};
-use super::pose::{angles_by_axis, angles_of};
+use super::model::{Chain, Instrument, Row};
+use super::nominal::Model;
 use crate::camera::{Camera, Face};
+use crate::chain::effects::Wanted;
+use crate::chain::{angles_by_axis, angles_of};
 use crate::{Error, Result};
 use core::f64::consts::TAU;
 use nalgebra::{Matrix3, SMatrix, Vector2, Vector3};
@@ -40,25 +43,27 @@ impl Camera {
 
 impl Chain {
     /// Direction seen at a reading: φ, γ, and their derivatives by the parameters.
-    fn seen(
-        &self,
-        reading: &Vector2<f64>,
-        kind: Kind,
-    ) -> Result<(Vector2<f64>, SMatrix<f64, 2, PARAMETERS>)> {
+    fn seen(&self, reading: &Vector2<f64>) -> Result<(Vector2<f64>, SMatrix<f64, 2, PARAMETERS>)> {
         let mut d = SMatrix::<f64, 2, PARAMETERS>::zeros();
-        if kind == Kind::Angles {
-            if let Some(index) = reading.iter().position(|v| !v.is_finite()) {
-                return Err(Error::NotFinite { index });
+        let (eye, face) = match &self.sensor {
+            Instrument::Camera(eye, face) => (eye, *face),
+            Instrument::Angles(angles) => {
+                if let Some(index) = reading.iter().position(|v| !v.is_finite()) {
+                    return Err(Error::NotFinite { index });
+                }
+                if let Some(place) = AT.angles.datum {
+                    d[(0, place.start)] = -1.0;
+                    d[(1, place.start + 1)] = -1.0;
+                }
+                return Ok((reading - angles.datum, d));
             }
-            d[(0, DATUM.start)] = -1.0;
-            d[(1, DATUM.start + 1)] = -1.0;
-            return Ok((reading - Vector2::from(self.datum), d));
-        }
-        let point = self.camera.on_sphere(reading, self.radius, self.face)?;
+        };
+        let radius = self.structure.radius();
+        let point = eye.camera.on_sphere(reading, radius, face)?;
         let angles = angles_of(&point, libm::atan2(point.y, point.x))?;
-        let projection = self.camera.projection(&point)?;
+        let projection = eye.camera.projection(&point)?;
         // the pixel is held and the point stays on the sphere: (∂π/∂X; Xᵀ) dX = (-∂π/∂p dp; R dR)
-        let by_point = self.camera.by_point(&projection);
+        let by_point = eye.camera.by_point(&projection);
         let mut held = Matrix3::zeros();
         held.fixed_rows_mut::<2>(0).copy_from(&by_point);
         held.set_row(2, &point.transpose());
@@ -66,11 +71,13 @@ impl Chain {
             .try_inverse()
             .ok_or(Error::RayMisses { miss_mm: 0.0 })?;
         let by_pixel = answers.fixed_columns::<2>(0);
-        self.camera_columns(&mut d, &projection, &point);
+        eye.columns::<Model, PARAMETERS>(&projection, &point, Wanted::ALL, &mut d);
         let by_axis = angles_by_axis(&point, angles[1]);
         d = -(by_axis * by_pixel) * d;
-        let by_radius: Vector3<f64> = answers.column(2) * self.radius;
-        d.set_column(GEOMETRY.start + 2, &(by_axis * by_radius));
+        let by_radius: Vector3<f64> = answers.column(2) * radius;
+        if let Some(place) = AT.structure.geometry {
+            d.set_column(place.start + 2, &(by_axis * by_radius));
+        }
         Ok((Vector2::from(angles), d))
     }
 
@@ -81,12 +88,18 @@ impl Chain {
     /// As [`Camera::on_sphere`] and [`super::Kinematics::inverse`] but for the assembly, which is not asked;
     /// [`Error::NotFinite`] where an active effect lacks its covariate.
     pub fn inverse_residual(&self, row: &Row, reading: &Vector2<f64>) -> Result<InverseResidual> {
-        let joints = self.effects.at(&row.joints, &row.covariates);
+        let readings = Vector2::from(row.joints);
+        let joints = self
+            .joints
+            .at::<Model>(&readings, &row.covariates, Wanted::ALL);
         if let Some(index) = joints.value.iter().position(|v| !v.is_finite()) {
             return Err(Error::NotFinite { index });
         }
-        let (angles, by_seen) = self.seen(reading, row.kind)?;
-        let pose = self.kinematics.pose_below(&angles, &joints.value)?;
+        let (angles, by_seen) = self.seen(reading)?;
+        let pose = self
+            .structure
+            .kinematics()
+            .pose_below(&angles, &joints.value)?;
         let mut value = joints.value - pose.joints;
         for v in value.iter_mut() {
             *v -= TAU * libm::rint(*v / TAU);
@@ -94,14 +107,17 @@ impl Chain {
         let by_angles = pose.pose.joints_by_angles()?;
         let own = pose.pose.joints_by_parameters()?;
         let mut d = SMatrix::<f64, 2, PARAMETERS>::zeros();
-        joints.columns(&mut d, &nalgebra::Matrix2::identity());
+        let identity = nalgebra::Matrix2::identity();
+        joints.columns::<Model, 2, PARAMETERS>(&identity, Wanted::ALL, &mut d);
         d -= by_angles * by_seen;
-        for k in 0..2 {
-            for limb in 0..LIMBS {
-                let by = own[(limb, limb * PER_LIMB + k)];
-                let sign = if limb == 0 { 1.0 } else { -1.0 };
-                d[(limb, GEOMETRY.start + k)] -= by;
-                d[(limb, UNEQUAL_LIMBS.start + k)] -= sign * by;
+        if let (Some(both), Some(unequal)) = (AT.structure.geometry, AT.structure.unequal_limbs) {
+            for k in 0..2 {
+                for limb in 0..LIMBS {
+                    let by = own[(limb, limb * PER_LIMB + k)];
+                    let sign = if limb == 0 { 1.0 } else { -1.0 };
+                    d[(limb, both.start + k)] -= by;
+                    d[(limb, unequal.start + k)] -= sign * by;
+                }
             }
         }
         Ok(InverseResidual {

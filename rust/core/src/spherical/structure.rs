@@ -9,39 +9,174 @@
 //! `ε_i n_i + ζ_i t_i`, `n_i` the normal of the proximal link's plane, `t_i = ∂e_i/∂α_i`; the platform's centre `c` is
 //! the mean of both.
 
-use super::geometry::LIMBS;
+use super::effects::{AT, PARAMETERS, Values};
+use super::geometry::{Geometry, LIMBS, PER_LIMB};
 use super::kinematics::Kinematics;
+use super::nominal::Model;
 use super::pose::Pose;
-use crate::math::sin_cos;
+use crate::chain::Mechanism;
+use crate::chain::effects::{Wanted, values_of};
+use crate::numbers::math::sin_cos;
 use crate::{Error, Result};
 use core::f64::consts::PI;
 use nalgebra::{Matrix3x2, SMatrix, Vector2, Vector3};
 
-/// What of structure and body is not in [`Kinematics`].
+/// The spherical robot with given errors: what joins its joints to the marker.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Extras {
-    /// Radius of the sphere on which the marker moves, mm.
-    pub radius: f64,
-    /// `ε_i`, `ζ_i`, mm.
-    pub misses: [[f64; 2]; LIMBS],
-    /// `κ_i`, rad.
-    pub flexure: [f64; LIMBS],
-    /// `m₁`, `m₂`, mm.
-    pub marker: [f64; 2],
-    /// Direction in which the weight pulls, base frame.
-    pub gravity: Vector3<f64>,
+pub struct Structure {
+    kinematics: Kinematics,
+    geometry: Geometry,
+    extras: Extras,
 }
 
-/// What the structure depends on, one column each: ψ₁, ψ₂, α₁, α₂, β₁, β₂, κ₁, κ₂.
-pub(super) const INPUTS: usize = 8;
+/// What of structure and body is not in [`Kinematics`].
+#[derive(Clone, Copy, Debug)]
+struct Extras {
+    /// Radius of the sphere on which the marker moves, mm.
+    radius: f64,
+    /// `ε_i`, `ζ_i`, mm.
+    misses: [[f64; 2]; LIMBS],
+    /// `κ_i`, rad.
+    flexure: [f64; LIMBS],
+    /// `m₁`, `m₂`, mm.
+    marker: [f64; 2],
+    /// Direction in which the weight pulls, base frame.
+    gravity: Vector3<f64>,
+}
+
+impl Structure {
+    /// The mechanism with its errors.
+    ///
+    /// # Errors
+    /// [`Error::InvalidGeometry`] where the errors leave no robot.
+    pub fn new(model: &Model, values: &Values) -> Result<Self> {
+        let at = AT.structure;
+        let [alpha, beta, radius] = values_of(at.geometry, values);
+        let [more_alpha, more_beta] = values_of(at.unequal_limbs, values);
+        let mut p = model.geometry.parameters();
+        for (limb, sign) in [(0, 1.0), (1, -1.0)] {
+            p[limb * PER_LIMB] += alpha + sign * more_alpha;
+            p[limb * PER_LIMB + 1] += beta + sign * more_beta;
+        }
+        let geometry = Geometry::from_parameters(&p, model.geometry.assembly);
+        let radius = model.radius_mm + radius;
+        // written so that a NaN is refused, too
+        if !(radius > 0.0 && radius.is_finite()) {
+            let what = "the radius of the sphere must be positive";
+            return Err(Error::InvalidGeometry { limb: 0, what });
+        }
+        let [e1, z1, e2, z2] = values_of(at.axis_offset, values);
+        Ok(Self {
+            kinematics: Kinematics::new(&geometry)?,
+            geometry,
+            extras: Extras {
+                radius,
+                misses: [[e1, z1], [e2, z2]],
+                flexure: values_of(at.gravity_flexure, values),
+                marker: values_of(at.marker_offset, values),
+                gravity: model.gravity / model.gravity.norm(),
+            },
+        })
+    }
+
+    /// The robot's kinematics with its errors, without axes that miss the centre, flexure and the marker's offset.
+    #[must_use]
+    pub fn kinematics(&self) -> &Kinematics {
+        &self.kinematics
+    }
+
+    /// Radius of the sphere on which the marker moves, mm.
+    pub(super) fn radius(&self) -> f64 {
+        self.extras.radius
+    }
+
+    /// Displacement of the platform's centre by elbow axes that miss it.
+    pub(super) fn displaced(&self, joints: &Vector2<f64>) -> Displaced {
+        let [a, b] = &self.geometry.limbs;
+        let azimuths = [joints.x + a.offset_rad, joints.y + b.offset_rad];
+        Displaced::at(azimuths, [a.alpha_rad, b.alpha_rad], &self.extras.misses)
+    }
+}
+
+impl Mechanism<LIMBS, PARAMETERS> for Structure {
+    type Solved = Solved;
+
+    #[inline]
+    fn solve(&self, joints: &Vector2<f64>) -> Result<Solved> {
+        Solved::of(&self.kinematics, &self.extras, joints)
+    }
+
+    #[inline]
+    fn point(&self, solved: &Solved) -> Vector3<f64> {
+        solved.marker
+    }
+
+    #[inline]
+    fn columns<const M: usize>(
+        &self,
+        _: &Vector2<f64>,
+        solved: &Solved,
+        by_point: &SMatrix<f64, M, 3>,
+        wanted: Wanted,
+        d: &mut SMatrix<f64, M, PARAMETERS>,
+    ) -> SMatrix<f64, M, LIMBS> {
+        let (at, pose) = (AT.structure, &solved.pose);
+        let centre = centre_by_inputs(pose, &self.extras.misses);
+        let answer = |change: Change| solved.answer(&self.extras, &change);
+        let limbs = wanted.wants(at.geometry).is_some() || wanted.wants(at.unequal_limbs).is_some();
+        let zero = SMatrix::<f64, M, LIMBS>::zeros();
+        let (mut by_joints, mut by_alphas, mut by_betas) = (zero, zero, zero);
+        for i in 0..LIMBS {
+            let [by_turn, by_alpha] = centre[i];
+            let turn = Change::elbow(i, pose.normals[i] * pose.sin_alpha[i]);
+            by_joints.set_column(i, &(by_point * (answer(turn) + by_turn)));
+            if limbs {
+                let proximal = Change::elbow(i, pose.tangents[i]);
+                by_alphas.set_column(i, &(by_point * (answer(proximal) + by_alpha)));
+                by_betas.set_column(i, &(by_point * answer(Change::beta(i))));
+            }
+            if let Some(place) = wanted.wants(at.gravity_flexure) {
+                let soft = answer(Change::flexure(i));
+                d.set_column(place.start + i, &(by_point * soft));
+            }
+            if let Some(place) = wanted.wants(at.axis_offset) {
+                for (k, by) in [pose.normals[i], pose.tangents[i]].iter().enumerate() {
+                    d.set_column(place.start + 2 * i + k, &(by_point * by * 0.5));
+                }
+            }
+        }
+        if let Some(place) = wanted.wants(at.geometry) {
+            d.set_column(place.start, &(by_alphas.column(0) + by_alphas.column(1)));
+            d.set_column(place.start + 1, &(by_betas.column(0) + by_betas.column(1)));
+            d.set_column(place.start + 2, &(by_point * pose.axis));
+        }
+        if let Some(place) = wanted.wants(at.unequal_limbs) {
+            d.set_column(place.start, &(by_alphas.column(0) - by_alphas.column(1)));
+            d.set_column(place.start + 1, &(by_betas.column(0) - by_betas.column(1)));
+        }
+        if let Some(place) = wanted.wants(at.marker_offset) {
+            for (k, by) in frame(pose).iter().enumerate() {
+                d.set_column(place.start + k, &(by_point * by));
+            }
+        }
+        by_joints
+    }
+
+    /// φ follows the mean of the elbows.
+    #[inline]
+    fn azimuth(&self, joints: &Vector2<f64>) -> f64 {
+        let [a, b] = &self.geometry.limbs;
+        0.5 * (joints.x + a.offset_rad + (joints.y + b.offset_rad))
+    }
+}
 
 /// The solved structure.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Structure {
+pub struct Solved {
     /// Marker, base frame, mm.
-    pub marker: Vector3<f64>,
+    marker: Vector3<f64>,
     /// The pose with bent links.
-    pub pose: Pose,
+    pose: Pose,
     unbent: Pose,
     /// `a_i·g` of the unbent pose.
     loads: Vector3<f64>,
@@ -55,9 +190,29 @@ struct Change {
     flexure: [f64; LIMBS],
 }
 
-impl Structure {
+impl Change {
+    fn elbow(limb: usize, moved: Vector3<f64>) -> Self {
+        let mut change = Self::default();
+        change.elbows[limb] = moved;
+        change
+    }
+
+    fn beta(limb: usize) -> Self {
+        let mut change = Self::default();
+        change.beta[limb] = 1.0;
+        change
+    }
+
+    fn flexure(limb: usize) -> Self {
+        let mut change = Self::default();
+        change.flexure[limb] = 1.0;
+        change
+    }
+}
+
+impl Solved {
     #[inline]
-    pub fn solve(kinematics: &Kinematics, extras: &Extras, joints: &Vector2<f64>) -> Result<Self> {
+    fn of(kinematics: &Kinematics, extras: &Extras, joints: &Vector2<f64>) -> Result<Self> {
         let unbent = kinematics.pose(joints)?;
         let loads = unbent.answers.tr_mul(&extras.gravity);
         let mut pose = unbent;
@@ -85,37 +240,6 @@ impl Structure {
             unbent,
             loads,
         })
-    }
-
-    /// Derivative of the marker by the inputs.
-    #[inline]
-    pub fn by_inputs(&self, extras: &Extras) -> SMatrix<f64, 3, INPUTS> {
-        let pose = &self.pose;
-        let mut d = SMatrix::<f64, 3, INPUTS>::zeros();
-        let centre = centre_by_inputs(pose, &extras.misses);
-        for i in 0..LIMBS {
-            let mut turn = Change::default();
-            turn.elbows[i] = pose.normals[i] * pose.sin_alpha[i];
-            let mut proximal = Change::default();
-            proximal.elbows[i] = pose.tangents[i];
-            let mut distal = Change::default();
-            distal.beta[i] = 1.0;
-            let mut soft = Change::default();
-            soft.flexure[i] = 1.0;
-            let [by_turn, by_alpha] = centre[i];
-            d.set_column(i, &(self.answer(extras, &turn) + by_turn));
-            d.set_column(2 + i, &(self.answer(extras, &proximal) + by_alpha));
-            d.set_column(4 + i, &self.answer(extras, &distal));
-            d.set_column(6 + i, &self.answer(extras, &soft));
-        }
-        d
-    }
-
-    /// Derivative of the marker by the sphere's radius and by both offsets of the marker.
-    #[inline]
-    pub fn by_body(&self) -> [Vector3<f64>; 3] {
-        let [u, v] = frame(&self.pose);
-        [self.pose.axis, u, v]
     }
 
     /// Movement of the marker about the centre.

@@ -5,7 +5,7 @@
 //! tip load below zero, none above h), so that it is continuous and an estimate that strays does no harm; its
 //! derivative by depth is then zero. NaN gives NaN.
 
-use crate::rigid::Rigid;
+use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
 use nalgebra::{Matrix2, Matrix2x5, Vector2, Vector3};
 

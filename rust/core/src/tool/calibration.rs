@@ -7,11 +7,11 @@
 //! the joint fit does neither.
 
 use super::beam::Beam;
-use crate::bernstein::back_substitute;
-use crate::least_squares::{
+use crate::fit::back_substitute;
+use crate::fit::{
     Levenberg, Progress, Settings, Stack, decomposition_len, levenberg_len, stack_len,
 };
-use crate::math::sqrt;
+use crate::numbers::math::sqrt;
 use crate::{Error, Result};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Matrix3x2, Vector2};
 

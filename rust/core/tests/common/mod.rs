@@ -1,23 +1,41 @@
 //! What the integration tests share: random robots, a seeded random source, Richardson differences.
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
+pub mod closed_form;
+pub mod paper_vision;
+
 use nalgebra::{SVector, Vector3};
 use proptest::prelude::*;
-use sherkit_core::delta::parameters::{
-    BACKLASH, BEAM_ALIGNMENT, DATUM, DRIFT, ENCODER_CYCLIC, GEOMETRY, GRAVITY_SAG, JOINT_SCALE,
-    PARAMETERS, RAIL_LEAN, ROD_MISMATCH, SENSOR_LINEARITY, SLIP, THERMAL_GROWTH, Values,
-};
-use sherkit_core::delta::{Assembly, Covariates, Geometry, LIMBS, Limb, Model, PER_LIMB};
+use proptest::test_runner::RngSeed;
+use sherkit_core::chain::effects::{Effect, place};
+use sherkit_core::delta::{self, Assembly, Covariates, Geometry, LIMBS, Limb, Model, Values};
 use std::f64::consts::TAU;
+use std::ops::Range;
 
-/// Proptest's defaults (the environment may ask for more cases), without files of past failures: the
-/// failing input is printed in full.
+/// Seed of every property test: a run that says something else than the last one shall mean that the code changed.
+const SEED: u64 = 0x5e_ed;
+
+/// Cases of a random run for each case of a fixed one.
+const MORE: u32 = 32;
+
+/// Proptest's defaults with the same cases in every run, or with `SHERKIT_RANDOM` set (`make test-slow`) more of
+/// them, new in each run; `PROPTEST_RNG_SEED` and `PROPTEST_CASES` go before both. No files of past failures: the
+/// failing input is printed in full, and belongs into the test as a case of its own.
 pub fn config() -> ProptestConfig {
+    let given = ProptestConfig::default();
+    let random = std::env::var_os("SHERKIT_RANDOM").is_some_and(|v| !v.is_empty());
+    let (cases, rng_seed) = match (random, given.rng_seed) {
+        (true, seed) if std::env::var_os("PROPTEST_CASES").is_none() => (MORE * given.cases, seed),
+        (false, RngSeed::Random) => (given.cases, RngSeed::Fixed(SEED)),
+        (_, seed) => (given.cases, seed),
+    };
     ProptestConfig {
+        cases,
+        rng_seed,
         failure_persistence: None,
         max_global_rejects: 1_000_000,
         max_local_rejects: 1_000_000,
-        ..ProptestConfig::default()
+        ..given
     }
 }
 
@@ -156,43 +174,29 @@ pub fn some_covariates() -> Covariates {
         time_s: 5000.0,
         temperature_c: 24.0,
         direction: [1.0, -1.0, 0.0],
+        ..Covariates::NONE
     }
 }
 
-/// Plausible size of each parameter of the chain.
-pub fn plausible() -> Values {
-    let mut size = [0.0; PARAMETERS];
-    for p in GEOMETRY {
-        size[p] = if matches!(p % PER_LIMB, 1 | 5) {
-            1e-3
-        } else {
-            0.3
-        };
+/// Where the parameters of an effect stand.
+pub const fn range_of(table: &[Effect], name: &str) -> Range<usize> {
+    match place(table, name) {
+        Some(place) => place.range(),
+        None => panic!("no effect of that name"),
     }
-    for (range, s) in [
-        (DATUM, 3.0),
-        (JOINT_SCALE, 1e-3),
-        (ENCODER_CYCLIC, 0.02),
-        (BACKLASH, 0.05),
-        (RAIL_LEAN, 2e-3),
-        (ROD_MISMATCH, 0.1),
-        (GRAVITY_SAG, 0.2),
-        (THERMAL_GROWTH, 2e-5),
-        (DRIFT, 0.01),
-        (SLIP, 0.1),
-        (BEAM_ALIGNMENT, 1e-3),
-        (SENSOR_LINEARITY, 1e-5),
-    ] {
-        size[range].fill(s);
-    }
-    size
 }
 
-/// Random values of all parameters, each within its plausible size.
+/// Plausible size of each parameter of a table.
+pub fn plausible<const P: usize>(table: &[Effect]) -> [f64; P] {
+    let mut sizes = table.iter().flat_map(|e| e.parameters).map(|p| p.size);
+    std::array::from_fn(|_| sizes.next().expect("a size for each"))
+}
+
+/// Random values of all parameters of the delta, each within a third of its plausible size.
 pub fn effects() -> impl Strategy<Value = Values> {
     any::<u64>().prop_map(|seed| {
         let mut random = Random(seed);
-        plausible().map(|s| s * random.unit())
+        plausible(delta::CATALOGUE).map(|s| 0.3 * s * random.unit())
     })
 }
 

@@ -1,0 +1,69 @@
+"""Writes ``rust/c/examples/robots.h``: calibrations of two example robots as C arrays.
+
+Run with sherkit installed whenever the layout of ``flat()`` changes: ``python docs/make_robots.py``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sherkit import _core
+from sherkit.cli.demo import EXAMPLE
+
+#: Where the delta's rows of parameters stand.
+PLACES: dict[str, slice] = {}
+for _row in _core.DeltaModel.CATALOGUE:
+    _start = max((place.stop for place in PLACES.values()), default=0)
+    PLACES[_row["name"]] = slice(_start, _start + len(_row["parameters"]))
+
+HEADER = Path(__file__).parents[1] / "rust/c/examples/robots.h"
+
+
+def delta() -> _core.Calibrated:
+    """The example delta with small errors, a correction, and a local model blended in."""
+    random = np.random.default_rng(1)
+    settings = np.array([40.0, 2.0, 130.0, 130.0, 130.0, 0.0, 0.0])
+    model = _core.DeltaModel(EXAMPLE.geometry, np.array(EXAMPLE.target_offset_mm), "below", settings)
+    values = np.zeros(_core.DeltaModel.PARAMETERS)
+    values[:18] = 0.02 * random.normal(size=18) * np.tile([1.0, 0.01, 1.0, 1.0, 0.0, 0.0], 3)
+    values[PLACES["datum"]] = 0.1 * random.normal(size=3)
+    local = values.copy()
+    local[PLACES["rail_lean"]] = 1e-4 * random.normal(size=6)
+    local[PLACES["rod_mismatch"]] = 0.01 * random.normal(size=3)
+    corner = np.full(3, 20.0)
+    corrections = []
+    for orders in ((2, 2, 1), (1, 1, 1)):
+        count = int(np.prod(np.array(orders) + 1))
+        corrections.append(_core.Bernstein(orders, -corner, corner, 5.0, 0.005 * random.normal(size=(count, 3))))
+    return _core.Calibrated(
+        (model, values, corrections[0]), (model, local, corrections[1]), (-0.25 * corner, 0.25 * corner, 2.0)
+    )
+
+
+def spherical() -> _core.SphericalCalibrated:
+    """A robot with unequal limbs, seen by a camera."""
+    camera = _core.Camera.facing(1.5, 0.8, 446.2, np.array([1100.0, 1100.0, 640.0, 320.0]))
+    geometry = np.array([0.7854, 0.7854, 0.0, 0.7854, 0.7854, 0.0])
+    settings = np.array([200.0, 0.0, 0.6, -0.8, 1.5, 1.5])
+    model = _core.SphericalModel(geometry, camera, settings)
+    values = np.zeros(_core.SphericalModel.PARAMETERS)
+    values[0:2] = [-0.02, 0.018]
+    return _core.SphericalCalibrated(model, values)
+
+
+def text() -> str:
+    def array(name: str, numbers: NDArray[np.float64]) -> str:
+        rows = [", ".join(repr(float(x)) for x in numbers[i : i + 6]) for i in range(0, len(numbers), 6)]
+        return f"static const double {name}[] = {{\n    " + ",\n    ".join(rows) + ",\n};\n"
+
+    lines = ["/* Calibrations of two example robots, as sherkit's flat() writes them. Made by make_robots.py. */"]
+    lines += ["#ifndef ROBOTS_H", "#define ROBOTS_H", "", array("example_delta", delta().flat())]
+    lines += [array("example_spherical", spherical().flat()), "#endif", ""]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    HEADER.write_text(text(), encoding="utf-8")

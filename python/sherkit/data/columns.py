@@ -1,0 +1,164 @@
+"""The column names of a table of measurements, and what they mean."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import cached_property
+
+from ..errors import MeasurementError, SherkitWarning
+from ..names import closest, listed
+
+TIME = "time_s"
+TEMPERATURE = "temperature_c"
+POSE = "pose"
+REPEAT = "repeat"
+OUTLIER = "outlier"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The columns of the runs of one kind of robot, beside those that every run may have.
+
+    ``joints`` name the readings of the joints, ``coordinates`` what instruments show of where it is; ``distance`` is a
+    reading between two places, whose other end is at ``to_joints``. People read coordinates in ``unit``, of which one
+    unit of the file has ``per_unit``. ``velocities`` are covariates by joint. ``worst_first`` is how suspected outliers
+    are taken out: those at least this part as far off as the farthest in one round, at zero all of them at once.
+    """
+
+    joints: tuple[str, ...]
+    coordinates: tuple[str, ...]
+    unit: str
+    per_unit: float
+    distance: str | None = None
+    to_joints: tuple[str, ...] = ()
+    velocities: tuple[str, ...] = ()
+    worst_first: float = 0.0
+
+    @cached_property
+    def readings(self) -> tuple[str, ...]:
+        """Every reading column: the coordinates, then the distance."""
+        return (*self.coordinates, self.distance) if self.distance else self.coordinates
+
+    @cached_property
+    def sigmas(self) -> tuple[str, ...]:
+        """Columns that declare the noise of each reading."""
+        return tuple(f"sigma_{name}" for name in self.readings)
+
+    @cached_property
+    def directions(self) -> tuple[str, ...]:
+        """Columns with the sign of the last motion of each joint."""
+        return tuple(f"direction_{k + 1}" for k in range(len(self.joints)))
+
+    @cached_property
+    def known(self) -> tuple[str, ...]:
+        """Every column that means something by its name."""
+        own = (*self.joints, *self.to_joints, *self.readings, *self.sigmas, *self.directions)
+        return (*own, TIME, POSE, REPEAT, OUTLIER)
+
+    @cached_property
+    def may_be_empty(self) -> tuple[str, ...]:
+        """Columns where an empty cell means "not taken here"."""
+        return (*self.to_joints, *self.readings, *self.sigmas)
+
+    @cached_property
+    def all_in_mm(self) -> bool:
+        """Whether joints and coordinates are all millimetres, and so of like size."""
+        return all(name.endswith("_mm") for name in (*self.joints, *self.coordinates))
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Readings without their units, for people."""
+        return tuple(bare(name) for name in self.readings)
+
+
+#: Every kind of run that a file can hold.
+LAYOUTS: list[Layout] = []
+
+
+def know(*layouts: Layout) -> None:
+    """Makes kinds of run known to the readers of files."""
+    LAYOUTS.extend(one for one in layouts if one not in LAYOUTS)
+
+
+def layout_of(names: Collection[str]) -> Layout:
+    """The kind of run that these columns belong to: whose joints and coordinates they name most of."""
+    return max(
+        LAYOUTS, key=lambda one: sum(n in names for n in one.joints) + 0.5 * sum(n in names for n in one.readings)
+    )
+
+
+#: Units that end the name of a column.
+_ENDINGS = ("mm", "um", "rad", "mrad", "deg", "px", "mN", "nm", "s")
+
+
+def bare(name: str) -> str:
+    """A column's name without its unit."""
+    stem, _, unit = name.rpartition("_")
+    return stem if stem and unit in _ENDINGS else name
+
+
+def unit_in(name: str) -> str:
+    """The unit that a column's name ends in; empty where it names none."""
+    return name.removeprefix(bare(name)).removeprefix("_")
+
+
+#: A covariate whose name is as alike as this to a column that is not there may be a slip of the finger.
+_MISSPELT = 0.8
+#: Units of length that a column may have been written in by mistake.
+_UNITS = ("_m", "_um", "_µm", "_cm", "_in", "_mm")
+_ANGLES = ("_deg", "_mrad", "_urad", "_rad")
+
+
+def check_unique(names: list[str], where: str) -> None:
+    """Refuses a column name that is given twice. Raises ``MeasurementError``."""
+    if len(set(names)) < len(names):
+        twice = sorted({f"'{n}'" for n in names if names.count(n) > 1})
+        raise MeasurementError(f"{where}: column {listed(twice)} appears more than once")
+
+
+def check_columns(names: list[str], where: str) -> Layout:
+    """The layout of a table. Refuses one that lacks what every run of its kind has, or holds a reading in another unit.
+
+    Raises ``MeasurementError``; warns of a covariate whose name looks like a misspelt column.
+    """
+    layout = layout_of(names)
+    for needed in layout.joints:
+        if needed not in names:
+            raise MeasurementError(_missing(needed, names, where, "the reading of a joint", layout))
+    if not any(r in names for r in layout.readings):
+        what = f"at least one of {' or '.join([', '.join(layout.readings[:-1]), layout.readings[-1]])}"
+        raise MeasurementError(_missing(layout.readings[0], names, where, what, layout))
+    if layout.distance is not None and layout.distance in names:
+        for needed in layout.to_joints:
+            if needed not in names:
+                what = "the joints at the other end of each distance"
+                raise MeasurementError(_missing(needed, names, where, what, layout))
+    absent = [n for n in layout.known if n not in names]
+    for name in (n for n in names if n not in layout.known):
+        stem = name.rsplit("_", 1)[0]
+        if f"{stem}_mm" in absent and name.removeprefix(stem) in _UNITS:
+            raise MeasurementError(f"{where}: column '{name}': convert it to millimetres and name it '{stem}_mm'")
+        if f"{stem}_rad" in absent and name.removeprefix(stem) in _ANGLES:
+            raise MeasurementError(f"{where}: column '{name}': convert it to radians and name it '{stem}_rad'")
+        typed = closest(name.lower(), absent, cutoff=_MISSPELT)
+        if typed and name not in layout.velocities:
+            message = f"{where}: column '{name}' is taken as a covariate; is it meant to be '{typed}'?"
+            warnings.warn(message, SherkitWarning, stacklevel=2)
+    return layout
+
+
+def _missing(name: str, names: list[str], where: str, what: str, layout: Layout) -> str:
+    stem = name.rsplit("_", 1)[0]
+    for units, meant in ((_UNITS, "millimetres"), (_ANGLES, "radians")):
+        for unit in units:
+            if stem + unit in names:
+                return (
+                    f"{where}: column '{name}' is missing ({what}); the file has '{stem + unit}': "
+                    f"convert it to {meant} and name it '{name}'"
+                )
+    unknown = [n for n in names if n not in layout.known]
+    typed = closest(name, unknown)
+    hint = f"; is '{typed}' meant to be it?" if typed else f"; the file has {listed(names, 12)}"
+    return f"{where}: column '{name}' is missing ({what}){hint}"

@@ -1,0 +1,136 @@
+"""Measurements from any table in memory: polars, pandas, or a mapping of columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NoReturn
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from ..errors import MeasurementError
+from ..types import Ints
+from . import columns as c
+from .rows import Measurements
+
+#: Beyond this, squares overflow and no reading was meant.
+_LARGEST = 1e100
+#: Beyond this, a float no longer tells whole numbers apart.
+_LARGEST_WHOLE = 2**53
+
+
+def from_frame(frame: Any, source: str = "frame") -> Measurements:
+    """Measurements from a polars or pandas frame or a mapping of columns to sequences.
+
+    Null (polars) and NaN (pandas, NumPy) mean "not taken" in reading columns and are refused elsewhere.
+    Raises :class:`~sherkit.errors.MeasurementError` naming row (from 0) and column.
+    """
+    return clean(to_polars(frame), source, None, "row")
+
+
+def to_polars(frame: Any) -> pl.DataFrame:
+    """Any of the accepted tables as a polars frame; raises :class:`MeasurementError` for anything else."""
+    if isinstance(frame, pl.DataFrame):
+        return frame
+    if isinstance(frame, pl.LazyFrame):
+        return frame.collect()
+    if not (isinstance(frame, Mapping) or hasattr(frame, "columns")):
+        raise MeasurementError(f"expected a polars or pandas frame or a mapping of columns, got {type(frame).__name__}")
+    names = list(getattr(frame, "columns", frame))
+    c.check_unique([str(name) for name in names], "frame")
+    columns = {str(name): _series(str(name), frame[name]) for name in names}
+    lengths = {name: len(v) for name, v in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise MeasurementError(f"frame: columns have different lengths: {lengths}")
+    return pl.DataFrame(columns)
+
+
+def _series(name: str, values: Any) -> pl.Series:
+    """A column of a pandas frame or a mapping; what is missing becomes null, mixed cells become text."""
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        array = np.empty((0, 0))
+    if array.ndim != 1 or array.dtype.kind == "c":
+        raise MeasurementError(f"frame: column '{name}' is no list of numbers")
+    if array.dtype.kind != "O":
+        return pl.Series(name, array.astype(str) if array.dtype.kind in "mM" else array)
+    missing = values.isna() if hasattr(values, "isna") else [v is None or v != v for v in array]
+    cells = [None if m else v for m, v in zip(missing, array, strict=True)]
+    if any(isinstance(v, str) for v in cells):
+        cells = [None if v is None else str(v) for v in cells]
+    return pl.Series(name, cells, strict=False)
+
+
+def clean(frame: pl.DataFrame, source: str, line: Ints | None, counted: str) -> Measurements:
+    """Checks cell by cell that a frame holds numbers where numbers belong, and builds the rows.
+
+    ``line`` (n,) gives the place of each row for messages, a ``"line"`` or a ``"row"``; None counts from 0.
+    """
+    c.check_unique([name.strip() for name in frame.columns], source)
+    frame = frame.rename({name: name.strip() for name in frame.columns})
+    layout = c.check_columns(frame.columns, source)
+    if frame.height == 0:
+        raise MeasurementError(f"{source}: holds no row, only column names; expected measurements")
+    line = np.arange(frame.height, dtype=np.int64) if line is None else line
+    place = f"{source}: {counted}"
+    columns: dict[str, Any] = {}
+    for name in frame.columns:
+        column = frame[name]
+        number = _numbers(column, name, place, line, layout)
+        columns[name] = _labels(column) if number is None else number
+    return Measurements.from_columns(columns, source, line, counted, layout)
+
+
+def _labels(column: pl.Series) -> NDArray[Any]:
+    return np.array(["" if v is None else str(v) for v in column], dtype=object)
+
+
+def _numbers(column: pl.Series, name: str, place: str, line: Ints, layout: c.Layout) -> NDArray[np.float64] | None:
+    """The column as floats, None where it is a label; raises at the first cell that is no number."""
+    known = name in layout.known
+    text = column.dtype in (pl.String, pl.Categorical, pl.Enum)
+    if text:
+        raw = column.cast(pl.String).str.strip_chars()
+        raw = raw.set(raw == "", None)
+    elif column.dtype.is_numeric() or column.dtype in (pl.Boolean, pl.Null):
+        raw = column
+    elif known:
+        _refuse(place, line, np.ones(len(column), dtype=bool), name, f"{column[0]!r} is not a number")
+    else:
+        return None
+    number = raw.cast(pl.Float64, strict=False)
+    hint = "; where nothing was taken, leave the cell empty" if name in layout.may_be_empty else "; expected a number"
+    bad = (number.is_null() & raw.is_not_null()).to_numpy()
+    if bad.any():
+        if not known and bad.sum() > 0.5 * (len(raw) - raw.null_count()):
+            return None
+        _refuse(place, line, bad, name, f"'{raw[int(np.argmax(bad))]}' is not a number{hint}")
+    values = number.to_numpy().astype(float)
+    missing = number.is_null().to_numpy()
+    # NaN is how pandas and NumPy say "nothing"; in a file it is a number that went wrong
+    broken = np.isinf(values) | (np.abs(values) > _LARGEST) | (np.isnan(values) & ~missing if text else False)
+    if broken.any():
+        _refuse(place, line, broken, name, f"{values[int(np.argmax(broken))]} is not a measurement{hint}")
+    empty = np.isnan(values)
+    if empty.all() and not known:
+        return None
+    if empty.any() and name not in layout.may_be_empty:
+        what = "a reading column may be empty, this one not" if known else "expected a number in every row"
+        _refuse(place, line, empty, name, f"is empty; {what}")
+    if name in (c.POSE, c.REPEAT):
+        fraction = (values != np.floor(values)) | (np.abs(values) > _LARGEST_WHOLE)
+        if fraction.any():
+            _refuse(place, line, fraction, name, f"{values[int(np.argmax(fraction))]} is not a whole number")
+    if name in layout.sigmas:
+        low = values <= 0
+        if low.any():
+            _refuse(place, line, low, name, f"{values[int(np.argmax(low))]} must be greater than zero")
+    return values
+
+
+def _refuse(place: str, line: Ints, bad: NDArray[np.bool_], name: str, what: str) -> NoReturn:
+    rows = np.flatnonzero(bad)
+    more = f" (and {len(rows) - 1} more rows)" if len(rows) > 1 else ""
+    raise MeasurementError(f"{place} {line[rows[0]]}, column '{name}': {what}{more}")

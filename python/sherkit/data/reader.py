@@ -1,0 +1,161 @@
+"""Measurement files: CSV and Parquet."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import chain, islice
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from ..errors import MeasurementError
+from ..types import Ints
+from . import columns as c
+from .frames import clean
+from .rows import Measurements
+from .tables import PARQUET
+
+#: A file with a zero byte among this many is no text.
+_HEAD = 4096
+#: A cell with a decimal comma; other commas belong to labels.
+_DECIMAL_COMMA = r"^(\s*[+-]?\d*),(\d*(?:[eE][+-]?\d+)?\s*)$"
+#: How the files of `sherkit measure` begin (SQLite).
+_RUN_FILE = b"SQLite format 3"
+
+
+def read_measurements(path: str | Path) -> Measurements:
+    """Reads a run. CSV may use comma, semicolon or tab (the last two with decimal comma); lines starting with
+    ``#`` are notes, columns without a name are left out.
+
+    Raises :class:`~sherkit.errors.MeasurementError` naming file, line, column and what was expected.
+    """
+    path = checked(path)
+    if path.suffix.lower() in PARQUET:
+        try:
+            frame = pl.read_parquet(path)
+        except pl.exceptions.PolarsError as error:
+            raise not_parquet(path, error) from None
+        return clean(frame, str(path), None, "row")
+    frame, line = next(csv_blocks(path))
+    return clean(frame, str(path), line, "line")
+
+
+def checked(path: str | Path) -> Path:
+    """The path of a file that exists. Raises :class:`~sherkit.errors.MeasurementError`."""
+    path = Path(path)
+    if path.is_dir():
+        raise MeasurementError(f"{path}: is a folder, expected a CSV or Parquet file")
+    if not path.exists():
+        raise MeasurementError(f"{path}: there is no such file")
+    with path.open("rb") as file:
+        if file.read(len(_RUN_FILE)) == _RUN_FILE:
+            hint = f"sherkit export {path.name} -o run.csv makes a table of it"
+            raise MeasurementError(f"{path}: is the run file of an experiment; {hint}")
+    return path
+
+
+def not_parquet(path: Path, error: Exception) -> MeasurementError:
+    """What to say of a file that is called Parquet and is none."""
+    return MeasurementError(f"{path}: is not a Parquet file: {str(error).splitlines()[0]}")
+
+
+def csv_blocks(path: Path, most: int | None = None) -> Iterator[tuple[pl.DataFrame, Ints]]:
+    """The cells of a CSV as text, and the line of each row in the file: at ``most`` so many at once, by default all.
+
+    A file without rows gives one empty block. Raises :class:`~sherkit.errors.MeasurementError`.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            lines = enumerate(file, start=1)
+            number, header = next(_data(lines), (0, ""))
+            if not header:
+                raise MeasurementError(f"{path}: is empty; expected a line of column names and rows of measurements")
+            if "\0" in header:
+                raise _not_text(path)
+            separator = max(",;\t", key=header.count)
+            names = [name.strip() for name in _cells(path, number, header, lines, separator)]
+            c.check_unique([name for name in names if name], str(path))
+            found = False
+            while part := list(islice(lines, most)):
+                frame, line = _block(path, names, separator, part, lines)
+                if len(line):
+                    found = True
+                    yield frame, line
+            if not found:
+                yield _frame([], names, separator), np.zeros(0, dtype=np.int64)
+    except UnicodeDecodeError:
+        raise _not_text(path) from None
+    except OSError as error:
+        raise MeasurementError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _data(lines: Iterator[tuple[int, str]]) -> Iterator[tuple[int, str]]:
+    """Lines that are neither blank nor notes."""
+    return ((n, s) for n, s in lines if s.strip() and not s.lstrip().startswith("#"))
+
+
+def _cells(path: Path, number: int, text: str, lines: Iterator[tuple[int, str]], separator: str) -> list[str]:
+    """The cells of a row that may be quoted; a quoted cell may go on over the next lines."""
+    try:
+        return next(csv.reader(chain([text], (s for _, s in lines)), delimiter=separator, strict=True))
+    except csv.Error as error:
+        what = "a quotation mark is not closed" if "unexpected end" in str(error) else str(error)
+        raise MeasurementError(f"{path}: line {number} is not CSV: {what}") from None
+
+
+def _block(
+    path: Path, names: list[str], separator: str, part: list[tuple[int, str]], rest: Iterator[tuple[int, str]]
+) -> tuple[pl.DataFrame, Ints]:
+    """Cells and lines of a part of the file; a quoted cell at its end takes from the ``rest``."""
+    texts = [s for _, s in part]
+    text = "".join(texts).replace("\r\n", "\n")
+    special = any(mark in text for mark in '"#\r') or any(map(str.isspace, texts))
+    if not special and text.count(separator) == len(part) * (len(names) - 1):
+        # as nearly always: every line is a row
+        with suppress(pl.exceptions.PolarsError):  # a row too long beside one too short; found below
+            return _frame(text, names, separator), np.arange(part[0][0], part[0][0] + len(part))
+    lines, cells = [], []
+    own = iter(part)
+    for number, line in _data(own):
+        row = line.rstrip("\r\n").split(separator)
+        if '"' in line:
+            row = _cells(path, number, line, chain(own, rest), separator)
+        found, wanted = len(row), len(names)
+        if found != wanted:
+            hint = "; decimal commas need semicolons between cells" if found > wanted and separator == "," else ""
+            raise MeasurementError(f"{path}: line {number} has {found} cells, the header has {wanted}{hint}")
+        lines.append(number)
+        cells.append(row)
+    return _frame(cells, names, separator), np.array(lines, dtype=np.int64)
+
+
+def _frame(rows: str | list[list[str]], names: list[str], separator: str) -> pl.DataFrame:
+    # numbered, not named: polars would rename columns without a name
+    schema = {str(k): pl.String for k in range(len(names))}
+    if isinstance(rows, str):
+        text = io.StringIO(rows)
+        frame = pl.read_csv(text, separator=separator, schema=schema, has_header=False, quote_char=None)
+    else:
+        frame = pl.DataFrame(rows, schema=schema, orient="row")
+    frame = frame.select(pl.col(str(k)).alias(name) for k, name in enumerate(names) if name)
+    if separator != ",":
+        frame = frame.with_columns(pl.all().str.replace(_DECIMAL_COMMA, "$1.$2"))
+    return frame
+
+
+def _not_text(path: Path) -> MeasurementError:
+    """Names the line at which a file stops being UTF-8, unless it never was text."""
+    with path.open("rb") as file:
+        if b"\0" not in file.read(_HEAD):
+            file.seek(0)
+            for number, raw in enumerate(file, start=1):
+                try:
+                    raw.decode("utf-8")
+                except UnicodeDecodeError as error:
+                    byte = raw[error.start]
+                    return MeasurementError(f"{path}: line {number} is not UTF-8 (byte {byte:#04x}); save it as UTF-8")
+    return MeasurementError(f"{path}: is not text; expected CSV as UTF-8, or Parquet in a file named .parquet")

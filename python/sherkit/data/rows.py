@@ -1,0 +1,395 @@
+"""Measurements: an immutable table of readings, of any machine."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from ..errors import EffectError, MeasurementError, ShapeError, SherkitWarning
+from ..names import listed, nearest
+from ..types import Bools, Floats, Ints
+from . import columns as c
+from .tables import write_table
+
+#: Joint and position readings whose spreads differ by more than this are in different units.
+_UNIT_RATIO = 100.0
+
+
+@dataclass(frozen=True)
+class Repeatability:
+    """Spread of repeated readings of the same pose: pooled standard deviation per reading.
+
+    ``sigma`` maps a reading (``x_mm`` …) to its pure error, ``degrees_of_freedom`` to how many
+    readings it rests on beyond one per pose.
+    """
+
+    sigma: dict[str, float]
+    degrees_of_freedom: dict[str, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Rows of readings of a machine. Arrays have one row per reading and are not to be written to.
+
+    ``layout`` names the columns and their units. ``joints`` (n, k), the machine's inputs; ``to_joints`` (n, k), NaN
+    where the row is no distance; ``readings`` (n, m), coordinates and then the distance, and ``taken`` (n, m) telling
+    which were taken; ``sigma`` (n, m), NaN where no noise was declared; ``outlier`` (n,) rows that the user marked as
+    wrong: kept, listed, not fitted. ``line`` (n,) is the line of the row in its file (``counted`` is ``"line"``) or its
+    number from 0 in a frame (``"row"``), for messages. ``direction`` (n, k) is the sign of the last motion of each
+    joint, from the columns ``direction_1`` … or from the order in time; NaN where neither is known. ``order`` (n,) is
+    the place of the row in the run it was taken from, by time where that is known. ``block`` (n,) says which rows are
+    held out together in validation; where it is None, neighbours are.
+    """
+
+    joints: Floats
+    to_joints: Floats
+    readings: Floats
+    taken: Bools
+    sigma: Floats
+    time_s: Floats | None
+    pose: Ints | None
+    repeat: Ints | None
+    outlier: Bools
+    covariates: Mapping[str, Floats]
+    labels: Mapping[str, NDArray[Any]]
+    source: str
+    line: Ints
+    counted: str
+    direction: Floats
+    order: Ints
+    layout: c.Layout
+    block: Ints | None = None
+
+    # -- making ------------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_columns(
+        cls,
+        values: Mapping[str, NDArray[Any]],
+        source: str,
+        line: Ints | None = None,
+        counted: str = "row",
+        layout: c.Layout | None = None,
+    ) -> Measurements:
+        """Builds rows from clean columns: floats, NaN only where a reading was not taken.
+
+        Raises :class:`~sherkit.errors.MeasurementError` for a row without any reading, half a distance, or a
+        pose and repeat given twice. Warns where units do not fit.
+        """
+        layout = c.layout_of(list(values)) if layout is None else layout
+        n = len(values[layout.joints[0]])
+        line = np.arange(n, dtype=np.int64) if line is None else line
+        empty = np.full(n, np.nan)
+
+        def stack(names: Iterable[str]) -> Floats:
+            return np.ascontiguousarray(np.stack([values.get(k, empty) for k in names], axis=1), dtype=float)
+
+        to = stack(layout.to_joints) if layout.to_joints else np.full((n, len(layout.joints)), np.nan)
+        readings = stack(layout.readings)
+        taken = np.isfinite(readings)
+        whole = {k: values[k].astype(np.int64) if k in values else None for k in (c.POSE, c.REPEAT)}
+        known = set(layout.known)
+        rest = {k: v for k, v in values.items() if k not in known}
+        data = cls(
+            joints=stack(layout.joints),
+            to_joints=to,
+            readings=np.where(taken, readings, 0.0),
+            taken=taken,
+            sigma=stack(layout.sigmas),
+            time_s=np.asarray(values[c.TIME], dtype=float) if c.TIME in values else None,
+            pose=whole[c.POSE],
+            repeat=whole[c.REPEAT],
+            outlier=values[c.OUTLIER] != 0 if c.OUTLIER in values else np.zeros(n, dtype=bool),
+            covariates={k: np.asarray(v, dtype=float) for k, v in rest.items() if v.dtype.kind in "fiub"},
+            labels={k: v for k, v in rest.items() if v.dtype.kind not in "fiub"},
+            source=source,
+            line=line,
+            counted=counted,
+            direction=_directions(values, stack(layout.joints)),
+            order=order_in_time(values.get(c.TIME), n),
+            layout=layout,
+        )
+        data._check()
+        return data
+
+    @classmethod
+    def planned(cls, joints: Floats, layout: c.Layout, source: str = "plan", **columns: Floats) -> Measurements:
+        """Rows at these joint readings (n, k) whose readings are still to come; they count as taken, and as zero.
+
+        ``columns`` are time, directions and covariates, where they are known.
+        """
+        values = {name: np.asarray(joints, dtype=float)[:, k] for k, name in enumerate(layout.joints)}
+        values |= {name: np.zeros(len(joints)) for name in layout.coordinates}
+        with warnings.catch_warnings():
+            # readings that are all zero look as if they were in another unit
+            warnings.simplefilter("ignore", SherkitWarning)
+            return cls.from_columns({**values, **columns}, source, layout=layout)
+
+    def _check(self) -> None:
+        none: Bools = ~np.any(self.taken, axis=1)
+        if none.any():
+            raise MeasurementError(
+                f"{self.place(none)}: no reading was taken; expected a number in at least one of "
+                f"{', '.join(self.layout.readings)}"
+            )
+        if self.layout.distance is not None:
+            self._check_distances()
+        if self.pose is not None and self.repeat is not None:
+            keys = np.stack([self.pose, self.repeat], axis=1)
+            _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+            again = np.flatnonzero(first[inverse.ravel()] != np.arange(len(keys)))
+            if len(again):
+                row, other = again[0], first[inverse.ravel()[again[0]]]
+                raise MeasurementError(
+                    f"{self.place(again)}: pose {self.pose[row]} repeat {self.repeat[row]} was given before "
+                    f"({self.counted} {self.line[other]}); number repeats of a pose 1, 2, 3, …"
+                )
+        if self.layout.all_in_mm:
+            self._warn_of_units()
+
+    def _check_distances(self) -> None:
+        ends = np.isfinite(self.to_joints)
+        half = (ends.any(axis=1) & ~ends.all(axis=1)) | (ends.all(axis=1) != self.is_distance)
+        if half.any():
+            raise MeasurementError(
+                f"{self.place(half)}: a distance needs {self.layout.distance} and all of "
+                f"{', '.join(self.layout.to_joints)}"
+            )
+        both = self.is_distance & self.taken[:, :-1].any(axis=1)
+        if both.any():
+            raise MeasurementError(
+                f"{self.place(both)}: a row holds a position or a distance, not both; give each its own row"
+            )
+
+    def _warn_of_units(self) -> None:
+        position = self.taken[:, : self.coordinates].all(axis=1) & ~self.outlier
+        if position.sum() < 3:
+            return
+        # robust spreads: one wild row must not look like a wrong unit
+        spread = _spread(self.joints[position])
+        moved = _spread(self.readings[position, : self.coordinates])
+        if spread <= 0 or moved <= 0:
+            return
+        joints, positions = ", ".join(self.layout.joints), ", ".join(self.layout.coordinates)
+        for ratio, small, large in (
+            (spread / moved, positions, joints),
+            (moved / spread, joints, positions),
+        ):
+            if ratio > _UNIT_RATIO:
+                warnings.warn(
+                    f"{self.source}: columns {small} vary {ratio:.0f} times less than {large}; are they in metres, "
+                    "or the others in micrometres? Expected millimetres.",
+                    SherkitWarning,
+                    stacklevel=2,
+                )
+
+    # -- using -------------------------------------------------------------------------------------------
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+    def __repr__(self) -> str:
+        kinds = [
+            name for name, any_ in zip(self.layout.readings, np.any(self.taken, axis=0).tolist(), strict=True) if any_
+        ]
+        poses = "" if self.pose is None else f", {len(np.unique(self.pose))} poses"
+        return f"Measurements({len(self)} rows{poses}, {', '.join(kinds)}, from {self.source})"
+
+    def place(self, rows: NDArray[Any]) -> str:
+        """Where rows stand, for a message: file and lines."""
+        lines = self.line[rows]
+        return f"{self.source}: {self.counted}{'s' if len(lines) > 1 else ''} {listed(lines)}"
+
+    def select(self, rows: NDArray[Any]) -> Measurements:
+        """The rows of a mask or of indices, in that order."""
+
+        def pick(value: Any) -> Any:
+            return None if value is None else value[rows]
+
+        return replace(
+            self,
+            **{
+                name: pick(getattr(self, name))
+                for name in (
+                    "joints", "to_joints", "readings", "taken", "sigma",
+                    "time_s", "pose", "repeat", "outlier", "line", "direction", "order", "block",
+                )
+            },
+            covariates={k: v[rows] for k, v in self.covariates.items()},
+            labels={k: v[rows] for k, v in self.labels.items()},
+        )  # fmt: skip
+
+    def __getitem__(self, name: str) -> Floats:
+        """An input or a covariate (n,). Raises :class:`~sherkit.errors.EffectError` for a name that is not there."""
+        if name in self.layout.joints:
+            return self.joints[:, self.layout.joints.index(name)]
+        if name in self.covariates:
+            return self.covariates[name]
+        if name == c.TIME and self.time_s is not None:
+            return self.time_s
+        known = [*self.layout.joints, *self.covariates]
+        raise EffectError(f"these rows have no '{name}'{nearest(name, known)}; they have {listed(known, 20)}")
+
+    def with_readings(self, readings: Floats) -> Measurements:
+        """The same rows with other readings (n, m), NaN where one was not taken. Raises ``ShapeError``."""
+        if readings.shape != self.readings.shape:
+            raise ShapeError(f"{self.source}: readings: expected {self.readings.shape}, got {readings.shape}")
+        taken = np.isfinite(readings)
+        return replace(self, readings=np.where(taken, readings, 0.0), taken=taken)
+
+    def mark_outliers(self, rows: NDArray[Any]) -> Measurements:
+        """The same rows with the given ones marked as outliers, on top of those marked before."""
+        outlier = self.outlier.copy()
+        outlier[rows] = True
+        return replace(self, outlier=outlier)
+
+    @cached_property
+    def used(self) -> Bools:
+        """Readings (n, m) that were taken, in rows that are not marked as outliers."""
+        return self.taken & ~self.outlier[:, None]
+
+    @property
+    def coordinates(self) -> int:
+        """How many of the reading columns are coordinates; they come first."""
+        return len(self.layout.coordinates)
+
+    @cached_property
+    def is_distance(self) -> Bools:
+        """Which rows are distances."""
+        if self.layout.distance is None:
+            return np.zeros(len(self), dtype=bool)
+        return self.taken[:, -1]
+
+    def unmeasured(self, joints: Floats) -> Measurements:
+        """Rows that were not measured yet: these joints (k, n), and covariates as they were on average."""
+        n = len(joints)
+        made = self.select(np.zeros(n, dtype=np.int64))
+        taken = np.array([name != self.layout.distance for name in self.layout.readings])
+        return replace(
+            made,
+            joints=np.ascontiguousarray(joints),
+            to_joints=np.full_like(joints, np.nan),
+            taken=np.tile(taken, (n, 1)),
+            direction=np.ones_like(joints),
+            outlier=np.zeros(n, dtype=bool),
+            covariates={
+                # a robot warms and stays warm; other covariates come back
+                k: np.full(n, float(v[-1] if k == c.TEMPERATURE else v.mean()))
+                for k, v in self.covariates.items()
+            },
+        )
+
+    @cached_property
+    def distances_or_none(self) -> Floats | None:
+        """``to_joints`` where any row is a distance, else None, as the core takes it."""
+        return self.to_joints if self.is_distance.any() else None
+
+    @cached_property
+    def groups(self) -> Ints:
+        """A number per row, equal for repeats of the same pose; every row its own where no pose is given."""
+        if self.pose is None:
+            return np.arange(len(self), dtype=np.int64)
+        return np.unique(self.pose, return_inverse=True)[1].ravel().astype(np.int64)
+
+    @cached_property
+    def repeatability(self) -> Repeatability | None:
+        """Pure error from repeats of a pose, pooled over poses; None where no pose was read twice.
+
+        Outliers that the user marked are left out. A pose's readings are compared with their own mean, so
+        the figure is free of any model (Draper and Smith, *Applied Regression Analysis*, 1.5).
+        """
+        if self.pose is None:
+            return None
+        sigma: dict[str, float] = {}
+        freedom: dict[str, int] = {}
+        for k, name in enumerate(self.layout.readings):
+            rows = self.used[:, k]
+            if not rows.any():
+                continue
+            group = np.unique(self.groups[rows], return_inverse=True)[1]
+            count = np.bincount(group)
+            value = self.readings[rows, k]
+            mean = np.bincount(group, value) / count
+            free = int((count - 1).sum())
+            if free > 0:
+                sigma[name] = float(np.sqrt(((value - mean[group]) ** 2).sum() / free))
+                freedom[name] = free
+        return Repeatability(sigma, freedom) if sigma else None
+
+    # -- leaving -----------------------------------------------------------------------------------------
+
+    def to_frame(self) -> pl.DataFrame:
+        """A polars frame with the file's column names; what was not taken is null."""
+        columns: dict[str, Any] = {}
+        layout = self.layout
+        for name, values in ((c.TIME, self.time_s), (c.POSE, self.pose), (c.REPEAT, self.repeat)):
+            if values is not None:
+                columns[name] = values
+        for k, name in enumerate(self.layout.joints):
+            columns[name] = self.joints[:, k]
+        blocks = (
+            (layout.to_joints, self.to_joints),
+            (layout.readings, np.where(self.taken, self.readings, np.nan)),
+            (layout.sigmas, self.sigma),
+        )
+        for names, block in blocks:
+            for k, name in enumerate(names):
+                if np.isfinite(block[:, k]).any():
+                    columns[name] = block[:, k]
+        # a selection of rows no longer shows how the joints came there
+        columns |= {name: self.direction[:, k] for k, name in enumerate(layout.directions) if self._remembers(k)}
+        if self.outlier.any():
+            columns[c.OUTLIER] = self.outlier.astype(np.int64)
+        if self.block is not None:
+            columns["block"] = self.block
+        frame = pl.DataFrame({**columns, **self.covariates, **self.labels})
+        return frame.with_columns(pl.col(pl.Float64).fill_nan(None))
+
+    def _remembers(self, joint: int) -> bool:
+        """Whether the direction of a joint is known and does not follow from time and joints of these rows."""
+        known = self.direction[:, joint]
+        if not np.isfinite(known).all():
+            return False
+        values = {} if self.time_s is None else {c.TIME: self.time_s}
+        return not np.array_equal(_directions(values, self.joints)[:, joint], known)
+
+    def save(self, path: str | Path) -> None:
+        """Writes CSV or Parquet, by the ending of the name."""
+        write_table(self.to_frame(), path)
+
+
+def _directions(values: Mapping[str, NDArray[Any]], joints: Floats) -> Floats:
+    """Sign of the last motion of each joint: as the file says, else from the order in time, +1 at the start."""
+    out = np.full(joints.shape, np.nan)
+    if c.TIME in values:
+        order = np.argsort(np.asarray(values[c.TIME], dtype=float), kind="stable")
+        step = np.sign(np.diff(joints[order], axis=0, prepend=joints[order[:1]]))
+        step[0] = 1.0
+        # where a joint did not move, the direction of the motion before still holds
+        last = np.maximum.accumulate(np.where(step != 0, np.arange(len(step))[:, None], 0), axis=0)
+        out[order] = np.take_along_axis(step, last, axis=0)
+    for k in range(joints.shape[1]):
+        if f"direction_{k + 1}" in values:
+            out[:, k] = np.sign(np.asarray(values[f"direction_{k + 1}"], dtype=float))
+    return out
+
+
+def order_in_time(time_s: NDArray[Any] | None, n: int) -> Ints:
+    """Places (n,) of rows in time, from 0; as they stand where no time is known."""
+    out = np.arange(n, dtype=np.int64)
+    if time_s is not None:
+        out[np.argsort(np.asarray(time_s, dtype=float), kind="stable")] = np.arange(n)
+    return out
+
+
+def _spread(values: Floats) -> float:
+    low, high = np.percentile(values, [5, 95], axis=0)
+    return float((high - low).max())

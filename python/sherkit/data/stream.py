@@ -1,0 +1,55 @@
+"""Measurements too large for memory: passed over in blocks, as often as the fit asks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from .frames import clean
+from .reader import checked, csv_blocks, not_parquet
+from .rows import Measurements
+from .tables import PARQUET
+
+BLOCK_ROWS = 100_000
+
+
+@dataclass(frozen=True)
+class MeasurementStream:
+    """A run that is read block by block. ``blocks()`` starts a new pass each time it is called."""
+
+    blocks: Callable[[], Iterator[Measurements]]
+    source: str
+
+
+def stream_measurements(path: str | Path, block_rows: int = BLOCK_ROWS) -> MeasurementStream:
+    """Streams a CSV or Parquet file of any length through the fit in constant memory.
+
+    Reads what :func:`~sherkit.data.read_measurements` reads and names the same places in messages, but
+    checks each block by itself: a pose and repeat given twice far apart go unnoticed, and directions of motion
+    are not known, since a block does not see the row before it. Raises
+    :class:`~sherkit.errors.MeasurementError`, most of it once the blocks are read.
+    """
+    path = checked(path)
+
+    def blocks() -> Iterator[Measurements]:
+        if path.suffix.lower() not in PARQUET:
+            for frame, line in csv_blocks(path, block_rows):
+                yield _undirected(clean(frame, str(path), line, "line"))
+            return
+        first = 0
+        try:
+            for frame in pl.scan_parquet(path).collect_batches(chunk_size=block_rows, maintain_order=True):
+                yield _undirected(clean(frame, str(path), np.arange(first, first + frame.height), "row"))
+                first += frame.height
+        except pl.exceptions.PolarsError as error:
+            raise not_parquet(path, error) from None
+
+    return MeasurementStream(blocks, str(path))
+
+
+def _undirected(block: Measurements) -> Measurements:
+    return replace(block, direction=np.full_like(block.direction, np.nan))

@@ -1,0 +1,239 @@
+"""Reading a TOML table key by key: every key checked, unknown keys refused with the nearest known one.
+
+Robot files are read with it, calibrations, and the files of laboratories and experiments.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import RobotError, SherkitError
+from ..names import closest, listed, nearest
+from ..types import Floats
+
+#: Keys of a table look alike (base_radius_mm, platform_radius_mm); a misspelt one looks more alike still.
+_MISSPELT = 0.75
+_LARGEST = 1e100
+#: Characters of a wrong value that a message repeats.
+_LONGEST = 100
+
+
+def read_toml(path: str | Path, what: str, error: type[SherkitError] = RobotError) -> dict[str, Any]:
+    """The tables of a TOML file; ``what`` it should be, for messages. Raises ``error`` where it cannot be read."""
+    path = Path(path)
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        raise error(f"{path}: there is no such {what} file") from None
+    except IsADirectoryError:
+        raise error(f"{path}: is a folder, expected a {what} TOML file") from None
+    except OSError as wrong:
+        raise error(f"{path}: cannot be read: {wrong.strerror}") from None
+    except UnicodeDecodeError:
+        raise error(f"{path}: is not a text file, expected a {what} TOML file") from None
+    except tomllib.TOMLDecodeError as wrong:
+        raise error(f"{path}: is not valid TOML: {wrong}") from None
+
+
+class Table:
+    """A TOML table that remembers which of its keys were asked for.
+
+    Raises ``error``, a :class:`~sherkit.errors.RobotError` unless another kind is given, naming file, table and key.
+    """
+
+    def __init__(
+        self, values: Mapping[str, Any], where: str, path: str = "", error: type[SherkitError] = RobotError
+    ) -> None:
+        self._values = values
+        self._where = where
+        self._path = path
+        self._error = error
+        self._known: set[str] = set()
+
+    def _name(self, key: str) -> str:
+        return f"[{self._path}] {key}" if self._path else key
+
+    def fail(self, key: str, expected: str) -> SherkitError:
+        """The error for a key, in words."""
+        found = repr(self._values[key]) if key in self._values else "nothing"
+        found = found if len(found) <= _LONGEST else f"{found[:_LONGEST]} …"
+        return self._error(f"{self._where}: {self._name(key)}: expected {expected}, found {found}")
+
+    def refuse(self, what: str) -> SherkitError:
+        """The error for numbers that do not fit together, in words."""
+        return self._error(f"{self._where}: [{self._path}] {what}")
+
+    def _get(self, key: str, expected: str, default: Any) -> Any:
+        self._known.add(key)
+        if key not in self._values:
+            if default is None:
+                raise self._missing(key, expected)
+            return default
+        return self._values[key]
+
+    def _missing(self, key: str, expected: str) -> SherkitError:
+        # a misspelt key is both missing and unknown: say it once, where the user typed it
+        typed = closest(key, [k for k in self._values if k not in self._known], cutoff=_MISSPELT)
+        hint = f"; is '{typed}' meant to be it?" if typed else ""
+        return self._error(f"{self._where}: {self._name(key)} is missing; expected {expected}{hint}")
+
+    @contextmanager
+    def table(self, key: str, *, optional: bool = False) -> Iterator[Table]:
+        """A sub-table; on leaving it, unknown keys are refused."""
+        values = self._get(key, "a table", {} if optional else None)
+        if not isinstance(values, Mapping):
+            raise self.fail(key, f"a table [{key}]")
+        inner = Table(values, self._where, f"{self._path}.{key}" if self._path else key, self._error)
+        yield inner
+        inner.finish()
+
+    def tables(self, key: str, *, optional: bool = True) -> Iterator[Table]:
+        """The tables of a list ``[[key]]``, none where it is not given; past each, its unknown keys are refused."""
+        values = self._get(key, "a list of tables", [] if optional else None)
+        if not isinstance(values, list) or not all(isinstance(v, Mapping) for v in values):
+            raise self.fail(key, f"tables [[{key}]]")
+        for k, one in enumerate(values, 1):
+            inner = Table(one, self._where, f"{self._path}.{key} {k}" if self._path else f"{key} {k}", self._error)
+            yield inner
+            inner.finish()
+
+    def finish(self) -> None:
+        """Refuses keys that nobody asked for."""
+        for key in self._values:
+            if key not in self._known:
+                hint = nearest(key, self._known) or f"; known keys: {listed(sorted(self._known), 12)}"
+                raise self._error(f"{self._where}: unknown key {self._name(key)}{hint}")
+
+    def pass_over(self, *keys: str) -> None:
+        """Keys that are for people, and may be there."""
+        self._known.update(keys)
+
+    def names(self) -> list[str]:
+        """The keys that are given, in the order of the file."""
+        return list(self._values)
+
+    def has(self, key: str) -> bool:
+        """Whether a key is given, under its very name."""
+        return key in self._values
+
+    def text(self, key: str, allowed: tuple[str, ...], default: str | None = None) -> str:
+        """One of the allowed words."""
+        expected = "one of " + ", ".join(f"'{a}'" for a in allowed)
+        value = self._get(key, expected, default)
+        if value not in allowed:
+            raise self.fail(key, expected)
+        return str(value)
+
+    def words(self, key: str, default: str | None = None, *, empty: bool = False) -> str:
+        """Any text that is not empty unless it may be; where it is left out, ``default``, which may be empty."""
+        value = self._get(key, "a text", default)
+        if not isinstance(value, str) or (not value and not empty and key in self._values):
+            raise self.fail(key, "a text")
+        return value
+
+    def texts(self, key: str, default: tuple[str, ...] | None = None) -> tuple[str, ...]:
+        """A list of texts."""
+        value = self._get(key, "a list of texts", default)
+        if not isinstance(value, list | tuple) or not all(isinstance(v, str) for v in value):
+            raise self.fail(key, "a list of texts")
+        return tuple(value)
+
+    def flag(self, key: str, default: bool) -> bool:
+        """true or false."""
+        value = self._get(key, "true or false", default)
+        if not isinstance(value, bool):
+            raise self.fail(key, "true or false")
+        return value
+
+    def whole(self, key: str, default: int | None = None, *, least: int | None = None) -> int:
+        """A whole number, at least ``least``."""
+        kind = "a whole number" + (f" of at least {least}" if least is not None else "")
+        value = self._get(key, kind, default)
+        if not isinstance(value, int) or isinstance(value, bool) or (least is not None and value < least):
+            raise self.fail(key, kind)
+        return value
+
+    def rows(self, key: str, width: int) -> tuple[tuple[float, ...], ...]:
+        """A list of lists of ``width`` finite numbers."""
+        kind = f"a list of lists of {width} numbers"
+        value = self._get(key, kind, None)
+        if not isinstance(value, list) or not all(
+            isinstance(row, list) and len(row) == width and all(_is_number(v) for v in row) for row in value
+        ):
+            raise self.fail(key, kind)
+        return tuple(tuple(float(v) for v in row) for row in value)
+
+    def array(self, key: str, *shape: int, finite: bool = True) -> Floats:
+        """Numbers of a given shape; none is NaN, and where ``finite`` none has no end."""
+        kind = f"{'finite ' if finite else ''}numbers of shape {shape}"
+        value = self._get(key, kind, None)
+        try:
+            made = np.array(value, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            raise self.fail(key, kind) from None
+        if made.shape != shape or np.isnan(made).any() or (finite and not np.isfinite(made).all()):
+            raise self.fail(key, kind)
+        return made
+
+    def covariance(self, key: str, size: int) -> Floats:
+        """A covariance (size, size): no variance of it is negative."""
+        made = self.array(key, size, size)
+        if size and np.linalg.eigvalsh(0.5 * (made + made.T))[0] < -1e-9 * max(float(np.trace(made)), 1e-300):
+            raise self.fail(key, "a covariance (symmetric, no negative variance)")
+        return made
+
+    def some_numbers(self, key: str, default: tuple[float, ...] | None = None) -> tuple[float, ...]:
+        """A list of finite numbers of any length, at least one."""
+        value = self._get(key, "a list of numbers", default)
+        if not isinstance(value, list | tuple) or not value or not all(_is_number(v) for v in value):
+            raise self.fail(key, "a list of numbers")
+        return tuple(float(v) for v in value)
+
+    def number(self, key: str, default: float | None = None, *, positive: bool = False) -> float:
+        """A finite number."""
+        kind = "a positive number" if positive else "a number"
+        value = self._get(key, kind, default)
+        if not _is_number(value) or (positive and value <= 0):
+            raise self.fail(key, kind)
+        return float(value)
+
+    def heights(self, key: str) -> tuple[float, float] | None:
+        """Two numbers, the lower first, or None where the key is not given."""
+        self._known.add(key)
+        if key not in self._values:
+            return None
+        low, high = self.numbers(key, 2)
+        if not low < high:
+            raise self.fail(key, "two numbers, the lower first")
+        return (low, high)
+
+    def positive(self, key: str) -> float | None:
+        """A positive number, or None where the key is not given."""
+        self._known.add(key)
+        return self.number(key, positive=True) if key in self._values else None
+
+    def numbers(
+        self, key: str, count: int, default: tuple[float, ...] | None = None, *, positive: bool = False
+    ) -> tuple[float, ...]:
+        """A list of finite numbers of a given length."""
+        kind = f"{count} {'positive ' if positive else ''}numbers"
+        value = self._get(key, kind, default)
+        if (
+            not isinstance(value, list | tuple)
+            or len(value) != count
+            or not all(_is_number(v) for v in value)
+            or (positive and min(value) <= 0)
+        ):
+            raise self.fail(key, kind)
+        return tuple(float(v) for v in value)
+
+
+def _is_number(value: object) -> bool:
+    # NaN is not below anything; Python's whole numbers have no end, floats have
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _LARGEST

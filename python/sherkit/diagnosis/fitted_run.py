@@ -1,0 +1,160 @@
+"""A fit on its rows, as diagnosis sees it, whatever the machine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from ..data.noise import Noise, noise_of
+from ..errors import FitError
+from ..fit.hold_out import blocks_of
+from ..fit.identify import Fit, identify
+from ..model.base import ModelWithEffects
+from ..model.effect import Effect
+from ..types import Bools, Floats, Ints
+from .linearised import Linearised
+from .next_poses import next_poses
+
+
+class FittedRun:
+    """A fit on its rows.
+
+    ``names`` are those of the reading columns and ``axes`` the columns looked at: coordinates that were taken.
+    ``used`` (n, columns) tells the readings that were taken and are not marked as outliers, ``residuals`` (n, columns)
+    measured minus predicted. Raises :class:`~sherkit.errors.FitError` for rows without any coordinate.
+    """
+
+    def __init__(self, fit: Fit) -> None:
+        data = fit.data
+        self.fit = fit
+        self.model: ModelWithEffects = fit.model
+        self.data = data
+        self.names = data.layout.names
+        self.axes = tuple(k for k in range(data.coordinates) if data.taken[:, k].any())
+        if not self.axes:
+            raise FitError(f"{data.source}: diagnosis needs coordinates; these rows are distances only")
+        self._last: tuple[Ints, tuple[Effect, ...], Floats, Linearised] | None = None
+
+    @property
+    def unit(self) -> str:
+        """Errors are reported in this unit, of which one unit of a reading has :attr:`per_unit`."""
+        return self.data.layout.unit
+
+    @property
+    def per_unit(self) -> float:
+        """What turns a reading into :attr:`unit`."""
+        return self.data.layout.per_unit
+
+    @property
+    def catalogue(self) -> tuple[Effect, ...]:
+        """Effects tried without being asked for."""
+        return tuple(self.model.known_effects.values())
+
+    @property
+    def used(self) -> Bools:
+        """Readings (n, columns) that were taken, in rows that are not marked as outliers."""
+        return self.data.used
+
+    @property
+    def residuals(self) -> Floats:
+        """Measured minus predicted (n, columns), in the unit of the readings."""
+        return self.fit.residuals
+
+    @cached_property
+    def whole(self) -> Bools:
+        """Rows (n,) that can be tested: all readings there, no outlier."""
+        return np.logical_and.reduce(self.used[:, self.axes], axis=1)
+
+    @cached_property
+    def noise(self) -> tuple[Floats, str]:
+        """Noise per reading column (columns,), and where it is known from: declared, repeats or unknown."""
+        noise = noise_of(self.data)
+        sigma = np.ones(len(self.names))
+        for a in self.axes:
+            sigma[a] = float(np.sqrt(np.mean(noise.sigma[self.used[:, a], a] ** 2)))
+        return sigma, noise.origin
+
+    def blocks(self, folds: int, seed: int) -> Ints:
+        """A fold (n,) for every row; neighbours stay together."""
+        return blocks_of(self.data, self.model.place(self.data, self.fit.predicted), folds, seed)
+
+    def owns(self, effect: Effect) -> slice:
+        """Where the parameters of an effect that is in the model stand among the fitted ones."""
+        return self.model.owns(effect)
+
+    # -- other fits --------------------------------------------------------------------------------------
+
+    def refit(self, added: Sequence[tuple[Effect, float | None]]) -> FittedRun:
+        """The full fit with more effects, each at its setting, from the drawing. Raises
+        :class:`~sherkit.errors.SherkitError`."""
+        model = self.model
+        for effect, setting in added:
+            model = model.with_effect(effect, at=setting)
+        return FittedRun(identify(model, self.data, noise=self.fit.noise))
+
+    def on(self, rows: Ints, sigma: Floats) -> FittedRun:
+        """The full fit on these rows alone, with this noise (columns,), from the values of this one."""
+        data = self.data.select(rows)
+        noise = Noise(np.where(data.taken, sigma, 1.0), self.fit.noise.origin)
+        return FittedRun(identify(self.model, data, noise=noise, start=self.fit.values))
+
+    def without(self, rows: Ints) -> FittedRun:
+        """The full fit with these rows marked as outliers, from the values of this one."""
+        data = self.data.mark_outliers(rows)
+        return FittedRun(identify(self.model, data, noise=self.fit.noise, start=self.fit.values))
+
+    def residuals_on(self, rows: Ints, other: FittedRun) -> Floats:
+        """What the fit of ``other`` leaves on these rows (rows, columns). Raises as :meth:`refit`."""
+        data = self.data.select(rows)
+        return data.readings - other.model.predict(data, other.fit.values)
+
+    def next_poses(self, rivals: Sequence[FittedRun], sigma: Floats) -> tuple[dict[str, float], ...]:
+        """Poses that tell this fit from its rivals best, in the order to measure them; none where it is not known what
+        can be reached."""
+        return next_poses(self.fit, [rival.fit for rival in rivals], sigma)
+
+    # -- what can be looked at ---------------------------------------------------------------------------
+
+    def variables(self, rows: Ints) -> tuple[dict[str, Floats], tuple[str, ...]]:
+        """What the residuals of these rows may depend on (rows,), and the names of those that say where it was."""
+        part = self.data.select(rows)
+        place = self.model.place(part, self.fit.predicted[rows])
+        out = {name: part.joints[:, k] for k, name in enumerate(part.layout.joints)}
+        out = {k: v for k, v in (out | place | self.model.covariates(part)).items() if np.ptp(v) > 0}
+        return out, tuple(name for name in place if name in out)
+
+    def linearised(self, rows: Ints, effects: Sequence[Effect], sigma: Floats) -> Linearised:
+        """These rows, in this order, over the noise ``sigma`` (m,) of the axes: residuals, and derivatives by what is
+        fitted, by every effect that can be tried, and by the inputs. What was asked for last is remembered."""
+        last, effects = self._last, tuple(effects)
+        if last and np.array_equal(last[0], rows) and last[1] == effects and np.array_equal(last[2], sigma):
+            return last[3]
+        axes, over = list(self.axes), sigma[:, None]
+        part = self.data.select(rows)
+        tried, untestable = self.model.can_be_tried(effects, part)
+        in_time = [e for e in tried if e.function is None and e.search == "time_s"]
+        asked = [e for e in tried if e not in in_time]
+        derivatives = self.model.linearised(part, self.fit.values, asked)
+        variables, place = self.variables(rows)
+        patterns = {}
+        if derivatives.inputs is not None:
+            by_input = derivatives.inputs[:, axes] / over
+            patterns = {name: by_input[:, :, k] for k, name in enumerate(part.layout.joints)}
+        moved = None if derivatives.body is None else derivatives.body[:, axes] / over
+        out = Linearised(
+            residual=(part.readings - self.fit.predicted[rows])[:, axes] / sigma,
+            fitted=derivatives.parameters[:, axes] / over,
+            variables=variables,
+            patterns=patterns,
+            group=part.groups,
+            pattern_of={name: name for name in patterns if name in variables},
+            place=place,
+            time=part.time_s,
+            effects=tuple((effect, columns[:, axes] / over) for effect, columns in derivatives.effects),
+            in_time=tuple((effect, moved) for effect in in_time),
+            untestable=untestable | derivatives.refused,
+        )
+        self._last = rows, effects, sigma, out
+        return out

@@ -1,0 +1,329 @@
+"""Identification: the parameters that fit the readings, and how well each is known.
+
+Source: Eqs. 9 to 11 of Xiao et al., ISMR 2022, solved column-scaled and rank-revealing and iterated to the
+nonlinear minimum. The covariance is the usual ``s² (JᵀJ)⁻¹`` (Seber and Wild, *Nonlinear Regression*, 2.1); with a
+robust loss, Huber's correction (Huber and Ronchetti, *Robust Statistics*, Eq. 7.81).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from html import escape
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+import sherkit._core as _core
+
+from ..data import Measurements
+from ..data.given import RunLike, run_of
+from ..data.noise import MAD, Noise, noise_of
+from ..errors import FitError
+from ..model.any import Model
+from ..model.base import ModelWithEffects
+from ..model.chain import ChainModel
+from ..model.effect import Effect, named_effects
+from ..model.kinds import model_of
+from ..model.parameter import Parameter
+from ..model.robot_file import RobotLike, load_robot
+from ..notebook import Shown
+from ..types import Floats
+from .directions import Direction, badly_observed, unobserved
+from .iterate import iterate
+from .robust import LOSSES, scale, spread
+from .table import table_of
+
+#: A robust fit settles in a few rounds; wild rows from which the first round starts may take some more.
+_ROBUST_ROUNDS = 30
+#: It has settled when no value moves by more than this part of its plausible size; and it may still move by this part
+#: of its deviation when the rounds are over.
+_SETTLED = 1e-7
+_STILL = 1e-3
+_MAD_EFFICIENCY = 0.37
+#: Chance that a run without outliers has any row listed as one.
+_OUTLIER_LEVEL = 0.01
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Identified:
+    """What rows tell of the parameters of a model, without the rows.
+
+    ``values`` (p,) are errors in the units of ``parameters``. ``covariance`` (p, p) is what the readings leave,
+    ``unobserved_covariance`` what they do not tell at all, from the plausible sizes. ``scale`` is the ratio of the
+    residuals to the assumed noise (to one unit of the readings where the noise is unknown).
+    """
+
+    #: A :class:`ModelWithEffects`; of a robot that of its kind, whose own fields its calibration reads.
+    model: Any
+    values: Floats
+    covariance: Floats
+    unobserved_covariance: Floats
+    rank: int
+    singular_values: Floats
+    unobserved_basis: Floats
+    scale: float
+    converged: bool
+    evaluations: int
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The identified parameters."""
+        parameters: tuple[Parameter, ...] = self.model.parameters
+        return parameters
+
+    @cached_property
+    def std(self) -> Floats:
+        """Standard deviation of each value: readings and plausible sizes together."""
+        return np.sqrt(np.diag(self.covariance + self.unobserved_covariance).clip(0.0))
+
+    @cached_property
+    def std_from_readings(self) -> Floats:
+        """Standard deviation of each value from the readings alone, unobserved directions held."""
+        return np.sqrt(np.diag(self.covariance).clip(0.0))
+
+    @cached_property
+    def by_name(self) -> dict[str, float]:
+        """Values by parameter name."""
+        return dict(zip((p.name for p in self.parameters), self.values.tolist(), strict=True))
+
+    @property
+    def condition_number(self) -> float:
+        """Largest over smallest observed singular value of the column-scaled system."""
+        s = self.singular_values
+        return float(s[0] / s[self.rank - 1]) if self.rank else float("inf")
+
+    @cached_property
+    def unobserved(self) -> tuple[Direction, ...]:
+        """Combinations of parameters that change no reading here."""
+        return unobserved(self.parameters, self.unobserved_basis, self.model.levers)
+
+    @cached_property
+    def badly_observed(self) -> tuple[Direction, ...]:
+        """Combinations of parameters that the readings fix worst."""
+        return badly_observed(self.parameters, self.covariance, self.model.levers)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self.values)} parameters, rank {self.rank})"
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Fit(Identified, Shown):
+    """A model fitted to rows, of any machine.
+
+    ``residuals`` (n, m) is measured minus predicted, NaN where nothing was taken. ``print(fit)`` shows a table of its
+    parameters.
+    """
+
+    data: Measurements
+    noise: Noise
+    loss: str
+    priors: bool
+
+    @cached_property
+    def predicted(self) -> Floats:
+        """Predicted readings (n, m)."""
+        predicted: Floats = self.model.predict(self.data, self.values)
+        return predicted
+
+    @cached_property
+    def residuals(self) -> Floats:
+        """Measured minus predicted (n, m); NaN where nothing was taken."""
+        return np.where(self.data.taken, self.data.readings - self.predicted, np.nan)
+
+    @cached_property
+    def nominal_residuals(self) -> Floats:
+        """Measured minus the nominal robot's prediction (n, m) (delta: Eq. 14)."""
+        return residuals(self.model, self.data, np.zeros(len(self.values)))
+
+    @cached_property
+    def outliers(self) -> NDArray[np.int64]:
+        """Rows with a residual that noise does not explain: suspected, listed, never dropped.
+
+        The spread is taken robustly from the residuals themselves; the threshold is such that a run of pure
+        noise has no suspect in 99 of 100 cases.
+        """
+        suspect = np.zeros(len(self.data), dtype=bool)
+        count = int(self.data.taken.sum())
+        for k in range(self.data.readings.shape[1]):
+            rows = self.data.used[:, k]
+            if rows.sum() < 5:
+                continue
+            u = self.residuals[rows, k] / self.noise.sigma[rows, k]
+            wide = MAD * float(np.median(np.abs(u - np.median(u))))
+            # a median deviation of few residuals is itself uncertain, with about 0.37 of their number as freedom
+            threshold = float(stats.t.isf(0.5 * _OUTLIER_LEVEL / count, max(_MAD_EFFICIENCY * len(u), 1.0)))
+            if wide > 0:
+                suspect[np.flatnonzero(rows)[np.abs(u - np.median(u)) > threshold * wide]] = True
+        return np.flatnonzero(suspect)
+
+    def rms(self, which: Floats | None = None) -> dict[str, float]:
+        """RMS of residuals per reading, in the unit that people read; of :attr:`residuals` unless others are given.
+
+        Over rows that were taken and are not marked as outliers.
+        """
+        values = self.residuals if which is None else which
+        out = {}
+        for k, name in enumerate(self.data.layout.readings):
+            rows = self.data.used[:, k]
+            if rows.any():
+                out[name] = float(self.data.layout.per_unit * np.sqrt(np.mean(values[rows, k] ** 2)))
+        return out
+
+    def __repr__(self) -> str:
+        named = dict(zip(self.data.layout.readings, self.data.layout.names, strict=True))
+        each = ", ".join(f"{named[k]} {v:.1f}" for k, v in self.rms().items())
+        unit = self.data.layout.unit
+        return f"Fit({len(self.values)} parameters, rank {self.rank}, RMS {each} {unit})"
+
+    def __str__(self) -> str:
+        return table_of(self)
+
+    def _repr_html_(self) -> str:
+        return super()._repr_html_() or f"<pre>{escape(str(self))}</pre>"
+
+
+def residuals(model: ModelWithEffects, data: Measurements, values: Floats) -> Floats:
+    """Measured minus predicted (n, m); NaN where nothing was taken."""
+    return np.where(data.taken, data.readings - model.predict(data, values), np.nan)
+
+
+def identify(
+    robot: RobotLike | Model | ModelWithEffects,
+    data: RunLike,
+    *,
+    free: Sequence[str] = (),
+    effects: Sequence[str | Effect] = (),
+    loss: str = "linear",
+    priors: bool = False,
+    linear: bool = False,
+    start: Sequence[float] | Floats | None = None,
+    noise: Noise | None = None,
+) -> Fit:
+    """Fits the free parameters of a robot, or of any other machine's model, to the readings.
+
+    Robot and run may be given by their files, the run as a frame too.
+    ``free`` names them (default: those of the kind of robot). ``effects`` are identified besides: names of the
+    catalogue, or the user's own. ``loss`` is ``linear``, ``huber``, ``cauchy`` or ``tukey``.
+    ``priors`` treats the plausible sizes as Gaussian knowledge. ``linear`` takes the paper's single step of
+    Eq. 11. ``noise`` overrides what :func:`~sherkit.data.noise.noise_of` finds.
+
+    Raises :class:`~sherkit.errors.FitError` for rows out of reach, an unknown loss, or too few readings, and
+    :class:`~sherkit.errors.EffectError` for an effect that is not known.
+    """
+    given = load_robot(robot) if isinstance(robot, str | PathLike) else robot
+    model, data = extended_by(model_of(given, free), effects), run_of(data)
+    if loss not in LOSSES:
+        raise FitError(f"loss: '{loss}' is not known; choose {', '.join(LOSSES)}")
+    noise = noise or noise_of(data)
+    if not data.used.any():
+        raise FitError(f"{data.source}: every row is marked as an outlier; nothing is left to fit")
+    weights = np.where(data.used, 1.0 / noise.sigma, 0.0)
+    problem = _LeastSquares(model, data)
+    values = model.starting_at(start)
+
+    if priors and noise.origin == "unknown":
+        # a prior is weighed against the noise, which only the residuals tell
+        loose, _ = problem.solve(weights, values, linear=linear)
+        weights = weights / max(scale(problem.left(loose.trial), weights, loose.result()["rank"], loss), 1e-12)
+    solver, ended = problem.solve(weights, values, priors=priors, linear=linear)
+    values = solver.trial
+    moved = np.zeros(len(values))
+    if loss != "linear":
+        # residuals are judged by their own spread, taken anew until it settles
+        for _ in range(_ROBUST_ROUNDS):
+            robust = weights / spread(problem.left(values), weights)
+            solver, ended = problem.solve(robust, values, priors=priors, linear=linear, loss=loss)
+            moved, values = np.abs(solver.trial - values), solver.trial
+            if (moved <= _SETTLED * problem.sizes).all():
+                break
+    result = solver.result()
+    evaluations = result["evaluations"]
+    judged = weights if loss == "linear" else weights / spread(problem.left(values), weights)
+    if loss != "linear" or priors:
+        # what the readings say there, none of them weighed down for being far off
+        result = problem.information(judged, values)
+    ratio = scale(problem.left(values), judged, result["rank"], loss)
+    covariance, beyond = result["covariance"] * ratio**2, result["unobserved_covariance"]
+    if priors:
+        known = problem.information(judged / ratio, values, priors=True)
+        covariance, beyond = known["covariance"], known["unobserved_covariance"]
+    # of a robust fit the covariance is that of each column by its own spread; this is all of them over the noise
+    overall = ratio if loss == "linear" else scale(problem.left(values), weights, result["rank"], loss)
+    still = np.maximum(_STILL * np.sqrt(np.diag(covariance).clip(0.0)), _SETTLED * problem.sizes)
+    fit = Fit(
+        model=model,
+        data=data,
+        values=values,
+        covariance=covariance,
+        unobserved_covariance=beyond,
+        rank=result["rank"],
+        singular_values=result["singular_values"],
+        unobserved_basis=result["unobserved"],
+        scale=overall,
+        noise=noise,
+        loss=loss,
+        priors=priors,
+        converged=ended == "converged" and bool((moved <= still).all()),
+        evaluations=evaluations,
+    )
+    # predicted for the scale already
+    vars(fit)["predicted"] = problem.predicted(values)
+    return fit
+
+
+def extended_by(model: ModelWithEffects, effects: Sequence[str | Effect]) -> ModelWithEffects:
+    """The model with more effects: by name, or the user's own. Raises :class:`~sherkit.errors.EffectError`."""
+    for effect in named_effects(model.known_effects, effects):
+        model = model.with_effect(effect)
+    return model
+
+
+class _LeastSquares:
+    """A model and rows: what the solver is asked, by the core where the model is compiled throughout."""
+
+    def __init__(self, model: ModelWithEffects, data: Measurements) -> None:
+        self.model = model
+        self.data = data
+        self.sizes = np.array([p.size for p in model.parameters])
+        self._last: tuple[Floats, Floats] | None = None
+
+    def predicted(self, values: Floats) -> Floats:
+        """Predicted readings (n, m); those asked for last are remembered."""
+        if self._last is None or not np.array_equal(self._last[0], values):
+            self._last = values.copy(), self.model.predict(self.data, values)
+        return self._last[1]
+
+    def left(self, values: Floats) -> Floats:
+        """Measured minus predicted (n, m)."""
+        return self.data.readings - self.predicted(values)
+
+    def solve(
+        self, weights: Floats, start: Floats, *, priors: bool = False, linear: bool = False, **settings: Any
+    ) -> tuple[_core.Solver, str]:
+        """The minimum from ``start``, and whether it was reached."""
+        model, data = self.model, self.data
+        solver = _core.Solver(start, self.sizes, single_step=linear, **settings)
+        if isinstance(model, ChainModel) and not model.own:
+            return solver, model.solve(solver, data, weights, priors=priors)
+
+        def feed(values: Floats) -> None:
+            push(solver, model, data, weights, values)
+            if priors:
+                solver.push_priors()
+
+        return solver, iterate(solver, feed)
+
+    def information(self, weights: Floats, values: Floats, *, priors: bool = False) -> dict[str, Any]:
+        """What the readings say at ``values``; with ``priors`` the plausible sizes too."""
+        return self.solve(weights, values, priors=priors, max_evaluations=1)[0].result()
+
+
+def push(solver: _core.Solver, model: ModelWithEffects, data: Measurements, weights: Floats, values: Floats) -> None:
+    """Gives the solver these rows as a model in NumPy has them. Raises as the model's ``predict``."""
+    left = np.where(weights > 0, data.readings - model.predict(data, values), 0.0)
+    solver.push(np.ascontiguousarray(model.derivatives(data, values)), left, weights)

@@ -1,0 +1,75 @@
+"""Identification of runs too large for memory: passed over in blocks, once per iteration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+import sherkit._core as _core
+
+from ..data import MeasurementStream
+from ..errors import FitError
+from ..model.any import Model
+from ..model.base import ModelWithEffects
+from ..model.chain import ChainModel
+from ..model.effect import Effect
+from ..model.kinds import Robot, model_of
+from ..types import Floats
+from .identify import Identified, extended_by, push
+from .iterate import iterate
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class StreamFit(Identified):
+    """A model fitted to a stream of so many ``rows``: nothing that would need them all."""
+
+    rows: int
+
+
+def identify_stream(
+    robot: Robot | Model | ModelWithEffects,
+    stream: MeasurementStream,
+    *,
+    free: Sequence[str] = (),
+    effects: Sequence[str | Effect] = (),
+) -> StreamFit:
+    """Fits a run of any length in constant memory, passing over it once per iteration.
+
+    Readings weigh by their declared sigma, or all the same. Raises as :func:`~sherkit.fit.identify.identify`.
+    """
+    model = extended_by(model_of(robot, free), effects)
+    solver = _core.Solver(np.zeros(len(model.parameters)), np.array([p.size for p in model.parameters]))
+    rows = 0
+
+    def feed(values: Floats) -> None:
+        nonlocal rows
+        rows = 0
+        for block in stream.blocks():
+            noise = np.where(np.isfinite(block.sigma), block.sigma, 1.0)
+            weights = np.where(block.used, 1.0 / noise, 0.0)
+            rows += len(block)
+            if isinstance(model, ChainModel) and not model.own:
+                model.accumulate(solver, block, weights)
+            else:
+                push(solver, model, block, weights, values)
+        if rows == 0:
+            raise FitError(f"{stream.source}: the stream holds no row")
+
+    ended = iterate(solver, feed)
+    result = solver.result()
+    scale = float(np.sqrt(result["cost"] / max(result["rows"] - result["rank"], 1)))
+    return StreamFit(
+        model=model,
+        values=result["values"],
+        covariance=result["covariance"] * scale**2,
+        unobserved_covariance=result["unobserved_covariance"],
+        rank=result["rank"],
+        singular_values=result["singular_values"],
+        unobserved_basis=result["unobserved"],
+        scale=scale,
+        rows=rows,
+        converged=ended == "converged",
+        evaluations=result["evaluations"],
+    )

@@ -1,0 +1,61 @@
+"""A fit as a table for people: every parameter with both its deviations, and what the fit rests on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+#: A parameter counts as observed where no more than this part of its plausible variance is unobserved, and as
+#: unobserved from one less this part on.
+_OBSERVED = 1e-3
+_COLUMNS = ("parameter", "value", "± readings", "± with sizes", "unit", "")
+
+
+def table_of(fit: Any) -> str:
+    """Text of some lines for a :class:`~sherkit.fit.identify.Fit`: errors, noise, rank, then each parameter.
+
+    ``± readings`` is the standard deviation that the readings leave, ``± with sizes`` that with what they do not tell
+    at all, from plausible sizes. A parameter is ``observed``, ``in part`` or ``unobserved`` by the readings, or
+    ``fixed``.
+    """
+    layout = fit.data.layout
+    named = dict(zip(layout.readings, layout.names, strict=True))
+    errors = ", ".join(f"{named[name]} {value:.4g}" for name, value in fit.rms().items())
+    origin = {"declared": "as declared", "repeats": "from repeats", "unknown": "unknown: every reading weighs the same"}
+    effects = ", ".join(e.name for e in fit.model.effects)
+    condition = f", condition number {fit.condition_number:.2g}" if np.isfinite(fit.condition_number) else ""
+    about = [
+        ("fit", f"{len(fit.parameters)} parameters to {len(fit.data)} rows of {fit.data.source}"),
+        ("effects", effects or "none"),
+        ("loss", fit.loss + (", with plausible sizes as knowledge" if fit.priors else "")),
+        ("RMS", f"{errors} {layout.unit}"),
+        ("noise", f"{origin[fit.noise.origin]}; residuals are {fit.scale:.3g} times as large"
+         if fit.noise.origin != "unknown" else origin["unknown"]),
+        ("rank", f"{fit.rank} of {len(fit.parameters)}{condition}"),
+        ("converged", f"{'yes' if fit.converged else 'NO'}, {fit.evaluations} evaluations"),
+    ]  # fmt: skip
+    size = np.array([p.size for p in fit.parameters])
+    unseen = np.diag(fit.unobserved_covariance) / size**2
+    lines = [_COLUMNS]
+    for k, p in enumerate(fit.parameters):
+        deviations = (f"{fit.std_from_readings[k]:.2g}", f"{fit.std[k]:.2g}")
+        lines.append((p.name, f"{fit.values[k]:.6g}", *deviations, p.unit, _state(float(unseen[k]))))
+    lines += [(p.name, "0", "", "", p.unit, "fixed") for p in fit.model.fixed]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(_COLUMNS))]
+    words = (True, False, False, False, True, True)
+    head = [f"{name:<10} {text}" for name, text in about]
+    body = [
+        "  ".join(
+            cell.ljust(width) if left else cell.rjust(width)
+            for cell, width, left in zip(line, widths, words, strict=True)
+        ).rstrip()
+        for line in lines
+    ]
+    return "\n".join([*head, "", *body])
+
+
+def _state(unseen: float) -> str:
+    if unseen <= _OBSERVED:
+        return "observed"
+    return "unobserved" if unseen >= 1.0 - _OBSERVED else "in part"

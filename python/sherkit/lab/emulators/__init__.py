@@ -1,0 +1,32 @@
+"""Emulated instruments: servers that speak the real ones' bytes on ports of this machine, behind one virtual robot.
+
+Written apart from the drivers, which never import them and which they never import.
+"""
+
+from .ati import NetFtEmulator
+from .camera import CameraEmulator, NetworkCamera
+from .faults import FAULTS, Fault, Faults
+from .galil import GalilEmulator
+from .keyence import KeyenceEmulator
+from .micron_optics import HyperionEmulator, Sm130Emulator
+from .profile import Profile
+from .server import Emulator
+from .world import StillRobot, VirtualRobot, World
+
+__all__ = [
+    "FAULTS",
+    "CameraEmulator",
+    "Emulator",
+    "Fault",
+    "Faults",
+    "GalilEmulator",
+    "HyperionEmulator",
+    "KeyenceEmulator",
+    "NetFtEmulator",
+    "NetworkCamera",
+    "Profile",
+    "Sm130Emulator",
+    "StillRobot",
+    "VirtualRobot",
+    "World",
+]

@@ -1,0 +1,105 @@
+"""Emulated interrogators of fibre gratings: an sm130 and a Hyperion, which see the gratings of the world."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+from .faults import Fault
+from .server import Emulator, LineEmulator
+from .world import World
+
+
+class _InterrogatorEmulator(Emulator):
+    """``noise_nm`` is the standard deviation of a peak. ``over_range`` loses all peaks, as a broken fibre does."""
+
+    def __init__(self, world: World, *, noise_nm: float = 0.0, **line: Any) -> None:
+        super().__init__(world, **line)
+        self.noise_nm = noise_nm
+        self.serial = 0
+
+    def _peaks_nm(self, fault: Fault | None) -> list[list[float]]:
+        self.serial += 1
+        channels = self.world.wavelengths_nm()
+        if fault is not None and fault.kind == "over_range":
+            return [[] for _ in channels]
+        return [sorted(v + self.random.gauss(0.0, self.noise_nm) for v in channel) for channel in channels]
+
+
+class Sm130Emulator(LineEmulator, _InterrogatorEmulator):
+    """Answers ``#GET_DATA`` and ``#IDN?`` on TCP, with four channels."""
+
+    ending = b"\n"
+    granularity = 1_000_000
+
+    def answer(self, command: bytes, fault: Fault | None) -> bytes:
+        """Ten characters with the length, then the payload."""
+        if command == b"#GET_DATA\n":
+            payload = self._payload(self._peaks_nm(fault))
+        elif command == b"#IDN?\n":
+            payload = b"SM130 Rev 1.0, sherkit emulator"
+        else:
+            payload = b"ERROR: unknown command"
+        return f"{len(payload):010d}".encode() + payload
+
+    def _payload(self, channels: list[list[float]]) -> bytes:
+        channels = [*channels, [], [], [], []][:4]
+        now = self.world.now_s()
+        header = bytearray(88)
+        for at, channel in zip((16, 18, 20, 22), channels, strict=True):
+            struct.pack_into("<H", header, at, len(channel))
+        struct.pack_into("<III", header, 28, self.serial & 0xFFFFFFFF, int(now % 1 * 1e6), int(now))
+        struct.pack_into("<H", header, 50, 88)
+        struct.pack_into("<I", header, 72, self.granularity)
+        struct.pack_into("<II", header, 80, 1510 * self.granularity, 1590 * self.granularity)
+        raw = [round(v * self.granularity) for channel in channels for v in channel]
+        return bytes(header) + struct.pack(f"<{len(raw)}I", *raw)
+
+
+class HyperionEmulator(_InterrogatorEmulator):
+    """Answers ``#GetPeaks``, ``#GetInstrumentName`` and ``#GetSerialNumber`` on TCP."""
+
+    def take_command(self, received: bytearray) -> bytes | None:
+        """A header of eight bytes, then command and argument of the lengths in it."""
+        if len(received) < 8:
+            return None
+        _, _, command, argument = struct.unpack_from("<BBHI", received)
+        size = 8 + command + argument
+        if size > 4096:
+            received.clear()
+            return None
+        if len(received) < size:
+            return None
+        whole = bytes(received[:size])
+        del received[:size]
+        return whole
+
+    def _misheard(self, command: bytes) -> bytes:
+        # the lengths survive: with wrong ones the line would wait for bytes that never come
+        heard = bytearray(command)
+        heard[8 + self.random.randrange(len(heard) - 8)] ^= 1 << self.random.randrange(7)
+        return bytes(heard)
+
+    def answer(self, command: bytes, fault: Fault | None) -> bytes:
+        """A header of eight bytes, a message, the content."""
+        _, _, size, _ = struct.unpack_from("<BBHI", command)
+        name = command[8 : 8 + size]
+        if name == b"#GetPeaks":
+            return self._packed(0, b"", self._content(self._peaks_nm(fault)))
+        if name == b"#GetInstrumentName":
+            return self._packed(0, b"", b"si255 (sherkit emulator)")
+        if name == b"#GetSerialNumber":
+            return self._packed(0, b"", b"HIA000")
+        return self._packed(1, b"Unknown command", b"")
+
+    def _packed(self, status: int, message: bytes, content: bytes) -> bytes:
+        return struct.pack("<BBHI", status, 0, len(message), len(content)) + message + content
+
+    def _content(self, channels: list[list[float]]) -> bytes:
+        now = self.world.now_s()
+        size = 24 + 2 * len(channels)
+        nanos = int(now % 1 * 1e9)
+        header = struct.pack("<HBBIQII", size, 0, 1, 0, self.serial, int(now), nanos)
+        counts = struct.pack(f"<{len(channels)}h", *(len(c) for c in channels))
+        nm = [v for channel in channels for v in channel]
+        return header + counts + struct.pack(f"<{len(nm)}d", *nm)

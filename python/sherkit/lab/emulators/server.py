@@ -1,0 +1,320 @@
+"""An emulated instrument as a server: a pseudo-terminal, or a TCP or UDP port of this machine.
+
+One thread per emulator waits for bytes, hands whole commands to the instrument, and sends its answers as a real line
+does: late, in pieces, with other text in between, or not at all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import select
+import socket
+import tempfile
+import threading
+import time
+import tty
+from abc import ABC, abstractmethod
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar, Self
+
+from .faults import Fault, Faults
+from .world import World
+
+LOOPBACK = "127.0.0.1"
+_TICK_S = 0.005
+_LONGEST_COMMAND = 1 << 16
+
+
+@dataclass
+class Client:
+    """Who is connected: what has come from them, and what goes to them and when."""
+
+    channel: int | socket.socket
+    received: bytearray = field(default_factory=bytearray)
+    outbox: deque[tuple[float, bytes]] = field(default_factory=deque)
+
+    def fileno(self) -> int:
+        return self.channel if isinstance(self.channel, int) else self.channel.fileno()
+
+
+class Emulator(ABC):
+    """The base of all emulated instruments with a port. ``with`` starts and stops it; ``address`` is for the driver.
+
+    ``link`` is "pty", "tcp" or "udp". ``latency_s`` passes before an answer; ``pieces`` is the most parts that it is
+    cut into, ``gap_s`` apart. ``faults`` says what goes wrong. ``log`` holds what came, what was answered and the
+    fault. It listens on this machine alone unless ``host`` says otherwise. ``page`` is its page
+    on HTTP, if it has one.
+    """
+
+    links: tuple[str, ...] = ("tcp",)
+    page: str = ""
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        link: str = "",
+        host: str = LOOPBACK,
+        port: int = 0,
+        faults: Faults | None = None,
+        latency_s: float = 0.0,
+        pieces: int = 1,
+        gap_s: float = 0.001,
+        seed: int = 0,
+    ) -> None:
+        self.world = world
+        self.link = link or self.links[0]
+        if self.link not in self.links:
+            raise ValueError(f"{type(self).__name__} has no {self.link!r}; expected one of {', '.join(self.links)}")
+        self.faults = Faults() if faults is None else faults
+        self.latency_s = latency_s
+        self.pieces = pieces
+        self.gap_s = gap_s
+        self.random = random.Random(seed)
+        self.log: list[tuple[bytes, bytes, Fault | None]] = []
+        self._where = (host, port)
+        self._clients: list[Client] = []
+        self._listener: socket.socket | None = None
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._slave = -1
+        self._running = False
+        self._thread: threading.Thread | None = None
+        self._waker = socket.socketpair()
+        #: what went wrong in the emulator itself
+        self.failure: Exception | None = None
+
+    # --- what an instrument says
+
+    @abstractmethod
+    def take_command(self, received: bytearray) -> bytes | None:
+        """Cuts the next whole command off ``received``, None where it is not yet whole."""
+
+    @abstractmethod
+    def answer(self, command: bytes, fault: Fault | None) -> bytes:
+        """The answer to a command, "" for none; ``fault`` is the machine's (over_range, limit_switch), if any."""
+
+    def tick(self) -> None:  # noqa: B027 - most have nothing to do by themselves
+        """Called often, for what happens by itself."""
+
+    def interjection(self) -> bytes:
+        """Text that comes in the middle of an answer, "" for none."""
+        return b""
+
+    def send_all(self, data: bytes, delay_s: float = 0.0) -> None:
+        """Sends unsolicited bytes to whoever is connected. For the emulator's own thread."""
+        for client in self._clients:
+            self._post(client, data, delay_s)
+
+    # --- running
+
+    @property
+    def address(self) -> str:
+        """What the driver is to open."""
+        if self._folder is not None:
+            return str(Path(self._folder.name) / "port")
+        if self._listener is None:
+            raise RuntimeError("the emulator was not started")
+        host, port = self._listener.getsockname()[:2]
+        return f"{self.link}://{host}:{port}"
+
+    def start(self) -> Self:
+        """Opens the port and serves it in a thread."""
+        if self.link == "pty":
+            self._folder = tempfile.TemporaryDirectory(prefix="sherkit-port-")
+            self._new_terminal()
+        else:
+            kind = socket.SOCK_STREAM if self.link == "tcp" else socket.SOCK_DGRAM
+            self._listener = socket.socket(socket.AF_INET, kind)
+            self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._listener.bind(self._where)
+            if self.link == "tcp":
+                self._listener.listen()
+        self._running = True
+        self._thread = threading.Thread(target=self._serve, daemon=True, name=type(self).__name__)
+        self._thread.start()
+        return self
+
+    def stop(self) -> None:
+        """Closes the port. Raises what went wrong in the emulator itself."""
+        if self._thread is not None:
+            self._running = False
+            self._waker[1].send(b".")
+            self._thread.join(10.0)
+            self._thread = None
+            for client in list(self._clients):
+                self._leave(client)
+            if self._listener is not None:
+                self._listener.close()
+            if self._slave >= 0:
+                os.close(self._slave)
+                self._slave = -1
+            if self._folder is not None:
+                self._folder.cleanup()
+            for end in self._waker:
+                end.close()
+        if self.failure is not None:
+            raise self.failure
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _new_terminal(self) -> None:
+        """A new pseudo-terminal behind the same name, as an adapter that is plugged in again."""
+        assert self._folder is not None
+        old = self._slave
+        master, self._slave = os.openpty()
+        # raw from the beginning: a terminal would echo and translate what the first program says
+        tty.setraw(self._slave)
+        os.set_blocking(master, False)
+        name = Path(self._folder.name) / "port"
+        fresh = name.with_suffix(".new")
+        fresh.symlink_to(os.ttyname(self._slave))
+        fresh.replace(name)
+        if old >= 0:
+            os.close(old)
+        self._clients.append(Client(master))
+
+    def _leave(self, client: Client) -> None:
+        self._clients.remove(client)
+        with contextlib.suppress(OSError):
+            if isinstance(client.channel, int):
+                os.close(client.channel)
+            elif client.channel is not self._listener:
+                client.channel.close()
+
+    def _serve(self) -> None:
+        try:
+            while self._running:
+                self._serve_once()
+        # kept for stop(): a thread has nobody to raise to
+        except Exception as error:
+            self.failure = error
+
+    def _serve_once(self) -> None:
+        waiting: list[Client | socket.socket] = [self._waker[0]]
+        if self._listener is not None:
+            waiting.append(self._listener)
+        if self.link != "udp":
+            waiting += self._clients
+        now = time.monotonic()
+        due = [c.outbox[0][0] - now for c in self._clients if c.outbox]
+        ready, _, _ = select.select(waiting, [], [], min([max(d, 0.0) for d in due] + [_TICK_S]))
+        for source in ready:
+            if source is self._waker[0]:
+                self._waker[0].recv(16)
+            elif source is self._listener:
+                self._from_listener()
+            elif isinstance(source, Client) and source in self._clients:
+                self._from_client(source)
+        self.tick()
+        for client in list(self._clients):
+            self._send_due(client)
+
+    def _from_listener(self) -> None:
+        assert self._listener is not None
+        if self.link == "udp":
+            data, where = self._listener.recvfrom(1 << 16)
+            self._datagram(data, where)
+            return
+        channel, _ = self._listener.accept()
+        channel.setblocking(False)
+        channel.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._clients.append(Client(channel))
+
+    def _datagram(self, data: bytes, where: tuple[str, int]) -> None:  # noqa: B027 - for UDP alone
+        """A datagram has come (UDP)."""
+
+    def _from_client(self, client: Client) -> None:
+        try:
+            data = os.read(client.fileno(), 4096)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            if self.link == "pty":
+                # nobody has it open: the terminal stays for the next one
+                time.sleep(_TICK_S)
+            else:
+                self._leave(client)
+            return
+        client.received += data
+        if len(client.received) > _LONGEST_COMMAND:
+            client.received.clear()
+        while client in self._clients and (command := self.take_command(client.received)) is not None:
+            self._obey(client, command)
+
+    def _obey(self, client: Client, command: bytes) -> None:
+        fault = self.faults.take()
+        heard = self._misheard(command) if fault is not None and fault.kind == "misheard" else command
+        reply = self.answer(heard, fault)
+        self.log.append((heard, reply, fault))
+        kind = fault.kind if fault is not None else ""
+        if kind == "disconnect":
+            if self.link == "pty":
+                self._new_terminal()
+            self._leave(client)
+            return
+        if kind == "drop" or not reply:
+            return
+        if kind == "garble":
+            reply = self.faults.garbled(reply)
+        late_s = fault.seconds if fault is not None and kind == "stall" else 0.0
+        self._post(client, reply, self.latency_s + late_s, self.interjection())
+
+    def _misheard(self, command: bytes) -> bytes:
+        """The command as a bad line hands it on; the end of it arrives."""
+        return self.faults.garbled(command)
+
+    def _post(self, client: Client, data: bytes, delay_s: float, between: bytes = b"") -> None:
+        due = time.monotonic() + delay_s
+        if client.outbox:
+            # a line does not let answers overtake each other
+            due = max(due, client.outbox[-1][0])
+        cuts = sorted(self.random.randrange(len(data) + 1) for _ in range(self.random.randint(1, self.pieces) - 1))
+        parts = [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
+        if between:
+            parts.insert(self.random.randrange(len(parts) + 1), between)
+        for k, part in enumerate(parts):
+            if part:
+                client.outbox.append((due + k * self.gap_s, part))
+
+    def _send_due(self, client: Client) -> None:
+        while client in self._clients and client.outbox and client.outbox[0][0] <= time.monotonic():
+            due, data = client.outbox.popleft()
+            try:
+                sent = os.write(client.fileno(), data)
+            except BlockingIOError:
+                sent = 0
+            except OSError:
+                if self.link != "pty":
+                    self._leave(client)
+                return
+            if sent < len(data):
+                client.outbox.appendleft((due, data[sent:]))
+                return
+
+
+class LineEmulator(Emulator):
+    """An instrument whose commands end with ``ending``."""
+
+    ending: ClassVar[bytes]
+
+    def take_command(self, received: bytearray) -> bytes | None:
+        """Up to the end of the line."""
+        at = received.find(self.ending)
+        if at < 0:
+            return None
+        line = bytes(received[: at + 1])
+        del received[: at + 1]
+        return line
+
+    def _misheard(self, command: bytes) -> bytes:
+        return self.faults.garbled(command[:-1]).replace(self.ending, b"") + self.ending

@@ -1,0 +1,25 @@
+"""Experiments: a plan of steps, the bench that carries it out, and the run file that loses nothing."""
+
+from .bench import Bench, Point
+from .file import Experiment, load_experiment
+from .live import Goal, Live
+from .plan import Plan, PlanStep, plan_of_poses
+from .run_file import RunFile, export_run
+from .runner import Control, RunProgress, run
+
+__all__ = [
+    "Bench",
+    "Control",
+    "Experiment",
+    "Goal",
+    "Live",
+    "Plan",
+    "PlanStep",
+    "Point",
+    "RunFile",
+    "RunProgress",
+    "export_run",
+    "load_experiment",
+    "plan_of_poses",
+    "run",
+]

@@ -1,0 +1,247 @@
+"""The bench: motors and sensors of one experiment, which drive to a step and read it."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import numpy as np
+
+from ...errors import ExperimentError, Garbled, OutOfRange
+from ...model.kinds import Robot, kind_of
+from ..instruments import Galil
+from ..instruments.base import Instrument, Reading
+from .plan import PlanStep
+
+#: A reading that is to stand still is looked at again so soon, s.
+_STILL_POLL_S = 0.02
+_UNITS = {
+    ("um", "mm"): 1e-3,
+    ("µm", "mm"): 1e-3,
+    ("nm", "mm"): 1e-6,
+    ("N", "mN"): 1e3,
+    ("mN", "N"): 1e-3,
+    ("N", "mn"): 1e3,
+}
+
+
+@dataclass(frozen=True)
+class Point:
+    """What was read at a step: its pose and repeat, the host's time (s since 1970), and values by column name."""
+
+    pose: int
+    repeat: int
+    time_s: float
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Settling:
+    """How long a step waits before it is read: ``seconds``, then until ``count`` successive readings of every sensor
+    lie within ``within``, at most ``longest_s``. Without ``within`` the seconds are all."""
+
+    seconds: float = 2.0
+    within: float | None = None
+    count: int = 3
+    longest_s: float = 30.0
+
+
+@dataclass(frozen=True)
+class Checks:
+    """What a point must pass before it is stored.
+
+    Two successive readings of a sensor lie within ``agree_within`` (in its unit): protocols without a checksum cannot
+    tell a damaged digit. The encoders before and after the sensors lie within ``moved_within``. Where sensors show the
+    robot's coordinates and ``plausible`` is given, each lies so near to where the drawing puts it.
+    """
+
+    agree_within: float = 0.05
+    moved_within: float = 0.002
+    plausible: float | None = None
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """An instrument that is read at every step; ``columns`` are what its values are called in the run.
+
+    The end of a column's name is its unit; values are converted where the instrument has another one.
+    """
+
+    instrument: Instrument
+    columns: tuple[str, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def named(self, reading: Reading) -> dict[str, float]:
+        """The values of a reading by column. Raises :class:`~sherkit.errors.ExperimentError` where they do not fit."""
+        columns = self.columns or tuple(f"{n}_{u}" for n, u in zip(reading.names, reading.units, strict=True))
+        if len(columns) != len(reading.values):
+            raise ExperimentError(
+                f"{reading.instrument}: gave {len(reading.values)} values; [[instrument]] columns names {len(columns)}"
+            )
+        out = {}
+        for name, value, unit in zip(columns, reading.values, reading.units, strict=True):
+            wanted = name.rpartition("_")[2]
+            if wanted != unit and (unit, wanted) not in _UNITS:
+                raise ExperimentError(f"{reading.instrument}: gives {unit}; column '{name}' is in {wanted}")
+            out[name] = value * _UNITS.get((unit, wanted), 1.0)
+        return out
+
+
+class Bench:
+    """Motors and sensors. ``with`` connects them, and on any way out stops what moves and closes them.
+
+    ``motion_settings`` are noted in the run file beside those of the sensors.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        motion: Galil,
+        sensors: Sequence[Sensor],
+        *,
+        settling: Settling | None = None,
+        checks: Checks | None = None,
+        motion_settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.robot = robot
+        self.motion = motion
+        self.sensors = tuple(sensors)
+        self.settling = settling or Settling()
+        self.checks = checks or Checks()
+        self.motion_settings = dict(motion_settings or {})
+        names = [s.instrument.name for s in self.sensors] + [motion.name]
+        if len(set(names)) < len(names):
+            raise ExperimentError(f"two instruments have the same name: {', '.join(sorted(names))}")
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def connect(self) -> None:
+        """Opens all ports, stops what still moves, and switches the motors on, where they stand.
+
+        Raises :class:`~sherkit.errors.InstrumentError`; nothing is then left open.
+        """
+        with contextlib.ExitStack() as stack:
+            stack.callback(self.close)
+            self.motion.connect()
+            for sensor in self.sensors:
+                sensor.instrument.connect()
+            # what a program that was killed left moving; the controller went on by itself
+            if self.motion.is_moving():
+                self.motion.stop()
+            # switching on moves nothing
+            self.motion.enable()
+            stack.pop_all()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stops what this program moves, and gives all ports back."""
+        with contextlib.ExitStack() as stack:
+            for sensor in self.sensors:
+                stack.callback(sensor.instrument.close)
+            # last in, first out: the motors before anything else
+            stack.callback(self.motion.close)
+
+    def identities(self) -> dict[str, dict[str, Any]]:
+        """Kind, identity, port and settings of every instrument by name, for the run file."""
+        out = {}
+        for one, settings in [
+            (self.motion, self.motion_settings),
+            *((s.instrument, s.settings) for s in self.sensors),
+        ]:
+            found = one.identify()
+            out[one.name] = {
+                "kind": found.kind,
+                "identity": found.text,
+                "port": found.port,
+                "settings": dict(settings),
+            }
+        return out
+
+    def check(self, places: Sequence[Sequence[float]] | np.ndarray[Any, Any]) -> None:
+        """Raises :class:`~sherkit.errors.OutOfRange` where one of the places (n, k) is outside the soft limits."""
+        for place in places:
+            self.motion.check([float(q) for q in place])
+
+    def drive(self, joints: Sequence[float]) -> None:
+        """Moves the joints there and returns when they stand. Any error stops them first."""
+        self.motion.move([float(q) for q in joints])
+
+    def measure(self, step: PlanStep) -> Point:
+        """Drives to the step, waits until it is still, reads everything, and checks it.
+
+        Raises :class:`~sherkit.errors.InstrumentError`; the motors then stand.
+        """
+        for place in (*step.via, step.joints):
+            self.drive(place)
+        self._settle()
+        before = self._joints()
+        values: dict[str, float] = {}
+        for sensor in self.sensors:
+            values |= sensor.named(sensor.instrument.read_confirmed(self.checks.agree_within))
+        after = self._joints()
+        self._check_still(step, before, after)
+        values = {**dict(zip(kind_of(self.robot).layout.joints, after.values, strict=True)), **values}
+        self._check_plausible(values)
+        return Point(step.pose, step.repeat, after.time_s, values)
+
+    def _joints(self) -> Reading:
+        return self.motion.read_confirmed(self.checks.moved_within)
+
+    def _settle(self) -> None:
+        rule = self.settling
+        if rule.seconds > 0:
+            time.sleep(rule.seconds)
+        if rule.within is None:
+            return
+        end = time.monotonic() + rule.longest_s
+        for sensor in self.sensors:
+            last: list[tuple[float, ...]] = []
+            while True:
+                last = [*last, sensor.instrument.read().values][-rule.count :]
+                spread = np.ptp(np.array(last), axis=0).max()
+                if len(last) == rule.count and spread <= rule.within:
+                    break
+                if time.monotonic() > end:
+                    raise sensor.instrument.fail(
+                        Garbled,
+                        f"does not stand still: its last {len(last)} readings differ by {spread:g} after "
+                        f"{rule.longest_s:g} s; expected at most {rule.within:g}",
+                    )
+                time.sleep(_STILL_POLL_S)
+
+    def _check_still(self, step: PlanStep, before: Reading, after: Reading) -> None:
+        # the encoders' own resolution is no motion
+        count = 1.5 / min(abs(a.counts_per_unit) for a in self.motion.axes)
+        for name, old, new, target in zip(after.names, before.values, after.values, step.joints, strict=True):
+            if abs(new - old) > self.checks.moved_within + count:
+                raise self.motion.fail(
+                    Garbled,
+                    f"{name} moved by {new - old:+.5f} {self.motion.unit} while the sensors were read; expected at "
+                    f"most {self.checks.moved_within:g}",
+                )
+            if abs(new - target) > self.motion.arrived_within + count:
+                raise self.motion.fail(
+                    Garbled, f"{name} stands at {new:.5f} {self.motion.unit}; it was sent to {target:.5f}"
+                )
+
+    def _check_plausible(self, values: Mapping[str, float]) -> None:
+        limit, kind = self.checks.plausible, kind_of(self.robot)
+        names = kind.layout.coordinates
+        if limit is None or not kind.shows_coordinates or not all(name in values for name in names):
+            return
+        drawn, unit = self.robot.forward([values[name] for name in kind.layout.joints]), kind.place_unit
+        for name, place in zip(names, drawn, strict=True):
+            if abs(values[name] - place) > limit:
+                who = next(s.instrument for s in self.sensors if name in s.columns)
+                raise who.fail(
+                    OutOfRange,
+                    f"{name} is {values[name]:.3f} {unit}; by the drawing {place:.3f} {unit}, and at most {limit:g} "
+                    f"{unit} apart",
+                )

@@ -1,0 +1,216 @@
+"""Experiment files: TOML that names robot, run, poses and instruments. Nothing in it is a program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from ...data.toml import Table, read_toml
+from ...errors import ExperimentError
+from ...model.kinds import Robot, kind_of
+from ...model.robot_file import load_robot
+from ...names import listed
+from ...types import Floats
+from ..instruments import Galil
+from ..kinds import INSTRUMENTS, InstrumentSettings
+from ..ports import read_ports
+from .bench import Bench, Checks, Sensor, Settling
+from .live import GOALS, Goal
+from .plan import ORDERS, Plan, plan_of_poses
+from .poses import coordinates_of_plan, joints_of_plan
+
+#: How far joints may move while sensors are read, by their unit.
+_MOVED_WITHIN = {"mm": 0.002, "rad": 5e-5}
+#: By how much two readings of a sensor may differ, by the unit of the robot's place.
+_AGREE_WITHIN = {"mm": 0.05, "px": 0.5}
+#: Endings of keys for the units in which people read a place.
+_SPELT = {"µm": "um"}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A plan and what carries it out. ``run_path`` is where its run file stands unless another is named.
+
+    ``targets`` are the coordinates of its poses (n, k), as the robot's kinematics has them: mm or rad.
+    """
+
+    robot: Robot
+    plan: Plan
+    targets: Floats
+    instruments: tuple[InstrumentSettings, ...]
+    settling: Settling
+    checks: Checks
+    goal: Goal | None
+    warm_up_s: float
+    attempts: int
+    run_path: Path
+    source: str
+    text: str
+
+    @property
+    def _motors(self) -> InstrumentSettings:
+        return next(one for one in self.instruments if INSTRUMENTS[one.kind].moves)
+
+    @cached_property
+    def times_s(self) -> Floats:
+        """When each step is read (n,), s from the beginning, as far as speed and settling tell."""
+        motion = self._motors.settings
+        speed, acceleration = motion["speed"], motion["acceleration"]
+        at, now, out = np.array(self.plan.start), 0.0, []
+        for step in self.plan:
+            for place in (*step.via, step.joints):
+                way = float(np.abs(np.subtract(place, at)).max())
+                # a trapezoid of speed, or a triangle on a short way
+                ramp = speed * speed / acceleration
+                now += way / speed + speed / acceleration if way > ramp else 2.0 * float(np.sqrt(way / acceleration))
+                at = np.array(place)
+            now += self.settling.seconds
+            out.append(now)
+        return np.array(out)
+
+    @property
+    def seconds(self) -> float:
+        """How long the plan takes, about."""
+        return float(self.times_s[-1]) + self.warm_up_s
+
+    def about(self) -> dict[str, str]:
+        """What the run file holds of it, besides the plan."""
+        return {"robot": tomli_w.dumps(self.robot.to_tables()), "experiment": self.text, "source": self.source}
+
+    def bench(self) -> Bench:
+        """The instruments, not yet connected. Raises :class:`~sherkit.errors.ExperimentError`."""
+        sensors: list[Sensor] = []
+        for one in self.instruments:
+            if one is not self._motors:
+                driver = INSTRUMENTS[one.kind].driver(one, self.robot)
+                sensors.append(Sensor(driver, one.columns, dict(one.settings)))
+        motion = INSTRUMENTS[self._motors.kind].driver(self._motors, self.robot)
+        assert isinstance(motion, Galil), "the bench drives Galil controllers alone"
+        noted = dict(self._motors.settings)
+        return Bench(self.robot, motion, sensors, settling=self.settling, checks=self.checks, motion_settings=noted)
+
+
+def load_experiment(
+    path: str | Path, ports: str | Path | None = None, *, robot: str | Path | None = None, offline: bool = False
+) -> Experiment:
+    """Reads an experiment; ``ports`` (a file that ``sherkit lab`` wrote) gives addresses by the instruments' names.
+
+    ``robot`` is another robot file than the one it names. ``offline`` is for planning: addresses may be missing.
+    Raises :class:`~sherkit.errors.ExperimentError` naming file, table and key, and where the robot cannot be where the
+    plan sends it.
+    """
+    path = Path(path)
+    values = read_toml(path, "experiment", ExperimentError)
+    table = Table(values, str(path), error=ExperimentError)
+    named = table.words("robot")
+    robot_path = path.parent / named if robot is None else Path(robot)
+    made = load_robot(robot_path)
+    limits, unit = made.joint_limits, made.joint_unit
+    if limits is None:
+        raise ExperimentError(
+            f"{robot_path}: [joints] limits_{'mm' if unit == 'mm' else 'deg'} is missing; nothing is moved without the "
+            "lowest and the highest joint reading that a motor may go to"
+        )
+    run_path = path.parent / table.words("run", path.stem + ".sqlite")
+    given_ports = table.words("ports", "")
+    known: Mapping[str, Mapping[str, Any]] = {}
+    if not offline and (ports or given_ports):
+        known = read_ports(ports or path.parent / given_ports)
+    with table.table("plan") as p:
+        targets = coordinates_of_plan(p, path.parent, made)
+        plan = plan_of_poses(
+            joints_of_plan(p, path.parent, made, targets),
+            made.inverse(made.middle).tolist(),
+            repeats=p.whole("repeats", 1, least=1),
+            order=p.text("order", ORDERS, "planes"),
+            seed=p.whole("seed", 0),
+            approach=p.positive(f"approach_{unit}"),
+        )
+        warm_up_s = p.number("warm_up_s", 0.0)
+    settling, checks, goal = _rules(table, made)
+    with table.table("retry", optional=True) as r:
+        attempts = r.whole("attempts", 1, least=1)
+    instruments = tuple(_instrument(one, known, path, offline, made) for one in table.tables("instrument"))
+    table.finish()
+    _check_instruments(instruments, path, made)
+    low, high = limits
+    places = plan.places()
+    outside = (places < low) | (places > high)
+    if outside.any():
+        raise ExperimentError(
+            f"{path}: the plan sends a joint to {places[outside][0]:.3f} {unit}; by [joints] of {robot_path} it may go "
+            f"from {low:g} to {high:g} {unit}"
+        )
+    return Experiment(
+        made, plan, targets, instruments, settling, checks, goal, warm_up_s, attempts, run_path,
+        str(path), tomli_w.dumps(values),
+    )  # fmt: skip
+
+
+def _rules(table: Table, robot: Robot) -> tuple[Settling, Checks, Goal | None]:
+    kind, unit = kind_of(robot), robot.joint_unit
+    place = kind.place_unit
+    if place not in _AGREE_WITHIN:
+        raise ExperimentError(f"experiments read a place in {listed(_AGREE_WITHIN)}; {kind.name} robots have {place}")
+    with table.table("settle", optional=True) as s:
+        within = s.positive(f"within_{place}")
+        settling = Settling(
+            s.number("seconds", 2.0), within, s.whole("count", 3, least=2), s.number("longest_s", 30.0, positive=True)
+        )
+    with table.table("check", optional=True) as c:
+        checks = Checks(
+            c.number(f"agree_within_{place}", _AGREE_WITHIN[place], positive=True),
+            c.number(f"moved_within_{unit}", _MOVED_WITHIN[unit], positive=True),
+            c.positive(f"plausible_{place}") if kind.shows_coordinates else None,
+        )
+    goal = None
+    if table.has("goal"):
+        with table.table("goal") as g:
+            of = g.text("of", GOALS, GOALS[0])
+            read_in = _SPELT.get(kind.layout.unit, kind.layout.unit) if of == "position" else "um"
+            goal = Goal(g.number(f"std_{read_in}", positive=True), of, g.flag("stop", False))
+    return settling, checks, goal
+
+
+def _instrument(
+    table: Table, ports: Mapping[str, Mapping[str, Any]], path: Path, offline: bool, robot: Robot
+) -> InstrumentSettings:
+    kind = table.text("kind", tuple(INSTRUMENTS))
+    row = INSTRUMENTS[kind]
+    name = table.words("name", kind)
+    found = ports.get(name, {})
+    address = table.words("address", str(found.get("address", "")))
+    if not address and not offline:
+        raise ExperimentError(
+            f"{path}: instrument '{name}' has no address; give it one, or name the file of ports that 'sherkit lab' "
+            f"wrote{f' (it has {listed(ports)})' if ports else ''}"
+        )
+    settings = row.settings(table, robot, address)
+    columns = () if row.moves else table.texts("columns", row.columns(settings, robot))
+    page = table.words("page", str(found.get("page", ""))) if row.has_page else ""
+    settings["timeout_s"] = table.number("timeout_s", 2.0, positive=True)
+    settings["retries"] = table.whole("retries", 2, least=0)
+    if row.is_serial:
+        settings["baud"] = table.whole("baud", 115200, least=1)
+    return InstrumentSettings(name, kind, address, settings, columns, page)
+
+
+def _check_instruments(instruments: tuple[InstrumentSettings, ...], path: Path, robot: Robot) -> None:
+    motors = [i.name for i in instruments if INSTRUMENTS[i.kind].moves]
+    if len(motors) != 1:
+        moving = [f"'{name}'" for name, row in INSTRUMENTS.items() if row.moves]
+        raise ExperimentError(
+            f"{path}: has {len(motors)} [[instrument]] of kind {' or '.join(moving)}; expected one"
+        )  # fmt: skip
+    columns = [c for i in instruments for c in i.columns]
+    if len(set(columns)) < len(columns):
+        raise ExperimentError(f"{path}: two instruments have the same column; columns are {listed(columns, 20)}")
+    wanted = kind_of(robot).layout.coordinates
+    if not any(name in columns for name in wanted):
+        raise ExperimentError(f"{path}: no instrument reads any of {', '.join(wanted)}; there would be no reading")

@@ -1,0 +1,163 @@
+"""Plans: which poses are measured, in which order, and from which side they are approached."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...errors import ExperimentError
+from ...names import listed
+from ...types import Floats
+
+#: As listed, pass after pass; drawn anew for each pass; from the last to the first; to and fro, pass by pass.
+ORDERS = ("planes", "shuffled", "reversed", "alternating")
+
+
+@dataclass(frozen=True)
+class PlanStep:
+    """One reading: pose number and repeat (from 1), where the joints go, and the places they go through before.
+
+    ``joints`` and ``via`` are in the robot's units (mm or rad).
+    """
+
+    pose: int
+    repeat: int
+    joints: tuple[float, ...]
+    via: tuple[tuple[float, ...], ...] = ()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Steps in the order in which they are taken; a step is known by its place, from 0. ``start`` is where it begins.
+
+    Every run drives to ``start`` first, so that the first reading is approached as in any other run.
+    """
+
+    steps: tuple[PlanStep, ...]
+    start: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if not self.steps:
+            raise ExperimentError("the plan has no step")
+        width = len(self.start)
+        for number, step in enumerate(self.steps):
+            wrong = [p for p in (step.joints, *step.via) if len(p) != width or not np.isfinite(p).all()]
+            if wrong:
+                raise ExperimentError(f"step {number}: expected {width} finite joint readings, got {list(wrong[0])}")
+        seen: dict[tuple[int, int], int] = {}
+        for number, step in enumerate(self.steps):
+            before = seen.setdefault((step.pose, step.repeat), number)
+            if before != number:
+                raise ExperimentError(
+                    f"steps {before} and {number}: both are pose {step.pose}, repeat {step.repeat}; number repeats of "
+                    "a pose 1, 2, 3, …"
+                )
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    def __iter__(self) -> Iterator[PlanStep]:
+        return iter(self.steps)
+
+    def places(self) -> Floats:
+        """Every place that the joints are sent to (n, k), the start and those on the way among them."""
+        return np.array([self.start, *(p for s in self.steps for p in (*s.via, s.joints))])
+
+    @cached_property
+    def _way(self) -> tuple[list[tuple[float, ...]], list[int]]:
+        """Every place on the way, in order, and which of them comes before each step."""
+        way, first = [self.start], []
+        for step in self.steps:
+            first.append(len(way))
+            way += [*step.via, step.joints]
+        return way, first
+
+    def lead_in(self, number: int) -> tuple[tuple[float, ...], ...]:
+        """Places to drive through so that step ``number`` is then approached as planned, by every joint.
+
+        Goes back along the plan as far as it takes until each joint has moved: where it came from last is its history.
+        """
+        way, first = self._way
+        end = first[number]
+        begin = end - 1
+        moved = np.zeros(len(self.start), dtype=bool)
+        # from the step's own place backwards
+        for k in range(end, 0, -1):
+            moved |= np.not_equal(way[k], way[k - 1])
+            begin = k - 1
+            if moved.all():
+                break
+        return tuple(way[begin:end])
+
+    @cached_property
+    def directions(self) -> Floats:
+        """Sign of the last motion of each joint before each reading (n, k); +1 where it has not moved yet."""
+        way, first = self._way
+        change = np.sign(np.diff(np.array(way), axis=0))
+        for k in range(1, len(change)):
+            change[k] = np.where(change[k] != 0, change[k], change[k - 1])
+        # a reading is taken at the last place of its step
+        at = [after - 2 for after in (*first[1:], len(way))]
+        return np.where(change[at] != 0, change[at], 1.0)
+
+    def to_json(self) -> str:
+        """What :meth:`from_json` reads, without loss."""
+        steps = [[s.pose, s.repeat, list(s.joints), [list(v) for v in s.via]] for s in self.steps]
+        return json.dumps({"start": list(self.start), "steps": steps})
+
+    @classmethod
+    def from_json(cls, text: str) -> Plan:
+        """Raises :class:`~sherkit.errors.ExperimentError` where the text holds no plan."""
+        try:
+            values = json.loads(text)
+            steps = tuple(
+                PlanStep(int(pose), int(repeat), tuple(map(float, joints)), tuple(tuple(map(float, v)) for v in via))
+                for pose, repeat, joints, via in values["steps"]
+            )
+            return cls(steps, tuple(map(float, values["start"])))
+        except (ValueError, TypeError, KeyError) as error:
+            raise ExperimentError(f"this is no plan: {error}") from None
+
+
+def plan_of_poses(
+    joints: ArrayLike,
+    start: Sequence[float],
+    *,
+    repeats: int = 1,
+    order: str = "planes",
+    seed: int = 0,
+    approach: float | None = None,
+) -> Plan:
+    """A plan over the joint readings (n, k) of n poses, ``repeats`` times.
+
+    ``approach`` (in the robot's units) takes every reading twice, coming from that far below in all joints and from
+    that far above: what differs is backlash. Repeats are then counted in pairs. Raises
+    :class:`~sherkit.errors.ExperimentError`.
+    """
+    places = np.atleast_2d(np.asarray(joints, dtype=float))
+    if order not in ORDERS:
+        raise ExperimentError(f"order: '{order}' is not known; choose {listed(ORDERS)}")
+    if repeats < 1:
+        raise ExperimentError(f"repeats: expected at least 1, got {repeats}")
+    rng = np.random.default_rng(seed)
+    steps: list[PlanStep] = []
+    for one in range(repeats):
+        walk = np.arange(len(places))
+        if order == "shuffled":
+            walk = rng.permutation(walk)
+        elif order == "reversed" or (order == "alternating" and one % 2):
+            walk = walk[::-1]
+        for number in walk.tolist():
+            target = tuple(places[number].tolist())
+            if approach is None:
+                steps.append(PlanStep(number + 1, one + 1, target))
+                continue
+            for side, sign in enumerate((-1.0, 1.0)):
+                via = tuple(q + sign * approach for q in target)
+                steps.append(PlanStep(number + 1, 2 * one + side + 1, target, (via,)))
+    return Plan(tuple(steps), tuple(float(q) for q in start))

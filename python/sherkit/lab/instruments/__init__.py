@@ -1,0 +1,30 @@
+"""Instruments at their ports: motion controllers, lasers, fibre gratings, forces, cameras.
+
+Each has ``connect``, ``identify``, ``read`` (values with units and the host's time) and ``close``; what goes wrong is
+an :class:`~sherkit.errors.InstrumentError` that says which instrument, what was sent and what came back. Serial ports
+need pyserial (``pip install "sherkit[lab]"``).
+"""
+
+from .ati import NetFT, Scale, fetch_scale
+from .base import Identity, Instrument, Reading
+from .camera import Frame, Snapshots, VideoCamera
+from .galil import Axis, Galil
+from .keyence import Keyence
+from .micron_optics import Hyperion, Sm130
+
+__all__ = [
+    "Axis",
+    "Frame",
+    "Galil",
+    "Hyperion",
+    "Identity",
+    "Instrument",
+    "Keyence",
+    "NetFT",
+    "Reading",
+    "Scale",
+    "Sm130",
+    "Snapshots",
+    "VideoCamera",
+    "fetch_scale",
+]

@@ -1,0 +1,463 @@
+"""Galil DMC-41x3 and DMC-40x0 motion controllers, on a serial port or TCP: axes that move within limits.
+
+Baud, hand-shake and TCP port differ between sources, so they are settings.
+"""
+
+from __future__ import annotations
+
+import atexit
+import math
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from ...errors import Disconnected, Garbled, Halted, InstrumentError, OutOfRange, Refused, Timeout
+from ...names import listed
+from .base import Identity, Reading
+from .galil_line import LARGEST_COUNT, LETTERS, GalilLine
+from .transport import deadline_in
+
+#: Meanings of ``SC``.
+STOP_CODES = {
+    0: "still running",
+    1: "stopped at its target",
+    2: "stopped by the forward limit switch or soft limit",
+    3: "stopped by the reverse limit switch or soft limit",
+    4: "stopped by the command ST",
+    6: "aborted by an input",
+    7: "aborted by the command AB",
+    8: "switched off by a position error",
+    9: "stopped after finding an edge",
+    10: "stopped after homing",
+    15: "stopped by an error of the amplifier",
+    99: "timed out",
+}
+_DONE = 1
+#: The stop code of a motion that was told to stop.
+BY_COMMAND = 4
+#: The profile is over, its stop code not yet written: asked again so often.
+_SETTLE_POLL_S = 0.02
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One motor: its ``letter`` A to H, encoder ``counts_per_unit`` (negative: counts the other way), soft limits.
+
+    A joint stands at ``(counts - zero_counts) / counts_per_unit``, in ``unit``: mm, or rad for one that turns. No
+    target outside ``limits`` (low, high), in the same unit, is ever sent. ``name`` is that of the joint, the letter if
+    left out.
+    """
+
+    letter: str
+    counts_per_unit: float
+    limits: tuple[float, float]
+    zero_counts: int = 0
+    name: str = ""
+    unit: str = "mm"
+
+    def __post_init__(self) -> None:
+        if self.letter not in LETTERS or len(self.letter) != 1:
+            raise InstrumentError(f"axis '{self.letter}': expected one letter of {LETTERS}")
+        if not (math.isfinite(self.counts_per_unit) and self.counts_per_unit != 0):
+            raise InstrumentError(
+                f"axis {self.letter}: counts_per_unit is {self.counts_per_unit}; expected a number not 0"
+            )
+        low, high = self.limits
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise InstrumentError(f"axis {self.letter}: limits are {low}, {high}; expected low, then high")
+
+    @property
+    def label(self) -> str:
+        """What its values are called."""
+        return self.name or self.letter
+
+    def to_counts(self, position: float) -> int:
+        """Encoder counts at ``position``."""
+        return round(position * self.counts_per_unit) + self.zero_counts
+
+    def to_position(self, counts: float) -> float:
+        """Joint position, in its unit, at ``counts``."""
+        return (counts - self.zero_counts) / self.counts_per_unit
+
+
+class Galil(GalilLine):
+    """A motion controller with its axes. Connecting moves nothing and switches no motor on.
+
+    Targets are bounded by each axis' soft limits here and, with ``controller_limits``, by ``FL`` and ``BL`` in the
+    controller, which hold when this program dies. A motion is stopped (``ST`` with axes, so that the controller's own
+    program goes on) on any error, on Ctrl-C, on ``close`` and at exit; SIGKILL leaves it to the controller's limits.
+
+    ``speed``, per s, and ``acceleration``, per s² (also the deceleration), hold for all axes. A move has arrived when
+    the profile is over, its stop code is 1 and the encoder is within ``arrived_within``, for which it has
+    ``settle_s``. ``poll_s`` is the pause between two looks at a motion, each of which must be answered in
+    ``poll_timeout_s``.
+    """
+
+    kind = "Galil"
+
+    def __init__(
+        self,
+        address: str,
+        axes: Sequence[Axis],
+        *,
+        name: str = "",
+        speed: float = 5.0,
+        acceleration: float = 50.0,
+        arrived_within: float = 0.01,
+        settle_s: float = 2.0,
+        poll_s: float = 0.05,
+        poll_timeout_s: float = 0.5,
+        stop_timeout_s: float = 5.0,
+        controller_limits: bool = True,
+        timeout_s: float = 2.0,
+        retries: int = 2,
+        baud: int = 115200,
+    ) -> None:
+        super().__init__(address, name=name, timeout_s=timeout_s, retries=retries, baud=baud)
+        letters = [a.letter for a in axes]
+        if not axes or len(set(letters)) != len(letters):
+            raise InstrumentError(f"{self.name}: its axes are {listed(letters) or 'none'}; expected each letter once")
+        if len({a.unit for a in axes}) != 1:
+            raise InstrumentError(f"{self.name}: its axes have different units; give those a controller of their own")
+        for what, value in (("speed", speed), ("acceleration", acceleration)):
+            if not (math.isfinite(value) and value > 0):
+                raise InstrumentError(f"{self.name}: {what} is {value}; expected a number above zero")
+        self.axes = tuple(sorted(axes, key=lambda a: a.letter))
+        self.unit = axes[0].unit
+        self.speed = speed
+        self.acceleration = acceleration
+        self.arrived_within = arrived_within
+        self.settle_s = settle_s
+        self.poll_s = poll_s
+        self.poll_timeout_s = poll_timeout_s
+        self.stop_timeout_s = stop_timeout_s
+        self.controller_limits = controller_limits
+        self._prepared = False
+        self._moving: set[str] = set()
+        #: how often each axis was told to stop: a motion that sees it change was stopped by another thread
+        self._stops = dict.fromkeys(letters, 0)
+
+    # --- what every instrument does
+
+    def identify(self) -> Identity:
+        """Model and firmware, as the controller's answer to Ctrl-R Ctrl-V; "unknown" where it has none."""
+        try:
+            text = self._repeat(lambda: self.command("\x12\x16"))
+        except Refused:
+            text = ""
+        return Identity(self.kind, text.strip() or "unknown", self.address)
+
+    def read(self) -> Reading:
+        """Encoder positions of all axes, in their unit, in the order of their letters. Also while moving."""
+        return self._reading("_TP")
+
+    def read_commanded(self) -> Reading:
+        """Where the profiles of all axes are, in their unit (``RP``)."""
+        return self._reading("_RP")
+
+    def close(self) -> None:
+        """Stops what this program moves, and gives the port back. Raises as :meth:`stop`."""
+        with self._lock:
+            try:
+                if self._moving and self._transport is not None:
+                    self.stop()
+            finally:
+                super().close()
+
+    def _greet(self) -> None:
+        # what was set before may be lost
+        self._prepared = False
+        super()._greet()
+
+    # --- moving
+
+    def enable(self) -> None:
+        """Switches the motors on (``SH``), where they stand. Raises :class:`~sherkit.errors.InstrumentError`."""
+        self._repeat(lambda: self._acknowledged(f"SH{self._letters()}"))
+
+    def disable(self) -> None:
+        """Switches the motors off (``MO``). An axis that carries weight may fall."""
+        self._repeat(lambda: self._acknowledged(f"MO{self._letters()}"))
+
+    def check(self, target: Mapping[str, float] | Sequence[float]) -> dict[str, float]:
+        """The target by letters, in their unit. Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
+        if isinstance(target, Mapping):
+            named = {a.label: a.letter for a in self.axes} | {a.letter: a.letter for a in self.axes}
+            unknown = [k for k in target if k not in named]
+            if unknown:
+                raise self.fail(InstrumentError, f"has no axis {listed(unknown)}")
+            targets = {named[k]: float(v) for k, v in target.items()}
+        else:
+            if len(target) != len(self.axes):
+                raise self.fail(
+                    InstrumentError,
+                    f"a target of {len(target)} numbers; expected {len(self.axes)}, one for each axis",
+                )
+            targets = {a.letter: float(v) for a, v in zip(self.axes, target, strict=True)}
+        for axis in self.axes:
+            value = targets.get(axis.letter, axis.limits[0])
+            low, high = axis.limits
+            if not low <= value <= high:
+                raise self.fail(
+                    OutOfRange,
+                    f"axis {axis.label} was to go to {value:g} {self.unit}; its soft limits are {low:g} to {high:g}",
+                )
+            if abs(axis.to_counts(value)) > LARGEST_COUNT:
+                raise self.fail(
+                    OutOfRange,
+                    f"axis {axis.label}: {value:g} {self.unit} are more counts than the controller has; check "
+                    "counts_per_unit",
+                )
+        return targets
+
+    def move(self, target: Mapping[str, float] | Sequence[float]) -> Reading:
+        """Moves the named axes (all, by a sequence) to ``target`` and returns where the encoders then are.
+
+        Raises :class:`~sherkit.errors.OutOfRange` before anything moves; :class:`~sherkit.errors.Halted` where the
+        motion ended elsewhere (limit switch, ``stop`` by another thread); other
+        :class:`~sherkit.errors.InstrumentError` where the line failed. After any of them the axes stand still, or the
+        sentence says that they may not.
+        """
+        targets = self.check(target)
+        if not targets:
+            return self.read()
+        with self._stopping(targets):
+            stops = self._start(targets)
+            self._wait(targets, stops)
+            return self._settled(targets)
+
+    def is_moving(self) -> bool:
+        """Whether a profile of any axis is still running."""
+        return any(self._repeat(lambda: self._running([a.letter for a in self.axes], self.timeout_s)))
+
+    def stop(self, letters: Iterable[str] | None = None) -> None:
+        """Stops the axes (all if left out) with their deceleration, and returns when they stand.
+
+        May be called from any thread. The command is sent again until the controller says that it stands; a lost
+        connection is opened again for it. Raises :class:`~sherkit.errors.InstrumentError` where this failed for
+        ``stop_timeout_s``: then the axes may still move.
+        """
+        which = sorted(set(letters)) if letters is not None else [a.letter for a in self.axes]
+        if unknown := [x for x in which if x not in self._stops]:
+            raise self.fail(InstrumentError, f"has no axis {listed(unknown)}")
+        self._brake(which, always=True)
+
+    def _brake(self, which: Sequence[str], always: bool) -> None:
+        """Stops the axes; without ``always``, nothing where another thread has done so and closed the port."""
+        sent = f"ST{''.join(which)}\r".encode()
+        was_closed = self._transport is None
+        for letter in which:
+            self._stops[letter] += 1
+        end = deadline_in(self.stop_timeout_s)
+        last: InstrumentError | None = None
+        while True:
+            try:
+                with self._lock:
+                    if self._transport is None:
+                        if not always and not self._moving & set(which):
+                            return
+                        self._reopen()
+                    with self._exchanging(sent) as port:
+                        # at once: what else is on the line is sorted out afterwards
+                        self._in_step = False
+                        port.write(sent, deadline_in(self.poll_timeout_s))
+                    running = self._running(which, self.poll_timeout_s)
+                # looked at twice, since a wrong digit must not leave an axis moving
+                if not any(running) and not any(self._running(which, self.poll_timeout_s)):
+                    self._moving -= set(which)
+                    if was_closed:
+                        self._shut()
+                    return
+            except Disconnected as error:
+                last = error
+                self._shut()
+            except (Timeout, Garbled, Refused) as error:
+                last = error
+            if time.monotonic() > end:
+                why = f"; last: {last}" if last else ""
+                raise self.fail(
+                    Timeout,
+                    f"may still move, not stopped in {self.stop_timeout_s:g} s: use the emergency stop{why}",
+                    sent=sent,
+                )
+            time.sleep(min(self.poll_s, 0.05))
+
+    def _reading(self, operand: str) -> Reading:
+        def ask() -> Reading:
+            counts = self._operands([operand + a.letter for a in self.axes], self.timeout_s)
+            port = self._transport
+            return Reading(
+                self.name,
+                tuple(a.label for a in self.axes),
+                tuple(a.to_position(c) for a, c in zip(self.axes, counts, strict=True)),
+                (self.unit,) * len(self.axes),
+                port.arrived_s if port is not None else time.time(),
+                {f"counts_{a.letter}": float(c) for a, c in zip(self.axes, counts, strict=True)},
+            )
+
+        return self._repeat(ask)
+
+    def _running(self, letters: Sequence[str], timeout_s: float) -> list[bool]:
+        flags = self._operands([f"_BG{x}" for x in letters], timeout_s)
+        if not all(f in (0, 1) for f in flags):
+            asked = f"MG {','.join(f'_BG{x}' for x in letters)}"
+            raise self._garbled(
+                f"_BG of {listed(letters)} is {flags}; expected 0 or 1", asked, " ".join(map(str, flags))
+            )
+        return [f == 1 for f in flags]
+
+    def _letters(self) -> str:
+        return "".join(a.letter for a in self.axes)
+
+    def _axis(self, letter: str) -> Axis:
+        return next(a for a in self.axes if a.letter == letter)
+
+    # --- the parts of a move
+
+    def _stopping(self, targets: Mapping[str, float]) -> _StopOnError:
+        return _StopOnError(self, frozenset(targets))
+
+    def _prepare(self) -> None:
+        if self._prepared:
+            return
+        speeds: dict[str, int] = {}
+        accelerations: dict[str, int] = {}
+        forward: dict[str, int] = {}
+        reverse: dict[str, int] = {}
+        for a in self.axes:
+            # even numbers and multiples of 1024 are what the controller has; never faster than asked for
+            speeds[a.letter] = max(int(self.speed * abs(a.counts_per_unit)) // 2 * 2, 2)
+            accelerations[a.letter] = max(int(self.acceleration * abs(a.counts_per_unit)) // 1024 * 1024, 1024)
+            ends = sorted(a.to_counts(v) for v in a.limits)
+            reverse[a.letter], forward[a.letter] = max(ends[0], -LARGEST_COUNT), min(ends[1], LARGEST_COUNT)
+        self._set("SP", speeds)
+        self._set("AC", accelerations)
+        self._set("DC", accelerations)
+        if self.controller_limits:
+            self._set("FL", forward)
+            self._set("BL", reverse)
+        self._prepared = True
+
+    def _start(self, targets: Mapping[str, float]) -> dict[str, int]:
+        """Sends and verifies the targets, then begins. Returns how often each axis had been stopped before."""
+        with self._lock:
+            if self._transport is None:
+                raise self.fail(Disconnected, "is not connected; call connect() first")
+            self._prepare()
+            stops = dict(self._stops)
+            # asked back before anything moves: a wrong digit must not become a motion
+            self._set("PA", {x: self._axis(x).to_counts(v) for x, v in targets.items()})
+            self._moving |= set(targets)
+            # not repeated: a second BG during motion would be refused
+            self._acknowledged(f"BG{''.join(sorted(targets))}", self.poll_timeout_s)
+            return stops
+
+    def _wait(self, targets: Mapping[str, float], stops: Mapping[str, int]) -> None:
+        """Polls until the profiles are over. Any error ends it: the caller stops the axes."""
+        letters = sorted(targets)
+        checked: set[str] = set()
+        start = time.monotonic()
+        longest_s = 5.0 + 2.0 * max(
+            (a.limits[1] - a.limits[0]) / self.speed + self.speed / self.acceleration for a in self.axes
+        )
+        while True:
+            if any(self._stops[x] != stops[x] for x in letters):
+                why = f"the motion of {listed(letters)} was stopped from another part of the program"
+                raise self.fail(Halted, why, BY_COMMAND, STOP_CODES[BY_COMMAND])
+            running = self._running(letters, self.poll_timeout_s)
+            ended = [x for x, r in zip(letters, running, strict=True) if not r and x not in checked]
+            if ended:
+                # looked at now, not when the last axis stands: the others must not go on without it
+                self._check_ended(ended, targets)
+                checked |= set(ended)
+            if not any(running):
+                break
+            if time.monotonic() - start > longest_s:
+                raise self.fail(
+                    Timeout,
+                    f"{listed(letters)} moved for {longest_s:.0f} s; expected less at {self.speed:g} {self.unit}/s",
+                )
+            time.sleep(self.poll_s)
+
+    def _check_ended(self, letters: Sequence[str], targets: Mapping[str, float]) -> None:
+        """Raises :class:`~sherkit.errors.Halted` where a profile that is over did not end at its target."""
+        names = [f"_SC{x}" for x in letters] + [f"_RP{x}" for x in letters]
+        values: tuple[int, ...] = ()
+        for _ in range(5):
+            values = self._operands(names, self.poll_timeout_s)
+            if 0 not in values[: len(letters)]:
+                break
+            time.sleep(_SETTLE_POLL_S)
+        codes = dict(zip(letters, values, strict=False))
+        places = dict(zip(letters, values[len(letters) :], strict=True))
+        bad = {x: f"{STOP_CODES.get(c, 'stopped')} (SC {c})" for x, c in codes.items() if c != _DONE}
+        for x in letters:
+            # an axis that never began has an old code, and an old place
+            if x not in bad and places[x] != self._axis(x).to_counts(targets[x]):
+                bad[x] = f"stands at {self._axis(x).to_position(places[x]):g} {self.unit}, as if it had not begun"
+        if bad:
+            where = listed(f"{self._axis(x).label} {why}" for x, why in bad.items())
+            code = codes[next(iter(bad))]
+            raise self.fail(
+                Halted,
+                f"the motion did not reach its target: {where}",
+                code,
+                STOP_CODES.get(code, ""),
+                sent=f"MG {','.join(names)}\r".encode(),
+                received=" ".join(map(str, values)).encode(),
+            )
+
+    def _settled(self, targets: Mapping[str, float]) -> Reading:
+        end = deadline_in(self.settle_s)
+        while True:
+            reading = self.read()
+            miss = {x: reading[self._axis(x).label] - v for x, v in targets.items()}
+            # targets are whole counts: half a count of rounding is no miss
+            if all(abs(m) <= self.arrived_within + 0.5 / abs(self._axis(x).counts_per_unit) for x, m in miss.items()):
+                self._moving -= set(targets)
+                # the axes stand: a second reading costs little, and tells a wrong digit from a position
+                return self.read_confirmed(
+                    max(self.arrived_within, 2.0 / min(abs(a.counts_per_unit) for a in self.axes))
+                )
+            if time.monotonic() > end:
+                worst = max(miss, key=lambda x: abs(miss[x]))
+                axis = self._axis(worst)
+                raise self.fail(
+                    Halted,
+                    f"axis {axis.label} stands {miss[worst]:+.4f} {self.unit} from its target {targets[worst]:g} after "
+                    f"{self.settle_s:g} s; expected within {self.arrived_within:g}",
+                    sent=f"MG {','.join(f'_TP{a.letter}' for a in self.axes)}\r".encode(),
+                    received=" ".join(f"{reading.details[f'counts_{a.letter}']:.0f}" for a in self.axes).encode(),
+                )
+            time.sleep(_SETTLE_POLL_S)
+
+
+class _StopOnError:
+    """Stops the axes on any way out but the good one, Ctrl-C and ``SystemExit`` among them, and at exit."""
+
+    def __init__(self, galil: Galil, letters: frozenset[str]) -> None:
+        self.galil = galil
+        self.letters = letters
+
+    def __enter__(self) -> None:
+        atexit.register(self._at_exit)
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        atexit.unregister(self._at_exit)
+        if error is None or not self.letters & self.galil._moving:
+            return
+        try:
+            self.galil._brake(sorted(self.letters), always=False)
+        except InstrumentError as failed:
+            if isinstance(error, InstrumentError):
+                error.message += f" - and then {failed.message}"
+            else:
+                error.add_note(str(failed))
+        if isinstance(error, Disconnected):
+            # the controller may have lost its zero: connect() takes it up again, nothing else
+            self.galil._shut()
+
+    def _at_exit(self) -> None:
+        # a motion in a thread that nobody waited for
+        if self.galil.connected:
+            self.galil.stop(self.letters)

@@ -1,0 +1,210 @@
+"""Micron Optics' interrogators of fibre gratings: sm130 and x30 (TCP 1852), and Hyperion, their successor (51971).
+
+Layouts from the makers' guides. What is uncertain, the token of streaming data, is not used: peaks are asked for.
+"""
+
+from __future__ import annotations
+
+import struct
+from abc import abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import Garbled, InstrumentError, OutOfRange, Refused
+from .base import Identity, Instrument, Reading
+from .transport import deadline_in
+
+_LENGTH_DIGITS = 10
+_HEADER_BYTES = 88
+_CHANNEL_AT = (16, 18, 20, 22)
+#: More peaks than any of them finds; a longer answer is garbled.
+_MOST_BYTES = 1 << 20
+_HYPERION = struct.Struct("<BBHI")
+_HYPERION_PEAKS = struct.Struct("<HBBIQII")
+#: Gratings reflect in the near infrared; wavelengths far from it are no wavelengths, nm.
+_SHORTEST_NM = 100.0
+_LONGEST_NM = 10_000.0
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """Wavelengths by channel, nm; the instrument's serial number of the sample, and its own clock, s."""
+
+    channels_nm: tuple[tuple[float, ...], ...]
+    serial: int
+    device_time_s: float
+
+
+def parse_length(raw: bytes) -> int:
+    """Bytes of the payload that follow ten ASCII characters. Raises :class:`~sherkit.errors.Garbled`."""
+    text = raw.strip(b" \0")
+    if len(raw) != _LENGTH_DIGITS or not text.isdigit() or int(text) > _MOST_BYTES:
+        raise Garbled(f"expected ten characters with a length of at most {_MOST_BYTES}", received=raw)
+    return int(text)
+
+
+def parse_peaks(payload: bytes) -> Peaks:
+    """The answer to ``#GET_DATA``: 88 bytes of header, then the peaks. Raises :class:`~sherkit.errors.Garbled`."""
+    if len(payload) < _HEADER_BYTES:
+        raise Garbled(f"{len(payload)} bytes; expected a header of {_HEADER_BYTES}", received=payload)
+    counts = [int(struct.unpack_from("<H", payload, at)[0]) for at in _CHANNEL_AT]
+    serial, micros, seconds = struct.unpack_from("<III", payload, 28)
+    (header,) = struct.unpack_from("<H", payload, 50)
+    (granularity,) = struct.unpack_from("<I", payload, 72)
+    start, end = struct.unpack_from("<II", payload, 80)
+    if header != _HEADER_BYTES or granularity == 0 or micros >= 1_000_000:
+        raise Garbled(
+            f"a header of {header} bytes, granularity {granularity}, {micros} µs; expected {_HEADER_BYTES}, above 0, "
+            "below 1000000",
+            received=payload,
+        )
+    if len(payload) != _HEADER_BYTES + 4 * sum(counts):
+        raise Garbled(
+            f"{len(payload) - _HEADER_BYTES} bytes of peaks; expected {4 * sum(counts)} for {sum(counts)} peaks",
+            received=payload,
+        )
+    raw = struct.unpack_from(f"<{sum(counts)}I", payload, _HEADER_BYTES)
+    low, high = (start, end) if start < end else (_SHORTEST_NM * granularity, _LONGEST_NM * granularity)
+    if not all(low <= r <= high for r in raw):
+        found = [r / granularity for r in raw]
+        raise Garbled(
+            f"wavelengths {found} nm; expected {low / granularity:g} to {high / granularity:g}", received=payload
+        )
+    channels: list[tuple[float, ...]] = []
+    at = 0
+    for count in counts:
+        channels.append(tuple(r / granularity for r in raw[at : at + count]))
+        at += count
+    return Peaks(tuple(channels), serial, seconds + micros * 1e-6)
+
+
+def parse_hyperion_header(raw: bytes) -> tuple[int, int, int]:
+    """Status, and the lengths of message and content that follow. Raises :class:`~sherkit.errors.Garbled`."""
+    if len(raw) != _HYPERION.size:
+        raise Garbled(f"{len(raw)} bytes; expected a header of {_HYPERION.size}", received=raw)
+    status, _, message, content = _HYPERION.unpack(raw)
+    if content > _MOST_BYTES:
+        raise Garbled(f"{content} bytes of content were announced; expected at most {_MOST_BYTES}", received=raw)
+    return int(status), int(message), int(content)
+
+
+def parse_hyperion_peaks(content: bytes) -> Peaks:
+    """The answer to ``#GetPeaks``: header with the channels' counts, then float64 nm.
+
+    Raises :class:`~sherkit.errors.Garbled`.
+    """
+    size = _HYPERION_PEAKS.size
+    if len(content) < size:
+        raise Garbled(f"{len(content)} bytes; expected a header of {size}", received=content)
+    header, _, _, _, serial, seconds, nanos = _HYPERION_PEAKS.unpack_from(content)
+    if not size <= header <= len(content) or (header - size) % 2 or nanos >= 1_000_000_000:
+        raise Garbled(f"a header of {header} bytes and {nanos} ns make no sense", received=content)
+    counts = struct.unpack_from(f"<{(header - size) // 2}h", content, size)
+    if min(counts, default=0) < 0 or len(content) != header + 8 * sum(counts):
+        raise Garbled(
+            f"{len(content) - header} bytes of peaks; expected 8 for each of {sum(counts)} peaks", received=content
+        )
+    nm = np.frombuffer(content, "<f8", offset=header)
+    # NaN fails this comparison, too
+    if not ((nm >= _SHORTEST_NM) & (nm <= _LONGEST_NM)).all():
+        raise Garbled(f"wavelengths {nm.tolist()} nm; expected {_SHORTEST_NM:g} to {_LONGEST_NM:g}", received=content)
+    ends = np.cumsum(counts, dtype=int)
+    channels = tuple(tuple(part.tolist()) for part in np.split(nm, ends)[: len(counts)])
+    return Peaks(channels, int(serial), seconds + nanos * 1e-9)
+
+
+class _Interrogator(Instrument):
+    """What both have in common: gratings counted by channel, read as nm."""
+
+    def __init__(
+        self, address: str, gratings: tuple[int, ...], *, name: str = "", timeout_s: float = 2.0, retries: int = 2
+    ) -> None:
+        super().__init__(address, name=name, timeout_s=timeout_s, retries=retries)
+        if not gratings or not all(n >= 0 for n in gratings) or not sum(gratings):
+            raise InstrumentError(f"{self.name}: gratings are {gratings}; expected their number on each channel")
+        self.gratings = tuple(gratings)
+        self.names = tuple(f"ch{c}_fbg{k}" for c, n in enumerate(gratings, 1) for k in range(1, n + 1))
+
+    def read(self) -> Reading:
+        """Wavelengths of all gratings, nm, by channel and rising.
+
+        Raises :class:`~sherkit.errors.OutOfRange` where a channel shows another number of peaks than it has gratings:
+        which of them is missing cannot be told.
+        """
+        peaks, time_s = self._repeat(self._peaks)
+        for c, expected in enumerate(self.gratings, 1):
+            found = len(peaks.channels_nm[c - 1]) if c <= len(peaks.channels_nm) else 0
+            if found != expected:
+                raise self.fail(
+                    OutOfRange,
+                    f"channel {c} shows {found} peaks; expected {expected}; check fibre, connectors and threshold",
+                )
+        values = tuple(v for channel in peaks.channels_nm[: len(self.gratings)] for v in channel)
+        details = {"serial": float(peaks.serial), "device_time_s": peaks.device_time_s}
+        return Reading(self.name, self.names, values, ("nm",) * len(values), time_s, details)
+
+    @abstractmethod
+    def _peaks(self) -> tuple[Peaks, float]:
+        """Peaks of all channels, and the host's time when they arrived, s."""
+
+
+class Sm130(_Interrogator):
+    """An sm130 or another x30; ``gratings`` is their number on each of up to four channels."""
+
+    kind = "Micron Optics x30"
+    default_port = 1852
+
+    def identify(self) -> Identity:
+        """What it answers to ``#IDN?``."""
+        raw, _ = self._repeat(lambda: self._ask(b"#IDN?\n"))
+        return Identity(self.kind, raw.decode("ascii", "replace").strip(), self.address)
+
+    def _peaks(self) -> tuple[Peaks, float]:
+        sent = b"#GET_DATA\n"
+        with self._exchanging(sent):
+            payload, time_s = self._ask(sent)
+            return parse_peaks(payload), time_s
+
+    def _ask(self, sent: bytes) -> tuple[bytes, float]:
+        with self._exchanging(sent) as port:
+            # nothing may be waiting here: every lost or garbled answer ended with a new connection
+            port.drain()
+            deadline = deadline_in(self.timeout_s)
+            port.write(sent, deadline)
+            length = parse_length(port.read_exactly(_LENGTH_DIGITS, deadline))
+            return port.read_exactly(length, deadline), port.arrived_s
+
+
+class Hyperion(_Interrogator):
+    """A Hyperion (si155, si255); ``gratings`` is their number on each channel."""
+
+    kind = "Micron Optics Hyperion"
+    default_port = 51971
+
+    def identify(self) -> Identity:
+        """Its name and serial number."""
+        parts = [self._repeat(lambda c=c: self._ask(c))[0] for c in ("#GetInstrumentName", "#GetSerialNumber")]  # type: ignore[misc]
+        return Identity(self.kind, " ".join(p.decode("ascii", "replace").strip() for p in parts), self.address)
+
+    def _peaks(self) -> tuple[Peaks, float]:
+        command = "#GetPeaks"
+        with self._exchanging(command.encode()):
+            content, time_s = self._ask(command)
+            return parse_hyperion_peaks(content), time_s
+
+    def _ask(self, command: str) -> tuple[bytes, float]:
+        text = command.encode()
+        sent = _HYPERION.pack(0, 0, len(text), 0) + text
+        with self._exchanging(sent) as port:
+            port.drain()
+            deadline = deadline_in(self.timeout_s)
+            port.write(sent, deadline)
+            raw = port.read_exactly(_HYPERION.size, deadline)
+            status, message_bytes, content_bytes = parse_hyperion_header(raw)
+            message = port.read_exactly(message_bytes, deadline)
+            content = port.read_exactly(content_bytes, deadline)
+            if status:
+                why = message.decode("ascii", "replace")
+                raise Refused(f"refused {command}: {status} {why}", status, why, received=raw + message)
+            return content, port.arrived_s

@@ -1,0 +1,257 @@
+"""THE table of instruments: a row for each kind, which says all that laboratories and experiments ask of it.
+
+A new one is its driver, its emulator, and a row of :data:`INSTRUMENTS`. Emulators are named, not imported: who measures
+needs none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..data.toml import Table
+from ..errors import ExperimentError
+from ..model.kinds import Robot, kind_of
+from .instruments import Axis, Galil, Hyperion, Keyence, NetFT, Sm130, Snapshots, VideoCamera, fetch_scale
+from .instruments.base import Instrument
+from .instruments.galil_line import LETTERS
+
+#: Defaults by the unit of the joints: speed per s, acceleration per s², how near a target counts as there.
+_MOTION = {"mm": (5.0, 50.0, 0.01), "rad": (0.5, 5.0, 2e-4)}
+
+
+@dataclass(frozen=True)
+class InstrumentSettings:
+    """One instrument as an experiment has it; ``settings`` go to its driver, ``columns`` name its values in the run."""
+
+    name: str
+    kind: str
+    address: str
+    settings: Mapping[str, Any]
+    columns: tuple[str, ...]
+    page: str = ""
+
+
+@dataclass(frozen=True)
+class InstrumentKind:
+    """What a kind of instrument brings.
+
+    ``settings`` reads its own keys of an experiment (table, robot, address), ``driver`` makes it of them. It ``moves``
+    the joints, or else it is read: where the robot is in ``place_unit``, or something else where that is empty.
+    ``has_page`` for one that says on HTTP how to read it.
+
+    ``emulator`` names the module and class that plays it in a laboratory, on a port of one of the ``links`` (the first
+    unless another is named); ``emulated`` reads the emulator's keys of a laboratory (table, robot).
+    """
+
+    settings: Callable[[Table, Robot, str], dict[str, Any]]
+    driver: Callable[[InstrumentSettings, Robot], Instrument]
+    emulator: str
+    links: tuple[str, ...]
+    emulated: Callable[[Table, Robot], dict[str, Any]]
+    moves: bool = False
+    place_unit: str = ""
+    has_page: bool = False
+
+    @property
+    def is_serial(self) -> bool:
+        """Whether it can be on a serial port."""
+        return "pty" in self.links
+
+    def shows_place_of(self, robot: Robot) -> bool:
+        """Whether it reads where such a robot is."""
+        return self.place_unit == kind_of(robot).place_unit
+
+    def columns(self, settings: Mapping[str, Any], robot: Robot) -> tuple[str, ...]:
+        """What its values are called unless the file says so: the robot's coordinates, where it reads all of them."""
+        names = kind_of(robot).layout.coordinates
+        return names if self.shows_place_of(robot) and len(settings.get("outputs", names)) == len(names) else ()
+
+    def emulator_class(self) -> Any:
+        """The emulator, imported now."""
+        module, name = self.emulator.split(".")
+        return getattr(import_module(f".emulators.{module}", __package__), name)
+
+
+# -- motion ----------------------------------------------------------------------------------------------------
+
+
+def _galil_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
+    del address
+    unit, joints = robot.joint_unit, len(kind_of(robot).layout.joints)
+    counts = f"counts_per_{unit}"
+    per_unit = table.number(counts)
+    if per_unit == 0:
+        raise table.fail(counts, "a number other than 0")
+    speed, acceleration, within = _MOTION[unit]
+    return {
+        "counts_per_unit": per_unit,
+        "zero_counts": list(table.numbers("zero_counts", joints, (0.0,) * joints)),
+        "speed": table.number(f"speed_{unit}_s", speed, positive=True),
+        "acceleration": table.number(f"acceleration_{unit}_s2", acceleration, positive=True),
+        "arrived_within": table.number(f"arrived_within_{unit}", within, positive=True),
+        "settle_s": table.number("settle_s", 2.0, positive=True),
+        "poll_s": table.number("poll_s", 0.05, positive=True),
+        "poll_timeout_s": table.number("poll_timeout_s", 0.5, positive=True),
+        "stop_timeout_s": table.number("stop_timeout_s", 5.0, positive=True),
+    }
+
+
+def _galil(one: InstrumentSettings, robot: Robot) -> Galil:
+    settings = dict(one.settings)
+    scale, zeros = settings.pop("counts_per_unit"), settings.pop("zero_counts")
+    limits = robot.joint_limits
+    if limits is None:
+        raise ExperimentError(f"{one.name}: moves nothing without the limits of the joints in the robot file")
+    names = [name.rsplit("_", 1)[0] for name in kind_of(robot).layout.joints]
+    axes = [
+        Axis(letter, scale, limits, int(zero), name, robot.joint_unit)
+        for letter, zero, name in zip(LETTERS[: len(names)], zeros, names, strict=True)
+    ]
+    return Galil(one.address, axes, name=one.name, **settings)
+
+
+def _emulated_galil(table: Table, robot: Robot) -> dict[str, Any]:
+    unit = robot.joint_unit
+    settings: dict[str, Any] = {
+        "counts_per_unit": table.number(f"counts_per_{unit}", 10000.0, positive=True),
+        "lag_s": table.number("lag_s", 0.0),
+        "noise_counts": table.number("noise_counts", 0.0),
+        "chatty": table.number("chatty", 0.0),
+    }
+    travel = table.heights(f"travel_{unit}")
+    if travel is not None:
+        settings["travel"] = [travel] * len(kind_of(robot).layout.joints)
+    return settings
+
+
+# -- lasers ----------------------------------------------------------------------------------------------------
+
+
+def _keyence_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
+    del robot, address
+    return {
+        "outputs": [int(k) for k in table.some_numbers("outputs", (1.0, 2.0, 3.0))],
+        "method": table.text("method", ("MS", "MM", "MA"), "MS"),
+        "unit": table.text("unit", ("mm", "um"), "mm"),
+    }
+
+
+def _keyence(one: InstrumentSettings, robot: Robot) -> Keyence:
+    del robot
+    settings = dict(one.settings)
+    return Keyence(one.address, settings.pop("outputs"), names=one.columns, name=one.name, **settings)
+
+
+def _emulated_keyence(table: Table, robot: Robot) -> dict[str, Any]:
+    del robot
+    return {
+        "noise_mm": table.number("noise_mm", 0.0),
+        "noise_of_place": table.flag("noise_of_place", False),
+        "decimals": table.whole("decimals", 4, least=0),
+        "range_mm": table.number("range_mm", 1000.0, positive=True),
+    }
+
+
+# -- gratings --------------------------------------------------------------------------------------------------
+
+
+def _grating_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
+    del robot, address
+    return {"gratings": [int(k) for k in table.some_numbers("gratings")]}
+
+
+def _interrogator(
+    kind: type[Sm130] | type[Hyperion],
+) -> Callable[[InstrumentSettings, Robot], Instrument]:
+    def made(one: InstrumentSettings, robot: Robot) -> Instrument:
+        del robot
+        settings = dict(one.settings)
+        return kind(one.address, tuple(settings.pop("gratings")), name=one.name, **settings)
+
+    return made
+
+
+def _emulated_gratings(table: Table, robot: Robot) -> dict[str, Any]:
+    del robot
+    return {"noise_nm": table.number("noise_nm", 0.0)}
+
+
+# -- forces ----------------------------------------------------------------------------------------------------
+
+
+def _net_ft(one: InstrumentSettings, robot: Robot) -> NetFT:
+    del robot
+    if not one.page:
+        raise ExperimentError(f"{one.name}: has no page; give the address of its netftapi2.xml")
+    return NetFT(one.address, fetch_scale(one.page), name=one.name, **one.settings)
+
+
+def _emulated_net_ft(table: Table, robot: Robot) -> dict[str, Any]:
+    del robot
+    return {"noise": table.number("noise", 0.0), "rate_hz": table.number("rate_hz", 1000.0, positive=True)}
+
+
+# -- cameras ---------------------------------------------------------------------------------------------------
+
+
+def _camera_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
+    del robot
+    return {"discard": table.whole("discard", 0 if address.startswith("http://") else 4, least=0)}
+
+
+def _camera(one: InstrumentSettings, robot: Robot) -> VideoCamera:
+    """A camera with the finder of markers; over HTTP it hands out single pictures."""
+    del robot
+    try:
+        from ..vision.marker import find_marker
+    except ImportError:
+        raise ExperimentError(f'{one.name}: cameras need OpenCV: pip install "sherkit[vision]"') from None
+
+    def find(picture: NDArray[np.uint8]) -> tuple[float, float]:
+        seen = find_marker(picture)
+        return seen.u_px, seen.v_px
+
+    source = None
+    if one.address.startswith("http://"):
+
+        def source() -> Snapshots:
+            return Snapshots(one.address, one.settings["timeout_s"])
+
+    return VideoCamera(one.address, source=source, find=find, name=one.name, **one.settings)
+
+
+def _emulated_camera(table: Table, robot: Robot) -> dict[str, Any]:
+    del robot
+    return {"noise_grey": table.number("noise_grey", 2.0)}
+
+
+# -- the table -------------------------------------------------------------------------------------------------
+
+_SERIAL = ("pty", "tcp")
+
+INSTRUMENTS: Mapping[str, InstrumentKind] = {
+    "galil": InstrumentKind(
+        _galil_settings, _galil, "galil.GalilEmulator", _SERIAL, _emulated_galil, moves=True
+    ),
+    "keyence": InstrumentKind(
+        _keyence_settings, _keyence, "keyence.KeyenceEmulator", _SERIAL, _emulated_keyence, place_unit="mm"
+    ),
+    "sm130": InstrumentKind(
+        _grating_settings, _interrogator(Sm130), "micron_optics.Sm130Emulator", ("tcp",), _emulated_gratings
+    ),
+    "hyperion": InstrumentKind(
+        _grating_settings, _interrogator(Hyperion), "micron_optics.HyperionEmulator", ("tcp",), _emulated_gratings
+    ),
+    "net_ft": InstrumentKind(
+        lambda *_: {}, _net_ft, "ati.NetFtEmulator", ("udp",), _emulated_net_ft, has_page=True
+    ),
+    "camera": InstrumentKind(
+        _camera_settings, _camera, "camera.NetworkCamera", ("http",), _emulated_camera, place_unit="px"
+    ),
+}  # fmt: skip

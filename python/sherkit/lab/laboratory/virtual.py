@@ -1,0 +1,182 @@
+"""The virtual robot of a laboratory: what its instruments would see, were they without noise.
+
+Geometric errors, and what else its kind hides, come from the :class:`~sherkit.model.kinds.Virtual` of that kind, which
+shares no code with the core. What that one does not know (backlash, drift, …) is added as the core has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...data import Measurements
+from ...data.columns import TEMPERATURE, TIME
+from ...errors import EffectError, OutOfReach
+from ...model.chain import ChainModel
+from ...model.kinds import SeenInPictures, Virtual, kind_of, model_of
+from ...names import nearest
+from ...robots.tool.virtual import VirtualTool
+from ...types import Floats
+from ..emulators import StillRobot
+
+_ROOM_C = 20.0
+
+
+@dataclass(frozen=True)
+class HiddenEffects:
+    """Effects of the catalogue by the names of their parameters (as in a calibration), and their settings."""
+
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    settings: Mapping[str, float | None] = field(default_factory=dict)
+
+    def model(self, plain: ChainModel) -> tuple[ChainModel, Floats]:
+        """A model with these effects alone, and its values. Raises :class:`~sherkit.errors.EffectError`."""
+        owners = {p.name: e for e in plain.catalogue.values() for p in e.qualified()}
+        for name in self.parameters:
+            if name not in owners:
+                raise EffectError(f"no effect has a parameter '{name}'{nearest(name, owners)}")
+        effects = tuple(dict.fromkeys(owners[name] for name in self.parameters))
+        made = replace(plain, effects=effects, **self.settings)  # type: ignore[arg-type]
+        values = np.array([self.parameters.get(p.name, 0.0) for p in made.parameters])
+        return made, values
+
+
+@dataclass(frozen=True)
+class ToolInHole:
+    """A tool on the platform, in a hole of the bench: where the robot goes aside, the hole bends it.
+
+    At home the shaft is ``depth_mm`` deep and in the middle; ``clearance_mm`` is how far it is free. The load cell
+    feels the force, the gratings the bending: three fibres, each on a channel of its own, with three gratings.
+    """
+
+    virtual: VirtualTool
+    depth_mm: float = 10.0
+    clearance_mm: float = 0.05
+
+    def felt(self, position_mm: Floats) -> tuple[Floats, Floats]:
+        """Force (2,), mN, and wavelengths (9,), nm, with the platform at ``position_mm`` (3,) from home."""
+        depth = np.array([max(self.depth_mm - float(position_mm[2]), 0.0)])
+        force, waves = self.virtual.pressed(-position_mm[None, :2], depth, self.clearance_mm)
+        return force[0], waves[0]
+
+
+class RobotOnTheBench(StillRobot):
+    """A virtual robot with instruments around it. It begins in the middle of its workspace.
+
+    Lasers look at it where its place is read in mm, zeroed at home; a camera where it is read in px. Pictures are drawn
+    anew at each place, with grey noise of that place: where the robot comes back to by the same way, the camera sees
+    the same (needs the extra ``sherkit[vision]``).
+
+    ``left`` tells where the joints came from (:meth:`~sherkit.lab.emulators.World.left`): backlash depends
+    on it.
+    """
+
+    def __init__(
+        self,
+        virtual: Virtual,
+        hidden: HiddenEffects | None = None,
+        tool: ToolInHole | None = None,
+        *,
+        noise_grey: float = 2.0,
+        seed: int = 0,
+    ) -> None:
+        robot = virtual.robot
+        self.virtual = virtual
+        self.kind = kind_of(robot)
+        self.tool = tool
+        self.noise_grey = noise_grey
+        self.seed = seed
+        self.home_joints: Floats = robot.inverse(robot.middle)
+        self._effects = None
+        if hidden is not None and hidden.parameters:
+            self._plain = model_of(robot)
+            self._zero = np.zeros(len(self._plain.parameters))
+            self._effects = hidden.model(self._plain)
+        self.left: Callable[[], Floats] = lambda: self.home_joints
+        self._last_place: tuple[tuple[float, ...], Floats] | None = None
+        self._last_picture: tuple[tuple[float, ...], NDArray[np.uint8]] | None = None
+
+    def lasers_mm(self, joints: Floats, time_s: float) -> Sequence[float]:
+        """Its coordinates from those at home, mm; NaN where the robot cannot be."""
+        if self.kind.place_unit != "mm":
+            return super().lasers_mm(joints, time_s)
+        return [float(v) for v in self.position(joints, time_s)]
+
+    def wrench(self, joints: Floats, time_s: float) -> Sequence[float]:
+        """The force on the tool at its hole, N; no torque."""
+        if self.tool is None:
+            return super().wrench(joints, time_s)
+        place = self.position(joints, time_s)
+        if not np.isfinite(place).all():
+            return super().wrench(joints, time_s)
+        force, _ = self.tool.felt(place)
+        return [1e-3 * float(force[0]), 1e-3 * float(force[1]), 0.0, 0.0, 0.0, 0.0]
+
+    def wavelengths_nm(self, joints: Floats, time_s: float) -> Sequence[Sequence[float]]:
+        """The gratings of sections I, II and III on one channel for each of three fibres."""
+        if self.tool is None:
+            return super().wavelengths_nm(joints, time_s)
+        place = self.position(joints, time_s)
+        if not np.isfinite(place).all():
+            return super().wavelengths_nm(joints, time_s)
+        _, waves = self.tool.felt(place)
+        return [[float(v) for v in fibre] for fibre in waves.reshape(3, 3).T] + [[]]
+
+    def picture(self, joints: Floats, time_s: float) -> NDArray[np.uint8]:
+        """What the camera sees; grey where the robot cannot be."""
+        if not isinstance(self.virtual, SeenInPictures):
+            return super().picture(joints, time_s)
+        key = self._key(joints)
+        if self._last_picture is not None and self._last_picture[0] == key:
+            return self._last_picture[1]
+        places = [int(v * 1e6) & 0xFFFFFFFF for v in key]
+        try:
+            columns = {name: np.array([q]) for name, q in zip(self.kind.layout.joints, joints, strict=True)}
+            columns[TIME] = np.zeros(1)
+            seed = int(np.random.SeedSequence([self.seed, *places]).generate_state(1)[0])
+            (drawn,) = self.virtual.pictures(columns, seed=seed, noise_grey=self.noise_grey)
+            picture: NDArray[np.uint8] = drawn.grey
+        except OutOfReach:
+            width, height = self.virtual.eye.size_px
+            picture = np.full((height, width), 128, np.uint8)
+        self._last_picture = (key, picture)
+        return picture
+
+    def position(self, joints: Floats, time_s: float) -> Floats:
+        """Where it is in truth (k,), in the columns of a run: mm from home, or px; NaN where it cannot be."""
+        key = self._key(joints)
+        known = self._last_place
+        # three outputs are asked one after the other where nothing moves; time matters to effects alone
+        if known is not None and known[0] == key and self._effects is None:
+            return known[1]
+        try:
+            with np.errstate(all="ignore"):
+                place: Floats = self.virtual.noise_free(joints)[0]
+        except (OutOfReach, np.linalg.LinAlgError):
+            return np.full(len(self.kind.layout.coordinates), np.nan)
+        if self._effects is not None:
+            model, values = self._effects
+            row = self._row(joints, time_s)
+            place = place + (model.predict(row, values) - self._plain.predict(row, self._zero))[0, : len(place)]
+        self._last_place = (key, place)
+        return place
+
+    def _key(self, joints: Floats) -> tuple[float, ...]:
+        """The place, and where it was reached from."""
+        return (*map(float, joints), *map(float, self.left()))
+
+    def _row(self, joints: Floats, time_s: float) -> Measurements:
+        way = np.sign(np.round(np.asarray(joints) - self.left(), 6))
+        layout = self.kind.layout
+        columns = {
+            TIME: np.array([time_s]),
+            TEMPERATURE: np.array([_ROOM_C]),
+            **{name: np.array([q]) for name, q in zip(layout.joints, joints, strict=True)},
+            **{name: np.zeros(1) for name in layout.coordinates},
+            # a joint that has not moved yet stands as if it had come from below
+            **{name: np.array([w or 1.0]) for name, w in zip(layout.directions, way, strict=True)},
+        }
+        return Measurements.from_columns(columns, "laboratory", layout=layout)

@@ -1,0 +1,12 @@
+"""What a model is, whatever the robot: parameters, effects, the rows that an effect sees, the compiled chain."""
+
+from .any import Extended, Model
+from .effect import Effect
+from .parameter import Parameter
+
+__all__ = [
+    "Effect",
+    "Extended",
+    "Model",
+    "Parameter",
+]

@@ -1,0 +1,192 @@
+"""A model that effects can be added to: what robots with a compiled chain and any other machine share."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from ..data import Measurements
+from ..errors import EffectError, ShapeError
+from ..types import Floats
+from .effect import Effect, check_user_effect
+from .parameter import Parameter
+from .rows import Rows
+
+
+@dataclass(frozen=True, eq=False)
+class Derivatives:
+    """Derivatives of the readings of a run at some values.
+
+    ``parameters`` (n, m, p) by the model's own; ``effects`` pairs each effect that was asked for with the columns
+    (n, m, k) of its parameters at zero; ``inputs`` (n, m, k) by the inputs, None where they are not known; ``refused``
+    maps effects that could not be computed to the reason; ``body`` (n, m, 3) by a displacement of the measured point,
+    None where readings are its coordinates or no point is known.
+    """
+
+    parameters: Floats
+    effects: Sequence[tuple[Effect, Floats]]
+    inputs: Floats | None
+    refused: dict[str, str]
+    body: Floats | None = None
+
+
+class ModelWithEffects(ABC):
+    """A model of a machine, and the effects in it.
+
+    Its parameters are its own, then those of its built-in effects, then those of the user's. Subclasses are frozen
+    dataclasses with the field ``effects``. ``robot`` is the nominal robot, None for a machine that is not known.
+    """
+
+    robot: Any
+    effects: tuple[Effect, ...]
+
+    #: Effects that are among the model's own parameters.
+    within: ClassVar[frozenset[str]] = frozenset()
+
+    # -- what a model says -------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def bare(self) -> tuple[Parameter, ...]:
+        """The identified parameters without those of effects."""
+
+    @property
+    @abstractmethod
+    def known_effects(self) -> Mapping[str, Effect]:
+        """The effects that are known of this machine, by name: diagnosis tries them without being asked."""
+
+    @abstractmethod
+    def predict(self, data: Measurements, values: Floats) -> Floats:
+        """Predicted readings (n, m). Raises :class:`~sherkit.errors.FitError` for rows that cannot be computed."""
+
+    @abstractmethod
+    def derivatives(self, data: Measurements, values: Floats) -> Floats:
+        """Derivatives (n, m, p) of the readings by the identified parameters. Raises as :meth:`predict`."""
+
+    @abstractmethod
+    def covariates(self, data: Measurements) -> dict[str, Floats]:
+        """What the residuals may depend on besides the place, (n,) each."""
+
+    @abstractmethod
+    def place(self, data: Measurements, predicted: Floats) -> dict[str, Floats]:
+        """Where the machine was at each row, (n,) by name; ``predicted`` (n, m) are the readings of the model."""
+
+    @abstractmethod
+    def axes_of(self, effect: Effect, data: Measurements) -> int:
+        """How many numbers a NumPy effect gives for a row."""
+
+    @abstractmethod
+    def rows(self, data: Measurements, values: Floats) -> Rows:
+        """The rows as a user's effect sees them."""
+
+    @abstractmethod
+    def linearised(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Derivatives:
+        """Derivatives by what is identified, by effects that are not in the model, and by the inputs."""
+
+    @property
+    @abstractmethod
+    def levers(self) -> tuple[Floats, str]:
+        """What turns each parameter (p,) into one common unit, and that unit, so that they can be compared."""
+
+    @property
+    def fixed(self) -> tuple[Parameter, ...]:
+        """Parameters that could be identified and are not: they stay at zero."""
+        return ()
+
+    def settings(self) -> dict[str, float | None]:
+        """Settings of the effects that are no parameters: what :meth:`with_effect` takes besides the effect."""
+        return {}
+
+    def reachable(self, data: Measurements, values: Floats) -> tuple[Floats, Measurements] | None:
+        """Coordinates (k, m) of poses that could be measured next, and their rows; None where that is not known."""
+        del data, values
+        return None
+
+    # -- parameters --------------------------------------------------------------------------------------
+
+    @cached_property
+    def built_in(self) -> tuple[Effect, ...]:
+        """The effects that the core computes."""
+        return tuple(e for e in self.effects if e.function is None)
+
+    @cached_property
+    def own(self) -> tuple[Effect, ...]:
+        """The effects that are given in NumPy."""
+        return tuple(e for e in self.effects if e.function is not None)
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The identified parameters: the model's own, those of the built-in effects, those of the user's."""
+        return (*self.bare, *(p for e in (*self.built_in, *self.own) for p in e.qualified()))
+
+    def owns(self, effect: Effect) -> slice:
+        """Where the parameters of an effect stand among the identified ones."""
+        names = [p.name for p in self.parameters]
+        first = names.index(effect.qualified()[0].name)
+        return slice(first, first + len(effect.parameters))
+
+    def starting_at(self, values: Iterable[float] | Floats | None) -> Floats:
+        """Start values for the identified parameters; zero, the drawing, by default."""
+        if values is None:
+            return np.zeros(len(self.parameters))
+        start = np.fromiter(values, dtype=float)
+        if start.shape != (len(self.parameters),) or not np.isfinite(start).all():
+            raise ShapeError(f"start: expected {len(self.parameters)} finite numbers")
+        return start
+
+    # -- effects -----------------------------------------------------------------------------------------
+
+    def with_effect(self, effect: Effect, *, at: float | None = None, **settings: float) -> Self:
+        """The same model with one more effect. ``at`` is the setting that is searched for besides its parameters: a
+        moment or a period; other ``settings`` are by name."""
+        if at is not None and effect.search is not None:
+            # it is held under its own name, or with the effect's before it: period_mm, slip_time_s
+            names = (effect.search, f"{effect.name}_{effect.search}")
+            settings |= {name: at for name in names if name in self.settings()}
+        return replace(self, effects=(*self.effects, effect), **settings)  # type: ignore[type-var]
+
+    def without_effect(self, name: str) -> Self:
+        """The same model without the effect of that name."""
+        return replace(self, effects=tuple(e for e in self.effects if e.name != name))  # type: ignore[type-var]
+
+    def can_be_tried(self, effects: Sequence[Effect], data: Measurements) -> tuple[list[Effect], dict[str, str]]:
+        """Effects that are not in the model and whose columns these rows have; the others with the reason."""
+        active = {e.name for e in self.effects}
+        tried: list[Effect] = []
+        untestable: dict[str, str] = {}
+        for effect in effects:
+            if effect.name in active or effect.name in self.within:
+                continue
+            missing = lacks(effect, data)
+            if missing:
+                untestable[effect.name] = f"it needs the column {' and '.join(missing)}"
+            else:
+                tried.append(effect)
+        return tried, untestable
+
+    def check_effect(self, effect: Effect, data: Measurements, values: Floats) -> None:
+        """Refuses a user's effect that is none on these rows. Raises :class:`~sherkit.errors.EffectError`."""
+        if effect.name in self.known_effects:
+            raise EffectError(f"'{effect.name}' is the name of a built-in effect; give yours another")
+        if not lacks(effect, data):
+            check_user_effect(effect, self.rows(data, values), self.axes_of(effect, data))
+
+
+def lacks(effect: Effect, data: Measurements) -> tuple[str, ...]:
+    """Columns that an effect needs and a run does not have."""
+    out = []
+    for need in effect.needs:
+        if need == "time_s":
+            known = data.time_s is not None
+        elif need == "direction":
+            known = bool(np.isfinite(data.direction).all())
+        else:
+            known = need in data.covariates or need in data.layout.joints
+        if not known:
+            out.append(need)
+    return tuple(out)

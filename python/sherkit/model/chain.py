@@ -1,0 +1,326 @@
+"""A robot whose measurement chain is compiled: what is free, predicted readings, their derivatives.
+
+The chain itself (kinematics, effects, exact derivatives) runs in Rust; here are the names. A robot is a subclass that
+says which parameters its core has and how rows are handed to it.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+import sherkit._core as _core
+
+from ..data import Measurements
+from ..data.columns import TEMPERATURE, Layout
+from ..errors import EffectError, FitError, ShapeError
+from ..names import listed, nearest
+from ..types import Floats
+from .base import Derivatives, ModelWithEffects
+from .effect import Effect, parameters_of_core
+from .parameter import Parameter
+from .rows import Rows
+
+#: Joints (n, k), other ends of distances, covariates (n, 2 + 2 k), displacements of the measured point (n, 3).
+Block = tuple[Floats, Floats | None, Floats | None, Floats | None]
+
+
+@dataclass(frozen=True)
+class ChainModel(ModelWithEffects):
+    """A nominal robot with named errors and effects to identify.
+
+    ``free`` names the geometric errors and datum to identify; left out, those of :attr:`default`. All parameters of
+    ``effects`` are free. Readings have the columns of the rows' layout.
+    """
+
+    robot: Any
+    free: tuple[str, ...] = ()
+    effects: tuple[Effect, ...] = ()
+
+    within: ClassVar = frozenset({"datum"})
+    #: The built-in effects of this kind of robot by name, in the order of the chain.
+    catalogue: ClassVar[Mapping[str, Effect]]
+    #: The compiled table: every row of parameters with names, units, sizes and levers, in the order of the core.
+    table: ClassVar[Sequence[Mapping[str, Any]]]
+    #: The kinds of run that show this robot.
+    layouts: ClassVar[tuple[Layout, ...]]
+
+    def __post_init__(self) -> None:
+        known = [p.name for p in self.base]
+        if not self.free:
+            object.__setattr__(self, "free", self.default)
+        for name in self.free:
+            if name not in known:
+                raise FitError(f"'{name}' is not a parameter of this robot{nearest(name, known)}")
+        if len(set(self.free)) < len(self.free):
+            raise FitError(f"a parameter is freed twice: {listed(self.free, 24)}")
+        names = [e.name for e in self.effects]
+        if len(set(names)) < len(names):
+            raise EffectError(f"an effect is added twice: {listed(names, 24)}")
+
+    # -- what a robot says ---------------------------------------------------------------------------------
+
+    @abstractmethod
+    def lever_mm(self, name: str) -> float:
+        """What one unit of a parameter of :attr:`base` moves in this robot, where the table does not say it."""
+
+    @property
+    @abstractmethod
+    def default(self) -> tuple[str, ...]:
+        """Names of the parameters that are free unless others are named."""
+
+    @property
+    @abstractmethod
+    def core(self) -> Any:
+        """The compiled chain."""
+
+    def core_for(self, data: Measurements) -> Any:
+        """The compiled chain for the readings that these rows hold."""
+        del data
+        return self.core
+
+    def block(self, data: Measurements, joints: Floats | None = None, push: Floats | None = None) -> Block:
+        """The rows as the core takes them, with other ``joints`` (n, k) and a displacement ``push`` (n, 3) if given."""
+        self.require_own(data)
+        covariates = None
+        if self.built_in:
+            empty = np.full(len(data), np.nan)
+            known = data.covariates
+            velocities = [known.get(name, empty) for name in data.layout.velocities]
+            velocities += [empty] * (data.joints.shape[1] - len(velocities))
+            time = empty if data.time_s is None else data.time_s
+            columns = [time, known.get(TEMPERATURE, empty), data.direction, *velocities]
+            covariates = np.ascontiguousarray(np.column_stack(columns))
+        return (data.joints if joints is None else joints, data.distances_or_none, covariates, push)
+
+    @abstractmethod
+    def reason(self, data: Measurements, row: int, values: Floats) -> str:
+        """Why a row cannot be reached."""
+
+    def require_own(self, data: Measurements) -> None:
+        """Raises :class:`~sherkit.errors.FitError` for a run of another kind of robot."""
+        if data.layout not in self.layouts:
+            ways = " or ".join(", ".join(one.coordinates) for one in self.layouts)
+            raise FitError(
+                f"{data.source}: is no run of a {self.robot.kind} robot: expected the columns "
+                f"{', '.join(self.layouts[0].joints)} with {ways}, found {', '.join(data.layout.joints)}"
+            )
+
+    # -- parameters --------------------------------------------------------------------------------------
+
+    @cached_property
+    def base(self) -> tuple[Parameter, ...]:
+        """Geometric errors, datum and the like: the parameters that ``free`` chooses from, in the order of the core."""
+        return tuple(p for row in self.table if row["base"] for p in parameters_of_core(row, self.lever_mm))
+
+    @cached_property
+    def core_parameters(self) -> tuple[Parameter, ...]:
+        """Every parameter of the compiled chain, in its order."""
+        base = {p.name: p for p in self.base}
+        out: list[Parameter] = []
+        for row in self.table:
+            own = (
+                (base[p["name"]] for p in row["parameters"]) if row["base"] else self.catalogue[row["name"]].qualified()
+            )
+            out += own
+        return tuple(out)
+
+    @cached_property
+    def bare(self) -> tuple[Parameter, ...]:
+        """Those that ``free`` names."""
+        by_name = {p.name: p for p in self.base}
+        return tuple(by_name[n] for n in self.free)
+
+    @property
+    def fixed(self) -> tuple[Parameter, ...]:
+        """Geometric errors and datum that ``free`` does not name."""
+        return tuple(p for p in self.base if p.name not in self.free)
+
+    @property
+    def known_effects(self) -> Mapping[str, Effect]:
+        """The catalogue of this kind of robot."""
+        return self.catalogue
+
+    @property
+    def levers(self) -> tuple[Floats, str]:
+        """The millimetres that each parameter moves in this robot."""
+        return np.array([p.lever_mm for p in self.parameters]), "mm"
+
+    @cached_property
+    def indices(self) -> list[int]:
+        """Places of the identified parameters of the core among all of its parameters."""
+        names = [p.name for p in self.core_parameters]
+        return [names.index(p.name) for p in self.parameters if p.name in set(names)]
+
+    def full(self, values: Floats) -> Floats:
+        """Values of the core's parameters, the identified ones among zeros."""
+        values = np.asarray(values, dtype=float)
+        if values.shape != (len(self.parameters),):
+            expected = len(self.parameters)
+            raise ShapeError(f"values: expected {expected} numbers, got an array of shape {values.shape}")
+        out = np.zeros(len(self.core_parameters))
+        out[self.indices] = values[: len(self.indices)]
+        return out
+
+    # -- the three methods -------------------------------------------------------------------------------
+
+    def predict(self, data: Measurements, values: Floats) -> Floats:
+        """Predicted readings (n, m). Raises :class:`FitError` naming rows out of reach."""
+        full = self.full(values)
+        block, added = self._own_block(data, full, values)
+        out, reached = self.core_for(data).predict(full, block)
+        self.require(data, np.flatnonzero(~reached & ~data.outlier), values)
+        if added is not None:
+            out[:, : data.coordinates] += added
+        return out
+
+    def derivatives(self, data: Measurements, values: Floats) -> Floats:
+        """Derivatives (n, m, p) of the readings by the identified parameters. Raises as :meth:`predict`."""
+        full = self.full(values)
+        block, _ = self._own_block(data, full, values)
+        out, by_joints, by_body, reached = self.core_for(data).derivatives(full, block, self.indices)
+        self.require(data, np.flatnonzero(~reached & ~data.outlier), values)
+        if not self.own:
+            return out
+        columns = self.own_columns(data, self.rows(data, values), values, by_joints, by_body)
+        return np.concatenate([out, *columns], axis=2)
+
+    def covariates(self, data: Measurements) -> dict[str, Floats]:
+        """What the residuals may depend on besides the pose: time, directions, every numeric column."""
+        out = {} if data.time_s is None else {"time_s": data.time_s}
+        return out | dict(data.covariates)
+
+    def place(self, data: Measurements, predicted: Floats) -> dict[str, Floats]:
+        """The coordinates that the model gives."""
+        return {name: predicted[:, k] for k, name in enumerate(data.layout.coordinates)}
+
+    def axes_of(self, effect: Effect, data: Measurements) -> int:
+        """What a NumPy effect gives at its link: joints, a displacement, or coordinates read."""
+        if effect.link == "joints":
+            return data.joints.shape[1]
+        return 3 if effect.link == "body" else data.coordinates
+
+    def rows(self, data: Measurements, values: Floats) -> Rows:
+        """The rows, with the position that the built-in model gives."""
+        full = self.full(values)
+        return Rows(data, lambda: self.core_for(data).predict(full, self._plain_block(data))[0][:, : data.coordinates])
+
+    def linearised(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Derivatives:
+        """All at once by the core; the user's effects carried from their link to the readings."""
+        everything = self
+        for effect in (built_in := [e for e in effects if e.function is None]):
+            everything = everything.with_effect(effect)
+        known = dict(zip((p.name for p in self.parameters), values.tolist(), strict=True))
+        start = np.array([known.get(p.name, 0.0) for p in everything.parameters])
+        columns, by_joints, by_body, _ = everything.core_for(data).derivatives(
+            everything.full(start), everything._plain_block(data), everything.indices
+        )
+        in_core = [p.name for p in everything.parameters[: len(everything.indices)]]
+        fitted = columns[:, :, np.array([name in known for name in in_core])]
+        rows = everything.rows(data, start)
+        if everything.own:
+            fitted = np.concatenate([fitted, *everything.own_columns(data, rows, start, by_joints, by_body)], axis=2)
+        out = [(effect, columns[:, :, everything.owns(effect)]) for effect in built_in]
+        refused: dict[str, str] = {}
+        for effect in effects:
+            if effect.function is None:
+                continue
+            try:
+                inner = effect.columns(rows, np.zeros(len(effect.parameters)), self.axes_of(effect, data))
+                out.append((effect, carry(effect, inner, data, by_joints, by_body)))
+            except EffectError as error:
+                refused[effect.name] = str(error)
+        # what moves the measured point moves each reading alone only where all of its coordinates are read
+        read = int(data.taken[:, : data.coordinates].any(axis=0).sum())
+        body = None if read == by_body.shape[2] else by_body
+        return Derivatives(fitted, out, by_joints, refused, body)
+
+    def own_columns(
+        self, data: Measurements, rows: Rows, values: Floats, by_joints: Floats, by_body: Floats
+    ) -> list[Floats]:
+        """Derivatives (n, m, p) by the parameters of each of the user's effects."""
+        return [
+            carry(
+                effect,
+                effect.columns(rows, np.asarray(values)[self.owns(effect)], self.axes_of(effect, data)),
+                data,
+                by_joints,
+                by_body,
+            )
+            for effect in self.own
+        ]
+
+    def _plain_block(self, data: Measurements) -> tuple[Any, ...]:
+        """The rows as they are, as the core takes them; those asked for last are remembered."""
+        last = self.__dict__.get("_last_block")
+        if last is None or last[0] is not data:
+            last = self.__dict__["_last_block"] = (data, self.block(data))
+        return last[1]
+
+    def _own_block(self, data: Measurements, full: Floats, values: Floats) -> tuple[tuple[Any, ...], Floats | None]:
+        """The rows with the user's effects at joints and body put in, and what those at the sensor add."""
+        if not self.own:
+            return self._plain_block(data), None
+        rows = self.rows(data, values)
+        sums: dict[str, Any] = {
+            "joints": np.zeros_like(data.joints),
+            "body": np.zeros((len(data), 3)),
+            "sensor": np.zeros((len(data), data.coordinates)),
+        }
+        for effect in self.own:
+            own = np.asarray(values)[self.owns(effect)]
+            sums[effect.link] += effect.evaluate(rows, own, self.axes_of(effect, data))
+        added = np.where(data.is_distance[:, None], 0.0, sums["sensor"])
+        return self.block(data, data.joints + sums["joints"], sums["body"]), added
+
+    # -- the fast path -------------------------------------------------------------------------------------
+
+    def solve(self, solver: _core.Solver, data: Measurements, weights: Floats, *, priors: bool) -> str:
+        """Runs the solver to its end in the core, without effects given in NumPy: ``converged`` or ``exhausted``.
+
+        Raises :class:`FitError` for rows out of reach at the start.
+        """
+        start = solver.trial
+        ended, missing = self.core_for(data).solve(
+            solver, np.zeros(len(self.core_parameters)), self.indices, self._plain_block(data), data.readings, weights,
+            priors,
+        )  # fmt: skip
+        self.require(data, np.array(missing, dtype=np.int64), start)
+        return str(ended)
+
+    def accumulate(self, solver: _core.Solver, data: Measurements, weights: Floats) -> None:
+        """Gives the solver these rows at its trial, without effects given in NumPy. Raises as :meth:`predict`."""
+        missing = self.core_for(data).accumulate(
+            solver, np.zeros(len(self.core_parameters)), self.indices, self.block(data), data.readings, weights
+        )
+        self.require(data, np.array(missing, dtype=np.int64), solver.trial)
+
+    # -- errors ------------------------------------------------------------------------------------------
+
+    def require(self, data: Measurements, missing: NDArray[np.int64], values: Floats) -> None:
+        """Raises :class:`FitError` for rows that the model cannot reach, with the reason for the first."""
+        if len(missing) == 0:
+            return
+        raise FitError(
+            f"{data.place(missing)}: the model cannot reach these joint readings "
+            f"({self.reason(data, int(missing[0]), values)}). "
+            "Check units and joint order, correct the geometry, or mark the rows as outliers "
+            "(column 'outlier' = 1)."
+        )
+
+
+def carry(effect: Effect, inner: Floats, data: Measurements, by_joints: Floats, by_body: Floats) -> Floats:
+    """Derivatives (n, axes, p) of a NumPy effect at its link, carried on to the readings (n, m, p)."""
+    if effect.link == "joints":
+        return by_joints @ inner
+    if effect.link == "body":
+        return by_body @ inner
+    out = np.zeros((len(data), data.readings.shape[1], inner.shape[2]))
+    out[~data.is_distance, : data.coordinates] = inner[~data.is_distance]
+    return out

@@ -1,0 +1,242 @@
+"""An effect: a physical cause of error, as data, and for a user's own one a function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from ..errors import EffectError, FitError
+from ..names import listed, nearest
+from ..types import Floats
+from .parameter import Parameter
+
+LINKS = ("joints", "structure", "body", "sensor")
+#: Links at which a NumPy function can act: it adds to joint readings, to the measured point, or to the readings.
+USER_LINKS = ("joints", "body", "sensor")
+
+#: A user's function: rows (attributes ``joints``, ``time``, every covariate by name) and parameters → (n, 3).
+Function = Callable[[Any, SimpleNamespace], Any]
+
+
+@dataclass(frozen=True)
+class Sentences:
+    """What a person is told of an effect: what it is, what it leaves in the residuals, what to do in the workshop."""
+
+    physics: str
+    residuals: str
+    workshop: str
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A physical effect at one link of the measurement chain.
+
+    ``parameters`` carry unit and plausible size; inside a model their names are prefixed (``rail_lean.radial_1``).
+    ``needs`` are the covariates without which it cannot be told. ``search`` names a setting that is looked for
+    besides the parameters (``period_mm`` or ``time_s``). ``function`` is set for effects given in NumPy.
+    """
+
+    name: str
+    link: str
+    parameters: tuple[Parameter, ...]
+    needs: tuple[str, ...] = ()
+    physics: str = ""
+    residuals: str = ""
+    workshop: str = ""
+    search: str | None = None
+    function: Function | None = field(default=None, repr=False)
+    derivative: Callable[[Any, SimpleNamespace], Any] | None = field(default=None, repr=False)
+
+    def qualified(self) -> tuple[Parameter, ...]:
+        """The parameters under the names they have in a model."""
+        return tuple(
+            Parameter(f"{self.name}.{p.name}", p.symbol or p.name, p.unit, p.size, p.lever_mm) for p in self.parameters
+        )
+
+    def evaluate(self, rows: Any, values: Floats, axes: int = 3) -> Floats:
+        """What a NumPy effect adds (n, axes), mm, or in the unit of another machine's readings.
+
+        Raises :class:`EffectError` naming effect and what is wrong.
+        """
+        if self.function is None:
+            raise EffectError(f"effect '{self.name}' is built in and computed by the core")
+        names = [p.name for p in self.parameters]
+        p = SimpleNamespace(**dict(zip(names, values.tolist(), strict=True)))
+        try:
+            out = np.asarray(self.function(rows, p))
+        except (EffectError, FitError):
+            raise
+        except Exception as error:
+            raise EffectError(f"effect '{self.name}' failed: {type(error).__name__}: {error}") from error
+        n = len(rows)
+        if out.shape != (n, axes):
+            raise EffectError(f"effect '{self.name}': expected an array of shape ({n}, {axes}), got {out.shape}")
+        out = out.astype(float)
+        if not np.isfinite(out).all():
+            row = int(np.argmax(~np.isfinite(out).all(axis=1)))
+            raise EffectError(f"effect '{self.name}' is not finite at row {row}")
+        return out
+
+    def columns(self, rows: Any, values: Floats, axes: int = 3) -> Floats:
+        """Derivatives (n, axes, p) of a NumPy effect: the user's own, or central differences of fourth order."""
+        names = [p.name for p in self.parameters]
+        if self.derivative is not None:
+            p = SimpleNamespace(**dict(zip(names, values.tolist(), strict=True)))
+            try:
+                out = np.asarray(self.derivative(rows, p), dtype=float)
+            except Exception as error:
+                raise EffectError(
+                    f"effect '{self.name}': its derivative failed: {type(error).__name__}: {error}"
+                ) from error
+            expected = (len(rows), axes, len(names))
+            if out.shape != expected or not np.isfinite(out).all():
+                raise EffectError(f"effect '{self.name}': derivative: expected finite numbers of shape {expected}")
+            return out
+        out = np.empty((len(rows), axes, len(names)))
+        for k, parameter in enumerate(self.parameters):
+            h = 1e-3 * parameter.size
+            at = []
+            for step in (-2, -1, 1, 2):
+                moved = values.copy()
+                moved[k] += step * h
+                at.append(self.evaluate(rows, moved, axes))
+            out[:, :, k] = (at[0] - 8 * at[1] + 8 * at[2] - at[3]) / (12 * h)
+        return out
+
+
+def catalogue_of_core(table: Sequence[Mapping[str, Any]], sentences: Mapping[str, Sentences]) -> dict[str, Effect]:
+    """The effects of a compiled table by name, in its order, each with its three sentences.
+
+    A row that every model has (geometry, datum) is an effect only where there are sentences for it. Raises
+    :class:`~sherkit.errors.EffectError` where table and sentences do not name the same effects.
+    """
+    rows = {row["name"]: row for row in table if not row["base"] or row["name"] in sentences}
+    if differing := set(rows) ^ set(sentences):
+        raise EffectError(f"effects of the core and their sentences differ: {listed(sorted(differing), 12)}")
+    return {
+        name: Effect(
+            name=name,
+            link=row["link"],
+            parameters=parameters_of_core(row),
+            needs=tuple(row["needs"]),
+            search=row["search"],
+            physics=sentences[name].physics,
+            residuals=sentences[name].residuals,
+            workshop=sentences[name].workshop,
+        )
+        for name, row in rows.items()
+    }
+
+
+def parameters_of_core(
+    row: Mapping[str, Any], own_lever: Callable[[str], float] = lambda _: 1.0
+) -> tuple[Parameter, ...]:
+    """The parameters of a row of a compiled table; ``own_lever`` knows the levers that depend on the robot."""
+    return tuple(
+        Parameter(
+            p["name"],
+            p["symbol"],
+            p["unit"],
+            p["size"],
+            own_lever(p["name"]) if p["lever_mm"] is None else p["lever_mm"],
+        )
+        for p in row["parameters"]
+    )
+
+
+def check_user_effect(effect: Effect, rows: Any, axes: int = 3) -> None:
+    """What a user's effect must pass on these rows: zero at zero, right shape, finite, derivative that agrees.
+
+    Raises :class:`~sherkit.errors.EffectError` with a sentence on what is wrong.
+    """
+    zero = np.zeros(len(effect.parameters))
+    if np.abs(effect.evaluate(rows, zero, axes)).max(initial=0.0) > 0:
+        raise EffectError(f"effect '{effect.name}' is not zero where its parameters are zero")
+    if effect.derivative is not None:
+        sizes = np.array([p.size for p in effect.parameters])
+        numeric = replace(effect, derivative=None).columns(rows, 0.3 * sizes, axes)
+        given = effect.columns(rows, 0.3 * sizes, axes)
+        scale = np.abs(numeric).max(initial=1e-300)
+        if np.abs(given - numeric).max(initial=0.0) > 1e-4 * scale:
+            raise EffectError(f"effect '{effect.name}': its derivative does not agree with a difference")
+
+
+def effect(
+    *,
+    at: str,
+    parameters: Mapping[str, str | tuple[str, float]],
+    needs: tuple[str, ...] = (),
+    physics: str = "",
+    workshop: str = "",
+    derivative: Callable[[Any, SimpleNamespace], Any] | None = None,
+) -> Callable[[Function], Effect]:
+    """Makes a NumPy function of a few lines an effect with the standing of the built-in ones.
+
+    ``at`` is the link: ``joints`` (mm added to the joint readings), ``body`` (mm added to the measured point) or
+    ``sensor`` (mm added to what the sensors show). ``parameters`` maps names to units, or to (unit, plausible size).
+    Raises :class:`~sherkit.errors.EffectError` for an unknown link or no parameter.
+
+        @sk.effect(at="body", parameters={"amplitude": "mm"})
+        def floor_heave(rows, p):
+            return p.amplitude * np.outer(np.sin(2 * np.pi * rows.time / 86400), [0, 0, 1])
+    """
+    if at not in USER_LINKS:
+        raise EffectError(f"effect: at='{at}' is no link for a NumPy function; choose {', '.join(USER_LINKS)}")
+    if not parameters:
+        raise EffectError("effect: give it at least one parameter with its unit")
+
+    def wrap(function: Function) -> Effect:
+        made = []
+        for name, unit in parameters.items():
+            text, size = unit if isinstance(unit, tuple) else (unit, _SIZES.get(unit, 1.0))
+            made.append(Parameter(name, name, text, float(size)))
+        return Effect(
+            name=getattr(function, "__name__", "effect"),
+            link=at,
+            parameters=tuple(made),
+            needs=needs,
+            physics=physics or (function.__doc__ or "").strip(),
+            workshop=workshop,
+            function=function,
+            derivative=derivative,
+        )
+
+    return wrap
+
+
+def effects_by_name(
+    catalogue: Mapping[str, Effect], names: Sequence[str], own: Sequence[Effect] = ()
+) -> tuple[Effect, ...]:
+    """Effects of a catalogue and the user's by name. Raises :class:`EffectError` with the nearest name."""
+    known = {**catalogue, **{e.name: e for e in own}}
+    for effect in own:
+        if effect.name in catalogue:
+            raise EffectError(f"'{effect.name}' is the name of a built-in effect; give yours another")
+    out = []
+    for name in names:
+        if name == "datum":
+            raise EffectError("'datum' is in the model already: it belongs to the default model")
+        if name not in known:
+            raise EffectError(f"'{name}' is not a known effect{nearest(name, known)}; known: {listed(known, 30)}")
+        out.append(known[name])
+    return tuple(out)
+
+
+def named_effects(catalogue: Mapping[str, Effect], effects: Sequence[str | Effect]) -> tuple[Effect, ...]:
+    """Effects given by name or as they are. Raises :class:`EffectError` for what is neither."""
+    if isinstance(effects, str):
+        raise EffectError(f"effects: expected a list of effects, got the text {effects!r}; did you mean [{effects!r}]?")
+    out = []
+    for one in effects:
+        if not isinstance(one, str | Effect):
+            raise EffectError(f"effects: expected names or effects, got {type(one).__name__}")
+        out.append(one if isinstance(one, Effect) else effects_by_name(catalogue, (one,))[0])
+    return tuple(out)
+
+
+#: Plausible sizes where the user gives only a unit.
+_SIZES = {"mm": 0.1, "um": 100.0, "µm": 100.0, "rad": 0.01, "deg": 0.5, "": 0.01}

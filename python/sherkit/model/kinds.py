@@ -1,0 +1,256 @@
+"""The kinds of robot that are known: what each brings, asked for by the robot's own ``kind``.
+
+A robot's folder says what it brings as a :class:`Kind`; ``robots/kinds.py`` makes it known. Nothing else asks which
+robot it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, Self, overload, runtime_checkable
+
+from numpy.typing import ArrayLike
+
+from ..data import Measurements
+from ..data.columns import Layout, know
+from ..data.toml import Table
+from ..errors import FitError, RobotError
+from ..names import listed
+from ..types import Floats
+from .any import Extended, Model
+from .base import ModelWithEffects
+from .batch import Batch
+from .chain import ChainModel
+from .effect import Effect
+
+
+@runtime_checkable
+class Robot(Protocol):
+    """A nominal robot, as on its drawing: immutable, read from TOML and written to it.
+
+    Joint readings are in ``joint_unit``, ``mm`` or ``rad``; what :meth:`forward` gives are the coordinates of its
+    kinematics, in mm or rad.
+    """
+
+    @property
+    def kind(self) -> str:
+        """The name under which its :class:`Kind` is known."""
+        ...
+
+    @property
+    def joint_unit(self) -> str:
+        """Unit of the joint readings."""
+        ...
+
+    @property
+    def joint_limits(self) -> tuple[float, float] | None:
+        """Lowest and highest reading to which a motor may go, in ``joint_unit``; None where the file names none."""
+        ...
+
+    @property
+    def middle(self) -> tuple[float, ...]:
+        """Coordinates of the middle of its workspace: where an experiment begins and ends."""
+        ...
+
+    def forward(self, joints: ArrayLike, /) -> Floats:
+        """Coordinates for joint readings."""
+        ...
+
+    def inverse(self, coordinates: ArrayLike, /) -> Floats:
+        """Joint readings for coordinates. Raises :class:`~sherkit.errors.OutOfReach`."""
+        ...
+
+    def inverse_batch(self, coordinates: ArrayLike, /) -> Batch:
+        """Joint readings for rows of coordinates; those out of reach are marked."""
+        ...
+
+    def to_tables(self) -> dict[str, Any]:
+        """The tables of its file, without loss."""
+        ...
+
+
+@dataclass(frozen=True)
+class Option:
+    """The size of an error that a user chooses for a virtual robot: its ``default``, and what it is, in words."""
+
+    default: float
+    what: str
+    signed: bool = False
+
+
+class Virtual(Protocol):
+    """A robot with hidden errors, to try things on: written apart from the core, so that it can judge it."""
+
+    #: What a user can choose besides the size of the geometric errors, by name with its unit.
+    OPTIONS: ClassVar[Mapping[str, Option]]
+
+    @property
+    def robot(self) -> Any:
+        """The robot as drawn."""
+        ...
+
+    @classmethod
+    def simulated(cls, robot: Any, seed: int, errors: float, sizes: Mapping[str, float], /) -> Self:
+        """One with geometric errors of ``errors`` times the plausible size, and ``sizes`` of each of the options."""
+        ...
+
+    @classmethod
+    def hidden(cls, robot: Any, seed: int, table: Table, /) -> Self:
+        """One without noise, as the table ``[hidden]`` of a laboratory describes it."""
+        ...
+
+    def truth(self) -> dict[str, Any]:
+        """The hidden errors, for TOML."""
+        ...
+
+    def noise_free(self, joints: ArrayLike, /) -> Floats:
+        """What a run without noise would hold (n, k), for joint readings (n, j) or those of one pose (j,).
+
+        Raises :class:`~sherkit.errors.OutOfReach`.
+        """
+        ...
+
+    def measure(self, coordinates: ArrayLike, /, *, repeats: int, order: str, seed: int) -> Measurements:
+        """A run over these coordinates, reached as the drawing has it."""
+        ...
+
+
+@runtime_checkable
+class SeenInPictures(Protocol):
+    """A virtual robot at which a camera looks."""
+
+    @property
+    def eye(self) -> Any:
+        """The camera."""
+        ...
+
+    def plan(self, coordinates: ArrayLike, /, *, repeats: int, order: str, seed: int) -> dict[str, Floats]:
+        """The columns of a run, but for what is seen."""
+        ...
+
+    def pictures(self, columns: Mapping[str, Floats], *, seed: int = 0, noise_grey: float = 2.0) -> Iterator[Any]:
+        """A picture for every row."""
+        ...
+
+    def seen_run(self, columns: Mapping[str, Floats], pictures: Iterator[Any], *, save_in: Path | None) -> Measurements:
+        """The run of a plan whose readings are found in its pictures, which are kept in ``save_in``."""
+        ...
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a kind of robot brings.
+
+    ``robot`` reads itself from a file (``from_table``); ``model`` is made for it; ``layouts`` are the columns of its
+    runs, those of an experiment first; ``calibration`` is the class of what is deployed, a
+    :class:`~sherkit.robots.calibrated.Calibration`, or None where nothing is; ``virtual`` is a robot with hidden
+    errors, to try things on.
+
+    ``coordinates`` are what its ``forward`` gives, as columns. ``poses`` are the sets of poses that a plan can name:
+    coordinates (n, k) for a robot and the keys of the plan. The one called ``grid`` covers a region, from which the
+    best poses can be chosen. ``areas`` are the poses of ``sherkit simulate`` for a robot, over all of its workspace and
+    a part of it. ``signature`` gives the places (n, 3) that an effect is drawn at and what is left of it there (n, 3),
+    mm; None where it is not drawn. ``called`` is what people call it, such as "the linear delta".
+    """
+
+    name: str
+    robot: type[Any]
+    model: type[ChainModel]
+    layouts: tuple[Layout, ...]
+    calibration: type[Any] | None
+    virtual: type[Virtual] | None = None
+    coordinates: tuple[str, ...] = ()
+    poses: Mapping[str, Callable[[Any, Table], Floats]] = field(default_factory=dict)
+    grid: str = ""
+    areas: Mapping[str, Callable[[Any], Floats]] = field(default_factory=dict)
+    signature: Callable[[Effect, Any], tuple[Floats, Floats]] | None = None
+    called: str = ""
+
+    @property
+    def title(self) -> str:
+        """What people call it; by its name where nothing else is said."""
+        return self.called or f"the {self.name} robot"
+
+    @property
+    def layout(self) -> Layout:
+        """The columns of the run that an experiment gives."""
+        return self.layouts[0]
+
+    @property
+    def place_unit(self) -> str:
+        """The unit in which the columns of an experiment show where the robot is."""
+        return self.layout.coordinates[0].rpartition("_")[2]
+
+    @property
+    def shows_coordinates(self) -> bool:
+        """Whether what instruments show of it is what its kinematics gives."""
+        return self.layout.coordinates == self.coordinates
+
+    def require_virtual(self) -> type[Virtual]:
+        """The virtual robot. Raises :class:`~sherkit.errors.RobotError` for a kind without one."""
+        if self.virtual is None:
+            raise RobotError(f"{self.name} robots have no virtual one: there is nothing to simulate them with")
+        return self.virtual
+
+
+KINDS: dict[str, Kind] = {}
+
+
+def register(kind: Kind) -> None:
+    """Makes a kind known, its runs and its files."""
+    KINDS[kind.name] = kind
+    know(*kind.layouts)
+
+
+def robot_from_tables(values: dict[str, object], where: str) -> Robot:
+    """Reads a robot from parsed TOML tables; ``where`` names the source in errors."""
+    table = Table(values, where)
+    robot = robot_from_table(table)
+    table.finish()
+    return robot
+
+
+def kind_of(robot: Robot) -> Kind:
+    """What the robot's kind brings. Raises :class:`~sherkit.errors.RobotError` for a kind that nobody made known."""
+    if robot.kind not in KINDS:
+        raise RobotError(f"{robot.kind} robots are not known; there are {listed(KINDS)}")
+    return KINDS[robot.kind]
+
+
+def robot_from_table(table: Table) -> Robot:
+    """Reads a robot from a table that may stand in another file."""
+    robot: Robot = KINDS[table.text("kind", tuple(KINDS))].robot.from_table(table)
+    return robot
+
+
+@overload
+def model_of(model: Robot | ChainModel, free: Sequence[str] = ()) -> ChainModel: ...
+@overload
+def model_of(model: Robot | Model | ModelWithEffects, free: Sequence[str] = ()) -> ModelWithEffects: ...
+def model_of(model: Robot | Model | ModelWithEffects, free: Sequence[str] = ()) -> ModelWithEffects:
+    """The model of a robot, with these parameters ``free`` (by default those of its kind); that of any other machine,
+    so that effects can be added to it; a model with effects as it is.
+
+    Raises :class:`~sherkit.errors.FitError` for what is none of them, or a choice of parameters that a model lacks.
+    """
+    if isinstance(model, ModelWithEffects):
+        if not free:
+            return model
+        if not isinstance(model, ChainModel):
+            raise FitError("free: this model says itself which of its parameters are free")
+        return replace(model, free=tuple(free))
+    kind = getattr(model, "kind", None)
+    if isinstance(kind, str) and kind in KINDS:
+        return KINDS[kind].model(model, tuple(free))
+    if isinstance(model, Model):
+        return model_of(Extended(model), free)
+    raise FitError(
+        f"expected a robot, or a model with parameters, predict, derivatives and covariates; got {type(model).__name__}"
+    )
+
+
+def catalogue_of(robot: Robot) -> Mapping[str, Effect]:
+    """The built-in effects of a robot by name, in the order of the chain."""
+    return kind_of(robot).model.catalogue

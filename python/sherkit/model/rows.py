@@ -1,0 +1,60 @@
+"""What an effect may look at: the rows of a run by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+from ..data import Measurements
+from ..errors import EffectError
+from ..names import listed, nearest
+from ..types import Floats
+
+
+class Rows:
+    """The rows of a run as a user's effect sees them.
+
+    ``joints`` (n, k), mm or rad; ``time`` (n,) s; ``direction`` (n, k) sign of the last motion; ``position`` (n, m),
+    the coordinates that the model gives; every covariate of the file under its column name, with or without its unit
+    (``rows.humidity_pct`` or ``rows.humidity``). Inputs and covariates are also found by ``rows["name"]``. ``position``
+    is computed when it is asked for.
+    """
+
+    def __init__(self, data: Measurements, position: Callable[[], Floats]) -> None:
+        self._data = data
+        self._position = position
+        self.joints = data.joints
+        self.direction = data.direction
+
+    def __len__(self) -> int:
+        return len(self._data)
+
+    def __getitem__(self, name: str) -> Floats:
+        return self._data[name]
+
+    @cached_property
+    def position(self) -> Floats:
+        """Coordinates (n, m) that the model gives."""
+        return self._position()
+
+    @property
+    def time(self) -> Floats:
+        """Time of each row, s."""
+        if self._data.time_s is None:
+            raise EffectError("these rows have no column 'time_s'")
+        return self._data.time_s
+
+    @cached_property
+    def _names(self) -> dict[str, str]:
+        names = {name.rsplit("_", 1)[0]: name for name in self._data.covariates}
+        return names | {name: name for name in self._data.covariates}
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        found = self._names.get(name)
+        if found is None:
+            known = ["joints", "time", "direction", "position", *self._data.covariates]
+            raise EffectError(f"these rows have no '{name}'{nearest(name, known)}; they have {listed(known, 20)}")
+        return self._data.covariates[found]

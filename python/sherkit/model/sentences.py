@@ -1,0 +1,93 @@
+"""Sentences on effects that any robot can have. A robot whose physics differs says it in its own words."""
+
+from __future__ import annotations
+
+from .effect import Sentences
+
+COMMON: dict[str, Sentences] = {
+    "joint_offset": Sentences(
+        physics="The zero of an encoder is not where the drawing has it: every reading of the joint is off by one "
+        "value.",
+        residuals="What a displacement of one joint does, the same at every reading of it.",
+        workshop="Drive each joint to its mechanical zero and set the encoder there.",
+    ),
+    "joint_scale": Sentences(
+        physics="The ratio of gear, belt or scale is not quite what the drawing says, so an encoder counts too much or "
+        "too little.",
+        residuals="Grows in proportion to the travel of one joint; zero at the home position.",
+        workshop="Compare the travel of each joint with a gauge or its index marks; correct counts per travel.",
+    ),
+    "encoder_cyclic": Sentences(
+        physics="A magnetic scale read a little off centre errs by a sine and cosine once per pole pair.",
+        residuals="A fine ripple that repeats with the pole pitch along one joint.",
+        workshop="Adjust gap and angle of the reading head; enable the encoder's own harmonic compensation.",
+    ),
+    "encoder_eccentricity": Sentences(
+        physics="The encoder's ring sits off the axis of its joint, so it errs by a sine once per turn.",
+        residuals="A slow wave along one joint: one period in a whole turn.",
+        workshop="Centre the ring with a dial gauge; or read it at two opposite places.",
+    ),
+    "backlash": Sentences(
+        physics="Play in drive and bearings: where a joint stops depends on the side from which it came.",
+        residuals="Two values at one place, by the direction of the last motion.",
+        workshop="Preload the drive; or approach every pose from the same side.",
+    ),
+    "thermal_growth": Sentences(
+        physics="Everything expands with temperature, so every coordinate grows in proportion to itself.",
+        residuals="Proportional to position times the deviation of temperature from 20 °C.",
+        workshop="Warm up before measuring; hold the temperature; use Invar.",
+    ),
+    "drift": Sentences(
+        physics="The point wanders steadily while the run lasts: creep, settling supports, warming electronics.",
+        residuals="A straight line over time, whatever the pose.",
+        workshop="Warm up; return to a reference pose regularly; shuffle the order of poses.",
+    ),
+    "slip": Sentences(
+        physics="Something let go at one moment: a clamp, a magnet, what the instrument looks at.",
+        residuals="A step over time: all readings before it agree, all after it agree.",
+        workshop="Tighten what holds the measured point; measure again from the moment on.",
+    ),
+    "beam_alignment": Sentences(
+        physics="The instrument's axes are not square, it is turned to the base, or a sensor's scale is off: each "
+        "reading shows a little of the other coordinates.",
+        residuals="Linear in the coordinates.",
+        workshop="Square the axes of the instrument; compare sensor scales on a gauge block.",
+    ),
+    "sensor_linearity": Sentences(
+        physics="A sensor's reading bends away from the straight line towards the ends of its range.",
+        residuals="Cubic in one coordinate, the same at all other coordinates.",
+        workshop="Use the middle of the range; have the sensor's linearity table loaded.",
+    ),
+    "datum": Sentences(
+        physics="Readings are differences from a reference position, so their zero is arbitrary. In the default model.",
+        residuals="Constant.",
+        workshop="None needed.",
+    ),
+    "camera_pose": Sentences(
+        physics="The camera does not stand where the drawing has it, or does not look where it should; in its own "
+        "axes, x right, y down, z forward.",
+        residuals="The whole picture turned, shifted, grown or in perspective.",
+        workshop="Survey the camera with a board on the base; clamp it so that it stays.",
+    ),
+    "focal_length": Sentences(
+        physics="The focal length differs from the calibrated one: the lens was refocused, or warmed up.",
+        residuals="The picture grows or shrinks about its middle.",
+        workshop="Lock the focus and calibrate the camera again.",
+    ),
+    "lens_distortion": Sentences(
+        physics="The lens bends straight lines: radially (k1, k2) and, where its elements are not centred, sideways "
+        '(p1, p2). Source: Brown, "Decentering distortion of lenses", 1966.',
+        residuals="Grows with the third power of the distance from the middle of the picture.",
+        workshop="Calibrate the camera with a board that fills the picture to its corners.",
+    ),
+    "camera_delay": Sentences(
+        physics="A picture shows the robot a little earlier than its time stamp says: exposure, transfer, buffers.",
+        residuals="Proportional to the velocity of the joints; none where the robot stands still.",
+        workshop="Trigger camera and encoders together; or measure at rest.",
+    ),
+}
+
+
+def common(*names: str) -> dict[str, Sentences]:
+    """The common sentences of these effects."""
+    return {name: COMMON[name] for name in names}

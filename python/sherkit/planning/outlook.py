@@ -1,0 +1,265 @@
+"""Planning before measuring: what a plan could find, at what size, what it could not tell apart, what it would know.
+
+All of it follows from the derivatives of the readings at the plan's poses. An effect is looked for with the F-test of
+its parameters beside the free ones (Seber and Wild, *Nonlinear Regression*, 5.3): its chance to be found is the tail of
+the noncentral F distribution, whose noncentrality is what the free parameters leave of the effect, squared, in units of
+the noise. The model is taken as linear about the drawing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import optimize, special
+
+from ..data import Measurements
+from ..errors import EffectError, FitError
+from ..model.base import lacks
+from ..model.chain import ChainModel
+from ..model.effect import Effect
+from ..model.parameter import Parameter
+from ..names import nearest
+from ..types import Floats
+from .poses import PoseDesign, design_of
+
+#: An effect counts as found at this level, and a size as one that would be found with this power.
+LEVEL = 0.01
+POWER = 0.8
+#: Singular values below this share of the largest are directions that nothing here observes.
+_UNOBSERVED = 1e-7
+#: So much of an effect is in the fitted parameters that it counts as absorbed.
+_ABSORBED = 0.95
+_LARGEST_NC = 1e5
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What the plan promises of one effect.
+
+    ``power`` is the chance to find it at its plausible size, ``times`` the multiple of that size at which the chance is
+    0.8 (all parameters at the same multiple of their sizes, signs at random), ``values`` the parameters there,
+    ``left_um`` the root mean square that it then leaves in the readings, in the unit that people read. ``absorbed`` is
+    the share of its squared displacements that the fitted parameters would take. ``ties`` name effects that would
+    explain it as well: with one of them in the model, it is no longer found at its plausible size. ``lacks`` names
+    columns without which it cannot be tried at all; the rest then says nothing.
+    """
+
+    name: str
+    link: str
+    power: float
+    times: float
+    values: Mapping[str, float]
+    left_um: float
+    absorbed: float
+    ties: tuple[str, ...]
+    lacks: tuple[str, ...]
+
+    @property
+    def is_absorbed(self) -> bool:
+        """Whether the fitted parameters would take most of it."""
+        return self.absorbed > _ABSORBED
+
+
+@dataclass(frozen=True, eq=False)
+class Planning:
+    """A model, the rows that a plan would give (their readings are still to come), and the noise of each coordinate.
+
+    ``sigma`` (m,) is in the unit of the readings. ``level`` is that of the test.
+    """
+
+    model: ChainModel
+    rows: Measurements
+    sigma: Floats
+    level: float = LEVEL
+
+    def __post_init__(self) -> None:
+        sigma = np.broadcast_to(np.asarray(self.sigma, dtype=float), (self.rows.coordinates,)).copy()
+        if not (np.isfinite(sigma).all() and (sigma > 0).all()):
+            raise FitError(f"sigma: expected positive numbers, got {sigma.tolist()}")
+        object.__setattr__(self, "sigma", sigma)
+
+    # -- the free parameters -----------------------------------------------------------------------------
+
+    @property
+    def readings(self) -> int:
+        """How many single readings the plan gives."""
+        return len(self.rows) * self.rows.coordinates
+
+    @cached_property
+    def design(self) -> PoseDesign:
+        """How well the free parameters would be known."""
+        return design_of(self.model, self.rows, sigma=self.sigma)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The free parameters."""
+        return self.model.parameters
+
+    @cached_property
+    def _basis(self) -> Floats:
+        """An orthonormal basis (readings, rank) of what the free parameters can move."""
+        return _orthonormal(self._columns(self.model)[:, : len(self.model.parameters)])
+
+    def _columns(self, model: ChainModel) -> Floats:
+        """Derivatives (readings, p) in units of the noise, by plausible sizes."""
+        by = model.derivatives(self.rows, np.zeros(len(model.parameters)))[:, : self.rows.coordinates]
+        size = np.array([p.size for p in model.parameters])
+        return (by * size / self.sigma[:, None]).reshape(-1, len(size))
+
+    # -- effects -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def candidates(self) -> dict[str, Effect]:
+        """The effects of the catalogue that are not in the model."""
+        inside = {e.name for e in self.model.effects} | {"datum"}
+        return {name: e for name, e in self.model.catalogue.items() if name not in inside}
+
+    def effect(self, name: str) -> Effect:
+        """The candidate of that name. Raises :class:`~sherkit.errors.EffectError`."""
+        if name not in self.candidates:
+            raise EffectError(f"'{name}' is no effect to look for here{nearest(name, self.candidates)}")
+        return self.candidates[name]
+
+    def with_effect(self, effect: Effect) -> ChainModel:
+        """The model with the effect; a slip is taken to happen in the middle of the run."""
+        settings: dict[str, float] = {}
+        if effect.search == "time_s" and self.rows.time_s is not None:
+            settings["slip_time_s"] = float(np.median(self.rows.time_s))
+        return self.model.with_effect(effect, **settings)
+
+    @cached_property
+    def _raw(self) -> dict[str, Floats]:
+        """Columns of every effect that can be tried, by plausible sizes and in units of the noise."""
+        out = {}
+        for name, effect in self.candidates.items():
+            if not lacks(effect, self.rows):
+                model = self.with_effect(effect)
+                out[name] = self._columns(model)[:, model.owns(effect)]
+        return out
+
+    def _left(self, name: str, beside: Floats | None = None) -> Floats:
+        """What the free parameters (and ``beside``, an orthonormal basis) leave of an effect's columns."""
+        columns = self._raw[name]
+        for basis in (self._basis, beside):
+            if basis is not None:
+                # twice: the first leaves some rounding
+                for _ in range(2):
+                    columns = columns - basis @ (basis.T @ columns)
+        return columns
+
+    def power(self, name: str, values: Mapping[str, float]) -> float:
+        """The chance to find an effect with these parameters (those left out are zero). Raises as :meth:`effect`."""
+        effect = self.effect(name)
+        left = self._left(name)
+        own = {p.name for p in effect.parameters}
+        if unknown := [k for k in values if k not in own]:
+            raise EffectError(f"'{name}' has no parameter '{unknown[0]}'{nearest(unknown[0], own)}")
+        share = np.array([values.get(p.name, 0.0) / p.size for p in effect.parameters])
+        return self._found(float(((left @ share) ** 2).sum()), *self._freedom(left, name))
+
+    def found_along(self, name: str, values: Mapping[str, float]) -> dict[str, float]:
+        """The multiple of these parameters at which the effect is found in 80 of 100 cases; infinite where never."""
+        effect = self.effect(name)
+        left = self._left(name)
+        share = np.array([values.get(p.name, 0.0) / p.size for p in effect.parameters])
+        at, whole = (float(((columns @ share) ** 2).sum()) for columns in (left, self._raw[name]))
+        rank, free = self._freedom(left, name)
+        # along a direction that the parameters take wholly, what is left is rounding
+        seen = at > _UNOBSERVED**2 * whole and rank > 0
+        times = float(np.sqrt(self._needed(rank, free) / at)) if seen else float("inf")
+        return {name: times * value for name, value in values.items()}
+
+    def _freedom(self, left: Floats, name: str, beside: int = 0) -> tuple[int, int]:
+        """Degrees of freedom of the test: of the effect, and of the noise."""
+        rank = _rank(left, self._raw[name])
+        return rank, self.readings - self._basis.shape[1] - beside - rank
+
+    def _found(self, noncentrality: float, rank: int, free: int) -> float:
+        if rank == 0 or free <= 0:
+            return 0.0
+        threshold = float(special.fdtri(rank, free, 1.0 - self.level))
+        if noncentrality > _LARGEST_NC:
+            return 1.0
+        below = float(special.ncfdtr(rank, free, noncentrality, threshold))
+        if not np.isfinite(below):
+            # the series did not converge; with as many degrees of freedom, F is χ² over its own
+            below = float(special.chndtr(rank * threshold, rank, noncentrality))
+        return 1.0 - below
+
+    def _needed(self, rank: int, free: int) -> float:
+        """The noncentrality with which the test succeeds in 80 of 100 cases."""
+        if rank == 0 or free <= 0:
+            return float("inf")
+        return float(optimize.brentq(lambda nc: self._found(nc, rank, free) - POWER, 1e-6, _LARGEST_NC))
+
+    @cached_property
+    def outlooks(self) -> tuple[Outlook, ...]:
+        """What the plan promises of every effect, in the order of the chain."""
+        return tuple(self._outlook(name) for name in self.candidates)
+
+    def _outlook(self, name: str) -> Outlook:
+        effect = self.candidates[name]
+        missing = lacks(effect, self.rows)
+        if missing:
+            nan = float("nan")
+            return Outlook(name, effect.link, nan, nan, {}, nan, nan, (), missing)
+        raw, left = self._raw[name], self._left(name)
+        rank, free = self._freedom(left, name)
+        at_size = float((left**2).sum()) if rank else 0.0
+        needed = self._needed(rank, free)
+        times = float(np.sqrt(needed / at_size)) if at_size > 0 else float("inf")
+        whole = float((raw**2).sum())
+        unit = self.rows.layout.per_unit * float(np.sqrt(np.mean(self.sigma**2)))
+        return Outlook(
+            name=name,
+            link=effect.link,
+            power=self._found(at_size, rank, free),
+            times=times,
+            values={p.name: times * p.size for p in effect.parameters},
+            left_um=unit * float(np.sqrt(needed / self.readings)),
+            absorbed=max(1.0 - at_size / whole, 0.0) if whole > 0 else 1.0,
+            ties=self._ties(name) if times <= 1.0 else (),
+            lacks=(),
+        )
+
+    def _ties(self, name: str) -> tuple[str, ...]:
+        out = []
+        for other in self._raw:
+            if other == name:
+                continue
+            others = self._left(other)
+            if _rank(others, self._raw[other]) == 0:
+                continue
+            basis = _orthonormal(others)
+            left = self._left(name, basis)
+            rank, free = self._freedom(left, name, basis.shape[1])
+            if self._found(float((left**2).sum()) if rank else 0.0, rank, free) < POWER:
+                out.append(other)
+        return tuple(out)
+
+
+def planning_of(
+    model: ChainModel, rows: Measurements, sigma: float | Floats, *, effects: tuple[str, ...] = ()
+) -> Planning:
+    """A planning with ``effects`` (names) in the model already, as after a first diagnosis."""
+    known = model.catalogue
+    for name in effects:
+        if name not in known:
+            raise EffectError(f"'{name}' is not a known effect{nearest(name, known)}")
+    inside = replace(model, effects=(*model.effects, *(known[name] for name in effects)))
+    return Planning(inside, rows, np.asarray(sigma, dtype=float))
+
+
+def _orthonormal(columns: Floats) -> Floats:
+    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    return left[:, singular > _UNOBSERVED * max(float(singular[0]), 1e-300)]
+
+
+def _rank(left: Floats, raw: Floats) -> int:
+    """How many directions of an effect are left: what is as small as rounding is none."""
+    size = np.linalg.norm(raw, axis=0)
+    scaled = left / np.where(size > 0, size, 1.0)
+    return int((np.linalg.svd(scaled, compute_uv=False) > _UNOBSERVED).sum())

@@ -1,0 +1,149 @@
+"""Which poses to measure: few that observe all parameters, chosen from many that the robot can reach.
+
+D-optimal designs (Fedorov, *Theory of Optimal Experiments*, 1972), found by exchange (Cook and Nachtsheim, "A
+comparison of algorithms for constructing exact D-optimal designs", Technometrics 1980). For a given number of poses
+this is also the best observability index O1 (Borm and Menq, 1989), the one that is used for robots. Poses are chosen
+once each, since a pose that is measured twice shows noise and no other physics, and put into a random order, so that
+drift does not look like geometry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..data import Measurements
+from ..errors import FitError, ShapeError
+from ..model.chain import ChainModel
+from ..model.parameter import Parameter
+from ..types import Floats, Ints
+
+#: Singular values below this share of the largest are directions that no pose observes.
+_UNOBSERVED = 1e-9
+_MOST_ROUNDS = 50
+#: An exchange that gains less than this in the logarithm of the determinant is none.
+_LEAST_GAIN = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class PoseDesign:
+    """Chosen poses: ``rows`` (k,) of the candidates, in the order to measure them.
+
+    ``std`` (p,) are the standard deviations of the ``parameters`` for one reading of each, unobserved directions held;
+    ``o1`` is the observability index: the geometric mean of the observed singular values of the column-scaled
+    derivatives over the root of the number of poses. ``rank`` is how many directions of the parameters are observed.
+    """
+
+    rows: Ints
+    parameters: tuple[Parameter, ...]
+    std: Floats
+    o1: float
+    rank: int
+
+
+def choose_poses(
+    model: ChainModel,
+    candidates: Measurements,
+    count: int,
+    *,
+    sigma: float | Floats = 1.0,
+    values: Floats | None = None,
+    seed: int = 0,
+) -> PoseDesign:
+    """Chooses ``count`` of the ``candidates``, whose joints alone matter.
+
+    ``sigma`` is the standard deviation of a reading (of each coordinate, where they differ); ``values`` are those of
+    the parameters about which the model is linear, the drawing if left out. Raises
+    :class:`~sherkit.errors.ShapeError` for fewer poses than can observe the parameters, or more than there are.
+    """
+    whole, size, basis = _observed(model, candidates, sigma, values)
+    n, m, rank = whole.shape
+    if not -(-rank // m) <= count <= n:
+        raise ShapeError(
+            f"count: expected {-(-rank // m)} to {n} poses (of {n} candidates, {rank} directions of the parameters can "
+            f"be observed), got {count}"
+        )
+    rng = np.random.default_rng(seed)
+    chosen = _exchanged(whole, _grown(whole, count))
+    order = rng.permutation(np.array(chosen, dtype=np.int64))
+    std, o1 = _known(whole[order], size, basis)
+    return PoseDesign(order, model.parameters, std, o1, rank)
+
+
+def design_of(
+    model: ChainModel, rows: Measurements, *, sigma: float | Floats = 1.0, values: Floats | None = None
+) -> PoseDesign:
+    """All ``rows`` as a design, to compare with."""
+    whole, size, basis = _observed(model, rows, sigma, values)
+    std, o1 = _known(whole, size, basis)
+    return PoseDesign(np.arange(len(rows)), model.parameters, std, o1, whole.shape[2])
+
+
+def _observed(
+    model: ChainModel, rows: Measurements, sigma: float | Floats, values: Floats | None
+) -> tuple[Floats, Floats, Floats]:
+    """Derivatives (n, m, rank) by the observed directions, plausible sizes (p,), and those directions (p, rank)."""
+    at = np.zeros(len(model.parameters)) if values is None else values
+    by = model.derivatives(rows, at)[:, : rows.coordinates] / np.reshape(np.asarray(sigma, dtype=float), (-1, 1))
+    if not np.isfinite(by).all():
+        raise FitError("the model has derivatives that are not finite at these poses")
+    # as identification does it, so that both hold the same directions
+    size = np.array([p.size for p in model.parameters])
+    _, singular, right = np.linalg.svd((by * size).reshape(-1, len(size)), full_matrices=False)
+    basis = right[singular > _UNOBSERVED * singular[0]].T
+    return (by * size) @ basis, size, basis
+
+
+def _known(rows: Floats, size: Floats, basis: Floats) -> tuple[Floats, float]:
+    """Standard deviations of the parameters and O1, from derivatives (k, m, rank)."""
+    _, singular, right = np.linalg.svd(rows.reshape(-1, rows.shape[2]), full_matrices=False)
+    root = basis @ (right.T / singular)
+    o1 = float(np.exp(np.mean(np.log(singular))) / np.sqrt(len(rows)))
+    return np.sqrt((root**2).sum(axis=1)) * size, o1
+
+
+def _gains(rows: Floats, inverse: Floats) -> Floats:
+    """By how much the logarithm of the determinant grows with each of the poses."""
+    m = rows.shape[1]
+    spread = np.einsum("nar,rs,nbs->nab", rows, inverse, rows)
+    return np.linalg.slogdet(np.eye(m) + spread)[1]
+
+
+def _grown(rows: Floats, count: int) -> list[int]:
+    """A first choice: one after the other, each time the pose that adds most."""
+    # all poses together are a start that observes everything; it fades as poses are chosen
+    information = 1e-6 * np.einsum("nar,nas->rs", rows, rows)
+    chosen: list[int] = []
+    for _ in range(count):
+        gains = _gains(rows, np.linalg.inv(information))
+        gains[chosen] = -np.inf
+        best = int(np.argmax(gains))
+        chosen.append(best)
+        information += rows[best].T @ rows[best]
+    return chosen
+
+
+def _exchanged(rows: Floats, chosen: list[int]) -> list[int]:
+    """Exchanges each chosen pose for a better one, until none is."""
+    chosen = list(chosen)
+    information = np.einsum("nar,nas->rs", rows[chosen], rows[chosen])
+    for _ in range(_MOST_ROUNDS):
+        better = False
+        for k, old in enumerate(chosen):
+            rest = information - rows[old].T @ rows[old]
+            value, vector = np.linalg.eigh(rest)
+            if value[0] <= 1e-12 * value[-1]:
+                # without this pose a direction is lost
+                continue
+            gains = _gains(rows, (vector / value) @ vector.T)
+            kept = gains[old]
+            gains[chosen] = -np.inf
+            best = int(np.argmax(gains))
+            if gains[best] > kept + _LEAST_GAIN:
+                chosen[k] = best
+                information = rest + rows[best].T @ rows[best]
+                better = True
+        if not better:
+            break
+    return chosen

@@ -1,0 +1,208 @@
+"""Residual against anything: points, running mean with its band, and the effect that was fitted through it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from bokeh.models import ColumnDataSource, Span
+from numpy.typing import NDArray
+
+from ..types import Floats
+from .picture import Picture, Table, Tables, sources_of, stacked, thinned
+from .residuals import Residuals
+from .style import COLOURS, FONT_SIZE, INK, MARKERS, MUTED, PLAIN, figure, hover, quantity
+
+MOST_POINTS = 3000
+#: Places of the running mean, and the part of the poses that each of them averages.
+_PLACES, _WINDOW = 40, 1 / 12
+_FEW_VALUES = 12
+#: Fewer points than this are drawn larger.
+_FEW_ROWS = 300
+_PANEL_HEIGHT = 200
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualAgainst:
+    """What is left now, what was left before the effects in question were added, and the variable to draw against."""
+
+    now: Residuals
+    variable: str
+    before: Residuals | None = None
+
+
+def residual_against(state: ResidualAgainst) -> Picture[ResidualAgainst]:
+    """A panel per reading with one shared axis: the error against ``state.variable``.
+
+    The band is two standard errors of the running mean, counted by poses. The line through it is what the model has
+    gained since ``state.before``: where it lies on the points of that moment, the effect explains them.
+    """
+    first = tables(state)
+    sources = sources_of(first)
+    figures: list[Any] = []
+    for k, name in enumerate(state.now.names):
+        figures.append(_panel(sources, k, name, state, figures[0].x_range if figures else None))
+    root = stacked("against", figures, sizing_mode="stretch_width")
+
+    def tune(new: ResidualAgainst) -> None:
+        figures[-1].xaxis.axis_label = quantity(new.variable)
+
+    return Picture("against", root, sources, tables, tune, note=note(state.now))
+
+
+def note(left: Residuals) -> str:
+    """How to read it, and what is not drawn."""
+    n = len(left)
+    few = (
+        f" {MOST_POINTS} of {n} are drawn, chosen at random, marked outliers first; means and bands count all of them."
+        if n > MOST_POINTS
+        else ""
+    )
+    noise = " Dotted: the noise, ±2 σ." if left.noise_origin != "unknown" else ""
+    return (
+        "Points are single readings, the line their running mean, the band two standard errors of it (counted by "
+        f"poses).{few}{noise} Where effects were added, grey points are the error before them and "
+        "the dashed line through these is what the effects explain."
+    )
+
+
+def tables(state: ResidualAgainst) -> Tables:
+    """Points, running mean, noise and legend text for a variable."""
+    left = state.now
+    out = {"points": points(left), "mean": means(left, state.variable), "noise": noise_band(left)}
+    out["points"]["v"] = _f(left.variables[state.variable][shown(left)])
+    out["gained"] = gained(state.before, left, state.variable)
+    out["earlier"] = earlier(state.before, left)
+    if len(out["earlier"]["r0"]):
+        out["earlier"]["v"] = out["points"]["v"]
+    return out
+
+
+def earlier(before: Residuals | None, now: Residuals) -> Table:
+    """Error of the drawn rows before the effects were added; empty where nothing was."""
+    if before is None or before is now or len(before) != len(now):
+        return {"v": _f([])} | {f"r{k}": _f([]) for k in range(len(now.names))}
+    return {f"r{k}": _f(before.values[shown(now), k]) for k in range(len(now.names))}
+
+
+def shown(left: Residuals) -> NDArray[np.int64]:
+    """Rows whose points are drawn, the same for every state of a run."""
+    return np.asarray(thinned(len(left), MOST_POINTS, np.flatnonzero(left.outlier)))
+
+
+def points(left: Residuals) -> Table:
+    """Error of the drawn rows by reading, without the variable."""
+    rows = shown(left)
+    out: Table = {f"r{k}": _f(left.values[rows, k]) for k in range(len(left.names))}
+    out["line"], out["row"] = left.line[rows].astype(np.int32), left.row[rows].astype(np.int32)
+    few = len(rows) < _FEW_ROWS
+    out["alpha"] = np.where(left.outlier[rows], 0.9, 0.8 if few else 0.35).astype(np.float32)
+    out["size"] = np.where(left.outlier[rows], 11, 7 if few else 4).astype(np.float32)
+    return out
+
+
+def means(left: Residuals, variable: str) -> Table:
+    """Running mean with its band of two standard errors."""
+    v = left.variables[variable]
+    at, weight = _places(v[~left.outlier])
+    out: Table = {"v": _f(at)}
+    for k in range(len(left.names)):
+        mean, error = _running(v, left.values[:, k], left.group, ~left.outlier, at, weight)
+        out |= {f"m{k}": _f(mean), f"low{k}": _f(mean - 2 * error), f"high{k}": _f(mean + 2 * error)}
+    return out
+
+
+def gained(before: Residuals | None, now: Residuals, variable: str) -> Table:
+    """Running mean of what the model explains now and did not explain before; empty where nothing was added."""
+    names = [f"g{k}" for k in range(len(now.names))]
+    if before is None or before is now or len(before) != len(now):
+        return {"v": _f([])} | {name: _f([]) for name in names}
+    v = now.variables[variable]
+    at, weight = _places(v[~now.outlier])
+    out: Table = {"v": _f(at)}
+    change = before.values - now.values
+    for k, name in enumerate(names):
+        out[name] = _f(_running(v, change[:, k], now.group, ~now.outlier, at, weight)[0])
+    return out
+
+
+def noise_band(left: Residuals) -> Table:
+    """±2 σ of a single reading; nothing where the noise is not known."""
+    known = left.noise_origin != "unknown"
+    edges = [np.array([2.0, -2.0]) * s if known else np.zeros(0) for s in left.noise]
+    return {f"n{k}": edge for k, edge in enumerate(edges)}
+
+
+def _places(v: Floats) -> tuple[Floats, Floats]:
+    """Where to average, and how far around."""
+    values = np.unique(v)
+    if len(values) <= min(_FEW_VALUES, len(v) // 4):
+        return values, np.zeros(len(values))
+    at = np.quantile(v, np.linspace(0, 1, _PLACES))
+    order = np.sort(v)
+    rank = np.linspace(0, 1, _PLACES) * (len(v) - 1)
+    wide = max(_WINDOW * len(v) / 2, 4)
+    low = order[np.clip(rank - wide, 0, len(v) - 1).astype(int)]
+    high = order[np.clip(rank + wide, 0, len(v) - 1).astype(int)]
+    unique, index = np.unique(at, return_index=True)
+    return unique, np.maximum(0.5 * (high - low), 1e-12)[index]
+
+
+def _running(
+    v: Floats, r: Floats, group: NDArray[np.int64], use: NDArray[np.bool_], at: Floats, wide: Floats
+) -> tuple[Floats, Floats]:
+    """Mean and its standard error around each place; poses, not readings, are what is independent."""
+    use = use & np.isfinite(r)
+    v, r, group = v[use], r[use], group[use]
+    order = np.argsort(v, kind="stable")
+    v, r, group = v[order], r[order], group[order]
+    mean, error = np.full(len(at), np.nan), np.full(len(at), np.nan)
+    for j, (x, half) in enumerate(zip(at, wide, strict=True)):
+        first, last = np.searchsorted(v, x - half - 1e-12), np.searchsorted(v, x + half + 1e-12, side="right")
+        if last <= first:
+            continue
+        part, poses = r[first:last], np.unique(group[first:last], return_inverse=True)[1]
+        count = np.bincount(poses)
+        mean[j] = part.mean()
+        if len(count) > 1:
+            per_pose = np.bincount(poses, part - mean[j])
+            error[j] = np.sqrt((per_pose**2).sum()) / len(part)
+    return mean, np.nan_to_num(error)
+
+
+def _f(values: Any) -> NDArray[np.float32]:
+    return np.asarray(values, dtype=np.float32)
+
+
+def _panel(sources: dict[str, ColumnDataSource], k: int, name: str, state: ResidualAgainst, x_range: Any) -> Any:
+    unit = state.now.unit
+    settings = {} if x_range is None else {"x_range": x_range}
+    made = figure(
+        height=_PANEL_HEIGHT + (45 if k == len(state.now.names) - 1 else 0), sizing_mode="stretch_width",
+        tools="pan,box_zoom,wheel_zoom,box_select,lasso_select,tap,reset", **settings,
+    )  # fmt: skip
+    made.yaxis.axis_label = f"{name}, {unit}"
+    last = k == len(state.now.names) - 1
+    made.xaxis.axis_label = quantity(state.variable) if last else None
+    if last:
+        made.xaxis[0].name = "against_axis"
+    made.xaxis.major_label_text_font_size = FONT_SIZE if last else "0px"
+    made.add_layout(Span(location=0, dimension="width", line_color=MUTED, line_width=1))
+    for edge in sources["noise"].data[f"n{k}"]:
+        made.add_layout(Span(location=edge, dimension="width", line_color=MUTED, line_width=1, line_dash="dotted"))
+    colour = COLOURS[k % len(COLOURS)]
+    few = len(state.now) < _FEW_ROWS
+    made.scatter(
+        "v", f"r{k}", source=sources["earlier"], size=6 if few else 3, color=PLAIN, alpha=0.6 if few else 0.25,
+        line_color=None,
+    )  # fmt: skip
+    dots = made.scatter(
+        "v", f"r{k}", source=sources["points"], marker=MARKERS[k % len(MARKERS)], size="size", color=colour,
+        alpha="alpha", line_color=None, nonselection_alpha=0.08,
+    )  # fmt: skip
+    made.varea("v", f"low{k}", f"high{k}", source=sources["mean"], fill_color=INK, fill_alpha=0.18)
+    made.line("v", f"m{k}", source=sources["mean"], color=INK, line_width=2.5)
+    made.line("v", f"g{k}", source=sources["gained"], color=COLOURS[3], line_width=3, line_dash="dashed")
+    made.add_tools(hover([dots], ("at", "@v{0.000}"), (name, f"@r{k}{{0.0}} {unit}"), (state.now.counted, "@line")))
+    return made

@@ -1,0 +1,78 @@
+"""What a fit leaves of a run, ready to be drawn: any machine, in the unit that people read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..data import Measurements
+from ..diagnosis.fitted_run import FittedRun
+from ..fit.identify import Fit
+from ..types import Bools, Floats, Ints
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Measured minus predicted, ``values`` (n, m) in ``unit``, NaN where nothing was taken.
+
+    ``names`` are those of the m readings; ``noise`` (m,) their noise in ``unit`` and ``noise_origin`` how it is known;
+    ``place`` up to three coordinates (n,) of where the machine was; ``variables`` (n,) everything the error may depend
+    on; ``group`` (n,) is equal for repeats of a pose; ``row`` (n,) is the row of the run, ``line`` (n,) its number in
+    the file, counted in ``counted``; ``outlier`` (n,) marks rows that were not fitted.
+    """
+
+    names: tuple[str, ...]
+    unit: str
+    values: Floats
+    noise: Floats
+    noise_origin: str
+    place: Mapping[str, Floats]
+    variables: Mapping[str, Floats]
+    group: Ints
+    row: Ints
+    line: Ints
+    counted: str
+    outlier: Bools
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @cached_property
+    def rms(self) -> Floats:
+        """Root mean square of each reading (m,) over rows that are not marked as outliers."""
+        used = np.where(self.outlier[:, None], np.nan, self.values)
+        count = np.isfinite(used).sum(axis=0)
+        return np.sqrt(np.nansum(used**2, axis=0) / np.maximum(count, 1))
+
+
+def residuals_of(fit: Fit) -> Residuals:
+    """What a fit leaves, on every row of its run that has a reading."""
+    run, data = FittedRun(fit), fit.data
+    axes = list(run.axes)
+    residuals = run.per_unit * run.residuals[:, axes]
+    rows = np.flatnonzero(np.isfinite(residuals).any(axis=1)).astype(np.int64)
+    variables, place = run.variables(rows)
+    sigma, origin = run.noise
+    return Residuals(
+        names=tuple(run.names[a] for a in axes),
+        unit=run.unit,
+        values=residuals[rows],
+        noise=run.per_unit * sigma[axes],
+        noise_origin=origin,
+        place={name: variables[name] for name in place},
+        variables=variables | _directions(data, rows),
+        group=data.select(rows).groups,
+        row=rows,
+        line=data.line[rows],
+        counted=data.counted,
+        outlier=data.outlier[rows],
+    )
+
+
+def _directions(data: Measurements, rows: Ints) -> dict[str, Floats]:
+    """Sign of the last motion of each joint, where it is known and both signs occur."""
+    columns = {f"direction_{k + 1}": column[rows] for k, column in enumerate(data.direction.T)}
+    return {name: v for name, v in columns.items() if np.isfinite(v).all() and np.ptp(v) > 0}

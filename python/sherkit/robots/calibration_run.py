@@ -1,0 +1,134 @@
+"""A run taken through identification, holding out and correction: what a calibration is made from."""
+
+from __future__ import annotations
+
+import warnings
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..errors import SherkitWarning
+from ..fit.identify import Fit
+from ..names import listed
+from ..types import Bools, Floats, Ints
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A table for people: titles of its columns but the first, and its lines, each with its name first."""
+
+    columns: tuple[str, ...]
+    lines: tuple[tuple[str, ...], ...]
+
+
+class Corrected(ABC):
+    """What a smooth correction takes of what a fit leaves; a kind of robot that has one says how."""
+
+    @property
+    @abstractmethod
+    def rows(self) -> Ints:
+        """Rows of the run (k,) that it was chosen on."""
+
+    @property
+    @abstractmethod
+    def held_out(self) -> Floats:
+        """Residuals (k, coordinates) of those rows, each by a correction that did not see its block."""
+
+    @property
+    @abstractmethod
+    def chosen(self) -> bool:
+        """Whether one helps, and is in the calibration."""
+
+    @abstractmethod
+    def __str__(self) -> str:
+        """What was chosen, in words."""
+
+    @abstractmethod
+    def to_json(self) -> dict[str, Any]:
+        """The same for programs."""
+
+    def cells(self) -> Cells | None:
+        """Its errors as a table; None where there is none to show."""
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationRun:
+    """One run taken through identification, holding out and correction.
+
+    ``held_out`` (n, m) are residuals of fits that did not see the row's block. ``correction`` is None where none was
+    asked for or the robot has none; ``region`` (n,) are the rows in its region of interest, None where it has none.
+    """
+
+    fit: Fit
+    held_out: Floats
+    correction: Corrected | None = None
+    region: Bools | None = None
+
+    @cached_property
+    def corrected(self) -> Floats:
+        """Held-out residuals after the correction, chosen and fitted without the row's block, (n, m); those before
+        where there is no correction."""
+        out = self.held_out.copy()
+        if self.correction is not None and self.correction.chosen:
+            out[self.correction.rows, : self.fit.data.coordinates] = self.correction.held_out
+        return out
+
+    def rms(self, values: Floats, rows: Bools | None = None) -> dict[str, tuple[float, float]]:
+        """RMS and standard deviation per reading, in the unit that people read, over rows not marked as outliers."""
+        out = {}
+        layout = self.fit.data.layout
+        for k, name in enumerate(layout.readings):
+            use = self.fit.data.taken[:, k] & ~self.fit.data.outlier & np.isfinite(values[:, k])
+            if rows is not None:
+                use = use & rows
+            if use.any():
+                v = values[use, k] * layout.per_unit
+                out[name] = (float(np.sqrt(np.mean(v**2))), float(v.std()))
+        return out
+
+    def lines(self) -> list[tuple[str, str, dict[str, tuple[float, float]]]]:
+        """Table I: name of a line, that of the paper's ('' where it prints none), RMS and deviation by reading."""
+        region = self.region
+        wanted: list[tuple[str, str, Floats, Bools | None]] = [
+            ("before calibration", "before", self.fit.nominal_residuals, None),
+            ("after geometry", "after", self.fit.residuals, None),
+            ("  on poses held out", "", self.held_out, None),
+        ]
+        if self.correction is not None:
+            wanted.append(("  held out, corrected", "", self.corrected, None))
+        if region is not None and region.any() and not region.all():
+            wanted += [
+                ("before, region of interest", "before, region", self.fit.nominal_residuals, region),
+                ("after, region of interest", "after, region", self.fit.residuals, region),
+            ]
+            if self.correction is not None:
+                wanted.append(("  held out, corrected", "", self.corrected, region))
+        return [(name, key, self.rms(values, rows)) for name, key, values, rows in wanted]
+
+    def _left_out(self) -> Floats:
+        """What the user's effects add to the prediction (n, m)."""
+        fit = self.fit
+        deployed = fit.model
+        for effect in fit.model.own:
+            deployed = deployed.without_effect(effect.name)
+        core = deployed.predict(fit.data, fit.values[: len(deployed.parameters)])
+        return np.where(fit.data.taken, fit.predicted - core, 0.0)
+
+    def deployed(self, residuals: Floats) -> Floats:
+        """Residuals (n, m) as they are where a user's effects do not run: what those explain comes back."""
+        own = self.fit.model.own
+        if not own:
+            return residuals
+        without, layout = self._left_out(), self.fit.data.layout
+        worst = layout.per_unit * float(np.sqrt(np.mean(without[:, : self.fit.data.coordinates] ** 2)))
+        warnings.warn(
+            f"{listed(e.name for e in own)}: effects given in NumPy do not run in a control loop and are left out of "
+            f"the calibration; that leaves {worst:.1f} {layout.unit} RMS, which the predicted accuracy includes",
+            SherkitWarning,
+            stacklevel=3,
+        )
+        return residuals + without

@@ -1,0 +1,275 @@
+"""The calibrated delta: where its measured point is, how to bring it there, and how well.
+
+The whole-workspace model holds everywhere; a local one, where there is one, replaces it inside the region of
+interest, blended over a margin so that a commanded position never jumps (the paper switches at the border).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Self, cast
+
+import numpy as np
+
+import sherkit._core as _core
+
+from ...data.toml import Table
+from ...errors import CalibrationError, FitError
+from ...fit.identify import Fit
+from ...model.kinds import Robot
+from ...types import Bools, Floats
+from ..calibrated import Calibration, Note, Part, Planes
+from ..calibration_run import CalibrationRun
+from .columns import POSITION
+from .corrected import DeltaCorrected, corrected
+from .correction import Correction, enough_rows
+from .robot import Delta
+
+#: Width of the blend around the region of interest, as a part of its half width.
+_BLEND = 0.25
+#: Poses on the border of the region count as inside, as the paper counts them, though readings miss it a little.
+_ON_BORDER = 1.02
+
+
+@dataclass(frozen=True, eq=False)
+class DeltaPart(Part):
+    """One identified model of a delta: its residuals, mm², are those about the corrected model.
+
+    ``uncorrected_covariance`` (3, 3) are those about the geometric one, where the correction has faded.
+    """
+
+    uncorrected_covariance: Floats
+    correction: Correction | None
+
+    @classmethod
+    def of(cls, run: CalibrationRun) -> DeltaPart:
+        """The part that a run gives: its fit, its correction, its held-out residuals with the correction and without.
+
+        Where no row holds a full position, heights or distances alone say how far off it is: the same on every axis.
+        """
+        fit = run.fit
+        full = fit.data.taken[:, :3].all(axis=1) & ~fit.data.outlier
+        with_it, without = run.corrected[full, :3], run.held_out[full, :3]
+        if full.any():
+            back = run.deployed(np.zeros_like(run.held_out))[full, :3]
+            with_it, without = with_it + back, without + back
+        else:
+            with_it = without = np.sqrt(3.0 * float(np.nanmean(run.held_out**2))) * np.eye(3)
+        left, before = _second_moment(with_it), _second_moment(without)
+        # the fit took all misfit for noise; what the correction has removed of it is none
+        shrink = min(1.0, float(np.trace(left) / max(np.trace(before), 1e-300)))
+        where = fit.predicted[~fit.data.is_distance & ~fit.data.outlier, :3]
+        if len(where) == 0:
+            where = np.zeros((1, 3))
+        core = len(fit.model.indices)
+        found = cast(DeltaCorrected | None, run.correction)
+        return cls(
+            **cls.identified(fit),
+            covariance=fit.covariance[:core, :core] * shrink,
+            residual_covariance=left,
+            low=where.min(axis=0),
+            high=where.max(axis=0),
+            uncorrected_covariance=before,
+            correction=found.choice.correction if found is not None else None,
+        )
+
+    def _own_table(self, unit: str) -> dict[str, Any]:
+        own: dict[str, Any] = {f"uncorrected_covariance_{unit}2": self.uncorrected_covariance.tolist()}
+        return own if self.correction is None else own | {"correction": self.correction.to_table()}
+
+    @classmethod
+    def _own_fields(cls, table: Table, unit: str, size: int) -> dict[str, Any]:
+        correction = None
+        if table.has("correction"):
+            with table.table("correction") as c:
+                correction = Correction.from_table(c)
+        uncorrected = table.covariance(f"uncorrected_covariance_{unit}2", size)
+        return {"uncorrected_covariance": uncorrected, "correction": correction}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DeltaCalibration(Calibration):
+    """A calibrated delta. Positions, mm, are readings of the measured point: the datum of the run is included."""
+
+    coordinates: ClassVar = POSITION
+    called: ClassVar = ("position", "positions")
+    part: ClassVar = DeltaPart
+    parts: ClassVar = ("whole", "local")
+
+    robot: Delta
+    whole: DeltaPart
+    local: DeltaPart | None = None
+    region_half_width_mm: float | None = None
+    blend_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.local is None) != (self.region_half_width_mm is None):
+            raise CalibrationError("a local model needs the half width of its region, and the reverse")
+        for name in ("region_half_width_mm", "blend_mm"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise CalibrationError(f"{name}: expected a positive number, got {value}")
+        super().__post_init__()
+
+    # -- from a run ----------------------------------------------------------------------------------------
+
+    @classmethod
+    def of(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> Self:
+        """From a run over the workspace and, if given, one inside the region of interest."""
+        robot: Delta = whole.fit.model.robot
+        return cls(
+            robot=robot,
+            whole=DeltaPart.of(whole),
+            local=DeltaPart.of(local) if local else None,
+            region_half_width_mm=robot.region_half_width_mm if local else None,
+        )
+
+    @classmethod
+    def require_region(cls, robot: Robot) -> None:
+        """A local run needs a region of interest in the robot file."""
+        if cast(Delta, robot).region_half_width_mm is None:
+            raise FitError("a local run needs [region_of_interest] half_width_mm in the robot file")
+
+    @classmethod
+    def in_region(cls, fit: Fit) -> Bools | None:
+        """Rows inside the region of interest in x and y (n,), as the paper counts them; None without a region."""
+        half = fit.model.robot.region_half_width_mm
+        if half is None:
+            return None
+        where = fit.predicted[:, :2]
+        inside: Bools = (np.abs(where) <= half * _ON_BORDER).all(axis=1) & ~fit.data.is_distance
+        return inside
+
+    @classmethod
+    def require_correction(cls, robot: Robot) -> None:
+        """The paper's is a Bernstein polynomial."""
+
+    @classmethod
+    def may_correct(cls, fit: Fit) -> bool:
+        """Whether enough rows hold a full position."""
+        return enough_rows(fit)
+
+    @classmethod
+    def correct(cls, fit: Fit, way: str = "auto", seed: int = 0) -> DeltaCorrected:
+        """A Bernstein polynomial. Raises :class:`~sherkit.errors.FitError` where the rows do not determine one."""
+        return corrected(fit, way, seed)
+
+    # -- the model ---------------------------------------------------------------------------------------
+
+    def _core_part(self, part: DeltaPart) -> tuple[_core.DeltaModel, Floats, _core.Bernstein | None]:
+        model = part.model(self.robot)
+        return model.core, model.full(part.values), part.correction.core if part.correction else None
+
+    @cached_property
+    def core(self) -> _core.Calibrated:
+        """The compiled model: the same code that a control loop runs."""
+        local = region = None
+        if self.local is not None and self.region_half_width_mm is not None:
+            local = self._core_part(self.local)
+            half = float(self.region_half_width_mm)
+            blend = self.blend_mm if self.blend_mm is not None else _BLEND * half
+            region = (np.full(3, -half), np.full(3, half), blend)
+        return _core.Calibrated(self._core_part(self.whole), local, region)
+
+    # -- accuracy ----------------------------------------------------------------------------------------
+
+    def spread(self, coordinates: Floats, joints: Floats) -> Floats:
+        """Covariance (n, 3, 3), mm²; without the correction as far as it has faded."""
+        out = np.empty((len(coordinates), 3, 3))
+        inside = np.array([self.part_at(x) is self.local for x in coordinates], dtype=bool)
+        for part, here in ((self.whole, ~inside), (self.local, inside)):
+            rows = np.flatnonzero(here)
+            if part is None or not len(rows):
+                continue
+            model = part.model(self.robot)
+            # a commanded position is reached at rest
+            now = np.tile([*self._now(), 0.0, 0.0, 0.0], (len(rows), 1))
+            block = (np.ascontiguousarray(joints[rows]), None, now, None)
+            derivative = model.core.derivatives(model.full(part.values), block, model.indices)[0][:, :3]
+            shares = [part.correction.share(coordinates[row]) if part.correction else 1.0 for row in rows]
+            share = np.array(shares)[:, None, None]
+            left = share * part.residual_covariance + (1.0 - share) * part.uncorrected_covariance
+            out[rows] = derivative @ part.covariance @ derivative.transpose(0, 2, 1) + left
+        return out
+
+    def part_at(self, coordinates: Floats) -> DeltaPart:
+        """The local part inside the region of interest, where there is one, else the whole one."""
+        inside = self.region_half_width_mm is not None and bool(
+            (np.abs(coordinates) <= self.region_half_width_mm).all()
+        )
+        return self.local if inside and self.local is not None else self.whole
+
+    def places(self) -> list[tuple[str, Floats]]:
+        """The centre, the corner of the region of interest, the rim of the workspace: positions (3,), mm."""
+        robot = self.robot
+        out = [("centre", np.zeros(3))]
+        if robot.region_half_width_mm:
+            out.append(("corner of the region of interest", np.full(3, float(robot.region_half_width_mm))))
+        if robot.workspace_radius_mm and robot.workspace_z_mm:
+            rim = np.array([robot.workspace_radius_mm, 0.0, robot.workspace_z_mm[1]])
+            out.append(("rim of the workspace", rim))
+        return out
+
+    def planes(self, per_side: int) -> Planes:
+        """The highest, middle and lowest plane of the workspace, or of what was measured."""
+        robot = self.robot
+        low, high = np.array(self.whole.low, dtype=float), np.array(self.whole.high, dtype=float)
+        if robot.workspace_radius_mm:
+            low[:2], high[:2] = -robot.workspace_radius_mm, robot.workspace_radius_mm
+        if robot.workspace_z_mm:
+            low[2], high[2] = robot.workspace_z_mm
+        x, y = (np.linspace(low[k], high[k], per_side) for k in range(2))
+        z = np.linspace(high[2], low[2], 3) if high[2] > low[2] else np.array([low[2]])
+        grid = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1).reshape(-1, 3)[:, ::-1]
+        inside = np.ones(len(grid), dtype=bool)
+        if robot.workspace_radius_mm:
+            inside = np.hypot(grid[:, 0], grid[:, 1]) <= robot.workspace_radius_mm - 0.25 * (x[1] - x[0])
+        titles = tuple(f"z = {one:.3g} mm" for one in z)
+        return Planes(x, y, ("x, mm", "y, mm"), titles, grid, inside)
+
+    def border_jump_mm(self) -> float | None:
+        """Largest difference of local and whole model on the border of the region; None without a local model.
+
+        The blend spreads this difference over its width. A large value says that the two runs had different
+        references.
+        """
+        if self.local is None or self.region_half_width_mm is None:
+            return None
+        ticks = np.linspace(-1.0, 1.0, 5) * self.region_half_width_mm
+        cube = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+        border = cube[np.isclose(np.abs(cube).max(axis=1), self.region_half_width_mm)]
+        whole = DeltaCalibration(self.robot, self.whole)
+        local = DeltaCalibration(self.robot, self.local)
+        joints = whole.inverse_batch(border)
+        there = local.forward_batch(joints.values[joints.reached]).require()
+        return float(np.linalg.norm(there - border[joints.reached], axis=1).max())
+
+    def notes(self) -> Sequence[Note]:
+        """How far local and whole model are apart on the border of the region."""
+        jump = self.border_jump_mm()
+        if jump is None:
+            return ()
+        said = f"local and whole model differ by at most {1e3 * jump:.1f} µm on the region's border; blended there"
+        return (Note("", said, {"border_jump_um": 1e3 * jump}),)
+
+    # -- files -------------------------------------------------------------------------------------------
+
+    def _settings(self) -> dict[str, Any]:
+        values = {"region_half_width_mm": self.region_half_width_mm, "blend_mm": self.blend_mm}
+        return {name: value for name, value in values.items() if value is not None}
+
+    @classmethod
+    def _settings_from(cls, table: Table) -> dict[str, Any]:
+        return {name: table.positive(name) for name in ("region_half_width_mm", "blend_mm")}
+
+    def __repr__(self) -> str:
+        parts = f"whole from {self.whole.rows} rows"
+        if self.local is not None:
+            parts += f", local from {self.local.rows} rows within ±{self.region_half_width_mm:g} mm"
+        return f"DeltaCalibration({parts})"
+
+
+def _second_moment(residuals_mm: Floats) -> Floats:
+    return residuals_mm.T @ residuals_mm / max(len(residuals_mm), 1)

@@ -1,0 +1,52 @@
+"""Sentences on the effects of the linear delta; the table of the effects is `rust/core/src/delta/effects.rs`."""
+
+from __future__ import annotations
+
+from sherkit._core import DeltaModel
+
+from ...model.effect import Effect, Sentences, catalogue_of_core
+from ...model.sentences import common
+
+_OWN = {
+    "joint_scale": Sentences(
+        physics="Each encoder counts too many or too few millimetres: its scale is a few parts in ten thousand off.",
+        residuals="Grows in proportion to the travel of one joint; zero at the home position.",
+        workshop="Compare each axis with a gauge block or laser over its travel; correct counts per millimetre.",
+    ),
+    "rail_lean": Sentences(
+        physics="The rails are not parallel: each leans outwards (radial) or sideways (tangential) by some "
+        "milliradians.",
+        residuals="A shear that grows with height; the common tangential part twists the frame.",
+        workshop="Square the rails to the base with a level or autocollimator; shim the feet.",
+    ),
+    "rod_mismatch": Sentences(
+        physics="The two rods of a limb differ in length, so the platform tilts and carries the measured point with "
+        "it.",
+        residuals="Quadratic in position, nearly all of it hidden in radii and rod lengths: a small rest, a large "
+        "cause.",
+        workshop="Measure rods in pairs on one fixture and match them; shorten the lever from platform to tool.",
+    ),
+    "gravity_sag": Sentences(
+        physics="Limbs stretch under the platform's weight, the more the more of it they carry; the value is the "
+        "stretch of a limb under all of it.",
+        residuals="Smooth over the workspace, deeper where one limb hangs steep; mostly hidden in rod lengths.",
+        workshop="Stiffen joints and rods, or balance the platform's weight.",
+    ),
+    "slip": Sentences(
+        physics="Something let go at one moment: a clamp, a magnet, the calibration cube.",
+        residuals="A step over time: all readings before it agree, all after it agree.",
+        workshop="Tighten clamp and cube; measure again from the moment on.",
+    ),
+    "beam_alignment": Sentences(
+        physics="The laser beams are not square to the faces of the cube, the cube is turned to the base, or a "
+        "sensor's scale is off: each reading shows a little of the other coordinates.",
+        residuals="Linear in the coordinates.",
+        workshop="Square the beams to the cube with a mirror; compare sensor scales on a gauge block.",
+    ),
+}
+
+#: The effects by name, in the order of the chain.
+CATALOGUE: dict[str, Effect] = catalogue_of_core(
+    DeltaModel.CATALOGUE,
+    common("encoder_cyclic", "backlash", "thermal_growth", "drift", "sensor_linearity", "datum") | _OWN,
+)

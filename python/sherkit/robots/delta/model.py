@@ -1,0 +1,111 @@
+"""The linear delta as a model for identification: twelve errors, datum, effects, and how its rows reach the core."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+import sherkit._core as _core
+
+from ...data import Measurements
+from ...errors import SherkitError
+from ...model.chain import ChainModel
+from ...types import Floats
+from .columns import DELTA
+from .effects import CATALOGUE
+from .robot import Delta
+
+#: Poses along each axis from which the next ones are chosen.
+_GRID = (7, 7, 5)
+
+
+@dataclass(frozen=True)
+class DeltaModel(ChainModel):
+    """A nominal delta with named errors and effects to identify.
+
+    ``free`` names the geometric errors and datum to identify: by default the paper's twelve (Eq. 9) and the datum
+    of the sensors. The platform's radii and angles can be freed as well; they are exactly dependent on the base's.
+    All parameters of ``effects`` are free. ``period_mm``, ``slip_time_s`` and ``time_origin_s`` are the settings of
+    the effects that have one. Readings have four columns: x, y, z, distance.
+    """
+
+    robot: Delta
+    period_mm: float | None = None
+    slip_time_s: float = 0.0
+    time_origin_s: float = 0.0
+
+    catalogue: ClassVar = CATALOGUE
+    layouts: ClassVar = (DELTA,)
+    table: ClassVar = _core.DeltaModel.CATALOGUE
+
+    def lever_mm(self, name: str) -> float:
+        """An angle of base or platform moves what stands at its radius."""
+        radii = self.robot.base_radius_mm if name.startswith("base") else self.robot.platform_radius_mm
+        return radii[int(name[-1]) - 1] or 1.0
+
+    @property
+    def default(self) -> tuple[str, ...]:
+        """The paper's twelve and the datum."""
+        return tuple(p.name for p in self.base if not p.name.startswith("platform"))
+
+    def settings(self) -> dict[str, float | None]:
+        """Period of the encoders, moment of the slip, origin of time."""
+        return {
+            "period_mm": self.period_mm,
+            "slip_time_s": self.slip_time_s,
+            "time_origin_s": self.time_origin_s,
+        }
+
+    @cached_property
+    def core(self) -> _core.DeltaModel:
+        """The compiled model."""
+        r = self.robot
+        pitch = self.period_mm or r.pole_pitch_mm or 1.0
+        settings = [r.rod_spacing_mm, pitch, *self.home_mm, self.time_origin_s, self.slip_time_s]
+        offset = np.array(r.target_offset_mm)
+        return _core.DeltaModel(r.geometry, offset, r.assembly_mode, np.array(settings, dtype=float))
+
+    @cached_property
+    def home_mm(self) -> tuple[float, float, float]:
+        """Joint readings of the home position, where the measured point is at zero, or as near as can be."""
+        try:
+            q = self.robot.inverse((0.0, 0.0, 0.0))
+        except SherkitError:
+            # a robot whose frame lies elsewhere: the rods' rise over their widest span
+            q = np.array(self.robot.rod_length_mm)
+        return (float(q[0]), float(q[1]), float(q[2]))
+
+    def reachable(self, data: Measurements, values: Floats) -> tuple[Floats, Measurements] | None:
+        """A grid of poses over the workspace (or where the run was), with the rows they would give."""
+        robot = self.robot
+        measured = self.predict(data, values)[~data.is_distance, :3]
+        low, high = measured.min(axis=0), measured.max(axis=0)
+        if robot.workspace_radius_mm:
+            low[:2], high[:2] = -robot.workspace_radius_mm, robot.workspace_radius_mm
+        if robot.workspace_z_mm:
+            low[2], high[2] = robot.workspace_z_mm
+        axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, _GRID, strict=True)]
+        poses = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        if robot.workspace_radius_mm:
+            poses = poses[np.hypot(poses[:, 0], poses[:, 1]) <= robot.workspace_radius_mm * (1 + 1e-9)]
+        batch = robot.inverse_batch(poses)
+        poses, joints = poses[batch.reached], batch.values[batch.reached]
+        reached = self.core.predict(self.full(values), self.block(data.unmeasured(joints)))[1]
+        poses, joints = poses[reached], joints[reached]
+        return (poses, data.unmeasured(joints)) if len(poses) else None
+
+    def reason(self, data: Measurements, row: int, values: Floats) -> str:
+        """Which limb cannot reach, by how much; or what else is wrong."""
+        names = self.robot.parameter_names
+        errors = dict(zip(names, self.full(values)[: len(names)], strict=True))
+        try:
+            kinematics = self.robot.kinematics(errors)
+            for joints in (data.joints[row], data.to_joints[row]):
+                if np.isfinite(joints).all():
+                    kinematics.forward(joints)
+        except SherkitError as error:
+            return str(error)
+        return "an effect that is at work needs a column that these rows lack"

@@ -1,0 +1,134 @@
+"""Xiao et al., ISMR 2022: what they printed, to stand beside one's own figures, their poses and their protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import FitError
+from ...fit.identify import Fit
+from ...types import Floats
+from .correction import Correction, fit_polynomial, leftover, levels_of
+from .poses import grid
+
+#: Table I: RMS ± standard deviation, µm, per axis.
+TABLE_I = {
+    "whole": {
+        "before": {"x": (1388, 1390), "y": (1293, 1297), "z": (650, 459)},
+        "after": {"x": (245, 217), "y": (149, 144), "z": (217, 149)},
+        "before, region": {"x": (798, 780), "y": (769, 771), "z": (175, 149)},
+        "after, region": {"x": (140, 74), "y": (77, 66), "z": (116, 34)},
+    },
+    "local": {
+        "before": {"x": (762, 764), "y": (771, 773), "z": (222, 169)},
+        "after": {"x": (121, 68), "y": (97, 57), "z": (100, 27)},
+    },
+}
+
+#: Table II: identified errors per limb: δr_b mm, δθ_b deg, δL mm, δl mm.
+TABLE_II = {
+    "whole": ((-2.31, 0.38, -0.43, 1.23), (5.19, 0.21, -1.79, 3.49), (2.83, -1.32, 0.68, 0.44)),
+    "local": ((1.33, 0.12, 1.31, -0.70), (3.76, 0.15, 1.28, 0.28), (2.57, -1.83, 1.60, -0.49)),
+}
+
+#: Table III: order, RMS ± standard deviation on the test set, on the upper and on the lower plane, µm.
+TABLE_III = {
+    "whole": {"x": (6, (40, 38), (121, 80), (82, 75)), "y": (6, (27, 28), (36, 35), (90, 49)),
+              "z": (6, (31, 31), (77, 76), (27, 25))},
+    "local": {"x": (3, (11, 10), (18, 18), (18, 18)), "y": (3, (9, 9), (15, 15), (16, 16)),
+              "z": (3, (13, 12), (18, 15), (13, 13))},
+}  # fmt: skip
+
+
+def paper_whole() -> Floats:
+    """588 poses: planes z = -20, 0, 20 mm of 14 × 14 over ±20 mm (Xiao et al. 2022, section III)."""
+    return grid(20.0, 14, (-20.0, 0.0, 20.0))
+
+
+def paper_local() -> Floats:
+    """363 poses: planes z = -10, 0, 10 mm of 11 × 11 over ±10 mm. The paper's text counts 393."""
+    return grid(10.0, 11, (-10.0, 0.0, 10.0))
+
+
+@dataclass(frozen=True, eq=False)
+class PaperProtocol:
+    """Orders chosen per axis, their errors, and one correction of the highest order that holds all three.
+
+    ``orders`` maps axis to order; ``validation_um`` axis to order to RMS; ``test_um`` axis to RMS on the test
+    part; ``other_planes_um`` plane height to axis to RMS.
+    """
+
+    plane_mm: float
+    orders: dict[str, int]
+    validation_um: dict[str, dict[int, float]]
+    test_um: dict[str, float]
+    test_std_um: dict[str, float]
+    other_planes_um: dict[float, dict[str, float]]
+    other_planes_std_um: dict[float, dict[str, float]]
+    corrections: dict[str, Correction] = field(repr=False)
+
+    def __call__(self, positions_mm: Floats) -> Floats:
+        """Correction (n, 3): each axis from the polynomial of its own order."""
+        return np.stack([self.corrections[a](positions_mm)[:, k] for k, a in enumerate("xyz")], axis=1)
+
+
+def paper_protocol(
+    fit: Fit, *, plane_mm: float = 0.0, orders: Sequence[int] = (2, 3, 4, 5, 6), seed: int = 0
+) -> PaperProtocol:
+    """Section II-B of the paper: one horizontal plane, 70/20/10 at random by pose, the order of 2 to 6 with the
+    lowest validation error for each axis, then the other planes. ``seed`` rules the split.
+
+    Raises :class:`FitError` where no pose lies within 2 mm of ``plane_mm``, or too few do.
+    """
+    left = leftover(fit)
+    heights = left.positions_mm[:, 2]
+    levels = levels_of(heights)
+    nearest = levels[np.argmin(np.abs(levels - plane_mm))]
+    if abs(nearest - plane_mm) > 2.0:
+        found = ", ".join(f"{v:.1f}" for v in levels)
+        raise FitError(f"no pose lies within 2 mm of the plane z = {plane_mm:g} mm; heights found: {found} mm")
+    layer = np.argmin(np.abs(heights[:, None] - levels), axis=1)
+    on_plane = np.flatnonzero(levels[layer] == nearest)
+    poses, pose = np.unique(fit.data.groups[left.rows[on_plane]], return_inverse=True)
+    part = np.random.default_rng(seed).permutation(len(poses)) / len(poses)
+    share = part[pose.ravel()]
+    train, validate = on_plane[share < 0.7], on_plane[(share >= 0.7) & (share < 0.9)]
+    test = on_plane[share >= 0.9]
+    if min(len(train), len(validate), len(test)) == 0:
+        raise FitError(f"{len(poses)} poses on the plane z = {plane_mm:g} mm are too few to split 70/20/10")
+
+    x, e = left.positions_mm, left.errors_mm
+    fitted: dict[int, Correction] = {}
+    for n in orders:
+        if (n + 1) ** 2 <= len(np.unique(fit.data.groups[left.rows[train]])):
+            fitted[n] = fit_polynomial(x[train], e[train], (n, n, 0))
+    if not fitted:
+        raise FitError(f"{len(train)} training rows do not determine a polynomial of order {min(orders)}")
+    rest = {n: e - c(x) for n, c in fitted.items()}
+    validation = {a: {n: 1e3 * _rms(r[validate, k]) for n, r in rest.items()} for k, a in enumerate("xyz")}
+    chosen = {a: min(v, key=lambda n: v[n]) for a, v in validation.items()}
+    others = [v for v in levels if v != nearest]
+    left_by_axis = np.stack([rest[chosen[a]][:, k] for k, a in enumerate("xyz")], axis=1)
+
+    def by_axis(rows: NDArray[Any], measure: Any) -> dict[str, float]:
+        return {a: 1e3 * float(measure(left_by_axis[rows, k])) for k, a in enumerate("xyz")}
+
+    plane_rows = {float(v): np.flatnonzero(levels[layer] == v) for v in others}
+    return PaperProtocol(
+        plane_mm=float(nearest),
+        orders=chosen,
+        validation_um=validation,
+        test_um=by_axis(test, _rms),
+        test_std_um=by_axis(test, np.std),
+        other_planes_um={v: by_axis(r, _rms) for v, r in plane_rows.items()},
+        other_planes_std_um={v: by_axis(r, np.std) for v, r in plane_rows.items()},
+        corrections={a: fitted[n] for a, n in chosen.items()},
+    )
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,248 @@
+"""The linear delta: three vertical prismatic joints, three rod pairs, a platform.
+
+Source: Xiao et al., ISMR 2022. The nominal geometry is the user's; the example in the tests is an example.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+import sherkit._core as _core
+
+from ...data.toml import Table
+from ...errors import ShapeError, Singular
+from ...model.batch import Batch, matrix, vector, why
+from ...types import Floats
+
+Triple = tuple[float, float, float]
+
+# the order in which the core holds a limb's parameters: name, symbol
+LIMB_PARAMETERS = (
+    ("base_radius", "δr_b"),
+    ("base_angle", "δθ_b"),
+    ("joint_offset", "δq"),
+    ("rod_length", "δl"),
+    ("platform_radius", "δr_p"),
+    ("platform_angle", "δθ_p"),
+)
+
+
+@dataclass(frozen=True)
+class Delta:
+    """Nominal linear delta. Lengths in mm, angles in degrees as on a drawing, one value per limb.
+
+    ``target_offset_mm`` points from the platform centre to the measured point. ``rod_spacing_mm`` is the
+    distance of the two rods of a limb. ``assembly_mode`` is ``"below"`` where the platform hangs under its
+    carriages, ``"above"`` where it stands on them. Joint readings are carriage heights along +z;
+    ``joint_limits_mm`` (low, high) are those that no motor may leave.
+    """
+
+    base_radius_mm: Triple
+    base_angle_deg: Triple
+    platform_radius_mm: Triple
+    platform_angle_deg: Triple
+    rod_length_mm: Triple
+    rod_spacing_mm: float = 0.0
+    target_offset_mm: Triple = (0.0, 0.0, 0.0)
+    pole_pitch_mm: float | None = None
+    workspace_radius_mm: float | None = None
+    workspace_z_mm: tuple[float, float] | None = None
+    region_half_width_mm: float | None = None
+    joint_limits_mm: tuple[float, float] | None = None
+    assembly_mode: str = "below"
+    kind: str = field(default="delta", init=False)
+
+    def __post_init__(self) -> None:
+        self.kinematics()  # refuses a geometry that is no robot
+
+    # -- files -------------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_table(cls, table: Table) -> Delta:
+        """Reads the tables of a robot file; see README for an example."""
+        with table.table("geometry") as g:
+            geometry: dict[str, Any] = {
+                "base_radius_mm": g.numbers("base_radius_mm", 3, positive=True),
+                "base_angle_deg": g.numbers("base_angle_deg", 3),
+                "platform_radius_mm": g.numbers("platform_radius_mm", 3),
+                "platform_angle_deg": g.numbers("platform_angle_deg", 3),
+                "rod_length_mm": g.numbers("rod_length_mm", 3, positive=True),
+                "rod_spacing_mm": g.number("rod_spacing_mm", 0.0),
+                "target_offset_mm": g.numbers("target_offset_mm", 3, (0.0, 0.0, 0.0)),
+                "assembly_mode": g.text("assembly_mode", ("below", "above"), "below"),
+            }
+            _check_shape(g, geometry)
+        with table.table("joints", optional=True) as j:
+            pitch = j.positive("pole_pitch_mm")
+            limits = j.heights("limits_mm")
+        with table.table("workspace", optional=True) as w:
+            radius = w.positive("radius_mm")
+            z = w.heights("z_mm")
+        with table.table("region_of_interest", optional=True) as r:
+            half = r.positive("half_width_mm")
+        return cls(
+            **geometry,
+            pole_pitch_mm=pitch,
+            workspace_radius_mm=radius,
+            workspace_z_mm=z,
+            region_half_width_mm=half,
+            joint_limits_mm=limits,
+        )
+
+    def to_tables(self) -> dict[str, Any]:
+        """What :meth:`from_table` reads, without loss."""
+        geometry: dict[str, Any] = {
+            "base_radius_mm": list(self.base_radius_mm),
+            "base_angle_deg": list(self.base_angle_deg),
+            "platform_radius_mm": list(self.platform_radius_mm),
+            "platform_angle_deg": list(self.platform_angle_deg),
+            "rod_length_mm": list(self.rod_length_mm),
+            "rod_spacing_mm": self.rod_spacing_mm,
+            "target_offset_mm": list(self.target_offset_mm),
+        }
+        if self.assembly_mode != "below":
+            geometry["assembly_mode"] = self.assembly_mode
+        tables: dict[str, Any] = {"kind": self.kind, "geometry": geometry}
+        joints: dict[str, Any] = {}
+        if self.pole_pitch_mm:
+            joints["pole_pitch_mm"] = self.pole_pitch_mm
+        if self.joint_limits_mm:
+            joints["limits_mm"] = list(self.joint_limits_mm)
+        if joints:
+            tables["joints"] = joints
+        if self.workspace_radius_mm or self.workspace_z_mm:
+            workspace: dict[str, Any] = {}
+            tables["workspace"] = workspace
+            if self.workspace_radius_mm:
+                workspace["radius_mm"] = self.workspace_radius_mm
+            if self.workspace_z_mm:
+                workspace["z_mm"] = list(self.workspace_z_mm)
+        if self.region_half_width_mm:
+            tables["region_of_interest"] = {"half_width_mm": self.region_half_width_mm}
+        return tables
+
+    # -- what an experiment asks --------------------------------------------------------------------------
+
+    @property
+    def joint_unit(self) -> str:
+        """Unit of the joint readings."""
+        return "mm"
+
+    @property
+    def joint_limits(self) -> tuple[float, float] | None:
+        """Lowest and highest carriage height, mm, to which a motor may go; None where the file names none."""
+        return self.joint_limits_mm
+
+    @property
+    def middle(self) -> Triple:
+        """Where an experiment begins and ends, mm: the origin of the drawing."""
+        return (0.0, 0.0, 0.0)
+
+    # -- kinematics --------------------------------------------------------------------------------------
+
+    @cached_property
+    def geometry(self) -> Floats:
+        """The 18 geometric parameters, limb by limb, in the order of :data:`LIMB_PARAMETERS`."""
+        zero = (0.0, 0.0, 0.0)
+        columns = (
+            self.base_radius_mm,
+            np.deg2rad(self.base_angle_deg),
+            zero,
+            self.rod_length_mm,
+            self.platform_radius_mm,
+            np.deg2rad(self.platform_angle_deg),
+        )
+        return np.array(columns, dtype=float).T.ravel().copy()
+
+    def kinematics(self, errors: Mapping[str, float] | None = None) -> _core.DeltaKinematics:
+        """Kinematics of the platform centre with the given geometric errors (by parameter name)."""
+        p = self.geometry.copy()
+        names = self.parameter_names
+        for name, value in (errors or {}).items():
+            if name not in names:
+                raise ShapeError(f"'{name}' is not a geometric parameter of a delta")
+            p[names.index(name)] += value
+        return _core.DeltaKinematics(p, self.assembly_mode)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the 18 geometric parameters, in the order of :attr:`geometry`."""
+        return tuple(f"{name}_{limb}" for limb in (1, 2, 3) for name, _ in LIMB_PARAMETERS)
+
+    def forward(self, joints_mm: ArrayLike) -> Floats:
+        """Measured point (3,) for joint readings (3,), mm, base frame.
+
+        Raises :class:`~sherkit.errors.OutOfReach` naming limb and distance, :class:`NotFinite`.
+        """
+        q = vector(joints_mm, "joint readings")
+        return self._nominal.forward(q) + np.array(self.target_offset_mm)
+
+    def inverse(self, position_mm: ArrayLike) -> Floats:
+        """Joint readings (3,) that bring the measured point to ``position_mm`` (3,). Raises as :meth:`forward`."""
+        x = vector(position_mm, "position") - np.array(self.target_offset_mm)
+        return self._nominal.inverse(x)
+
+    def forward_batch(self, joints_mm: ArrayLike) -> Batch:
+        """Measured points (n, 3) for joint readings (n, 3); rows out of reach are marked."""
+        q = matrix(joints_mm, "joint readings")
+        x, reached = self._nominal.forward_batch(q)
+        x += np.array(self.target_offset_mm)
+        return Batch(x, reached, why(self._nominal.forward, q, reached))
+
+    def inverse_batch(self, positions_mm: ArrayLike) -> Batch:
+        """Joint readings (n, 3) for measured points (n, 3); rows out of reach are marked."""
+        x = matrix(positions_mm, "positions") - np.array(self.target_offset_mm)
+        q, reached = self._nominal.inverse_batch(x)
+        return Batch(q, reached, why(self._nominal.inverse, x, reached))
+
+    def jacobian(self, joints_mm: ArrayLike) -> Floats:
+        """Velocity Jacobian (3, 3) d position / d joints. Raises as :meth:`forward`, and ``Singular``."""
+        q = vector(joints_mm, "joint readings")
+        values, reached = self._nominal.jacobian_batch(q[None, :])
+        if not reached[0]:
+            self._nominal.forward(q)  # raises the reason
+            raise Singular("singular: the three rods lie in one plane here")
+        return values[0]
+
+    def parameter_jacobian(self, joints_mm: ArrayLike) -> Batch:
+        """Derivative of the position by the 18 geometric parameters (n, 3, 18), mm per mm or rad (Eq. 8)."""
+        q = matrix(joints_mm, "joint readings")
+        values, reached = self._nominal.by_parameters_batch(q)
+        return Batch(values, reached, why(self._nominal.forward, q, reached))
+
+    @cached_property
+    def _nominal(self) -> _core.DeltaKinematics:
+        return self.kinematics()
+
+
+def _check_shape(table: Table, geometry: Mapping[str, Any]) -> None:
+    """Refuses what cannot be a delta before the kinematics would say so less clearly."""
+    if min(geometry["platform_radius_mm"]) < 0:
+        raise table.fail("platform_radius_mm", "3 numbers, none below zero")
+    if geometry["rod_spacing_mm"] < 0:
+        raise table.fail("rod_spacing_mm", "a number, not below zero")
+    for limb in range(3):
+        span = abs(
+            geometry["base_radius_mm"][limb] * np.exp(1j * np.deg2rad(geometry["base_angle_deg"][limb]))
+            - geometry["platform_radius_mm"][limb] * np.exp(1j * np.deg2rad(geometry["platform_angle_deg"][limb]))
+        )
+        if geometry["rod_length_mm"][limb] <= span:
+            raise table.fail(
+                "rod_length_mm",
+                f"rod {limb + 1} longer than {span:.3f} mm, the horizontal distance it spans at the centre",
+            )
+    spans = np.array(geometry["base_radius_mm"]) * np.exp(1j * np.deg2rad(geometry["base_angle_deg"]))
+    spans -= np.array(geometry["platform_radius_mm"]) * np.exp(1j * np.deg2rad(geometry["platform_angle_deg"]))
+    first, second = spans[1] - spans[0], spans[2] - spans[0]
+    area = abs(first.real * second.imag - first.imag * second.real)
+    if area <= 1e-6 * max(geometry["rod_length_mm"]) ** 2:
+        raise table.fail(
+            "base_radius_mm",
+            "rails at three corners of a triangle as seen from the platform's joints; these lie in line",
+        )

@@ -1,0 +1,12 @@
+"""Files of calibrations, of any kind of robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .calibrated import Calibration
+
+
+def load_calibration(path: str | Path) -> Calibration:
+    """Reads a calibration of any robot. Raises :class:`~sherkit.errors.CalibrationError` naming file and key."""
+    return Calibration.load(path)

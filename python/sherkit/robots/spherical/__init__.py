@@ -1,0 +1,42 @@
+"""The spherical robot, seen by a camera."""
+
+from ...model.kinds import Kind
+from .calibration import SphericalCalibration
+from .camera import CameraView
+from .camera_placement import camera_placement
+from .columns import SPHERICAL_ANGLES, SPHERICAL_PIXELS
+from .effects import SPHERICAL_CATALOGUE
+from .model import SphericalModel
+from .paper import TaskError, identify_joints, task_error
+from .pose_sets import AREAS, POSES
+from .poses import sphere_patch
+from .remote_centre import RemoteCentre, remote_centre
+from .robot import Spherical
+from .straightness import straightness, straightness_by
+from .virtual import VirtualSpherical
+
+KIND = Kind(
+    "spherical", Spherical, SphericalModel, (SPHERICAL_PIXELS, SPHERICAL_ANGLES), SphericalCalibration,
+    VirtualSpherical, coordinates=SPHERICAL_ANGLES.coordinates, poses=POSES, areas=AREAS,
+    called="the spherical robot and its camera",
+)  # fmt: skip
+
+__all__ = [
+    "SPHERICAL_ANGLES",
+    "SPHERICAL_CATALOGUE",
+    "SPHERICAL_PIXELS",
+    "CameraView",
+    "RemoteCentre",
+    "Spherical",
+    "SphericalCalibration",
+    "SphericalModel",
+    "TaskError",
+    "VirtualSpherical",
+    "camera_placement",
+    "identify_joints",
+    "remote_centre",
+    "sphere_patch",
+    "straightness",
+    "straightness_by",
+    "task_error",
+]

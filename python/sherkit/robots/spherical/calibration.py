@@ -1,0 +1,144 @@
+"""The calibrated spherical robot: where its tool points, how to point it, how well, and where its centre is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar, Self, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+import sherkit._core as _core
+
+from ...fit.identify import Fit
+from ...model.batch import matrix
+from ...types import Bools, Floats
+from ..calibrated import Calibration, Note, Part, Planes
+from ..calibration_run import CalibrationRun
+from .columns import SPHERICAL_ANGLES
+from .model import SphericalModel
+from .remote_centre import centre_in_words, remote_centre
+from .robot import Spherical
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SphericalCalibration(Calibration):
+    """A calibrated spherical robot. Angles φ and γ, rad, are those of the end of the tool axis seen from the centre.
+
+    What was identified of the measurement alone (camera, its delay, the marker's place on the tool) does not move the
+    tool and is left out of :meth:`forward`. Residuals (2, 2), rad², are angles across the tool, the camera's noise
+    included.
+    """
+
+    coordinates: ClassVar = SPHERICAL_ANGLES.coordinates
+    called: ClassVar = ("phi and gamma", "phi and gamma")
+
+    robot: Spherical
+    whole: Part
+
+    @classmethod
+    def of(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> Self:
+        """From a run; there is no local one. Raises as :class:`SphericalModel`."""
+        del local
+        fit = whole.fit
+        held_out = whole.deployed(whole.held_out)
+        count = len(fit.model.indices)
+        made = cls(
+            fit.model.robot,
+            Part(
+                **Part.identified(fit),
+                covariance=(fit.covariance + fit.unobserved_covariance)[:count, :count],
+                residual_covariance=np.zeros((2, 2)),
+                low=np.zeros(2),
+                high=np.zeros(2),
+            ),
+        )
+        full = fit.data.taken.all(axis=1) & ~fit.data.outlier & np.isfinite(held_out).all(axis=1)
+        angles, across = made._as_angles(fit, held_out, full)
+        part = replace(
+            made.whole,
+            residual_covariance=across.T @ across / max(len(across), 1),
+            low=angles.min(axis=0) if len(angles) else np.zeros(2),
+            high=angles.max(axis=0) if len(angles) else np.zeros(2),
+        )
+        return replace(made, whole=part)
+
+    def _as_angles(self, fit: Fit, held_out: Floats, rows: Bools) -> tuple[Floats, Floats]:
+        """Angles (k, 2) of the rows, and their residuals carried through the joints to angles across it (k, 2)."""
+        model, data = fit.model, fit.data.select(rows)
+        _, by_joints, _, seen = model.core_for(data).derivatives(model.full(fit.values), model.block(data), [])
+        angles, by_angles, reached = self._rows(data.joints)
+        use = seen & reached & (np.abs(np.linalg.det(by_joints)) > 0)
+        turned = by_angles[use] @ np.linalg.solve(by_joints[use], held_out[rows][use][:, :, None])
+        return angles[use], _across(turned[:, :, 0], angles[use])
+
+    @classmethod
+    def about(cls, fit: Fit) -> Sequence[Note]:
+        """How far the remote centre of motion wanders."""
+        found = remote_centre(fit)
+        size, std = found.largest
+        values = {
+            "rms": found.rms_mm, "largest": size, "std": std, "within_95": found.within_mm, "in_model": found.explained,
+        }  # fmt: skip
+        return (Note("remote centre of motion", centre_in_words(found), {"remote_centre_mm": values}),)
+
+    # -- the model ---------------------------------------------------------------------------------------
+
+    @cached_property
+    def model(self) -> SphericalModel:
+        """The model that was identified."""
+        return cast(SphericalModel, self.whole.model(self.robot))
+
+    @cached_property
+    def core(self) -> _core.SphericalCalibrated:
+        """The compiled model: the same code that a control loop runs."""
+        return _core.SphericalCalibrated(self.model.core, self.model.full(self.whole.values), self.robot.working_mode)
+
+    def _rows(self, joints: ArrayLike) -> tuple[Floats, Floats, Bools]:
+        q = matrix(joints, "joint readings", 2)
+        values, by_joints, _, reached = self.core.forward_batch(q, self._now(), [])
+        return values, by_joints, reached
+
+    @property
+    def radius_mm(self) -> float:
+        """Distance of the end of the tool from the centre, as identified."""
+        names = [p.name for p in self.model.parameters]
+        return self.robot.radius_mm + (float(self.whole.values[names.index("radius")]) if "radius" in names else 0.0)
+
+    # -- accuracy ----------------------------------------------------------------------------------------
+
+    def spread(self, coordinates: Floats, joints: Floats) -> Floats:
+        """Covariance (n, 2, 2) of angles across the tool, rad²."""
+        del coordinates
+        angles, _, by_values, _ = self.core.forward_batch(joints, self._now(), self.model.indices)
+        across = np.stack([_across(by_values[:, :, k], angles) for k in range(by_values.shape[2])], axis=2)
+        return across @ self.whole.covariance @ across.transpose(0, 2, 1) + self.whole.residual_covariance
+
+    @property
+    def reach_mm(self) -> float:
+        """The identified radius: an angle across the tool moves its end by as much."""
+        return self.radius_mm
+
+    def places(self) -> list[tuple[str, Floats]]:
+        """The middle and two corners of the run: directions φ, γ (2,), rad."""
+        low, high = self.whole.low, self.whole.high
+        out = [("middle of the run", 0.5 * (low + high)), ("corner near the axis", low), ("corner far from it", high)]
+        return [(name, np.array(place)) for name, place in out]
+
+    def planes(self, per_side: int) -> Planes:
+        """The sphere, as a plane in φ and γ, degrees."""
+        limits = []
+        for k, given in enumerate((self.robot.phi_deg, self.robot.gamma_deg)):
+            low, high = np.rad2deg([self.whole.low[k], self.whole.high[k]]) if given is None else given
+            limits.append(np.linspace(low, high, per_side))
+        phi, gamma = limits
+        grid = np.stack(np.meshgrid(gamma, phi, indexing="ij"), axis=-1).reshape(-1, 2)[:, ::-1]
+        inside = np.ones(len(grid), dtype=bool)
+        return Planes(phi, gamma, ("φ, °", "γ, °"), ("end of the tool",), np.deg2rad(grid), inside)
+
+
+def _across(change: Floats, angles: Floats) -> Floats:
+    """Changes of φ and γ (n, 2) as angles across the tool: φ counts the less the nearer the tool is to the axis."""
+    return np.column_stack([change[:, 0] * np.sin(angles[:, 1]), change[:, 1]])

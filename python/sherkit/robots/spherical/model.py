@@ -1,0 +1,138 @@
+"""The spherical robot as a model for identification: geometry, datum, camera and effects, on pixels or on angles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+import sherkit._core as _core
+
+from ...data import Measurements
+from ...errors import SherkitError
+from ...model.chain import ChainModel
+from ...types import Floats
+from .camera import CameraView
+from .columns import SPHERICAL_ANGLES, SPHERICAL_PIXELS
+from .effects import SPHERICAL_CATALOGUE
+from .robot import Spherical
+
+#: Poses along φ and γ from which the next ones are chosen.
+_GRID = (15, 11)
+#: A robot without a camera reads angles; the core wants one all the same.
+_ANY_CAMERA = CameraView((2, 2), (1.0, 1.0), (0.0, 0.0), translation_mm=(0.0, 0.0, 1e6))
+
+
+@dataclass(frozen=True)
+class SphericalModel(ChainModel):
+    """A nominal spherical robot with named errors and effects to identify.
+
+    ``free`` names geometric errors and datum: by default ``alpha``, ``beta`` and ``radius``, as in the paper; besides
+    these ``datum_phi``, ``datum_gamma`` (where angles are read), ``principal_point_u`` and ``principal_point_v`` (where
+    pixels are). What else of the camera is free are effects: ``camera_pose``, ``focal_length``, ``lens_distortion``.
+    Readings have two columns: u, v in pixels, or φ, γ in rad. The radius shows in pixels alone, and α and β in γ alone.
+    """
+
+    robot: Spherical
+    slip_time_s: float = 0.0
+    time_origin_s: float = 0.0
+
+    catalogue: ClassVar = SPHERICAL_CATALOGUE
+    layouts: ClassVar = (SPHERICAL_PIXELS, SPHERICAL_ANGLES)
+    table: ClassVar = _core.SphericalModel.CATALOGUE
+
+    def lever_mm(self, name: str) -> float:
+        """Angles move what stands on the sphere."""
+        del name
+        return self.robot.radius_mm
+
+    @property
+    def default(self) -> tuple[str, ...]:
+        """The paper's three."""
+        return ("alpha", "beta", "radius")
+
+    def settings(self) -> dict[str, float | None]:
+        """Moment of the slip, origin of time."""
+        return {"slip_time_s": self.slip_time_s, "time_origin_s": self.time_origin_s}
+
+    @cached_property
+    def core(self) -> _core.SphericalModel:
+        """The compiled model for runs that hold pixels."""
+        r = self.robot
+        pull = np.array(r.gravity) / np.linalg.norm(r.gravity)
+        settings = np.array([r.radius_mm, *pull, *np.deg2rad(r.home_deg), self.time_origin_s, self.slip_time_s])
+        camera = (r.camera or _ANY_CAMERA).parameters
+        return _core.SphericalModel(r.geometry, camera, settings, r.assembly_mode, readings="pixels")
+
+    @cached_property
+    def pointing(self) -> _core.SphericalModel:
+        """The compiled model for runs that hold angles."""
+        return self.core.reading("angles")
+
+    def core_for(self, data: Measurements) -> _core.SphericalModel:
+        """The compiled model for pixels or angles. Raises :class:`~sherkit.errors.SherkitError` for pixels unseen."""
+        if data.layout == SPHERICAL_ANGLES:
+            return self.pointing
+        _ = self.robot.seen
+        return self.core
+
+    def reachable(self, data: Measurements, values: Floats) -> tuple[Floats, Measurements] | None:
+        """A grid over the workspace (or where the run was) in φ and γ, with the rows it would give, as coordinates."""
+        robot = self.robot
+        seen = robot.forward_batch(data.joints)
+        where = seen.values[seen.reached]
+        if not len(where):
+            return None
+        limits = []
+        for k, given in enumerate((robot.phi_deg, robot.gamma_deg)):
+            low, high = (where[:, k].min(), where[:, k].max()) if given is None else np.deg2rad(given)
+            limits.append(np.linspace(low, high, _GRID[k]))
+        angles = np.stack(np.meshgrid(*limits, indexing="ij"), axis=-1).reshape(-1, 2)
+        batch = robot.inverse_batch(angles)
+        rows = data.unmeasured(batch.values[batch.reached])
+        readings, reached = self.core_for(rows).predict(self.full(values), self.block(rows))
+        if robot.camera is not None and data.layout != SPHERICAL_ANGLES:
+            size = np.array(robot.camera.size_px)
+            reached = reached & ((readings >= 0) & (readings <= size - 1)).all(axis=1)
+        rows = data.unmeasured(rows.joints[reached])
+        return (readings[reached], rows) if len(rows) else None
+
+    def reason(self, data: Measurements, row: int, values: Floats) -> str:
+        """What of mechanism or camera fails there."""
+        full = self.full(values)
+        try:
+            self.robot.kinematics({"alpha": full[0], "beta": full[1]}).forward(data.joints[row])
+        except SherkitError as error:
+            return str(error)
+        single = data.select(np.array([row]))
+        marker, reached = self.core.markers(full, self.block(single))
+        if not reached[0]:
+            return "an effect that is at work needs a column that these rows lack, or the links cannot close"
+        if self.robot.camera is not None and data.layout != SPHERICAL_ANGLES:
+            try:
+                self.robot.camera.core.project(marker[0])
+            except SherkitError as error:
+                return str(error)
+        return "the camera does not see the marker there"
+
+    # -- what this robot has beyond others ---------------------------------------------------------------
+
+    def joint_residuals(self, data: Measurements, values: Floats) -> Floats:
+        """Measured joints minus the inverse kinematics of the readings (n, 2), rad (Eq. 6); NaN where it has none."""
+        read = np.where(data.taken, data.readings, np.nan)
+        return self.core_for(data).inverse_residuals(self.full(values), self.block(data), read, [])[0]
+
+    def seen_angles(self, data: Measurements, values: Floats) -> Floats:
+        """φ, γ (n, 2), rad, that the readings show: by ray and sphere for pixels, the datum taken out of angles."""
+        full = dict(zip((p.name for p in self.core_parameters), self.full(values).tolist(), strict=True))
+        if data.layout == SPHERICAL_ANGLES:
+            return data.readings - [full["datum_phi"], full["datum_gamma"]]
+        camera = self.camera_with(values)
+        pixels = np.where(data.taken, data.readings, np.nan)
+        return camera.angles_batch(np.ascontiguousarray(pixels), self.robot.radius_mm + full["radius"])[0]
+
+    def camera_with(self, values: Floats) -> _core.Camera:
+        """The camera with its identified errors."""
+        return self.core.camera(self.full(values))

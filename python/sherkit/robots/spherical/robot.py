@@ -1,0 +1,200 @@
+"""The spherical parallel robot: two limbs on one actuated axis, all axes through a remote centre; seen by a camera.
+
+Source: Agand, Taghirad, Molaei, "Vision-Based Kinematic Calibration of Spherical Robots" (DIAMOND). The nominal
+geometry is the user's. Frame: origin at the remote centre of motion, z along the actuated axis; φ counted about z,
+γ from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+import sherkit._core as _core
+
+from ...data.toml import Table
+from ...errors import RobotError, ShapeError, SherkitError
+from ...model.batch import Batch, matrix, vector, why
+from ...types import Floats
+from .camera import CameraView
+
+Pair = tuple[float, float]
+Triple = tuple[float, float, float]
+
+ASSEMBLY_MODES = ("outer", "inner")
+WORKING_MODES = ("open", "crossed", "ahead", "behind")
+
+
+@dataclass(frozen=True)
+class Spherical:
+    """Nominal spherical robot. Angles in degrees as on a drawing, lengths in mm.
+
+    ``alpha_deg`` and ``beta_deg`` are the arcs of the proximal and distal links, ``radius_mm`` the distance of the
+    marker from the centre. ``assembly_mode`` is ``"outer"`` or ``"inner"`` (the sign of the root of Eq. 35),
+    ``working_mode`` tells on which side of the tool each elbow is (``"open"``: joint 1 ahead, joint 2 behind).
+    ``gravity`` is the direction of the weight, ``home_deg`` the joint readings about which encoder scales are counted.
+    ``phi_deg`` and ``gamma_deg`` are the limits of the workspace, ``joint_limits_deg`` (low, high) those that no motor
+    may leave. Joint readings are angles about z.
+    """
+
+    alpha_deg: float
+    beta_deg: float
+    radius_mm: float
+    camera: CameraView | None = None
+    assembly_mode: str = "outer"
+    working_mode: str = "open"
+    gravity: Triple = (0.0, 0.0, -1.0)
+    home_deg: Pair = (0.0, 0.0)
+    phi_deg: Pair | None = None
+    gamma_deg: Pair | None = None
+    joint_limits_deg: Pair | None = None
+    kind: str = field(default="spherical", init=False)
+
+    def __post_init__(self) -> None:
+        self.kinematics()  # refuses a geometry that is no robot
+        if self.radius_mm <= 0 or not np.isfinite(self.radius_mm):
+            raise ShapeError(f"radius_mm: expected a positive number, got {self.radius_mm}")
+        if self.working_mode not in WORKING_MODES:
+            raise ShapeError(f"working_mode: '{self.working_mode}' is not known; choose {', '.join(WORKING_MODES)}")
+
+    # -- files -------------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_table(cls, table: Table) -> Spherical:
+        """Reads the tables of a robot file; see the documentation for an example."""
+        with table.table("geometry") as g:
+            geometry: dict[str, Any] = {
+                "alpha_deg": g.number("alpha_deg", positive=True),
+                "beta_deg": g.number("beta_deg", positive=True),
+                "radius_mm": g.number("radius_mm", positive=True),
+                "assembly_mode": g.text("assembly_mode", ASSEMBLY_MODES, "outer"),
+                "working_mode": g.text("working_mode", WORKING_MODES, "open"),
+                "gravity": g.numbers("gravity", 3, (0.0, 0.0, -1.0)),
+            }
+            for name in ("alpha_deg", "beta_deg"):
+                if geometry[name] >= 180.0:
+                    raise g.fail(name, "an arc of less than 180 degrees")
+            if geometry["alpha_deg"] + geometry["beta_deg"] > 180.0:
+                raise g.fail("beta_deg", "arcs that together make no more than 180 degrees")
+            if not np.any(geometry["gravity"]):
+                raise g.fail("gravity", "a direction, not zero")
+        with table.table("joints", optional=True) as j:
+            home = j.numbers("home_deg", 2, (0.0, 0.0))
+            limits = j.heights("limits_deg")
+        with table.table("workspace", optional=True) as w:
+            phi, gamma = w.heights("phi_deg"), w.heights("gamma_deg")
+        camera = None
+        if table.has("camera"):
+            with table.table("camera") as c:
+                camera = CameraView.from_table(c)
+        return cls(
+            **geometry, camera=camera, home_deg=(home[0], home[1]), phi_deg=phi, gamma_deg=gamma,
+            joint_limits_deg=limits,
+        )  # fmt: skip
+
+    def to_tables(self) -> dict[str, Any]:
+        """What :meth:`from_table` reads, without loss."""
+        tables: dict[str, Any] = {
+            "kind": self.kind,
+            "geometry": {
+                "alpha_deg": self.alpha_deg,
+                "beta_deg": self.beta_deg,
+                "radius_mm": self.radius_mm,
+                "assembly_mode": self.assembly_mode,
+                "working_mode": self.working_mode,
+                "gravity": list(self.gravity),
+            },
+            "joints": {"home_deg": list(self.home_deg)},
+        }
+        if self.joint_limits_deg is not None:
+            tables["joints"]["limits_deg"] = list(self.joint_limits_deg)
+        limits = {"phi_deg": self.phi_deg, "gamma_deg": self.gamma_deg}
+        workspace = {name: list(value) for name, value in limits.items() if value is not None}
+        if workspace:
+            tables["workspace"] = workspace
+        if self.camera is not None:
+            tables["camera"] = self.camera.to_table()
+        return tables
+
+    # -- kinematics --------------------------------------------------------------------------------------
+
+    @property
+    def joint_unit(self) -> str:
+        """Unit of the joint readings."""
+        return "rad"
+
+    @property
+    def joint_limits(self) -> Pair | None:
+        """Lowest and highest joint reading, rad, to which a motor may go; None where the file names none."""
+        if self.joint_limits_deg is None:
+            return None
+        low, high = self.joint_limits_deg
+        return (float(np.deg2rad(low)), float(np.deg2rad(high)))
+
+    @property
+    def middle(self) -> Pair:
+        """The middle of the workspace, φ and γ, rad. Raises :class:`~sherkit.errors.RobotError` without limits."""
+        if self.phi_deg is None or self.gamma_deg is None:
+            raise RobotError("the robot file needs [workspace] phi_deg and gamma_deg: that is where it may be sent")
+        phi, gamma = np.deg2rad([np.mean(self.phi_deg), np.mean(self.gamma_deg)]).tolist()
+        return (phi, gamma)
+
+    @cached_property
+    def geometry(self) -> Floats:
+        """The six geometric parameters of the core: α, β and joint offset of each limb, rad."""
+        limb = [np.deg2rad(self.alpha_deg), np.deg2rad(self.beta_deg), 0.0]
+        return np.array([*limb, *limb], dtype=float)
+
+    def kinematics(self, errors: Mapping[str, float] | None = None) -> _core.SphericalKinematics:
+        """Kinematics with errors of ``alpha`` and ``beta``, rad. Raises :class:`~sherkit.errors.ShapeError`."""
+        p = self.geometry.copy()
+        for name, value in (errors or {}).items():
+            if name not in ("alpha", "beta"):
+                raise ShapeError(f"'{name}' is not a geometric parameter of the spherical robot; it has alpha and beta")
+            p[[0, 3] if name == "alpha" else [1, 4]] += value
+        return _core.SphericalKinematics(p, self.assembly_mode)
+
+    def forward(self, joints_rad: ArrayLike) -> Floats:
+        """φ and γ (2,) of the tool axis for joint angles (2,), rad (Eqs. 34 and 35).
+
+        Raises :class:`~sherkit.errors.OutOfReach`, ``Singular``, ``NotFinite`` with what is wrong.
+        """
+        return self._nominal.forward(vector(joints_rad, "joint readings", 2))
+
+    def inverse(self, angles_rad: ArrayLike) -> Floats:
+        """Joint angles (2,) that point the tool to φ and γ (2,), rad. Raises as :meth:`forward`."""
+        return self._nominal.inverse(vector(angles_rad, "phi and gamma", 2), self.working_mode)
+
+    def forward_batch(self, joints_rad: ArrayLike) -> Batch:
+        """φ, γ (n, 2) for joint angles (n, 2); rows out of reach are marked."""
+        q = matrix(joints_rad, "joint readings", 2)
+        x, reached = self._nominal.forward_batch(q)
+        return Batch(x, reached, why(self._nominal.forward, q, reached))
+
+    def inverse_batch(self, angles_rad: ArrayLike) -> Batch:
+        """Joint angles (n, 2) for φ, γ (n, 2); rows out of reach are marked."""
+        x = matrix(angles_rad, "phi and gamma", 2)
+        q, reached = self._nominal.inverse_batch(x, self.working_mode)
+        return Batch(q, reached, why(lambda one: self._nominal.inverse(one, self.working_mode), x, reached))
+
+    def point(self, angles_rad: ArrayLike) -> Floats:
+        """Points (n, 3) of the sphere at φ, γ (n, 2), mm, base frame."""
+        phi, gamma = matrix(angles_rad, "phi and gamma", 2).T
+        axis = np.column_stack([np.sin(gamma) * np.cos(phi), np.sin(gamma) * np.sin(phi), np.cos(gamma)])
+        return self.radius_mm * axis
+
+    @property
+    def seen(self) -> CameraView:
+        """The camera. Raises :class:`~sherkit.errors.SherkitError` where the robot file has none."""
+        if self.camera is None:
+            raise SherkitError("pixels need a camera: add [camera] to the robot file, or give phi_rad and gamma_rad")
+        return self.camera
+
+    @cached_property
+    def _nominal(self) -> _core.SphericalKinematics:
+        return self.kinematics()

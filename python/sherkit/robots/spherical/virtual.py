@@ -1,0 +1,240 @@
+"""A virtual spherical robot and the camera that looks at it: planted errors, noise, and real pictures.
+
+Written apart from the core on purpose: the tool axis comes from the intersection of two cones in NumPy, pixels from a
+pinhole with Brown's distortion written out here; pictures are drawn by `vision/render.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...data import Measurements
+from ...data.toml import Table
+from ...errors import OutOfReach, ShapeError
+from ...model.kinds import Option
+from ...names import nearest
+from ...types import Floats
+from .camera import CameraView
+from .columns import SPHERICAL_JOINTS, SPHERICAL_PIXELS
+from .robot import Spherical
+
+if TYPE_CHECKING:
+    from ...vision.pictures import CameraPicture
+
+
+#: What the paper identified on its robot, less what the drawing says (Table I): rad and mm.
+PAPER_ERRORS = {"alpha": 0.7634 - 0.7854, "beta": 0.8037 - 0.7854, "radius": 22.1}
+_DWELL_S = 2.0
+_TRAVEL_S = 1.0
+_ORDERS = ("planes", "shuffled")
+_MARKER_MM = 12.0
+
+
+@dataclass(frozen=True)
+class VirtualSpherical:
+    """A spherical robot that is not as drawn, seen by a camera.
+
+    ``errors`` are those of ``alpha`` and ``beta`` (rad) and ``radius`` (mm). ``joint_offset_rad`` (2,) is added to the
+    readings, ``unequal_limbs_rad`` (2,) to the arcs of limb 1 and taken from those of limb 2, ``marker_mm`` (3,) moves
+    the marker in the base frame. ``camera`` is the true one (the nominal one if left out). ``noise_px`` is the standard
+    deviation of a reading; rendered pictures have their own.
+    """
+
+    robot: Spherical
+    errors: Mapping[str, float] = field(default_factory=dict)
+    joint_offset_rad: ArrayLike = (0.0, 0.0)
+    unequal_limbs_rad: ArrayLike = (0.0, 0.0)
+    marker_mm: ArrayLike = (0.0, 0.0, 0.0)
+    camera: CameraView | None = None
+    noise_px: float = 0.1
+
+    OPTIONS: ClassVar[Mapping[str, Option]] = {
+        "noise_px": Option(0.1, "of a reading"),
+        "joint_offset_mrad": Option(0.0, "joints that are off by this much, each its own way", signed=True),
+        "unequal_limbs_mrad": Option(0.0, "limbs that differ by twice this much", signed=True),
+    }
+
+    @classmethod
+    def simulated(cls, robot: Spherical, seed: int, errors: float, sizes: Mapping[str, float]) -> VirtualSpherical:
+        """One with ``errors`` times the paper's, the same for every seed, and ``sizes`` of each of :attr:`OPTIONS`."""
+        del seed
+        offset, unequal = 1e-3 * sizes["joint_offset_mrad"], 1e-3 * sizes["unequal_limbs_mrad"]
+        return cls(
+            robot,
+            {name: errors * value for name, value in PAPER_ERRORS.items()},
+            joint_offset_rad=(offset, -0.5 * offset),
+            unequal_limbs_rad=(unequal, -0.5 * unequal),
+            noise_px=sizes["noise_px"],
+        )
+
+    @classmethod
+    def hidden(cls, robot: Spherical, seed: int, table: Table) -> VirtualSpherical:
+        """One as a laboratory describes it, without noise, in pictures that have their own.
+
+        ``errors`` times the paper's, ``joint_offset_mrad`` and ``unequal_limbs_mrad`` (2,), ``marker_mm`` (3,).
+        """
+        del seed
+        size = table.number("errors", 0.0)
+        offset, unequal = (table.numbers(key, 2, (0.0, 0.0)) for key in ("joint_offset_mrad", "unequal_limbs_mrad"))
+        return cls(
+            robot,
+            {name: size * value for name, value in PAPER_ERRORS.items()},
+            joint_offset_rad=1e-3 * np.array(offset),
+            unequal_limbs_rad=1e-3 * np.array(unequal),
+            marker_mm=table.numbers("marker_mm", 3, (0.0, 0.0, 0.0)),
+            noise_px=0.0,
+        )
+
+    def truth(self) -> dict[str, Any]:
+        """The hidden errors, for TOML: mm and rad."""
+        return {
+            "errors": dict(self.errors),
+            "joint_offset_rad": list(np.asarray(self.joint_offset_rad, dtype=float)),
+            "unequal_limbs_rad": list(np.asarray(self.unequal_limbs_rad, dtype=float)),
+        }
+
+    def __post_init__(self) -> None:
+        for name in self.errors:
+            if name not in PAPER_ERRORS:
+                raise ShapeError(f"'{name}' is not a geometric parameter of the robot{nearest(name, PAPER_ERRORS)}")
+
+    @property
+    def eye(self) -> CameraView:
+        """The camera that looks at it. Raises :class:`~sherkit.errors.SherkitError` where there is none."""
+        return self.camera or self.robot.seen
+
+    def axes(self, joints_rad: ArrayLike) -> Floats:
+        """Unit vectors (n, 3) of the tool axis. Raises :class:`~sherkit.errors.OutOfReach` where limbs do not meet."""
+        q = np.atleast_2d(np.asarray(joints_rad, dtype=float)) + np.asarray(self.joint_offset_rad)
+        more = np.asarray(self.unequal_limbs_rad, dtype=float)
+        elbows, reach = [], []
+        for limb, sign in ((0, 1.0), (1, -1.0)):
+            alpha = np.deg2rad(self.robot.alpha_deg) + self.errors.get("alpha", 0.0) + sign * more[0]
+            beta = np.deg2rad(self.robot.beta_deg) + self.errors.get("beta", 0.0) + sign * more[1]
+            turn = q[:, limb]
+            elbows.append(
+                np.column_stack(
+                    [np.sin(alpha) * np.cos(turn), np.sin(alpha) * np.sin(turn), np.full(len(q), np.cos(alpha))]
+                )
+            )
+            reach.append(np.cos(beta))
+        first, second = elbows
+        dot = (first * second).sum(axis=1)
+        normal = np.cross(first, second)
+        area = (normal**2).sum(axis=1)
+        a, b = (reach[0] - reach[1] * dot) / area, (reach[1] - reach[0] * dot) / area
+        plane = a[:, None] * first + b[:, None] * second
+        rest = (1.0 - (plane**2).sum(axis=1)) / area
+        if not (rest >= 0).all():
+            row = int(np.argmax(~(rest >= 0)))
+            raise OutOfReach(
+                f"the virtual robot's limbs do not meet at row {row} of these joint readings", 0, float("nan")
+            )
+        out = np.sqrt(rest)[:, None] * normal
+        # of both meeting points, the outer one is further from the actuated axis' start
+        outer, inner = plane + out, plane - out
+        swap = outer[:, 2] > inner[:, 2] if self.robot.assembly_mode == "outer" else outer[:, 2] < inner[:, 2]
+        return np.where(swap[:, None], inner, outer)
+
+    def markers(self, joints_rad: ArrayLike) -> Floats:
+        """Places of the marker (n, 3), mm, base frame."""
+        radius = self.robot.radius_mm + self.errors.get("radius", 0.0)
+        return radius * self.axes(joints_rad) + np.asarray(self.marker_mm)
+
+    def true_reading(self, joints_rad: ArrayLike) -> Floats:
+        """Pixels (n, 2) that a camera without noise would give."""
+        return projected(self.eye, self.markers(joints_rad))
+
+    def noise_free(self, joints_rad: ArrayLike) -> Floats:
+        """What a run without noise would hold (n, 2), px: the same as :meth:`true_reading`."""
+        return self.true_reading(joints_rad)
+
+    def plan(
+        self, angles_rad: ArrayLike, *, repeats: int = 5, order: str = "planes", seed: int = 0
+    ) -> dict[str, Floats]:
+        """Columns of a run over φ, γ (n, 2) by the nominal inverse kinematics: time, pose, repeat, joints, velocities.
+
+        The robot stands still when it is seen. Raises :class:`~sherkit.errors.OutOfReach`, :class:`ShapeError`.
+        """
+        if order not in _ORDERS:
+            raise ShapeError(f"order: '{order}' is not known; choose {' or '.join(_ORDERS)}")
+        if repeats < 1:
+            raise ShapeError(f"repeats: expected at least 1, got {repeats}")
+        rng = np.random.default_rng(seed)
+        joints = self.robot.inverse_batch(np.atleast_2d(np.asarray(angles_rad, dtype=float))).require("pose")
+        walks = [
+            rng.permutation(len(joints)) if order == "shuffled" else np.arange(len(joints)) for _ in range(repeats)
+        ]
+        pose = np.concatenate(walks)
+        return {
+            "time_s": np.arange(len(pose)) * (_DWELL_S + _TRAVEL_S),
+            "pose": pose + 1,
+            "repeat": np.repeat(np.arange(repeats) + 1, len(joints)),
+            **{name: joints[pose, k] for k, name in enumerate(SPHERICAL_JOINTS)},
+        }
+
+    def measure(self, angles_rad: ArrayLike, *, repeats: int = 5, order: str = "planes", seed: int = 0) -> Measurements:
+        """Drives to φ, γ (n, 2) and reads pixels with Gaussian noise; ``seed`` rules order and noise."""
+        columns = self.plan(angles_rad, repeats=repeats, order=order, seed=seed)
+        clean = self.true_reading(np.column_stack([columns[name] for name in SPHERICAL_JOINTS]))
+        noise = self.noise_px * np.random.default_rng([seed, 1]).normal(size=clean.shape)
+        readings = {name: (clean + noise)[:, k] for k, name in enumerate(SPHERICAL_PIXELS.coordinates)}
+        return Measurements.from_columns({**columns, **readings}, "simulation", layout=SPHERICAL_PIXELS)
+
+    def pictures(
+        self, columns: Mapping[str, Floats], *, seed: int = 0, noise_grey: float = 2.0
+    ) -> Iterator[CameraPicture]:
+        """Pictures of the marker, one for every row of a :meth:`plan`, with blur and grey noise.
+
+        Needs the extra ``sherkit[vision]``. The marker faces outwards, as on the robot.
+        """
+        from ...vision.intrinsics import Intrinsics
+        from ...vision.pictures import CameraPicture
+        from ...vision.render import View, draw_marker
+
+        eye = self.eye
+        k1, k2, p1, p2, k3 = eye.distortion
+        if k3 != 0.0:
+            raise ShapeError("pictures are drawn with four distortion coefficients; k3 must be zero")
+        inner = Intrinsics(eye.focal_px, eye.centre_px, (k1, k2, p1, p2), eye.size_px)
+        view = View(inner, eye.rotation_rad, eye.translation_mm)
+        rng = np.random.default_rng([seed, 2])
+        joints = np.column_stack([columns[name] for name in SPHERICAL_JOINTS])
+        for time, place, normal in zip(columns["time_s"], self.markers(joints), self.axes(joints), strict=True):
+            drawn = draw_marker(view, place, normal, _MARKER_MM, rng, noise=noise_grey)
+            yield CameraPicture(drawn, f"picture at {time:g} s", float(time))
+
+    @staticmethod
+    def seen_run(
+        columns: Mapping[str, Floats], pictures: Iterator[CameraPicture], *, save_in: Path | None = None
+    ) -> Measurements:
+        """The run of a :meth:`plan` whose pixels are found in its pictures. Raises and warns as ``run_of`` there."""
+        from .pictures import seen_run
+
+        return seen_run(columns, pictures, save_in=save_in)
+
+
+def projected(camera: CameraView, points_mm: Floats) -> Floats:
+    """Pixels (n, 2) of points (n, 3) in the base frame: pinhole, Brown's distortion. Nothing of the core is used."""
+    turn = np.asarray(camera.rotation_rad, dtype=float)
+    angle = float(np.linalg.norm(turn))
+    axis = turn / angle if angle > 0 else np.array([1.0, 0.0, 0.0])
+    # Rodrigues' formula, row by row
+    along = np.outer(points_mm @ axis, axis)
+    seen = along + np.cos(angle) * (points_mm - along) + np.sin(angle) * np.cross(axis, points_mm)
+    seen = seen + np.asarray(camera.translation_mm)
+    x, y = seen[:, 0] / seen[:, 2], seen[:, 1] / seen[:, 2]
+    k1, k2, p1, p2, k3 = camera.distortion
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+    yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    return np.column_stack(
+        [camera.focal_px[0] * xd + camera.centre_px[0], camera.focal_px[1] * yd + camera.centre_px[1]]
+    )

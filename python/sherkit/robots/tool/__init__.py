@@ -1,0 +1,33 @@
+"""The flexible tool whose fibres feel the force."""
+
+from .alignment import align
+from .calibration import Loads, ToolCalibration, calibrate_tool, read_loads
+from .effects import TOOL_CATALOGUE
+from .filters import Estimate, estimate
+from .judge import judge
+from .model import ToolModel
+from .registration import Registration, register
+from .runs import ToolRun, read_tool_run, tool_run_of
+from .tool import FlexibleTool, load_tool
+from .virtual import VirtualTool
+
+__all__ = [
+    "TOOL_CATALOGUE",
+    "Estimate",
+    "FlexibleTool",
+    "Loads",
+    "Registration",
+    "ToolCalibration",
+    "ToolModel",
+    "ToolRun",
+    "VirtualTool",
+    "align",
+    "calibrate_tool",
+    "estimate",
+    "judge",
+    "load_tool",
+    "read_loads",
+    "read_tool_run",
+    "register",
+    "tool_run_of",
+]

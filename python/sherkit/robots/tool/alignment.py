@@ -1,0 +1,95 @@
+"""Streams with different clocks and rates: values at other moments, and the delay between two clocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import optimize
+
+from ...errors import FitError, ShapeError
+from ...types import Floats
+from .registration import Registration, register
+
+_LEAST = 8
+
+
+def at_times(time_s: ArrayLike, values: ArrayLike, moments_s: ArrayLike) -> Floats:
+    """``values`` (n, k), taken at growing times (n,), at other moments (m,) by straight lines between neighbours.
+
+    Raises :class:`~sherkit.errors.ShapeError` for times that do not grow, moments outside them, or unlike sizes.
+    """
+    t, v, at = (np.asarray(a, dtype=float) for a in (time_s, values, moments_s))
+    if t.ndim != 1 or len(t) != len(v) or len(t) < 2:
+        raise ShapeError(f"times: expected a time for each of {len(v)} rows, two or more; got shape {t.shape}")
+    if not (np.diff(t) > 0).all():
+        raise ShapeError(f"times: row {int(np.argmin(np.diff(t) > 0)) + 1} is not later than the one before")
+    if len(at) and not ((at >= t[0]) & (at <= t[-1])).all():
+        row = int(np.argmax(~((at >= t[0]) & (at <= t[-1]))))
+        raise ShapeError(f"moments: row {row} at {at[row]:g} s lies outside {t[0]:g} to {t[-1]:g} s")
+    after = np.clip(np.searchsorted(t, at, side="right"), 1, len(t) - 1)
+    share = ((at - t[after - 1]) / (t[after] - t[after - 1])).reshape(-1, *[1] * (v.ndim - 1))
+    return np.asarray(v[after - 1] + share * (v[after] - v[after - 1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """A camera brought into the robot's frame and clock.
+
+    ``registration`` takes camera to base, ``delay_s`` ± ``delay_std_s`` is how much later the camera's clock stands,
+    ``rms_mm`` what is left.
+    """
+
+    registration: Registration
+    delay_s: float
+    delay_std_s: float
+    rms_mm: float
+
+
+def align(
+    robot_time_s: ArrayLike, robot_mm: ArrayLike, camera_time_s: ArrayLike, camera_mm: ArrayLike, *,
+    longest_s: float = 0.5,
+) -> Aligned:  # fmt: skip
+    """Frame and clock of a camera from a motion of the unbent tool that both saw: least squares over both.
+
+    Robot (n, 3) at its times, camera (m, 3) at its own; delays up to ``longest_s`` either way are tried. The standard
+    deviation of the delay follows from the curvature of the sum of squares. Raises :class:`~sherkit.errors.FitError`
+    where fewer than eight pictures fall into the robot's time at every delay tried, where nothing moves enough to tell
+    the delay, and as :func:`~sherkit.robots.tool.registration.register`.
+    """
+    t, x = np.asarray(robot_time_s, dtype=float), np.asarray(robot_mm, dtype=float)
+    at, seen = np.asarray(camera_time_s, dtype=float), np.asarray(camera_mm, dtype=float)
+    inside = (at - longest_s >= t[0]) & (at + longest_s <= t[-1])
+    if int(inside.sum()) < _LEAST:
+        raise FitError(
+            f"alignment: {int(inside.sum())} pictures lie inside the robot's time by {longest_s:g} s on both sides; "
+            f"expected {_LEAST} or more"
+        )
+    at, seen = at[inside], seen[inside]
+
+    def left(delay: float) -> float:
+        try:
+            return float((register(seen, at_times(t, x, at - delay)).residuals_mm ** 2).sum())
+        except FitError:  # so far off that nothing is left of the cloud's shape
+            return float("inf")
+
+    grid = np.linspace(-longest_s, longest_s, 81)
+    squares = np.array([left(d) for d in grid])
+    if not np.isfinite(squares).any():
+        register(seen, at_times(t, x, at))  # says why
+    best = int(np.argmin(squares))
+    if best in (0, len(grid) - 1):
+        raise FitError(f"alignment: the delay lies at the end of what was tried, {grid[best]:+g} s; allow a longer one")
+    found = optimize.minimize_scalar(left, bounds=(grid[best - 1], grid[best + 1]), method="bounded",
+                                     options={"xatol": 1e-7})  # fmt: skip
+    delay = float(found.x)
+    step = float(grid[1] - grid[0]) / 4
+    curvature = (left(delay + step) - 2 * left(delay) + left(delay - step)) / step**2
+    registration = register(seen, at_times(t, x, at - delay))
+    variance = left(delay) / max(3 * len(at) - 7, 1)
+    if not curvature > 0:
+        raise FitError("alignment: nothing moves enough to tell the delay between the clocks")
+    return Aligned(
+        registration, delay, float(np.sqrt(2 * variance / curvature)), float(np.sqrt(left(delay) / (3 * len(at))))
+    )

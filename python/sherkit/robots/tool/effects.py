@@ -1,0 +1,176 @@
+"""The catalogue of the flexible tool: what gratings, shaft and camera do that the calibrated model does not say.
+
+An effect is one entry: its parameters, three sentences, and a function that says where the tip would be with it. All of
+them are identified offline, on a recorded run against the stereo camera; their values are changes of the tool file, of
+the wavelengths or of the camera, which the compiled code carries to the tip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...model.effect import Effect
+from ...model.parameter import Parameter
+from ...types import Floats
+from .places import Places
+from .tool import rotation_of
+
+#: Where the tip is (k, 3), mm, robot's base, with parameters of these values.
+TipWith = Callable[[Places, Floats], Floats]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToolEffect(Effect):
+    """An effect of the tool: ``places`` says where the tip is with it."""
+
+    places: TipWith = field(repr=False)
+
+
+TOOL_CATALOGUE: dict[str, ToolEffect] = {}
+
+#: Two patterns of three fibres without a common part.
+_PATTERNS = np.array([[1.0, -1.0, 0.0], [0.5, 0.5, -1.0]])
+
+
+def _p(name: str, unit: str, size: float) -> Parameter:
+    return Parameter(name, name, unit, size)
+
+
+def _effect(
+    link: str, *parameters: Parameter, physics: str, residuals: str, workshop: str
+) -> Callable[[TipWith], TipWith]:
+    """Enters a function, by its name, in the catalogue."""
+
+    def enter(places: TipWith) -> TipWith:
+        name = places.__name__
+        TOOL_CATALOGUE[name] = ToolEffect(
+            name, link, parameters, physics=physics, residuals=residuals, workshop=workshop, places=places
+        )
+        return places
+
+    return enter
+
+
+@_effect(
+    "structure",
+    _p("relative", "1", 0.05),
+    physics="The shaft is stiffer or softer than calibrated: every bend has another size.",
+    residuals="Along the force, in proportion to it, more the less deep the tool is.",
+    workshop="Load the shaft at a known place and measure the bend; identify EI again.",
+)
+def tool_stiffness(at: Places, values: Floats) -> Floats:
+    stiffness = at.tool.stiffness_mn_mm2 * (1.0 + values[0])
+    return at.tip(replace(at.tool, stiffness_mn_mm2=stiffness), at.felt)
+
+
+@_effect(
+    "structure",
+    _p("length", "mm", 1.0),
+    physics="The shaft is clamped elsewhere than drawn: the free length h is another.",
+    residuals="Along the force, growing with depth otherwise than those of a stiffness.",
+    workshop="Measure from the clamp to the tip.",
+)
+def tool_length(at: Places, values: Floats) -> Floats:
+    return at.tip(replace(at.tool, length_mm=at.tool.length_mm + values[0]), at.felt)
+
+
+@_effect(
+    "body",
+    _p("x", "mm", 0.3),
+    _p("y", "mm", 0.3),
+    physics="The shaft is not straight: without any force its tip is off the robot's axis.",
+    residuals="Constant in the tool's frame, so that it turns with the tool; a camera's offset does not.",
+    workshop="Turn the tool about its shaft before the camera: a bent tip walks on a circle.",
+)
+def shaft_bend(at: Places, values: Floats) -> Floats:
+    return at.tip_mm + np.einsum("nij,j->ni", at.turn[:, :, :2], values)
+
+
+@_effect(
+    "sensor",
+    _p("section_I", "1", 0.03),
+    _p("section_II", "1", 0.03),
+    physics="The gratings of a section answer more or less strongly than calibrated.",
+    residuals="Along the force; force and depth are both off.",
+    workshop="Calibrate K_I and K_II again with known forces at known places.",
+)
+def fbg_gain(at: Places, values: Floats) -> Floats:
+    # a section that answers more strongly needs a smaller gain
+    gains = np.array(at.tool.gains) / (1.0 + values)[:, None, None]
+    stronger = replace(at.tool, gains=gains.tolist())
+    return at.tip(stronger, at.feel(stronger))
+
+
+@_effect(
+    "sensor",
+    *(_p(f"{s}_{k}", "nm", 0.01) for s in ("I", "II") for k in (1, 2)),
+    physics="Wavelengths of the unloaded tool have crept: a force is felt where there is none.",
+    residuals="Constant in the tool's frame where the tool is free, and a wrong depth where forces are small.",
+    workshop="Read the unloaded tool before each run and take that as reference_nm.",
+)
+def fbg_bias(at: Places, values: Floats) -> Floats:
+    return _shifted(at, _of_fibres(values))
+
+
+@_effect(
+    "sensor",
+    *(_p(f"{s}_{k}", "nm/nm", 0.1) for s in ("I", "II") for k in (1, 2)),
+    physics="The three fibres of a section answer unlike to warmth: taking out what is common leaves a rest.",
+    residuals="Follow the common shift of the wavelengths: slow, as the tool warms in the eye.",
+    workshop="Warm the unloaded tool and watch the moments; wait until it is warm before the run.",
+)
+def fbg_temperature(at: Places, values: Floats) -> Floats:
+    common = (at.run.wavelengths_nm - np.array(at.tool.reference_nm)).reshape(-1, 3, 3).mean(axis=2)
+    return _shifted(at, np.repeat(common[:, :2], 3, axis=1) * _of_fibres(values))
+
+
+@_effect(
+    "sensor",
+    _p("width", "mN", 5.0),
+    physics="Glue and fibres yield late: the force that is felt lags behind the true one by a width.",
+    residuals="Change sides with the direction in which the force changes.",
+    workshop="Load and unload slowly at one place; look for a loop.",
+)
+def force_hysteresis(at: Places, values: Floats) -> Floats:
+    return at.tip(at.tool, replace(at.felt, force_mn=at.felt.force_mn + float(values[0]) * at.changing))
+
+
+@_effect(
+    "sensor",
+    _p("turn_x", "rad", 0.02),
+    _p("turn_y", "rad", 0.02),
+    _p("turn_z", "rad", 0.02),
+    physics="The camera's frame is turned against what its registration says.",
+    residuals="Grow from the middle of the run's places outwards, across the axis of the turn.",
+    workshop="Register again, with the free tool led through the whole workspace (sherkit register).",
+)
+def registration(at: Places, values: Floats) -> Floats:
+    # about the middle of the run, so that it does not take the part of the camera's offset
+    middle = at.tip_mm.mean(axis=0)
+    return middle + (at.tip_mm - middle) @ rotation_of(values)[0].T
+
+
+@_effect(
+    "sensor",
+    _p("delay", "s", 0.02),
+    physics="The camera's clock is later or earlier than its setting says.",
+    residuals="In proportion to the velocity of the tip.",
+    workshop="Let both clocks see one sharp motion; set delay_s.",
+)
+def camera_delay(at: Places, values: Floats) -> Floats:
+    return at.tip(at.tool, at.felt, at.moments_s - values[0])
+
+
+def _of_fibres(values: Floats) -> Floats:
+    """Shifts (1, 6) of the fibres of sections I and II, two numbers a section."""
+    return np.asarray((values.reshape(2, 2) @ _PATTERNS).reshape(1, 6))
+
+
+def _shifted(at: Places, shift_nm: Floats) -> Floats:
+    """The tip where the wavelengths of sections I and II hold a shift (n, 6) or (1, 6) that is no force."""
+    waves = at.run.wavelengths_nm.copy()
+    waves[:, :6] -= shift_nm
+    return at.tip(at.tool, at.feel(at.tool, waves))

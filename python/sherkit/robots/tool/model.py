@@ -1,0 +1,156 @@
+"""A recorded run against the stereo camera, as a model to diagnose: where the tip should be seen, and what is missing.
+
+Without an effect the tip is where the tool file has it (`places.py`); what an effect adds is the difference to where
+the tip would be with it (`effects.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import SimpleNamespace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...data import Measurements, from_arrays
+from ...errors import FitError, MeasurementError, RobotError
+from ...model.effect import Effect
+from ...model.parameter import Parameter
+from ...model.rows import Rows
+from ...types import Floats
+from .alignment import at_times
+from .effects import TOOL_CATALOGUE, ToolEffect
+from .places import Places
+from .runs import ToolRun
+from .tool import FlexibleTool
+
+#: Column of the rows that says which picture a row is.
+_PICTURE = "picture"
+_LEAST = 20
+_AXES = ("x", "y", "z")
+#: Plausible sizes that a fit may go: beyond, effects that take each other's part would run away together.
+_FARTHEST = 15.0
+
+
+@dataclass(frozen=True, eq=False)
+class ToolModel:
+    """Places of the tip as the camera should see them, in the robot's base (k, 3), mm, at its pictures.
+
+    Fitted without any effect is the camera's offset alone. ``candidates`` are the effects of the tool on this run.
+    Raises :class:`~sherkit.errors.MeasurementError` for a run with too few pictures inside the robot's time.
+    """
+
+    tool: FlexibleTool
+    run: ToolRun
+
+    def __post_init__(self) -> None:
+        if int(self.pictures.sum()) < _LEAST:
+            raise MeasurementError(
+                f"{self.run.source}: {int(self.pictures.sum())} pictures lie within the robot's time; expected "
+                f"{_LEAST} or more to diagnose"
+            )
+        if not self.run.present.any():
+            raise MeasurementError(f"{self.run.source}: no row has wavelengths")
+
+    @cached_property
+    def pictures(self) -> NDArray[np.bool_]:
+        """Pictures (m,) inside the robot's time, with room for an effect of the delay."""
+        moment = self.run.camera_time_s - self.tool.camera_delay_s
+        room = 5.0 * TOOL_CATALOGUE["camera_delay"].parameters[0].size
+        return (moment >= self.run.time_s[0] + room) & (moment <= self.run.time_s[-1] - room)
+
+    @cached_property
+    def moments_s(self) -> Floats:
+        """Times (k,) of the pictures by the robot's clock, as the tool file has the delay."""
+        return self.run.camera_time_s[self.pictures] - self.tool.camera_delay_s
+
+    @cached_property
+    def seen_mm(self) -> Floats:
+        """What the camera saw (k, 3), robot's base."""
+        return self.tool.in_base(self.run.camera_mm[self.pictures])
+
+    @cached_property
+    def readings(self) -> Measurements:
+        """The rows to fit and diagnose: one a picture, with force and depth at its moment."""
+        felt, run = self._places.felt, self.run
+        force, depth, robot = (
+            at_times(run.time_s, v, self.moments_s) for v in (felt.force_mn, felt.depth_mm, run.position_mm)
+        )
+        count = len(self.moments_s)
+        return from_arrays(
+            place=dict(zip(("robot_x_mm", "robot_y_mm", "robot_z_mm"), robot.T, strict=True)),
+            readings=self.seen_mm,
+            names=_AXES,
+            unit="mm",
+            covariates={
+                "force_x_mn": force[:, 0],
+                "force_y_mn": force[:, 1],
+                "depth_mm": depth,
+                _PICTURE: np.arange(count, dtype=float),
+            },
+            time_s=self.moments_s,
+            block=(np.arange(count) * 24 // count).astype(np.int64),
+            sigma=np.full((count, 3), self.tool.camera_std_mm / np.sqrt(3.0)),
+            source=self.run.source,
+        )
+
+    # -- the three methods -------------------------------------------------------------------------------
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The offset of the camera."""
+        return tuple(Parameter(f"camera_{axis}", f"c_{axis}", "mm", 1.0) for axis in _AXES)
+
+    def predict(self, data: Measurements, values: Floats) -> Floats:
+        """Places of the tip (n, 3)."""
+        return self._places.tip_mm[self._rows(data)] + values
+
+    def derivatives(self, data: Measurements, values: Floats) -> Floats:
+        """Those of the offset (n, 3, 3)."""
+        del values
+        return np.broadcast_to(np.eye(3), (len(data), 3, 3)).copy()
+
+    def covariates(self, data: Measurements) -> dict[str, Floats]:
+        """Force, depth and time."""
+        out = {name: data.covariates[name] for name in ("force_x_mn", "force_y_mn", "depth_mm")}
+        if data.time_s is not None:
+            out["time_s"] = data.time_s
+        return out
+
+    @cached_property
+    def candidates(self) -> tuple[Effect, ...]:
+        """The catalogue on this run."""
+        return tuple(replace(e, function=self._adding(e)) for e in TOOL_CATALOGUE.values())
+
+    # -- what effects do ---------------------------------------------------------------------------------
+
+    @cached_property
+    def _places(self) -> Places:
+        return Places(self.tool, self.run, self.moments_s)
+
+    @staticmethod
+    def _rows(data: Measurements) -> NDArray[np.int64]:
+        return data[_PICTURE].astype(np.int64)
+
+    def _adding(self, effect: ToolEffect) -> Callable[[Rows, SimpleNamespace], Floats]:
+        """What the effect adds on rows of this run, remembered for the values asked last."""
+        places, names = self._places, [p.name for p in effect.parameters]
+        farthest = _FARTHEST * np.array([p.size for p in effect.parameters])
+        last: dict[tuple[float, ...], Floats] = {}
+
+        def adds(rows: Rows, p: SimpleNamespace) -> Floats:
+            values = tuple(float(getattr(p, name)) for name in names)
+            if (np.abs(values) > farthest).any():
+                raise FitError(f"{effect.name}: a step of {_FARTHEST:g} plausible sizes and more")
+            if values not in last:
+                if len(last) > 4 * len(names) + 8:
+                    last.clear()
+                try:
+                    last[values] = effect.places(places, np.array(values)) - places.tip_mm
+                except RobotError as error:  # a step so long that it leaves what is a tool
+                    raise FitError(f"{effect.name}: {error}") from None
+            return last[values][rows[_PICTURE].astype(np.int64)]
+
+        return adds

@@ -1,0 +1,180 @@
+"""A recorded run of the tool: robot and gratings at their rate, the camera at its own, each with its time stamps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from ...data.columns import TIME
+from ...data.reader import checked
+from ...data.tables import read_table, write_table
+from ...errors import MeasurementError
+from ...names import closest, listed
+from ...types import Bools, Floats
+from .columns import CAMERA, DEPTH, FIBRES, KNOWN, POSITION, TURN
+from .tool import rotation_of
+
+_LEAST = 3
+
+
+@dataclass(frozen=True, eq=False)
+class ToolRun:
+    """Rows of the robot: ``time_s`` (n,), pose of the unbent tip ``position_mm`` (n, 3) and ``turn_rad`` (n, 3, a
+    rotation vector, tool to base; z along the shaft to the tip), ``wavelengths_nm`` (n, 9; NaN where none came).
+
+    Rows of the camera, in its own frame and by its own clock: ``camera_time_s`` (m,), ``camera_mm`` (m, 3).
+    ``depth_mm`` (n,) is the insertion depth from elsewhere, to judge by, NaN or None where unknown.
+    """
+
+    time_s: Floats
+    position_mm: Floats
+    turn_rad: Floats
+    wavelengths_nm: Floats
+    camera_time_s: Floats
+    camera_mm: Floats
+    depth_mm: Floats | None = None
+    source: str = "run"
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @cached_property
+    def rotations(self) -> Floats:
+        """Tool to base (n, 3, 3)."""
+        return rotation_of(self.turn_rad)
+
+    @cached_property
+    def poses(self) -> Floats:
+        """Poses (n, 12) as the core takes them: the rotation's rows, then the place of the unbent tip."""
+        return np.ascontiguousarray(np.hstack([self.rotations.reshape(-1, 9), self.position_mm]))
+
+    @cached_property
+    def velocities_mm_s(self) -> Floats:
+        """Velocity of the unbent tip (n, 3) since the row before, base frame; zero at the first."""
+        step = np.diff(self.time_s)
+        moved = np.diff(self.position_mm, axis=0) / np.where(step > 0, step, np.inf)[:, None]
+        return np.vstack([np.zeros((1, 3)), moved])
+
+    @cached_property
+    def insertion_mm_s(self) -> Floats:
+        """Velocity along the shaft (n,), positive into the eye (Eq. 8)."""
+        return np.asarray(np.einsum("ni,ni->n", self.velocities_mm_s, self.rotations[:, :, 2]))
+
+    @cached_property
+    def present(self) -> Bools:
+        """Rows (n,) with nine finite wavelengths."""
+        return np.asarray(np.isfinite(self.wavelengths_nm).all(axis=1))
+
+    def without_fibres(self, rows: Bools) -> ToolRun:
+        """The same run with these wavelengths lost."""
+        waves = self.wavelengths_nm.copy()
+        waves[rows] = np.nan
+        return replace(self, wavelengths_nm=waves)
+
+    def save(self, path: str | Path) -> None:
+        """Writes CSV or Parquet that :func:`read_tool_run` reads: rows of the robot and of the camera by time."""
+        robot = pl.DataFrame(
+            {
+                TIME: self.time_s,
+                **dict(zip(POSITION, self.position_mm.T, strict=True)),
+                **dict(zip(TURN, self.turn_rad.T, strict=True)),
+                **dict(zip(FIBRES, self.wavelengths_nm.T, strict=True)),
+                **({} if self.depth_mm is None else {DEPTH: self.depth_mm}),
+            }
+        )
+        camera = pl.DataFrame({TIME: self.camera_time_s, **dict(zip(CAMERA, self.camera_mm.T, strict=True))})
+        frame = pl.concat([robot, camera], how="diagonal").sort(TIME, maintain_order=True)
+        write_table(frame.with_columns(pl.col(pl.Float64).fill_nan(None)), path)
+
+
+def read_tool_run(path: str | Path) -> ToolRun:
+    """Reads a run. A row may hold the robot (pose and wavelengths), the camera, or both.
+
+    Raises :class:`~sherkit.errors.MeasurementError` naming file, column and row for what is missing, half there, not a
+    number, or out of the order of time.
+    """
+    path = checked(path)
+    try:
+        frame = read_table(path)
+    except pl.exceptions.PolarsError as error:
+        raise MeasurementError(f"{path}: is not a table: {str(error).splitlines()[0]}") from None
+    return tool_run_of(frame, str(path))
+
+
+def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
+    """A run from a polars frame. Raises as :func:`read_tool_run`; rows are counted from 1."""
+    for name in (TIME, *POSITION, *TURN, *FIBRES):
+        if name not in frame.columns:
+            near = closest(name, [c for c in frame.columns if c not in KNOWN])
+            hint = f"; is '{near}' meant to be it?" if near else f"; it has {listed(frame.columns, 24)}"
+            raise MeasurementError(f"{source}: column '{name}' is missing{hint}")
+    columns: dict[str, Floats] = {}
+    for name in (c for c in KNOWN if c in frame.columns):
+        column = frame[name]
+        try:
+            values = column.cast(pl.Float64)
+        except pl.exceptions.PolarsError:
+            bad = column.cast(pl.String).cast(pl.Float64, strict=False).is_null() & column.is_not_null()
+            row = int(bad.arg_max() or 0)
+            raise MeasurementError(
+                f"{source}: row {row + 1}, column '{name}': '{column[row]}' is not a number"
+            ) from None
+        columns[name] = values.to_numpy().astype(float)
+    time = columns[TIME]
+    _refuse(~np.isfinite(time), f"{source}: row {{}}, column '{TIME}': expected a time, s")
+    pose = np.column_stack([columns[n] for n in (*POSITION, *TURN)])
+    there = np.isfinite(pose)
+    _refuse(
+        there.any(axis=1) & ~there.all(axis=1),
+        f"{source}: row {{}}: a pose needs all of {listed((*POSITION, *TURN), 6)}",
+    )
+    robot = there.all(axis=1)
+    camera_all = np.column_stack([columns.get(n, np.full(len(time), np.nan)) for n in CAMERA])
+    seen = np.isfinite(camera_all)
+    _refuse(
+        seen.any(axis=1) & ~seen.all(axis=1),
+        f"{source}: row {{}}: a place of the camera needs all of {listed(CAMERA, 3)}",
+    )
+    camera = seen.all(axis=1)
+    waves = np.column_stack([columns[n] for n in FIBRES])
+    _refuse(~robot & np.isfinite(waves).any(axis=1), f"{source}: row {{}}: wavelengths without the robot's pose")
+    if int(robot.sum()) < _LEAST:
+        raise MeasurementError(f"{source}: holds {int(robot.sum())} rows with a pose; expected {_LEAST} or more")
+    for rows, who in ((robot, "the robot"), (camera, "the camera")):
+        back = np.flatnonzero(np.diff(time[rows]) <= 0)
+        if len(back):
+            row = int(np.flatnonzero(rows)[back[0] + 1])
+            raise MeasurementError(f"{source}: row {row + 1}: the time of {who} does not grow")
+    depth = columns.get(DEPTH)
+    return ToolRun(
+        time_s=time[robot],
+        position_mm=pose[robot, :3],
+        turn_rad=pose[robot, 3:],
+        wavelengths_nm=np.ascontiguousarray(waves[robot]),
+        camera_time_s=time[camera],
+        camera_mm=camera_all[camera],
+        depth_mm=None if depth is None or not np.isfinite(depth[robot]).any() else depth[robot],
+        source=source,
+    )
+
+
+def _refuse(bad: Any, sentence: str) -> None:
+    if bad.any():
+        raise MeasurementError(sentence.format(int(np.argmax(bad)) + 1))
+
+
+def summary(run: ToolRun) -> dict[str, Any]:
+    """Sizes and rates, for people."""
+    span = float(run.time_s[-1] - run.time_s[0])
+    return {
+        "rows": len(run),
+        "seconds": span,
+        "robot_hz": (len(run) - 1) / span if span > 0 else float("nan"),
+        "pictures": len(run.camera_time_s),
+        "without_fibres": int((~run.present).sum()),
+    }

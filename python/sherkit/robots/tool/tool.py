@@ -1,0 +1,189 @@
+"""The flexible force-sensing tool: a needle with Bragg gratings on a robot's flange, seen by a stereo camera.
+
+Source: Ebrahimi et al., "Stochastic Force-based Insertion Depth and Tip Position Estimations of Flexible FBG-Equipped
+Instruments in Robotic Retinal Surgery" (T-Mech 2020): a cantilever that the sclera pushes sideways, gratings at three
+sections, nine wavelengths.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+from scipy.spatial.transform import Rotation
+
+import sherkit._core as _core
+
+from ...data.toml import Table, read_toml
+from ...errors import RobotError
+from ...types import Floats
+
+Triple = tuple[float, float, float]
+
+KIND = "flexible_tool"
+NOISES = ("propagated", "ebrahimi_2020", "ebrahimi_2020_of_force")
+#: Fibres stand at 120° around the shaft; a moment of 1 mN·mm shifts the wavelength opposite to it by this, nm.
+_SHIFT_NM_PER_MOMENT = 2.1e-4
+
+
+def even_gains(shift_nm_per_moment: float = _SHIFT_NM_PER_MOMENT, turn_rad: float = 0.0) -> Floats:
+    """Gains K (2, 3), mN·mm/nm, of a section whose three fibres stand evenly around the shaft."""
+    angle = turn_rad + 2 * np.pi / 3 * np.arange(3)
+    return 2.0 / (3.0 * shift_nm_per_moment) * np.stack([np.cos(angle), np.sin(angle)])
+
+
+@dataclass(frozen=True)
+class FlexibleTool:
+    """The tool as calibrated, and how the filters are to treat it.
+
+    ``length_mm`` is the free length h, ``stiffness_mn_mm2`` the bending stiffness EI, ``distances_mm`` from the tip to
+    the sections I and II, ``gains`` (2, 2, 3) K_I and K_II in mN·mm/nm, ``reference_nm`` (9,) the wavelengths of the
+    unloaded tool (sections I, II, III, three fibres each), ``noise_nm`` the standard deviation of one. ``camera_*``
+    take the camera's frame to the base: x_base = R(``camera_rotation_rad``) x_camera + ``camera_translation_mm``; its
+    clock stands ``camera_delay_s`` later than the robot's. ``noise`` names what the filters trust: ``"propagated"``
+    follows the force with ``floor_mm2`` and ``per_second_mm2`` (depth, tip), the others are the paper's.
+    """
+
+    length_mm: float = 60.0
+    stiffness_mn_mm2: float = 3.39e6 / 3.0
+    distances_mm: tuple[float, float] = (40.0, 50.0)
+    gains: tuple[tuple[Triple, Triple], tuple[Triple, Triple]] = (
+        tuple(tuple(row) for row in even_gains().tolist()),  # type: ignore[assignment]
+        tuple(tuple(row) for row in even_gains(turn_rad=0.02).tolist()),
+    )
+    reference_nm: tuple[float, ...] = (1531.0, 1531.2, 1530.9, 1545.1, 1545.0, 1544.8, 1559.0, 1559.1, 1558.9)
+    noise_nm: float = 1e-3
+    camera_rotation_rad: Triple = (0.0, 0.0, 0.0)
+    camera_translation_mm: Triple = (0.0, 0.0, 0.0)
+    camera_delay_s: float = 0.0
+    camera_std_mm: float = 0.2
+    noise: str = "propagated"
+    per_second_mm2: tuple[float, float] = (0.01, 1.0)
+    floor_mm2: tuple[float, float] = (0.01, 0.002)
+    start_depth_mm: float = 0.0
+    start_std_mm: float = 0.5
+
+    def __post_init__(self) -> None:
+        _ = self.beam, self.sensor, self.filter_noise  # refuses numbers that are no tool
+
+    # -- files -------------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_table(cls, table: Table) -> FlexibleTool:
+        """Reads the tables of a tool file; see docs/tool.md for an example."""
+        d = cls()
+        values: dict[str, Any] = {}
+        with table.table("shaft") as s:
+            values["length_mm"] = s.number("length_mm", positive=True)
+            values["stiffness_mn_mm2"] = s.number("stiffness_mn_mm2", positive=True)
+        with table.table("gratings") as g:
+            values["distances_mm"] = g.numbers("distances_mm", 2, positive=True)
+            if not values["distances_mm"][0] < values["distances_mm"][1] < values["length_mm"]:
+                raise g.fail("distances_mm", f"I, then II, both less than length_mm = {values['length_mm']:g}")
+            values["gains"] = tuple(
+                tuple(g.numbers(f"gain_{section}_{axis}", 3) for axis in ("x", "y")) for section in ("I", "II")
+            )
+            values["reference_nm"] = g.numbers("reference_nm", 9, positive=True)
+            values["noise_nm"] = g.number("noise_nm", positive=True)
+        with table.table("camera", optional=True) as c:
+            values["camera_rotation_rad"] = c.numbers("rotation_rad", 3, d.camera_rotation_rad)
+            values["camera_translation_mm"] = c.numbers("translation_mm", 3, d.camera_translation_mm)
+            values["camera_delay_s"] = c.number("delay_s", d.camera_delay_s)
+            values["camera_std_mm"] = c.number("std_mm", d.camera_std_mm, positive=True)
+        with table.table("filter", optional=True) as f:
+            values["noise"] = f.text("noise", NOISES, d.noise)
+            values["per_second_mm2"] = f.numbers("per_second_mm2", 2, d.per_second_mm2)
+            values["floor_mm2"] = f.numbers("floor_mm2", 2, d.floor_mm2)
+            values["start_depth_mm"] = f.number("start_depth_mm", d.start_depth_mm)
+            values["start_std_mm"] = f.number("start_std_mm", d.start_std_mm, positive=True)
+        return cls(**values)
+
+    def to_tables(self) -> dict[str, Any]:
+        """What :meth:`from_table` reads, without loss."""
+        return {
+            "kind": KIND,
+            "shaft": {"length_mm": self.length_mm, "stiffness_mn_mm2": self.stiffness_mn_mm2},
+            "gratings": {
+                "distances_mm": list(self.distances_mm),
+                **{
+                    f"gain_{section}_{axis}": list(self.gains[s][a])
+                    for s, section in enumerate(("I", "II"))
+                    for a, axis in enumerate(("x", "y"))
+                },
+                "reference_nm": list(self.reference_nm),
+                "noise_nm": self.noise_nm,
+            },
+            "camera": {
+                "rotation_rad": list(self.camera_rotation_rad),
+                "translation_mm": list(self.camera_translation_mm),
+                "delay_s": self.camera_delay_s,
+                "std_mm": self.camera_std_mm,
+            },
+            "filter": {
+                "noise": self.noise,
+                "per_second_mm2": list(self.per_second_mm2),
+                "floor_mm2": list(self.floor_mm2),
+                "start_depth_mm": self.start_depth_mm,
+                "start_std_mm": self.start_std_mm,
+            },
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Writes a tool file that :func:`load_tool` reads."""
+        Path(path).write_text(tomli_w.dumps(self.to_tables()), encoding="utf-8")
+
+    # -- the compiled parts ------------------------------------------------------------------------------
+
+    @cached_property
+    def beam(self) -> _core.ToolBeam:
+        """The shaft (Eq. 9)."""
+        return _core.ToolBeam(self.length_mm, self.stiffness_mn_mm2)
+
+    @cached_property
+    def sensor(self) -> _core.ToolSensor:
+        """The gratings (Eqs. 1 and 2)."""
+        return _core.ToolSensor(
+            np.array(self.gains, dtype=float), np.array(self.distances_mm), np.array(self.reference_nm), self.noise_nm
+        )
+
+    @cached_property
+    def filter_noise(self) -> _core.FilterNoise:
+        """What the filters trust."""
+        if self.noise == "propagated":
+            return _core.FilterNoise.propagated(self.per_second_mm2, self.floor_mm2)
+        if self.noise not in NOISES:
+            raise RobotError(f"noise: '{self.noise}' is not known; choose {', '.join(NOISES)}")
+        made: _core.FilterNoise = getattr(_core.FilterNoise, self.noise)()
+        return made
+
+    def with_noise(self, noise: str) -> FlexibleTool:
+        """The same tool with filters that trust otherwise. Raises :class:`~sherkit.errors.RobotError`."""
+        return replace(self, noise=noise)
+
+    @property
+    def camera_rotation(self) -> Floats:
+        """The rotation (3, 3) from the camera's frame to the base."""
+        return rotation_of(self.camera_rotation_rad)[0]
+
+    def in_base(self, points_mm: Floats) -> Floats:
+        """Points (n, 3) of the camera's frame in the robot's base."""
+        return points_mm @ self.camera_rotation.T + np.array(self.camera_translation_mm)
+
+
+def load_tool(path: str | Path) -> FlexibleTool:
+    """Reads a tool from TOML. Raises :class:`~sherkit.errors.RobotError` naming file, table and key."""
+    table = Table(read_toml(path, "tool"), str(path))
+    table.text("kind", (KIND,))
+    made = FlexibleTool.from_table(table)
+    table.finish()
+    return made
+
+
+def rotation_of(vectors_rad: Sequence[float] | Floats) -> Floats:
+    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3)."""
+    return np.asarray(Rotation.from_rotvec(np.atleast_2d(np.asarray(vectors_rad, dtype=float))).as_matrix())

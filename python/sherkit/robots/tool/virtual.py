@@ -1,0 +1,266 @@
+"""A virtual tool in the paper's three experiments: true beam mechanics under a contact that comes and goes.
+
+Written apart from the core on purpose: the contact's force comes from the balance of shaft, hole and clearance, bending
+from the cantilever's formulas written out here, wavelengths from the curvature at each fibre. Nothing of the filters is
+used.
+
+Where the hole's centre stands u off the unbent shaft (tool frame, across it), the clearance is c and the hole gives way
+with stiffness k, the shaft bends by w at the contact with F = k (|u| - c - w) = 3EI w / a³: so F = (|u| - c) / (1/k +
+a³/3EI) along u where |u| > c, and nothing otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import ShapeError
+from ...types import Floats
+from .calibration import Loads
+from .runs import ToolRun
+from .tool import FlexibleTool, rotation_of
+
+EXPERIMENTS = ("phantom", "bends", "vessels")
+_ROBOT_HZ, _CAMERA_HZ = 200.0, 15.0
+
+
+@dataclass(frozen=True)
+class VirtualTool:
+    """A tool that may be another than its file says.
+
+    ``tool`` is what the file says; ``true`` the tool in the world (the same if left out). ``noise_nm`` is that of a
+    wavelength, ``camera_mm`` of a place, ``camera_warp_mm`` the size of the camera's smooth errors over its field,
+    ``temperature_c`` the slow drift of the eye's warmth (all fibres alike, 10 pm/°C), ``wander_mm2_s`` how fast the
+    hole strays along the shaft, as an eye does, ``hole_mn_mm`` its stiffness. ``bias_nm`` (6,) is how far the
+    wavelengths of sections I and II have crept, ``leak`` (6,) how much more each fibre answers to warmth,
+    ``hysteresis_mn`` how far what the gratings feel lags behind the force, ``shaft_bend_mm`` (2,) the tip of the
+    unloaded tool, ``lost`` the share of wavelengths lost on the way.
+    """
+
+    tool: FlexibleTool
+    true: FlexibleTool | None = None
+    noise_nm: float = 1e-3
+    camera_mm: float = 0.2
+    camera_warp_mm: float = 0.25
+    temperature_c: float = 1.0
+    wander_mm2_s: float = 0.004
+    hole_mn_mm: float = 150.0
+    bias_nm: tuple[float, ...] = (0.0,) * 6
+    leak: tuple[float, ...] = (0.0,) * 6
+    hysteresis_mn: float = 0.0
+    shaft_bend_mm: tuple[float, float] = (0.0, 0.0)
+    lost: float = 0.0
+
+    def run(self, experiment: str, *, seconds: float = 60.0, seed: int = 0) -> ToolRun:
+        """One of the paper's experiments, 200 Hz and 15 Hz: ``"phantom"`` (depth, a hole in rubber), ``"bends"`` (free
+        space, a needle bends the stopped tool six times), ``"vessels"`` (a 5 mm hole, the tip follows vessels).
+
+        Raises :class:`~sherkit.errors.ShapeError` for another name or no time.
+        """
+        if experiment not in EXPERIMENTS:
+            raise ShapeError(f"experiment: '{experiment}' is not known; choose {', '.join(EXPERIMENTS)}")
+        if not seconds >= 2.0:
+            raise ShapeError(f"seconds: expected 2 or more, got {seconds:g}")
+        rng = np.random.default_rng([seed, EXPERIMENTS.index(experiment)])
+        t = np.arange(round(seconds * _ROBOT_HZ) + 1) / _ROBOT_HZ
+        make = {"phantom": self._phantom, "bends": self._bends, "vessels": self._vessels}[experiment]
+        position, turn, depth, offset, clearance = make(t, rng)
+        true = self.true or self.tool
+        force = self._force(true, depth, offset, clearance)
+        bent = self._tip(true, force, depth) + np.array([*self.shaft_bend_mm, 0.0])
+        tip = position + np.einsum("nij,nj->ni", rotation_of(turn), bent)
+        waves = self._wavelengths(true, force, depth, t, rng)
+        if self.lost > 0:
+            waves[rng.random(len(t)) < self.lost] = np.nan
+        camera_t, camera = self._seen(true, t, tip, rng)
+        # where the tool is bent in free space there is no insertion whose depth could be off
+        known = None if experiment == "bends" else depth
+        return ToolRun(t, position, turn, waves, camera_t, camera, known, f"simulated {experiment}")
+
+    def free_motion(self, *, seconds: float = 20.0, seed: int = 0) -> ToolRun:
+        """The unbent tool led around the workspace, as for the registration of the camera (section V.B)."""
+        rng = np.random.default_rng([seed, 9])
+        t = np.arange(round(seconds * _ROBOT_HZ) + 1) / _ROBOT_HZ
+        true = self.true or self.tool
+        position = np.column_stack([_smooth(t, rng, 15.0) for _ in range(3)])
+        turn = np.column_stack([_smooth(t, rng, 0.3), _smooth(t, rng, 0.3), _smooth(t, rng, 0.05)])
+        depth = np.zeros(len(t))
+        waves = self._wavelengths(true, np.zeros((len(t), 2)), depth, t, rng)
+        tip = position + rotation_of(turn) @ np.array([*self.shaft_bend_mm, 0.0])
+        camera_t, camera = self._seen(true, t, tip, rng)
+        return ToolRun(t, position, turn, waves, camera_t, camera, None, "simulated free motion")
+
+    def bench(self, *, loads: int = 80, unloaded: int = 20, deflection_std_mm: float = 0.01, seed: int = 0) -> Loads:
+        """Known loads on a bench, from 20 to 250 mN, all around the shaft and 0 to 25 mm from the tip."""
+        rng = np.random.default_rng([seed, 5])
+        true = self.true or self.tool
+        depth = rng.uniform(0.0, 25.0, loads + unloaded)
+        size = np.concatenate([rng.uniform(20.0, 250.0, loads), np.zeros(unloaded)])
+        way = rng.uniform(0.0, 2 * np.pi, len(size))
+        force = size[:, None] * np.column_stack([np.cos(way), np.sin(way)])
+        waves = self._wavelengths(true, force, depth, np.zeros(len(size)), rng)
+        bent = size * (true.length_mm - depth) ** 3 / (3.0 * true.stiffness_mn_mm2)
+        return Loads(force, depth, waves, bent + deflection_std_mm * rng.standard_normal(len(size)), "simulated loads")
+
+    def pressed(self, offset_mm: Floats, depth_mm: Floats, clearance_mm: float) -> tuple[Floats, Floats]:
+        """Force (n, 2), mN, tool frame, and wavelengths (n, 9), nm, where the hole stands ``offset_mm`` (n, 2) off the
+        unbent shaft, ``depth_mm`` (n,) from the tip. Without noise and at the reference's warmth."""
+        true = self.true or self.tool
+        force = self._force(true, depth_mm, offset_mm, clearance_mm)
+        still = replace(self, noise_nm=0.0)
+        return force, still._wavelengths(true, force, depth_mm, np.zeros(len(force)), np.random.default_rng(0))
+
+    # -- what the robot does: pose (n, 3), (n, 3), depth (n,), the hole off the shaft (n, 2), clearance --------
+
+    def _phantom(self, t: Floats, rng: np.random.Generator) -> tuple[Floats, Floats, Floats, Floats, float]:
+        """In and out of a tight hole, swaying so that the force comes and goes."""
+        span = t[-1]
+        led = 11.0 * (1 - np.cos(2 * np.pi * t / (span / 3)))
+        sway = np.column_stack([_smooth(t, rng, 2.0), _smooth(t, rng, 2.0)])
+        # pauses in which the shaft stands free in its hole
+        sway *= np.clip(1.6 * np.sin(2 * np.pi * t / (span / 7.3)) + 0.35, 0.0, 1.0)[:, None]
+        turn = np.column_stack([_smooth(t, rng, 0.08), _smooth(t, rng, 0.08), _smooth(t, rng, 0.02)])
+        depth = (led + self._wander(t, rng, led > 1.0)).clip(0.0)
+        axis = rotation_of(turn)
+        position = axis[:, :, 2] * led[:, None] + np.einsum("nij,nj->ni", axis[:, :, :2], -sway)
+        # the depth that the robot sees along the turning shaft is what it did, and the hole strays on its own
+        position = _led_along(t, axis, position, np.gradient(led, t))
+        return position, turn, depth, sway, 0.05
+
+    def _bends(self, t: Floats, rng: np.random.Generator) -> tuple[Floats, Floats, Floats, Floats, float]:
+        """Led in free space, stopped, and bent six times from random places of the shaft."""
+        span, bends = t[-1], 6
+        turn = np.zeros((len(t), 3))
+        position = np.zeros((len(t), 3))
+        offset, depth = np.zeros((len(t), 2)), np.full(len(t), 12.0)
+        ends = np.linspace(0.0, span, 2 * bends + 1)
+        here, there = np.zeros(3), np.zeros(3)
+        for k in range(bends):
+            go = (t >= ends[2 * k]) & (t <= ends[2 * k + 1])
+            stay = (t > ends[2 * k + 1]) & (t <= ends[2 * k + 2])
+            there = rng.uniform(-12.0, 12.0, 3)
+            share = _ease((t[go] - ends[2 * k]) / (ends[2 * k + 1] - ends[2 * k]))
+            position[go] = here + share[:, None] * (there - here)
+            position[stay] = there
+            here = there
+            where, way = rng.uniform(6.0, 26.0), rng.uniform(0.0, 2 * np.pi)
+            compliance = (60.0 - where) ** 3 / (3.0 * self.tool.stiffness_mn_mm2)
+            push = rng.uniform(120.0, 300.0) * (compliance + 1.0 / self.hole_mn_mm)
+            inside = np.sin(np.pi * _between(t[stay], 0.12, 0.88)) ** 2
+            offset[stay] = push * inside[:, None] * np.array([np.cos(way), np.sin(way)])
+            depth[go | stay] = where
+        return position, turn, depth, offset, 0.0
+
+    def _vessels(self, t: Floats, rng: np.random.Generator) -> tuple[Floats, Floats, Floats, Floats, float]:
+        """The tip follows vessels while the shaft leans on the edge of a wide hole from changing sides."""
+        span = t[-1]
+        inside = (19.0 + _smooth(t, rng, 2.0)) * _ease(t / (0.12 * span))
+        lean = np.column_stack([_smooth(t, rng, 3.5), _smooth(t, rng, 3.5)]) * _ease(t / (0.15 * span))[:, None]
+        turn = np.column_stack([_smooth(t, rng, 0.12), _smooth(t, rng, 0.12), _smooth(t, rng, 0.03)])
+        axis = rotation_of(turn)
+        position = np.column_stack([_smooth(t, rng, 5.0), _smooth(t, rng, 5.0), np.zeros(len(t))])
+        position = _led_along(t, axis, position, np.gradient(inside, t))
+        depth = (inside + self._wander(t, rng, inside > 1.0)).clip(0.0)
+        return position, turn, depth, lean, 2.2
+
+    def _wander(self, t: Floats, rng: np.random.Generator, there: NDArray[np.bool_]) -> Floats:
+        """A random walk of the hole along the shaft (n,), mm, while the tool is ``there`` (n,)."""
+        step = np.sqrt(self.wander_mm2_s * np.diff(t, prepend=t[0])) * there
+        return np.cumsum(step * rng.standard_normal(len(t)))
+
+    # -- mechanics, gratings, camera ----------------------------------------------------------------------
+
+    def _force(self, true: FlexibleTool, depth: Floats, offset: Floats, clearance: float) -> Floats:
+        """Sclera force (n, 2), mN, tool frame."""
+        a = true.length_mm - depth
+        size = np.linalg.norm(offset, axis=1)
+        pressed = (size - clearance).clip(0.0) * (depth > 0)
+        force = pressed / (1.0 / self.hole_mn_mm + a**3 / (3.0 * true.stiffness_mn_mm2))
+        way = offset / np.where(size > 0, size, 1.0)[:, None]
+        return np.asarray(force[:, None] * way)
+
+    @staticmethod
+    def _tip(true: FlexibleTool, force: Floats, depth: Floats) -> Floats:
+        """Where the bent tip is (n, 3), mm, tool frame: deflection at the contact and its slope carried to the tip."""
+        a = true.length_mm - depth
+        at_contact = force * (a**3 / (3.0 * true.stiffness_mn_mm2))[:, None]
+        slope = force * (a**2 / (2.0 * true.stiffness_mn_mm2))[:, None]
+        return np.column_stack([at_contact + slope * depth[:, None], np.zeros(len(depth))])
+
+    def _wavelengths(
+        self, true: FlexibleTool, force: Floats, depth: Floats, t: Floats, rng: np.random.Generator
+    ) -> Floats:
+        """Nine wavelengths (n, 9), nm: the moment at each section bends the fibres, warmth shifts all alike."""
+        warm = 0.010 * self.temperature_c * (1 - np.exp(-t / 20.0)) + 0.001 * np.sin(t / 7.0)
+        waves = np.tile(np.array(true.reference_nm), (len(t), 1)) + warm[:, None]
+        waves[:, :6] += np.array(self.bias_nm) + warm[:, None] * np.array(self.leak)
+        force = self._felt(force)
+        for section in range(2):
+            lever = (true.distances_mm[section] - depth).clip(0.0)
+            moment = force * lever[:, None]
+            # the shifts without a common part that this moment makes: the inverse of the calibration on that plane
+            shifts = np.linalg.pinv(np.array(true.gains[section]))
+            shifts -= shifts.mean(axis=0)
+            back = np.linalg.inv(np.array(true.gains[section]) @ shifts)
+            waves[:, 3 * section : 3 * section + 3] += moment @ (shifts @ back).T
+        return np.asarray(waves + self.noise_nm * rng.standard_normal(waves.shape))
+
+    def _felt(self, force: Floats) -> Floats:
+        """The force as the glued fibres feel it (n, 2): dragged behind on a rope of the hysteresis' length."""
+        if self.hysteresis_mn == 0.0:
+            return force
+        felt = np.empty_like(force)
+        here = force[0].copy()
+        for k, there in enumerate(force):
+            away = there - here
+            size = float(np.hypot(*away))
+            if size > self.hysteresis_mn:
+                here = there - away * (self.hysteresis_mn / size)
+            felt[k] = here
+        return felt
+
+    def _seen(self, true: FlexibleTool, t: Floats, tip: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """Times (m,) by the camera's clock and places (m, 3) in its frame."""
+        moment = np.arange(t[0] + 0.013, t[-1], 1.0 / _CAMERA_HZ)
+        place = np.column_stack([np.interp(moment, t, tip[:, k]) for k in range(3)])
+        place = (place - np.array(true.camera_translation_mm)) @ true.camera_rotation
+        middle = place - place.mean(axis=0)
+        warp = self.camera_warp_mm * np.sin(middle[:, [1, 2, 0]] / 9.0 + rng.uniform(0, 2 * np.pi, 3))
+        noise = self.camera_mm / np.sqrt(3.0) * rng.standard_normal(place.shape)
+        return moment + true.camera_delay_s, place + warp + noise
+
+    def changed(self, **true: object) -> VirtualTool:
+        """The same with a true tool that differs from its file in the given fields."""
+        return replace(self, true=replace(self.true or self.tool, **true))  # type: ignore[arg-type]
+
+
+def _smooth(t: Floats, rng: np.random.Generator, size: float) -> Floats:
+    """A smooth random motion (n,) of that size: six sines of 0.05 to 0.5 Hz that start at zero."""
+    rate = 2 * np.pi * rng.uniform(0.05, 0.5, 6)
+    weight, phase = rng.standard_normal(6), rng.uniform(0, 2 * np.pi, 6)
+    wave = (weight[:, None] * (np.sin(rate[:, None] * t + phase[:, None]) - np.sin(phase)[:, None])).sum(axis=0)
+    return np.asarray(size * wave / np.sqrt(6.0))
+
+
+def _ease(share: Floats) -> Floats:
+    s = np.clip(share, 0.0, 1.0)
+    return np.asarray(s * s * (3.0 - 2.0 * s))
+
+
+def _between(t: Floats, low: float, high: float) -> Floats:
+    """0 to 1 over the middle part of an interval."""
+    if not len(t):
+        return t
+    share = (t - t[0]) / max(t[-1] - t[0], 1e-9)
+    return np.clip((share - low) / (high - low), 0.0, 1.0)
+
+
+def _led_along(t: Floats, axis: Floats, across: Floats, speed: Floats) -> Floats:
+    """Places (n, 3) whose motion along the shaft is ``speed`` (n,), and otherwise that of ``across`` (n, 3)."""
+    moved = np.diff(across, axis=0, prepend=across[:1])
+    shaft = axis[:, :, 2]
+    own = np.einsum("ni,ni->n", moved, shaft)
+    step = speed * np.diff(t, prepend=t[0])
+    return np.asarray(across[0] + np.cumsum(moved + (step - own)[:, None] * shaft, axis=0))

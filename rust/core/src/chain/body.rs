@@ -1,0 +1,97 @@
+//! The body link: from where the mechanism puts the measured point to where it is.
+
+use super::effects::{Wanted, places, values_of};
+use super::{Covariates, Settings, Table};
+use nalgebra::{SMatrix, Vector3};
+
+places! { thermal_growth drift slip }
+
+/// Temperature at which the robot is as drawn, °C.
+pub const REFERENCE_TEMPERATURE_C: f64 = 20.0;
+const SECONDS_PER_HOUR: f64 = 3600.0;
+
+/// Effects that act at the measured point, in the base frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Body {
+    thermal: f64,
+    drift: Vector3<f64>,
+    slip: Vector3<f64>,
+    time_origin_s: f64,
+    slip_time_s: f64,
+}
+
+impl Body {
+    /// The link with the effects that a robot has.
+    pub(crate) fn new<T: Table, const J: usize, const P: usize>(
+        values: &[f64; P],
+        settings: &Settings<J>,
+    ) -> Self {
+        let at = T::AT.body;
+        let [thermal] = values_of(at.thermal_growth, values);
+        Self {
+            thermal,
+            drift: Vector3::from(values_of::<3, P>(at.drift, values)),
+            slip: Vector3::from(values_of::<3, P>(at.slip, values)),
+            time_origin_s: settings.time_origin_s,
+            slip_time_s: settings.slip_time_s,
+        }
+    }
+
+    /// The factor by which temperature scales a point about the origin of the base frame, and what time and slip add to
+    /// it. An effect at zero does not ask for its covariate.
+    #[inline]
+    pub(crate) fn at<const J: usize>(&self, row: &Covariates<J>) -> (f64, Vector3<f64>) {
+        let mut growth = 1.0;
+        let mut shift = Vector3::zeros();
+        if self.thermal != 0.0 {
+            growth += self.thermal * warmer(row);
+        }
+        if self.drift != Vector3::zeros() {
+            shift += self.drift * self.hours(row);
+        }
+        if self.slip != Vector3::zeros() {
+            shift += self.slip * self.slipped(row);
+        }
+        (growth, shift)
+    }
+
+    fn hours<const J: usize>(&self, row: &Covariates<J>) -> f64 {
+        (row.time_s - self.time_origin_s) / SECONDS_PER_HOUR
+    }
+
+    fn slipped<const J: usize>(&self, row: &Covariates<J>) -> f64 {
+        if row.time_s.is_nan() {
+            f64::NAN
+        } else {
+            f64::from(u8::from(row.time_s >= self.slip_time_s))
+        }
+    }
+
+    /// Writes the wanted columns for the point that the mechanism gives, carried on by the derivative by the body.
+    #[inline]
+    pub(crate) fn columns<T: Table, const J: usize, const M: usize, const P: usize>(
+        &self,
+        point: &Vector3<f64>,
+        row: &Covariates<J>,
+        by_body: &SMatrix<f64, M, 3>,
+        wanted: Wanted,
+        d: &mut SMatrix<f64, M, P>,
+    ) {
+        let at = T::AT.body;
+        if let Some(place) = wanted.wants(at.thermal_growth) {
+            d.set_column(place.start, &(by_body * point * warmer(row)));
+        }
+        if let Some(place) = wanted.wants(at.drift) {
+            d.fixed_columns_mut::<3>(place.start)
+                .copy_from(&(by_body * self.hours(row)));
+        }
+        if let Some(place) = wanted.wants(at.slip) {
+            d.fixed_columns_mut::<3>(place.start)
+                .copy_from(&(by_body * self.slipped(row)));
+        }
+    }
+}
+
+fn warmer<const J: usize>(row: &Covariates<J>) -> f64 {
+    row.temperature_c - REFERENCE_TEMPERATURE_C
+}

@@ -1,0 +1,102 @@
+//! A sensor that shows coordinates: three lasers on a cube, a tracker.
+
+use super::effects::{Wanted, places, values_of};
+use super::{Sensor, Table};
+use crate::Result;
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+
+places! { beam_alignment sensor_linearity datum }
+
+/// The cubic error of a sensor is named by its size this far from the middle, mm.
+pub const LINEARITY_SPAN_MM: f64 = 20.0;
+
+/// Beams that are not square, sensors that bend away from the straight line, an arbitrary zero.
+#[derive(Clone, Copy, Debug)]
+pub struct Cartesian {
+    beams: Matrix3<f64>,
+    linearity: Vector3<f64>,
+    pub(crate) datum: Vector3<f64>,
+}
+
+/// What is seen of a point before the sensors bend it: cubes of its coordinates over the span, and how they steepen.
+struct Seen {
+    value: Vector3<f64>,
+    cubes: Vector3<f64>,
+    steep: Vector3<f64>,
+}
+
+impl Cartesian {
+    /// The instrument with the effects that a robot has.
+    pub(crate) fn new<T: Table, const P: usize>(values: &[f64; P]) -> Self {
+        let at = T::AT.cartesian;
+        Self {
+            beams: Matrix3::from_row_slice(&values_of::<9, P>(at.beam_alignment, values)),
+            linearity: Vector3::from(values_of::<3, P>(at.sensor_linearity, values)),
+            datum: Vector3::from(values_of::<3, P>(at.datum, values)),
+        }
+    }
+
+    #[inline]
+    fn seen(&self, point: &Vector3<f64>) -> Seen {
+        let value = point + self.beams * point;
+        let mut cubes = Vector3::zeros();
+        let mut steep = Vector3::from_element(1.0);
+        for k in 0..3 {
+            let t = value[k] / LINEARITY_SPAN_MM;
+            cubes[k] = t * t * t;
+            steep[k] += 3.0 * self.linearity[k] * t * t / LINEARITY_SPAN_MM;
+        }
+        Seen {
+            value,
+            cubes,
+            steep,
+        }
+    }
+
+    #[inline]
+    fn shown(&self, seen: &Seen) -> Vector3<f64> {
+        seen.value + self.linearity.component_mul(&seen.cubes) + self.datum
+    }
+}
+
+impl Sensor<3> for Cartesian {
+    #[inline]
+    fn value(&self, point: &Vector3<f64>, _: f64) -> Result<SVector<f64, 3>> {
+        Ok(self.shown(&self.seen(point)))
+    }
+
+    #[inline]
+    fn predict<T: Table, const P: usize>(
+        &self,
+        point: &Vector3<f64>,
+        _: f64,
+        wanted: Wanted,
+        d: &mut SMatrix<f64, 3, P>,
+    ) -> Result<(SVector<f64, 3>, Matrix3<f64>)> {
+        let seen = self.seen(point);
+        let mut by_point = self.beams;
+        for k in 0..3 {
+            by_point[(k, k)] += 1.0;
+            by_point.row_mut(k).scale_mut(seen.steep[k]);
+        }
+        let at = T::AT.cartesian;
+        // parameters touch their own axis alone: what an earlier row left on the others is cleared
+        if let Some(place) = wanted.wants(at.datum) {
+            d.fixed_columns_mut::<3>(place.start).fill_with_identity();
+        }
+        if let Some(place) = wanted.wants(at.sensor_linearity) {
+            let mut own = d.fixed_columns_mut::<3>(place.start);
+            own.fill(0.0);
+            own.set_diagonal(&seen.cubes);
+        }
+        if let Some(place) = wanted.wants(at.beam_alignment) {
+            d.fixed_columns_mut::<9>(place.start).fill(0.0);
+            for axis in 0..3 {
+                for from in 0..3 {
+                    d[(axis, place.start + 3 * axis + from)] = seen.steep[axis] * point[from];
+                }
+            }
+        }
+        Ok((self.shown(&seen), by_point))
+    }
+}

@@ -1,0 +1,221 @@
+//! The joints link: from joint readings to the joints as they were when they were measured.
+
+use super::effects::{Place, Wanted, places, values_of};
+use super::{Covariates, Settings, Table};
+use crate::numbers::math::sin_cos;
+use nalgebra::{SMatrix, SVector};
+
+places! {
+    joint_offset joint_scale encoder_cyclic encoder_eccentricity backlash camera_delay
+}
+
+/// Effects that act at the joints.
+#[derive(Clone, Copy, Debug)]
+pub struct Joints<const J: usize> {
+    offset: [f64; J],
+    scale: [f64; J],
+    cyclic: [[f64; 2]; J],
+    eccentricity: [[f64; 2]; J],
+    backlash: [f64; J],
+    delay: f64,
+    wave: f64,
+    home: [f64; J],
+    /// No effect acts.
+    exact: bool,
+}
+
+/// What one unit of each of a joint's own parameters adds to it.
+#[derive(Clone, Copy, Debug)]
+struct Gains {
+    scale: f64,
+    cyclic: [f64; 2],
+    eccentricity: [f64; 2],
+    backlash: f64,
+    delay: f64,
+}
+
+/// Joint readings turned into joints, with derivatives by reading and by the link's own parameters.
+#[derive(Clone, Copy, Debug)]
+pub struct Turned<const J: usize> {
+    /// The joints as they really are.
+    pub value: SVector<f64, J>,
+    /// By the reading of the same joint; none where they are as they are read.
+    by_reading: Option<[f64; J]>,
+    gains: [Gains; J],
+}
+
+/// Whether a wave counts.
+#[inline(always)]
+fn asked(place: Option<Place>, wave: &[f64; 2], wanted: Wanted) -> bool {
+    place.is_some() && (*wave != [0.0; 2] || wanted.wants(place).is_some())
+}
+
+/// Sine and cosine of each joint, one after the other among the values.
+fn waves<const J: usize>(numbers: impl Fn(usize) -> f64) -> [[f64; 2]; J] {
+    core::array::from_fn(|i| [numbers(2 * i), numbers(2 * i + 1)])
+}
+
+impl<const J: usize> Joints<J> {
+    /// The link with the effects that a robot has.
+    pub(crate) fn new<T: Table, const P: usize>(values: &[f64; P], settings: &Settings<J>) -> Self {
+        let at = T::AT.joints;
+        let number = |place: Option<Place>, k: usize| {
+            place.map_or(0.0, |place| {
+                values.get(place.start + k).copied().unwrap_or(0.0)
+            })
+        };
+        let mut out = Self {
+            offset: values_of(at.joint_offset, values),
+            scale: values_of(at.joint_scale, values),
+            cyclic: waves(|k| number(at.encoder_cyclic, k)),
+            eccentricity: waves(|k| number(at.encoder_eccentricity, k)),
+            backlash: values_of(at.backlash, values),
+            delay: number(at.camera_delay, 0),
+            wave: settings.wave,
+            home: settings.home,
+            exact: false,
+        };
+        let waves = out
+            .cyclic
+            .as_flattened()
+            .iter()
+            .chain(out.eccentricity.as_flattened());
+        let mut all = out
+            .offset
+            .iter()
+            .chain(&out.scale)
+            .chain(waves)
+            .chain(&out.backlash);
+        out.exact = all.all(|v| *v == 0.0) && out.delay == 0.0;
+        out
+    }
+
+    /// `θ = r + o + s (r - home) + a sin kr + b cos kr + w direction/2 - delay · velocity`, with `k` the wave of the
+    /// encoder, or one for the eccentricity of its ring.
+    #[inline]
+    pub(crate) fn at<T: Table>(
+        &self,
+        readings: &SVector<f64, J>,
+        row: &Covariates<J>,
+        wanted: Wanted,
+    ) -> Turned<J> {
+        let at = T::AT.joints;
+        let nothing = Gains {
+            scale: 0.0,
+            cyclic: [0.0; 2],
+            eccentricity: [0.0; 2],
+            backlash: 0.0,
+            delay: 0.0,
+        };
+        let mut out = Turned {
+            value: *readings,
+            by_reading: None,
+            gains: [nothing; J],
+        };
+        if self.exact && !wanted.any(at.rows) {
+            return out;
+        }
+        let mut by_reading = [1.0; J];
+        for i in 0..J {
+            let r = readings[i];
+            let gains = &mut out.gains[i];
+            let (mut more, mut slope) = (0.0, 0.0);
+            if at.joint_offset.is_some() {
+                more += self.offset[i];
+            }
+            if at.joint_scale.is_some() {
+                gains.scale = r - self.home[i];
+                more += self.scale[i] * gains.scale;
+                slope += self.scale[i];
+            }
+            // a wave at zero whose derivatives nobody wants need not be computed
+            if asked(at.encoder_cyclic, &self.cyclic[i], wanted) {
+                let ((sin, cos), [a, b]) = (sin_cos(self.wave * r), self.cyclic[i]);
+                gains.cyclic = [sin, cos];
+                more = more + a * sin + b * cos;
+                slope += self.wave * (a * cos - b * sin);
+            }
+            if asked(at.encoder_eccentricity, &self.eccentricity[i], wanted) {
+                let ((sin, cos), [a, b]) = (sin_cos(r), self.eccentricity[i]);
+                gains.eccentricity = [sin, cos];
+                more = more + a * sin + b * cos;
+                slope = slope + a * cos - b * sin;
+            }
+            out.value[i] += more;
+            // an effect at zero does not ask for its covariate
+            if at.backlash.is_some() {
+                gains.backlash = 0.5 * row.direction[i];
+                if self.backlash[i] != 0.0 {
+                    out.value[i] += self.backlash[i] * gains.backlash;
+                }
+            }
+            if at.camera_delay.is_some() {
+                gains.delay = -row.velocity[i];
+                if self.delay != 0.0 {
+                    out.value[i] -= self.delay * row.velocity[i];
+                }
+            }
+            by_reading[i] += slope;
+        }
+        out.by_reading = Some(by_reading);
+        out
+    }
+}
+
+impl<const J: usize> Turned<J> {
+    /// Writes the wanted columns of the link's own parameters, carried on by the derivative by the joints.
+    #[inline]
+    pub(crate) fn columns<T: Table, const M: usize, const P: usize>(
+        &self,
+        by_joints: &SMatrix<f64, M, J>,
+        wanted: Wanted,
+        d: &mut SMatrix<f64, M, P>,
+    ) {
+        let at = T::AT.joints;
+        if !wanted.any(at.rows) {
+            return;
+        }
+        for i in 0..J {
+            let (by_joint, gains) = (by_joints.column(i), &self.gains[i]);
+            if let Some(place) = wanted.wants(at.joint_offset) {
+                d.set_column(place.start + i, &by_joint);
+            }
+            if let Some(place) = wanted.wants(at.joint_scale) {
+                d.set_column(place.start + i, &(by_joint * gains.scale));
+            }
+            if let Some(place) = wanted.wants(at.encoder_cyclic) {
+                d.set_column(place.start + 2 * i, &(by_joint * gains.cyclic[0]));
+                d.set_column(place.start + 2 * i + 1, &(by_joint * gains.cyclic[1]));
+            }
+            if let Some(place) = wanted.wants(at.encoder_eccentricity) {
+                let [sin, cos] = gains.eccentricity;
+                d.set_column(place.start + 2 * i, &(by_joint * sin));
+                d.set_column(place.start + 2 * i + 1, &(by_joint * cos));
+            }
+            if let Some(place) = wanted.wants(at.backlash) {
+                d.set_column(place.start + i, &(by_joint * gains.backlash));
+            }
+        }
+        if let Some(place) = wanted.wants(at.camera_delay) {
+            let mut late = SVector::<f64, M>::zeros();
+            for i in 0..J {
+                late += by_joints.column(i) * self.gains[i].delay;
+            }
+            d.set_column(place.start, &late);
+        }
+    }
+
+    /// Carries a derivative by the joints on to one by the readings.
+    #[inline]
+    pub(crate) fn by_readings<const M: usize>(
+        &self,
+        mut by_joints: SMatrix<f64, M, J>,
+    ) -> SMatrix<f64, M, J> {
+        if let Some(by_reading) = &self.by_reading {
+            for i in 0..J {
+                by_joints.column_mut(i).scale_mut(by_reading[i]);
+            }
+        }
+        by_joints
+    }
+}

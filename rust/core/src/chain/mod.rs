@@ -1,0 +1,282 @@
+//! The measurement chain, once for every robot: joint readings → joints → structure → body → sensor → reading.
+//!
+//! A link maps a value to a value and knows two derivatives: by its input, and by its own parameters. The derivative of a
+//! reading by a parameter is that of its own link, carried on by the derivatives of the links behind it. What differs
+//! from robot to robot is the link `structure`, a [`Mechanism`]; [`joints`](Joints), [`body`](Body) and the sensors
+//! ([`Cartesian`], [`Eye`], [`Angles`]) are the same for all. Which of their effects a robot has, its table says
+//! ([`effects`]): the place of each parameter is a constant of the type, so that what a robot has not costs nothing.
+//!
+//! A covariate that a row lacks is NaN; an effect that needs it must then be at zero, where it is not asked.
+//!
+//! The numbers `J` of joints, `M` of readings and `P` of parameters are parameters of every type, because stable Rust has
+//! no other way to say that the sizes of arrays belong to a robot.
+
+mod angles;
+mod body;
+mod camera;
+mod cartesian;
+pub mod effects;
+mod inverse;
+mod joints;
+pub mod places;
+#[cfg(test)]
+mod planar;
+mod row;
+
+use crate::{Error, Result};
+use core::fmt::Debug;
+use effects::{Effect, Wanted};
+use nalgebra::{SMatrix, SVector, Vector3};
+use places::Places;
+
+pub use angles::Angles;
+pub(crate) use angles::{angles_by_axis, angles_of};
+pub use body::{Body, REFERENCE_TEMPERATURE_C};
+pub use camera::Eye;
+pub use cartesian::{Cartesian, LINEARITY_SPAN_MM};
+pub(crate) use inverse::inverse;
+pub use joints::{Joints, Turned};
+pub use row::{Covariates, Prediction, Row};
+
+/// Where a robot's parameters stand.
+pub trait Table: Copy + Debug {
+    /// Places of the effects that only this mechanism has.
+    type Own: Copy;
+    /// Its parameters, effect by effect.
+    const CATALOGUE: &'static [Effect];
+    /// Places of all effects that it has.
+    const AT: Places<Self::Own>;
+}
+
+/// The link `structure`: from joints to the measured point, with what only this mechanism has.
+pub trait Mechanism<const J: usize, const P: usize>: Copy + Debug {
+    /// A solved pose, from which every derivative follows.
+    type Solved;
+
+    /// Solves the pose.
+    ///
+    /// # Errors
+    /// Says why the joints make no pose, or one without derivatives.
+    fn solve(&self, joints: &SVector<f64, J>) -> Result<Self::Solved>;
+
+    /// Measured point of a solved pose, base frame, mm.
+    fn point(&self, solved: &Self::Solved) -> Vector3<f64>;
+
+    /// The measured point without what its derivatives need; the same bits as by [`Self::solve`].
+    ///
+    /// # Errors
+    /// As [`Self::solve`].
+    #[inline]
+    fn point_at(&self, joints: &SVector<f64, J>) -> Result<Vector3<f64>> {
+        Ok(self.point(&self.solve(joints)?))
+    }
+
+    /// Writes its wanted columns, carried on by the derivative of the readings by the point; returns that by the joints.
+    fn columns<const M: usize>(
+        &self,
+        joints: &SVector<f64, J>,
+        solved: &Self::Solved,
+        by_point: &SMatrix<f64, M, 3>,
+        wanted: Wanted,
+        d: &mut SMatrix<f64, M, P>,
+    ) -> SMatrix<f64, M, J>;
+
+    /// Azimuth about which angles of the measured point are counted, rad.
+    #[inline]
+    fn azimuth(&self, joints: &SVector<f64, J>) -> f64 {
+        let _ = joints;
+        0.0
+    }
+}
+
+/// The link `sensor`: what an instrument shows of a point.
+pub trait Sensor<const M: usize>: Copy + Debug {
+    /// Reading of a point, whose angles are counted about an azimuth.
+    ///
+    /// # Errors
+    /// Says why the instrument shows nothing.
+    fn value(&self, point: &Vector3<f64>, azimuth: f64) -> Result<SVector<f64, M>>;
+
+    /// [`Self::value`] with the derivative by the point; writes its wanted columns.
+    ///
+    /// # Errors
+    /// As [`Self::value`].
+    fn predict<T: Table, const P: usize>(
+        &self,
+        point: &Vector3<f64>,
+        azimuth: f64,
+        wanted: Wanted,
+        d: &mut SMatrix<f64, M, P>,
+    ) -> Result<(SVector<f64, M>, SMatrix<f64, M, 3>)>;
+}
+
+/// What of a robot's effects is no parameter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings<const J: usize> {
+    /// Joint readings of the home position, about which scale errors turn, mm or rad.
+    pub home: [f64; J],
+    /// Phase of the encoders' cyclic error by the reading, rad/mm or rad/rad.
+    pub wave: f64,
+    /// Time from which drift counts, s.
+    pub time_origin_s: f64,
+    /// Moment of the slip, s.
+    pub slip_time_s: f64,
+}
+
+/// A nominal robot and the settings of its effects: what the drawing and the user say.
+pub trait Robot<const J: usize, const M: usize, const P: usize>: Table {
+    /// What joins its joints to the measured point.
+    type Structure: Mechanism<J, P>;
+    /// What it is measured with.
+    type Sensor: Sensor<M>;
+
+    /// Whether distances between two of its places can be read: readings are coordinates in one frame.
+    const DISTANCES: bool = false;
+
+    /// Settings of the effects that are no parameters.
+    fn settings(&self) -> Settings<J>;
+
+    /// Refuses settings that mean nothing.
+    ///
+    /// # Errors
+    /// [`Error::NotFinite`], [`Error::InvalidGeometry`].
+    fn check(&self) -> Result<()>;
+
+    /// The mechanism with its errors.
+    ///
+    /// # Errors
+    /// [`Error::InvalidGeometry`] where the errors leave no robot.
+    fn structure(&self, values: &[f64; P]) -> Result<Self::Structure>;
+
+    /// The instrument with its errors.
+    ///
+    /// # Errors
+    /// [`Error::InvalidCamera`] where the errors leave no camera.
+    fn sensor(&self, values: &[f64; P]) -> Result<Self::Sensor>;
+
+    /// The robot with the given values of all its parameters.
+    ///
+    /// # Errors
+    /// [`Error::InvalidGeometry`] and [`Error::InvalidCamera`] where the errors leave no robot or camera,
+    /// [`Error::NotFinite`] for a value that is none.
+    fn with(&self, values: &[f64; P]) -> Result<Chain<Self, J, M, P>> {
+        if let Some(index) = values.iter().position(|v| !v.is_finite()) {
+            return Err(Error::NotFinite { index });
+        }
+        self.check()?;
+        let settings = self.settings();
+        Ok(Chain {
+            joints: Joints::new::<Self, P>(values, &settings),
+            structure: self.structure(values)?,
+            body: Body::new::<Self, J, P>(values, &settings),
+            sensor: self.sensor(values)?,
+        })
+    }
+}
+
+/// A robot with given errors and effects, ready to predict.
+#[derive(Clone, Copy, Debug)]
+pub struct Chain<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> {
+    pub(crate) joints: Joints<J>,
+    pub(crate) structure: R::Structure,
+    pub(crate) body: Body,
+    pub(crate) sensor: R::Sensor,
+}
+
+impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R, J, M, P> {
+    /// What joins the joints to the measured point.
+    #[must_use]
+    pub fn structure(&self) -> &R::Structure {
+        &self.structure
+    }
+
+    /// The measured point, base frame, mm. `push` is added to it (a user's effect).
+    ///
+    /// # Errors
+    /// As [`Mechanism::solve`].
+    pub fn point(
+        &self,
+        readings: &SVector<f64, J>,
+        row: &Covariates<J>,
+        push: &Vector3<f64>,
+    ) -> Result<Vector3<f64>> {
+        let joints = self.joints.at::<R>(readings, row, Wanted::default());
+        let (growth, shift) = self.body.at(row);
+        Ok(self.structure.point_at(&joints.value)? * growth + shift + push)
+    }
+
+    /// Reading of one row. `push` is added to the measured point before the sensor sees it (a user's effect).
+    ///
+    /// # Errors
+    /// As [`Mechanism::solve`] and [`Sensor::value`]; [`Error::NotFinite`] where an active effect lacks its covariate.
+    pub fn value(
+        &self,
+        readings: &SVector<f64, J>,
+        row: &Covariates<J>,
+        push: &Vector3<f64>,
+    ) -> Result<SVector<f64, M>> {
+        let joints = self.joints.at::<R>(readings, row, Wanted::default());
+        let (growth, shift) = self.body.at(row);
+        let point = self.structure.point_at(&joints.value)? * growth + shift + push;
+        let azimuth = self.structure.azimuth(&joints.value);
+        checked(self.sensor.value(&point, azimuth)?)
+    }
+
+    /// Reading of one row with the wanted derivatives. A column whose covariate is missing is NaN.
+    ///
+    /// # Errors
+    /// As [`Self::value`].
+    #[inline]
+    pub fn predict(
+        &self,
+        readings: &SVector<f64, J>,
+        row: &Covariates<J>,
+        push: &Vector3<f64>,
+        wanted: Wanted,
+    ) -> Result<Prediction<J, M, P>> {
+        let mut out = Prediction::new();
+        self.predict_into(readings, row, push, wanted, &mut out)?;
+        Ok(out)
+    }
+
+    /// [`Self::predict`] into a prediction that is used again: only wanted columns are written.
+    ///
+    /// # Errors
+    /// As [`Self::value`].
+    #[inline]
+    pub fn predict_into(
+        &self,
+        readings: &SVector<f64, J>,
+        row: &Covariates<J>,
+        push: &Vector3<f64>,
+        wanted: Wanted,
+        out: &mut Prediction<J, M, P>,
+    ) -> Result<()> {
+        let joints = self.joints.at::<R>(readings, row, wanted);
+        let solved = self.structure.solve(&joints.value)?;
+        let (growth, shift) = self.body.at(row);
+        let point = self.structure.point(&solved);
+        let body = point * growth + shift + push;
+        let azimuth = self.structure.azimuth(&joints.value);
+        let d = &mut out.by_parameters;
+        let (value, by_body) = self.sensor.predict::<R, P>(&body, azimuth, wanted, d)?;
+        self.body
+            .columns::<R, J, M, P>(&point, row, &by_body, wanted, d);
+        let by_point = by_body * growth;
+        let by_joints = self
+            .structure
+            .columns(&joints.value, &solved, &by_point, wanted, d);
+        joints.columns::<R, M, P>(&by_joints, wanted, d);
+        out.value = checked(value)?;
+        out.by_joints = joints.by_readings(by_joints);
+        out.by_body = by_body;
+        Ok(())
+    }
+}
+
+fn checked<const M: usize>(value: SVector<f64, M>) -> Result<SVector<f64, M>> {
+    value
+        .iter()
+        .position(|v| !v.is_finite())
+        .map_or(Ok(value), |index| Err(Error::NotFinite { index }))
+}

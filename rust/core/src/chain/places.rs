@@ -1,0 +1,29 @@
+//! Where the effects of a robot stand, link by link.
+
+use super::{angles, body, camera, cartesian, joints};
+
+/// Where all effects of a robot stand, link by link; `Own` are those of its mechanism.
+#[derive(Clone, Copy, Debug)]
+pub struct Places<Own> {
+    pub(crate) joints: joints::At,
+    pub(crate) structure: Own,
+    pub(crate) body: body::At,
+    pub(crate) cartesian: cartesian::At,
+    pub(crate) camera: camera::At,
+    pub(crate) angles: angles::At,
+}
+
+impl<Own: Copy> Places<Own> {
+    /// None but what the mechanism has.
+    #[must_use]
+    pub(crate) const fn none(structure: Own) -> Self {
+        Self {
+            joints: joints::At::NONE,
+            structure,
+            body: body::At::NONE,
+            cartesian: cartesian::At::NONE,
+            camera: camera::At::NONE,
+            angles: angles::At::NONE,
+        }
+    }
+}

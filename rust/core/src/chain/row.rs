@@ -1,0 +1,159 @@
+//! Rows of a run: where the joints were, what else is known; readings at one place, or a distance between two places,
+//! in which the datum cancels.
+
+use super::effects::Wanted;
+use super::{Chain, Robot};
+use crate::Result;
+use nalgebra::{SMatrix, SVector, Vector3};
+
+/// What a row brings besides its readings. NaN where it is not known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Covariates<const J: usize> {
+    /// Time of the reading, s.
+    pub time_s: f64,
+    /// Temperature, °C.
+    pub temperature_c: f64,
+    /// Direction of the last motion of each joint, ±1 or 0.
+    pub direction: [f64; J],
+    /// Velocity of each joint, its unit by s.
+    pub velocity: [f64; J],
+}
+
+impl<const J: usize> Covariates<J> {
+    /// Nothing known.
+    pub const NONE: Self = Self {
+        time_s: f64::NAN,
+        temperature_c: f64::NAN,
+        direction: [f64::NAN; J],
+        velocity: [f64::NAN; J],
+    };
+}
+
+/// A row: where the joints were, what else is known, what was read there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Row<const J: usize> {
+    /// Joint readings, mm or rad.
+    pub joints: [f64; J],
+    /// Joint readings at the other end, where a distance was read instead of the place.
+    pub to: Option<[f64; J]>,
+    /// Time, temperature, directions, velocities.
+    pub covariates: Covariates<J>,
+    /// Added to the measured point before the sensor sees it, mm: a user's own effect.
+    pub push: Vector3<f64>,
+}
+
+/// Reading of one row with its derivatives.
+#[derive(Clone, Copy, Debug)]
+pub struct Prediction<const J: usize, const M: usize, const P: usize> {
+    /// What the sensor would show.
+    pub value: SVector<f64, M>,
+    /// By the joint readings.
+    pub by_joints: SMatrix<f64, M, J>,
+    /// By a displacement of the measured point, mm.
+    pub by_body: SMatrix<f64, M, 3>,
+    /// By the parameters, one column each.
+    pub by_parameters: SMatrix<f64, M, P>,
+}
+
+impl<const J: usize, const M: usize, const P: usize> Prediction<J, M, P> {
+    /// Room for a prediction.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            value: SVector::zeros(),
+            by_joints: SMatrix::zeros(),
+            by_body: SMatrix::zeros(),
+            by_parameters: SMatrix::zeros(),
+        }
+    }
+}
+
+impl<const J: usize, const M: usize, const P: usize> Default for Prediction<J, M, P> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R, J, M, P> {
+    /// Measured point of a row, base frame, mm.
+    ///
+    /// # Errors
+    /// As [`Chain::point`].
+    pub fn row_point(&self, row: &Row<J>) -> Result<Vector3<f64>> {
+        self.point(&SVector::from(row.joints), &row.covariates, &row.push)
+    }
+
+    /// Predicts a row without derivatives; a distance fills the first component alone.
+    ///
+    /// # Errors
+    /// As [`Chain::value`].
+    pub fn row_value(&self, row: &Row<J>) -> Result<SVector<f64, M>> {
+        let at = |q: &[f64; J]| self.value(&SVector::from(*q), &row.covariates, &row.push);
+        let value = at(&row.joints)?;
+        match &row.to {
+            None => Ok(value),
+            Some(to) => Ok(first((at(to)? - value).norm())),
+        }
+    }
+
+    /// Predicts a row with the wanted derivatives; a distance fills the first component alone, and columns that were
+    /// not wanted are zero.
+    ///
+    /// # Errors
+    /// As [`Chain::predict`].
+    #[inline]
+    pub fn row_predict_into(
+        &self,
+        row: &Row<J>,
+        wanted: Wanted,
+        out: &mut Prediction<J, M, P>,
+    ) -> Result<()> {
+        if row.to.is_none() {
+            let joints = SVector::from(row.joints);
+            return self.predict_into(&joints, &row.covariates, &row.push, wanted, out);
+        }
+        *out = self.row_predict(row, wanted)?;
+        Ok(())
+    }
+
+    /// [`Self::row_predict_into`] as a value of its own.
+    ///
+    /// # Errors
+    /// As [`Chain::predict`].
+    pub fn row_predict(&self, row: &Row<J>, wanted: Wanted) -> Result<Prediction<J, M, P>> {
+        let at =
+            |q: &[f64; J]| self.predict(&SVector::from(*q), &row.covariates, &row.push, wanted);
+        let Some(to) = &row.to else {
+            return at(&row.joints);
+        };
+        let (a, b) = (at(&row.joints)?, at(to)?);
+        let between = b.value - a.value;
+        let distance = between.norm();
+        // two equal places have no direction; their distance is stationary at zero
+        let along = if distance > 0.0 {
+            between / distance
+        } else {
+            SVector::zeros()
+        };
+        Ok(Prediction {
+            value: first(distance),
+            by_joints: first_row(&along, &(b.by_joints - a.by_joints)),
+            by_body: first_row(&along, &(b.by_body - a.by_body)),
+            by_parameters: first_row(&along, &(b.by_parameters - a.by_parameters)),
+        })
+    }
+}
+
+fn first<const M: usize>(distance: f64) -> SVector<f64, M> {
+    SVector::from_fn(|axis, _| if axis == 0 { distance } else { 0.0 })
+}
+
+/// Derivatives along a direction, in the first row.
+fn first_row<const M: usize, const N: usize>(
+    along: &SVector<f64, M>,
+    of: &SMatrix<f64, M, N>,
+) -> SMatrix<f64, M, N> {
+    let mut out = SMatrix::<f64, M, N>::zeros();
+    out.set_row(0, &along.tr_mul(of));
+    out
+}

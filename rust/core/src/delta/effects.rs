@@ -1,0 +1,97 @@
+//! The table of the delta: its parameters in the order of the chain, with units, plausible sizes and levers.
+//!
+//! Sizes are those of a machined and assembled robot, geometry in the order of the paper's Table II. The place of each
+//! row among the parameters follows from its place here.
+
+use crate::chain::effects::{OWN_LEVER, effects, places};
+
+/// One degree, rad.
+const DEGREE: f64 = 1.0_f64.to_radians();
+
+// what the mechanism computes itself, in `structure.rs`
+places! {
+    limb_1 platform_1 limb_2 platform_2 limb_3 platform_3 rail_lean rod_mismatch gravity_sag
+}
+
+effects! { At;
+    // geometric errors, limb by limb, as in `Geometry::parameters`; angles move what stands at their radius
+    limb_1: Structure by structure (base) {
+        base_radius_1 "δr_b₁": "mm", 3.0, 1.0;
+        base_angle_1 "δθ_b₁": "rad", DEGREE, OWN_LEVER;
+        joint_offset_1 "δq₁", rod_length_1 "δl₁": "mm", 2.0, 1.0;
+    }
+    platform_1: Structure by structure (base) {
+        platform_radius_1 "δr_p₁": "mm", 1.0, 1.0;
+        platform_angle_1 "δθ_p₁": "rad", DEGREE, OWN_LEVER;
+    }
+    limb_2: Structure by structure (base) {
+        base_radius_2 "δr_b₂": "mm", 3.0, 1.0;
+        base_angle_2 "δθ_b₂": "rad", DEGREE, OWN_LEVER;
+        joint_offset_2 "δq₂", rod_length_2 "δl₂": "mm", 2.0, 1.0;
+    }
+    platform_2: Structure by structure (base) {
+        platform_radius_2 "δr_p₂": "mm", 1.0, 1.0;
+        platform_angle_2 "δθ_p₂": "rad", DEGREE, OWN_LEVER;
+    }
+    limb_3: Structure by structure (base) {
+        base_radius_3 "δr_b₃": "mm", 3.0, 1.0;
+        base_angle_3 "δθ_b₃": "rad", DEGREE, OWN_LEVER;
+        joint_offset_3 "δq₃", rod_length_3 "δl₃": "mm", 2.0, 1.0;
+    }
+    platform_3: Structure by structure (base) {
+        platform_radius_3 "δr_p₃": "mm", 1.0, 1.0;
+        platform_angle_3 "δθ_p₃": "rad", DEGREE, OWN_LEVER;
+    }
+    // relative scale error of each encoder
+    joint_scale: Joints by joints {
+        scale_1, scale_2, scale_3: "mm/mm", 5e-4, 20.0;
+    }
+    // error of each encoder at the period: sine and cosine, joint by joint
+    encoder_cyclic: Joints by joints search "period_mm" {
+        sine_1, cosine_1, sine_2, cosine_2, sine_3, cosine_3: "mm", 0.005, 1.0;
+    }
+    // lost motion of each joint: the full width between the two directions
+    backlash: Joints by joints needs "direction" {
+        width_1, width_2, width_3: "mm", 0.02, 1.0;
+    }
+    // lean of each rail, limb by limb
+    rail_lean: Structure by structure {
+        radial_1, tangential_1, radial_2, tangential_2, radial_3, tangential_3: "rad", 5e-3, 20.0;
+    }
+    // difference in length of the two rods of each limb
+    rod_mismatch: Structure by structure {
+        difference_1, difference_2, difference_3: "mm", 0.1, 1.0;
+    }
+    // stretch of each limb if it carried the platform's whole weight alone
+    gravity_sag: Body by structure {
+        compliance_1, compliance_2, compliance_3: "mm", 0.05, 1.0;
+    }
+    // expansion of the measured position
+    thermal_growth: Body by body needs "temperature_c" {
+        coefficient "α": "1/°C", 2e-5, 20.0;
+    }
+    // drift of the measured point
+    drift: Body by body needs "time_s" {
+        rate_x, rate_y, rate_z: "mm/h", 0.1, 1.0;
+    }
+    // step of the measured point at the slip time
+    slip: Body by body needs "time_s" search "time_s" {
+        step_x, step_y, step_z: "mm", 0.1, 1.0;
+    }
+    // what the sensors show of each coordinate beyond the coordinate itself: 3 × 3, row by row
+    beam_alignment: Sensor by cartesian {
+        x_by_x "xx": "mm/mm", 1e-3, 20.0;
+        x_by_y "xy", x_by_z "xz", y_by_x "yx": "mm/mm", 5e-3, 20.0;
+        y_by_y "yy": "mm/mm", 1e-3, 20.0;
+        y_by_z "yz", z_by_x "zx", z_by_y "zy": "mm/mm", 5e-3, 20.0;
+        z_by_z "zz": "mm/mm", 1e-3, 20.0;
+    }
+    // cubic error of each sensor at `LINEARITY_SPAN_MM` from its middle
+    sensor_linearity: Sensor by cartesian {
+        cubic_x, cubic_y, cubic_z: "mm", 0.005, 1.0;
+    }
+    // constant offset of the sensors
+    datum: Sensor by cartesian (base) {
+        datum_x "d_x", datum_y "d_y", datum_z "d_z": "mm", 10.0, 1.0;
+    }
+}

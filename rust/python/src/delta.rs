@@ -1,0 +1,293 @@
+//! The delta from Python: `DeltaKinematics`, `DeltaModel`, `Calibrated`.
+
+use crate::arrays::{Marked, fixed, rows, shaped};
+use crate::bernstein::Bernstein;
+use crate::errors::{shape, to_python};
+use crate::lanes::{self, LANES, LaneMap};
+use crate::robot::{
+    self, Block, Calibrated as _, Derivatives, Problem, Single, calibrated_class, each, many,
+    matrices, model_class, now, one, put,
+};
+use crate::solver::Solver;
+use nalgebra::{Matrix3, Vector3};
+use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::prelude::*;
+use sherkit_core::Result;
+use sherkit_core::chain::Robot;
+use sherkit_core::delta::correction::Domain;
+use sherkit_core::delta::{
+    self, Assembly, Branch, Calibrated as Core, Chain, Covariates, GEOMETRIC, Geometry, Kinematics,
+    Model, Values,
+};
+use sherkit_core::flat::{BranchParts, write_delta};
+
+/// The assembly mode of this name.
+fn assembly(name: &str) -> PyResult<Assembly> {
+    match name {
+        "below" => Ok(Assembly::Below),
+        "above" => Ok(Assembly::Above),
+        _ => Err(shape("assembly", "'below' or 'above'", &[])),
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Forward<'a>(&'a Kinematics);
+
+impl LaneMap<3, 3> for Forward<'_> {
+    #[inline(always)]
+    fn run(self, from: &lanes::Block<3>) -> (lanes::Block<3>, [bool; LANES]) {
+        self.0.forward_lanes::<LANES>(from)
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Inverse<'a>(&'a Kinematics);
+
+impl LaneMap<3, 3> for Inverse<'_> {
+    #[inline(always)]
+    fn run(self, from: &lanes::Block<3>) -> (lanes::Block<3>, [bool; LANES]) {
+        self.0.inverse_lanes::<LANES>(from)
+    }
+}
+
+/// Kinematics of the platform centre of a linear delta.
+#[pyclass(frozen, module = "sherkit._core")]
+pub struct DeltaKinematics(Kinematics);
+
+#[pymethods]
+impl DeltaKinematics {
+    #[new]
+    fn new(parameters: PyReadonlyArray1<'_, f64>, assembly_mode: &str) -> PyResult<Self> {
+        let p = fixed::<GEOMETRIC, _>("parameters", &parameters)?;
+        let geometry = Geometry::from_parameters(&p, assembly(assembly_mode)?);
+        Kinematics::new(&geometry).map(Self).map_err(to_python)
+    }
+
+    fn forward<'py>(
+        &self,
+        py: Python<'py>,
+        joints: PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        one(py, "joints", &joints, |q| self.0.forward(q))
+    }
+
+    fn inverse<'py>(
+        &self,
+        py: Python<'py>,
+        position: PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        one(py, "position", &position, |x| self.0.inverse(x))
+    }
+
+    fn forward_batch<'py>(
+        &self,
+        py: Python<'py>,
+        joints: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<Marked<'py, PyArray2<f64>>> {
+        many(py, "joints", &joints, Forward(&self.0))
+    }
+
+    fn inverse_batch<'py>(
+        &self,
+        py: Python<'py>,
+        positions: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<Marked<'py, PyArray2<f64>>> {
+        many(py, "positions", &positions, Inverse(&self.0))
+    }
+
+    /// Velocity Jacobian, `(n, 3, 3)`; rows out of reach are NaN and marked.
+    fn jacobian_batch<'py>(
+        &self,
+        py: Python<'py>,
+        joints: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<Marked<'py, PyArray3<f64>>> {
+        matrices(py, rows::<3, _>("joints", &joints)?, |q| {
+            Some(self.0.pose(q).ok()?.by_joints())
+        })
+    }
+
+    /// Derivative by the 18 geometric parameters, `(n, 3, 18)`; rows out of reach are NaN and marked.
+    fn by_parameters_batch<'py>(
+        &self,
+        py: Python<'py>,
+        joints: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<Marked<'py, PyArray3<f64>>> {
+        matrices(py, rows::<3, _>("joints", &joints)?, |q| {
+            Some(self.0.by_parameters(&self.0.pose(q).ok()?))
+        })
+    }
+}
+
+/// A nominal delta whose errors and effects are to be identified. Readings are x, y, z, distance; what does not apply to
+/// a row is zero.
+#[pyclass(frozen, module = "sherkit._core")]
+pub struct DeltaModel(Model);
+
+model_class!(DeltaModel, Model, delta, {
+    /// `settings`: rod spacing, pole pitch, three home joint readings (mm), time origin, slip time (s).
+    #[new]
+    fn new(
+        geometry: PyReadonlyArray1<'_, f64>,
+        target_offset: PyReadonlyArray1<'_, f64>,
+        assembly_mode: &str,
+        settings: PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<Self> {
+        let p = fixed::<GEOMETRIC, _>("geometry", &geometry)?;
+        let geometry = Geometry::from_parameters(&p, assembly(assembly_mode)?);
+        geometry.check().map_err(to_python)?;
+        let [
+            rod_spacing,
+            pole_pitch,
+            h1,
+            h2,
+            h3,
+            time_origin_s,
+            slip_time_s,
+        ] = fixed::<7, _>("settings", &settings)?;
+        Ok(Self(Model {
+            geometry,
+            target_offset: Vector3::from(fixed("target_offset", &target_offset)?),
+            rod_spacing,
+            pole_pitch,
+            home: [h1, h2, h3],
+            time_origin_s,
+            slip_time_s,
+        }))
+    }
+});
+
+struct OwnedBranch {
+    model: Model,
+    values: Values,
+    chain: Chain,
+    correction: Option<Bernstein>,
+}
+
+impl OwnedBranch {
+    fn new(part: Part<'_>) -> PyResult<Self> {
+        let (model, values) = (part.0.0, fixed("values", &part.1)?);
+        Ok(Self {
+            model,
+            values,
+            chain: model.with(&values).map_err(to_python)?,
+            correction: part.2,
+        })
+    }
+
+    fn view(&self) -> PyResult<Branch<'_>> {
+        Ok(Branch {
+            chain: self.chain,
+            correction: self.correction.as_ref().map(Bernstein::view).transpose()?,
+        })
+    }
+
+    fn parts(&self) -> PyResult<BranchParts<'_>> {
+        Ok(BranchParts {
+            model: &self.model,
+            values: &self.values,
+            correction: self.correction.as_ref().map(Bernstein::view).transpose()?,
+        })
+    }
+}
+
+/// A calibrated delta: whole-workspace model, and perhaps a local one blended in.
+#[pyclass(frozen, module = "sherkit._core")]
+pub struct Calibrated {
+    whole: OwnedBranch,
+    local: Option<(OwnedBranch, Domain)>,
+}
+
+/// A model, the values of all its parameters, and a correction.
+type Part<'py> = (
+    PyRef<'py, DeltaModel>,
+    PyReadonlyArray1<'py, f64>,
+    Option<Bernstein>,
+);
+type Region<'py> = (PyReadonlyArray1<'py, f64>, PyReadonlyArray1<'py, f64>, f64);
+/// Positions, derivatives by the joints, and which rows are in reach.
+type Batch<'py> = (
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray1<bool>>,
+);
+
+impl robot::Calibrated<3> for Calibrated {
+    type Core<'a> = Core<'a>;
+
+    fn core(&self) -> PyResult<Core<'_>> {
+        Ok(Core {
+            whole: self.whole.view()?,
+            local: match &self.local {
+                None => None,
+                Some((branch, region)) => Some((branch.view()?, *region)),
+            },
+        })
+    }
+
+    fn write(&self, put: impl FnMut(f64)) -> PyResult<()> {
+        let local = match &self.local {
+            None => None,
+            Some((branch, region)) => Some((branch.parts()?, region)),
+        };
+        let local = local.as_ref().map(|(parts, region)| (parts, *region));
+        write_delta(&self.whole.parts()?, local, put);
+        Ok(())
+    }
+
+    fn forward_at(
+        core: &Core<'_>,
+        joints: &Vector3<f64>,
+        now: &Covariates,
+    ) -> Result<(Vector3<f64>, Matrix3<f64>)> {
+        core.forward(joints, now)
+    }
+
+    fn inverse_at(core: &Core<'_>, place: &Vector3<f64>, now: &Covariates) -> Result<Vector3<f64>> {
+        core.inverse(place, now)
+    }
+}
+
+calibrated_class!(Calibrated, 3, position, positions, {
+    /// `whole` and `local` are (model, values of all parameters, correction); `region` is (low corner, high
+    /// corner, width of the blend).
+    #[new]
+    fn new(whole: Part<'_>, local: Option<Part<'_>>, region: Option<Region<'_>>) -> PyResult<Self> {
+        let local = match (local, region) {
+            (Some(local), Some((low, high, width))) => Some((
+                OwnedBranch::new(local)?,
+                crate::bernstein::domain(&low, &high, width)?,
+            )),
+            _ => None,
+        };
+        Ok(Self {
+            whole: OwnedBranch::new(whole)?,
+            local,
+        })
+    }
+
+    /// Positions, Jacobians, and which rows are in reach; the others are NaN.
+    fn forward_batch<'py>(
+        &self,
+        py: Python<'py>,
+        joints: PyReadonlyArray2<'_, f64>,
+        covariates: Vec<f64>,
+    ) -> PyResult<Batch<'py>> {
+        let (core, now) = (self.core()?, now(&covariates)?);
+        let q = rows::<3, _>("joints", &joints)?;
+        let mut x = vec![f64::NAN; q.len() * 3];
+        let mut j = vec![f64::NAN; q.len() * 9];
+        let mut reached = vec![false; q.len()];
+        for (i, q) in q.iter().enumerate() {
+            if let Ok((position, by_joints)) = core.forward(&Vector3::from(*q), &now) {
+                x[i * 3..][..3].copy_from_slice(position.as_slice());
+                put(&mut j[i * 9..][..9], &by_joints);
+                reached[i] = true;
+            }
+        }
+        Ok((
+            shaped(py, x, [q.len(), 3])?,
+            shaped(py, j, [q.len(), 3, 3])?,
+            PyArray1::from_vec(py, reached),
+        ))
+    }
+});

@@ -1,0 +1,641 @@
+//! One frame for every robot: rows as they come from Python, predictions, derivatives, rows for the solver, the model of
+//! the control loop. Bodies are generic functions; the macros hold the signatures that Python sees.
+
+use crate::arrays::{Marked, fixed, marked, rows, rows_like, shaped};
+use crate::errors::{shape, to_python};
+use crate::lanes::{LaneMap, in_lanes};
+use crate::solver::{Solver, iterate};
+use nalgebra::{SMatrix, SVector, Vector3};
+use numpy::{
+    PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+use sherkit_core::Result;
+use sherkit_core::chain::effects::{Effect, Wanted};
+use sherkit_core::chain::{Chain, Covariates, Prediction, Robot, Row};
+
+/// A block of rows as it comes from Python: joints `(n, J)`, the other ends of distances `(n, J)`, covariates
+/// `(n, 2 + 2 J)` (time s, temperature °C, directions, velocities, which may be left out) and displacements of the
+/// measured point `(n, 3)`.
+pub type Block<'py> = (
+    PyReadonlyArray2<'py, f64>,
+    Option<PyReadonlyArray2<'py, f64>>,
+    Option<PyReadonlyArray2<'py, f64>>,
+    Option<PyReadonlyArray2<'py, f64>>,
+);
+
+/// By parameters, joint readings and a displacement of the measured point, and which rows could be computed.
+pub type Derivatives<'py> = (
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray1<bool>>,
+);
+
+/// A value and its derivative by the joints.
+pub type Single<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<f64>>);
+
+// -- models ------------------------------------------------------------------------------------------------------------
+
+/// The table of a robot for Python.
+pub fn catalogue<'py>(py: Python<'py>, table: &[Effect]) -> PyResult<Bound<'py, PyList>> {
+    let out = PyList::empty(py);
+    for effect in table {
+        let parameters = PyList::empty(py);
+        for p in effect.parameters {
+            let one = PyDict::new(py);
+            one.set_item("name", p.name)?;
+            one.set_item("symbol", p.symbol)?;
+            one.set_item("unit", p.unit)?;
+            one.set_item("size", p.size)?;
+            one.set_item("lever_mm", (!p.lever_mm.is_nan()).then_some(p.lever_mm))?;
+            parameters.append(one)?;
+        }
+        let row = PyDict::new(py);
+        row.set_item("name", effect.name)?;
+        row.set_item("link", effect.link.name())?;
+        row.set_item("base", effect.base)?;
+        row.set_item("needs", effect.needs)?;
+        row.set_item("search", effect.search)?;
+        row.set_item("parameters", parameters)?;
+        out.append(row)?;
+    }
+    Ok(out)
+}
+
+/// The rows of a block, copied, so that nobody else can write them while they are used. A row whose other end is NaN is
+/// no distance.
+pub fn rows_of<const J: usize>(block: &Block<'_>) -> PyResult<Vec<Row<J>>> {
+    let joints = rows::<J, _>("joints", &block.0)?;
+    let n = joints.len();
+    let to = optional("to_joints", block.1.as_ref(), n, J)?;
+    let known = match &block.2 {
+        Some(c) if c.shape().last() == Some(&(2 + J)) => 2 + J,
+        _ => 2 + 2 * J,
+    };
+    let covariates = optional("covariates", block.2.as_ref(), n, known)?;
+    let push = optional("push", block.3.as_ref(), n, 3)?;
+    let row = |i: usize| Row {
+        joints: joints[i],
+        to: to
+            .map(|to| several(&to[J * i..]))
+            .filter(|to| !to[0].is_nan()),
+        covariates: covariates.map_or(Covariates::NONE, |c| {
+            let c = &c[known * i..];
+            Covariates {
+                time_s: c[0],
+                temperature_c: c[1],
+                direction: several(&c[2..]),
+                velocity: if known == 2 + J {
+                    [f64::NAN; J]
+                } else {
+                    several(&c[2 + J..])
+                },
+            }
+        }),
+        push: push.map_or_else(Vector3::zeros, |p| Vector3::from(several(&p[3 * i..]))),
+    };
+    Ok((0..n).map(row).collect())
+}
+
+fn several<const N: usize>(numbers: &[f64]) -> [f64; N] {
+    std::array::from_fn(|k| numbers[k])
+}
+
+fn optional<'a>(
+    name: &str,
+    array: Option<&'a PyReadonlyArray2<'_, f64>>,
+    n: usize,
+    width: usize,
+) -> PyResult<Option<&'a [f64]>> {
+    array.map(|array| table(name, array, n, width)).transpose()
+}
+
+/// The numbers of an array of as many rows as there are others.
+pub fn table<'a>(
+    name: &str,
+    array: &'a PyReadonlyArray2<'_, f64>,
+    n: usize,
+    width: usize,
+) -> PyResult<&'a [f64]> {
+    let wrong = || shape(name, &format!("({n}, {width}), contiguous"), array.shape());
+    if array.shape() != [n, width] {
+        return Err(wrong());
+    }
+    array.as_slice().map_err(|_| wrong())
+}
+
+/// Refuses indices that are no parameter's.
+pub fn check_free<const P: usize>(free: &[usize]) -> PyResult<()> {
+    if free.iter().any(|&k| k >= P) {
+        return Err(shape("free", &format!("indices below {P}"), free));
+    }
+    Ok(())
+}
+
+/// Columns that the readings of a robot have: what its sensor shows, and a distance where it can be read.
+fn columns<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize>() -> usize {
+    M + usize::from(R::DISTANCES)
+}
+
+/// Where the readings of a row stand among the columns, and how many there are.
+fn place<const J: usize, const M: usize>(row: &Row<J>) -> (usize, usize) {
+    if row.to.is_some() { (M, 1) } else { (0, M) }
+}
+
+/// The rows of a block of this robot.
+fn own_rows<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize>(
+    block: &Block<'_>,
+) -> PyResult<Vec<Row<J>>> {
+    if let (false, Some(to)) = (R::DISTANCES, &block.1) {
+        return Err(shape(
+            "to_joints",
+            "None: this robot reads no distances",
+            to.shape(),
+        ));
+    }
+    rows_of(block)
+}
+
+/// The robot with the given values of all its parameters.
+pub fn chain<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize>(
+    model: &R,
+    values: &PyReadonlyArray1<'_, f64>,
+) -> PyResult<Chain<R, J, M, P>> {
+    model.with(&fixed("values", values)?).map_err(to_python)
+}
+
+/// A result `(n, N)` for each row; those that cannot be computed are NaN and marked.
+pub fn each<'py, Q, const N: usize>(
+    py: Python<'py>,
+    rows: &[Q],
+    of: impl Fn(&Q) -> Result<SVector<f64, N>>,
+) -> PyResult<Marked<'py, PyArray2<f64>>> {
+    let mut out = vec![f64::NAN; rows.len() * N];
+    let mut reached = vec![false; rows.len()];
+    for ((row, out), ok) in rows
+        .iter()
+        .zip(out.as_chunks_mut::<N>().0)
+        .zip(&mut reached)
+    {
+        if let Ok(value) = of(row) {
+            *out = value.into();
+            *ok = true;
+        }
+    }
+    marked(py, out, reached, N)
+}
+
+/// Predicted readings, and which rows could be computed; the others are NaN.
+pub fn predict<'py, R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize>(
+    py: Python<'py>,
+    model: &R,
+    values: &PyReadonlyArray1<'_, f64>,
+    block: &Block<'_>,
+) -> PyResult<Marked<'py, PyArray2<f64>>> {
+    let chain = chain(model, values)?;
+    let (rows, width) = (own_rows::<R, J, M, P>(block)?, columns::<R, J, M, P>());
+    let mut out = vec![0.0; rows.len() * width];
+    let mut reached = vec![false; rows.len()];
+    for ((row, out), ok) in rows
+        .iter()
+        .zip(out.chunks_exact_mut(width))
+        .zip(&mut reached)
+    {
+        if let Ok(value) = chain.row_value(row) {
+            let (at, count) = place::<J, M>(row);
+            out[at..at + count].copy_from_slice(&value.as_slice()[..count]);
+            *ok = true;
+        } else {
+            out.fill(f64::NAN);
+        }
+    }
+    marked(py, out, reached, width)
+}
+
+/// Derivatives by the parameters whose indices are given, by the joint readings and by a displacement of the measured
+/// point, and which rows could be computed.
+pub fn derivatives<'py, R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize>(
+    py: Python<'py>,
+    model: &R,
+    values: &PyReadonlyArray1<'_, f64>,
+    block: &Block<'_>,
+    free: &[usize],
+) -> PyResult<Derivatives<'py>> {
+    check_free::<P>(free)?;
+    let chain = chain(model, values)?;
+    let (rows, width) = (own_rows::<R, J, M, P>(block)?, columns::<R, J, M, P>());
+    let wanted = Wanted::of(R::CATALOGUE, free);
+    let (n, lines) = (rows.len(), rows.len() * width);
+    let mut by_parameters = vec![0.0; lines * free.len()];
+    let mut by_joints = vec![0.0; lines * J];
+    let mut by_body = vec![0.0; lines * 3];
+    let mut reached = vec![false; n];
+    let mut p = Prediction::new();
+    for (i, row) in rows.iter().enumerate() {
+        if chain.row_predict_into(row, wanted, &mut p).is_err() {
+            by_parameters[i * width * free.len()..][..width * free.len()].fill(f64::NAN);
+            by_joints[i * width * J..][..width * J].fill(f64::NAN);
+            by_body[i * width * 3..][..width * 3].fill(f64::NAN);
+            continue;
+        }
+        reached[i] = true;
+        let (at, count) = place::<J, M>(row);
+        for axis in 0..count {
+            let line = i * width + at + axis;
+            let out = &mut by_parameters[line * free.len()..][..free.len()];
+            for (o, &column) in out.iter_mut().zip(free) {
+                *o = p.by_parameters[(axis, column)];
+            }
+            for k in 0..J {
+                by_joints[line * J + k] = p.by_joints[(axis, k)];
+            }
+            for k in 0..3 {
+                by_body[line * 3 + k] = p.by_body[(axis, k)];
+            }
+        }
+    }
+    Ok((
+        shaped(py, by_parameters, [n, width, free.len()])?,
+        shaped(py, by_joints, [n, width, J])?,
+        shaped(py, by_body, [n, width, 3])?,
+        PyArray1::from_vec(py, reached),
+    ))
+}
+
+/// Rows to be fitted: the parameters that are free, the values of those that are not, readings and weights.
+pub struct Problem<'a, R, const J: usize, const P: usize> {
+    pub model: &'a R,
+    pub values: [f64; P],
+    pub free: Vec<usize>,
+    pub rows: Vec<Row<J>>,
+    pub readings: Vec<f64>,
+    pub weights: Vec<f64>,
+}
+
+impl<'a, R, const J: usize, const P: usize> Problem<'a, R, J, P> {
+    /// As it comes from Python; the solver must have as many parameters as are free.
+    pub fn new<const M: usize>(
+        model: &'a R,
+        solver: &Solver,
+        values: &PyReadonlyArray1<'_, f64>,
+        free: Vec<usize>,
+        block: &Block<'_>,
+        (readings, weights): (&PyReadonlyArray2<'_, f64>, &PyReadonlyArray2<'_, f64>),
+    ) -> PyResult<Self>
+    where
+        R: Robot<J, M, P>,
+    {
+        check_free::<P>(&free)?;
+        let expected = solver.trial_values().len();
+        if expected != free.len() {
+            return Err(shape("free", &format!("({expected},)"), &[free.len()]));
+        }
+        let rows = own_rows::<R, J, M, P>(block)?;
+        let (n, width) = (rows.len(), columns::<R, J, M, P>());
+        Ok(Self {
+            model,
+            values: fixed("values", values)?,
+            free,
+            rows,
+            readings: table("readings", readings, n, width)?.to_vec(),
+            weights: table("weights", weights, n, width)?.to_vec(),
+        })
+    }
+
+    /// Adds rows to the solver at its trial. `add` puts one row in, with its reading and weight, and says whether it could
+    /// be computed. Returns those that could not; errors that leave no robot make every row unreachable.
+    #[inline(always)]
+    pub fn fill<const M: usize>(
+        &self,
+        solver: &mut Solver,
+        mut add: impl FnMut(&Chain<R, J, M, P>, &Row<J>, &[f64], &[f64], &mut Solver) -> bool,
+    ) -> Vec<usize>
+    where
+        R: Robot<J, M, P>,
+    {
+        let mut values = self.values;
+        for (&k, &value) in self.free.iter().zip(solver.trial_values()) {
+            values[k] = value;
+        }
+        let Ok(chain) = self.model.with(&values) else {
+            return (0..self.rows.len()).collect();
+        };
+        let width = columns::<R, J, M, P>();
+        let numbers = self.readings.chunks_exact(width);
+        let numbers = numbers.zip(self.weights.chunks_exact(width));
+        let mut missing = Vec::new();
+        for (i, (row, (reading, weight))) in self.rows.iter().zip(numbers).enumerate() {
+            if weight.iter().all(|w| *w == 0.0) {
+                continue;
+            }
+            if !add(&chain, row, reading, weight, solver) {
+                missing.push(i);
+            }
+        }
+        missing
+    }
+
+    /// Adds the readings to the solver at its trial; returns the rows that cannot be computed there.
+    pub fn readings<const M: usize>(&self, solver: &mut Solver) -> Vec<usize>
+    where
+        R: Robot<J, M, P>,
+    {
+        let free = self.free.as_slice();
+        let wanted = Wanted::of(R::CATALOGUE, free);
+        let mut p = Prediction::new();
+        self.fill(solver, |chain, row, reading, weight, solver| {
+            if chain.row_predict_into(row, wanted, &mut p).is_err() {
+                return false;
+            }
+            let (at, count) = place::<J, M>(row);
+            let taken = reading[at..at + count].iter().zip(&weight[at..at + count]);
+            for (axis, (reading, weight)) in taken.enumerate() {
+                let residual = reading - p.value[axis];
+                let line = free.iter().map(|&k| p.by_parameters[(axis, k)]);
+                solver.add(line, residual, *weight);
+            }
+            true
+        })
+    }
+
+    /// Iterates to the minimum, `fill` adding the rows at each trial.
+    pub fn solve(
+        &self,
+        py: Python<'_>,
+        solver: &mut Solver,
+        priors: bool,
+        fill: impl Fn(&Self, &mut Solver) -> Vec<usize> + Send + Sync,
+    ) -> PyResult<(&'static str, Vec<usize>)>
+    where
+        R: Sync,
+    {
+        py.detach(|| iterate(solver, priors, |solver| Ok(fill(self, solver))))
+    }
+}
+
+/// A model class: its constructor and what it has beyond others in braces, what every model has from the frame.
+macro_rules! model_class {
+    ($class:ident, $model:ty, $robot:ident, { $($own:tt)* }) => {
+        #[pymethods]
+        impl $class {
+            /// Number of parameters of the chain.
+            #[classattr]
+            const PARAMETERS: usize = $robot::PARAMETERS;
+
+            /// The parameters of the chain in its order, effect by effect: names, units, plausible sizes, levers.
+            #[classattr]
+            #[pyo3(name = "CATALOGUE")]
+            fn catalogue(py: Python<'_>) -> PyResult<Bound<'_, pyo3::types::PyList>> {
+                $crate::robot::catalogue(py, $robot::CATALOGUE)
+            }
+
+            /// Predicted readings `(n, m)` and which rows could be computed; the others are NaN.
+            fn predict<'py>(
+                &self,
+                py: Python<'py>,
+                values: PyReadonlyArray1<'_, f64>,
+                block: Block<'_>,
+            ) -> PyResult<Marked<'py, PyArray2<f64>>> {
+                $crate::robot::predict(py, &self.0, &values, &block)
+            }
+
+            /// Derivatives by the parameters whose indices are given `(n, m, free)`, by the joint readings `(n, m, J)`,
+            /// by a displacement of the measured point `(n, m, 3)`, and which rows could be computed.
+            fn derivatives<'py>(
+                &self,
+                py: Python<'py>,
+                values: PyReadonlyArray1<'_, f64>,
+                block: Block<'_>,
+                free: Vec<usize>,
+            ) -> PyResult<Derivatives<'py>> {
+                $crate::robot::derivatives(py, &self.0, &values, &block, &free)
+            }
+
+            /// Adds a block of rows to the solver at its trial. `values` holds the parameters that are not free.
+            /// Returns the rows that cannot be computed there.
+            fn accumulate(
+                &self,
+                solver: &mut Solver,
+                values: PyReadonlyArray1<'_, f64>,
+                free: Vec<usize>,
+                block: Block<'_>,
+                readings: PyReadonlyArray2<'_, f64>,
+                weights: PyReadonlyArray2<'_, f64>,
+            ) -> PyResult<Vec<usize>> {
+                let taken = (&readings, &weights);
+                let problem = Problem::new(&self.0, solver, &values, free, &block, taken)?;
+                Ok(problem.readings(solver))
+            }
+
+            /// Iterates to the minimum over rows in memory. Returns how it ended and the rows that cannot be computed
+            /// at the start, with which nothing is solved.
+            #[allow(clippy::too_many_arguments, reason = "one argument for each part of the problem")]
+            fn solve(
+                &self,
+                py: Python<'_>,
+                solver: &mut Solver,
+                values: PyReadonlyArray1<'_, f64>,
+                free: Vec<usize>,
+                block: Block<'_>,
+                readings: PyReadonlyArray2<'_, f64>,
+                weights: PyReadonlyArray2<'_, f64>,
+                priors: bool,
+            ) -> PyResult<(&'static str, Vec<usize>)> {
+                let taken = (&readings, &weights);
+                let problem = Problem::new(&self.0, solver, &values, free, &block, taken)?;
+                problem.solve(py, solver, priors, |problem, solver| problem.readings(solver))
+            }
+
+            $($own)*
+        }
+    };
+}
+pub(crate) use model_class;
+
+// -- kinematics and control loops --------------------------------------------------------------------------------------
+
+/// The vector of a Python array.
+pub fn vector<const N: usize>(
+    name: &str,
+    array: &PyReadonlyArray1<'_, f64>,
+) -> PyResult<SVector<f64, N>> {
+    Ok(SVector::from(fixed("", array).map_err(|_| {
+        shape(name, &format!("({N},), contiguous"), array.shape())
+    })?))
+}
+
+/// A map of one vector.
+pub fn one<'py, const N: usize, const O: usize>(
+    py: Python<'py>,
+    name: &str,
+    array: &PyReadonlyArray1<'_, f64>,
+    of: impl Fn(&SVector<f64, N>) -> Result<SVector<f64, O>>,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    let found = of(&vector(name, array)?).map_err(to_python)?;
+    Ok(PyArray1::from_slice(py, found.as_slice()))
+}
+
+/// A map of many vectors, in lanes.
+pub fn many<'py, const N: usize, const O: usize>(
+    py: Python<'py>,
+    name: &str,
+    array: &PyReadonlyArray2<'_, f64>,
+    map: impl LaneMap<N, O>,
+) -> PyResult<Marked<'py, PyArray2<f64>>> {
+    let (found, reached) = in_lanes(rows::<N, _>(name, array)?, map);
+    marked(py, found, reached, O)
+}
+
+/// A matrix for each of many vectors, row by row `(n, R, C)`; those that cannot be computed are NaN and marked.
+pub fn matrices<'py, const N: usize, const R: usize, const C: usize>(
+    py: Python<'py>,
+    rows: &[[f64; N]],
+    of: impl Fn(&SVector<f64, N>) -> Option<SMatrix<f64, R, C>>,
+) -> PyResult<Marked<'py, PyArray3<f64>>> {
+    let mut out = vec![f64::NAN; rows.len() * R * C];
+    let mut reached = vec![false; rows.len()];
+    for ((row, out), ok) in rows
+        .iter()
+        .zip(out.chunks_exact_mut(R * C))
+        .zip(&mut reached)
+    {
+        if let Some(found) = of(&SVector::from(*row)) {
+            put(out, &found);
+            *ok = true;
+        }
+    }
+    Ok((
+        shaped(py, out, [rows.len(), R, C])?,
+        PyArray1::from_vec(py, reached),
+    ))
+}
+
+/// Writes a matrix row by row.
+pub fn put<const R: usize, const C: usize>(out: &mut [f64], matrix: &SMatrix<f64, R, C>) {
+    for (line, row) in out.chunks_exact_mut(C).zip(matrix.row_iter()) {
+        for (o, v) in line.iter_mut().zip(row.iter()) {
+            *o = *v;
+        }
+    }
+}
+
+/// What a control loop knows besides the joints: time s, temperature °C, a direction for each joint. It commands places,
+/// so velocities are zero.
+pub fn now<const J: usize>(numbers: &[f64]) -> PyResult<Covariates<J>> {
+    if numbers.len() != 2 + J {
+        return Err(shape(
+            "covariates",
+            &format!("({},)", 2 + J),
+            &[numbers.len()],
+        ));
+    }
+    Ok(Covariates {
+        time_s: numbers[0],
+        temperature_c: numbers[1],
+        direction: several(&numbers[2..]),
+        velocity: [0.0; J],
+    })
+}
+
+/// A calibrated robot of as many coordinates as joints.
+pub trait Calibrated<const N: usize> {
+    /// What computes.
+    type Core<'a>
+    where
+        Self: 'a;
+    /// The core's robot.
+    fn core(&self) -> PyResult<Self::Core<'_>>;
+    /// All that makes it, number by number.
+    fn write(&self, put: impl FnMut(f64)) -> PyResult<()>;
+    /// Where it is at joint readings, with the derivative by them.
+    fn forward_at(
+        core: &Self::Core<'_>,
+        joints: &SVector<f64, N>,
+        now: &Covariates<N>,
+    ) -> Result<(SVector<f64, N>, SMatrix<f64, N, N>)>;
+    /// Joint readings at which it is somewhere.
+    fn inverse_at(
+        core: &Self::Core<'_>,
+        place: &SVector<f64, N>,
+        now: &Covariates<N>,
+    ) -> Result<SVector<f64, N>>;
+}
+
+/// Where a calibrated robot is at joint readings `(N,)`, and the derivative by them `(N, N)`.
+pub fn forward<'py, T: Calibrated<N>, const N: usize>(
+    py: Python<'py>,
+    robot: &T,
+    joints: &PyReadonlyArray1<'_, f64>,
+    covariates: &[f64],
+) -> PyResult<Single<'py>> {
+    let (q, now) = (vector("joints", joints)?, now(covariates)?);
+    let (x, j) = T::forward_at(&robot.core()?, &q, &now).map_err(to_python)?;
+    let mut numbers = vec![0.0; N * N];
+    put(&mut numbers, &j);
+    Ok((
+        PyArray1::from_slice(py, x.as_slice()),
+        shaped(py, numbers, [N, N])?,
+    ))
+}
+
+/// A calibrated class: its constructor and what it has beyond others in braces, what every one has from the frame.
+macro_rules! calibrated_class {
+    ($class:ident, $n:literal, $place:ident, $places:ident, { $($own:tt)* }) => {
+        #[pymethods]
+        impl $class {
+            /// All that makes it as a row of numbers `(n,)`, for a control loop in another language.
+            fn flat<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+                let mut numbers = Vec::new();
+                self.write(|x| numbers.push(x))?;
+                Ok(PyArray1::from_vec(py, numbers))
+            }
+
+            /// Where it is at joint readings, and the derivative by them, row by row.
+            fn forward<'py>(
+                &self,
+                py: Python<'py>,
+                joints: PyReadonlyArray1<'_, f64>,
+                covariates: Vec<f64>,
+            ) -> PyResult<Single<'py>> {
+                $crate::robot::forward(py, self, &joints, &covariates)
+            }
+
+            /// Joint readings at which it is there.
+            fn inverse<'py>(
+                &self,
+                py: Python<'py>,
+                $place: PyReadonlyArray1<'_, f64>,
+                covariates: Vec<f64>,
+            ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+                let (core, now) = (self.core()?, now(&covariates)?);
+                one(py, stringify!($place), &$place, |x| Self::inverse_at(&core, x, &now))
+            }
+
+            /// Joint readings for many places, and which are in reach; the others are NaN.
+            fn inverse_batch<'py>(
+                &self,
+                py: Python<'py>,
+                $places: PyReadonlyArray2<'_, f64>,
+                covariates: Vec<f64>,
+            ) -> PyResult<Marked<'py, PyArray2<f64>>> {
+                let (core, now) = (self.core()?, now(&covariates)?);
+                let places = rows::<$n, _>(stringify!($places), &$places)?;
+                each(py, places, |x| Self::inverse_at(&core, &(*x).into(), &now))
+            }
+
+            $($own)*
+        }
+    };
+}
+pub(crate) use calibrated_class;
+
+/// A copy of rows of as many numbers as there are others.
+pub fn copied<const N: usize>(
+    name: &str,
+    array: &PyReadonlyArray2<'_, f64>,
+    n: usize,
+) -> PyResult<Vec<[f64; N]>> {
+    Ok(rows_like::<N>(name, array, n)?.to_vec())
+}

@@ -1,0 +1,122 @@
+"""The calibrated planar arm: where its tip is in its plane, how to bring it there, and how well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, Self
+
+import numpy as np
+
+from sherkit.errors import NotConverged
+from sherkit.model.chain import Block
+from sherkit.robots.calibrated import Calibration, Part, Planes
+from sherkit.robots.calibration_run import CalibrationRun
+from sherkit.types import Bools, Floats
+
+from .columns import TIP
+from .core import PlanarCore
+from .robot import PlanarArm
+
+_ROUNDS = 6
+
+
+@dataclass(frozen=True)
+class PlanarCalibrated:
+    """What a binding of the control loop's model would be: forward and inverse for ``values`` of the chain."""
+
+    chain: PlanarCore
+    values: Floats
+    nominal: PlanarArm
+
+    def block(self, joints: Floats, now: list[float]) -> Block:
+        """Rows that all have the covariates of this moment."""
+        known = np.concatenate([now, [0.0, 0.0]])
+        return joints, None, np.tile(known, (len(joints), 1)), None
+
+    def forward_batch(self, joints: Floats, now: list[float]) -> tuple[Floats, Floats, Bools]:
+        """x, y (n, 2), their derivatives by the joints (n, 2, 2), and which rows could be computed."""
+        block = self.block(joints, now)
+        values, reached = self.chain.predict(self.values, block)
+        return values[:, :2], self.chain.derivatives(self.values, block, [])[1][:, :2], reached
+
+    def forward(self, joints: Floats, now: list[float]) -> tuple[Floats, Floats]:
+        """The same of one pose."""
+        values, by_joints, _ = self.forward_batch(joints[None, :], now)
+        return values[0], by_joints[0]
+
+    def inverse(self, tip: Floats, now: list[float]) -> Floats:
+        """Joint readings for x, y. Raises as :meth:`PlanarArm.inverse`."""
+        self.nominal.inverse(tip)
+        joints, reached = self.inverse_batch(tip[None, :], now)
+        if not reached[0]:
+            raise NotConverged("the inverse kinematics does not settle there")
+        return joints[0]
+
+    def inverse_batch(self, tips: Floats, now: list[float]) -> tuple[Floats, Bools]:
+        """Joint readings of rows, by Newton's method from the drawing's; those out of reach are marked."""
+        joints = self.nominal.inverse_batch(tips).values
+        still = np.zeros(len(tips), dtype=bool)
+        for _ in range(_ROUNDS):
+            with np.errstate(invalid="ignore", divide="ignore"):
+                value, by_joints, _ = self.forward_batch(joints, now)
+                step = np.linalg.solve(by_joints, (tips - value)[:, :, None])[:, :, 0]
+            # what runs away is out of reach
+            joints = np.where(np.abs(step) < np.pi, joints + step, np.nan)
+            still = (np.abs(step) < 1e-12).all(axis=1)
+        return np.where(still[:, None], joints, np.nan), still
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlanarCalibration(Calibration):
+    """A calibrated planar arm. Coordinates are x and y of the tip from the shoulder, mm: the instrument's zero is not
+    the arm's, and is left out."""
+
+    coordinates: ClassVar = TIP
+    called: ClassVar = ("x and y", "places")
+
+    robot: PlanarArm
+    whole: Part
+
+    @classmethod
+    def of(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> Self:
+        """From a run; there is no local one."""
+        del local
+        fit, held_out = whole.fit, whole.deployed(whole.held_out)[:, :2]
+        count = len(fit.model.indices)
+        use = fit.data.taken[:, :2].all(axis=1) & ~fit.data.outlier
+        seen = fit.data.readings[use, :2] - [fit.by_name.get(f"datum_{axis}", 0.0) for axis in "xy"]
+        part = Part(
+            **Part.identified(fit),
+            covariance=(fit.covariance + fit.unobserved_covariance)[:count, :count],
+            residual_covariance=held_out[use].T @ held_out[use] / max(int(use.sum()), 1),
+            low=seen.min(axis=0),
+            high=seen.max(axis=0),
+        )
+        return cls(fit.model.robot, part)
+
+    @cached_property
+    def core(self) -> PlanarCalibrated:
+        """The model of the control loop."""
+        model = self.whole.model(self.robot)
+        names = [p.name for p in model.core_parameters]
+        arms = np.array([not name.startswith("datum") for name in names])
+        return PlanarCalibrated(model.core, np.where(arms, model.full(self.whole.values), 0.0), self.robot)
+
+    def spread(self, coordinates: Floats, joints: Floats) -> Floats:
+        """Covariance (n, 2, 2), mm²."""
+        del coordinates
+        indices, block = self.whole.model(self.robot).indices, self.core.block(joints, self._now())
+        columns = self.core.chain.derivatives(self.core.values, block, indices)[0][:, :2]
+        return columns @ self.whole.covariance @ columns.transpose(0, 2, 1) + self.whole.residual_covariance
+
+    def places(self) -> list[tuple[str, Floats]]:
+        """The middle of the run and its far side, x and y, mm."""
+        middle = 0.5 * (self.whole.low + self.whole.high)
+        return [("middle of the run", middle), ("its far side", np.array([self.whole.high[0], middle[1]]))]
+
+    def planes(self, per_side: int) -> Planes:
+        """The plane, where the run measured."""
+        x, y = (np.linspace(a, b, per_side) for a, b in zip(self.whole.low, self.whole.high, strict=True))
+        grid = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1).reshape(-1, 2)[:, ::-1]
+        return Planes(x, y, ("x, mm", "y, mm"), ("the arm's plane",), grid, np.ones(len(grid), dtype=bool))

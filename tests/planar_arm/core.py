@@ -1,0 +1,132 @@
+"""What a binding of ``rust/core/src/chain/planar.rs`` would be: the table and the chain, in NumPy, for as many rows as
+there are. Derivatives are complex steps, exact to rounding."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import sherkit._core as _core
+from sherkit.errors import FitError
+from sherkit.fit.iterate import iterate
+from sherkit.model.chain import Block
+from sherkit.types import Bools, Floats
+
+_STEP = 1e-30
+_REFERENCE_C = 20.0
+
+
+def _row(
+    name: str, link: str, unit: str, size: float, lever: float | None, *parameters: str, base: bool = False, **more: Any
+) -> dict[str, Any]:
+    own = [{"name": p, "symbol": p, "unit": unit, "size": size, "lever_mm": lever} for p in parameters]
+    return {"name": name, "link": link, "base": base, "parameters": own, "needs": [], "search": None, **more}
+
+
+#: The table of `chain/planar.rs`, row by row.
+CATALOGUE: Sequence[dict[str, Any]] = (
+    _row("links", "structure", "mm", 1.0, 1.0, "length_1", "length_2", base=True),
+    _row("joint_offset", "joints", "rad", 0.02, None, "offset_1", "offset_2", base=True),
+    _row("datum", "sensor", "mm", 10.0, 1.0, "datum_x", "datum_y", "datum_z", base=True),
+    _row("joint_scale", "joints", "rad/rad", 2e-3, 200.0, "scale_1", "scale_2"),
+    _row("encoder_eccentricity", "joints", "rad", 2e-3, 200.0, "sine_1", "cosine_1", "sine_2", "cosine_2"),
+    _row("backlash", "joints", "rad", 1e-3, 200.0, "width_1", "width_2", needs=["direction"]),
+    _row("droop", "structure", "mm", 0.2, 1.0, "fall"),
+    _row("thermal_growth", "body", "1/°C", 2e-5, 200.0, "coefficient", needs=["temperature_c"]),
+    _row("drift", "body", "mm/h", 0.1, 1.0, "rate_x", "rate_y", "rate_z", needs=["time_s"]),
+    _row("slip", "body", "mm", 0.1, 1.0, "step_x", "step_y", "step_z", needs=["time_s"], search="time_s"),
+    _row("sensor_linearity", "sensor", "mm", 0.005, 1.0, "cubic_x", "cubic_y", "cubic_z"),
+)
+
+
+class PlanarCore:
+    """The chain of one arm: ``lengths`` (2,) and ``height``, mm; ``home`` (2,), rad; moments, s."""
+
+    def __init__(self, lengths: Floats, height: float, home: Floats, time_origin_s: float, slip_time_s: float) -> None:
+        self.lengths, self.height, self.home = lengths, height, home
+        self.time_origin_s, self.slip_time_s = time_origin_s, slip_time_s
+
+    def _readings(self, values: NDArray[Any], joints: NDArray[Any], known: Floats, push: NDArray[Any]) -> NDArray[Any]:
+        """Readings (n, 3) for readings of the joints (n, 2), covariates (n, 6) and displacements (n, 3)."""
+        parts = np.split(values, np.cumsum([len(row["parameters"]) for row in CATALOGUE])[:-1])
+        p = dict(zip((row["name"] for row in CATALOGUE), parts, strict=True))
+        time, warmer, direction = known[:, :1], known[:, 1:2] - _REFERENCE_C, known[:, 2:4]
+
+        def acting(name: str, gain: NDArray[Any]) -> Any:
+            # an effect at zero does not ask for its covariate
+            return p[name] * gain if p[name].any() else 0.0
+
+        rings = p["encoder_eccentricity"]
+        theta = joints + p["joint_offset"] + p["joint_scale"] * (joints - self.home)
+        theta = theta + rings[::2] * np.sin(joints) + rings[1::2] * np.cos(joints) + acting("backlash", 0.5 * direction)
+        lengths = self.lengths + p["links"]
+        angles = np.cumsum(theta, axis=1)
+        x, y = (np.sum(lengths * turn(angles), axis=1) for turn in (np.cos, np.sin))
+        z = self.height - p["droop"] * (x * x + y * y) / self.lengths.sum() ** 2
+        point = np.column_stack([x, y, z])
+        slipped = np.where(np.isnan(time), np.nan, (time >= self.slip_time_s).astype(float))
+        body = point * (1.0 + acting("thermal_growth", warmer)) + acting("slip", slipped) + push
+        body = body + acting("drift", (time - self.time_origin_s) / 3600.0)
+        return np.asarray(body + p["sensor_linearity"] * (body / 20.0) ** 3 + p["datum"])
+
+    @staticmethod
+    def _inputs(block: Block) -> tuple[Floats, Floats, Floats]:
+        joints, to, known, push = block
+        assert to is None, "this arm reads no distances"
+        n = len(joints)
+        return joints, np.full((n, 6), np.nan) if known is None else known, np.zeros((n, 3)) if push is None else push
+
+    def predict(self, values: Floats, block: Block) -> tuple[Floats, Bools]:
+        """Readings (n, 3), and which rows could be computed."""
+        out = self._readings(values, *self._inputs(block))
+        return out, np.isfinite(out).all(axis=1)
+
+    def derivatives(self, values: Floats, block: Block, free: Sequence[int]) -> tuple[Floats, Floats, Floats, Bools]:
+        """By the parameters ``free``, the joints and a displacement (n, 3, ·), and which rows could be computed."""
+        joints, known, push = self._inputs(block)
+
+        def along(size: int, which: Sequence[int], number: int) -> Floats:
+            columns = []
+            for k in which:
+                inputs = [values.astype(complex), joints.astype(complex), push.astype(complex)]
+                inputs[number] = inputs[number] + 1j * _STEP * np.eye(size)[k]
+                columns.append(self._readings(inputs[0], inputs[1], known, inputs[2]).imag / _STEP)
+            return np.stack(columns, axis=2) if columns else np.zeros((len(joints), 3, 0))
+
+        by_joints, by_body = along(2, range(2), 1), along(3, range(3), 2)
+        return along(len(values), free, 0), by_joints, by_body, self.predict(values, block)[1]
+
+    def accumulate(
+        self, solver: _core.Solver, values: Floats, free: Sequence[int], block: Block, readings: Floats, weights: Floats
+    ) -> list[int]:
+        """Gives the solver rows at its trial; returns those that cannot be computed there."""
+        values = values.copy()
+        values[list(free)] = solver.trial
+        predicted, reached = self.predict(values, block)
+        used = (weights > 0).any(axis=1)
+        columns = self.derivatives(values, block, free)[0]
+        left = np.where(weights > 0, readings - predicted, 0.0)
+        solver.push(np.ascontiguousarray(columns), left, weights)
+        return [int(k) for k in np.flatnonzero(used & ~reached)]
+
+    def solve(
+        self, solver: _core.Solver, values: Floats, free: Sequence[int], block: Block, readings: Floats,
+        weights: Floats, priors: bool,
+    ) -> tuple[str, list[int]]:  # fmt: skip
+        """Iterates to the minimum; how it ended, and the rows that cannot be computed at the start."""
+        missing: list[int] = []
+
+        def feed(_: Floats) -> None:
+            missing[:] = self.accumulate(solver, values, free, block, readings, weights)
+            if missing:
+                raise FitError("rows are out of reach")
+            if priors:
+                solver.push_priors()
+
+        try:
+            return iterate(solver, feed), []
+        except FitError:
+            return "exhausted", missing

@@ -1,0 +1,66 @@
+"""The planar arm as a model for identification: lengths, offsets, datum and effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from sherkit.data import Measurements
+from sherkit.model.chain import ChainModel
+from sherkit.types import Floats
+
+from .columns import PLANAR
+from .core import CATALOGUE, PlanarCore
+from .effects import PLANAR_CATALOGUE
+from .robot import PlanarArm
+
+#: Poses of each joint from which the next ones are chosen.
+_GRID = 9
+
+
+@dataclass(frozen=True)
+class PlanarModel(ChainModel):
+    """A nominal planar arm with named errors and effects to identify. Readings are x, y, z of the tip, mm."""
+
+    robot: PlanarArm
+    slip_time_s: float = 0.0
+    time_origin_s: float = 0.0
+
+    catalogue: ClassVar = PLANAR_CATALOGUE
+    layouts: ClassVar = (PLANAR,)
+    table: ClassVar = CATALOGUE
+
+    def lever_mm(self, name: str) -> float:
+        """An offset moves what hangs on its joint."""
+        return sum(self.robot.length_mm) if name == "offset_1" else self.robot.length_mm[1]
+
+    @property
+    def default(self) -> tuple[str, ...]:
+        """All that a drawing gives, and the datum."""
+        return tuple(p.name for p in self.base)
+
+    def settings(self) -> dict[str, float | None]:
+        """Moment of the slip, origin of time."""
+        return {"slip_time_s": self.slip_time_s, "time_origin_s": self.time_origin_s}
+
+    @cached_property
+    def core(self) -> PlanarCore:
+        """The chain."""
+        r = self.robot
+        home = np.deg2rad(r.home_deg)
+        return PlanarCore(np.array(r.length_mm), r.height_mm, home, self.time_origin_s, self.slip_time_s)
+
+    def reachable(self, data: Measurements, values: Floats) -> tuple[Floats, Measurements]:
+        """A grid over the joints where the run was, with the rows it would give."""
+        low, high = data.joints.min(axis=0), data.joints.max(axis=0)
+        ticks = np.meshgrid(*np.linspace(low, high, _GRID).T, indexing="ij")
+        rows = data.unmeasured(np.stack(ticks, axis=-1).reshape(-1, 2))
+        return self.core.predict(self.full(values), self.block(rows))[0], rows
+
+    def reason(self, data: Measurements, row: int, values: Floats) -> str:
+        """Joints reach everywhere: it is a column."""
+        del data, row, values
+        return "an effect that is at work needs a column that these rows lack"

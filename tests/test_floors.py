@@ -1,0 +1,67 @@
+"""The floors of the house: a module imports only from those above its own, and nothing runs in a circle."""
+
+from __future__ import annotations
+
+import ast
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[1] / "python" / "sherkit"
+#: From the top down; CONTRIBUTING says what each is for. Rooms of one floor do not know each other.
+FLOORS = (
+    ("errors", "names", "types", "notebook", "_core"),
+    ("data",),
+    ("model", "vision"),
+    ("fit",),
+    ("robots", "diagnosis"),
+    ("planning", "calibrate"),
+    ("study",),
+    ("report", "lab"),
+    ("__init__",),
+    ("app",),
+    ("cli",),
+)
+FLOOR = {room: k for k, rooms in enumerate(FLOORS) for room in rooms}
+
+
+def imported(file: Path) -> set[str]:
+    """Modules of the package that a file imports, wherever in it, as dotted names below ``sherkit``."""
+    here = file.relative_to(PACKAGE).with_suffix("").parts
+    modules = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.level or (node.module or "").startswith("sherkit")):
+            base = here[: len(here) - node.level] if node.level else ()
+            name = [*base, *(node.module or "").split(".")[0 if node.level else 1 :]]
+            for one in node.names:
+                whole = ".".join(part for part in (*name, one.name) if part)
+                modules.add(whole if exists(whole) else ".".join(part for part in name if part))
+        elif isinstance(node, ast.Import):
+            modules |= {one.name.removeprefix("sherkit.") for one in node.names if one.name.startswith("sherkit.")}
+    return {m or "__init__" for m in modules}
+
+
+def exists(module: str) -> bool:
+    """Whether a dotted name is a module of the package, not a name in one."""
+    path = PACKAGE.joinpath(*module.split("."))
+    return path.with_suffix(".py").exists() or path.is_dir() or module == "_core"
+
+
+def test_imports_run_downwards() -> None:
+    """Catches a floor that looks up: a model that draws itself, a fit that knows robots, a driver in the numerics."""
+    wrong = []
+    for file in sorted(PACKAGE.rglob("*.py")):
+        room = file.relative_to(PACKAGE).with_suffix("").parts[0]
+        for module in imported(file):
+            other = module.split(".")[0]
+            if other != room and FLOOR[other] >= FLOOR[room]:
+                wrong.append(f"{file.relative_to(PACKAGE)} imports {module}")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_nothing_runs_in_a_circle() -> None:
+    """Catches files that need each other, inside one room too."""
+    graph = {}
+    for file in PACKAGE.rglob("*.py"):
+        name = ".".join(file.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__")
+        graph[name] = {m for m in imported(file) if m != name and not name.startswith(f"{m}.")}
+    tuple(TopologicalSorter(graph).static_order())
