@@ -242,11 +242,9 @@ class StudyPage:
         if found is None:
             self.headline.text = title
             return
-        verdict = escape(found.verdict)
-        lead = f" by <b>{escape(' and '.join(found.effects))}</b>" if found.effects else ""
         shape = f"<br>left over: {escape(sentence(found.signature))}" if found.signature is not None else ""
         ties = "".join(f"<br>these rows cannot tell {escape(' from '.join(tie))}" for tie in found.ties)
-        self.headline.text = f'{title}<br><span id="verdict">{verdict}{lead}</span>{ties}{shape}'
+        self.headline.text = f'{title}<br><span id="verdict">{escape(found.headline)}</span>{ties}{shape}'
 
     def _draw_effects(self, moment: Moment) -> None:
         """A button for every effect: those in the model, then by what each would bring."""
@@ -297,7 +295,7 @@ class StudyPage:
     @staticmethod
     def _effect_text(name: str, inside: bool, would: Any, why: str | None, scale: float, found: Any) -> str:
         if inside:
-            return "in the model"
+            return "in the model" if found is None or name not in found.not_needed else "in the model, not needed"
         if why is not None:
             return f'<span style="color:{MUTED}">{escape(why)}</span>'
         if would is None:

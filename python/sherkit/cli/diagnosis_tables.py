@@ -14,12 +14,7 @@ _ORIGIN = {
     "repeats": "from repeats of poses",
     "unknown": "unknown; this is what the model leaves",
 }
-_VERDICT = {
-    "adequate": "[bold green]adequate[/]: nothing significant is missing",
-    "explained": "[bold green]explained[/]: with these effects nothing significant is missing any more",
-    "partly explained": "[bold yellow]partly explained[/]: these effects help, and something is left",
-    "unexplained": "[bold red]unexplained[/]: something is missing that is in no catalogue",
-}
+_COLOUR = {"adequate": "green", "explained": "green", "partly explained": "yellow", "unexplained": "red"}
 _MOST = 8
 
 
@@ -62,9 +57,6 @@ def diagnosis(d: Diagnosis) -> None:
     out.print(_where(d))
     out.print("[bold]3. Which effect?[/]")
     out.print(_candidates(d))
-    if d.confirmed is not None:
-        word = "confirmed" if d.confirmed <= 0.05 else "suspected only: measure more"
-        out.print(f"   on a third of the rows, locked away before the search: {word} (p = {d.confirmed:.4g})")
     out.print("\n[bold]4. What can these data not tell apart?[/]")
     if not d.ties and not d.hides_in and not d.untestable:
         out.print("   nothing of what was tried")
@@ -79,8 +71,21 @@ def diagnosis(d: Diagnosis) -> None:
         out.print(f"   {line}")
     if d.next_poses:
         out.print(_poses(d))
-    out.print(f"\n[bold]Verdict:[/] {_VERDICT[d.verdict]}")
+    # praise has no colour where nobody knows how much of the rest is noise
+    colour = _COLOUR[d.verdict] if d.noise_origin != "unknown" or d.verdict not in ("adequate", "explained") else "cyan"
+    out.print(f"\n[bold]Verdict:[/] [bold {colour}]{escape(d.headline)}[/]")
+    out.print(_claims(d))
     out.print(falling(d))
+
+
+def _claims(d: Diagnosis) -> Table:
+    """What the verdict rests on."""
+    made = table("What the verdict rests on", "claim", "", "result", "p", "rows")
+    for claim in d.claims:
+        word = {True: "yes", False: "[bold red]no[/]", None: "?"}[claim.holds]
+        p = "" if claim.p is None else _p(claim.p)
+        made.add_row(escape(claim.tested), word, escape(claim.result), p, escape(claim.rows))
+    return made
 
 
 def falling(d: Diagnosis) -> Table:
@@ -150,4 +155,10 @@ def _next(d: Diagnosis) -> list[str]:
             escape(sentence(d.signature)),
             "write a template of an effect with this shape: sherkit diagnose … --template my_effects.py",
         ]
+    if d.verdict != "adequate":
+        return [escape(claim.fails) for claim in d.claims if claim.decisive and claim.holds is False]
+    if d.not_needed:
+        return [f"take {' and '.join(d.not_needed)} out of the model: the error on rows held out is no larger without"]
+    if d.noise_origin == "unknown":
+        return ["repeat some poses, or add sigma columns: only then can it be said whether the model is good enough"]
     return ["nothing; go on with the model as it is"]

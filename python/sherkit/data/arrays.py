@@ -73,6 +73,7 @@ def from_arrays(
         readings=np.where(taken, readings, 0.0),
         taken=taken,
         sigma=np.full(readings.shape, np.nan) if sigma is None else sigma,
+        pose_sigma=np.zeros(readings.shape),
         time_s=time_s,
         pose=pose,
         repeat=None,

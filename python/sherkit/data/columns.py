@@ -47,6 +47,11 @@ class Layout:
         return tuple(f"sigma_{name}" for name in self.readings)
 
     @cached_property
+    def pose_sigmas(self) -> tuple[str, ...]:
+        """Columns that declare an error of each reading which all repeats of a pose share, as a marker's centre has."""
+        return tuple(f"pose_{name}" for name in self.sigmas)
+
+    @cached_property
     def directions(self) -> tuple[str, ...]:
         """Columns with the sign of the last motion of each joint."""
         return tuple(f"direction_{k + 1}" for k in range(len(self.joints)))
@@ -54,13 +59,14 @@ class Layout:
     @cached_property
     def known(self) -> tuple[str, ...]:
         """Every column that means something by its name."""
-        own = (*self.joints, *self.to_joints, *self.readings, *self.sigmas, *self.directions)
+        noise = (*self.sigmas, *self.pose_sigmas)
+        own = (*self.joints, *self.to_joints, *self.readings, *noise, *self.directions)
         return (*own, TIME, POSE, REPEAT, OUTLIER)
 
     @cached_property
     def may_be_empty(self) -> tuple[str, ...]:
         """Columns where an empty cell means "not taken here"."""
-        return (*self.to_joints, *self.readings, *self.sigmas)
+        return (*self.to_joints, *self.readings, *self.sigmas, *self.pose_sigmas)
 
     @cached_property
     def all_in_mm(self) -> bool:

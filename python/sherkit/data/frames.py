@@ -123,7 +123,7 @@ def _numbers(column: pl.Series, name: str, place: str, line: Ints, layout: c.Lay
         fraction = (values != np.floor(values)) | (np.abs(values) > _LARGEST_WHOLE)
         if fraction.any():
             _refuse(place, line, fraction, name, f"{values[int(np.argmax(fraction))]} is not a whole number")
-    if name in layout.sigmas:
+    if name in (*layout.sigmas, *layout.pose_sigmas):
         low = values <= 0
         if low.any():
             _refuse(place, line, low, name, f"{values[int(np.argmax(low))]} must be greater than zero")

@@ -17,7 +17,8 @@ _MIN_FREEDOM = 5
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Standard deviation of every reading (n, m), in its own unit, and its origin.
+    """Standard deviation of every reading (n, m), in its own unit, and its origin; an error of the pose that the rows
+    declare is in it.
 
     ``origin`` is ``"declared"`` (sigma columns), ``"repeats"`` (pure error) or ``"unknown"``, in which case all
     readings weigh the same and the scale comes from the residuals.
@@ -29,6 +30,17 @@ class Noise:
 
 def noise_of(data: Measurements) -> Noise:
     """The noise of each reading: declared where the file says, else from repeats, else unknown (one unit each)."""
+    noise = _of_readings(data)
+    if not data.pose_sigma.any():
+        return noise
+    # an error of the pose that is declared alone is all the noise that is known
+    alone = noise.origin == "unknown"
+    sigma = np.hypot(np.where(alone & (data.pose_sigma > 0), 0.0, noise.sigma), data.pose_sigma)
+    return Noise(sigma, "declared" if (data.pose_sigma > 0)[data.taken].all() else noise.origin)
+
+
+def _of_readings(data: Measurements) -> Noise:
+    """The noise without what repeats of a pose share."""
     sigma = data.sigma
     needed = data.taken
     if np.isfinite(sigma[needed]).all():

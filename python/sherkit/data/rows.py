@@ -54,6 +54,7 @@ class Measurements:
     readings: Floats
     taken: Bools
     sigma: Floats
+    pose_sigma: Floats
     time_s: Floats | None
     pose: Ints | None
     repeat: Ints | None
@@ -104,6 +105,7 @@ class Measurements:
             readings=np.where(taken, readings, 0.0),
             taken=taken,
             sigma=stack(layout.sigmas),
+            pose_sigma=np.nan_to_num(stack(layout.pose_sigmas)),
             time_s=np.asarray(values[c.TIME], dtype=float) if c.TIME in values else None,
             pose=whole[c.POSE],
             repeat=whole[c.REPEAT],
@@ -219,7 +221,7 @@ class Measurements:
             **{
                 name: pick(getattr(self, name))
                 for name in (
-                    "joints", "to_joints", "readings", "taken", "sigma",
+                    "joints", "to_joints", "readings", "taken", "sigma", "pose_sigma",
                     "time_s", "pose", "repeat", "outlier", "line", "direction", "order", "block",
                 )
             },
@@ -339,6 +341,7 @@ class Measurements:
             (layout.to_joints, self.to_joints),
             (layout.readings, np.where(self.taken, self.readings, np.nan)),
             (layout.sigmas, self.sigma),
+            (layout.pose_sigmas, np.where(self.pose_sigma > 0, self.pose_sigma, np.nan)),
         )
         for names, block in blocks:
             for k, name in enumerate(names):

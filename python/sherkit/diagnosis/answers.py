@@ -10,6 +10,7 @@ import numpy as np
 from ..fit.identify import Fit
 from ..notebook import Shown
 from ..types import Ints
+from .claims import Claim, headline
 from .stage import Stage
 from .template import sentence
 from .where import Dependence
@@ -43,8 +44,10 @@ class StepReport:
 class Diagnosis(Shown):
     """The answers, in the order a person asks.
 
-    ``verdict`` is ``adequate``, ``explained``, ``partly explained`` or ``unexplained``. ``ties`` are groups of
-    effects that these rows cannot tell apart, the leading one first. ``fit`` is the model with the named effects
+    ``verdict`` is ``adequate``, ``explained``, ``partly explained`` or ``unexplained``: it follows from ``claims``
+    alone. ``effects`` are those that are missing, ``not_needed`` those in the model that bring nothing. ``ties`` are
+    groups of effects that these rows cannot tell apart, the leading one first; ``confirmed`` is the largest p with
+    which a named effect earns its place on rows held out. ``fit`` is the model with the named effects
     on all rows. Errors are RMS of single readings in ``unit``: µm for a delta.
     """
 
@@ -56,6 +59,8 @@ class Diagnosis(Shown):
     level: float
     p_missing: float
     effects: tuple[str, ...]
+    not_needed: tuple[str, ...]
+    claims: tuple[Claim, ...]
     ties: tuple[tuple[str, ...], ...]
     steps: tuple[StepReport, ...]
     candidates: tuple[CandidateReport, ...]
@@ -73,8 +78,13 @@ class Diagnosis(Shown):
     base: Fit = field(repr=False)
     stage: Stage = field(repr=False)
 
+    @property
+    def headline(self) -> str:
+        """The verdict in one line, with why it is no better."""
+        return headline(self.claims, self.effects, self.not_needed, noise_known=self.noise_origin != "unknown")
+
     def __repr__(self) -> str:
-        lines = [f"{self.verdict}: {', '.join(self.effects) or 'no effect added'}"]
+        lines = [self.headline]
         lines += [f"  these rows cannot tell {' from '.join(tie)}" for tie in self.ties]
         for s in self.steps:
             name = "as it came" if s.effect is None else "+ " + s.effect
@@ -90,6 +100,7 @@ class Diagnosis(Shown):
         um = "_um" if self.unit == "µm" else ""
         return ({} if um else {"unit": self.unit}) | {
             "verdict": self.verdict,
+            "headline": self.headline,
             f"noise{um}": self.noise,
             "noise_origin": self.noise_origin,
             "correlation_in_time": self.correlation_in_time,
@@ -97,6 +108,8 @@ class Diagnosis(Shown):
             "level": self.level,
             "p_missing": self.p_missing,
             "effects": list(self.effects),
+            "not_needed": list(self.not_needed),
+            "claims": [claim.to_json() for claim in self.claims],
             "ties": [list(t) for t in self.ties],
             "steps": [{"effect": s.effect, f"held_out_rms{um}": s.held_out_rms} for s in self.steps],
             "candidates": [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -93,6 +93,15 @@ class FittedRun:
         for effect, setting in added:
             model = model.with_effect(effect, at=setting)
         return FittedRun(identify(model, self.data, noise=self.fit.noise))
+
+    def without_effects(self, names: Collection[str]) -> FittedRun:
+        """The full fit without these effects of the model, the others from their values. Raises as :meth:`refit`."""
+        model, taken = self.model, np.zeros(len(self.fit.values), dtype=bool)
+        for effect in self.model.effects:
+            if effect.name in names:
+                taken[self.owns(effect)] = True
+                model = model.without_effect(effect.name)
+        return FittedRun(identify(model, self.data, noise=self.fit.noise, start=self.fit.values[~taken]))
 
     def on(self, rows: Ints, sigma: Floats) -> FittedRun:
         """The full fit on these rows alone, with this noise (columns,), from the values of this one."""

@@ -3,43 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from ..data.given import RunLike
-from ..errors import EffectError, FitError, SherkitError
+from ..errors import EffectError, FitError
 from ..fit.identify import Fit, identify
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
 from ..types import Floats, Ints
-from .answers import CandidateReport, Diagnosis, StepReport
+from .answers import CandidateReport, Diagnosis
+from .claims import verdict_of
 from .crossvalidation import HeldOutError, held_out
 from .fitted_run import FittedRun
+from .lack_of_fit import lack_of_fit
+from .named import not_needed, searched
 from .power import smallest_found
-from .search import Search, SearchResult, is_plausible, refit
+from .propositions import claims_of
+from .search import SearchResult, is_plausible
 from .shapes import Shape
-from .slip import moment_of_step
 from .stage import Candidate, Stage, columns_of, stage_of, suspected_outliers
 from .where import neighbour_correlation, where
 
 LEVEL = 0.01
-#: Part of the data locked away before the search.
-_LOCKED = 1.0 / 3.0
-#: Fewer rows than this are not split.
-_SPLIT_FROM = 90
+#: Blocks that are held out in turn, and how often they are dealt anew so that no verdict hangs on one deal.
 _FOLDS = 6
+_DEALS = 5
 _HIDDEN_FROM = 0.97
 _SMALLEST_P = 1e-300
 #: Level at which an axis takes part in a signature.
 _AXIS_LEVEL = 1e-3
-#: An error of the poses' own is told from this part of the noise on.
-_OWN = 0.5
-#: One-sided level of the confirmation on the locked rows.
-_CONFIRMED = 0.05
 
 
 def diagnose(
@@ -71,7 +67,6 @@ def diagnose(
     for effect in effects:
         run.model.check_effect(effect, run.data, fit.values)
     every = (*run.catalogue, *effects)
-    axes = run.axes
     notes: list[str] = []
 
     step("noise and outliers")
@@ -86,71 +81,53 @@ def diagnose(
             "neither repeats nor a declared noise: how much of the rest is noise cannot be known, only whether "
             "it has structure; repeat some poses or add sigma columns"
         )
-    block = run.blocks(_FOLDS, seed)
-    split = len(rows) >= _SPLIT_FROM
-    locked = np.isin(block[rows], np.arange(round(_FOLDS * _LOCKED))) if split else np.zeros(len(rows), dtype=bool)
-
-    # on all rows: among those that are left after locking some away, neighbours are rare
-    base_stage = stage_of(run, every, rows, sigma, thorough=False)
-    search = Search(run, every, rows[~locked], sigma, level=level, rho=base_stage.rho, seed=seed, step=step)
-    found = search.find()
-
-    confirmed = _confirm(search, found, run, rows[locked]) if found.added and locked.any() else None
-    if found.added and not found.explained and confirmed is not None and confirmed > _CONFIRMED:
-        # effects that leave something and do not help on the locked rows have not earned their names
-        found = search.without_effects(found)
-        confirmed = None
+    deals = [run.blocks(_FOLDS, _DEALS * seed + k) for k in range(_DEALS)]
+    found = searched(run, every, rows, sigma, deals, level=level, seed=seed, step=step)
+    base_stage, final = found.result.stages[0], found.final
+    notes += found.notes
 
     step("fitting all rows")
-    found.added = [_at_its_moment(run, found.added, c) for c in found.added]
-    final = refit(run, found.added) if found.added else run
-    stage = stage_of(final, every, rows, sigma, rho=search.rho, thorough=False) if found.added else base_stage
-
-    step("held-out errors")
-    base_error, gains = held_out(base_stage, block[base_stage.rows])
-    steps = [StepReport(None, base_error.rms)]
-    partial = run
-    for k, candidate in enumerate(found.added):
-        last = k == len(found.added) - 1
-        partial = final if last else refit(partial, (candidate,))
-        here = stage if last else stage_of(partial, (), rows, sigma, rho=search.rho, thorough=False)
-        steps.append(StepReport(candidate.name, held_out(here, block[here.rows])[0].rms))
+    stage = stage_of(final, every, rows, sigma, rho=base_stage.rho, thorough=False) if found.names else base_stage
+    inside = rows[base_stage.rows]
+    gains = held_out(base_stage, deals[0][inside])[1]
 
     if origin != "declared":
         sigma = _noise_left(final, sigma)
-    verdict = _verdict(found, level)
-    own = _own_errors(final, sigma, level) if origin == "repeats" and not found.signature else None
-    if own:
-        notes.append(own)
-    ties = _ties(found)
-    reports = _candidate_reports(search, base_stage, gains, final, found)
+    needed = not_needed(final, run.model.effects, sigma, deals, seed)
+    fitness = lack_of_fit(final, level)
+    claims = claims_of(final, found, sigma, origin, fitness, needed, level, wild)
+    verdict = verdict_of(claims, found.names)
+    ties = _ties(found.result)
+    reports = _candidate_reports(base_stage, gains, final, found.result)
     smallest: dict[str, tuple[float, float]] = {}
     if verdict == "adequate":
-        threshold = float(np.quantile(found.stages[0].plain.null(199, seed), 1 - level))
-        smallest = {c.name: smallest_found(stage, c, threshold) for c in search.strongest_settings(stage)}
-    signature = _signature(found, found.stages[-1]) if found.signature else None
+        threshold = float(np.quantile(base_stage.plain.null(199, seed), 1 - level))
+        smallest = {c.name: smallest_found(stage, c, threshold) for c in found.search.strongest_settings(stage)}
+    signature = _signature(found.result, found.result.stages[-1]) if found.result.signature else None
     hidden = {c.name: hides_in(base_stage, c) for c in base_stage.candidates}
     return Diagnosis(
         verdict=verdict,
         unit=run.unit,
-        noise={run.names[a]: run.per_unit * float(sigma[a]) for a in axes},
+        noise={run.names[a]: run.per_unit * float(sigma[a]) for a in run.axes},
         noise_origin=origin,
-        correlation_in_time=float(search.rho or 0.0),
+        correlation_in_time=float(base_stage.rho or 0.0),
         level=level,
-        p_missing=found.p_first,
-        effects=tuple(c.name for c in found.added),
+        p_missing=found.result.p_first,
+        effects=found.names,
+        not_needed=tuple(one.effect for one in needed if not one.holds),
+        claims=claims,
         ties=ties,
-        steps=tuple(steps),
+        steps=found.steps,
         candidates=reports,
         untestable=dict(base_stage.untestable),
         smallest_found=smallest,
         where=where(base_stage),
         neighbour_correlation=neighbour_correlation(base_stage),
-        confirmed=confirmed,
+        confirmed=max((one.p for one in found.earned), default=None),
         signature=signature,
         hides_in={k: v for k, v in hidden.items() if v},
         outliers=wild,
-        next_poses=_next(found, sigma) if ties else (),
+        next_poses=_next(found.result, sigma) if ties else (),
         notes=tuple(notes),
         fit=final.fit,
         base=run.fit,
@@ -173,15 +150,6 @@ def _next(found: SearchResult, sigma: Floats) -> tuple[dict[str, float], ...]:
     return found.stages[-1].run.next_poses([other.stage.run for other in found.alternatives], sigma)
 
 
-def _at_its_moment(run: FittedRun, added: Sequence[Candidate], candidate: Candidate) -> Candidate:
-    """A slip at the moment that all rows give, with the other effects in the model."""
-    if candidate.effect.search != "time_s":
-        return candidate
-    others = [c for c in added if c is not candidate]
-    moment = moment_of_step(refit(run, others) if others else run, candidate.effect)
-    return candidate if moment is None else replace(candidate, setting=moment)
-
-
 def _noise_left(run: FittedRun, sigma: Floats) -> Floats:
     """Noise once what was found is in the model: repeats of a pose then differ by noise alone, whatever varied
     between them; without repeats, what is left."""
@@ -200,45 +168,11 @@ def _noise_left(run: FittedRun, sigma: Floats) -> Floats:
     return out
 
 
-def _own_errors(run: FittedRun, sigma: Floats, level: float) -> str | None:
-    """What poses leave beyond their repeats without any pattern (lack of fit against pure error), as a sentence."""
-    told = []
-    parameters = len(run.fit.values) / len(run.axes)
-    for a in run.axes:
-        used = run.used[:, a]
-        group = np.unique(run.data.groups[used], return_inverse=True)[1]
-        count = np.bincount(group)
-        between, within = len(count) - parameters, int((count - 1).sum())
-        if between < 5 or within < 5 or not sigma[a] > 0:
-            continue
-        mean = np.bincount(group, run.residuals[used, a]) / count
-        square = float((count * mean**2).sum() / between)
-        own = np.sqrt(max(square - sigma[a] ** 2, 0.0) / count.mean())
-        if stats.f.sf(square / sigma[a] ** 2, between, within) < level / len(run.axes) and own > _OWN * sigma[a]:
-            told.append(f"{run.names[a]} {run.per_unit * own:.2g}")
-    if not told:
-        return None
-    return (
-        "repeats agree better than poses do: each pose is off by an error of its own "
-        f"({', '.join(told)} {run.unit}) that no effect and no shape follows; "
-        "look at what differs from pose to pose but not between repeats: how the marker "
-        "is found, seating, a reading taken before it is still"
-    )
-
-
 def _residual_sigma(run: FittedRun) -> Floats:
     sigma = np.ones(len(run.names))
     for a in run.axes:
         sigma[a] = max(float(np.std(run.residuals[run.used[:, a], a])), 1e-12)
     return sigma
-
-
-def _verdict(found: SearchResult, level: float) -> str:
-    if not found.added and not found.signature:
-        return "adequate" if found.p_left > level else "unexplained"
-    if found.explained:
-        return "explained"
-    return "partly explained" if found.added else "unexplained"
 
 
 def _ties(found: SearchResult) -> tuple[tuple[str, ...], ...]:
@@ -256,7 +190,7 @@ def _ties(found: SearchResult) -> tuple[tuple[str, ...], ...]:
 
 
 def _candidate_reports(
-    search: Search, base: Stage, gains: list[HeldOutError], final: FittedRun, found: SearchResult
+    base: Stage, gains: list[HeldOutError], final: FittedRun, found: SearchResult
 ) -> tuple[CandidateReport, ...]:
     """Every effect that could be tried, the named ones first, then by held-out error."""
     z = base.deviates[base.n_shapes :]
@@ -304,28 +238,6 @@ def _parameters(base: Stage, candidate: Candidate, run: FittedRun | None) -> tup
         x, std = x * unit, std * unit
     size = np.array([p.size for p in effect.parameters])
     return x, std, bool((np.abs(x) - 2 * std <= 5 * size).all())
-
-
-def _confirm(search: Search, found: SearchResult, run: FittedRun, locked: Ints) -> float:
-    """One-sided p that the added effects help on the rows that were locked away, coefficients frozen.
-
-    Paired differences of squared error, signs flipped over whole poses.
-    """
-    # what the search fitted last has just these effects
-    before, after = search.base, found.stages[-1].run
-    axes = run.axes
-    sigma = search.sigma[list(axes)]
-
-    def squares(one: FittedRun) -> Floats:
-        return ((run.residuals_on(locked, one)[:, axes] / sigma) ** 2).sum(axis=1)
-
-    try:
-        gain = squares(before) - squares(after)
-    except SherkitError:
-        return 1.0
-    per_pose = np.bincount(np.unique(run.data.groups[locked], return_inverse=True)[1], gain)
-    signs = np.random.default_rng(search.seed).integers(0, 2, (1999, len(per_pose))) * 2.0 - 1.0
-    return float((1 + (signs @ per_pose >= per_pose.sum()).sum()) / 2000)
 
 
 def hides_in(stage: Stage, candidate: Candidate) -> tuple[str, ...]:

@@ -143,22 +143,6 @@ class Search:
         found.explained = p > self.level and not found.signature and bool(found.added)
         return found
 
-    def without_effects(self, found: SearchResult) -> SearchResult:
-        """The same search with every effect taken back: shapes alone describe what is left."""
-        stage = found.stages[0]
-        out = SearchResult([stage], p_first=found.p_first, p_left=found.p_first)
-        p = found.p_first
-        while p <= self.level and len(out.signature) < _MOST_STEPS:
-            shape = self.best_shape(stage)
-            if shape is None:
-                break
-            out.signature.append(self.refined(stage, shape))
-            stage = self.stage(stage.run, out.signature)
-            out.stages.append(stage)
-            p = self.left(stage.plain)
-        out.p_left = p
-        return out
-
     def simpler_shape(self, stage: Stage, explanations: Sequence[Explanation]) -> Shape | None:
         """A single shape that explains alone what only a pair of effects does, and with clearly fewer parameters.
 

@@ -1,0 +1,68 @@
+"""What a verdict rests on: propositions, each tested on numbers that the same report shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One proposition and how it came out.
+
+    ``tested`` is the proposition, ``rows`` on which rows, ``result`` what was found, both in words. ``holds`` is None
+    where these rows cannot test it; ``p`` the p value where the test has one. A verdict of praise needs all that are
+    ``decisive``; ``fails`` is then how the first line says that one does not hold.
+    """
+
+    name: str
+    tested: str
+    rows: str
+    result: str
+    holds: bool | None
+    p: float | None = None
+    decisive: bool = True
+    fails: str = ""
+
+    def __str__(self) -> str:
+        word = {True: "yes", False: "no", None: "cannot be told"}[self.holds]
+        p = "" if self.p is None else f" (p = {self.p:.2g})"
+        return f"{self.tested}: {word}, {self.result}{p}; tested on {self.rows}"
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "name": self.name, "tested": self.tested, "rows": self.rows, "result": self.result,
+            "holds": self.holds, "p_value": self.p, "decisive": self.decisive,
+        }  # fmt: skip
+
+
+def verdict_of(claims: Sequence[Claim], effects: Sequence[str]) -> str:
+    """The verdict, from claims alone: of praise only where no decisive one fails."""
+    if all(claim.holds is not False for claim in claims if claim.decisive):
+        return "explained" if effects else "adequate"
+    return "partly explained" if effects else "unexplained"
+
+
+def headline(claims: Sequence[Claim], effects: Sequence[str], not_needed: Sequence[str], *, noise_known: bool) -> str:
+    """The verdict in one line: never more praise than the noise allows, and why not where there is none."""
+    verdict = verdict_of(claims, effects)
+    failing = [claim.fails for claim in claims if claim.decisive and claim.holds is False and claim.fails]
+    named = ", ".join(effects)
+    if verdict == "adequate":
+        line = "adequate: no effect added" if noise_known else (
+            "nothing with structure is missing; how much of the rest is noise is not known"
+        )  # fmt: skip
+    elif verdict == "explained":
+        line = f"explained: {named}"
+        if not noise_known:
+            line += "; nothing with structure is left, how much of the rest is noise is not known"
+    else:
+        line = f"{verdict}: {named or 'no effect added'}"
+        if failing:
+            line += f"; {failing[0]}"
+    if not_needed:
+        verb = "is" if len(not_needed) == 1 else "are"
+        line += f"; but {' and '.join(not_needed)}, in the model already, {verb} not needed"
+    return line

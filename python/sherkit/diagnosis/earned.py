@@ -1,0 +1,186 @@
+"""Whether an effect of a model earns its place: the error on rows that neither fitted nor chose it, with and without.
+
+Every row is held out in turn, in several deals of blocks. On the others all parameters are fitted, with the effect and
+without it; where diagnosis chose the effect, the choice is made again without the rows held out, among all that could
+stand in its place, and their gain counts only where it falls on the same effect. Paired differences of squared error,
+averaged over the deals, are tested by flipping signs of whole poses. All is linear around the two full fits, each at
+its own optimum, so that only Gram matrices are needed.
+
+Sources: Stone, "Cross-validatory choice and assessment of statistical predictions", J. R. Stat. Soc. B 1974 (choice
+inside each fold); the sign flips are those of :mod:`.scan`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import SherkitError
+from ..model.effect import Effect
+from ..types import Floats, Ints
+from .fitted_run import FittedRun
+from .stage import testable
+
+#: Level of the test on rows held out.
+LEVEL = 0.05
+_FLIPS = 1999
+#: Part of a column's squared length that the fit must leave of it.
+_LEFT = 1e-8
+
+
+@dataclass(frozen=True)
+class Earned:
+    """What an effect brings on rows held out: RMS ``without`` it and ``with_it`` in the unit of the run, one-sided
+    ``p``, and for what part of these rows it was chosen ``again`` without them."""
+
+    effect: str
+    without: float
+    with_it: float
+    p: float
+    again: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the effect lowers the error on rows held out, and not by chance."""
+        return self.with_it < self.without and self.p <= LEVEL
+
+
+@dataclass(frozen=True)
+class _View:
+    """A fit to first order: residuals (n, m) and columns (n, m, k) over the noise, and the same over one unit."""
+
+    residual: Floats
+    columns: Floats
+
+
+def earned(
+    run: FittedRun,
+    effect: Effect,
+    *,
+    sigma: Floats,
+    deals: Sequence[Ints],
+    rivals: Sequence[Effect] | None = None,
+    also: Collection[str] = (),
+    seed: int = 0,
+) -> Earned:
+    """What ``effect``, which is in the model of ``run``, brings given all others of the model but those of ``also``.
+
+    ``deals`` are folds (n,) of all rows of the data; ``rivals`` what might have been chosen in its place, None where
+    nobody chose. An effect without which the rows cannot be fitted earns its place.
+    """
+    axes = list(run.axes)
+    rows = testable(run, np.flatnonzero(run.whole))
+    scale = sigma[axes]
+    fold = np.stack([deal[rows] for deal in deals])
+    try:
+        full = run.without_effects(also) if also else run
+        less = full.without_effects((effect.name,))
+        place = full.owns(effect)
+        more = full.linearised(rows, (), scale)
+        plain = less.linearised(rows, tuple(rivals or ()), scale)
+    except SherkitError:
+        return Earned(effect.name, np.inf, 0.0, 1.0 / (_FLIPS + 1), 1.0)
+    with_it = _held_out(_View(more.residual, more.fitted), fold)
+    without = _held_out(_View(plain.residual, plain.fitted), fold)
+    chosen = np.ones(fold.shape, dtype=bool)
+    if rivals:
+        own = more.fitted[:, :, place]
+        others = [columns for rival, columns in plain.effects if rival.name != effect.name]
+        chosen = _chosen(_View(plain.residual, plain.fitted), own, others, fold)
+    gain = ((without**2).sum(axis=2) - (with_it**2).sum(axis=2)) * chosen
+    per_pose = np.bincount(np.unique(more.group, return_inverse=True)[1], gain.mean(axis=0))
+    signs = np.random.default_rng(seed).integers(0, 2, (_FLIPS, len(per_pose))) * 2.0 - 1.0
+    p = float((1 + (signs @ per_pose >= per_pose.sum()).sum()) / (_FLIPS + 1))
+    return Earned(
+        effect.name,
+        without=_rms(without, scale) * run.per_unit,
+        with_it=_rms(with_it, scale) * run.per_unit,
+        p=p,
+        again=float(chosen.mean()),
+    )
+
+
+def held_out_rms(run: FittedRun, sigma: Floats, deals: Sequence[Ints]) -> float:
+    """RMS of single readings held out, in the unit of the run, as :func:`earned` has it."""
+    rows = testable(run, np.flatnonzero(run.whole))
+    scale = sigma[list(run.axes)]
+    view = run.linearised(rows, (), scale)
+    fold = np.stack([deal[rows] for deal in deals])
+    return _rms(_held_out(_View(view.residual, view.fitted), fold), scale) * run.per_unit
+
+
+def _rms(values: Floats, scale: Floats) -> float:
+    return float(np.sqrt(np.mean((values * scale) ** 2)))
+
+
+def _held_out(view: _View, fold: Ints) -> Floats:
+    """Errors (deals, n, m) of rows that were held out in turn."""
+    n, m = view.residual.shape
+    columns = _unit_length(view.columns)
+    out = np.empty((len(fold), n, m))
+    for deal, of in enumerate(fold):
+        grams, right = _grams(columns, view.residual, of)
+        for k in np.unique(of):
+            inside = of == k
+            x = _solved(grams.sum(axis=0) - grams[k], right.sum(axis=0) - right[k])
+            out[deal, inside] = view.residual[inside] - columns[inside] @ x
+    return out
+
+
+def _chosen(view: _View, own: Floats, others: Sequence[Floats], fold: Ints) -> Floats:
+    """For which rows (deals, n) the others chose the effect's ``own`` columns (n, m, k) before those of the ``others``,
+    by Schwarz's criterion."""
+    m = view.residual.shape[1]
+    sets = [_unit_length(own), *map(_unit_length, others)]
+    columns = np.concatenate([_unit_length(view.columns), *sets], axis=2)
+    first = view.columns.shape[2]
+    ends = first + np.cumsum([0, *(s.shape[2] for s in sets)])
+    out = np.zeros(fold.shape, dtype=bool)
+    for deal, of in enumerate(fold):
+        grams, right = _grams(columns, view.residual, of)
+        squares = np.array([(view.residual[of == k] ** 2).sum() for k in range(len(grams))])
+        for k in np.unique(of):
+            gram, b = grams.sum(axis=0) - grams[k], right.sum(axis=0) - right[k]
+            base = _root(gram[:first, :first])
+            fitted = base.T @ b[:first]
+            total = squares.sum() - squares[k] - fitted @ fitted
+            cross = base.T @ gram[:first, first:]
+            gram, b = gram[first:, first:] - cross.T @ cross, b[first:] - cross.T @ fitted
+            count = (of != k).sum() * m
+            score = []
+            for low, high in zip(ends[:-1] - first, ends[1:] - first, strict=True):
+                root = _root(gram[low:high, low:high], _LEFT)
+                taken = float(((root.T @ b[low:high]) ** 2).sum())
+                score.append(count * np.log(max(total - taken, 1e-300)) + root.shape[1] * np.log(count))
+            out[deal, of == k] = score[0] <= min(score)
+    return out
+
+
+def _grams(columns: Floats, residual: Floats, fold: Ints) -> tuple[Floats, Floats]:
+    """Gram matrices (folds, k, k) and products with the residual (folds, k), fold by fold."""
+    count = int(fold.max()) + 1
+    grams = np.zeros((count, columns.shape[2], columns.shape[2]))
+    right = np.zeros((count, columns.shape[2]))
+    for k in range(count):
+        part = columns[fold == k].reshape(-1, columns.shape[2])
+        grams[k], right[k] = part.T @ part, part.T @ residual[fold == k].reshape(-1)
+    return grams, right
+
+
+def _root(gram: Floats, least: float = 0.0) -> Floats:
+    """A matrix whose product with its transpose is the pseudo-inverse, (k, rank)."""
+    value, vector = np.linalg.eigh(gram)
+    keep = value > max(1e-11 * float(value.max(initial=0.0)), least, 1e-300)
+    return vector[:, keep] / np.sqrt(value[keep])
+
+
+def _solved(gram: Floats, right: Floats) -> Floats:
+    root = _root(gram)
+    return root @ (root.T @ right)
+
+
+def _unit_length(columns: Floats) -> Floats:
+    length = np.sqrt((columns**2).sum(axis=(0, 1)))
+    return columns / np.where(length > 0, length, 1.0)

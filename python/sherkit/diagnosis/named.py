@@ -1,0 +1,147 @@
+"""The effects that a diagnosis names: those that the search finds and that earn their place, each given all others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+from ..errors import SherkitError
+from ..model.effect import Effect
+from ..types import Floats, Ints
+from .answers import StepReport
+from .earned import Earned, earned, held_out_rms
+from .fitted_run import FittedRun
+from .search import Search, SearchResult, is_plausible, refit
+from .slip import moment_of_step
+from .stage import Candidate
+
+
+@dataclass(eq=False)
+class Named:
+    """The last search, the full fit with the effects that it named, in the order in which the error falls, and what
+    each of them earns; ``notes`` on effects that were found and did not earn their place."""
+
+    search: Search
+    result: SearchResult
+    final: FittedRun
+    earned: list[Earned] = field(default_factory=list)
+    steps: tuple[StepReport, ...] = ()
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects, in the order of the steps."""
+        return tuple(c.name for c in self.result.added)
+
+
+def searched(
+    run: FittedRun,
+    effects: Sequence[Effect],
+    rows: Ints,
+    sigma: Floats,
+    deals: Sequence[Ints],
+    *,
+    level: float,
+    seed: int,
+    step: Callable[[str], None],
+) -> Named:
+    """Searches on all rows. An effect that does not earn its place on rows held out, as a member of what was found, is
+    not named: the search is made again without it."""
+    refused: list[str] = []
+    notes: list[str] = []
+    while True:
+        tried = [e for e in effects if e.name not in refused]
+        search = Search(run, tried, rows, sigma, level=level, seed=seed, step=step)
+        result = search.find()
+        base = StepReport(None, held_out_rms(run, sigma, deals))
+        if not result.added:
+            return Named(search, result, run, [], (base,), notes)
+        result.added = [_at_its_moment(run, result.added, c) for c in result.added]
+        step("held-out errors")
+        final, judged, steps = _judged(run, result, tried, sigma, deals, seed, base)
+        falls = all(after.held_out_rms < before.held_out_rms for before, after in pairwise(steps))
+        refusal = _refusal(run, final, result, judged, falls)
+        if refusal is None:
+            return Named(search, result, final, judged, steps, notes)
+        name, why = refusal
+        refused.append(name)
+        notes.append(f"{name} was found and is not named: {why}")
+
+
+def _refusal(
+    run: FittedRun, final: FittedRun, result: SearchResult, judged: Sequence[Earned], falls: bool
+) -> tuple[str, str] | None:
+    """The effect that must not be named, and why; None where each may."""
+    absurd = [c.name for c in result.added if not is_plausible(final, c.effect)]
+    if absurd:
+        return absurd[-1], "its size would be absurd"
+    if run.fit.converged and not final.fit.converged:
+        return result.added[-1].name, "with it the fit does not converge"
+    failing = [one for one in judged if not one.holds]
+    if not failing and falls:
+        return None
+    worst = max(failing or judged, key=lambda one: one.p)
+    return worst.effect, (
+        f"on rows that had no part in choosing it the error goes from {worst.without:.4g} to {worst.with_it:.4g} "
+        f"{run.unit} (p = {worst.p:.2g}), and it is chosen again for {worst.again:.0%} of them"
+    )
+
+
+def _judged(
+    run: FittedRun,
+    result: SearchResult,
+    effects: Sequence[Effect],
+    sigma: Floats,
+    deals: Sequence[Ints],
+    seed: int,
+    base: StepReport,
+) -> tuple[FittedRun, list[Earned], tuple[StepReport, ...]]:
+    """The fit with all that was found, what each earns, and the fall of the error; ``result.added`` is put in order."""
+    steps, left, partial = [base], list(result.added), run
+    ordered: list[Candidate] = []
+    while left:
+        options = [(held_out_rms(with_it, sigma, deals), k, with_it)
+                   for k, with_it in enumerate(refit(partial, (c,)) for c in left)]  # fmt: skip
+        error, k, partial = min(options, key=lambda o: o[:2])
+        ordered.append(left.pop(k))
+        steps.append(StepReport(ordered[-1].name, error))
+    result.added = ordered
+    alike = {name for other in result.alternatives for name in other.names} | {c.name for c in ordered}
+    rivals = [e for e in effects if e.name not in alike]
+    judged = [earned(partial, c.effect, sigma=sigma, deals=deals, rivals=rivals, seed=seed) for c in ordered]
+    return partial, judged, tuple(steps)
+
+
+def not_needed(
+    run: FittedRun, effects: Sequence[Effect], sigma: Floats, deals: Sequence[Ints], seed: int
+) -> list[Earned]:
+    """What each of the ``effects`` that were in the model earns. Of those that earn nothing the least useful is taken
+    out first, and the others are judged without it: of two that say the same only one is not needed."""
+    out: list[Earned] = []
+    left = list(effects)
+    also: list[str] = []
+    while left:
+        judged = [earned(run, e, sigma=sigma, deals=deals, also=also, seed=seed) for e in left]
+        failing = [one for one in judged if not one.holds]
+        if not failing:
+            return out + judged
+        sizes = {e.name: len(e.parameters) for e in left}
+        # what costs most parameters goes first where several bring nothing
+        worst = max(failing, key=lambda one: (sizes[one.effect], one.p))
+        out.append(worst)
+        also.append(worst.effect)
+        left = [e for e in left if e.name != worst.effect]
+    return out
+
+
+def _at_its_moment(run: FittedRun, added: Sequence[Candidate], candidate: Candidate) -> Candidate:
+    """A slip at the moment that all rows give, with the other effects in the model."""
+    if candidate.effect.search != "time_s":
+        return candidate
+    others = [c for c in added if c is not candidate]
+    try:
+        moment = moment_of_step(refit(run, others) if others else run, candidate.effect)
+    except SherkitError:
+        return candidate
+    return candidate if moment is None else replace(candidate, setting=moment)

@@ -1,0 +1,139 @@
+"""The propositions that every verdict is derived from, tested on the final fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..types import Floats, Ints
+from .claims import Claim
+from .earned import Earned
+from .fitted_run import FittedRun
+from .lack_of_fit import LackOfFit
+from .named import Named
+
+#: Held-out error over noise up to which what is left is as small as the noise.
+PRAISE = 1.25
+#: Plausible sizes beyond which a parameter of the model, or of an effect, is absurd, give or take two deviations.
+_ABSURD = 10.0
+_ABSURD_OF_EFFECT = 5.0
+#: Part of the rows that may be listed as wrong before the rest is no run any more.
+_WRONG = 0.3
+
+
+def claims_of(
+    final: FittedRun,
+    found: Named,
+    sigma: Floats,
+    origin: str,
+    fitness: LackOfFit | None,
+    needed: Sequence[Earned],
+    level: float,
+    wild: Ints,
+) -> tuple[Claim, ...]:
+    """Every claim about a final fit, those that decide first. ``sigma`` (columns,) is the noise, ``fitness`` what poses
+    leave beyond their repeats, ``needed`` what the effects that were in the model earn, ``wild`` the rows left out."""
+    unit, used = final.unit, f"all {int(final.whole.sum())} rows that are used"
+    out = [_converged(final, used), _plausible(final, used), _gross(final, wild)]
+    p = found.result.p_left if not found.result.signature else found.result.p_first
+    out.append(
+        Claim(
+            "nothing_left", "no effect and no shape takes anything from what is left", used,
+            f"familywise over {len(found.result.stages[-1].scan.candidates)} effects and shapes",
+            holds=p > level and not found.result.signature, p=p, fails="what is left has a structure",
+        )
+    )  # fmt: skip
+    out.append(_poses(final, fitness))
+    out.append(_small(final, found.steps[-1].held_out_rms, sigma, origin))
+    for one in found.earned:
+        out.append(
+            Claim(
+                f"earns:{one.effect}", f"{one.effect} earns its place given all others", _HELD,
+                f"{_fall(one, unit)}; chosen again without them for {one.again:.0%} of the rows",
+                holds=one.holds, p=one.p, fails=f"{one.effect} does not help on rows held out",
+            )
+        )  # fmt: skip
+    for one in needed:
+        told = "" if one.holds else f"{one.effect} is in the model and not needed: "
+        out.append(
+            Claim(
+                f"needed:{one.effect}", f"{one.effect}, which is in the model, is needed", _HELD,
+                told + _fall(one, unit), holds=one.holds, p=one.p, decisive=False,
+            )
+        )  # fmt: skip
+    return tuple(out)
+
+
+_HELD = "every row in turn, held out with its block in five deals"
+
+
+def _fall(one: Earned, unit: str) -> str:
+    if not np.isfinite(one.without):
+        return "without it these rows cannot be fitted"
+    return f"held out {one.without:.4g} {unit} without it, {one.with_it:.4g} with it"
+
+
+def _converged(final: FittedRun, used: str) -> Claim:
+    fit = final.fit
+    how = "settled" if fit.converged else "still moved"
+    return Claim(
+        "converged", "the fit converged", used, f"it {how} after {fit.evaluations} evaluations", holds=fit.converged,
+        fails="the fit did not converge, so that nothing it says can be believed",
+    )  # fmt: skip
+
+
+def _plausible(final: FittedRun, used: str) -> Claim:
+    fit = final.fit
+    size = np.array([p.size for p in fit.parameters])
+    limit = np.full(len(size), _ABSURD)
+    for effect in final.model.effects:
+        limit[final.owns(effect)] = _ABSURD_OF_EFFECT
+    times = np.maximum(np.abs(fit.values) - 2 * fit.std_from_readings, 0.0) / size
+    if not len(times):
+        return Claim("plausible", "no parameter is absurdly large", used, "there is none", holds=True)
+    worst = int(np.argmax(times / limit))
+    p = fit.parameters[worst]
+    told = f"{p.name} = {fit.values[worst]:.3g} ± {fit.std_from_readings[worst]:.1g} {p.unit}"
+    beyond = bool(times[worst] > limit[worst])
+    result = f"the largest is {told} where {p.size:.3g} {p.unit} is usual"
+    return Claim(
+        "plausible", "no parameter is absurdly large", used, result, holds=not beyond,
+        fails=f"{told} is absurd: {p.size:.3g} {p.unit} is usual",
+    )  # fmt: skip
+
+
+def _gross(final: FittedRun, wild: Ints) -> Claim:
+    share = len(wild) / max(len(final.data), 1)
+    return Claim(
+        "gross_errors", "few rows are wrong", f"all {len(final.data)} rows",
+        f"{len(wild)} are listed as wrong and are in none of these numbers", holds=share <= _WRONG,
+        fails=f"{len(wild)} of {len(final.data)} rows stand apart from the others",
+    )  # fmt: skip
+
+
+def _poses(final: FittedRun, fitness: LackOfFit | None) -> Claim:
+    tested = "poses are as near to the model as their repeats are to one another"
+    if fitness is None:
+        return Claim("poses_as_repeats", tested, "no rows", "too few poses were repeated", holds=None)
+    each = ", ".join(f"{axis} {value:.2g}" for axis, value in fitness.own.items())
+    told = f"each pose is off by {fitness.size:.2g} {final.unit} of its own ({each})"
+    return Claim(
+        "poses_as_repeats", tested, f"{fitness.poses} repeated poses", told, holds=not fitness.counts, p=fitness.p,
+        fails=(
+            f"{told}, which no effect and no shape follows: look at what differs from pose to pose but not between "
+            "repeats (how the marker is found, seating, a reading taken before it is still)"
+        ),
+    )  # fmt: skip
+
+
+def _small(final: FittedRun, error: float, sigma: Floats, origin: str) -> Claim:
+    tested = "the error on rows held out is as small as the noise"
+    noise = final.per_unit * float(np.sqrt(np.mean(sigma[list(final.axes)] ** 2)))
+    if origin == "unknown":
+        return Claim("as_small_as_noise", tested, _HELD, f"{error:.4g} {final.unit}; the noise is unknown", holds=None)
+    return Claim(
+        "as_small_as_noise", tested, _HELD,
+        f"{error:.4g} {final.unit} at a noise of {noise:.4g} ({origin})", holds=error <= PRAISE * noise,
+        fails=f"{error:.4g} {final.unit} are left on rows held out at a noise of {noise:.4g}",
+    )  # fmt: skip
