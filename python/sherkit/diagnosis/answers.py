@@ -45,7 +45,8 @@ class Diagnosis(Shown):
     """The answers, in the order a person asks.
 
     ``verdict`` is ``adequate``, ``explained``, ``partly explained`` or ``unexplained``: it follows from ``claims``
-    alone. ``effects`` are those that are missing, ``not_needed`` those in the model that bring nothing. ``ties`` are
+    alone. ``effects`` are those that are missing, ``not_needed`` those in the model that bring nothing;
+    ``reservation`` says what one unknown would look like where several effects explain together. ``ties`` are
     groups of effects that these rows cannot tell apart, the leading one first; ``confirmed`` is the largest p with
     which a named effect earns its place on rows held out. ``fit`` is the model with the named effects
     on all rows. Errors are RMS of single readings in ``unit``: µm for a delta.
@@ -61,6 +62,7 @@ class Diagnosis(Shown):
     effects: tuple[str, ...]
     not_needed: tuple[str, ...]
     claims: tuple[Claim, ...]
+    reservation: str | None
     ties: tuple[tuple[str, ...], ...]
     steps: tuple[StepReport, ...]
     candidates: tuple[CandidateReport, ...]
@@ -81,7 +83,8 @@ class Diagnosis(Shown):
     @property
     def headline(self) -> str:
         """The verdict in one line, with why it is no better."""
-        return headline(self.claims, self.effects, self.not_needed, noise_known=self.noise_origin != "unknown")
+        line = headline(self.claims, self.effects, self.not_needed, noise_known=self.noise_origin != "unknown")
+        return f"{line}; with a reservation: {self.reservation}" if self.reservation else line
 
     def __repr__(self) -> str:
         lines = [self.headline]
@@ -108,6 +111,7 @@ class Diagnosis(Shown):
             "level": self.level,
             "p_missing": self.p_missing,
             "effects": list(self.effects),
+            "reservation": self.reservation,
             "not_needed": list(self.not_needed),
             "claims": [claim.to_json() for claim in self.claims],
             "ties": [list(t) for t in self.ties],

@@ -12,6 +12,7 @@ from .earned import Earned
 from .fitted_run import FittedRun
 from .lack_of_fit import LackOfFit
 from .named import Named
+from .one_unknown import OneUnknown
 
 #: Held-out error over noise up to which what is left is as small as the noise.
 PRAISE = 1.25
@@ -28,12 +29,16 @@ def claims_of(
     sigma: Floats,
     origin: str,
     fitness: LackOfFit | None,
+    unknown: OneUnknown | None,
     needed: Sequence[Earned],
     level: float,
     wild: Ints,
 ) -> tuple[Claim, ...]:
-    """Every claim about a final fit, those that decide first. ``sigma`` (columns,) is the noise, ``fitness`` what poses
-    leave beyond their repeats, ``needed`` what the effects that were in the model earn, ``wild`` the rows left out."""
+    """Every claim about a final fit, those that decide first.
+
+    ``sigma`` (columns,) is the noise, ``fitness`` what poses leave beyond their repeats, ``unknown`` one cause in place
+    of several, ``needed`` what the effects that were in the model earn, ``wild`` the rows left out.
+    """
     unit, used = final.unit, f"all {int(final.whole.sum())} rows that are used"
     out = [_converged(final, used), _plausible(final, used), _gross(final, wild)]
     p = found.result.p_left if not found.result.signature else found.result.p_first
@@ -46,6 +51,8 @@ def claims_of(
     )  # fmt: skip
     out.append(_poses(final, fitness))
     out.append(_small(final, found.steps[-1].held_out_rms, sigma, origin))
+    if unknown is not None:
+        out.append(_several(unknown))
     for one in found.earned:
         out.append(
             Claim(
@@ -66,6 +73,15 @@ def claims_of(
 
 
 _HELD = "every row in turn, held out with its block in five deals"
+
+
+def _several(unknown: OneUnknown) -> Claim:
+    return Claim(
+        "several_rather_than_one", "the named effects predict better than one unknown would",
+        f"{_HELD}; and the outermost poses after a fit to the others", str(unknown),
+        holds=False if unknown.preferred else None if unknown.rivals else True, p=unknown.p_rim,
+        fails="one unknown predicts the outermost poses better",
+    )  # fmt: skip
 
 
 def _fall(one: Earned, unit: str) -> str:

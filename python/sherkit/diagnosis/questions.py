@@ -21,6 +21,7 @@ from .crossvalidation import HeldOutError, held_out
 from .fitted_run import FittedRun
 from .lack_of_fit import lack_of_fit
 from .named import not_needed, searched
+from .one_unknown import OneUnknown, one_unknown
 from .power import smallest_found
 from .propositions import claims_of
 from .search import SearchResult, is_plausible
@@ -32,6 +33,8 @@ LEVEL = 0.01
 #: Blocks that are held out in turn, and how often they are dealt anew so that no verdict hangs on one deal.
 _FOLDS = 6
 _DEALS = 5
+#: Numbers up to which a single effect is taken by its name without asking what an unknown would look like.
+_FEW = 6
 _HIDDEN_FROM = 0.97
 _SMALLEST_P = 1e-300
 #: Level at which an axis takes part in a signature.
@@ -95,7 +98,11 @@ def diagnose(
         sigma = _noise_left(final, sigma)
     needed = not_needed(final, run.model.effects, sigma, deals, seed)
     fitness = lack_of_fit(final, level)
-    claims = claims_of(final, found, sigma, origin, fitness, needed, level, wild)
+    numbers = sum(len(c.effect.parameters) for c in found.result.added)
+    # many numbers imitate what is in no catalogue, as one effect or as several
+    many = len(found.names) > 1 or numbers > _FEW
+    unknown = one_unknown(run, final, found.names, run.noise[0], deals) if many else None
+    claims = claims_of(final, found, sigma, origin, fitness, unknown, needed, level, wild)
     verdict = verdict_of(claims, found.names)
     ties = _ties(found.result)
     reports = _candidate_reports(base_stage, gains, final, found.result)
@@ -116,6 +123,7 @@ def diagnose(
         effects=found.names,
         not_needed=tuple(one.effect for one in needed if not one.holds),
         claims=claims,
+        reservation=str(unknown) if unknown is not None and unknown.rivals else None,
         ties=ties,
         steps=found.steps,
         candidates=reports,
@@ -127,7 +135,7 @@ def diagnose(
         signature=signature,
         hides_in={k: v for k, v in hidden.items() if v},
         outliers=wild,
-        next_poses=_next(found.result, sigma) if ties else (),
+        next_poses=_next(found.result, unknown, sigma),
         notes=tuple(notes),
         fit=final.fit,
         base=run.fit,
@@ -145,9 +153,13 @@ def _without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[Fitted
     return run, wild
 
 
-def _next(found: SearchResult, sigma: Floats) -> tuple[dict[str, float], ...]:
-    """Poses that would tell the leading set from those tied with it."""
-    return found.stages[-1].run.next_poses([other.stage.run for other in found.alternatives], sigma)
+def _next(found: SearchResult, unknown: OneUnknown | None, sigma: Floats) -> tuple[dict[str, float], ...]:
+    """Poses that would tell the leading set from those tied with it, and from one unknown."""
+    lead = found.stages[-1].run
+    rivals = [other.stage.run for other in found.alternatives]
+    if unknown is not None and unknown.rivals:
+        rivals.append(unknown.run)
+    return lead.next_poses(rivals, sigma) if rivals else ()
 
 
 def _noise_left(run: FittedRun, sigma: Floats) -> Floats:
