@@ -38,8 +38,8 @@ def contradictions(d: Any, level: float = CONFIRMED) -> list[str]:
         if not getattr(fitted, "converged", True):
             out.append(f"{d.verdict}, but the fit did not converge")
         absurd = [c.effect for c in d.candidates if c.effect in d.effects and not c.plausible]
-        if absurd:
-            out.append(f"{d.verdict}, but the size of {', '.join(absurd)} is not plausible")
+        if absurd and not d.reservation:
+            out.append(f"{d.verdict}, but the size of {', '.join(absurd)} is not plausible, and nothing says so")
     for before, step in pairwise(d.steps):
         if not step.held_out_rms < before.held_out_rms:
             out.append(

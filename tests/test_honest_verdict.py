@@ -70,6 +70,7 @@ def made_up(**changes: Any) -> Any:
         "verdict": "explained", "unit": "µm", "noise": {"x": 2.0, "y": 2.0}, "noise_origin": "repeats",
         "effects": ("rail_lean",), "steps": (step(None, 8.0), step("rail_lean", 2.1)), "confirmed": 0.0005,
         "candidates": (SimpleNamespace(effect="rail_lean", plausible=True),), "fit": SimpleNamespace(converged=True),
+        "reservation": None,
     }  # fmt: skip
     return SimpleNamespace(**(report | changes))
 
@@ -87,6 +88,7 @@ def test_the_check_finds_each_contradiction() -> None:
     assert len(contradictions(made_up(fit=SimpleNamespace(converged=False)))) == 1
     absurd = (SimpleNamespace(effect="rail_lean", plausible=False),)
     assert len(contradictions(made_up(candidates=absurd))) == 1
+    assert not contradictions(made_up(candidates=absurd, reservation="it is a thousand times what is usual"))
     assert len(contradictions(made_up(steps=(step(None, float("nan")),), effects=(), verdict="adequate"))) == 1
 
 

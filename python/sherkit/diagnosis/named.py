@@ -12,7 +12,7 @@ from ..types import Floats, Ints
 from .answers import StepReport
 from .earned import Earned, earned, held_out_rms
 from .fitted_run import FittedRun
-from .search import Search, SearchResult, is_plausible, refit
+from .search import ABSURD, Search, SearchResult, refit, sizes_of
 from .slip import moment_of_step
 from .stage import Candidate
 
@@ -73,7 +73,8 @@ def _refusal(
     run: FittedRun, final: FittedRun, result: SearchResult, judged: Sequence[Earned], falls: bool
 ) -> tuple[str, str] | None:
     """The effect that must not be named, and why; None where each may."""
-    absurd = [c.name for c in result.added if not is_plausible(final, c.effect)]
+    sizes = sizes_of(final)
+    absurd = [c.name for c in result.added if (sizes[final.owns(c.effect)] > ABSURD).any()]
     if absurd:
         return absurd[-1], "its size would be absurd"
     if run.fit.converged and not final.fit.converged:

@@ -13,12 +13,10 @@ from .fitted_run import FittedRun
 from .lack_of_fit import LackOfFit
 from .named import Named
 from .one_unknown import OneUnknown
+from .search import ABSURD, PLAUSIBLE, sizes_of
 
 #: Held-out error over noise up to which what is left is as small as the noise.
 PRAISE = 1.25
-#: Plausible sizes beyond which a parameter of the model, or of an effect, is absurd, give or take two deviations.
-_ABSURD = 10.0
-_ABSURD_OF_EFFECT = 5.0
 #: Part of the rows that may be listed as wrong before the rest is no run any more.
 _WRONG = 0.3
 
@@ -100,23 +98,34 @@ def _converged(final: FittedRun, used: str) -> Claim:
 
 
 def _plausible(final: FittedRun, used: str) -> Claim:
-    fit = final.fit
-    size = np.array([p.size for p in fit.parameters])
-    limit = np.full(len(size), _ABSURD)
-    for effect in final.model.effects:
-        limit[final.owns(effect)] = _ABSURD_OF_EFFECT
-    times = np.maximum(np.abs(fit.values) - 2 * fit.std_from_readings, 0.0) / size
-    if not len(times):
-        return Claim("plausible", "no parameter is absurdly large", used, "there is none", holds=True)
-    worst = int(np.argmax(times / limit))
-    p = fit.parameters[worst]
-    told = f"{p.name} = {fit.values[worst]:.3g} ± {fit.std_from_readings[worst]:.1g} {p.unit}"
-    beyond = bool(times[worst] > limit[worst])
-    result = f"the largest is {told} where {p.size:.3g} {p.unit} is usual"
+    tested = "no parameter is absurdly large"
+    if not len(final.fit.values):
+        return Claim("plausible", tested, used, "there is none", holds=True)
+    sizes = sizes_of(final)
+    worst = int(np.argmax(sizes))
+    told = largest(final, worst)
     return Claim(
-        "plausible", "no parameter is absurdly large", used, result, holds=not beyond,
-        fails=f"{told} is absurd: {p.size:.3g} {p.unit} is usual",
+        "plausible", tested, used, f"the largest is {told}", holds=bool(sizes[worst] <= ABSURD),
+        fails=f"{told}: that is absurd",
     )  # fmt: skip
+
+
+def largest(run: FittedRun, k: int) -> str:
+    """A parameter by its number, beside what is usual."""
+    p = run.fit.parameters[k]
+    value = f"{p.name} = {run.fit.values[k]:.3g} ± {run.fit.std_from_readings[k]:.1g} {p.unit}".rstrip()
+    return f"{value} where {p.size:.3g} is usual"
+
+
+def implausible(final: FittedRun, names: Sequence[str]) -> str | None:
+    """The named effect whose size is far beyond what is plausible, as a sentence; None where there is none."""
+    sizes = sizes_of(final)
+    for effect in final.model.effects:
+        place = final.owns(effect)
+        if effect.name in names and sizes[place].max() > PLAUSIBLE:
+            k = place.start + int(np.argmax(sizes[place]))
+            return f"{largest(final, k)}: look for another cause, or for why it is so large"
+    return None
 
 
 def _gross(final: FittedRun, wild: Ints) -> Claim:

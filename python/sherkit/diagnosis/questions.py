@@ -23,7 +23,7 @@ from .lack_of_fit import lack_of_fit
 from .named import not_needed, searched
 from .one_unknown import OneUnknown, one_unknown
 from .power import smallest_found
-from .propositions import claims_of
+from .propositions import claims_of, implausible
 from .search import SearchResult, is_plausible
 from .shapes import Shape
 from .stage import Candidate, Stage, columns_of, stage_of, suspected_outliers
@@ -104,6 +104,8 @@ def diagnose(
     unknown = one_unknown(run, final, found.names, run.noise[0], deals) if many else None
     claims = claims_of(final, found, sigma, origin, fitness, unknown, needed, level, wild)
     verdict = verdict_of(claims, found.names)
+    reservations = [str(unknown)] if unknown is not None and unknown.rivals else []
+    reservations += [told] if (told := implausible(final, found.names)) else []
     ties = _ties(found.result)
     reports = _candidate_reports(base_stage, gains, final, found.result)
     smallest: dict[str, tuple[float, float]] = {}
@@ -123,7 +125,7 @@ def diagnose(
         effects=found.names,
         not_needed=tuple(one.effect for one in needed if not one.holds),
         claims=claims,
-        reservation=str(unknown) if unknown is not None and unknown.rivals else None,
+        reservation="; ".join(reservations) or None,
         ties=ties,
         steps=found.steps,
         candidates=reports,

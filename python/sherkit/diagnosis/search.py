@@ -25,6 +25,8 @@ from .scan import ConditionalScan
 from .shapes import OVERSAMPLING, Shape, wave
 from .stage import Candidate, Stage, columns_of, stage_of
 
+#: Plausible sizes up to which a parameter is plausible, and those from which on it is absurd and nothing is believed.
+PLAUSIBLE, ABSURD = 5.0, 500.0
 #: A set that explains must take at least this part of what the best candidate takes.
 _TAKES = 0.85
 #: Deviates beyond which no flip is needed to know that something is left.
@@ -322,8 +324,13 @@ def plausible(explanation: Explanation) -> bool:
     return all(is_plausible(run, c.effect) for c in explanation.candidates)
 
 
-def is_plausible(run: FittedRun, effect: Effect, times: float = 5.0) -> bool:
-    """Whether no parameter of an effect is beyond ``times`` its plausible size, give or take two deviations."""
-    place, fit = run.owns(effect), run.fit
-    size = np.array([p.size for p in effect.parameters])
-    return bool((np.abs(fit.values[place]) - 2 * fit.std_from_readings[place] <= times * size).all())
+def is_plausible(run: FittedRun, effect: Effect) -> bool:
+    """Whether no parameter of an effect is far beyond its plausible size."""
+    return bool((sizes_of(run)[run.owns(effect)] <= PLAUSIBLE).all())
+
+
+def sizes_of(run: FittedRun) -> Floats:
+    """How many plausible sizes each parameter (p,) is at least, give or take two deviations."""
+    fit = run.fit
+    size = np.array([p.size for p in fit.parameters])
+    return np.maximum(np.abs(fit.values) - 2 * fit.std_from_readings, 0.0) / size
