@@ -47,9 +47,9 @@ class Diagnosis(Shown):
     ``verdict`` is ``adequate``, ``explained``, ``partly explained`` or ``unexplained``: it follows from ``claims``
     alone. ``effects`` are those that are missing, ``not_needed`` those in the model that bring nothing;
     ``reservation`` says what one unknown would look like where many numbers explain, and which size is implausible.
-    ``ties`` are groups of effects that these rows cannot tell apart, the leading one first; ``confirmed`` is the largest
-    p with which a named effect earns its place on rows held out. ``fit`` is the model with the named effects on all
-    rows. Errors are RMS of single readings in ``unit``: µm for a delta.
+    ``ties`` are groups of effects that these rows cannot tell apart, the leading one first; ``confirmed`` is the
+    largest p with which a named effect earns its place on rows held out. ``fit`` is the model with the named effects on
+    all rows. Errors are RMS of single readings in ``unit``: µm for a delta.
     """
 
     verdict: str
