@@ -19,11 +19,12 @@ from ..types import Floats, Ints
 from .answers import CandidateReport, Diagnosis, StepReport
 from .crossvalidation import HeldOutError, held_out
 from .fitted_run import FittedRun
+from .outliers import sentences, without_outliers
 from .power import smallest_found
 from .search import Search, SearchResult, is_plausible, refit
 from .shapes import Shape
 from .slip import moment_of_step
-from .stage import Candidate, Stage, columns_of, stage_of, suspected_outliers
+from .stage import Candidate, Stage, columns_of, stage_of
 from .where import neighbour_correlation, where
 
 LEVEL = 0.01
@@ -75,11 +76,10 @@ def diagnose(
     notes: list[str] = []
 
     step("noise and outliers")
-    run, wild = _without_outliers(run, every)
+    run, wild = without_outliers(run, every)
     sigma, origin = run.noise
     rows = np.flatnonzero(run.whole)
-    if len(wild):
-        notes.append(f"{len(wild)} suspected outliers are listed and left out of the tests")
+    notes += sentences(run.data, wild)
     if origin == "unknown":
         sigma = _residual_sigma(run)
         notes.append(
@@ -156,16 +156,6 @@ def diagnose(
         base=run.fit,
         stage=stage,
     )
-
-
-def _without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[FittedRun, Ints]:
-    """The fit without the rows that are suspected to be outliers, and these rows."""
-    wild = np.zeros(0, dtype=np.int64)
-    while len(more := suspected_outliers(run, effects)):
-        run, wild = run.without(more), np.sort(np.concatenate([wild, more]))
-        if not run.data.layout.worst_first:
-            break
-    return run, wild
 
 
 def _next(found: SearchResult, sigma: Floats) -> tuple[dict[str, float], ...]:
