@@ -43,6 +43,8 @@ _FITS = 8
 _MOST_COLUMNS = 0.15
 #: A column of which the fitted ones leave less than this is one of theirs.
 _ABSORBED = 1e-3
+#: What is left counts as noise up to this many times the noise.
+_LIKE_NOISE = 1.5
 #: Efficiency of a median absolute deviation, and the median of a square of normal numbers.
 _MAD_EFFICIENCY = 0.37
 #: A prediction is never taken for better than this part of the reading's own variance.
@@ -80,8 +82,7 @@ def gross_errors(run: FittedRun, effects: Sequence[Effect], rows: Ints) -> Ints:
     All that is read after a pause is no accident, it is news: a visit to the machine that is wild as a whole stays.
     """
     view = run.linearised(rows, effects, run.noise[0][list(run.axes)])
-    judged = _Judged(view)
-    wild = judged.wild()
+    wild = _Judged(view, declared=run.noise[1] == "declared").wild()
     return np.sort(rows[wild & ~_visits(view.time, wild)])
 
 
@@ -195,11 +196,11 @@ def _huber(e: Floats, q: Floats) -> Floats:
 class _Judged:
     """Rows of a fit and how far each is from what the others predict there.
 
-    ``e`` (n, m) are residuals; an item is what is judged as one: the readings of a pose that agree, or a row that
-    stands apart from them.
+    ``e`` (n, m) are residuals, over noise that is ``declared`` or not; an item is what is judged as one: the readings
+    of a pose that agree, or a row that stands apart from them.
     """
 
-    def __init__(self, view: Linearised) -> None:
+    def __init__(self, view: Linearised, *, declared: bool) -> None:
         self.view = view
         self.e = view.residual
         self.floor = np.maximum(_DIGITS * np.ptp(self.e, axis=0), 1e-12)
@@ -210,6 +211,9 @@ class _Judged:
         self.count = np.bincount(self.item).astype(float)
         self.order = np.argsort(self.item, kind="stable")
         self.starts = np.concatenate([[0], np.cumsum(self.count[:-1])]).astype(np.int64)
+        # of the mean of an item; nothing where it is not known
+        variance = self.within**2 if self.within.any() else np.full(self.e.shape[1], float(declared))
+        self.noise = variance / self.count[:, None]
 
     def wild(self) -> Bools:
         """Rows (n,) that are gross errors.
@@ -222,7 +226,7 @@ class _Judged:
         if items * m - self.basis.shape[1] < 10:
             return np.zeros(n, dtype=bool)
         left = _huber(self.e, self.basis)
-        believed, criterion = self._concentrated(left)
+        believed, criterion, _ = self._concentrated(left)
         columns = self.basis.shape[1]
         for _ in range(int(_MOST_COLUMNS * items * m)):
             more = self._describing(left)
@@ -231,13 +235,15 @@ class _Judged:
             self.basis = np.concatenate([self.basis, more], axis=1)
             left = _huber(self.e, self.basis)
         if self.basis.shape[1] > columns:
-            described, lower = self._concentrated(left)
-            believed = described if lower < criterion else believed
+            described, lower, left_over = self._concentrated(left)
+            if lower < criterion:
+                # where more than noise is left there is structure that no column describes, and its extremes look wild
+                believed = described if left_over <= _LIKE_NOISE else described | believed
         return ~believed[self.item]
 
-    def _concentrated(self, left: Floats) -> tuple[Bools, float]:
-        """Items that are believed, from a start that leaves ``left`` (n, m), and Schwarz's criterion of the fit to
-        them: whatever is not believed has parameters of its own."""
+    def _concentrated(self, left: Floats) -> tuple[Bools, float, float]:
+        """Items that are believed, from a start that leaves ``left`` (n, m); Schwarz's criterion of the fit to them,
+        whatever is not believed having parameters of its own; and what it leaves of them over their noise."""
         mean_basis = self.mean(self.basis.reshape(*self.e.shape, -1))
         believed = self._nearer_half(self.mean(left))
         for robust in (True, False):
@@ -249,9 +255,11 @@ class _Judged:
                     break
                 believed = now
         items, m = mean.shape
+        ratio = (mean[now] ** 2).sum(axis=0) / np.maximum((self.noise[now] * (1.0 - hat[now])).sum(axis=0), 1e-300)
         squares = np.maximum((mean[now] ** 2).sum(axis=0) / items, self.floor**2)
         count = self.basis.shape[1] + m * (items - now.sum())
-        return now, float(items * np.log(squares).sum() + count * np.log(items * m))
+        criterion = float(items * np.log(squares).sum() + count * np.log(items * m))
+        return now, criterion, float(np.sqrt(ratio.max()))
 
     # -- what describes the run ----------------------------------------------------------------------------
 
