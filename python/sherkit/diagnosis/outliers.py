@@ -56,6 +56,9 @@ _DIGITS = 1e-9
 _PAUSE = 20.0
 _WILD_VISIT = 0.5
 _FEWEST_OF_A_VISIT = 4
+#: Part of the run, at most, that something was bumped for before it was put back, and cuts at which it is looked for.
+_MOST_BUMPED = 0.2
+_CUTS = 48
 
 
 def without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[FittedRun, Ints]:
@@ -197,20 +200,27 @@ class _Judged:
     """Rows of a fit and how far each is from what the others predict there.
 
     ``e`` (n, m) are residuals, over noise that is ``declared`` or not; an item is what is judged as one: the readings
-    of a pose that agree, or a row that stands apart from them.
+    of a pose that agree, or a row that stands apart from them. The rows of a ``stretch`` (n,) are items of their own,
+    which are never believed but share one error.
     """
 
-    def __init__(self, view: Linearised, *, declared: bool) -> None:
+    def __init__(self, view: Linearised, *, declared: bool, stretch: Bools | None = None) -> None:
         self.view = view
+        self.declared = declared
         self.e = view.residual
         self.floor = np.maximum(_DIGITS * np.ptp(self.e, axis=0), 1e-12)
         self.basis = orthonormal(view.fitted)
         self.within, apart = self._apart()
-        own = view.group.max(initial=0) + 1 + np.arange(len(view))
-        self.item = np.unique(np.where(apart, own, view.group), return_inverse=True)[1].ravel()
+        first, size = np.arange(len(view)), len(view)
+        group = np.unique(view.group, return_inverse=True)[1].ravel()
+        group = np.where(apart, size + first, group)
+        if stretch is not None:
+            group = np.where(stretch, 2 * size + group, group)
+        self.item = np.unique(group, return_inverse=True)[1].ravel()
         self.count = np.bincount(self.item).astype(float)
         self.order = np.argsort(self.item, kind="stable")
         self.starts = np.concatenate([[0], np.cumsum(self.count[:-1])]).astype(np.int64)
+        self.moved = np.zeros(len(self.count), dtype=bool) if stretch is None else stretch[self.order[self.starts]]
         # of the mean of an item; nothing where it is not known
         variance = self.within**2 if self.within.any() else np.full(self.e.shape[1], float(declared))
         self.noise = variance / self.count[:, None]
@@ -218,8 +228,8 @@ class _Judged:
     def wild(self) -> Bools:
         """Rows (n,) that are gross errors.
 
-        Columns may describe a run in which much is wrong, and wrong poses one to which columns belong: the simpler of
-        both is believed.
+        Columns may describe a run in which much is wrong, wrong poses one to which columns belong, and either one in
+        which something was bumped and put back: the simplest is believed.
         """
         n, m = self.e.shape
         items = len(self.count)
@@ -227,6 +237,7 @@ class _Judged:
             return np.zeros(n, dtype=bool)
         left = _huber(self.e, self.basis)
         believed, criterion, _ = self._concentrated(left)
+        bumped = self._bumped(left)
         columns = self.basis.shape[1]
         for _ in range(int(_MOST_COLUMNS * items * m)):
             more = self._describing(left)
@@ -239,25 +250,64 @@ class _Judged:
             if lower < criterion:
                 # where more than noise is left there is structure that no column describes, and its extremes look wild
                 believed = described if left_over <= _LIKE_NOISE else described | believed
+                criterion = lower
+        if bumped is not None and bumped[1] < criterion:
+            return bumped[0]
         return ~believed[self.item]
+
+    def _bumped(self, left: Floats) -> tuple[Bools, float] | None:
+        """Rows (n,) of a stretch of time that is off by one vector and comes back, with all else that is wild then, and
+        Schwarz's criterion; None where there is none that stands out as a single reading would have to."""
+        n, m = self.e.shape
+        if self.view.time is None or n < 5 * _FEWEST_OF_A_VISIT:
+            return None
+        spread = np.maximum(MAD * np.median(np.abs(left), axis=0), self.floor)
+        tame = np.clip(left / spread, -_CUT, _CUT)
+        sums = np.concatenate([np.zeros((1, m)), np.cumsum(tame, axis=0)])
+        first, last, grid = 0, 0, np.arange(0, n + 1, max(n // _CUTS, 1))
+        starts, ends = grid[1:], grid[1:]
+        for _ in range(2):
+            a, b = (v.ravel() for v in np.meshgrid(starts, ends, indexing="ij"))
+            keep = (b - a >= _FEWEST_OF_A_VISIT) & (b - a <= _MOST_BUMPED * n) & (a > 0) & (b < n)
+            if not keep.any():
+                return None
+            a, b = a[keep], b[keep]
+            best = int(np.argmax(((sums[b] - sums[a]) ** 2).sum(axis=1) / ((b - a) * (1.0 - (b - a) / n))))
+            first, last = int(a[best]), int(b[best])
+            starts, ends = (np.arange(v - grid[1], v + grid[1] + 1) for v in (first, last))
+        stretch = np.zeros(n, dtype=bool)
+        stretch[first:last] = True
+        if np.linalg.norm(tame[stretch].mean(axis=0)) < 0.5 * _CUT:
+            return None
+        other = _Judged(self.view, declared=self.declared, stretch=stretch)
+        believed, criterion, _ = other._concentrated(left)
+        return (~believed[other.item], criterion) if np.isfinite(criterion) else None
 
     def _concentrated(self, left: Floats) -> tuple[Bools, float, float]:
         """Items that are believed, from a start that leaves ``left`` (n, m); Schwarz's criterion of the fit to them,
         whatever is not believed having parameters of its own; and what it leaves of them over their noise."""
         mean_basis = self.mean(self.basis.reshape(*self.e.shape, -1))
-        believed = self._nearer_half(self.mean(left))
+        believed = self._nearer_half(self.mean(left)) & ~self.moved
         for robust in (True, False):
             # the spread of all that is believed is known better than a median, but only once the wild ones are out
             for _ in range(_ROUNDS):
                 mean, hat = self._fitted(believed, mean_basis)
-                now = ~self._far(mean, hat, believed, robust=robust)
+                now = ~self._far(mean, hat, believed, robust=robust) & ~self.moved
                 if np.array_equal(now, believed):
                     break
                 believed = now
         items, m = mean.shape
         ratio = (mean[now] ** 2).sum(axis=0) / np.maximum((self.noise[now] * (1.0 - hat[now])).sum(axis=0), 1e-300)
-        squares = np.maximum((mean[now] ** 2).sum(axis=0) / items, self.floor**2)
-        count = self.basis.shape[1] + m * (items - now.sum())
+        squares = (mean[now] ** 2).sum(axis=0)
+        count = self.basis.shape[1] + m * (items - (now | self.moved).sum())
+        if self.moved.any():
+            # one vector for all of them, its beginning and its end
+            by, own = mean[self.moved].mean(axis=0), mean[now].std(axis=0)
+            squares += ((mean[self.moved] - by) ** 2).sum(axis=0)
+            count += m + 2
+            if stats.chi2.sf(float(((by / np.maximum(own, self.floor)) ** 2).sum()), m) > _LEVEL / items:
+                return now, np.inf, np.inf
+        squares = np.maximum(squares / items, self.floor**2)
         criterion = float(items * np.log(squares).sum() + count * np.log(items * m))
         return now, criterion, float(np.sqrt(ratio.max()))
 
