@@ -27,6 +27,12 @@ class Spoiled:
     poses: frozenset[int]
     name: str
 
+    @property
+    def marked(self) -> World:
+        """The clean world without these poses, as a person marks them who knows: nobody can do better."""
+        wrong = np.isin(self.clean.columns["pose"], list(self.poses)).astype(np.int64)
+        return replace(self.clean, columns=self.clean.columns | {"outlier": wrong})
+
 
 def shift(world: World, poses: Floats, by: Floats) -> World:
     """The world with ``by`` (k, m), unit of the file, added to the readings of each of the ``poses`` (k,)."""

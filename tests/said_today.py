@@ -17,9 +17,6 @@ ROWS = {
     "rod spacing left out": (
         "partly explained: beam_alignment, confirmed p 0.0005, 4.87 → 4.52 µm; nothing on the spacing"
     ),
-    "one pose wrong by metres": (
-        "adequate; held out 109,700 µm at a noise of 1.94; 35 other rows listed as outliers; fit not converged"
-    ),
     "superfluous effect first": (
         "adequate, not a word on beam_alignment; lean 0.0074° off with a stated deviation of 0.0012°"
     ),
@@ -184,15 +181,6 @@ MISTAKES = {
     "angles: gamma counted from the equator": (
         "partly explained: axis_offset; held out 2.84 → 0.7913 mrad, noise 0.194, confirmed p 0.0005"
     ),
-}
-
-GROSS = {
-    "delta: one, far away": "adequate at 1.8e8 µm; the wrong pose is not listed, one other is",
-    "delta: wrong index 5%": "adequate at 4827 µm; 0 of 10 poses listed",
-    "delta: scattered 5% × 20": "adequate at 5.7 µm and a noise of 1.9; 0 of 10 poses listed",
-    "delta: scattered 10% × 1000": "adequate at 367 µm and a noise of 1.9; 0 of 19 poses listed",
-    "spherical: one, far away": "adequate; the pose and 5 others listed",
-    "spherical: block 10% × 100": "adequate at 1.2 px and a noise of 0.1; 8 of 10 poses listed and one other",
 }
 
 

@@ -14,10 +14,6 @@ from ..types import Bools, Floats, Ints
 from .columns import Layout
 from .rows import Measurements, order_in_time
 
-#: Readings of a machine that is not known may be angles, off by half a turn in rows that lie together: all taken out at
-#: once, they would draw their neighbours with them.
-_WORST_FIRST = 0.5
-
 
 def from_arrays(
     *,
@@ -86,6 +82,6 @@ def from_arrays(
         # the side from which an input came to its value is not known of a machine that is not
         direction=np.full(inputs.shape, np.nan),
         order=order_in_time(time_s, n) if line is None else numbers,
-        layout=Layout(tuple(place), tuple(names), unit, 1.0, worst_first=_WORST_FIRST),
+        layout=Layout(tuple(place), tuple(names), unit, 1.0),
         block=block,
     )

@@ -23,8 +23,7 @@ class Layout:
 
     ``joints`` name the readings of the joints, ``coordinates`` what instruments show of where it is; ``distance`` is a
     reading between two places, whose other end is at ``to_joints``. People read coordinates in ``unit``, of which one
-    unit of the file has ``per_unit``. ``velocities`` are covariates by joint. ``worst_first`` is how suspected outliers
-    are taken out: those at least this part as far off as the farthest in one round, at zero all of them at once.
+    unit of the file has ``per_unit``. ``velocities`` are covariates by joint.
     """
 
     joints: tuple[str, ...]
@@ -34,7 +33,6 @@ class Layout:
     distance: str | None = None
     to_joints: tuple[str, ...] = ()
     velocities: tuple[str, ...] = ()
-    worst_first: float = 0.0
 
     @cached_property
     def readings(self) -> tuple[str, ...]:

@@ -110,9 +110,12 @@ class FittedRun:
         return FittedRun(identify(self.model, data, noise=noise, start=self.fit.values))
 
     def without(self, rows: Ints) -> FittedRun:
-        """The full fit with these rows marked as outliers, from the values of this one."""
+        """The full fit with these rows marked as outliers, from the drawing: where no reading tells, what they did to
+        this fit must not stay."""
         data = self.data.mark_outliers(rows)
-        return FittedRun(identify(self.model, data, noise=self.fit.noise, start=self.fit.values))
+        # repeats that were wild told of too much noise
+        noise = noise_of(data) if self.fit.noise.origin == "repeats" else self.fit.noise
+        return FittedRun(identify(self.model, data, noise=noise))
 
     def residuals_on(self, rows: Ints, other: FittedRun) -> Floats:
         """What the fit of ``other`` leaves on these rows (rows, columns). Raises as :meth:`refit`."""

@@ -14,7 +14,7 @@ from ..fit.identify import Fit, identify
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
-from ..types import Floats, Ints
+from ..types import Floats
 from .answers import CandidateReport, Diagnosis
 from .claims import verdict_of
 from .crossvalidation import HeldOutError, held_out
@@ -22,11 +22,12 @@ from .fitted_run import FittedRun
 from .lack_of_fit import lack_of_fit
 from .named import not_needed, searched
 from .one_unknown import OneUnknown, one_unknown
+from .outliers import sentences, without_outliers
 from .power import smallest_found
 from .propositions import claims_of, implausible
 from .search import SearchResult, is_plausible
 from .shapes import Shape
-from .stage import Candidate, Stage, columns_of, stage_of, suspected_outliers
+from .stage import Candidate, Stage, columns_of, stage_of
 from .where import neighbour_correlation, where
 
 LEVEL = 0.01
@@ -73,11 +74,10 @@ def diagnose(
     notes: list[str] = []
 
     step("noise and outliers")
-    run, wild = _without_outliers(run, every)
+    run, wild = without_outliers(run, every)
     sigma, origin = run.noise
     rows = np.flatnonzero(run.whole)
-    if len(wild):
-        notes.append(f"{len(wild)} suspected outliers are listed and left out of the tests")
+    notes += sentences(run.data, wild)
     if origin == "unknown":
         sigma = _residual_sigma(run)
         notes.append(
@@ -143,16 +143,6 @@ def diagnose(
         base=run.fit,
         stage=stage,
     )
-
-
-def _without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[FittedRun, Ints]:
-    """The fit without the rows that are suspected to be outliers, and these rows."""
-    wild = np.zeros(0, dtype=np.int64)
-    while len(more := suspected_outliers(run, effects)):
-        run, wild = run.without(more), np.sort(np.concatenate([wild, more]))
-        if not run.data.layout.worst_first:
-            break
-    return run, wild
 
 
 def _next(found: SearchResult, unknown: OneUnknown | None, sigma: Floats) -> tuple[dict[str, float], ...]:

@@ -8,24 +8,14 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
-from ..data.noise import MAD
 from ..errors import FitError
 from ..model.effect import Effect
-from ..types import Bools, Floats
+from ..types import Floats
 from .fitted_run import FittedRun
 from .linearised import Linearised, correlation_in_time, orthonormal, whiten
 from .scan import Columns, ConditionalScan, Scan
 from .shapes import Family, Shape, build
-
-#: Chance that a run without outliers has a row taken for one.
-_OUTLIER_LEVEL = 0.01
-#: A pause between two visits, in usual steps of time; and what part of a visit, of how many rows at least, is wild
-#: where it is taken for news.
-_PAUSE = 20.0
-_WILD_VISIT = 0.5
-_FEWEST_OF_A_VISIT = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,73 +186,6 @@ def _stacked(view: Linearised) -> Floats:
 def _lags(place: NDArray[np.int64]) -> NDArray[np.int64]:
     """How many rows of the run it is from one of these rows to the next."""
     return np.concatenate([[1], np.maximum(np.diff(place), 1)])
-
-
-def suspected_outliers(run: FittedRun, effects: Sequence[Effect]) -> NDArray[np.int64]:
-    """Rows (indices of the data) that neither noise, nor any effect, nor a smooth shape explains.
-
-    A row of a pose that was read three times or more must also stand apart from the other readings of its pose: what
-    all of them show is the model's failing, not theirs. Only rows as far off as the layout's part of the farthest are
-    listed. Raises :class:`FitError` for too few rows.
-    """
-    rows = testable(run, np.flatnonzero(run.whole))
-    view = run.linearised(rows, effects, run.noise[0][list(run.axes)])
-    e = view.residual
-    n, m = e.shape
-    basis = _rich_basis(view.fitted, _stacked(view), build(view, thorough=False))
-    left = e.reshape(-1)
-    for _ in range(3):
-        # what is smooth is estimated from residuals whose wild rows are cut to size
-        limit = _limit(left)
-        tame = e.reshape(-1) - left + np.clip(left, -limit, limit)
-        left = e.reshape(-1) - basis @ (basis.T @ tame)
-    rest: Floats = left.reshape(n, m)
-    center = np.median(rest, axis=0)
-    spread = MAD * np.median(np.abs(rest - center), axis=0)
-    threshold = float(stats.norm.isf(0.5 * _OUTLIER_LEVEL / (n * m)))
-    far = np.abs(rest - center) / np.maximum(spread, 1e-12)
-    wild = (far > threshold) & _apart(rest, view.group, threshold)
-    farthest = run.data.layout.worst_first * far.max(where=wild, initial=0.0)
-    alone: Bools = np.any(wild & (far >= farthest), axis=1)
-    return rows[alone & ~_visits(view.time, alone)]
-
-
-def _visits(time: Floats | None, wild: Bools) -> Bools:
-    """Rows of visits to the machine (stretches of time with a long pause on either side) that are wild as a whole.
-
-    When all that was read after a pause is off, that is no accident of single readings, it is news.
-    """
-    out = np.zeros(len(wild), dtype=bool)
-    if time is None or len(wild) < 2:
-        return out
-    steps = np.diff(time)
-    visit = np.concatenate([[0], np.cumsum(steps > _PAUSE * max(float(np.median(steps)), 1e-12))])
-    count = np.bincount(visit)
-    share = np.bincount(visit, wild) / count
-    return ((share >= _WILD_VISIT) & (count >= _FEWEST_OF_A_VISIT))[visit]
-
-
-def _apart(values: Floats, group: NDArray[np.int64], threshold: float) -> Bools:
-    """Which values stand apart from the median of their group; all of a group of fewer than three."""
-    order = np.argsort(group, kind="stable")
-    ordered, ids = values[order], np.unique(group[order], return_inverse=True)[1]
-    steps = np.diff(ordered, axis=0)[np.diff(ids) == 0]
-    if len(steps) < 5:
-        return np.ones(values.shape, dtype=bool)
-    noise = MAD * np.median(np.abs(steps), axis=0) / np.sqrt(2.0)
-    count = np.bincount(ids)
-    starts = np.concatenate([[0], np.cumsum(count)[:-1]])
-    out = np.ones(values.shape, dtype=bool)
-    for size in np.unique(count[count >= 3]):
-        rows = starts[count == size][:, None] + np.arange(size)
-        block = ordered[rows]
-        far = np.abs(block - np.median(block, axis=1, keepdims=True)) > threshold * np.maximum(noise, 1e-12)
-        out[order[rows.ravel()]] = far.reshape(-1, values.shape[1])
-    return out
-
-
-def _limit(values: Floats) -> float:
-    return 4.0 * MAD * float(np.median(np.abs(values)))
 
 
 def _rich_basis(fitted: Floats, physical: Floats, family: Family) -> Floats:
