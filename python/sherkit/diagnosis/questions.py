@@ -12,6 +12,7 @@ from scipy import special, stats
 from ..data.given import RunLike
 from ..errors import EffectError, FitError, SherkitError
 from ..fit.identify import Fit, identify
+from ..fit.set_up import set_up_mistakes
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
@@ -67,12 +68,14 @@ def diagnose(
                 f"diagnose: {effect!r} is no effect of yours; those of the catalogue are tried anyway, and one that is "
                 "to be in the model already belongs to identify or Study"
             )
+    step("mistakes of the set-up")
+    mistakes = set_up_mistakes(fit.model, fit.data, fit.values)
     run = FittedRun(fit)
     for effect in effects:
         run.model.check_effect(effect, run.data, fit.values)
     every = (*run.catalogue, *effects)
     axes = run.axes
-    notes: list[str] = []
+    notes = [mistake.sentence for mistake in mistakes]
 
     step("noise and outliers")
     run, wild = _without_outliers(run, every)
@@ -93,7 +96,8 @@ def diagnose(
     # on all rows: among those that are left after locking some away, neighbours are rare
     base_stage = stage_of(run, every, rows, sigma, thorough=False)
     search = Search(run, every, rows[~locked], sigma, level=level, rho=base_stage.rho, seed=seed, step=step)
-    found = search.find()
+    # what is left by a mistake of the set-up says nothing on physics
+    found = search.as_it_stands() if mistakes else search.find()
 
     confirmed = _confirm(search, found, run, rows[locked]) if found.added and locked.any() else None
     if found.added and not found.explained and confirmed is not None and confirmed > _CONFIRMED:
@@ -118,7 +122,7 @@ def diagnose(
 
     if origin != "declared":
         sigma = _noise_left(final, sigma)
-    verdict = _verdict(found, level)
+    verdict = "unexplained" if mistakes else _verdict(found, level)
     own = _own_errors(final, sigma, level) if origin == "repeats" and not found.signature else None
     if own:
         notes.append(own)

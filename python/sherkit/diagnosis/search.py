@@ -143,6 +143,12 @@ class Search:
         found.explained = p > self.level and not found.signature and bool(found.added)
         return found
 
+    def as_it_stands(self) -> SearchResult:
+        """Nothing is looked for."""
+        stage = self.stage(self.base)
+        p = self.left(stage.plain)
+        return SearchResult([stage], p_first=p, p_left=p)
+
     def without_effects(self, found: SearchResult) -> SearchResult:
         """The same search with every effect taken back: shapes alone describe what is left."""
         stage = found.stages[0]

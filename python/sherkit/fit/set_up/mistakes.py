@@ -1,0 +1,154 @@
+"""The mistakes of a set-up that a run shows: every hypothesis is fitted, the ones that are much better are said."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...data import Measurements
+from ...data.noise import noise_of
+from ...errors import SherkitError
+from ...model.base import ModelWithEffects
+from ...types import Bools, Floats
+from .columns_alone import commanded_joints, constant_by_mistake, time_in_milliseconds
+from .hypotheses import SetUp, hypotheses, turned_frames
+from .plausible import COUNTED, Plausible, as_fitted, only_shift, plausible_fit
+
+#: A set-up is mistaken where another explains the run better by a factor of five with parameters as plausible.
+_MUCH = COUNTED * float(np.log(5.0))
+#: As good as the best: by a factor of 1.5.
+_AS_GOOD = COUNTED * float(np.log(1.5))
+#: What is left is small: this part of the readings' spread; or this many times the noise, and this part of the spread.
+_SMALL = 1e-3
+_NOISES = 3.0
+_NOT_LARGE = 0.05
+#: A reading that hardly moves counts as moving by this part of the one that moves most.
+_LEAST_SPREAD = 0.02
+#: Parameters are plausible as long as they cost no more than this.
+_MOVED = 15.0
+#: So many set-ups that look best at first are fitted to their end.
+_LOOKED_AT = 8
+#: Readings for each parameter, fewer of which fit anything.
+_READINGS = 3
+#: A set-up that leaves more than this part of the spread is not right, whatever the others leave.
+_ABSURD = 0.1
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """Something in the set-up that looks wrong: a sentence with what to change.
+
+    ``before`` and ``after`` are the RMS that robust fits with plausible parameters leave as it stands and once it is
+    changed, in the unit that people read; NaN where nothing can be computed, or where no fit shows it.
+    """
+
+    sentence: str
+    before: float = float("nan")
+    after: float = float("nan")
+
+    def __str__(self) -> str:
+        return self.sentence
+
+
+def set_up_mistakes(model: ModelWithEffects, data: Measurements, values: Floats | None = None) -> tuple[Mistake, ...]:
+    """The mistakes of the set-up that rows show beside a model; none where its fit leaves little and is plausible.
+
+    ``values`` (p,) are those of a fit, None where there is none, as where rows cannot be reached.
+    """
+    late = time_in_milliseconds(data)
+    out = [Mistake(late)] if late else []
+    if values is not None:
+        still = dict(constant_by_mistake(data, model.predict(data, np.zeros(len(values)))))
+        if still:
+            out += [Mistake(sentence) for sentence in still.values()]
+            taken = data.taken.copy()
+            taken[:, list(still)] = False
+            data, values = replace(data, taken=taken).select(np.flatnonzero(taken.any(axis=1))), None
+            if not len(data):
+                return tuple(out)
+    free = None if values is None else as_fitted(model, data, values)
+    wrong = [] if free is not None and _is_small(free, data) else _wrong(model, data, free)
+    commanded = None if wrong else commanded_joints(data)
+    return (*out, *wrong, *([Mistake(commanded)] if commanded else []))
+
+
+def _is_small(now: Plausible, data: Measurements) -> bool:
+    """Whether a fit leaves so little, with parameters so plausible, that nothing can be wrong that it would show."""
+    noise = noise_of(data)
+    pairs = zip(noise.sigma.T, data.used.T, strict=True)
+    usual = np.array([np.median(sigma[used]) if used.any() else np.nan for sigma, used in pairs])
+    # one that hardly moves beside the others, as the height in a plane, may be all noise
+    spread = np.maximum(now.spread, _LEAST_SPREAD * np.nanmax(now.spread))
+    small = now.rms <= _SMALL * spread
+    if noise.origin != "unknown":
+        small |= (now.rms <= _NOISES * usual) & (now.rms <= _NOT_LARGE * spread)
+    return bool(small[np.isfinite(now.rms)].all()) and now.moved <= _MOVED and now.elsewhere < 0.5
+
+
+def _wrong(model: ModelWithEffects, data: Measurements, free: Plausible | None) -> list[Mistake]:
+    """What looks wrong as it stands, by every hypothesis; ``free`` is the free fit."""
+    datum = _datum(model, data)
+    if datum is None or data.used.sum() < _READINGS * len(model.parameters):
+        return []
+    now = plausible_fit(model, data, datum)
+    if now is not None and _is_small(now, data):
+        return []
+    stands = min((p.misfit for p in (now, free) if p is not None), default=np.inf)
+    better = _much_better(model, data, datum, stands)
+    unit, per_unit = data.layout.unit, data.layout.per_unit
+    before = float("nan") if now is None else per_unit * now.rms_of_all
+    if not better:
+        return _nothing_usual(now, free, before, unit)
+    after = per_unit * better[0][1].rms_of_all
+    said = "; or ".join(f"{one.looks} ({one.advice})" for one, _ in better)
+    stood = "where nothing can be computed as it stands" if np.isnan(before) else f"instead of {before:.3g} {unit}"
+    same = ", which here says the same" if len(better) > 1 else ""
+    return [Mistake(f"{said}{same}: {after:.3g} {unit} RMS {stood}", before, after)]
+
+
+def _much_better(
+    model: ModelWithEffects, data: Measurements, datum: Bools, stands: float
+) -> list[tuple[SetUp, Plausible]]:
+    """The set-up that explains the run much better than it ``stands``, first, and those that are as good."""
+    every = (*hypotheses(model, data), *_turned(model, data))
+    first = [(plausible_fit(one.model, one.data, datum, rounds=1), one) for one in every]
+    likely = sorted(((p.misfit, k) for k, (p, _) in enumerate(first) if p is not None))[:_LOOKED_AT]
+    better = []
+    for _, k in likely:
+        one = every[k]
+        found = plausible_fit(one.model, one.data, datum)
+        if found is not None and found.misfit + one.farther < stands - _MUCH and found.relative < _ABSURD:
+            better.append((one, found))
+    best = min((found.misfit + one.farther for one, found in better), default=np.inf)
+    as_good = [(one, found) for one, found in better if found.misfit < best + _AS_GOOD]
+    return sorted(as_good, key=lambda pair: pair[1].misfit + pair[0].farther)
+
+
+def _turned(model: ModelWithEffects, data: Measurements) -> list[SetUp]:
+    try:
+        return list(turned_frames(model, data))
+    except SherkitError:
+        return []
+
+
+def _datum(model: ModelWithEffects, data: Measurements) -> Bools | None:
+    """Parameters that only shift readings; by the first set-up that can be computed."""
+    for one in (SetUp("", "", model, data), *hypotheses(model, data)):
+        try:
+            return only_shift(one.model, one.data)
+        except SherkitError:
+            continue
+    return None
+
+
+def _nothing_usual(now: Plausible | None, free: Plausible | None, before: float, unit: str) -> list[Mistake]:
+    """That the fit is absurd and nothing that is usually mistaken explains it."""
+    if now is None or free is None or min(now.relative, free.relative) < _ABSURD:
+        return []
+    sentence = (
+        f"nothing that is usually mistaken explains the run: {before:.3g} {unit} RMS are left with parameters of "
+        f"plausible size, {100 * now.relative:.0f} % of how far the readings move; compare a pose or two with the "
+        "robot's file by hand"
+    )
+    return [Mistake(sentence, before)]
