@@ -123,7 +123,7 @@ def diagnose(
     if origin != "declared":
         sigma = _noise_left(final, sigma)
     verdict = "unexplained" if mistakes else _verdict(found, level)
-    own = _own_errors(final, sigma, level) if origin == "repeats" and not found.signature else None
+    own = _own_errors(final, sigma, level) if origin == "repeats" and not found.signature and not mistakes else None
     if own:
         notes.append(own)
     ties = _ties(found)

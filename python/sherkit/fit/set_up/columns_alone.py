@@ -16,8 +16,9 @@ from ...types import Floats, Ints
 
 #: A reading that never changes is a mistake where the place moves it by more than this part of what moves most.
 _MOVES = 0.05
-#: Nobody waits this long for each reading of a whole run, s; in milliseconds nobody reads faster than a thousandth.
-_LONG_S = 300.0
+#: Few runs are as slow as this for each reading and as long as this on the whole, s.
+_SLOW_S = 300.0
+_LONG_S = 86_400.0
 #: Repeats whose readings scatter by this many times the declared noise were not at one place.
 _SCATTER = 3.0
 _LEVEL = 1e-6
@@ -72,7 +73,7 @@ def time_in_milliseconds(data: Measurements) -> str | None:
                 f"{by_speed / way:.0f} times as far as they did; divide {TIME} by 1000"
             )
         return None
-    if usual < _LONG_S:
+    if usual < _SLOW_S or np.ptp(data.time_s) < _LONG_S:
         return None
     hours = float(np.ptp(data.time_s)) / 3600.0
     return (

@@ -34,6 +34,8 @@ UNITS: dict[str, tuple[tuple[str, float], ...]] = {
 _QUARTERS = ((-1.0, 0.5), (-1.0, 1.0), (1.0, 0.5), (1.0, -0.5), (1.0, 1.0))
 #: Readings that stand so many rows from their joints are looked for.
 _ROWS = 3
+#: A frame that is turned anyhow is less likely from the outset than a slip: its three angles fit more.
+_TURNED = 10.0
 #: All subsets of so few columns are tried; of more, single ones and all together.
 _FEW = 3
 
@@ -226,7 +228,8 @@ def _other_units(
             if here and there:
                 both = joints.changed(here, factor=factor, data=readings.changed(there, factor=factor))
                 names = f"{joints.named(here)}; {readings.named(there)}"
-                yield f"joint readings and readings ({names}) all look like {called}", advice, both
+                elsewhere = f"{advice}, or write the robot file in that unit" if unit == "mm" else advice
+                yield f"joint readings and readings ({names}) all look like {called}", elsewhere, both
 
 
 # -- rows ----------------------------------------------------------------------------------------------------------
@@ -304,35 +307,32 @@ def _written(changed: dict[str, list[float]]) -> str:
 # -- the instrument's frame ----------------------------------------------------------------------------------------
 
 
-def turned_frames(model: ModelWithEffects, data: Measurements) -> Iterator[SetUp]:
-    """The readings turned, or mirrored and turned, so that they come to lie on what the drawing predicts.
+def turned_frame(model: ModelWithEffects, data: Measurements, values: Floats, *, mirrored: bool) -> SetUp | None:
+    """The readings turned, or mirrored and turned, so that they come to lie on what the model predicts for ``values``;
+    None where readings are not three lengths.
 
     Source: Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976; rows far off weigh less
-    (Cauchy), so that gross errors do not turn the frame.
+    (Cauchy), so that gross errors do not turn the frame. Raises as the model's ``predict``.
     """
     names = data.layout.coordinates
-    if len(names) != 3 or {unit_in(name) for name in names} != {"mm"}:
-        return
-    whole = data.used[:, :3].all(axis=1)
-    if whole.sum() < 4:
-        return
-    predicted = model.predict(data, np.zeros(len(model.parameters)))[whole, :3]
-    measured = data.readings[whole, :3]
-    for mirrored in (False, True):
-        turn, middle = _registered(measured, predicted, mirrored=mirrored)
-        angle = Rotation.from_matrix(turn * (-1.0 if mirrored else 1.0)).as_rotvec()
-        degrees = float(np.rad2deg(np.linalg.norm(angle)))
-        axis = angle / max(float(np.linalg.norm(angle)), 1e-12)
-        readings = data.readings.copy()
-        readings[:, :3] = (data.readings[:, :3] - middle) @ turn.T + middle
-        what = "mirrored in a point and turned" if mirrored else "turned"
-        yield SetUp(
-            f"the frame of {_and(names)} looks {what} by {degrees:.1f}° about ({', '.join(f'{v:.2f}' for v in axis)})",
-            "turn the readings back, or turn the angles of the robot file with it",
-            model,
-            replace(data, readings=np.where(data.taken, readings, 0.0)),
-            farther=10.0,
-        )
+    whole = data.used[:, : len(names)].all(axis=1)
+    if len(names) != 3 or {unit_in(name) for name in names} != {"mm"} or whole.sum() < 4:
+        return None
+    predicted = model.predict(data, values)[whole, :3]
+    turn, middle = _registered(data.readings[whole, :3], predicted, mirrored=mirrored)
+    angle = Rotation.from_matrix(turn * (-1.0 if mirrored else 1.0)).inv().as_rotvec()
+    degrees = float(np.rad2deg(np.linalg.norm(angle)))
+    axis = angle / max(float(np.linalg.norm(angle)), 1e-12)
+    readings = data.readings.copy()
+    readings[:, :3] = (data.readings[:, :3] - middle) @ turn.T + middle
+    what = "mirrored in a point and turned" if mirrored else "turned"
+    return SetUp(
+        f"the frame of {_and(names)} looks {what} by {degrees:.1f}° about ({', '.join(f'{v:.2f}' for v in axis)})",
+        "turn the readings back, or turn the angles of the robot file with it",
+        model,
+        replace(data, readings=np.where(data.taken, readings, 0.0)),
+        farther=_TURNED,
+    )
 
 
 def _registered(measured: Floats, predicted: Floats, *, mirrored: bool) -> tuple[Floats, Floats]:

@@ -25,9 +25,9 @@ COUNTED = 20.0
 #: A parameter is as far from the drawing as this many plausible sizes, sd.
 SIZES = 2.0
 #: More rows than this say nothing new about a mistake.
-_MOST_ROWS = 400
+_MOST_ROWS = 300
 _ROUNDS = 12
-_EVALUATIONS = 10
+_EVALUATIONS = 6
 #: Another round is worth its time where the misfit falls by more than this.
 _WORTH = 0.2
 #: Residuals are not looked at below this part of the readings' spread.
@@ -40,11 +40,15 @@ _NEVER_GIVEN = 100.0
 
 @dataclass(frozen=True, eq=False)
 class Plausible:
-    """A fit with plausible parameters. ``rms`` and ``spread`` (m,) are those of residuals and readings in each column,
-    robust and in the unit of the readings; NaN where nothing was taken. ``moved`` is how far the parameters are from
-    the drawing, as half the sum of squares over the plausible sizes; ``elsewhere`` the part of rows whose joints the
-    robot's file does not give for the place where they are: its elbows are on the other side."""
+    """A fit with plausible parameters ``values`` (p,).
 
+    ``rms`` and ``spread`` (m,) are those of residuals and readings in each column, robust and in the unit of the
+    readings; NaN where nothing was taken. ``moved`` is how far the parameters are from the drawing, as half the sum of
+    squares over the plausible sizes; ``elsewhere`` the part of rows whose joints the robot's file does not give for the
+    place where they are: its elbows are on the other side.
+    """
+
+    values: Floats
     rms: Floats
     spread: Floats
     moved: float
@@ -92,7 +96,7 @@ def plausible_fit(model: ModelWithEffects, data: Measurements, datum: Bools, rou
             )
             values = solver.trial
             rms = robust_rms(problem.left(values), used)
-            now = Plausible(rms, spread, moved_by(values, sizes, datum), elsewhere)
+            now = Plausible(values, rms, spread, moved_by(values, sizes, datum), elsewhere)
             if best is not None and now.misfit > best.misfit - _WORTH:
                 break
             best = now
@@ -106,7 +110,9 @@ def as_fitted(model: ModelWithEffects, data: Measurements, values: Floats) -> Pl
     data = thinned(data)
     rms = robust_rms(data.readings - model.predict(data, values), data.used)
     datum = np.zeros(len(values), dtype=bool)
-    return Plausible(rms, spread_of(data), moved_by(values, sizes_of(model), datum), part_elsewhere(model, data))
+    return Plausible(
+        values, rms, spread_of(data), moved_by(values, sizes_of(model), datum), part_elsewhere(model, data)
+    )
 
 
 def sizes_of(model: ModelWithEffects) -> Floats:
