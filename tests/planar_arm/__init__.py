@@ -10,12 +10,12 @@ from .calibration import PlanarCalibration
 from .columns import PLANAR, TIP
 from .model import PlanarModel
 from .pose_sets import AREAS, POSES
-from .robot import PlanarArm
+from .robot import ELBOWS, PlanarArm
 from .virtual import VirtualPlanarArm
 
 KIND = Kind(
     "planar", PlanarArm, PlanarModel, (PLANAR,), PlanarCalibration, VirtualPlanarArm, coordinates=TIP, poses=POSES,
-    areas=AREAS,
+    areas=AREAS, choices={"elbow": ELBOWS},
 )  # fmt: skip
 
 __all__ = ["KIND", "PlanarArm", "PlanarCalibration", "PlanarModel", "VirtualPlanarArm"]

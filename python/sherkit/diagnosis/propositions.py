@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..fit.set_up import Mistake
 from ..types import Floats, Ints
 from .claims import Claim
 from .earned import Earned
@@ -31,14 +32,16 @@ def claims_of(
     needed: Sequence[Earned],
     level: float,
     wild: Ints,
+    mistakes: Sequence[Mistake],
 ) -> tuple[Claim, ...]:
     """Every claim about a final fit, those that decide first.
 
     ``sigma`` (columns,) is the noise, ``fitness`` what poses leave beyond their repeats, ``unknown`` one cause in place
-    of several, ``needed`` what the effects that were in the model earn, ``wild`` the rows left out.
+    of several, ``needed`` what the effects that were in the model earn, ``wild`` the rows left out,
+    ``mistakes`` those of the set-up.
     """
     unit, used = final.unit, f"all {int(final.whole.sum())} rows that are used"
-    out = [_converged(final, used), _plausible(final, used), _gross(final, wild)]
+    out = [_set_up(mistakes, final), _converged(final, used), _plausible(final, used), _gross(final, wild)]
     p = found.result.p_left if not found.result.signature else found.result.p_first
     out.append(
         Claim(
@@ -86,6 +89,12 @@ def _fall(one: Earned, unit: str) -> str:
     if not np.isfinite(one.without):
         return "without it these rows cannot be fitted"
     return f"held out {one.without:.4g} {unit} without it, {one.with_it:.4g} with it"
+
+
+def _set_up(mistakes: Sequence[Mistake], final: FittedRun) -> Claim:
+    tested = "nothing is mistaken in the columns, their units and the robot file"
+    told = "; ".join(m.sentence for m in mistakes) or "no usual mistake would make it better"
+    return Claim("set_up", tested, f"all {len(final.data)} rows", told, holds=not mistakes, fails=told)
 
 
 def _converged(final: FittedRun, used: str) -> Claim:

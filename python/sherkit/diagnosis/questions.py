@@ -11,6 +11,7 @@ from scipy import special
 from ..data.given import RunLike
 from ..errors import EffectError, FitError
 from ..fit.identify import Fit, identify
+from ..fit.set_up import set_up_mistakes
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
@@ -67,11 +68,13 @@ def diagnose(
                 f"diagnose: {effect!r} is no effect of yours; those of the catalogue are tried anyway, and one that is "
                 "to be in the model already belongs to identify or Study"
             )
+    step("mistakes of the set-up")
+    mistakes = set_up_mistakes(fit.model, fit.data, fit.values)
     run = FittedRun(fit)
     for effect in effects:
         run.model.check_effect(effect, run.data, fit.values)
     every = (*run.catalogue, *effects)
-    notes: list[str] = []
+    notes = [mistake.sentence for mistake in mistakes]
 
     step("noise and outliers")
     run, wild = without_outliers(run, every)
@@ -85,7 +88,7 @@ def diagnose(
             "it has structure; repeat some poses or add sigma columns"
         )
     deals = [run.blocks(_FOLDS, _DEALS * seed + k) for k in range(_DEALS)]
-    found = searched(run, every, rows, sigma, deals, level=level, seed=seed, step=step)
+    found = searched(run, every, rows, sigma, deals, level=level, seed=seed, step=step, look=not mistakes)
     base_stage, final = found.result.stages[0], found.final
     notes += found.notes
 
@@ -102,7 +105,7 @@ def diagnose(
     # many numbers imitate what is in no catalogue, as one effect or as several
     many = len(found.names) > 1 or numbers > _FEW
     unknown = one_unknown(run, final, found.names, run.noise[0], deals) if many else None
-    claims = claims_of(final, found, sigma, origin, fitness, unknown, needed, level, wild)
+    claims = claims_of(final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes)
     verdict = verdict_of(claims, found.names)
     reservations = [str(unknown)] if unknown is not None and unknown.rivals else []
     reservations += [told] if (told := implausible(final, found.names)) else []

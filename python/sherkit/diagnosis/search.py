@@ -145,6 +145,12 @@ class Search:
         found.explained = p > self.level and not found.signature and bool(found.added)
         return found
 
+    def as_it_stands(self) -> SearchResult:
+        """Nothing is looked for."""
+        stage = self.stage(self.base)
+        p = self.left(stage.plain)
+        return SearchResult([stage], p_first=p, p_left=p)
+
     def simpler_shape(self, stage: Stage, explanations: Sequence[Explanation]) -> Shape | None:
         """A single shape that explains alone what only a pair of effects does, and with clearly fewer parameters.
 

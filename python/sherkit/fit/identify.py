@@ -18,15 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-import sherkit._core as _core
-
 from ..data import Measurements
 from ..data.given import RunLike, run_of
 from ..data.noise import MAD, Noise, noise_of
 from ..errors import FitError
 from ..model.any import Model
 from ..model.base import ModelWithEffects
-from ..model.chain import ChainModel
 from ..model.effect import Effect, named_effects
 from ..model.kinds import model_of
 from ..model.parameter import Parameter
@@ -34,8 +31,9 @@ from ..model.robot_file import RobotLike, load_robot
 from ..notebook import Shown
 from ..types import Floats
 from .directions import Direction, badly_observed, unobserved
-from .iterate import iterate
+from .least_squares import LeastSquares
 from .robust import LOSSES, scale, spread
+from .set_up import set_up_mistakes
 from .table import table_of
 
 #: A robust fit settles in a few rounds; wild rows from which the first round starts may take some more.
@@ -223,14 +221,20 @@ def identify(
     if not data.used.any():
         raise FitError(f"{data.source}: every row is marked as an outlier; nothing is left to fit")
     weights = np.where(data.used, 1.0 / noise.sigma, 0.0)
-    problem = _LeastSquares(model, data)
+    problem = LeastSquares(model, data)
     values = model.starting_at(start)
 
-    if priors and noise.origin == "unknown":
-        # a prior is weighed against the noise, which only the residuals tell
-        loose, _ = problem.solve(weights, values, linear=linear)
-        weights = weights / max(scale(problem.left(loose.trial), weights, loose.result()["rank"], loss), 1e-12)
-    solver, ended = problem.solve(weights, values, priors=priors, linear=linear)
+    try:
+        if priors and noise.origin == "unknown":
+            # a prior is weighed against the noise, which only the residuals tell
+            loose, _ = problem.solve(weights, values, linear=linear)
+            weights = weights / max(scale(problem.left(loose.trial), weights, loose.result()["rank"], loss), 1e-12)
+        solver, ended = problem.solve(weights, values, priors=priors, linear=linear)
+    except FitError as error:
+        mistakes = set_up_mistakes(model, data) if start is None else ()
+        if not mistakes:
+            raise
+        raise FitError(f"{error} Most likely: {'; '.join(m.sentence for m in mistakes)}.") from None
     values = solver.trial
     moved = np.zeros(len(values))
     if loss != "linear":
@@ -281,49 +285,3 @@ def extended_by(model: ModelWithEffects, effects: Sequence[str | Effect]) -> Mod
     for effect in named_effects(model.known_effects, effects):
         model = model.with_effect(effect)
     return model
-
-
-class _LeastSquares:
-    """A model and rows: what the solver is asked, by the core where the model is compiled throughout."""
-
-    def __init__(self, model: ModelWithEffects, data: Measurements) -> None:
-        self.model = model
-        self.data = data
-        self.sizes = np.array([p.size for p in model.parameters])
-        self._last: tuple[Floats, Floats] | None = None
-
-    def predicted(self, values: Floats) -> Floats:
-        """Predicted readings (n, m); those asked for last are remembered."""
-        if self._last is None or not np.array_equal(self._last[0], values):
-            self._last = values.copy(), self.model.predict(self.data, values)
-        return self._last[1]
-
-    def left(self, values: Floats) -> Floats:
-        """Measured minus predicted (n, m)."""
-        return self.data.readings - self.predicted(values)
-
-    def solve(
-        self, weights: Floats, start: Floats, *, priors: bool = False, linear: bool = False, **settings: Any
-    ) -> tuple[_core.Solver, str]:
-        """The minimum from ``start``, and whether it was reached."""
-        model, data = self.model, self.data
-        solver = _core.Solver(start, self.sizes, single_step=linear, **settings)
-        if isinstance(model, ChainModel) and not model.own:
-            return solver, model.solve(solver, data, weights, priors=priors)
-
-        def feed(values: Floats) -> None:
-            push(solver, model, data, weights, values)
-            if priors:
-                solver.push_priors()
-
-        return solver, iterate(solver, feed)
-
-    def information(self, weights: Floats, values: Floats, *, priors: bool = False) -> dict[str, Any]:
-        """What the readings say at ``values``; with ``priors`` the plausible sizes too."""
-        return self.solve(weights, values, priors=priors, max_evaluations=1)[0].result()
-
-
-def push(solver: _core.Solver, model: ModelWithEffects, data: Measurements, weights: Floats, values: Floats) -> None:
-    """Gives the solver these rows as a model in NumPy has them. Raises as the model's ``predict``."""
-    left = np.where(weights > 0, data.readings - model.predict(data, values), 0.0)
-    solver.push(np.ascontiguousarray(model.derivatives(data, values)), left, weights)

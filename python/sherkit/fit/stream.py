@@ -17,8 +17,9 @@ from ..model.chain import ChainModel
 from ..model.effect import Effect
 from ..model.kinds import Robot, model_of
 from ..types import Floats
-from .identify import Identified, extended_by, push
+from .identify import Identified, extended_by
 from .iterate import iterate
+from .least_squares import push
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

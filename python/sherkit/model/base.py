@@ -107,6 +107,12 @@ class ModelWithEffects(ABC):
         del data, values
         return None
 
+    def ranges(self, data: Measurements) -> dict[str, tuple[float, float]]:
+        """Where readings begin and end, by column, such as the first and the last pixel of a picture; mirrored, one is
+        counted from its other end."""
+        del data
+        return {}
+
     # -- parameters --------------------------------------------------------------------------------------
 
     @cached_property

@@ -152,7 +152,8 @@ class Kind:
     coordinates (n, k) for a robot and the keys of the plan. The one called ``grid`` covers a region, from which the
     best poses can be chosen. ``areas`` are the poses of ``sherkit simulate`` for a robot, over all of its workspace and
     a part of it. ``signature`` gives the places (n, 3) that an effect is drawn at and what is left of it there (n, 3),
-    mm; None where it is not drawn. ``called`` is what people call it, such as "the linear delta".
+    mm; None where it is not drawn. ``called`` is what people call it, such as "the linear delta". ``choices`` are the
+    words from which keys of its table ``[geometry]`` choose; its attributes have the same names.
     """
 
     name: str
@@ -167,6 +168,7 @@ class Kind:
     areas: Mapping[str, Callable[[Any], Floats]] = field(default_factory=dict)
     signature: Callable[[Effect, Any], tuple[Floats, Floats]] | None = None
     called: str = ""
+    choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def title(self) -> str:

@@ -10,14 +10,14 @@ from .model import DeltaModel
 from .paper import paper_local, paper_protocol, paper_whole
 from .pose_sets import AREAS, POSES
 from .poses import grid
-from .robot import Delta
+from .robot import ASSEMBLY_MODES, Delta
 from .signature import signature
 from .virtual import VirtualDelta
 
 KIND = Kind(
     "delta", Delta, DeltaModel, (DELTA,), DeltaCalibration, VirtualDelta,
     coordinates=DELTA.coordinates, poses=POSES, grid="grid", areas=AREAS, signature=signature,
-    called="the linear delta",
+    called="the linear delta", choices={"assembly_mode": ASSEMBLY_MODES},
 )  # fmt: skip
 
 __all__ = [

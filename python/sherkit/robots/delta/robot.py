@@ -22,6 +22,8 @@ from ...types import Floats
 
 Triple = tuple[float, float, float]
 
+ASSEMBLY_MODES = ("below", "above")
+
 # the order in which the core holds a limb's parameters: name, symbol
 LIMB_PARAMETERS = (
     ("base_radius", "δr_b"),
@@ -75,7 +77,7 @@ class Delta:
                 "rod_length_mm": g.numbers("rod_length_mm", 3, positive=True),
                 "rod_spacing_mm": g.number("rod_spacing_mm", 0.0),
                 "target_offset_mm": g.numbers("target_offset_mm", 3, (0.0, 0.0, 0.0)),
-                "assembly_mode": g.text("assembly_mode", ("below", "above"), "below"),
+                "assembly_mode": g.text("assembly_mode", ASSEMBLY_MODES, "below"),
             }
             _check_shape(g, geometry)
         with table.table("joints", optional=True) as j:

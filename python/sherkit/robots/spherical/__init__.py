@@ -11,7 +11,7 @@ from .paper import TaskError, identify_joints, task_error
 from .pose_sets import AREAS, POSES
 from .poses import sphere_patch
 from .remote_centre import RemoteCentre, remote_centre
-from .robot import Spherical
+from .robot import ASSEMBLY_MODES, WORKING_MODES, Spherical
 from .straightness import straightness, straightness_by
 from .virtual import VirtualSpherical
 
@@ -19,6 +19,7 @@ KIND = Kind(
     "spherical", Spherical, SphericalModel, (SPHERICAL_PIXELS, SPHERICAL_ANGLES), SphericalCalibration,
     VirtualSpherical, coordinates=SPHERICAL_ANGLES.coordinates, poses=POSES, areas=AREAS,
     called="the spherical robot and its camera",
+    choices={"assembly_mode": ASSEMBLY_MODES, "working_mode": WORKING_MODES},
 )  # fmt: skip
 
 __all__ = [

@@ -78,6 +78,13 @@ class SphericalModel(ChainModel):
         _ = self.robot.seen
         return self.core
 
+    def ranges(self, data: Measurements) -> dict[str, tuple[float, float]]:
+        """The first and the last pixel of the picture."""
+        camera = self.robot.camera
+        if camera is None or data.layout != SPHERICAL_PIXELS:
+            return {}
+        return {name: (0.0, size - 1.0) for name, size in zip(data.layout.coordinates, camera.size_px, strict=True)}
+
     def reachable(self, data: Measurements, values: Floats) -> tuple[Floats, Measurements] | None:
         """A grid over the workspace (or where the run was) in φ and γ, with the rows it would give, as coordinates."""
         robot = self.robot

@@ -1,0 +1,125 @@
+"""Mistakes that the columns show by themselves: no fit gets better without them.
+
+A reading that is the same in every row, times in milliseconds, joints as they were commanded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy import stats
+
+from ...data import Measurements
+from ...data.columns import TIME
+from ...types import Floats, Ints
+
+#: A reading that never changes is a mistake where the place moves it by more than this part of what moves most.
+_MOVES = 0.05
+#: Few runs are as slow as this for each reading and as long as this on the whole, s.
+_SLOW_S = 300.0
+_LONG_S = 86_400.0
+#: Repeats whose readings scatter by this many times the declared noise were not at one place.
+_SCATTER = 3.0
+_LEVEL = 1e-6
+_FEWEST = 5
+
+
+def constant(data: Measurements) -> Ints:
+    """Columns of readings that are the same, to the bit, in every row that was used."""
+    out = []
+    for k in range(data.readings.shape[1]):
+        u = data.readings[data.used[:, k], k]
+        if len(u) >= _FEWEST and np.ptp(u) == 0:
+            out.append(k)
+    return np.array(out, dtype=np.int64)
+
+
+def constant_by_mistake(data: Measurements, predicted: Floats) -> Iterator[tuple[int, str]]:
+    """Readings that never change though the place does: the column and the sentence.
+
+    ``predicted`` (n, m) are the drawing's readings. Where the place was held there on purpose, as by a probe that is
+    lowered to a table, they do not change either.
+    """
+    moves = np.ptp(predicted, axis=0)
+    most = moves[: data.coordinates].max()
+    for k in constant(data):
+        if moves[k] > _MOVES * most:
+            name, per_unit, unit = data.layout.readings[k], data.layout.per_unit, data.layout.unit
+            value = float(data.readings[data.used[:, k], k][0])
+            yield (
+                int(k),
+                f"{name} is constant: {value:g}, the same in all {int(data.used[:, k].sum())} rows, where the robot "
+                f"moves it by {per_unit * moves[k]:.3g} {unit}; look at the instrument and its cable, or leave the "
+                "column out",
+            )
+
+
+def time_in_milliseconds(data: Measurements) -> str | None:
+    """Times that would make a run of a few minutes last for days, as a sentence."""
+    if data.time_s is None or len(data) < _FEWEST:
+        return None
+    gaps = np.diff(np.sort(data.time_s))
+    velocities = [v for v in (data.covariates.get(name) for name in data.layout.velocities) if v is not None]
+    usual = float(np.median(gaps))
+    if len(velocities) == data.joints.shape[1]:
+        # joints tell how fast time runs, where their speeds are known
+        order = np.argsort(data.time_s, kind="stable")
+        way = np.abs(np.diff(data.joints[order], axis=0)).sum()
+        by_speed = (np.abs(np.column_stack(velocities)[order][1:]) * gaps[:, None]).sum()
+        if by_speed > 0 and 500.0 < by_speed / max(float(way), 1e-300) < 2000.0:
+            return (
+                f"{TIME} looks like milliseconds (ms): at the speeds of the run its joints would have moved "
+                f"{by_speed / way:.0f} times as far as they did; divide {TIME} by 1000"
+            )
+        return None
+    if usual < _SLOW_S or np.ptp(data.time_s) < _LONG_S:
+        return None
+    hours = float(np.ptp(data.time_s)) / 3600.0
+    return (
+        f"{TIME} looks like milliseconds (ms): {len(data)} readings would have taken {hours:.0f} hours, "
+        f"{usual / 60:.0f} minutes each, instead of {usual / 1000:.1f} s; divide {TIME} by 1000"
+    )
+
+
+def commanded_joints(data: Measurements) -> str | None:
+    """Joints that are equal to the bit in all repeats of a pose while their readings scatter far beyond the declared
+    noise, as a sentence."""
+    if data.pose is None or not np.isfinite(data.sigma[data.used]).all():
+        return None
+    repeats = data.repeatability
+    _, first, group = np.unique(data.pose, return_index=True, return_inverse=True)
+    if repeats is None or not np.array_equal(data.joints, data.joints[first][group]):
+        return None
+    told = []
+    for k, name in enumerate(data.layout.readings):
+        free = repeats.degrees_of_freedom.get(name, 0)
+        if free < _FEWEST:
+            continue
+        declared = float(np.sqrt(np.mean(data.sigma[data.used[:, k], k] ** 2)))
+        spread = typical_scatter(data, k)
+        if spread > _SCATTER * declared and stats.chi2.sf(free * (spread / declared) ** 2, free) < _LEVEL:
+            each = data.layout.per_unit
+            told.append(
+                f"{name} scatters by {each * spread:.3g} {data.layout.unit} where {each * declared:.3g} are declared"
+            )
+    if not told:
+        return None
+    joints = ", ".join(data.layout.joints)
+    return (
+        f"joint readings ({joints}) look like commanded values, not read ones: they are equal to the last digit in "
+        f"all repeats of a pose while {'; '.join(told)}; write what the encoders read, or declare the scatter as noise"
+    )
+
+
+def typical_scatter(data: Measurements, column: int) -> float:
+    """Spread of repeats about the mean of their pose, by the median over poses: a few wild ones do not count."""
+    rows = data.used[:, column]
+    group = np.unique(data.groups[rows], return_inverse=True)[1]
+    count = np.bincount(group)
+    value = data.readings[rows, column]
+    mean = np.bincount(group, value) / count
+    square = np.bincount(group, (value - mean[group]) ** 2)
+    several = count > 1
+    usual = stats.chi2.median(count[several] - 1)
+    return float(np.sqrt(np.median(square[several] / usual)))

@@ -1,0 +1,349 @@
+"""What a tired person may have set up otherwise than the robot's file and the columns' names say.
+
+Columns of one unit are exchanged, negated, mirrored within their range, taken for another unit, shifted by rows; the
+words and angles of the robot's file are taken for the others that they might be. All follows from the layout of the
+rows, from the robot's own tables and from its :class:`~sherkit.model.kinds.Kind`: nothing here knows a robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...data import Measurements
+from ...data.columns import unit_in
+from ...errors import SherkitError
+from ...model.base import ModelWithEffects
+from ...model.chain import ChainModel
+from ...model.kinds import kind_of, robot_from_tables
+from ...types import Floats, Ints
+
+#: What stands under a name by mistake: the unit it is in, how many of the name's units it has, what to do.
+UNITS: dict[str, tuple[tuple[str, float], ...]] = {
+    "mm": (("metres", 1e3), ("centimetres", 10.0), ("inches", 25.4), ("micrometres (µm)", 1e-3)),
+    "rad": (("degrees", float(np.pi / 180)), ("milliradians", 1e-3), ("turns", float(2 * np.pi))),
+    "px": (("pixels of a picture of half size", 2.0), ("pixels of a picture of double size", 0.5)),
+}
+#: Where angles may be counted from: reading = sign · angle + this, rad.
+_QUARTERS = ((-1.0, 0.5), (-1.0, 1.0), (1.0, 0.5), (1.0, -0.5), (1.0, 1.0))
+#: Readings that stand so many rows from their joints are looked for.
+_ROWS = 3
+#: A frame that is turned anyhow is less likely from the outset than a slip: its three angles fit more.
+_TURNED = 10.0
+#: All subsets of so few columns are tried; of more, single ones and all together.
+_FEW = 3
+
+
+@dataclass(frozen=True, eq=False)
+class SetUp:
+    """Robot and rows as they may have been meant: what looks wrong, what to change, and both as they would be then.
+    ``farther`` is how much less likely this is from the outset than a single slip."""
+
+    looks: str
+    advice: str
+    model: ModelWithEffects
+    data: Measurements
+    farther: float = 0.0
+
+
+def hypotheses(model: ModelWithEffects, data: Measurements) -> Iterator[SetUp]:
+    """Every mistake that may have been made, the usual ones first."""
+    for looks, advice, changed in _of_columns(model, data):
+        yield SetUp(looks, advice, model, changed)
+    for looks, advice, changed in _of_rows(data):
+        yield SetUp(looks, advice, model, changed)
+    for looks, advice, other in _of_robot(model):
+        yield SetUp(looks, advice, other, data)
+
+
+# -- columns -------------------------------------------------------------------------------------------------------
+
+
+def _joints_as(data: Measurements, order: Sequence[int], factor: Floats, offset: Floats) -> Measurements:
+    """Each joint from the column that ``order`` names, times its factor, plus its offset."""
+    o = list(order)
+    return replace(
+        data,
+        joints=np.ascontiguousarray(data.joints[:, o] * factor + offset),
+        to_joints=np.ascontiguousarray(data.to_joints[:, o] * factor + offset),
+        direction=np.ascontiguousarray(data.direction[:, o] * np.sign(factor)),
+    )
+
+
+def _readings_as(data: Measurements, order: Sequence[int], factor: Floats, offset: Floats) -> Measurements:
+    """The same of readings."""
+    o = list(order)
+    taken = np.ascontiguousarray(data.taken[:, o])
+    return replace(
+        data,
+        readings=np.ascontiguousarray(np.where(taken, data.readings[:, o] * factor + offset, 0.0)),
+        taken=taken,
+        sigma=np.ascontiguousarray(data.sigma[:, o] * np.abs(factor)),
+    )
+
+
+class _Block:
+    """Joints, or readings: their names, their units, and how they are changed."""
+
+    def __init__(self, data: Measurements, names: Sequence[str], called: str, change: Any) -> None:
+        self.data, self.names, self.called, self._change = data, tuple(names), called, change
+
+    def changed(
+        self, columns: Sequence[int], *, sources: Sequence[int] | None = None, factor: float | Floats = 1.0,
+        offset: float | Floats = 0.0, data: Measurements | None = None,
+    ) -> Measurements:  # fmt: skip
+        """The rows with these columns taken from ``sources``, times ``factor`` plus ``offset``."""
+        n, c = len(self.names), list(columns)
+        order, factors, offsets = np.arange(n), np.ones(n), np.zeros(n)
+        order[c] = c if sources is None else list(sources)
+        factors[c], offsets[c] = factor, offset
+        out: Measurements = self._change(self.data if data is None else data, order, factors, offsets)
+        return out
+
+    def of_one_unit(self, columns: Sequence[int]) -> Iterator[tuple[str, list[int]]]:
+        """The columns by their units."""
+        units = [unit_in(self.names[k]) for k in columns]
+        for unit in dict.fromkeys(units):
+            yield unit, [k for k, u in zip(columns, units, strict=True) if u == unit]
+
+    def named(self, columns: Sequence[int]) -> str:
+        """Their names in words, and what they are where they are all."""
+        return _and([self.names[k] for k in columns])
+
+
+def _and(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _subsets(columns: Sequence[int]) -> Iterator[tuple[int, ...]]:
+    """Single columns, then more of them together."""
+    few = len(columns) <= _FEW
+    for size in range(1, len(columns) + 1):
+        if few or size in (1, len(columns)):
+            yield from combinations(columns, size)
+
+
+def _exchanges(columns: Sequence[int]) -> Iterator[tuple[str, list[int], list[int]]]:
+    """Two columns that stand for each other; all of them moved round."""
+    for pair in combinations(columns, 2):
+        yield "swapped", list(pair), list(pair[::-1])
+    if len(columns) > 2:
+        for by in (1, len(columns) - 1):
+            yield "interchanged", list(columns), [columns[(k + by) % len(columns)] for k in range(len(columns))]
+
+
+def _of_columns(model: ModelWithEffects, data: Measurements) -> Iterator[tuple[str, str, Measurements]]:
+    layout = data.layout
+    joints = _Block(data, layout.joints, "joint readings", _joints_as)
+    readings = _Block(data, layout.readings, "readings", _readings_as)
+    taken = [k for k in range(len(layout.readings)) if data.used[:, k].any()]
+    coordinates = [k for k in taken if k < data.coordinates]
+    ranges = model.ranges(data)
+    for block, columns in ((joints, range(len(layout.joints))), (readings, coordinates)):
+        for unit, same in block.of_one_unit(list(columns)):
+            yield from _exchanged(block, same)
+            yield from _other_way(block, same, ranges)
+            if block is readings and len(same) == 2:
+                yield from _quarter_turned(block, same, ranges)
+            if unit == "rad":
+                yield from _counted_from_elsewhere(block, same)
+    yield from _other_units(data, joints, readings, taken)
+
+
+def _exchanged(block: _Block, same: Sequence[int]) -> Iterator[tuple[str, str, Measurements]]:
+    for how, columns, sources in _exchanges(same):
+        advice = "swap these columns"
+        if how == "interchanged":
+            moves = [f"{block.names[a]} from {block.names[b]}" for a, b in zip(columns, sources, strict=True)]
+            advice = f"move these columns round: take {', '.join(moves)}"
+        yield f"{block.named(columns)} look {how}", advice, block.changed(columns, sources=sources)
+
+
+def _other_way(
+    block: _Block, same: Sequence[int], ranges: dict[str, tuple[float, float]]
+) -> Iterator[tuple[str, str, Measurements]]:
+    for columns in _subsets(same):
+        names, look = block.named(columns), "looks" if len(columns) == 1 else "look"
+        what = "counted the other way" if block.called == "joint readings" else "mirrored (negated)"
+        whole = "all joints: " if block.called == "joint readings" and len(columns) == len(same) > 1 else ""
+        yield f"{whole}{names} {look} {what}", "change the sign", block.changed(columns, factor=-1.0)
+        if all(block.names[k] in ranges for k in columns):
+            ends = [sum(ranges[block.names[k]]) for k in columns]
+            advice = "; ".join(
+                f"{block.names[k]} is {e:.6g} minus what it holds" for k, e in zip(columns, ends, strict=True)
+            )
+            yield (
+                f"{names} {look} mirrored (counted from the opposite side)", advice,
+                block.changed(columns, factor=-1.0, offset=np.array(ends)),
+            )  # fmt: skip
+
+
+def _quarter_turned(
+    block: _Block, same: Sequence[int], ranges: dict[str, tuple[float, float]]
+) -> Iterator[tuple[str, str, Measurements]]:
+    """Both columns swapped and one of them mirrored: a picture that is turned by 90°."""
+    swapped = block.changed(same, sources=same[::-1])
+    for k in same:
+        end = sum(ranges.get(block.names[k], (0.0, 0.0)))
+        yield (
+            f"{block.named(same)} look swapped, and {block.names[k]} mirrored then",
+            f"swap these columns, then {block.names[k]} is {end:.6g} minus what it holds",
+            block.changed([k], factor=-1.0, offset=end, data=swapped),
+        )
+
+
+def _counted_from_elsewhere(block: _Block, same: Sequence[int]) -> Iterator[tuple[str, str, Measurements]]:
+    for k in same:
+        for sign, half_turns in _QUARTERS:
+            name, degrees = block.names[k], 180 * half_turns
+            if sign > 0:
+                looks, advice = f"{name} looks off by {-degrees:+.0f}°", f"add {degrees:+.0f}°"
+            else:
+                looks = f"{name} looks counted from {degrees:.0f}° and the other way round (the complement)"
+                advice = f"{name} is {degrees:.0f}° ({np.pi * half_turns:.5f} rad) minus what it holds"
+            yield looks, advice, block.changed([k], factor=sign, offset=np.pi * half_turns)
+
+
+def _other_units(
+    data: Measurements, joints: _Block, readings: _Block, taken: Sequence[int]
+) -> Iterator[tuple[str, str, Measurements]]:
+    every = list(range(len(joints.names)))
+    for unit, ways in UNITS.items():
+        here = [k for k in every if unit_in(joints.names[k]) == unit]
+        there = [k for k in taken if unit_in(readings.names[k]) == unit]
+        for called, factor in ways:
+            advice = f"multiply by {factor:.6g}" if factor > 1 else f"divide by {1 / factor:.6g}"
+            for block, columns in ((joints, here), (readings, there)):
+                if columns:
+                    changed = block.changed(columns, factor=factor)
+                    yield f"{block.called} ({block.named(columns)}) look like {called}", advice, changed
+                for k in columns if len(columns) > 1 else ():
+                    yield f"{block.names[k]} alone looks like {called}", advice, block.changed([k], factor=factor)
+            if here and there:
+                both = joints.changed(here, factor=factor, data=readings.changed(there, factor=factor))
+                names = f"{joints.named(here)}; {readings.named(there)}"
+                elsewhere = f"{advice}, or write the robot file in that unit" if unit == "mm" else advice
+                yield f"joint readings and readings ({names}) all look like {called}", elsewhere, both
+
+
+# -- rows ----------------------------------------------------------------------------------------------------------
+
+
+def _of_rows(data: Measurements) -> Iterator[tuple[str, str, Measurements]]:
+    """Readings that stand some rows away from the joints they belong to."""
+    n = len(data)
+    for by in (1, -1, 2, -2, 3, -3):
+        if abs(by) > _ROWS or n <= 4 * abs(by):
+            continue
+        rows = np.arange(max(-by, 0), n - max(by, 0))
+        rows_there: Ints = rows + by
+        kept = data.select(rows)
+        changed = replace(
+            kept,
+            readings=data.readings[rows_there],
+            taken=data.taken[rows_there],
+            sigma=data.sigma[rows_there],
+            outlier=data.outlier[rows] | data.outlier[rows_there],
+        )
+        where, there = ("below", "up") if by > 0 else ("above", "down")
+        count = f"{abs(by)} row{'s' if abs(by) > 1 else ''}"
+        yield (
+            f"readings look shifted: they stand {count} {where} the joints that they belong to",
+            f"move them {there} by {count}",
+            changed,
+        )
+
+
+# -- the robot's file ----------------------------------------------------------------------------------------------
+
+
+def _of_robot(model: ModelWithEffects) -> Iterator[tuple[str, str, ModelWithEffects]]:
+    """The robots that the file may have meant: other words of its choices, angles in radians or counted clockwise."""
+    if not isinstance(model, ChainModel):
+        return
+    tables = model.robot.to_tables()
+    choices = kind_of(model.robot).choices
+    geometry = tables.get("geometry", {})
+    changes: list[tuple[str, str, dict[str, Any]]] = []
+    for key, words in choices.items():
+        now = getattr(model.robot, key)
+        for word in words:
+            if word != now:
+                looks = f'{key} in the robot file looks wrong: "{now}" where the run shows "{word}"'
+                changes.append((looks, f'set {key} = "{word}"', {key: word}))
+    angles = [key for key in geometry if unit_in(key) == "deg"]
+    lists = [key for key in angles if isinstance(geometry[key], list) and len(geometry[key]) > 1]
+    if angles:
+        looks = f"{_and(angles)} in the robot file look like radians"
+        changes.append((looks, "write them in degrees", {key: np.rad2deg(geometry[key]).tolist() for key in angles}))
+    if lists:
+        first = geometry[lists[0]][0]
+        names = _and(lists)
+        for start, how in ((first, "from where limb 1 stands"), (0.0, "from x")):
+            turned = {key: [(2 * start - a) % 360.0 for a in geometry[key]] for key in lists}
+            looks = f"{names} in the robot file look counted clockwise {how}"
+            changes.append((looks, f"count them anticlockwise: {_written(turned)}", turned))
+    for looks, advice, changed in changes:
+        other = deepcopy(tables)
+        other["geometry"] |= changed
+        try:
+            robot = robot_from_tables(other, "robot file")
+        except SherkitError:
+            continue
+        yield looks, advice, replace(model, robot=robot)
+
+
+def _written(changed: dict[str, list[float]]) -> str:
+    """Keys with their values, as in a file."""
+    return "; ".join(f"{key} = [{', '.join(f'{v:.5g}' for v in values)}]" for key, values in changed.items())
+
+
+# -- the instrument's frame ----------------------------------------------------------------------------------------
+
+
+def turned_frame(model: ModelWithEffects, data: Measurements, values: Floats, *, mirrored: bool) -> SetUp | None:
+    """The readings turned, or mirrored and turned, so that they come to lie on what the model predicts for ``values``;
+    None where readings are not three lengths.
+
+    Source: Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976; rows far off weigh less
+    (Cauchy), so that gross errors do not turn the frame. Raises as the model's ``predict``.
+    """
+    names = data.layout.coordinates
+    whole = data.used[:, : len(names)].all(axis=1)
+    if len(names) != 3 or {unit_in(name) for name in names} != {"mm"} or whole.sum() < 4:
+        return None
+    predicted = model.predict(data, values)[whole, :3]
+    turn, middle = _registered(data.readings[whole, :3], predicted, mirrored=mirrored)
+    angle = Rotation.from_matrix(turn * (-1.0 if mirrored else 1.0)).inv().as_rotvec()
+    degrees = float(np.rad2deg(np.linalg.norm(angle)))
+    axis = angle / max(float(np.linalg.norm(angle)), 1e-12)
+    readings = data.readings.copy()
+    readings[:, :3] = (data.readings[:, :3] - middle) @ turn.T + middle
+    what = "mirrored in a point and turned" if mirrored else "turned"
+    return SetUp(
+        f"the frame of {_and(names)} looks {what} by {degrees:.1f}° about ({', '.join(f'{v:.2f}' for v in axis)})",
+        "turn the readings back, or turn the angles of the robot file with it",
+        model,
+        replace(data, readings=np.where(data.taken, readings, 0.0)),
+        farther=_TURNED,
+    )
+
+
+def _registered(measured: Floats, predicted: Floats, *, mirrored: bool) -> tuple[Floats, Floats]:
+    """The orthogonal matrix that turns measured points about their middle onto the predicted ones, and the middle."""
+    weight = np.ones(len(measured))
+    for _ in range(10):
+        w = (weight / weight.sum())[:, None]
+        middle, there = (w * measured).sum(axis=0), (w * predicted).sum(axis=0)
+        u, _, vt = np.linalg.svd(((measured - middle) * w).T @ (predicted - there))
+        sign = np.linalg.det(vt.T @ u.T) * (-1.0 if mirrored else 1.0)
+        turn = vt.T @ np.diag([1.0, 1.0, np.sign(sign)]) @ u.T
+        off = np.linalg.norm((measured - middle) @ turn.T - (predicted - there), axis=1)
+        weight = 1.0 / (1.0 + (off / max(float(np.median(off)), 1e-12)) ** 2)
+    return np.asarray(turn), np.asarray(middle)

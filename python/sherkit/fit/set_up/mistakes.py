@@ -1,0 +1,181 @@
+"""The mistakes of a set-up that a run shows: every hypothesis is fitted, the ones that are much better are said."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...data import Measurements
+from ...data.noise import noise_of
+from ...errors import SherkitError
+from ...model.base import ModelWithEffects
+from ...types import Bools, Floats
+from .columns_alone import commanded_joints, constant_by_mistake, time_in_milliseconds
+from .hypotheses import SetUp, hypotheses, turned_frame
+from .plausible import COUNTED, Plausible, as_fitted, only_shift, plausible_fit
+
+#: A set-up is mistaken where another explains the run better by a factor of five with parameters as plausible.
+_MUCH = COUNTED * float(np.log(5.0))
+#: As good as the best: by a factor of 1.5.
+_AS_GOOD = COUNTED * float(np.log(1.5))
+#: What is left is small: this part of the readings' spread, where mistakes leave twenty times that; or this many times
+#: the noise, and this part of the spread.
+_SMALL = 0.01
+_NOISES = 3.0
+_NOT_LARGE = 0.05
+#: A reading that hardly moves counts as moving by this part of the one that moves most.
+_LEAST_SPREAD = 0.02
+#: Parameters are plausible as long as they cost no more than this.
+_MOVED = 15.0
+#: More mistakes than this at once are not looked for.
+_MOST_MISTAKES = 3
+#: How often a turned frame is registered anew to what the model predicts.
+_TURNS = 4
+#: So many set-ups that look best at first are fitted to their end.
+_LOOKED_AT = 8
+#: Readings for each parameter, fewer of which fit anything.
+_READINGS = 3
+#: A set-up that leaves more than this part of the spread is not right, whatever the others leave.
+_NOT_RIGHT = 0.1
+#: One that leaves more than this is no set-up at all.
+_ABSURD = 0.3
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """Something in the set-up that looks wrong: a sentence with what to change.
+
+    ``before`` and ``after`` are the RMS that robust fits with plausible parameters leave as it stands and once it is
+    changed, in the unit that people read; NaN where nothing can be computed, or where no fit shows it.
+    """
+
+    sentence: str
+    before: float = float("nan")
+    after: float = float("nan")
+
+    def __str__(self) -> str:
+        return self.sentence
+
+
+def set_up_mistakes(model: ModelWithEffects, data: Measurements, values: Floats | None = None) -> tuple[Mistake, ...]:
+    """The mistakes of the set-up that rows show beside a model; none where its fit leaves little and is plausible.
+
+    ``values`` (p,) are those of a fit, None where there is none, as where rows cannot be reached.
+    """
+    late = time_in_milliseconds(data)
+    out = [Mistake(late)] if late else []
+    if values is not None:
+        still = dict(constant_by_mistake(data, model.predict(data, np.zeros(len(values)))))
+        if still:
+            out += [Mistake(sentence) for sentence in still.values()]
+            taken = data.taken.copy()
+            taken[:, list(still)] = False
+            data, values = replace(data, taken=taken).select(np.flatnonzero(taken.any(axis=1))), None
+            if not len(data):
+                return tuple(out)
+    free = None if values is None else as_fitted(model, data, values)
+    wrong = [] if free is not None and _is_small(free, data) else _wrong(model, data, free)
+    commanded = None if wrong else commanded_joints(data)
+    return (*out, *wrong, *([Mistake(commanded)] if commanded else []))
+
+
+def _is_small(now: Plausible, data: Measurements) -> bool:
+    """Whether a fit leaves so little, with parameters so plausible, that nothing can be wrong that it would show."""
+    noise = noise_of(data)
+    pairs = zip(noise.sigma.T, data.used.T, strict=True)
+    usual = np.array([np.median(sigma[used]) if used.any() else np.nan for sigma, used in pairs])
+    # one that hardly moves beside the others, as the height in a plane, may be all noise
+    spread = np.maximum(now.spread, _LEAST_SPREAD * np.nanmax(now.spread))
+    small = now.rms <= _SMALL * spread
+    if noise.origin != "unknown":
+        small |= (now.rms <= _NOISES * usual) & (now.rms <= _NOT_LARGE * spread)
+    return bool(small[np.isfinite(now.rms)].all()) and now.moved <= _MOVED and now.elsewhere < 0.5
+
+
+def _wrong(
+    model: ModelWithEffects, data: Measurements, free: Plausible | None, most: int = _MOST_MISTAKES
+) -> list[Mistake]:
+    """What looks wrong as it stands, by every hypothesis, and what looks wrong once that is changed; ``free`` is the
+    free fit."""
+    datum = _datum(model, data)
+    if datum is None or data.used.sum() < _READINGS * len(model.parameters):
+        return []
+    now = plausible_fit(model, data, datum)
+    if now is not None and _is_small(now, data):
+        return []
+    stands = min((p.misfit for p in (now, free) if p is not None), default=np.inf)
+    better = _much_better(model, data, datum, stands)
+    unit, per_unit = data.layout.unit, data.layout.per_unit
+    before = float("nan") if now is None else per_unit * now.rms_of_all
+    if not better:
+        return _nothing_usual(now, free, before, unit)
+    first, found = better[0]
+    after = per_unit * found.rms_of_all
+    said = "; or ".join(f"{one.looks} ({one.advice})" for one, _ in better)
+    stood = "where nothing can be computed as it stands" if np.isnan(before) else f"instead of {before:.3g} {unit}"
+    same = ", which here says the same" if len(better) > 1 else ""
+    out = [Mistake(f"{said}{same}: {after:.3g} {unit} RMS {stood}", before, after)]
+    return out if most == 1 else out + _wrong(first.model, first.data, None, most - 1)
+
+
+def _much_better(
+    model: ModelWithEffects, data: Measurements, datum: Bools, stands: float
+) -> list[tuple[SetUp, Plausible]]:
+    """The set-up that explains the run much better than it ``stands``, first, and those that are as good."""
+    every = list(hypotheses(model, data))
+    first = [plausible_fit(one.model, one.data, datum, rounds=1) for one in every]
+    likely = sorted((found.misfit, k) for k, found in enumerate(first) if found is not None)[:_LOOKED_AT]
+    fitted = [(every[k], plausible_fit(every[k].model, every[k].data, datum)) for _, k in likely]
+    fitted += [_turned(model, data, datum, mirrored=mirrored) for mirrored in (False, True)]
+    better = []
+    for one, found in fitted:
+        if found is not None and found.misfit + one.farther < stands - _MUCH and found.relative < _NOT_RIGHT:
+            better.append((one, found))
+    best = min((found.misfit + one.farther for one, found in better), default=np.inf)
+    as_good = [(one, found) for one, found in better if found.misfit < best + _AS_GOOD]
+    if any(one.model is model and one.data.joints is data.joints and not one.farther for one, _ in as_good):
+        # a turn by which axes come to lie on axes is said by their columns
+        as_good = [(one, found) for one, found in as_good if not one.farther]
+    return sorted(as_good, key=lambda pair: pair[1].misfit + pair[0].farther)
+
+
+def _turned(
+    model: ModelWithEffects, data: Measurements, datum: Bools, *, mirrored: bool
+) -> tuple[SetUp, Plausible | None]:
+    """The frame turned onto the drawing, then onto what the model predicts with the parameters that this gives."""
+    one: SetUp | None = None
+    found: Plausible | None = None
+    values = np.zeros(len(datum))
+    try:
+        for _ in range(_TURNS):
+            one = turned_frame(model, data, values, mirrored=mirrored)
+            found = None if one is None else plausible_fit(model, one.data, datum)
+            if found is None:
+                break
+            values = found.values
+    except SherkitError:
+        found = None
+    return one or SetUp("", "", model, data), found
+
+
+def _datum(model: ModelWithEffects, data: Measurements) -> Bools | None:
+    """Parameters that only shift readings; by the first set-up that can be computed."""
+    for one in (SetUp("", "", model, data), *hypotheses(model, data)):
+        try:
+            return only_shift(one.model, one.data)
+        except SherkitError:
+            continue
+    return None
+
+
+def _nothing_usual(now: Plausible | None, free: Plausible | None, before: float, unit: str) -> list[Mistake]:
+    """That the fit is absurd and nothing that is usually mistaken explains it."""
+    if now is None or free is None or min(now.relative, free.relative) < _ABSURD:
+        return []
+    sentence = (
+        f"nothing that is usually mistaken explains the run: {before:.3g} {unit} RMS are left with parameters of "
+        f"plausible size, {100 * now.relative:.0f} % of how far the readings move; compare a pose or two with the "
+        "robot's file by hand"
+    )
+    return [Mistake(sentence, before)]

@@ -1,0 +1,195 @@
+"""Mistakes of the set-up, on robots and models that are no part of the long list of ``test_honest_verdict.py``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy.spatial.transform import Rotation
+
+import mistakes
+import sherkit as sk
+import worlds
+from planar_arm import KIND, PlanarArm, VirtualPlanarArm
+from planar_arm.pose_sets import fan
+from sherkit.data import columns
+from sherkit.errors import FitError
+from sherkit.fit import Mistake, set_up_mistakes
+from sherkit.model import kinds
+from sherkit.model.kinds import model_of
+from sherkit.types import Floats
+from worlds import World
+
+NAMED = {m.name: m for m in mistakes.MISTAKES["delta"][1]}
+POSITION = ("x_mm", "y_mm", "z_mm")
+
+
+def told(world: World) -> tuple[Mistake, ...]:
+    """What is said of a run of a robot."""
+    data = sk.from_frame(pl.DataFrame(mistakes.file_of(world).columns))
+    fit = sk.identify(world.robot, data)
+    return set_up_mistakes(fit.model, fit.data, fit.values)
+
+
+def turned(degrees: float) -> Callable[[World], World]:
+    """The instrument stands turned about z."""
+    turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+
+    def change(c: dict[str, Any]) -> dict[str, Any]:
+        return dict(zip(POSITION, turn @ np.stack([c[name] for name in POSITION]), strict=True))
+
+    return mistakes.columns(change)
+
+
+def test_equivalent_statements_are_both_said() -> None:
+    """Catches one of two names for the same thing: on a symmetric robot a frame turned by 120° is joints moved."""
+    (said,) = told(turned(120.0)(worlds.clean(0)))
+    assert "q1_mm, q2_mm and q3_mm look interchanged" in said.sentence
+    assert "turned by 120" in said.sentence
+
+
+@pytest.mark.parametrize("degrees", [20.0, -37.0])
+def test_a_frame_turned_by_any_angle_is_said(degrees: float) -> None:
+    """Catches base angles of 37° in place of an instrument that stands turned, and a turn in the wrong sense."""
+    (said,) = told(turned(degrees)(worlds.clean(0)))
+    assert abs(float(said.sentence.split("turned by ")[1].split("°")[0]) - abs(degrees)) < 0.5
+    assert f"{np.sign(degrees):.2f})" in said.sentence
+    assert said.after < 0.01 * said.before
+
+
+@pytest.mark.filterwarnings("ignore:.*are they in metres:sherkit.SherkitWarning")
+def test_two_mistakes_are_both_said() -> None:
+    """Catches a search that ends at the first: joints in metres, and then x mirrored."""
+    world = NAMED["x mirrored"].change(NAMED["joints in metres"].change(mistakes.delta_run(1)))
+    first, second = told(world)
+    assert "metres" in first.sentence
+    assert "x_mm looks mirrored" in second.sentence
+
+
+@pytest.mark.parametrize(
+    "world",
+    [
+        worlds.delta_world(0, {"rail_lean": 200 * worlds.NOISE_UM}),
+        worlds.delta_world(0, {"beam_alignment": 200 * worlds.NOISE_UM}),
+        worlds.delta_world(1, {"rod_mismatch": 10 * worlds.NOISE_UM}),
+        worlds.spherical_world(0, scaled={"joint_offset": 100}),
+        worlds.spherical_world(0, scaled={"camera_pose": 300}),
+    ],
+    ids=["rail_lean", "beam_alignment", "rod_mismatch", "joint_offset", "camera_pose"],
+)
+def test_large_physics_is_no_mistake(world: World) -> None:
+    """Catches an axis called swapped, or a camera called mirrored, since that fits a little better than nothing."""
+    assert told(world) == ()
+
+
+def test_wild_rows_neither_hide_nor_fake_a_mistake() -> None:
+    """Catches a comparison by squares: a tenth of the poses is wrong by up to a metre."""
+    world = worlds.clean(2)
+    wrong = world.columns["pose"] % 10 == 0
+    off = 1e3 * np.random.default_rng(0).uniform(-1.0, 1.0, len(wrong))
+    wild = mistakes.columns(lambda c: {name: c[name] + wrong * off for name in POSITION})
+    assert told(wild(world)) == ()
+    (said,) = told(NAMED["x and z swapped"].change(wild(world)))
+    assert "x_mm and z_mm look swapped" in said.sentence
+
+
+def test_a_height_that_was_held_is_no_mistake() -> None:
+    """Catches a probe's zeros that are called a broken sensor; and times that are only slow."""
+    world = worlds.printer_heights(0)
+    assert not any("constant" in m.sentence for m in told(world))
+    slow = worlds.delta_world(0)
+    slow = replace(slow, columns=slow.columns | {"time_s": 20.0 * slow.columns["time_s"]})
+    assert told(slow) == ()
+
+
+def test_an_error_of_reach_names_the_mistake() -> None:
+    """Catches "cannot reach" without a word on the joint that is counted downwards, or a word that is not right."""
+    world = mistakes.file_of(NAMED["joint 2 counted downwards"].change(mistakes.delta_run(3)))
+    with pytest.raises(FitError, match=r"cannot reach .* Most likely: q2_mm looks counted the other way"):
+        sk.identify(world.robot, sk.from_frame(pl.DataFrame(world.columns)))
+
+
+# -- robots and models of a user's own -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def arm() -> Iterator[tuple[PlanarArm, sk.Measurements]]:
+    """A planar arm and a run of it; the kind is known while a test runs."""
+    known = list(columns.LAYOUTS)
+    kinds.register(KIND)
+    robot = PlanarArm((250.0, 180.0), 40.0)
+    hidden = VirtualPlanarArm(robot, length_error_mm=(0.8, -0.6), offset_rad=(0.01, -0.015), noise_mm=0.005)
+    yield robot, hidden.measure(fan(robot, 8), repeats=2, order="shuffled", seed=1)
+    del kinds.KINDS[KIND.name]
+    columns.LAYOUTS[:] = known
+
+
+ARM: dict[str, tuple[Callable[[dict[str, Any]], dict[str, Any]], str]] = {
+    "clean": (lambda c: {}, ""),
+    "joints": (
+        lambda c: {"shoulder_rad": c["elbow_rad"], "elbow_rad": c["shoulder_rad"]}, "shoulder_rad and elbow_rad look"
+    ),
+    "elbow the other way": (lambda c: {"elbow_rad": -c["elbow_rad"]}, "elbow_rad looks counted the other way"),
+    "degrees": (lambda c: {n: np.rad2deg(c[n]) for n in ("shoulder_rad", "elbow_rad")}, "look like degrees"),
+    "x and y": (lambda c: {"x_mm": c["y_mm"], "y_mm": c["x_mm"]}, "x_mm and y_mm look swapped"),
+    "inches": (lambda c: {n: c[n] / 25.4 for n in POSITION}, "look like inches"),
+    "quarter turn": (lambda c: {"shoulder_rad": c["shoulder_rad"] - np.pi / 2}, "shoulder_rad looks off by"),
+    "still": (lambda c: {"y_mm": np.full(len(c["y_mm"]), 3.0)}, "y_mm is constant"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ARM)
+def test_an_arm_of_a_users_own_has_the_usual_mistakes(name: str, arm: tuple[PlanarArm, sk.Measurements]) -> None:
+    """Catches hypotheses that know the built-in robots alone."""
+    robot, run = arm
+    change, words = ARM[name]
+    frame = {c: run.to_frame()[c].to_numpy() for c in run.to_frame().columns}
+    data = sk.from_frame(pl.DataFrame(frame | change(frame)))
+    fit = sk.identify(robot, data)
+    said = set_up_mistakes(fit.model, data, fit.values)
+    assert [words in m.sentence for m in said] == ([True] if words else [])
+
+
+def test_a_word_of_an_arms_file_is_found(arm: tuple[PlanarArm, sk.Measurements]) -> None:
+    """Catches a choice of the robot's file that no reading tells and its joints do."""
+    robot, run = arm
+    fit = sk.identify(replace(robot, elbow="right"), run)
+    (said,) = set_up_mistakes(fit.model, run, fit.values)
+    assert 'elbow = "left"' in said.sentence
+
+
+@dataclass(frozen=True)
+class Turntable:
+    """A turntable whose scale is eccentric; reading in mrad."""
+
+    parameters: tuple[sk.model.Parameter, ...] = tuple(
+        sk.model.Parameter(name, name, "mrad", size) for name, size in (("offset", 1.0), ("a", 5.0), ("b", 5.0))
+    )
+
+    def predict(self, data: sk.Measurements, values: Floats) -> Floats:
+        angle = data["angle_rad"]
+        return (1e3 * angle + np.stack([np.ones_like(angle), np.sin(angle), np.cos(angle)], axis=1) @ values)[:, None]
+
+    def derivatives(self, data: sk.Measurements, values: Floats) -> Floats:
+        angle = data["angle_rad"]
+        return np.stack([np.ones_like(angle), np.sin(angle), np.cos(angle)], axis=1)[:, None, :]
+
+    def covariates(self, data: sk.Measurements) -> dict[str, Floats]:
+        return {}
+
+
+def test_a_model_with_three_methods_has_them_too() -> None:
+    """Catches a search that needs a robot's file: angles in degrees under a ``_rad`` name, and counted backwards."""
+    rng = np.random.default_rng(5)
+    angle = rng.uniform(-1.5, 1.5, 100)
+    shown = (1e3 * angle + 3.0 * np.sin(angle) + 0.2 * rng.normal(size=100))[:, None]
+    model = model_of(Turntable())
+    for given, words in ((angle, None), (np.rad2deg(angle), "look like degrees"), (-angle, "counted the other way")):
+        data = sk.data.from_arrays(place={"angle_rad": given}, readings=shown, names=("shown",), unit="mrad")
+        fit = sk.identify(model, data)
+        said = set_up_mistakes(model, data, fit.values)
+        assert [words in m.sentence for m in said] == ([] if words is None else [True]), words
