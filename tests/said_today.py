@@ -9,11 +9,7 @@ from __future__ import annotations
 import pytest
 
 ROWS = {
-    "pitch left out": "adequate; held out 8.38 µm at a noise of 1.93, and no word on the pitch",
-    "pitch 2.5 % wrong": (
-        "explained: encoder_cyclic; held out 8.38 → 8.14 µm at a noise of 1.93, confirmed p 0.19; seed 2: unexplained"
-    ),
-    "no repeats, no pitch": "seed 1: adequate with 8.39 µm left; seeds 0 and 2: unexplained; never the encoder",
+    "pitch left out": "the right name at the right period, and no word that the file has no pole_pitch_mm",
     "rod spacing left out": (
         "partly explained: beam_alignment, confirmed p 0.0005, 4.87 → 4.52 µm; nothing on the spacing"
     ),
@@ -42,7 +38,6 @@ ROWS = {
     "printer's heights": (
         "explained: joint_scale; held out 20.8 → 0.00001 µm, confirmed p 0.0005, on a fit that did not converge"
     ),
-    "period searched": "unexplained or adequate; periods of 0.7 to 20 mm are found only where the file has them",
     "seeds on the edge": "joint_scale and rail_lean in turn over the seeds 0 to 3",
     "claims": "there are no claims",
     "no noise known": "adequate: no effect added",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,8 +20,8 @@ from .crossvalidation import HeldOutError, held_out
 from .fitted_run import FittedRun
 from .power import smallest_found
 from .search import Search, SearchResult, is_plausible, refit
+from .setting import on_all_rows, periods_shown
 from .shapes import Shape
-from .slip import moment_of_step
 from .stage import Candidate, Stage, columns_of, stage_of, suspected_outliers
 from .where import neighbour_correlation, where
 
@@ -102,9 +101,12 @@ def diagnose(
         confirmed = None
 
     step("fitting all rows")
-    found.added = [_at_its_moment(run, found.added, c) for c in found.added]
+    found.added, told = on_all_rows(run, found.added)
+    notes += told
     final = refit(run, found.added) if found.added else run
-    stage = stage_of(final, every, rows, sigma, rho=search.rho, thorough=False) if found.added else base_stage
+    if at := periods_shown(search, found):
+        base_stage = stage_of(run, every, rows, sigma, rho=search.rho, thorough=False, at=at)
+    stage = stage_of(final, every, rows, sigma, rho=search.rho, thorough=False, at=at) if found.added else base_stage
 
     step("held-out errors")
     base_error, gains = held_out(base_stage, block[base_stage.rows])
@@ -171,15 +173,6 @@ def _without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[Fitted
 def _next(found: SearchResult, sigma: Floats) -> tuple[dict[str, float], ...]:
     """Poses that would tell the leading set from those tied with it."""
     return found.stages[-1].run.next_poses([other.stage.run for other in found.alternatives], sigma)
-
-
-def _at_its_moment(run: FittedRun, added: Sequence[Candidate], candidate: Candidate) -> Candidate:
-    """A slip at the moment that all rows give, with the other effects in the model."""
-    if candidate.effect.search != "time_s":
-        return candidate
-    others = [c for c in added if c is not candidate]
-    moment = moment_of_step(refit(run, others) if others else run, candidate.effect)
-    return candidate if moment is None else replace(candidate, setting=moment)
 
 
 def _noise_left(run: FittedRun, sigma: Floats) -> Floats:
