@@ -115,3 +115,33 @@ def test_the_period_is_deployed(tmp_path: Path) -> None:
     assert np.array_equal(again.inverse(point), made.inverse(point))
     wrong = replace(again, whole=replace(again.whole, settings=again.whole.settings | {"period_mm": 2.05}))
     assert not np.allclose(wrong.inverse(point), made.inverse(point), atol=1e-4)
+
+
+def ring(seed: int, per_turn: float) -> World:
+    """A spherical run whose encoders err so many times per turn: by 1 mrad where that is slow, else by 0.2 mrad."""
+    waves = (2e-4 if per_turn > 10 else 1e-3) * np.random.default_rng(seed).normal(size=4)
+    settings = worlds.SPHERICAL | {"workspace": {"phi_deg": [55.0, 125.0], "gamma_deg": [25.0, 65.0]}}
+    hidden = {"encoder_cyclic": [*waves, per_turn]}
+    return worlds.spherical_world(seed, effects=hidden, per_side=14, repeats=3, settings=settings)
+
+
+@pytest.mark.parametrize("per_turn", [2, 5, 90])
+def test_the_period_of_a_ring_is_a_part_of_a_turn(per_turn: int) -> None:
+    """Catches a second harmonic that is taken for an eccentricity, lines that are too fine for a grid, and a period
+    that does not close in a turn."""
+    d = ring(0, per_turn).ask().diagnosis
+    assert d.effects == ("encoder_cyclic",)
+    assert 2 * np.pi / d.fit.model.period_rad == pytest.approx(per_turn, rel=1e-12)
+    assert any(f"{per_turn} per turn" in note for note in d.notes)
+
+
+def test_a_ring_of_unknown_period_is_refused_or_searched() -> None:
+    """Catches a period of one rad that nobody gave, and one that a saved study forgets."""
+    world = ring(1, 24)
+    study = world.study()
+    with pytest.raises(sk.errors.EffectError, match="needs the period"):
+        sk.identify(world.robot, study.data, effects=["encoder_cyclic"])
+    study.add("encoder_cyclic")
+    assert 2 * np.pi / study.model.period_rad == pytest.approx(24, rel=1e-12)
+    made = study.calibration()
+    assert made.whole.settings["period_rad"] == study.model.period_rad

@@ -147,7 +147,12 @@ class Study(Shown):
         return self._diagnosis
 
     def add(
-        self, effect: str | Effect, *, period_mm: float | None = None, slip_time_s: float | None = None
+        self,
+        effect: str | Effect,
+        *,
+        period_mm: float | None = None,
+        period_rad: float | None = None,
+        slip_time_s: float | None = None,
     ) -> StudyStep:
         """Adds an effect by name, or a user's own, and refits.
 
@@ -165,7 +170,7 @@ class Study(Shown):
         missing = lacks(chosen, self.data)
         if missing:
             raise EffectError(f"'{chosen.name}' needs the column {listed(missing)}, which these rows lack")
-        at = {"time_s": slip_time_s, "period_mm": period_mm}.get(chosen.search or "")
+        at = {"time_s": slip_time_s, "period_mm": period_mm, "period_rad": period_rad}.get(chosen.search or "")
         if at is None:
             at = setting_for(self.fit, chosen)
         return self._change(self.model.with_effect(chosen, at=at), self.data, f"added {chosen.name}")

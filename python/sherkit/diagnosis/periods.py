@@ -32,8 +32,9 @@ _MOST_ALIASES = 6
 class Period:
     """The period at which an effect takes most, in the unit of the joints, and its standard deviation.
 
-    ``given`` is the one that the model has, None where it has none; ``chosen`` whether that is as good. ``aliases`` are
-    others that these poses cannot tell from it. ``candidate`` is the effect at the period to use.
+    ``given`` is the one that the model has, None where it has none, and ``in_file`` where a robot's file says it;
+    ``chosen`` whether that is as good. ``aliases`` are others that these poses cannot tell from it. ``candidate`` is
+    the effect at the period to use.
     """
 
     candidate: Candidate
@@ -41,6 +42,7 @@ class Period:
     std: float
     given: float | None
     aliases: tuple[float, ...]
+    in_file: str = ""
 
     @property
     def chosen(self) -> bool:
@@ -56,8 +58,7 @@ class Period:
         per_turn = f", {round(TURN / self.value)} per turn" if unit == "rad" else ""
         out = []
         if not self.chosen:
-            instead = f" where the model had {self.given:g} {unit}: correct it in the robot file" if self.given else ""
-            out.append(f"{effect.name}: period {value} {unit}{per_turn}{instead}")
+            out.append(f"{effect.name}: period {value} {unit}{per_turn}{self._instead(unit)}")
         if self.aliases:
             others = listed([f"{alias:.4g}" for alias in self.aliases])
             at = f"{self.given:g}" if self.chosen else value
@@ -66,6 +67,12 @@ class Period:
                 "tell one from the other); poses at uneven distances would"
             )
         return tuple(out)
+
+    def _instead(self, unit: str) -> str:
+        """What the model had, or the file lacks."""
+        if self.given is not None:
+            return f" where the model had {self.given:g} {unit}" + (f": correct {self.in_file}" if self.in_file else "")
+        return f"; the robot file does not give it: add {self.in_file}" if self.in_file else ""
 
 
 def _told(value: float, std: float) -> str:
@@ -79,7 +86,8 @@ def _told(value: float, std: float) -> str:
 def period_of(stage: Stage, tried: Sequence[Candidate], *, aliases: bool = False) -> Period | None:
     """The best period of an effect among what a thorough stage has tried of it; None where it tried none.
 
-    The period that the model has stays unless another is clearly better. Only where asked for are the aliases found.
+    The period that the model has stays unless another is clearly better; so does, on a ring, the half turn, which is
+    what two reading heads leave. Only where asked for are the aliases found.
     """
     given = next((c for c in tried if c.setting is None), None)
     waves = [c for c in tried if c.setting is not None]
@@ -95,11 +103,13 @@ def period_of(stage: Stage, tried: Sequence[Candidate], *, aliases: bool = False
     noise = (stage.plain.sum_of_squares - most) / max(stage.plain.free - waves_of(stage.view, best).shape[2], 1)
     clearly = (2.0 * np.log(len(at)) + _CLEARLY) * noise
     had = next(period for effect, period in stage.view.periodic if effect is waves[top].effect)
-    taken = profile.taken(1.0 / had) if had is not None else 0.0
-    stays = given is not None and most - taken < clearly
-    candidate = given if given is not None and stays else replace(waves[top], setting=1.0 / best)
-    if given is not None and stays and had is not None:
-        best, most = 1.0 / had, taken
+    usual = 0.5 * TURN if had is None and profile.whole else had
+    taken = profile.taken(1.0 / usual) if usual is not None else 0.0
+    if usual is not None and most - taken < clearly:
+        best, most = 1.0 / usual, taken
+    stays = given is not None and 1.0 / best == had
+    near = waves[int(np.argmin(np.abs(at - best)))]
+    candidate = given if given is not None and stays else replace(near, setting=1.0 / best)
     others: list[float] = []
     if aliases:
         for k in _peaks(gains, _NEAR_PEAK * most):
@@ -108,7 +118,9 @@ def period_of(stage: Stage, tried: Sequence[Candidate], *, aliases: bool = False
             if apart and most - takes < _CLEARLY * noise:
                 others.append(other)
     std = profile.deviation(best, noise) / best**2
-    return Period(candidate, 1.0 / best, std, had, tuple(1.0 / f for f in others[:_MOST_ALIASES]))
+    return Period(
+        candidate, 1.0 / best, std, had, tuple(1.0 / f for f in others[:_MOST_ALIASES]), stage.run.model.period_in_file
+    )
 
 
 def _peaks(gains: Floats, least: float) -> Ints:

@@ -207,10 +207,10 @@ class Search:
         def taken(frequency: float) -> float:
             columns = []
             for w in wave(values, 1.0 / frequency):
-                centred = (w - w.mean())[:, None]
                 if pattern is not None:
-                    columns.append(pattern * centred)
+                    columns.append(pattern * w[:, None])
                 else:
+                    centred = (w - w.mean())[:, None]
                     for a in axes:
                         columns.append(np.where(np.arange(stage.scan.m) == a, centred, 0.0))
             stacked = whiten(np.stack(columns, axis=2), stage.rho, stage.lag)[order].reshape(

@@ -72,15 +72,14 @@ class _Builder:
         return range(first, self.count_functions)
 
     def column(self, pattern: str, raw: NDArray[Any]) -> int:
-        return self.columns(pattern, raw[:, None])[0]
+        return self.columns(pattern, (raw - raw.mean())[:, None])[0]
 
-    def columns(self, pattern: str, raw: Floats) -> range:
+    def columns(self, pattern: str, values: Floats) -> range:
         """Numbers of the columns that a pattern makes of functions (n, k)."""
         by = self.view.patterns[pattern]
-        values = raw - raw.mean(axis=0)
         norm = np.sqrt((by**2).sum(axis=1) @ values**2)
         self.dense.append(by[:, :, None] * (values / np.where(norm > 0, norm, 1.0))[:, None, :])
-        first, self.count_dense = self.count_dense, self.count_dense + raw.shape[1]
+        first, self.count_dense = self.count_dense, self.count_dense + values.shape[1]
         return range(first, self.count_dense)
 
     def on_axes(self, functions: tuple[int, ...], depends_on: tuple[str, ...], shape: str, **about: object) -> None:
@@ -151,6 +150,7 @@ def _waves(b: _Builder, name: str, at: Floats) -> None:
     angles = TURN * np.outer(values - values.min(), at)
     both = np.stack([np.sin(angles), np.cos(angles)], axis=2).reshape(len(values), -1)
     pattern = b.view.pattern_of.get(name)
+    # along an input they are what an encoder adds to it, its mean as well
     numbers = b.block(both) if pattern is None else b.columns(pattern, both)
     for period, pair in zip((1.0 / at).tolist(), zip(numbers[::2], numbers[1::2], strict=True), strict=True):
         if pattern is None:

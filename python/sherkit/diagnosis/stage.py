@@ -192,7 +192,8 @@ def _on_all_inputs(shapes: Sequence[Shape]) -> list[tuple[Columns, float]]:
         if shape.period is not None and shape.pattern is not None:
             by_period.setdefault(shape.period, []).extend(shape.dense)
     most = max((len(columns) for columns in by_period.values()), default=0)
-    return [(Columns(dense=tuple(columns)), period) for period, columns in by_period.items() if len(columns) == most]
+    every = [(tuple(columns), period) for period, columns in by_period.items() if len(columns) == most]
+    return [(Columns(dense=columns, exact=True), period) for columns, period in every]
 
 
 def testable(run: FittedRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -47,6 +47,8 @@ class ModelWithEffects(ABC):
 
     #: Effects that are among the model's own parameters.
     within: ClassVar[frozenset[str]] = frozenset()
+    #: Where a robot's file gives the period of its encoders; empty where it has no place for it.
+    period_in_file: ClassVar[str] = ""
 
     # -- what a model says -------------------------------------------------------------------------------
 

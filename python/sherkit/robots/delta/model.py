@@ -11,7 +11,7 @@ import numpy as np
 import sherkit._core as _core
 
 from ...data import Measurements
-from ...errors import EffectError, SherkitError
+from ...errors import SherkitError
 from ...model.chain import ChainModel
 from ...types import Floats
 from .columns import DELTA
@@ -30,7 +30,7 @@ class DeltaModel(ChainModel):
     of the sensors. The platform's radii and angles can be freed as well; they are exactly dependent on the base's.
     All parameters of ``effects`` are free. ``period_mm``, ``slip_time_s`` and ``time_origin_s`` are the settings of
     the effects that have one; ``period_mm`` is the robot's pole pitch unless another is given, and None where neither
-    is: then :attr:`core` refuses a cyclic error. Readings have four columns: x, y, z, distance.
+    is: then a cyclic error is refused. Readings have four columns: x, y, z, distance.
     """
 
     robot: Delta
@@ -40,11 +40,12 @@ class DeltaModel(ChainModel):
 
     catalogue: ClassVar = CATALOGUE
     layouts: ClassVar = (DELTA,)
+    period_in_file: ClassVar = "pole_pitch_mm under [joints]"
     table: ClassVar = _core.DeltaModel.CATALOGUE
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         object.__setattr__(self, "period_mm", self.period_mm or self.robot.pole_pitch_mm)
+        super().__post_init__()
 
     def lever_mm(self, name: str) -> float:
         """An angle of base or platform moves what stands at its radius."""
@@ -66,14 +67,8 @@ class DeltaModel(ChainModel):
 
     @cached_property
     def core(self) -> _core.DeltaModel:
-        """The compiled model. Raises :class:`~sherkit.errors.EffectError` for a cyclic error of unknown period."""
+        """The compiled model."""
         r = self.robot
-        cyclic = [e.name for e in self.effects if e.is_periodic]
-        if cyclic and self.period_mm is None:
-            raise EffectError(
-                f"'{cyclic[0]}' needs the period of the encoders: give pole_pitch_mm under [joints] in the robot file, "
-                "or leave the effect to a diagnosis, which searches for the period"
-            )
         # without a cyclic error the period does not matter
         settings = [r.rod_spacing_mm, self.period_mm or 1.0, *self.home_mm, self.time_origin_s, self.slip_time_s]
         offset = np.array(r.target_offset_mm)
