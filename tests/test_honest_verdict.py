@@ -286,7 +286,6 @@ def test_the_answer_does_not_hang_on_the_seed() -> None:
     assert len({(d.verdict, d.effects) for d in answers}) == 1
 
 
-@row("common lean")
 def test_what_is_common_to_all_limbs_is_said_as_one_number() -> None:
     """Catches six numbers given as findings where one is known: all rails lean by 2 mrad tangentially."""
     answer = worlds.delta_world(0, effects={"rail_lean": np.tile([0.0, 2e-3], 3)}).ask()

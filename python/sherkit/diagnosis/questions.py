@@ -10,6 +10,7 @@ from scipy import special, stats
 
 from ..data.given import RunLike
 from ..errors import EffectError, FitError, SherkitError
+from ..fit.forms import known
 from ..fit.identify import Fit, identify
 from ..model.any import Model
 from ..model.effect import Effect
@@ -104,6 +105,7 @@ def diagnose(
     found.added, told = on_all_rows(run, found.added)
     notes += told
     final = refit(run, found.added) if found.added else run
+    notes += [f"{one.sentence}. {one.workshop}" for one in known(final.fit).values()]
     if at := periods_shown(search, found):
         base_stage = stage_of(run, every, rows, sigma, rho=search.rho, thorough=False, at=at)
     stage = stage_of(final, every, rows, sigma, rho=search.rho, thorough=False, at=at) if found.added else base_stage
