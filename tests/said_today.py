@@ -9,7 +9,6 @@ from __future__ import annotations
 import pytest
 
 ROWS = {
-    "pitch left out": "the right name at the right period, and no word that the file has no pole_pitch_mm",
     "rod spacing left out": (
         "partly explained: beam_alignment, confirmed p 0.0005, 4.87 → 4.52 µm; nothing on the spacing"
     ),

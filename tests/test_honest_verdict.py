@@ -118,7 +118,6 @@ def test_a_verdict_rests_on_claims() -> None:
 # -- the rows of the table -----------------------------------------------------------------------------------------
 
 
-@row("pitch left out")
 def test_a_pitch_that_was_left_out_is_asked_for() -> None:
     """Catches praise at four times the noise, and a period of 1.0 mm taken in silence. Seed 0."""
     answer = worlds.pitch_left_out(0).ask()
