@@ -9,11 +9,6 @@ from __future__ import annotations
 import pytest
 
 ROWS = {
-    "pitch left out": "adequate; held out 8.38 µm at a noise of 1.93, and no word on the pitch",
-    "pitch 2.5 % wrong": (
-        "explained: encoder_cyclic; held out 8.38 → 8.14 µm at a noise of 1.93, confirmed p 0.19; seed 2: unexplained"
-    ),
-    "no repeats, no pitch": "seed 1: adequate with 8.39 µm left; seeds 0 and 2: unexplained; never the encoder",
     "rod spacing left out": (
         "partly explained: beam_alignment, confirmed p 0.0005, 4.87 → 4.52 µm; nothing on the spacing"
     ),
@@ -39,12 +34,10 @@ ROWS = {
     "printer's heights": (
         "explained: joint_scale; held out 20.8 → 0.00001 µm, confirmed p 0.0005, on a fit that did not converge"
     ),
-    "period searched": "unexplained or adequate; periods of 0.7 to 20 mm are found only where the file has them",
     "seeds on the edge": "joint_scale and rail_lean in turn over the seeds 0 to 3",
     "claims": "there are no claims",
     "no noise known": "adequate: no effect added",
     "repeats without a pose column": "the noise is unknown though each joint reading stands three times in the run",
-    "common lean": "six numbers, 0.00003 and 0.00202 and so on; nothing says that three of them are one",
     "next poses": "u_px, v_px and separation_sigma; no joint readings",
     "left-out settings": "no warning",
 }

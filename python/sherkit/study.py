@@ -16,7 +16,7 @@ from .data import Measurements, from_frame
 from .data.columns import OUTLIER, POSE, REPEAT, Layout
 from .data.given import RunLike, run_of
 from .diagnosis import Diagnosis, diagnose
-from .diagnosis.slip import slip_time
+from .diagnosis.setting import setting_for
 from .errors import EffectError, MeasurementError, SherkitError, SherkitWarning
 from .fit.hold_out import hold_out
 from .fit.identify import Fit, identify
@@ -147,11 +147,17 @@ class Study(Shown):
         return self._diagnosis
 
     def add(
-        self, effect: str | Effect, *, period_mm: float | None = None, slip_time_s: float | None = None
+        self,
+        effect: str | Effect,
+        *,
+        period_mm: float | None = None,
+        period_rad: float | None = None,
+        slip_time_s: float | None = None,
     ) -> StudyStep:
         """Adds an effect by name, or a user's own, and refits.
 
-        A slip's time is taken from the diagnosis where it is not given, else searched for. Raises
+        The time of a slip and the period of a cyclic error are searched for where they are not given; the period that
+        the model has stays unless another is clearly better. Raises
         :class:`~sherkit.errors.EffectError` for an unknown or doubled effect, or one whose columns the rows lack.
         """
         if isinstance(effect, Effect):
@@ -164,12 +170,10 @@ class Study(Shown):
         missing = lacks(chosen, self.data)
         if missing:
             raise EffectError(f"'{chosen.name}' needs the column {listed(missing)}, which these rows lack")
-        settings: dict[str, float] = {}
-        if chosen.search == "time_s":
-            settings["slip_time_s"] = slip_time(self.fit) if slip_time_s is None else slip_time_s
-        if chosen.search == "period_mm" and period_mm is not None:
-            settings["period_mm"] = period_mm
-        return self._change(self.model.with_effect(chosen, **settings), self.data, f"added {chosen.name}")
+        at = {"time_s": slip_time_s, "period_mm": period_mm, "period_rad": period_rad}.get(chosen.search or "")
+        if at is None:
+            at = setting_for(self.fit, chosen)
+        return self._change(self.model.with_effect(chosen, at=at), self.data, f"added {chosen.name}")
 
     def remove(self, name: str) -> StudyStep:
         """Takes an effect out and refits. Raises :class:`~sherkit.errors.EffectError` where it is not in the model."""

@@ -33,6 +33,9 @@ CATALOGUE: Sequence[dict[str, Any]] = (
     _row("datum", "sensor", "mm", 10.0, 1.0, "datum_x", "datum_y", "datum_z", base=True),
     _row("joint_scale", "joints", "rad/rad", 2e-3, 200.0, "scale_1", "scale_2"),
     _row("encoder_eccentricity", "joints", "rad", 2e-3, 200.0, "sine_1", "cosine_1", "sine_2", "cosine_2"),
+    _row(
+        "encoder_cyclic", "joints", "rad", 1e-3, 200.0, "sine_1", "cosine_1", "sine_2", "cosine_2", search="period_rad"
+    ),
     _row("backlash", "joints", "rad", 1e-3, 200.0, "width_1", "width_2", needs=["direction"]),
     _row("droop", "structure", "mm", 0.2, 1.0, "fall"),
     _row("thermal_growth", "body", "1/°C", 2e-5, 200.0, "coefficient", needs=["temperature_c"]),
@@ -43,10 +46,13 @@ CATALOGUE: Sequence[dict[str, Any]] = (
 
 
 class PlanarCore:
-    """The chain of one arm: ``lengths`` (2,) and ``height``, mm; ``home`` (2,), rad; moments, s."""
+    """The chain of one arm: ``lengths`` (2,) and ``height``, mm; ``home`` (2,), rad; moments, s; the period of
+    the encoders, rad."""
 
-    def __init__(self, lengths: Floats, height: float, home: Floats, time_origin_s: float, slip_time_s: float) -> None:
-        self.lengths, self.height, self.home = lengths, height, home
+    def __init__(
+        self, lengths: Floats, height: float, home: Floats, time_origin_s: float, slip_time_s: float, period_rad: float
+    ) -> None:
+        self.lengths, self.height, self.home, self.wave = lengths, height, home, 2.0 * np.pi / period_rad
         self.time_origin_s, self.slip_time_s = time_origin_s, slip_time_s
 
     def _readings(self, values: NDArray[Any], joints: NDArray[Any], known: Floats, push: NDArray[Any]) -> NDArray[Any]:
@@ -61,6 +67,8 @@ class PlanarCore:
 
         rings = p["encoder_eccentricity"]
         theta = joints + p["joint_offset"] + p["joint_scale"] * (joints - self.home)
+        lines, angle = p["encoder_cyclic"], self.wave * joints
+        theta = theta + lines[::2] * np.sin(angle) + lines[1::2] * np.cos(angle)
         theta = theta + rings[::2] * np.sin(joints) + rings[1::2] * np.cos(joints) + acting("backlash", 0.5 * direction)
         lengths = self.lengths + p["links"]
         angles = np.cumsum(theta, axis=1)

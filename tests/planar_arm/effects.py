@@ -19,7 +19,7 @@ _OWN = {
 PLANAR_CATALOGUE: dict[str, Effect] = catalogue_of_core(
     CATALOGUE,
     common(
-        "datum", "joint_scale", "encoder_eccentricity", "backlash", "thermal_growth", "drift", "slip",
+        "datum", "joint_scale", "encoder_eccentricity", "encoder_cyclic", "backlash", "thermal_growth", "drift", "slip",
         "sensor_linearity",
     )
     | _OWN,

@@ -28,6 +28,7 @@ class PlanarModel(ChainModel):
     robot: PlanarArm
     slip_time_s: float = 0.0
     time_origin_s: float = 0.0
+    period_rad: float | None = None
 
     catalogue: ClassVar = PLANAR_CATALOGUE
     layouts: ClassVar = (PLANAR,)
@@ -43,15 +44,17 @@ class PlanarModel(ChainModel):
         return tuple(p.name for p in self.base)
 
     def settings(self) -> dict[str, float | None]:
-        """Moment of the slip, origin of time."""
-        return {"slip_time_s": self.slip_time_s, "time_origin_s": self.time_origin_s}
+        """Moment of the slip, origin of time, period of the encoders."""
+        times = {"slip_time_s": self.slip_time_s, "time_origin_s": self.time_origin_s}
+        return {**times, "period_rad": self.period_rad}
 
     @cached_property
     def core(self) -> PlanarCore:
         """The chain."""
         r = self.robot
         home = np.deg2rad(r.home_deg)
-        return PlanarCore(np.array(r.length_mm), r.height_mm, home, self.time_origin_s, self.slip_time_s)
+        times, period = (self.time_origin_s, self.slip_time_s), self.period_rad or np.pi
+        return PlanarCore(np.array(r.length_mm), r.height_mm, home, *times, period)
 
     def reachable(self, data: Measurements, values: Floats) -> tuple[Floats, Measurements]:
         """A grid over the joints where the run was, with the rows it would give."""

@@ -29,8 +29,9 @@ class VirtualPlanarArm:
     """An arm that is not as drawn.
 
     ``length_error_mm`` and ``offset_rad`` (2,) are its geometric errors; ``play_rad`` (2,) is the lost motion of each
-    joint, ``ring_rad`` the sine that each encoder errs by, ``fall_mm`` what the tip falls at full reach, ``rate_mm_h``
-    (3,) how fast it drifts. ``noise_mm`` is the standard deviation of a reading.
+    joint, ``ring_rad`` the sine that each encoder errs by and ``lines_rad`` that of its ``per_turn`` lines, ``fall_mm``
+    what the tip falls at full reach, ``rate_mm_h`` (3,) how fast it drifts. ``noise_mm`` is the standard deviation of a
+    reading.
     """
 
     robot: PlanarArm
@@ -38,6 +39,8 @@ class VirtualPlanarArm:
     offset_rad: tuple[float, float] = (0.0, 0.0)
     play_rad: tuple[float, float] = (0.0, 0.0)
     ring_rad: tuple[float, float] = (0.0, 0.0)
+    lines_rad: tuple[float, float] = (0.0, 0.0)
+    per_turn: float = 2.0
     fall_mm: float = 0.0
     rate_mm_h: tuple[float, float, float] = (0.0, 0.0, 0.0)
     warmth_per_c: float = 0.0
@@ -72,7 +75,7 @@ class VirtualPlanarArm:
         frame = np.eye(4)
         for k in range(2):
             angle = joints[k] + self.offset_rad[k] + self.ring_rad[k] * np.sin(joints[k])
-            angle += self.play_rad[k] * came[k] / 2
+            angle += self.play_rad[k] * came[k] / 2 + self.lines_rad[k] * np.sin(self.per_turn * joints[k])
             turn = np.eye(4)
             turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
             along = np.eye(4)

@@ -8,6 +8,7 @@ Joints, all evaluated at the reading r and added to it (joint 1, joint 2):
   joint_offset (2)           constant, rad
   joint_scale (2)            s_i (r_i - home_i), relative
   encoder_eccentricity (4)   a1 b1 a2 b2, rad: a sin(r) + b cos(r)
+  encoder_cyclic (5)         a1 b1 a2 b2, rad, then how many waves n a turn has: a sin(n r) + b cos(n r)
   backlash (2)               b_i, rad: half of it in the direction of the joint's last motion
   camera_delay (1)           d, s: the picture shows the joints as they were d earlier, -d times their velocity
 Mechanism:
@@ -95,6 +96,7 @@ SPHERICAL_EFFECTS: dict[str, Effect] = {
     "joint_offset": Effect((2e-3,) * 2),
     "joint_scale": Effect((2e-3,) * 2),
     "encoder_eccentricity": Effect((2e-3,) * 4),
+    "encoder_cyclic": Effect((5e-4,) * 4 + (20.0,), fixed=1),
     "backlash": Effect((2e-3,) * 2, positive=True),
     "unequal_limbs": Effect((2e-3,) * 2),
     "axis_offset": Effect((0.3,) * 4),
@@ -278,6 +280,9 @@ class SecondSpherical:
         sine, cosine = hidden["encoder_eccentricity"].reshape(2, 2).T
         theta = r + hidden["joint_offset"] + hidden["joint_scale"] * (r - self.home_rad)
         theta = theta + sine * np.sin(r) + cosine * np.cos(r)
+        *waves, per_turn = hidden["encoder_cyclic"]
+        for k in (0, 1):
+            theta[:, k] += waves[2 * k] * np.sin(per_turn * r[:, k]) + waves[2 * k + 1] * np.cos(per_turn * r[:, k])
         if np.any(hidden["backlash"]):
             theta = theta + 0.5 * hidden["backlash"] * now.needed("direction", "backlash")
         if np.any(hidden["camera_delay"]):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.markup import escape
 from rich.table import Table
 
-from ..diagnosis import Diagnosis, sentence
+from ..diagnosis import Diagnosis, largest, sentence
 from ..names import listed
 from .output import out, table
 
@@ -107,10 +107,9 @@ def _where(d: Diagnosis) -> Table:
 
 
 def _candidates(d: Diagnosis) -> Table:
-    made = table("", "effect", "link", f"held out {d.unit}", "p", "size", "largest parameter")
+    made = table("", "effect", "link", f"held out {d.unit}", "p", "size", "largest parameter, or what is known")
     for c in d.candidates:
-        worst = max(c.parameters, key=lambda q: abs(q["value"]) / max(q["std"], 1e-300))
-        value = f"{worst['name']} = {worst['value']:.3g} ± {worst['std']:.1g} {worst['unit']}"
+        value = largest(d, c)
         named = c.effect in d.effects
         mark = "plausible" if c.plausible else "implausible"
         made.add_row(

@@ -71,7 +71,9 @@ def _show(effect: Effect, of: str) -> None:
     ):
         output.out.print(f"  [bold]{title}:[/] {text}")
     if effect.search:
-        what = "period" if effect.search == "period_mm" else "moment"
+        what = "moment"
+        if effect.is_periodic:
+            what = "period, down to the mean distance of a joint's distinct readings,"
         output.say(f"  its {what} is searched for as well")
     made = output.table("", "parameter", "plausible size", "unit")
     for p in effect.parameters:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from ..fit.forms import Known, known
 from ..fit.identify import Fit
 from ..notebook import Shown
 from ..types import Ints
@@ -86,6 +88,11 @@ class Diagnosis(Shown):
         line = headline(self.claims, self.effects, self.not_needed, noise_known=self.noise_origin != "unknown")
         return f"{line}; with a reservation: {self.reservation}" if self.reservation else line
 
+    @cached_property
+    def known(self) -> dict[str, Known]:
+        """What is really known of the effects in :attr:`fit` that have a number for each limb, by name."""
+        return known(self.fit)
+
     def __repr__(self) -> str:
         lines = [self.headline]
         lines += [f"  these rows cannot tell {' from '.join(tie)}" for tie in self.ties]
@@ -128,6 +135,7 @@ class Diagnosis(Shown):
                 }
                 for c in self.candidates
             ],
+            "known": [one.to_json() for one in self.known.values()],
             "untestable": self.untestable,
             "smallest_found": {
                 name: {"plausible_sizes": _finite(size), f"rms{um}": _finite(rms)}
@@ -141,6 +149,14 @@ class Diagnosis(Shown):
             "next_poses": list(self.next_poses),
             "notes": list(self.notes),
         }
+
+
+def largest(found: Diagnosis, one: CandidateReport) -> str:
+    """What a line of a table says of a candidate's size: what is really known of it, else its clearest parameter."""
+    if one.effect in found.known:
+        return found.known[one.effect].short
+    worst = max(one.parameters, key=lambda q: abs(q["value"]) / max(q["std"], 1e-300))
+    return f"{worst['name']} = {worst['value']:.3g} ± {worst['std']:.1g} {worst['unit']}"
 
 
 def _finite(value: float) -> float | None:

@@ -147,7 +147,9 @@ class FittedRun:
         part = self.data.select(rows)
         tried, untestable = self.model.can_be_tried(effects, part)
         in_time = [e for e in tried if e.function is None and e.search == "time_s"]
-        asked = [e for e in tried if e not in in_time]
+        periodic = [(e, self.model.setting_of(e)) for e in tried if e.function is None and e.is_periodic]
+        unknown = [e for e, period in periodic if period is None]
+        asked = [e for e in tried if e not in in_time and e not in unknown]
         derivatives = self.model.linearised(part, self.fit.values, asked)
         variables, place = self.variables(rows)
         patterns = {}
@@ -163,9 +165,11 @@ class FittedRun:
             group=part.groups,
             pattern_of={name: name for name in patterns if name in variables},
             place=place,
+            inputs={name: part.joints[:, k] for k, name in enumerate(part.layout.joints)},
             time=part.time_s,
             effects=tuple((effect, columns[:, axes] / over) for effect, columns in derivatives.effects),
             in_time=tuple((effect, moved) for effect in in_time),
+            periodic=tuple(periodic) if patterns else (),
             untestable=untestable | derivatives.refused,
         )
         self._last = rows, effects, sigma, out

@@ -25,7 +25,9 @@ class Linearised:
     which is one; ``place`` names the variables that say where the machine is; ``group`` (n,) is equal for repeats of a
     pose. ``effects`` pairs each effect that can be tried with its derivatives (n, m, k) over the noise; ``in_time`` are
     the effects that step at a searched time, each with its derivatives (n, m, k) after the step, or None where these
-    are a step of each reading; ``untestable`` maps the others to the reason.
+    are a step of each reading; ``periodic`` those that are a wave of each input at a searched period, each with the
+    period that the model has for it, or None; ``untestable`` maps the others to the reason. ``inputs`` name to
+    (n,), the readings of the inputs, be they constant or their patterns unknown.
     """
 
     residual: Floats
@@ -35,9 +37,11 @@ class Linearised:
     group: Ints
     pattern_of: Mapping[str, str] = field(default_factory=dict)
     place: tuple[str, ...] = ()
+    inputs: Mapping[str, Floats] = field(default_factory=dict)
     time: Floats | None = None
     effects: Sequence[tuple[Effect, Floats]] = ()
     in_time: Sequence[tuple[Effect, Floats | None]] = ()
+    periodic: Sequence[tuple[Effect, float | None]] = ()
     untestable: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:

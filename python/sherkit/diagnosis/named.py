@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 
-from ..errors import SherkitError
 from ..model.effect import Effect
 from ..types import Floats, Ints
 from .answers import StepReport
 from .earned import Earned, earned, held_out_rms
 from .fitted_run import FittedRun
 from .search import ABSURD, Search, SearchResult, refit, sizes_of
-from .slip import moment_of_step
+from .setting import on_all_rows
 from .stage import Candidate
 
 
@@ -45,7 +44,7 @@ def searched(
     level: float,
     seed: int,
     step: Callable[[str], None],
-    look: bool = True,
+    look: bool,
 ) -> Named:
     """Searches on all rows. An effect that does not earn its place on rows held out, as a member of what was found, is
     not named: the search is made again without it. Nothing is looked for where there is nothing to ``look`` for: what a
@@ -59,13 +58,13 @@ def searched(
         base = StepReport(None, held_out_rms(run, sigma, deals))
         if not result.added:
             return Named(search, result, run, [], (base,), notes)
-        result.added = [_at_its_moment(run, result.added, c) for c in result.added]
+        result.added, told = on_all_rows(run, result.added)
         step("held-out errors")
         final, judged, steps = _judged(run, result, tried, sigma, deals, seed, base)
         falls = all(after.held_out_rms < before.held_out_rms for before, after in pairwise(steps))
         refusal = _refusal(run, final, result, judged, falls)
         if refusal is None:
-            return Named(search, result, final, judged, steps, notes)
+            return Named(search, result, final, judged, steps, [*notes, *told])
         name, why = refusal
         refused.append(name)
         notes.append(f"{name} was found and is not named: {why}")
@@ -136,15 +135,3 @@ def not_needed(
         also.append(worst.effect)
         left = [e for e in left if e.name != worst.effect]
     return out
-
-
-def _at_its_moment(run: FittedRun, added: Sequence[Candidate], candidate: Candidate) -> Candidate:
-    """A slip at the moment that all rows give, with the other effects in the model."""
-    if candidate.effect.search != "time_s":
-        return candidate
-    others = [c for c in added if c is not candidate]
-    try:
-        moment = moment_of_step(refit(run, others) if others else run, candidate.effect)
-    except SherkitError:
-        return candidate
-    return candidate if moment is None else replace(candidate, setting=moment)

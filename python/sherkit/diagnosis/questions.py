@@ -10,6 +10,7 @@ from scipy import special
 
 from ..data.given import RunLike
 from ..errors import EffectError, FitError
+from ..fit.forms import known
 from ..fit.identify import Fit, identify
 from ..fit.set_up import set_up_mistakes
 from ..model.any import Model
@@ -27,6 +28,7 @@ from .outliers import sentences, without_outliers
 from .power import smallest_found
 from .propositions import claims_of, implausible
 from .search import SearchResult, is_plausible
+from .setting import periods_shown
 from .shapes import Shape
 from .stage import Candidate, Stage, columns_of, stage_of
 from .where import neighbour_correlation, where
@@ -89,13 +91,15 @@ def diagnose(
         )
     deals = [run.blocks(_FOLDS, _DEALS * seed + k) for k in range(_DEALS)]
     found = searched(run, every, rows, sigma, deals, level=level, seed=seed, step=step, look=not mistakes)
-    base_stage, final = found.result.stages[0], found.final
+    final, rho = found.final, found.search.rho
     notes += found.notes
+    notes += [f"{one.sentence}. {one.workshop}" for one in known(final.fit).values()]
 
     step("fitting all rows")
-    stage = stage_of(final, every, rows, sigma, rho=base_stage.rho, thorough=False) if found.names else base_stage
-    inside = rows[base_stage.rows]
-    gains = held_out(base_stage, deals[0][inside])[1]
+    at = periods_shown(found.search, found.result)
+    base_stage = stage_of(run, every, rows, sigma, rho=rho, thorough=False, at=at)
+    stage = stage_of(final, every, rows, sigma, rho=rho, thorough=False, at=at) if found.names else base_stage
+    gains = held_out(base_stage, deals[0][base_stage.rows])[1]
 
     if origin != "declared":
         sigma = _noise_left(final, sigma)
@@ -113,7 +117,7 @@ def diagnose(
     reports = _candidate_reports(base_stage, gains, final, found.result)
     smallest: dict[str, tuple[float, float]] = {}
     if verdict == "adequate":
-        threshold = float(np.quantile(base_stage.plain.null(199, seed), 1 - level))
+        threshold = float(np.quantile(found.result.stages[0].plain.null(199, seed), 1 - level))
         smallest = {c.name: smallest_found(stage, c, threshold) for c in found.search.strongest_settings(stage)}
     signature = _signature(found.result, found.result.stages[-1]) if found.result.signature else None
     hidden = {c.name: hides_in(base_stage, c) for c in base_stage.candidates}
@@ -122,7 +126,7 @@ def diagnose(
         unit=run.unit,
         noise={run.names[a]: run.per_unit * float(sigma[a]) for a in run.axes},
         noise_origin=origin,
-        correlation_in_time=float(base_stage.rho or 0.0),
+        correlation_in_time=float(rho or 0.0),
         level=level,
         p_missing=found.result.p_first,
         effects=found.names,

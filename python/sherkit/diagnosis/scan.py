@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -54,7 +55,8 @@ class Scan:
         order = np.argsort(group, kind="stable")
         self.starts = np.flatnonzero(np.diff(group[order], prepend=group[order[0]] - 1))
         self.functions = np.ascontiguousarray(functions[order])
-        self.dense = np.ascontiguousarray(dense[order]).reshape(self.n * self.m, -1)
+        # column by column, since candidates take single ones
+        self.dense = np.asfortranarray(dense[order].reshape(self.n * self.m, -1))
         self.basis = orthonormal(fitted[order])
         self.candidates = tuple(candidates)
         flat = residual[order].reshape(-1)
@@ -106,13 +108,14 @@ class Scan:
         limit = self.f * self.m
         for k, (_, columns) in self._sizes.items():
             gram = np.zeros((len(columns), k, k))
-            for i, c in enumerate(columns):
-                if c[0] < limit:
-                    axis, function = c // self.f, c % self.f
-                    gram[i] = np.where(axis[:, None] == axis[None, :], ff[np.ix_(function, function)], 0.0)
-                else:
-                    block = self.dense[:, c - limit]
-                    gram[i] = block.T @ block
+            # a candidate's columns are all of one sort
+            separable = columns[:, 0] < limit
+            axis, function = columns[separable] // self.f, columns[separable] % self.f
+            same = axis[:, :, None] == axis[:, None, :]
+            gram[separable] = np.where(same, ff[function[:, :, None], function[:, None, :]], 0.0)
+            for i in np.flatnonzero(~separable):
+                block = self.dense[:, columns[i] - limit]
+                gram[i] = block.T @ block
             out[k] = gram
         return out
 
@@ -198,8 +201,13 @@ class ConditionalScan:
         for k, (_, columns) in scan._sizes.items():
             root, left = self._roots[k]
             rows = (root @ sums[columns]).reshape(-1, sums.shape[1])
-            gain = ((rows @ signs) ** 2).reshape(len(columns), k, flips).sum(axis=1)
-            best = np.maximum(best, deviate(gain, left[:, None], total, self.free).max(axis=0))
+            gain = rows @ signs
+            np.square(gain, out=gain)
+            gain = gain.reshape(len(columns), k, flips).sum(axis=1)
+            # of as many directions the largest gain has the largest deviate
+            for rank in np.unique(left):
+                most = gain[left == rank].max(axis=0)
+                best = np.maximum(best, deviate(most, rank, total, self.free))
         return best
 
     def _grouped(self) -> Floats:
@@ -223,7 +231,7 @@ class ConditionalScan:
         return p
 
 
-def deviate(gain: Floats, rank: Ints, total: float | Floats, free: int) -> Floats:
+def deviate(gain: Floats, rank: Ints | np.integer[Any], total: float | Floats, free: int) -> Floats:
     """Wilson and Hilferty's normal deviate of an F ratio with (rank, free - rank) degrees of freedom."""
     k = np.maximum(rank, 1)
     left = np.maximum(free - k, 1)

@@ -21,9 +21,11 @@ from ..model.effect import Effect
 from ..types import Floats
 from .fitted_run import FittedRun
 from .linearised import whiten
+from .periods import period_of
 from .scan import ConditionalScan
-from .shapes import OVERSAMPLING, Shape, wave
+from .shapes import Shape, wave
 from .stage import Candidate, Stage, columns_of, stage_of
+from .waves import OVERSAMPLING
 
 #: Plausible sizes up to which a parameter is plausible, and those from which on it is absurd and nothing is believed.
 PLAUSIBLE, ABSURD = 5.0, 500.0
@@ -197,10 +199,10 @@ class Search:
         def taken(frequency: float) -> float:
             columns = []
             for w in wave(values, 1.0 / frequency):
-                centred = (w - w.mean())[:, None]
                 if pattern is not None:
-                    columns.append(pattern * centred)
+                    columns.append(pattern * w[:, None])
                 else:
+                    centred = (w - w.mean())[:, None]
                     for a in axes:
                         columns.append(np.where(np.arange(stage.scan.m) == a, centred, 0.0))
             stacked = whiten(np.stack(columns, axis=2), stage.rho, stage.lag)[order].reshape(
@@ -263,11 +265,18 @@ class Search:
     def strongest_settings(self, stage: Stage) -> list[Candidate]:
         """One candidate per effect: where a setting is searched for, the one that takes most, made finer."""
         gains = stage.plain.gains()[0][stage.n_shapes :]
-        best: dict[str, tuple[float, Candidate]] = {}
+        tried: dict[str, list[tuple[float, Candidate]]] = {}
         for gain, candidate in zip(gains.tolist(), stage.candidates, strict=True):
-            if candidate.name not in best or gain > best[candidate.name][0]:
-                best[candidate.name] = (gain, candidate)
-        return [self._finer(stage, c) for _, c in best.values()]
+            tried.setdefault(candidate.name, []).append((gain, candidate))
+        return [self._strongest(stage, scored) for scored in tried.values()]
+
+    def _strongest(self, stage: Stage, scored: Sequence[tuple[float, Candidate]]) -> Candidate:
+        """Of one effect at several settings, the one that takes most, made finer."""
+        _, best = max(scored, key=lambda s: s[0])
+        if best.effect.is_periodic:
+            period = period_of(stage, [c for _, c in scored])
+            return best if period is None else period.candidate
+        return self._finer(stage, best)
 
     def _finer(self, stage: Stage, candidate: Candidate) -> Candidate:
         """The moment of a slip to the row: the cut that leaves least."""
@@ -291,7 +300,8 @@ class Search:
         effects = score[stage.n_shapes :]
         # an effect goes before a shape only where it does better: it does not explain, so its name must be earned
         if len(effects) and effects.min() < 0 and effects.min() <= score[: stage.n_shapes].min(initial=np.inf):
-            return self._finer(stage, stage.candidates[int(np.argmin(effects))])
+            name = stage.candidates[int(np.argmin(effects))].name
+            return next(c for c in self.strongest_settings(stage) if c.name == name)
         return self.best_shape(stage)
 
     def _prune(self, found: SearchResult) -> None:
@@ -315,7 +325,7 @@ def refit(run: FittedRun, candidates: Sequence[Candidate]) -> FittedRun:
 
 def bic(given: ConditionalScan, members: Sequence[Candidate]) -> float:
     """Schwarz's criterion of a model whose residual is ``given``, for the added effects."""
-    return schwarz(given, sum(len(c.effect.parameters) + (c.effect.search is not None) for c in members))
+    return schwarz(given, sum(len(c.effect.parameters) + (c.setting is not None) for c in members))
 
 
 def schwarz(given: ConditionalScan, count: int) -> float:

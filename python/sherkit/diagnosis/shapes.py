@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from ..types import Floats
 from .linearised import Linearised
+from .waves import OVERSAMPLING, TURN, frequencies
 
 _ORDERS = 3
 _STEPS = 24
 _PLAY_WIDTHS = (0.02, 0.1, 0.5, 2.0)
-#: Shortest period looked for, as a part of the range of a variable.
-_SHORTEST = 1.0 / 22.0
-OVERSAMPLING = 1.5
+#: Most waves over the range of a coordinate; along the inputs they are looked for as finely as these can tell.
+_MOST_WAVES = 22
 #: A variable with fewer different values than this has no shape.
 _FEWEST_VALUES = 2
 
@@ -29,8 +29,7 @@ _FEWEST_VALUES = 2
 class Shape:
     """A family of columns that stand for one description.
 
-    ``separable`` columns are indices of functions, used on axis ``axis`` or on all (None); ``dense`` ones indices of
-    full columns.
+    ``functions`` are indices of functions, used on axis ``axis`` or on all (None); ``dense`` ones of full columns.
     """
 
     depends_on: tuple[str, ...]
@@ -59,18 +58,29 @@ class _Builder:
         self.shapes: list[Shape] = []
         self.functions: list[Floats] = []
         self.dense: list[Floats] = []
+        self.count_functions = self.count_dense = 0
 
     def function(self, raw: NDArray[Any]) -> int:
-        values: Floats = raw - raw.mean()
-        norm = np.linalg.norm(values)
-        self.functions.append(values / norm if norm > 0 else values)
-        return len(self.functions) - 1
+        return self.block(raw[:, None])[0]
+
+    def block(self, raw: Floats) -> range:
+        """Numbers of functions (n, k)."""
+        values = raw - raw.mean(axis=0)
+        norm = np.linalg.norm(values, axis=0)
+        self.functions.append(values / np.where(norm > 0, norm, 1.0))
+        first, self.count_functions = self.count_functions, self.count_functions + raw.shape[1]
+        return range(first, self.count_functions)
 
     def column(self, pattern: str, raw: NDArray[Any]) -> int:
-        column: Floats = self.view.patterns[pattern] * (raw - raw.mean())[:, None]
-        norm = np.linalg.norm(column)
-        self.dense.append(column / norm if norm > 0 else column)
-        return len(self.dense) - 1
+        return self.columns(pattern, (raw - raw.mean())[:, None])[0]
+
+    def columns(self, pattern: str, values: Floats) -> range:
+        """Numbers of the columns that a pattern makes of functions (n, k)."""
+        by = self.view.patterns[pattern]
+        norm = np.sqrt((by**2).sum(axis=1) @ values**2)
+        self.dense.append(by[:, :, None] * (values / np.where(norm > 0, norm, 1.0))[:, None, :])
+        first, self.count_dense = self.count_dense, self.count_dense + values.shape[1]
+        return range(first, self.count_dense)
 
     def on_axes(self, functions: tuple[int, ...], depends_on: tuple[str, ...], shape: str, **about: object) -> None:
         """The functions on each axis by itself, and on all together."""
@@ -98,11 +108,12 @@ def build(view: Linearised, *, thorough: bool = True, periods: Sequence[tuple[st
         if pattern is not None and orders > 1:
             dense = tuple(b.column(pattern, legendre[:, k]) for k in range(orders))
             b.shapes.append(Shape((name,), "smooth", order=orders, pattern=pattern, dense=dense))
-    for name in poses if thorough else ():
-        _periodic(b, name)
+    if thorough:
+        for name in poses:
+            _waves(b, name, frequencies(view) if name in view.inputs else _coarse(view.variables[name]))
     for name, period in periods:
         if name in unit:
-            _wave(b, name, period)
+            _waves(b, name, np.array([1.0 / period]))
     for k, first in enumerate(poses):
         for second in poses[k + 1 :]:
             if (first in view.pattern_of) == (second in view.pattern_of):
@@ -122,34 +133,35 @@ def build(view: Linearised, *, thorough: bool = True, periods: Sequence[tuple[st
         _hysteretic(b)
     _steps(b)
     n, m = len(view), view.axes
-    functions = np.stack(b.functions, axis=1) if b.functions else np.zeros((n, 0))
-    full = np.stack(b.dense, axis=2) if b.dense else np.zeros((n, m, 0))
+    functions = np.concatenate(b.functions, axis=1) if b.functions else np.zeros((n, 0))
+    full = np.concatenate(b.dense, axis=2) if b.dense else np.zeros((n, m, 0))
     return Family(tuple(b.shapes), functions, full)
 
 
-def _periodic(b: _Builder, name: str) -> None:
-    """Sine and cosine over a fine grid of frequencies, as far as the values of the variable can tell them."""
-    values = b.view.variables[name]
+def _coarse(values: Floats) -> Floats:
+    """Frequencies of a coordinate, from two waves over its range on."""
     span = float(values.max() - values.min())
-    count = int(OVERSAMPLING / _SHORTEST)
-    for k in range(int(OVERSAMPLING * 2), count + 1):
-        _wave(b, name, OVERSAMPLING * span / k)
+    return np.arange(2.0 * OVERSAMPLING, OVERSAMPLING * _MOST_WAVES + 1.0) / (OVERSAMPLING * span)
 
 
-def _wave(b: _Builder, name: str, period: float) -> None:
-    waves = wave(b.view.variables[name], period)
+def _waves(b: _Builder, name: str, at: Floats) -> None:
+    """Sine and cosine of a variable at each of these frequencies (k,)."""
+    values = b.view.variables[name]
+    angles = TURN * np.outer(values - values.min(), at)
+    both = np.stack([np.sin(angles), np.cos(angles)], axis=2).reshape(len(values), -1)
     pattern = b.view.pattern_of.get(name)
-    if pattern is not None:
-        dense = tuple(b.column(pattern, w) for w in waves)
-        b.shapes.append(Shape((name,), "periodic", period=period, pattern=pattern, dense=dense))
-    else:
-        functions = tuple(b.function(w) for w in waves)
-        b.on_axes(functions, (name,), "periodic", period=period)
+    # along an input they are what an encoder adds to it, its mean as well
+    numbers = b.block(both) if pattern is None else b.columns(pattern, both)
+    for period, pair in zip((1.0 / at).tolist(), zip(numbers[::2], numbers[1::2], strict=True), strict=True):
+        if pattern is None:
+            b.on_axes(pair, (name,), "periodic", period=period)
+        else:
+            b.shapes.append(Shape((name,), "periodic", period=period, pattern=pattern, dense=pair))
 
 
 def wave(values: Floats, period: float) -> tuple[Floats, Floats]:
     """Sine and cosine of a variable."""
-    angle = 2 * np.pi * (values - values.min()) / period
+    angle = TURN * (values - values.min()) / period
     return np.sin(angle), np.cos(angle)
 
 

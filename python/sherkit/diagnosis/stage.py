@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -16,11 +16,12 @@ from .fitted_run import FittedRun
 from .linearised import Linearised, correlation_in_time, orthonormal, whiten
 from .scan import Columns, ConditionalScan, Scan
 from .shapes import Family, Shape, build
+from .waves import waves_of
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A physical effect to try, with the setting it is tried at (period or time)."""
+    """A physical effect to try, with the setting it is tried at (period or time): None for the one the model has."""
 
     effect: Effect
     columns: Columns
@@ -34,7 +35,7 @@ class Candidate:
     @property
     def addition(self) -> tuple[Effect, float | None]:
         """What a refit adds: the effect at the setting that was found."""
-        return self.effect, self.setting if self.effect.search == "time_s" else None
+        return self.effect, self.setting
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,10 +104,12 @@ def stage_of(
     rho: float | None = None,
     nuisance: Sequence[Shape] = (),
     thorough: bool = True,
+    at: Mapping[str, float] | None = None,
 ) -> Stage:
     """Builds the stage for a run on the given ones of its rows. ``sigma`` (columns,) is the noise per reading.
 
-    Only a ``thorough`` one has the shapes that cost time: periods and hysteresis.
+    Only a ``thorough`` one has the shapes that cost time, periods and hysteresis, and tries periodic effects at every
+    frequency; else they are tried at the period that the model has and at that of ``at``, by name.
 
     Raises :class:`FitError` where no row has all readings.
     """
@@ -133,21 +136,28 @@ def stage_of(
                 first, offset = offset, offset + moved.shape[2]
                 about = Columns(dense=tuple(range(first, offset)), exact=True)
             candidates.append(Candidate(effect, about, shape.setting))
+    for effect, _ in view.periodic:
+        if effect.name in (at or {}):
+            period = (at or {})[effect.name]
+            stepped.append(waves_of(view, 1.0 / period))
+            first, offset = offset, offset + stepped[-1].shape[2]
+            candidates.append(Candidate(effect, Columns(dense=tuple(range(first, offset)), exact=True), period))
 
     if rho is None:
         rho = correlation_in_time(view.residual, _rich_basis(view.fitted, physical, family))
     physical = np.concatenate([physical, *stepped], axis=2)
     lag = _lags(run.data.order[rows])
+    shifted = tuple(_shift(s, offset) for s in family.shapes)
+    if thorough:
+        candidates += [Candidate(effect, *wave) for effect, _ in view.periodic for wave in _on_all_inputs(shifted)]
     scan = Scan(
         whiten(view.residual, rho, lag),
         whiten(view.fitted, rho, lag),
         whiten(family.functions, rho, lag),
         whiten(np.concatenate([physical, family.dense], axis=2), rho, lag),
-        [Columns(s.functions, s.axis, tuple(k + offset for k in s.dense)) for s in family.shapes]
-        + [c.columns for c in candidates],
+        [columns_of(s) for s in shifted] + [c.columns for c in candidates],
         view.group,
     )
-    shifted = tuple(_shift(s, offset) for s in family.shapes)
     return Stage(
         run=run,
         rows=rows,
@@ -163,6 +173,17 @@ def stage_of(
         nuisance=tuple(_again(n, shifted) for n in nuisance),
         physical=physical,
     )
+
+
+def _on_all_inputs(shapes: Sequence[Shape]) -> list[tuple[Columns, float]]:
+    """Waves of one period on every input together, and that period; their columns are those of the single shapes."""
+    by_period: dict[float, list[int]] = {}
+    for shape in shapes:
+        if shape.period is not None and shape.pattern is not None:
+            by_period.setdefault(shape.period, []).extend(shape.dense)
+    most = max((len(columns) for columns in by_period.values()), default=0)
+    every = [(tuple(columns), period) for period, columns in by_period.items() if len(columns) == most]
+    return [(Columns(dense=columns, exact=True), period) for columns, period in every]
 
 
 def testable(run: FittedRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -6,9 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from .forms import known
+
 #: A parameter counts as observed where no more than this part of its plausible variance is unobserved, and as
 #: unobserved from one less this part on.
 _OBSERVED = 1e-3
+#: Deviations from zero from which on a number of an effect is one by itself.
+_CLEAR = 3.0
 _COLUMNS = ("parameter", "value", "± readings", "± with sizes", "unit", "")
 
 
@@ -17,7 +21,8 @@ def table_of(fit: Any) -> str:
 
     ``± readings`` is the standard deviation that the readings leave, ``± with sizes`` that with what they do not tell
     at all, from plausible sizes. A parameter is ``observed``, ``in part`` or ``unobserved`` by the readings, or
-    ``fixed``.
+    ``fixed``; of an effect of which a simpler form is ``known``, which has a line of its own, it may be known ``not by
+    itself``.
     """
     layout = fit.data.layout
     named = dict(zip(layout.readings, layout.names, strict=True))
@@ -35,12 +40,20 @@ def table_of(fit: Any) -> str:
         ("rank", f"{fit.rank} of {len(fit.parameters)}{condition}"),
         ("converged", f"{'yes' if fit.converged else 'NO'}, {fit.evaluations} evaluations"),
     ]  # fmt: skip
+    forms = known(fit)
     size = np.array([p.size for p in fit.parameters])
     unseen = np.diag(fit.unobserved_covariance) / size**2
     lines = [_COLUMNS]
     for k, p in enumerate(fit.parameters):
         deviations = (f"{fit.std_from_readings[k]:.2g}", f"{fit.std[k]:.2g}")
-        lines.append((p.name, f"{fit.values[k]:.6g}", *deviations, p.unit, _state(float(unseen[k]))))
+        effect = p.name.partition(".")[0]
+        alone = effect not in forms or abs(fit.values[k]) > _CLEAR * fit.std[k]
+        state = _state(float(unseen[k])) if alone else "not by itself"
+        lines.append((p.name, f"{fit.values[k]:.6g}", *deviations, p.unit, state))
+    for name, one in forms.items():
+        for value in one.values:
+            std = f"{value.std:.2g}"
+            lines.append((f"{name}: {one.where} {value.what}", f"{value.value:.6g}", std, std, value.unit, "known"))
     lines += [(p.name, "0", "", "", p.unit, "fixed") for p in fit.model.fixed]
     widths = [max(len(line[k]) for line in lines) for k in range(len(_COLUMNS))]
     words = (True, False, False, False, True, True)

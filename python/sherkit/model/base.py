@@ -47,6 +47,8 @@ class ModelWithEffects(ABC):
 
     #: Effects that are among the model's own parameters.
     within: ClassVar[frozenset[str]] = frozenset()
+    #: Where a robot's file gives the period of its encoders; empty where it has no place for it.
+    period_in_file: ClassVar[str] = ""
 
     # -- what a model says -------------------------------------------------------------------------------
 
@@ -150,11 +152,18 @@ class ModelWithEffects(ABC):
     def with_effect(self, effect: Effect, *, at: float | None = None, **settings: float) -> Self:
         """The same model with one more effect. ``at`` is the setting that is searched for besides its parameters: a
         moment or a period; other ``settings`` are by name."""
-        if at is not None and effect.search is not None:
-            # it is held under its own name, or with the effect's before it: period_mm, slip_time_s
-            names = (effect.search, f"{effect.name}_{effect.search}")
-            settings |= {name: at for name in names if name in self.settings()}
+        if at is not None:
+            settings |= dict.fromkeys(self._held_as(effect), at)
         return replace(self, effects=(*self.effects, effect), **settings)  # type: ignore[type-var]
+
+    def setting_of(self, effect: Effect) -> float | None:
+        """The setting that the model has for an effect, as :meth:`with_effect` takes it; None where it has none."""
+        held = self._held_as(effect)
+        return self.settings()[held[0]] if held else None
+
+    def _held_as(self, effect: Effect) -> list[str]:
+        """A setting stands under its own name, or with the effect's before it: period_mm, slip_time_s."""
+        return [name for name in (effect.search, f"{effect.name}_{effect.search}") if name in self.settings()]
 
     def without_effect(self, name: str) -> Self:
         """The same model without the effect of that name."""

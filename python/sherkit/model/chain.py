@@ -63,6 +63,13 @@ class ChainModel(ModelWithEffects):
         names = [e.name for e in self.effects]
         if len(set(names)) < len(names):
             raise EffectError(f"an effect is added twice: {listed(names, 24)}")
+        for effect in self.effects:
+            if effect.is_periodic and self.setting_of(effect) is None:
+                give = f"give {self.period_in_file} in the robot file, or " if self.period_in_file else ""
+                raise EffectError(
+                    f"'{effect.name}' needs the period of the encoders: {give}leave the effect to a diagnosis or a "
+                    "study, which search for it"
+                )
 
     # -- what a robot says ---------------------------------------------------------------------------------
 

@@ -37,7 +37,8 @@ class Effect:
 
     ``parameters`` carry unit and plausible size; inside a model their names are prefixed (``rail_lean.radial_1``).
     ``needs`` are the covariates without which it cannot be told. ``search`` names a setting that is looked for
-    besides the parameters (``period_mm`` or ``time_s``). ``function`` is set for effects given in NumPy.
+    besides the parameters (``time_s``, or ``period_mm`` or ``period_rad`` of a wave of each joint). ``function`` is set
+    for effects given in NumPy.
     """
 
     name: str
@@ -50,6 +51,11 @@ class Effect:
     search: str | None = None
     function: Function | None = field(default=None, repr=False)
     derivative: Callable[[Any, SimpleNamespace], Any] | None = field(default=None, repr=False)
+
+    @property
+    def is_periodic(self) -> bool:
+        """Whether it is sine and cosine of each joint reading, joint by joint, with a period that can be searched."""
+        return self.search is not None and self.search.startswith("period_")
 
     def qualified(self) -> tuple[Parameter, ...]:
         """The parameters under the names they have in a model."""

@@ -18,8 +18,9 @@ COMMON: dict[str, Sentences] = {
         workshop="Compare the travel of each joint with a gauge or its index marks; correct counts per travel.",
     ),
     "encoder_cyclic": Sentences(
-        physics="A magnetic scale read a little off centre errs by a sine and cosine once per pole pair.",
-        residuals="A fine ripple that repeats with the pole pitch along one joint.",
+        physics="An encoder errs by a sine and cosine that repeat: a magnetic scale read a little off centre once per "
+        "pole pair; a ring twice per turn where two heads read it, and once per line that is divided unevenly.",
+        residuals="A ripple along one joint that repeats with the pole pitch, or a whole number of times per turn.",
         workshop="Adjust gap and angle of the reading head; enable the encoder's own harmonic compensation.",
     ),
     "encoder_eccentricity": Sentences(

@@ -124,11 +124,14 @@ class Planning:
         return self.candidates[name]
 
     def with_effect(self, effect: Effect) -> ChainModel:
-        """The model with the effect; a slip is taken to happen in the middle of the run."""
-        settings: dict[str, float] = {}
+        """The model with the effect; a slip is taken to happen in the middle of the run, a cyclic error whose period
+        nobody gave to repeat ten times over the range of the joints."""
+        at = None
         if effect.search == "time_s" and self.rows.time_s is not None:
-            settings["slip_time_s"] = float(np.median(self.rows.time_s))
-        return self.model.with_effect(effect, **settings)
+            at = float(np.median(self.rows.time_s))
+        if effect.is_periodic and self.model.setting_of(effect) is None:
+            at = float(np.ptp(self.rows.joints, axis=0).max()) / 10.0
+        return self.model.with_effect(effect, at=at)
 
     @cached_property
     def _raw(self) -> dict[str, Floats]:

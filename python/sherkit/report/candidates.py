@@ -8,7 +8,7 @@ import numpy as np
 from bokeh.core.properties import value
 from bokeh.models import FactorRange, Range1d, Span, Whisker
 
-from ..diagnosis import Diagnosis
+from ..diagnosis import Diagnosis, largest
 from .picture import Picture, Tables, single, sources_of
 from .style import ADDED, FONT, FONT_SIZE, INK, MUTED, PLAIN, REFUSED, figure, hover
 
@@ -109,7 +109,7 @@ def _tables(found: Diagnosis) -> Tables:
         "low": [_lowest(c) for c in order],
         "high": [min(c.held_out_rms + 2 * c.held_out_std, high) for c in order],
         "p": [c.p_value for c in order],
-        "largest": [_largest(c) for c in order],
+        "largest": [largest(found, c) for c in order],
         "size": ["plausible" if c.plausible else "implausible" for c in order],
         "fill": [
             colour if c.plausible or c.effect in named else "white" for c, colour in zip(order, colours, strict=True)
@@ -137,8 +137,3 @@ def _brackets(found: Diagnosis, order: list[str]) -> Tables:
         else {key: [] for key in ("x0", "y0", "x1", "y1")},
         "tied": {key: [text[k] for text in texts] for k, key in enumerate(("x", "y", "text"))},
     }
-
-
-def _largest(candidate: Any) -> str:
-    worst = max(candidate.parameters, key=lambda q: abs(q["value"]) / max(q["std"], 1e-300))
-    return f"{worst['name']} = {worst['value']:.3g} ± {worst['std']:.1g} {worst['unit']}"

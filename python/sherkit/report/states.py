@@ -13,7 +13,7 @@ import numpy as np
 
 from ..diagnosis import Diagnosis
 from ..diagnosis.fitted_run import FittedRun
-from ..diagnosis.slip import moment_of_step
+from ..diagnosis.setting import searched
 from ..errors import SherkitError
 from ..model.effect import Effect
 from ..names import listed
@@ -51,13 +51,14 @@ def states_of(
         title = title_of([*known, candidate.effect])
         if effect is None or {*known, candidate.effect} in taken:
             continue
-        moment = None
+        setting = None
         try:
-            if effect.search == "time_s":
-                moment = moment_of_step(run, effect)
-                if moment is None:
+            if effect.search is not None:
+                at = searched(run, effect)
+                if at is None:
                     continue
-            out.append(State(title, residuals_of(run.refit([(effect, moment)]).fit)))
+                setting = at.setting
+            out.append(State(title, residuals_of(run.refit([(effect, setting)]).fit)))
         except SherkitError:
             continue
     return out + [State(title_of(added), residuals_of(fit)) for added, fit in path.items()]

@@ -25,6 +25,7 @@ import sherkit._core as _core
 from ..calibrate import Result
 from ..diagnosis import Diagnosis, sentence
 from ..errors import SherkitError
+from ..fit.forms import known
 from ..names import listed
 from ..robots.calibrated import REQUIREMENT_UM, Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
@@ -262,8 +263,17 @@ def _table_one(run: CalibrationRun, key: str, beside: Mapping[str, Mapping[str, 
 
 def _parameter_lines(story: Story) -> list[tuple[str, str, str, str, str, str]]:
     fit = story.study.fit
+    forms, told = known(fit), set[str]()
     out = []
     for p, v, r, s in zip(fit.parameters, fit.values, fit.std_from_readings, fit.std, strict=True):
+        name = p.name.partition(".")[0]
+        if one := forms.pop(name, None):
+            cells = [f"{value.std:.4g}" for value in one.values]
+            lines = zip(one.values, cells, strict=True)
+            out += [(f"{name}: {one.where} {w.what}", "", f"{w.value:+.5g}", c, c, w.unit) for w, c in lines]
+            told.add(name)
+        if "." in p.name and name in told:
+            continue
         angle = p.unit == "rad"
         factor, unit = (float(np.rad2deg(1.0)), "°") if angle else (1.0, p.unit)
         cells = [f"{x * factor:.4g}" for x in (r, s)]

@@ -13,7 +13,7 @@ use sherkit_core::spherical::{
     Readings, Row, Values,
 };
 use sherkit_core::{Error, Singularity};
-use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, TAU};
 use std::ops::Range;
 
 const KINDS: [Readings; 2] = [Readings::Pixels, Readings::Angles];
@@ -32,6 +32,7 @@ const LENS_DISTORTION: Range<usize> = of("lens_distortion");
 const JOINT_OFFSET: Range<usize> = of("joint_offset");
 const JOINT_SCALE: Range<usize> = of("joint_scale");
 const ENCODER_ECCENTRICITY: Range<usize> = of("encoder_eccentricity");
+const ENCODER_CYCLIC: Range<usize> = of("encoder_cyclic");
 const BACKLASH: Range<usize> = of("backlash");
 const UNEQUAL_LIMBS: Range<usize> = of("unequal_limbs");
 const AXIS_OFFSET: Range<usize> = of("axis_offset");
@@ -110,6 +111,7 @@ fn robots() -> impl Strategy<Value = (Model, [f64; 2])> {
                     home: [0.3, -0.2],
                     time_origin_s: 100.0,
                     slip_time_s: 2000.0,
+                    encoder_period: 0.4,
                 },
                 [mean + half, mean - half],
             ))
@@ -312,7 +314,7 @@ proptest! {
         let theta = joints_by_hand(&model, &values, &joints, &r.covariates);
         // the same joints without effects of joints, and the marker without its offset
         let mut plain = values;
-        for range in [JOINT_OFFSET, JOINT_SCALE, ENCODER_ECCENTRICITY, BACKLASH, CAMERA_DELAY, MARKER_OFFSET, THERMAL_GROWTH, DRIFT, SLIP] {
+        for range in [JOINT_OFFSET, JOINT_SCALE, ENCODER_ECCENTRICITY, ENCODER_CYCLIC, BACKLASH, CAMERA_DELAY, MARKER_OFFSET, THERMAL_GROWTH, DRIFT, SLIP] {
             plain[range].fill(0.0);
         }
         let chain = model.with(&plain).unwrap();
@@ -419,6 +421,8 @@ fn joints_by_hand(
             + v(JOINT_SCALE, i) * (q - model.home[i])
             + v(ENCODER_ECCENTRICITY, 2 * i) * q.sin()
             + v(ENCODER_ECCENTRICITY, 2 * i + 1) * q.cos()
+            + v(ENCODER_CYCLIC, 2 * i) * (TAU * q / model.encoder_period).sin()
+            + v(ENCODER_CYCLIC, 2 * i + 1) * (TAU * q / model.encoder_period).cos()
             // the full width between the two directions
             + v(BACKLASH, i) * covariates.direction[i] / 2.0
             // the camera shows where the robot was
@@ -437,6 +441,7 @@ fn the_papers() -> Model {
         home: [0.0; 2],
         time_origin_s: 0.0,
         slip_time_s: 0.0,
+        encoder_period: 0.4,
     }
 }
 

@@ -24,6 +24,7 @@ use sherkit_core::spherical::{
     self, Assembly, CATALOGUE, Calibrated as Core, Covariates, Elbows, GEOMETRIC, Geometry,
     Kinematics, Model, PARAMETERS, Readings, Values,
 };
+use std::f64::consts::PI;
 
 /// The assembly of this name.
 fn assembly(name: &str) -> PyResult<Assembly> {
@@ -207,7 +208,7 @@ pub struct SphericalModel(Model);
 
 model_class!(SphericalModel, Model, spherical, {
     /// `settings`: radius of the sphere (mm), direction of the weight (3), home joint readings (2, rad), time origin and
-    /// slip time (s), which may be left out.
+    /// slip time (s) and period of the encoders (rad); these three may be left out.
     #[new]
     #[pyo3(signature = (geometry, camera, settings, assembly_mode="outer", face_mode="near", readings="pixels"))]
     fn new(
@@ -224,8 +225,18 @@ model_class!(SphericalModel, Model, spherical, {
         let camera = Description::from_parameters(&fixed("camera", &camera)?);
         Camera::new(&camera).map_err(to_python)?;
         let given = settings.as_slice()?;
-        let [radius_mm, gx, gy, gz, h1, h2, time_origin_s, slip_time_s] = match *given {
-            [r, gx, gy, gz, h1, h2] => [r, gx, gy, gz, h1, h2, 0.0, 0.0],
+        let [
+            radius_mm,
+            gx,
+            gy,
+            gz,
+            h1,
+            h2,
+            time_origin_s,
+            slip_time_s,
+            encoder_period,
+        ] = match *given {
+            [r, gx, gy, gz, h1, h2] => [r, gx, gy, gz, h1, h2, 0.0, 0.0, PI],
             _ => fixed("settings", &settings)?,
         };
         let model = Model {
@@ -238,6 +249,7 @@ model_class!(SphericalModel, Model, spherical, {
             home: [h1, h2],
             time_origin_s,
             slip_time_s,
+            encoder_period,
         };
         model.with(&[0.0; PARAMETERS]).map_err(to_python)?;
         Ok(Self(model))

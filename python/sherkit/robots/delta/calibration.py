@@ -7,7 +7,7 @@ interest, blended over a margin so that a commanded position never jumps (the pa
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self, cast
 
@@ -117,8 +117,12 @@ class DeltaCalibration(Calibration):
 
     @classmethod
     def of(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> Self:
-        """From a run over the workspace and, if given, one inside the region of interest."""
-        robot: Delta = whole.fit.model.robot
+        """From a run over the workspace and, if given, one inside the region of interest. A pitch that was found stands
+        in the robot."""
+        model = whole.fit.model
+        robot: Delta = model.robot
+        if any(e.is_periodic for e in model.effects):
+            robot = replace(robot, pole_pitch_mm=model.period_mm)
         return cls(
             robot=robot,
             whole=DeltaPart.of(whole),

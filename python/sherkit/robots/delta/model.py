@@ -29,7 +29,8 @@ class DeltaModel(ChainModel):
     ``free`` names the geometric errors and datum to identify: by default the paper's twelve (Eq. 9) and the datum
     of the sensors. The platform's radii and angles can be freed as well; they are exactly dependent on the base's.
     All parameters of ``effects`` are free. ``period_mm``, ``slip_time_s`` and ``time_origin_s`` are the settings of
-    the effects that have one. Readings have four columns: x, y, z, distance.
+    the effects that have one; ``period_mm`` is the robot's pole pitch unless another is given, and None where neither
+    is: then a cyclic error is refused. Readings have four columns: x, y, z, distance.
     """
 
     robot: Delta
@@ -39,7 +40,12 @@ class DeltaModel(ChainModel):
 
     catalogue: ClassVar = CATALOGUE
     layouts: ClassVar = (DELTA,)
+    period_in_file: ClassVar = "pole_pitch_mm under [joints]"
     table: ClassVar = _core.DeltaModel.CATALOGUE
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "period_mm", self.period_mm or self.robot.pole_pitch_mm)
+        super().__post_init__()
 
     def lever_mm(self, name: str) -> float:
         """An angle of base or platform moves what stands at its radius."""
@@ -63,8 +69,8 @@ class DeltaModel(ChainModel):
     def core(self) -> _core.DeltaModel:
         """The compiled model."""
         r = self.robot
-        pitch = self.period_mm or r.pole_pitch_mm or 1.0
-        settings = [r.rod_spacing_mm, pitch, *self.home_mm, self.time_origin_s, self.slip_time_s]
+        # without a cyclic error the period does not matter
+        settings = [r.rod_spacing_mm, self.period_mm or 1.0, *self.home_mm, self.time_origin_s, self.slip_time_s]
         offset = np.array(r.target_offset_mm)
         return _core.DeltaModel(r.geometry, offset, r.assembly_mode, np.array(settings, dtype=float))
 

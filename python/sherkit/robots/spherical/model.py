@@ -31,13 +31,15 @@ class SphericalModel(ChainModel):
 
     ``free`` names geometric errors and datum: by default ``alpha``, ``beta`` and ``radius``, as in the paper; besides
     these ``datum_phi``, ``datum_gamma`` (where angles are read), ``principal_point_u`` and ``principal_point_v`` (where
-    pixels are). What else of the camera is free are effects: ``camera_pose``, ``focal_length``, ``lens_distortion``.
-    Readings have two columns: u, v in pixels, or φ, γ in rad. The radius shows in pixels alone, and α and β in γ alone.
+    pixels are). ``period_rad`` is that of the encoders' cyclic error, for which a file has no place. What else of the
+    camera is free are effects: ``camera_pose``, ``focal_length``, ``lens_distortion``. Readings have two columns: u, v
+    in pixels, or φ, γ in rad. The radius shows in pixels alone, and α and β in γ alone.
     """
 
     robot: Spherical
     slip_time_s: float = 0.0
     time_origin_s: float = 0.0
+    period_rad: float | None = None
 
     catalogue: ClassVar = SPHERICAL_CATALOGUE
     layouts: ClassVar = (SPHERICAL_PIXELS, SPHERICAL_ANGLES)
@@ -54,15 +56,21 @@ class SphericalModel(ChainModel):
         return ("alpha", "beta", "radius")
 
     def settings(self) -> dict[str, float | None]:
-        """Moment of the slip, origin of time."""
-        return {"slip_time_s": self.slip_time_s, "time_origin_s": self.time_origin_s}
+        """Moment of the slip, origin of time, period of the encoders."""
+        return {
+            "slip_time_s": self.slip_time_s,
+            "time_origin_s": self.time_origin_s,
+            "period_rad": self.period_rad,
+        }
 
     @cached_property
     def core(self) -> _core.SphericalModel:
         """The compiled model for runs that hold pixels."""
         r = self.robot
         pull = np.array(r.gravity) / np.linalg.norm(r.gravity)
-        settings = np.array([r.radius_mm, *pull, *np.deg2rad(r.home_deg), self.time_origin_s, self.slip_time_s])
+        # without a cyclic error the period does not matter
+        times, period = [self.time_origin_s, self.slip_time_s], self.period_rad or np.pi
+        settings = np.array([r.radius_mm, *pull, *np.deg2rad(r.home_deg), *times, period])
         camera = (r.camera or _ANY_CAMERA).parameters
         return _core.SphericalModel(r.geometry, camera, settings, r.assembly_mode, readings="pixels")
 

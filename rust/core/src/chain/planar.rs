@@ -29,6 +29,9 @@ effects! { At;
     encoder_eccentricity: Joints by joints {
         sine_1, cosine_1, sine_2, cosine_2: "rad", 2e-3, 200.0;
     }
+    encoder_cyclic: Joints by joints search "period_rad" {
+        sine_1, cosine_1, sine_2, cosine_2: "rad", 1e-3, 200.0;
+    }
     backlash: Joints by joints needs "direction" {
         width_1, width_2: "rad", 1e-3, 200.0;
     }
@@ -80,7 +83,7 @@ impl Robot<2, 3, PARAMETERS> for Arm {
     fn settings(&self) -> Settings<2> {
         Settings {
             home: [0.1, -0.2],
-            wave: 1.0,
+            wave: 7.0,
             time_origin_s: 100.0,
             slip_time_s: 500.0,
         }

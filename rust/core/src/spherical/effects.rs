@@ -45,6 +45,10 @@ effects! { At;
     encoder_eccentricity: Joints by joints {
         sine_1, cosine_1, sine_2, cosine_2: "rad", 2e-3, LEVER;
     }
+    // error of each encoder at the period: sine and cosine, joint by joint
+    encoder_cyclic: Joints by joints search "period_rad" {
+        sine_1, cosine_1, sine_2, cosine_2: "rad", 1e-3, LEVER;
+    }
     // half the difference of the limbs' α and of their β: limb 1 has more, limb 2 less
     unequal_limbs: Structure by structure {
         proximal, distal: "rad", 0.02, LEVER;

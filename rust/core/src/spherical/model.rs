@@ -10,6 +10,7 @@ use crate::chain::effects::{Effect, Wanted};
 use crate::chain::places::Places;
 use crate::chain::{self, Angles, Eye, Robot, Sensor, Settings, Table};
 use crate::{Error, Result};
+use core::f64::consts::TAU;
 use nalgebra::{Matrix2x3, SMatrix, Vector2, Vector3};
 
 /// Numbers that a reading has.
@@ -81,17 +82,21 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
     fn settings(&self) -> Settings<LIMBS> {
         Settings {
             home: self.home,
-            wave: 1.0,
+            wave: TAU / self.encoder_period,
             time_origin_s: self.time_origin_s,
             slip_time_s: self.slip_time_s,
         }
     }
 
     fn check(&self) -> Result<()> {
-        let times = [self.time_origin_s, self.slip_time_s];
+        let times = [self.time_origin_s, self.slip_time_s, self.encoder_period];
         let mut settings = self.home.iter().chain(&self.gravity).chain(&times);
         if let Some(index) = settings.position(|v| !v.is_finite()) {
             return Err(Error::NotFinite { index });
+        }
+        if self.encoder_period <= 0.0 {
+            let what = "the period of the encoders must be positive";
+            return Err(Error::InvalidGeometry { limb: 0, what });
         }
         let norm = self.gravity.norm();
         if !(norm > 0.0 && norm.is_finite()) {

@@ -1,0 +1,269 @@
+"""What is really known of an effect: the simplest form of it that the readings do not refuse.
+
+An effect with a number for each limb often shows one of a few simple forms: the same in all limbs, in one limb only,
+opposite in two. Each form is a linear restriction θ = A φ of the fitted numbers θ with covariance C. Its distance
+(θ - A φ)ᵀ C⁻¹ (θ - A φ) at the best φ is χ² with as many degrees of freedom as it saves (Wald, "Tests of statistical
+hypotheses", Trans. AMS 1943); among those that are not refused, Schwarz's criterion chooses, with the choice itself
+paid for. Where none holds, the combination that is known best says how much is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from ..model.effect import Effect
+from ..model.parameter import Parameter
+from ..names import listed
+from ..types import Floats
+
+#: A form with a smaller p is refused.
+_LEVEL = 0.01
+#: Forms whose criterion is nearer than this to the leading one fit as well (Kass and Raftery, JASA 1995).
+_AS_WELL = 2.0
+#: A number is known where its deviation is less than this part of its plausible size.
+_KNOWN = 1.0 / 3.0
+#: Which form leads among those that fit as well.
+_ORDER = ("common", "opposite", "one")
+#: Parts of a combination below this one of the largest are not named.
+_NAMED = 0.2
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number that the readings tell: what it is in words, and its standard deviation, in ``unit``."""
+
+    what: str
+    value: float
+    std: float
+    unit: str
+
+    def __str__(self) -> str:
+        gap = "" if self.unit == "°" else " "
+        digits = max(0, 1 - int(np.floor(np.log10(self.std)))) if self.std > 0 else 6
+        if digits > 6:
+            return f"{self.what} {self.value:.4g} ± {self.std:.1g}{gap}{self.unit}"
+        return f"{self.what} {self.value:.{digits}f} ± {self.std:.{digits}f}{gap}{self.unit}"
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of one effect.
+
+    ``form`` is ``common``, ``one``, ``opposite`` or ``combination``; ``at`` the numbers of the limbs or joints that it
+    names; ``values`` what the readings tell, ``single`` the smallest deviation of the single numbers, in the unit of
+    the first. ``p`` is how well the form stands against the free one; ``also`` names forms that fit as well.
+    """
+
+    effect: Effect
+    form: str
+    at: tuple[int, ...]
+    values: tuple[Value, ...]
+    single: float
+    p: float
+    also: tuple[str, ...] = ()
+
+    @property
+    def where(self) -> str:
+        """Which limbs or joints: in words."""
+        return _where(self.form, self.at, _place(self.effect))
+
+    @property
+    def short(self) -> str:
+        """What is known, for a cell of a table."""
+        return f"{self.where} {listed(self.values)}"
+
+    @property
+    def sentence(self) -> str:
+        """What is known, in one sentence."""
+        first = self.values[0]
+        gap = "" if first.unit == "°" else " "
+        said = f"{self.effect.name}: {self.short}"
+        if self.single > 2.0 * first.std:
+            said += (
+                f"; the single {_place(self.effect)}s are not known to better than {self.single:.2g}{gap}{first.unit}"
+            )
+        return said + (f"; as well fits: {' or '.join(self.also)}" if self.also else "")
+
+    @property
+    def workshop(self) -> str:
+        """What to do about it: the effect's own sentence, for the limbs that it is about."""
+        place, own = _place(self.effect), self.effect.workshop
+        if self.form == "common":
+            return f"{own} All {place}s err alike: look for one cause before you adjust single ones.".strip()
+        if self.form == "combination":
+            return f"{own} Adjust no single {place} by its own number: only the combination is known.".strip()
+        them = f"{place} {self.at[0]}" if self.form == "one" else f"{place}s {self.at[0]} and {self.at[1]}"
+        return f"{own} It concerns {them}.".strip()
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "effect": self.effect.name,
+            "form": self.form,
+            "at": list(self.at),
+            "values": [{"what": v.what, "value": v.value, "std": v.std, "unit": v.unit} for v in self.values],
+            "single_std": self.single,
+            "p_value": self.p,
+            "sentence": self.sentence,
+        }
+
+
+def known(fit: Any) -> dict[str, Known]:
+    """What is known of each effect of a :class:`~sherkit.fit.identify.Fit`, by its name; effects whose numbers each
+    stand for themselves are left out."""
+    found = {e.name: known_of(fit, e) for e in fit.model.effects}
+    return {name: one for name, one in found.items() if one is not None}
+
+
+def known_of(fit: Any, effect: Effect) -> Known | None:
+    """What is known of an effect that is in a fit; None where it has no number for each limb, or each of them is."""
+    kinds = _by_limb(effect.parameters)
+    if not kinds:
+        return None
+    place = fit.model.owns(effect)
+    covariance = (fit.covariance + fit.unobserved_covariance)[place, place]
+    size = np.array([p.size for p in effect.parameters])
+    theta, c = fit.values[place] / size, covariance / np.outer(size, size)
+    if not (np.isfinite(theta).all() and np.isfinite(c).all() and np.diag(c).min() > 0):
+        return None
+    weight = np.linalg.pinv(c, rcond=1e-12, hermitian=True)
+    price = np.log(max(int(fit.data.used.sum()), 3))
+    free = len(theta) * price
+    scored = []
+    forms = _forms(kinds)
+    for form in forms:
+        # in plausible sizes, of which all limbs have the same
+        a = form.matrix(len(theta))
+        inner = np.linalg.inv(a.T @ weight @ a)
+        phi = inner @ (a.T @ weight @ theta)
+        left = theta - a @ phi
+        distance = float(left @ weight @ left)
+        p = float(special.chdtrc(len(theta) - len(phi), distance))
+        choice = 2.0 * np.log(sum(len(f.kinds) == len(form.kinds) for f in forms))
+        scored.append((distance + len(phi) * price + choice, p, form, phi, np.sqrt(np.diag(inner))))
+    single = np.sqrt(np.diag(c))
+    least = min((s[0] for s in scored if s[1] > _LEVEL), default=np.inf)
+    if least >= free:
+        return _combination(effect, theta, c, size)
+    near = [s for s in scored if s[1] > _LEVEL and s[0] < least + _AS_WELL]
+    # among forms that fit alike, one cause for all limbs before one for a single limb
+    near.sort(key=lambda s: (_ORDER.index(s[2].name), s[0]))
+    _, p, form, phi, std = near[0]
+    others = [s[2] for s in near if (s[2].name, s[2].at) != (form.name, form.at)]
+    values = []
+    for kind, value, deviation in zip(form.kinds, phi.tolist(), std.tolist(), strict=True):
+        one = effect.parameters[next(iter(kinds[kind].values()))]
+        factor, unit = _shown(one)
+        values.append(Value(_called(effect, kind, kinds), factor * value, factor * deviation, unit))
+    first = kinds[form.kinds[0]]
+    smallest = min(_shown(effect.parameters[k])[0] * float(single[k]) for k in first.values())
+    also = tuple(dict.fromkeys(_where(f.name, f.at, _place(effect)).rstrip(":") for f in others))
+    return Known(effect, form.name, form.at, tuple(values), smallest, p, also)
+
+
+@dataclass(frozen=True)
+class _Form:
+    """A form: which kinds of number are not zero, in which limbs, and their places among the parameters."""
+
+    name: str
+    at: tuple[int, ...]
+    kinds: tuple[str, ...]
+    entries: tuple[tuple[tuple[int, float], ...], ...]
+
+    def matrix(self, count: int) -> Floats:
+        """A (count, kinds): the parameters, in plausible sizes, by the numbers of the form."""
+        out = np.zeros((count, len(self.kinds)))
+        for column, entries in enumerate(self.entries):
+            for row, part in entries:
+                out[row, column] = part
+        return out
+
+
+def _by_limb(parameters: Sequence[Parameter]) -> dict[str, dict[int, int]]:
+    """Kinds of number that an effect has for each of several limbs: limb to place. Empty where it has others too.
+
+    A parameter belongs to a limb where its name ends in the limb's number: ``tangential_2``.
+    """
+    kinds: dict[str, dict[int, int]] = {}
+    for place, parameter in enumerate(parameters):
+        kind, _, limb = parameter.name.rpartition("_")
+        if not kind or not limb.isdigit():
+            return {}
+        kinds.setdefault(kind, {})[int(limb)] = place
+    limbs = {tuple(sorted(one)) for one in kinds.values()}
+    return kinds if len(limbs) == 1 and len(limbs.pop()) > 1 else {}
+
+
+def _forms(kinds: dict[str, dict[int, int]]) -> list[_Form]:
+    """Every form, of each kind of number alone and of all of them together."""
+    limbs = tuple(sorted(next(iter(kinds.values()))))
+    chosen = [(kind,) for kind in kinds] + ([tuple(kinds)] if len(kinds) > 1 else [])
+    out = []
+    for some in chosen:
+        signs: list[tuple[str, dict[int, float]]] = [("common", dict.fromkeys(limbs, 1.0))]
+        signs += [("one", {limb: 1.0}) for limb in limbs]
+        signs += [("opposite", {a: 1.0, b: -1.0}) for a, b in combinations(limbs, 2)]
+        for name, parts in signs:
+            entries = tuple(tuple((kinds[kind][limb], part) for limb, part in parts.items()) for kind in some)
+            out.append(_Form(name, tuple(parts), some, entries))
+    return out
+
+
+def _combination(effect: Effect, theta: Floats, c: Floats, size: Floats) -> Known | None:
+    """The combinations that are known, where not every single number is. ``theta``, ``c`` in plausible sizes."""
+    std = np.sqrt(np.diag(c))
+    if (std < _KNOWN).all():
+        return None
+    variance, axes = np.linalg.eigh(c)
+    values = []
+    for k in np.flatnonzero(np.sqrt(variance.clip(0.0)) < _KNOWN)[:2]:
+        parts = axes[:, k] / size * size[0]
+        top = int(np.argmax(np.abs(axes[:, k])))
+        parts = parts / parts[top]
+        named = [j for j in np.argsort(-np.abs(axes[:, k])) if abs(axes[j, k]) >= _NAMED * abs(axes[top, k])]
+        what = " ".join(_part(float(parts[j]), effect.parameters[j].name, j == named[0]) for j in named)
+        factor, unit = _shown(effect.parameters[top])
+        along = float(axes[:, k] @ theta) / axes[top, k]
+        values.append(Value(what, factor * along, factor * float(np.sqrt(variance[k])) / abs(axes[top, k]), unit))
+    if not values:
+        return None
+    top = int(np.argmin(std))
+    return Known(effect, "combination", (), tuple(values), _shown(effect.parameters[top])[0] * float(std[top]), 1.0)
+
+
+def _part(part: float, name: str, first: bool) -> str:
+    size = "" if abs(abs(part) - 1.0) < 0.05 else f"{abs(part):.2g} "
+    sign = "-" if part < 0 else "" if first else "+"
+    return f"{sign}{'' if first else ' '}{size}{name}"
+
+
+def _shown(parameter: Parameter) -> tuple[float, str]:
+    """What turns a plausible size of a parameter into the unit in which people read it; angles are read in degrees."""
+    return (float(np.rad2deg(parameter.size)), "°") if parameter.unit == "rad" else (parameter.size, parameter.unit)
+
+
+def _place(effect: Effect) -> str:
+    """What an effect has a number for."""
+    return "joint" if effect.link == "joints" else "limb"
+
+
+def _called(effect: Effect, kind: str, kinds: dict[str, dict[int, int]]) -> str:
+    """The number in words: ``tangential rail lean``; of an effect that has one kind alone, its name."""
+    words = effect.name.replace("_", " ")
+    return words if len(kinds) == 1 else f"{kind.replace('_', ' ')} {words}"
+
+
+def _where(form: str, at: tuple[int, ...], place: str) -> str:
+    if form == "common":
+        return "common"
+    if form == "one":
+        return f"{place} {at[0]} alone:"
+    if form == "opposite":
+        return f"{place} {at[0]} against {place} {at[1]}:"
+    return "best known:"
