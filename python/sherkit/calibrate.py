@@ -88,8 +88,8 @@ def calibrate(
             missing = lacks(effect, data)
             if missing:
                 raise EffectError(f"{data.source}: '{effect.name}' needs the column {listed(missing)}")
-            setting = {"slip_time_s": slip_time(identify(model, data))} if effect.search == "time_s" else {}
-            model = model.with_effect(effect, **setting)
+            at = slip_time(identify(model, data), effect) if effect.search == "time_s" else None
+            model = model.with_effect(effect, at=at)
         fit = identify(model, data, loss=loss, priors=priors, linear=linear)
         step(f"holding out blocks of the {name} run")
         held = hold_out(fit.model, data, seed=seed, loss=loss).residuals

@@ -164,12 +164,10 @@ class Study(Shown):
         missing = lacks(chosen, self.data)
         if missing:
             raise EffectError(f"'{chosen.name}' needs the column {listed(missing)}, which these rows lack")
-        settings: dict[str, float] = {}
+        at = period_mm if chosen.search == "period_mm" else None
         if chosen.search == "time_s":
-            settings["slip_time_s"] = slip_time(self.fit) if slip_time_s is None else slip_time_s
-        if chosen.search == "period_mm" and period_mm is not None:
-            settings["period_mm"] = period_mm
-        return self._change(self.model.with_effect(chosen, **settings), self.data, f"added {chosen.name}")
+            at = slip_time(self.fit, chosen) if slip_time_s is None else slip_time_s
+        return self._change(self.model.with_effect(chosen, at=at), self.data, f"added {chosen.name}")
 
     def remove(self, name: str) -> StudyStep:
         """Takes an effect out and refits. Raises :class:`~sherkit.errors.EffectError` where it is not in the model."""

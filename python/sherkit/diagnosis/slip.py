@@ -19,13 +19,12 @@ def moment_of_step(run: FittedRun, effect: Effect) -> float | None:
     return found[0].setting if found else None
 
 
-def slip_time(fit: Fit) -> float:
-    """The moment at which a step leaves least: that of the model's effect with a time to search for.
+def slip_time(fit: Fit, effect: Effect) -> float:
+    """The moment at which a step by this effect leaves least of a fit.
 
-    Raises :class:`~sherkit.errors.EffectError` for a model without such an effect, or rows without time.
+    Raises :class:`~sherkit.errors.EffectError` for rows in which no moment can be searched for.
     """
-    steps = [e for e in fit.model.known_effects.values() if e.search == "time_s"]
-    moment = moment_of_step(FittedRun(fit), steps[0]) if steps else None
+    moment = moment_of_step(FittedRun(fit), effect)
     if moment is None:
-        raise EffectError(f"'{steps[0].name if steps else 'slip'}': no moment can be searched for in these rows")
+        raise EffectError(f"'{effect.name}': no moment can be searched for in these rows")
     return moment

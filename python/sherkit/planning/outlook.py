@@ -125,10 +125,8 @@ class Planning:
 
     def with_effect(self, effect: Effect) -> ChainModel:
         """The model with the effect; a slip is taken to happen in the middle of the run."""
-        settings: dict[str, float] = {}
-        if effect.search == "time_s" and self.rows.time_s is not None:
-            settings["slip_time_s"] = float(np.median(self.rows.time_s))
-        return self.model.with_effect(effect, **settings)
+        time = self.rows.time_s if effect.search == "time_s" else None
+        return self.model.with_effect(effect, at=None if time is None else float(np.median(time)))
 
     @cached_property
     def _raw(self) -> dict[str, Floats]:

@@ -9,7 +9,8 @@
 //! branch, or 0. A branch is a model (assembly ±1, 18 geometric parameters, target offset, rod spacing, pole pitch,
 //! home, time origin, slip time), the values of all parameters, and 1 and orders, low corner, high corner, fade and
 //! coefficients of its correction, or 0. Spherical (kind 2): assembly ±1, 6 geometric parameters, radius, the camera's 15,
-//! face ±1, gravity, home, time origin, slip time, place of the elbows (0 open, 1 crossed, 2 ahead, 3 behind), the values of all parameters.
+//! face ±1, gravity, home, time origin, slip times of marker and camera, place of the elbows (0 open, 1 crossed, 2 ahead,
+//! 3 behind), the values of all parameters.
 
 use crate::camera::{Description, Face};
 use crate::chain::Robot;
@@ -21,7 +22,7 @@ use crate::{Error, Result};
 use nalgebra::Vector3;
 
 /// Version of the layout.
-const VERSION: f64 = 2.0;
+const VERSION: f64 = 3.0;
 const DELTA: f64 = 1.0;
 const SPHERICAL: f64 = 2.0;
 
@@ -109,6 +110,7 @@ pub fn write_spherical(
     model.home.into_iter().for_each(&mut put);
     put(model.time_origin_s);
     put(model.slip_time_s);
+    put(model.camera_slip_time_s);
     put(match elbows {
         Elbows::Open => 0.0,
         Elbows::Crossed => 1.0,
@@ -282,6 +284,7 @@ pub fn read_spherical(numbers: &[f64]) -> Result<spherical::Calibrated> {
         home: row.finite()?,
         time_origin_s: row.finite::<1>()?[0],
         slip_time_s: row.finite::<1>()?[0],
+        camera_slip_time_s: row.finite::<1>()?[0],
     };
     let elbows = match row.one()? {
         0.0 => Elbows::Open,

@@ -310,6 +310,7 @@ fn the_spherical_robot_allocates_nothing() {
         home: [0.0; 2],
         time_origin_s: 0.0,
         slip_time_s: 0.0,
+        camera_slip_time_s: 0.0,
     };
     let now = spherical::Covariates {
         time_s: 0.0,

@@ -69,6 +69,7 @@ pub extern "C" fn spherical_step(
         home: [0.0; 2],
         time_origin_s: 0.0,
         slip_time_s: 0.0,
+        camera_slip_time_s: 0.0,
     };
     let Ok(chain) = model.with(&[0.0; spherical::PARAMETERS]) else {
         return 1;

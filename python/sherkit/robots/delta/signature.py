@@ -42,8 +42,8 @@ def signature(effect: Effect, robot: Delta) -> tuple[Floats, Floats]:
     data = Measurements.from_columns(columns, "signature", layout=DELTA)
     plain = DeltaModel(robot)
     fitted = plain.derivatives(data, np.zeros(len(plain.parameters)))[:, :3].reshape(3 * n, -1)
-    setting = {"slip_time_s": n * _SECONDS_PER_POSE / 2} if effect.search == "time_s" else {}
-    with_it = plain.with_effect(effect, **setting)
+    at = n * _SECONDS_PER_POSE / 2 if effect.search == "time_s" else None
+    with_it = plain.with_effect(effect, at=at)
     size = np.array([p.size for p in effect.parameters])
     values = np.zeros(len(with_it.parameters))
     values[with_it.owns(effect)] = size * np.where(np.arange(len(size)) % 2 == 0, 1.0, -1.0)

@@ -37,6 +37,7 @@ class SphericalModel(ChainModel):
 
     robot: Spherical
     slip_time_s: float = 0.0
+    camera_slip_time_s: float = 0.0
     time_origin_s: float = 0.0
 
     catalogue: ClassVar = SPHERICAL_CATALOGUE
@@ -54,15 +55,20 @@ class SphericalModel(ChainModel):
         return ("alpha", "beta", "radius")
 
     def settings(self) -> dict[str, float | None]:
-        """Moment of the slip, origin of time."""
-        return {"slip_time_s": self.slip_time_s, "time_origin_s": self.time_origin_s}
+        """Moments at which the marker and the camera slip, origin of time."""
+        return {
+            "slip_time_s": self.slip_time_s,
+            "camera_slip_time_s": self.camera_slip_time_s,
+            "time_origin_s": self.time_origin_s,
+        }
 
     @cached_property
     def core(self) -> _core.SphericalModel:
         """The compiled model for runs that hold pixels."""
         r = self.robot
         pull = np.array(r.gravity) / np.linalg.norm(r.gravity)
-        settings = np.array([r.radius_mm, *pull, *np.deg2rad(r.home_deg), self.time_origin_s, self.slip_time_s])
+        times = (self.time_origin_s, self.slip_time_s, self.camera_slip_time_s)
+        settings = np.array([r.radius_mm, *pull, *np.deg2rad(r.home_deg), *times])
         camera = (r.camera or _ANY_CAMERA).parameters
         return _core.SphericalModel(r.geometry, camera, settings, r.assembly_mode, readings="pixels")
 

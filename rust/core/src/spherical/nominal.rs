@@ -35,4 +35,6 @@ pub struct Model {
     pub time_origin_s: f64,
     /// Moment of the slip, s.
     pub slip_time_s: f64,
+    /// Moment of the slip of the camera, s.
+    pub camera_slip_time_s: f64,
 }
