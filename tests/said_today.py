@@ -22,15 +22,6 @@ ROWS = {
     "spherical scatter": "adequate; held out 0.41 px at a noise of 0.1; the scatter stands in a note only",
     "declared scatter": "pose_sigma_u_px is taken for a covariate; noise 0.1 px where 0.41 was declared",
     "wrong derivative": "adequate on a fit that did not converge (all parameters about 1e-12)",
-    "limb twist": (
-        "seeds 0 to 2, explained: beam_alignment, gravity_sag, sensor_linearity; rod_mismatch, gravity_sag; "
-        "beam_alignment, rod_mismatch, gravity_sag"
-    ),
-    "limb twist of a base angle": "explained: beam_alignment (seeds 0 and 1; 4.30 → 2.01 µm), confirmed p 0.0005",
-    "drive compliance": (
-        "seeds 0 to 2, explained: gravity_sag, beam_alignment; beam_alignment, sensor_linearity; gravity_sag, "
-        "beam_alignment"
-    ),
     "printer's heights": (
         "explained: joint_scale; held out 20.8 → 0.00001 µm, confirmed p 0.0005, on a fit that did not converge"
     ),

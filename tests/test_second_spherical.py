@@ -72,7 +72,7 @@ def random_joints(robot: SecondSpherical, rng: np.random.Generator, n: int = 200
 def core_of(robot: SecondSpherical, geometry: Floats | None = None, readings: str = "pixels") -> Any:
     if geometry is None:
         geometry = np.array([robot.alpha_rad, robot.beta_rad, 0.0] * 2)
-    times = [0.0, robot.effects["slip"][3]]
+    times = [0.0, robot.effects["slip"][3], robot.effects["camera_slip"][6]]
     period = 2 * np.pi / (robot.effects["encoder_cyclic"][4] or 2.0)
     settings = np.concatenate([[robot.radius_mm], robot.gravity, robot.home_rad, times, [period]])
     return _core.SphericalModel(geometry, robot.camera, settings, robot.assembly, readings=readings)

@@ -217,7 +217,7 @@ def superfluous_effect(seed: int) -> World:
 
 
 def twisted_limbs(seed: int) -> World:
-    """The joint axes of each limb are not parallel: no effect of the catalogue."""
+    """The joint axes of each limb are not parallel."""
     return delta_world(seed, {"limb_twist": 2 * NOISE_UM})
 
 
@@ -228,7 +228,7 @@ def twisted_by_a_base_angle(seed: int) -> World:
 
 
 def yielding_drives(seed: int) -> World:
-    """Carriages give way along their rails under their limbs' load: no effect of the catalogue."""
+    """Carriages give way along their rails under their limbs' load."""
     return delta_world(seed, {"drive_compliance": 2 * NOISE_UM})
 
 

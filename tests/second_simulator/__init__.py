@@ -3,7 +3,7 @@
 It shares nothing with the calibration tool whose tests use it; agreement is then evidence.
 """
 
-from .effects import CATALOGUE, EFFECTS, OUTSIDE_CATALOGUE, STRUCTURAL, draw_effect
+from .effects import CATALOGUE, EFFECTS, OUTSIDE_CATALOGUE, draw_effect
 from .geometry import (
     FITTED_SIZES,
     NOMINAL_CONFIG,
@@ -23,7 +23,6 @@ __all__ = [
     "FITTED_SIZES",
     "NOMINAL_CONFIG",
     "OUTSIDE_CATALOGUE",
-    "STRUCTURAL",
     "Noise",
     "Robot",
     "draw_effect",

@@ -10,9 +10,9 @@ Mechanism:
   rail_lean (6)            radial and tangential lean of rails 1, 2, 3 in turn, rad
   rod_mismatch (3)         length difference of a limb's two rods, mm
   gravity_sag (3)          axial compliance of each limb under the platform's weight, mm/N
-  limb_twist (3) +         rad: the rod pair's axis at carriage i is turned by this about the vertical against the one
+  limb_twist (3)           rad: the rod pair's axis at carriage i is turned by this about the vertical against the one
                            at the platform, so that the limb is no parallelogram and the platform tilts
-  drive_compliance (3) +   mm/N: carriage i gives way along its rail under the force that its limb pulls with
+  drive_compliance (3)     mm/N: carriage i gives way along its rail under the force that its limb pulls with
 Measured point, all evaluated at the point p the mechanism reaches:
   thermal_growth (1)       a, 1/degC: a (T - 20) p
   drift (3)                mm/h, linear in time_s from its zero
@@ -23,8 +23,7 @@ Sensor, all evaluated at the point x after the effects above:
   beam_alignment (9)       M by rows: reading = (I + M) x
   sensor_linearity (3)     a_k, mm: a_k (x_k / 20 mm)^3
   datum (3)                constant, mm
-Effects marked * are outside the catalogue a calibration is expected to know; those marked + are structural ones that
-belong in it and are missing from it so far.
+Effects marked * are outside the catalogue a calibration is expected to know.
 """
 
 from __future__ import annotations
@@ -56,7 +55,6 @@ class Effect:
     positive: bool = False  # physically one-signed
     fixed: int = 0
     catalogued: bool = True
-    structural: bool = False  # of the mechanism, and not in the catalogue yet
 
     @property
     def size(self) -> int:
@@ -80,12 +78,11 @@ EFFECTS: dict[str, Effect] = {
     "joint_coupling": Effect(6, 0.01, catalogued=False),
     "joint_crosstalk": Effect(6, 0.01, catalogued=False),
     "periodic_z": Effect(3, 0.01, fixed=1, catalogued=False),
-    "limb_twist": Effect(3, 5e-3, catalogued=False, structural=True),
-    "drive_compliance": Effect(3, 0.01, positive=True, catalogued=False, structural=True),
+    "limb_twist": Effect(3, 5e-3),
+    "drive_compliance": Effect(3, 0.01, positive=True),
 }
 CATALOGUE = tuple(name for name, effect in EFFECTS.items() if effect.catalogued)
-STRUCTURAL = tuple(name for name, effect in EFFECTS.items() if effect.structural)
-OUTSIDE_CATALOGUE = tuple(name for name, effect in EFFECTS.items() if not effect.catalogued and not effect.structural)
+OUTSIDE_CATALOGUE = tuple(name for name, effect in EFFECTS.items() if not effect.catalogued)
 
 
 def complete(effects: Effects | None) -> dict[str, Array]:

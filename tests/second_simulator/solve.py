@@ -11,6 +11,7 @@ from .geometry import Array, Robot, tangential
 PLATFORM_WEIGHT_N = 5.0
 TOLERANCE_MM = 1e-12
 MAX_ITERATIONS = 40
+ROUNDS = 6
 ROD_SIGNS = np.array([1.0, -1.0])  # the two rods of a limb, at +e_t and -e_t
 
 
@@ -58,12 +59,15 @@ def given_way(robot: Robot, limbs: Limbs, carriages: Array, centre: Array, turn:
     """Where the loaded carriages stand (n, 3, 3) and the limbs' tensions (n, 3), at a pose.
 
     The limb pulls its carriage with -F u; the part of it along the rail moves the carriage by the drive's compliance.
-    Tension is taken along the limb's line to the unloaded carriage: the difference is of second order.
+    The limb's line depends on where the carriage has gone: each round leaves about a thousandth of the way.
     """
-    axes = limb_axes(robot, carriages, centre, turn)
-    tension = limb_tension(axes)
-    pull = -tension * np.sum(axes * limbs.rail, axis=-1)
-    return carriages + (limbs.drive * pull)[..., None] * limbs.rail, tension
+    loaded = carriages
+    for _ in range(ROUNDS):
+        axes = limb_axes(robot, loaded, centre, turn)
+        tension = limb_tension(axes)
+        pull = -tension * np.sum(axes * limbs.rail, axis=-1)
+        loaded = carriages + (limbs.drive * pull)[..., None] * limbs.rail
+    return loaded, tension
 
 
 def rod_residuals(

@@ -28,6 +28,7 @@ marker's centre that is the same in every repeat of a pose.
 
 Sensor:
   camera_pose (6)            turn about the camera's own axes after its rotation, rad, then translation, mm
+  camera_slip (7)            what is added to camera_pose, then the time in s from which it is
   focal_length (1)           relative error of both focal lengths
   lens_distortion (4)        errors of k1, k2, p1, p2
 """
@@ -106,6 +107,7 @@ SPHERICAL_EFFECTS: dict[str, Effect] = {
     "drift": Effect((2.0,) * 3),
     "slip": Effect((0.5, 0.5, 0.5, 100.0), fixed=1),
     "camera_pose": Effect((1e-3,) * 3 + (0.5,) * 3),
+    "camera_slip": Effect((1e-3,) * 3 + (0.5,) * 3 + (60.0,), fixed=1),
     "focal_length": Effect((2e-3,)),
     "lens_distortion": Effect((0.01, 0.01, 1e-3, 1e-3)),
     "camera_delay": Effect((5e-3,), positive=True),
@@ -410,15 +412,18 @@ class SecondSpherical:
 
     # sensor
 
-    def image(self, points: Array) -> Array:
-        """Pixels (n, 2) of points (n, 3), mm."""
+    def image(self, points: Array, now: Now | None = None) -> Array:
+        """Pixels (n, 2) of points (n, 3), mm; the camera slips in time."""
         fx, fy, cx, cy, k1, k2, p1, p2, k3 = self.camera[:9]
         longer = 1.0 + self._effects["focal_length"][0]
         dk1, dk2, dp1, dp2 = self._effects["lens_distortion"]
         k1, k2, p1, p2 = k1 + dk1, k2 + dk2, p1 + dp1, p2 + dp2
-        pose = self._effects["camera_pose"]
-        turn = Rotation.from_rotvec(pose[:3]) * Rotation.from_rotvec(self.camera[9:12])
-        x, y, depth = (turn.apply(points) + self.camera[12:] + pose[3:]).T
+        pose = np.tile(self._effects["camera_pose"], (len(points), 1))
+        *step, when = self._effects["camera_slip"]
+        if np.any(step):
+            pose = pose + np.outer((now or Now()).needed("time_s", "a slip of the camera") >= when, step)
+        turn = Rotation.from_rotvec(pose[:, :3]) * Rotation.from_rotvec(self.camera[9:12])
+        x, y, depth = (turn.apply(points) + self.camera[12:] + pose[:, 3:]).T
         if np.any(depth <= 0):
             raise ValueError("a marker is behind the camera")
         x, y = x / depth, y / depth
@@ -430,7 +435,7 @@ class SecondSpherical:
 
     def pixels(self, joints: ArrayLike, **now: ArrayLike) -> Array:
         """Noise-free pixels (n, 2) of the marker at joint readings (n, 2); ``now`` as :class:`Now`."""
-        return self.image(self.markers(joints, **now))
+        return self.image(self.markers(joints, **now), Now(**now))
 
     def angles(self, joints: ArrayLike, **now: ArrayLike) -> Array:
         """Direction phi, gamma (n, 2) of the marker from the remote centre, phi within a quarter turn of the joints'
@@ -491,8 +496,10 @@ class SecondSpherical:
                 for k in (2, 3):
                     vary("camera", self.camera, np.eye(15)[k])
             else:
-                now = self._effects[name]
                 effect = SPHERICAL_EFFECTS[name]
+                now = self._effects[name].copy()
+                if not np.any(now) and effect.fixed:  # what is not there yet would come at its time
+                    now[-effect.fixed :] = effect.typical[-effect.fixed :]
                 steps = STEP * np.diag(np.maximum(100.0 * np.array(effect.typical), 1.0))
                 for by in steps[: effect.size - effect.fixed]:
                     ahead, behind = ({"effects": self._effects | {name: now + s * by}} for s in (1, -1))

@@ -146,17 +146,18 @@ class FittedRun:
         axes, over = list(self.axes), sigma[:, None]
         part = self.data.select(rows)
         tried, untestable = self.model.can_be_tried(effects, part)
-        in_time = [e for e in tried if e.function is None and e.search == "time_s"]
         periodic = [(e, self.model.setting_of(e)) for e in tried if e.function is None and e.is_periodic]
         unknown = [e for e, period in periodic if period is None]
-        asked = [e for e in tried if e not in in_time and e not in unknown]
+        asked = [e for e in tried if e not in unknown]
         derivatives = self.model.linearised(part, self.fit.values, asked)
         variables, place = self.variables(rows)
         patterns = {}
         if derivatives.inputs is not None:
             by_input = derivatives.inputs[:, axes] / over
             patterns = {name: by_input[:, :, k] for k, name in enumerate(part.layout.joints)}
-        moved = None if derivatives.body is None else derivatives.body[:, axes] / over
+        columns = [(effect, columns[:, axes] / over) for effect, columns in derivatives.effects]
+        # a step of a point whose coordinates are read is one of each reading alone
+        alone = [effect.link == "body" and derivatives.reads_point for effect, _ in columns]
         out = Linearised(
             residual=(part.readings - self.fit.predicted[rows])[:, axes] / sigma,
             fitted=derivatives.parameters[:, axes] / over,
@@ -167,8 +168,12 @@ class FittedRun:
             place=place,
             inputs={name: part.joints[:, k] for k, name in enumerate(part.layout.joints)},
             time=part.time_s,
-            effects=tuple((effect, columns[:, axes] / over) for effect, columns in derivatives.effects),
-            in_time=tuple((effect, moved) for effect in in_time),
+            effects=tuple((effect, by) for effect, by in columns if effect.search != "time_s"),
+            in_time=tuple(
+                (effect, None if one else by)
+                for (effect, by), one in zip(columns, alone, strict=True)
+                if effect.search == "time_s"
+            ),
             periodic=tuple(periodic) if patterns else (),
             untestable=untestable | derivatives.refused,
         )

@@ -23,16 +23,16 @@ class Derivatives:
     """Derivatives of the readings of a run at some values.
 
     ``parameters`` (n, m, p) by the model's own; ``effects`` pairs each effect that was asked for with the columns
-    (n, m, k) of its parameters at zero; ``inputs`` (n, m, k) by the inputs, None where they are not known; ``refused``
-    maps effects that could not be computed to the reason; ``body`` (n, m, 3) by a displacement of the measured point,
-    None where readings are its coordinates or no point is known.
+    (n, m, k) of its parameters at zero, those of a step at a searched time as they are after it; ``inputs`` (n, m, k)
+    by the inputs, None where they are not known; ``refused`` maps effects that could not be computed to the reason;
+    ``reads_point`` says whether the readings are the coordinates of the measured point.
     """
 
     parameters: Floats
     effects: Sequence[tuple[Effect, Floats]]
     inputs: Floats | None
     refused: dict[str, str]
-    body: Floats | None = None
+    reads_point: bool = True
 
 
 class ModelWithEffects(ABC):

@@ -222,7 +222,8 @@ class ChainModel(ModelWithEffects):
         """All at once by the core; the user's effects carried from their link to the readings."""
         everything = self
         for effect in (built_in := [e for e in effects if e.function is None]):
-            everything = everything.with_effect(effect)
+            time = data.time_s if effect.search == "time_s" else None
+            everything = everything.with_effect(effect, at=None if time is None else float(time.min()))
         known = dict(zip((p.name for p in self.parameters), values.tolist(), strict=True))
         start = np.array([known.get(p.name, 0.0) for p in everything.parameters])
         columns, by_joints, by_body, _ = everything.core_for(data).derivatives(
@@ -243,10 +244,8 @@ class ChainModel(ModelWithEffects):
                 out.append((effect, carry(effect, inner, data, by_joints, by_body)))
             except EffectError as error:
                 refused[effect.name] = str(error)
-        # what moves the measured point moves each reading alone only where all of its coordinates are read
         read = int(data.taken[:, : data.coordinates].any(axis=0).sum())
-        body = None if read == by_body.shape[2] else by_body
-        return Derivatives(fitted, out, by_joints, refused, body)
+        return Derivatives(fitted, out, by_joints, refused, read == by_body.shape[2])
 
     def own_columns(
         self, data: Measurements, rows: Rows, values: Floats, by_joints: Floats, by_body: Floats

@@ -70,6 +70,11 @@ COMMON: dict[str, Sentences] = {
         residuals="The whole picture turned, shifted, grown or in perspective.",
         workshop="Survey the camera with a board on the base; clamp it so that it stays.",
     ),
+    "camera_slip": Sentences(
+        physics="The camera was knocked or its clamp let go: from one moment on it stands and looks elsewhere.",
+        residuals="A step over time of the whole picture: turned, shifted, grown or in perspective.",
+        workshop="Clamp the camera on the robot's own base; measure again from the moment on.",
+    ),
     "focal_length": Sentences(
         physics="The focal length differs from the calibrated one: the lens was refocused, or warmed up.",
         residuals="The picture grows or shrinks about its middle.",

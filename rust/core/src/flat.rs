@@ -9,7 +9,8 @@
 //! branch, or 0. A branch is a model (assembly ±1, 18 geometric parameters, target offset, rod spacing, pole pitch,
 //! home, time origin, slip time), the values of all parameters, and 1 and orders, low corner, high corner, fade and
 //! coefficients of its correction, or 0. Spherical (kind 2): assembly ±1, 6 geometric parameters, radius, the camera's 15,
-//! face ±1, gravity, home, time origin, slip time, period of the encoders, place of the elbows (0 open, 1 crossed, 2 ahead,
+//! face ±1, gravity, home, time origin, slip time, period of the encoders, slip time of the
+//! camera, place of the elbows (0 open, 1 crossed, 2 ahead,
 //! 3 behind), the values of all parameters.
 
 use crate::camera::{Description, Face};
@@ -111,6 +112,7 @@ pub fn write_spherical(
     put(model.time_origin_s);
     put(model.slip_time_s);
     put(model.encoder_period);
+    put(model.camera_slip_time_s);
     put(match elbows {
         Elbows::Open => 0.0,
         Elbows::Crossed => 1.0,
@@ -285,6 +287,7 @@ pub fn read_spherical(numbers: &[f64]) -> Result<spherical::Calibrated> {
         time_origin_s: row.finite::<1>()?[0],
         slip_time_s: row.finite::<1>()?[0],
         encoder_period: row.finite::<1>()?[0],
+        camera_slip_time_s: row.finite::<1>()?[0],
     };
     let elbows = match row.one()? {
         0.0 => Elbows::Open,

@@ -23,10 +23,12 @@ const fn of(name: &str) -> Range<usize> {
 const BACKLASH: Range<usize> = of("backlash");
 const BEAM_ALIGNMENT: Range<usize> = of("beam_alignment");
 const DATUM: Range<usize> = of("datum");
+const DRIVE_COMPLIANCE: Range<usize> = of("drive_compliance");
 const DRIFT: Range<usize> = of("drift");
 const ENCODER_CYCLIC: Range<usize> = of("encoder_cyclic");
 const GRAVITY_SAG: Range<usize> = of("gravity_sag");
 const JOINT_SCALE: Range<usize> = of("joint_scale");
+const LIMB_TWIST: Range<usize> = of("limb_twist");
 const ROD_MISMATCH: Range<usize> = of("rod_mismatch");
 const SENSOR_LINEARITY: Range<usize> = of("sensor_linearity");
 const SLIP: Range<usize> = of("slip");
@@ -174,19 +176,31 @@ proptest! {
         prop_assert_eq!(at(&only), at(&[0.0; PARAMETERS]));
     }
 
-    /// Sag that goes up, or with the wrong share of the weight: against forces from statics and rods that stretch.
+    /// Sag or drives that go up, or with the wrong share of the weight: against forces from statics, rods that stretch
+    /// and carriages that give way.
     #[test]
-    fn sag_is_the_stretch_of_rods_under_their_share(robot in robots(), stretch in prop::array::uniform3(0.0..0.3_f64)) {
+    fn rods_and_drives_carry_their_share(
+        robot in robots(),
+        stretch in prop::array::uniform3(0.0..0.3_f64),
+        give in prop::array::uniform3(0.0..0.3_f64),
+    ) {
         let model = model_of(&robot);
         let mut values = [0.0; PARAMETERS];
         values[GRAVITY_SAG].copy_from_slice(&stretch);
+        values[DRIVE_COMPLIANCE].copy_from_slice(&give);
         let of = |v| model.with(v).unwrap().value(&robot.joints, &Covariates::NONE, &Vector3::zeros()).unwrap();
         let moved = of(&values) - of(&[0.0; PARAMETERS]);
         // where the platform hangs, tensions hold a unit weight (the sum of T ρ/|ρ|, from carriage to platform,
         // points down), and each rod is longer by what its own tension makes of it
-        let bent = rods(&robot.geometry, &(robot.position + moved), &robot.joints);
-        let directions = bent.map(|r| r.normalize());
-        let tensions = Matrix3::from_columns(&directions).lu().solve(&-Vector3::z()).unwrap();
+        let (mut bent, mut tensions) = ([Vector3::zeros(); LIMBS], Vector3::zeros());
+        let mut carriages = robot.joints;
+        for _ in 0..20 {
+            bent = rods(&robot.geometry, &(robot.position + moved), &carriages);
+            let directions = bent.map(|r| r.normalize());
+            tensions = Matrix3::from_columns(&directions).lu().solve(&-Vector3::z()).unwrap();
+            // what pulls a carriage along its rail is the vertical part of its limb's tension
+            carriages = robot.joints + Vector3::from_fn(|i, _| give[i] * tensions[i] * directions[i].z);
+        }
         for i in 0..LIMBS {
             let longer = bent[i].norm() - robot.geometry.limbs[i].rod_length_mm;
             prop_assert!((longer - stretch[i] * tensions[i]).abs() < 1e-9, "{longer} {}", tensions[i]);
@@ -196,10 +210,15 @@ proptest! {
 
     /// A platform that tilts the other way, about the wrong centre, or not at all: against six rods solved here.
     #[test]
-    fn unequal_rods_tilt_the_platform(robot in robots(), mismatch in prop::array::uniform3(-0.5..0.5_f64)) {
+    fn unequal_rods_and_twisted_axes_tilt_the_platform(
+        robot in robots(),
+        mismatch in prop::array::uniform3(-0.5..0.5_f64),
+        twist in prop::array::uniform3(-0.03..0.03_f64),
+    ) {
         let model = model_of(&robot);
         let mut values = [0.0; PARAMETERS];
         values[ROD_MISMATCH].copy_from_slice(&mismatch);
+        values[LIMB_TWIST].copy_from_slice(&twist);
         let now = Covariates::NONE;
         let found = model.with(&values).unwrap().value(&robot.joints, &now, &Vector3::zeros()).unwrap();
         let turn_of = |pose: &Vector6<f64>| Rotation3::from_scaled_axis(Vector3::new(pose[3], pose[4], pose[5]));
@@ -211,8 +230,9 @@ proptest! {
                 let (sin, cos) = limb.platform_angle_rad.sin_cos();
                 let ball = Vector3::new(cos, sin, 0.0) * limb.platform_radius_mm;
                 let along = Vector3::new(-sin, cos, 0.0) * (side * 0.5 * model.rod_spacing);
+                let above = Rotation3::from_axis_angle(&Vector3::z_axis(), twist[i]) * along;
                 let carriage = anchor(limb) + ball + Vector3::z() * robot.joints[i];
-                (centre + turn * (ball + along) - carriage - along).norm()
+                (centre + turn * (ball + along) - carriage - above).norm()
                     - limb.rod_length_mm - 0.5 * side * mismatch[i]
             })
         };

@@ -130,6 +130,7 @@ fn a_spherical_robot_comes_back_to_the_last_bit() {
         time_origin_s: 0.0,
         slip_time_s: 0.0,
         encoder_period: 0.4,
+        camera_slip_time_s: 0.0,
     };
     let values = std::array::from_fn(|k| 1e-4 * (k as f64 - 7.0));
     let now = spherical::Covariates {

@@ -311,6 +311,7 @@ fn the_spherical_robot_allocates_nothing() {
         time_origin_s: 0.0,
         slip_time_s: 0.0,
         encoder_period: 0.4,
+        camera_slip_time_s: 0.0,
     };
     let now = spherical::Covariates {
         time_s: 0.0,

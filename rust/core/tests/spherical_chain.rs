@@ -42,6 +42,7 @@ const CAMERA_DELAY: Range<usize> = of("camera_delay");
 const THERMAL_GROWTH: Range<usize> = of("thermal_growth");
 const DRIFT: Range<usize> = of("drift");
 const SLIP: Range<usize> = of("slip");
+const CAMERA_SLIP: Range<usize> = of("camera_slip");
 
 /// The same robot read in pixels and in angles.
 fn both(model: Model) -> [Model; 2] {
@@ -112,6 +113,7 @@ fn robots() -> impl Strategy<Value = (Model, [f64; 2])> {
                     time_origin_s: 100.0,
                     slip_time_s: 2000.0,
                     encoder_period: 0.4,
+                    camera_slip_time_s: 2000.0,
                 },
                 [mean + half, mean - half],
             ))
@@ -336,8 +338,9 @@ proptest! {
         prop_assert!((found - marker).amax() < 1e-9, "{}", found - marker);
         // the camera
         let mut c = model.camera;
-        let turn = Rotation3::new(Vector3::from_fn(|k, _| v(CAMERA_POSE, k)));
-        let seen = (turn * Rotation3::new(c.rotation)) * marker + c.translation + Vector3::from_fn(|k, _| v(CAMERA_POSE, 3 + k));
+        let turn = Rotation3::new(Vector3::from_fn(|k, _| v(CAMERA_POSE, k) + v(CAMERA_SLIP, k)));
+        let shift = Vector3::from_fn(|k, _| v(CAMERA_POSE, 3 + k) + v(CAMERA_SLIP, 3 + k));
+        let seen = (turn * Rotation3::new(c.rotation)) * marker + c.translation + shift;
         for k in 0..4 {
             c.distortion[k] += v(LENS_DISTORTION, k);
         }
@@ -442,6 +445,7 @@ fn the_papers() -> Model {
         time_origin_s: 0.0,
         slip_time_s: 0.0,
         encoder_period: 0.4,
+        camera_slip_time_s: 0.0,
     }
 }
 

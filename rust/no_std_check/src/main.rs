@@ -70,6 +70,7 @@ pub extern "C" fn spherical_step(
         time_origin_s: 0.0,
         slip_time_s: 0.0,
         encoder_period: 0.4,
+        camera_slip_time_s: 0.0,
     };
     let Ok(chain) = model.with(&[0.0; spherical::PARAMETERS]) else {
         return 1;

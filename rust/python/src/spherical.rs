@@ -208,7 +208,7 @@ pub struct SphericalModel(Model);
 
 model_class!(SphericalModel, Model, spherical, {
     /// `settings`: radius of the sphere (mm), direction of the weight (3), home joint readings (2, rad), time origin and
-    /// slip time (s) and period of the encoders (rad); these three may be left out.
+    /// slip times of marker and camera (s) and period of the encoders (rad); these four may be left out.
     #[new]
     #[pyo3(signature = (geometry, camera, settings, assembly_mode="outer", face_mode="near", readings="pixels"))]
     fn new(
@@ -225,20 +225,16 @@ model_class!(SphericalModel, Model, spherical, {
         let camera = Description::from_parameters(&fixed("camera", &camera)?);
         Camera::new(&camera).map_err(to_python)?;
         let given = settings.as_slice()?;
-        let [
-            radius_mm,
-            gx,
-            gy,
-            gz,
-            h1,
-            h2,
-            time_origin_s,
-            slip_time_s,
-            encoder_period,
-        ] = match *given {
-            [r, gx, gy, gz, h1, h2] => [r, gx, gy, gz, h1, h2, 0.0, 0.0, PI],
+        let [radius_mm, gx, gy, gz, h1, h2, rest @ ..] = match *given {
+            [r, gx, gy, gz, h1, h2] => [r, gx, gy, gz, h1, h2, 0.0, 0.0, 0.0, PI],
             _ => fixed("settings", &settings)?,
         };
+        let [
+            time_origin_s,
+            slip_time_s,
+            camera_slip_time_s,
+            encoder_period,
+        ] = rest;
         let model = Model {
             geometry,
             radius_mm,
@@ -250,6 +246,7 @@ model_class!(SphericalModel, Model, spherical, {
             time_origin_s,
             slip_time_s,
             encoder_period,
+            camera_slip_time_s,
         };
         model.with(&[0.0; PARAMETERS]).map_err(to_python)?;
         Ok(Self(model))

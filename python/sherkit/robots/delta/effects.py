@@ -26,6 +26,19 @@ _OWN = {
         "cause.",
         workshop="Measure rods in pairs on one fixture and match them; shorten the lever from platform to tool.",
     ),
+    "limb_twist": Sentences(
+        physics="The joint axis of a limb at its carriage is turned against that at the platform, as a rail at a wrong "
+        "base angle turns it: the limb is no parallelogram, and the platform tilts as it moves.",
+        residuals="The tilt times the lever from platform to tool, growing from the middle outwards. A turn common to "
+        "all limbs hides in the base geometry: differences between limbs are what shows.",
+        workshop="Align the axes of each limb with a bar through both joints; turn each carriage with its rail.",
+    ),
+    "drive_compliance": Sentences(
+        physics="Belt, screw or controller let a carriage give way along its rail under what its limb pulls with; the "
+        "value is the way under the platform's whole weight.",
+        residuals="A joint error that follows the limb's share of the weight: most where that limb carries most.",
+        workshop="Stiffen belt and controller, balance the platform's weight, or read the carriage and not the motor.",
+    ),
     "gravity_sag": Sentences(
         physics="Limbs stretch under the platform's weight, the more the more of it they carry; the value is the "
         "stretch of a limb under all of it.",

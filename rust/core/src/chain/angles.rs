@@ -1,7 +1,7 @@
 //! A sensor that shows a direction: φ and γ of a point seen from the origin of the base frame.
 
 use super::effects::{Wanted, places, values_of};
-use super::{Sensor, Table};
+use super::{Look, Sensor, Table};
 use crate::numbers::math::{sin_cos, sqrt};
 use crate::{Error, Result, Singularity};
 use nalgebra::{Matrix2x3, SMatrix, Vector2, Vector3};
@@ -28,19 +28,19 @@ impl Angles {
 
 impl Sensor<2> for Angles {
     #[inline]
-    fn value(&self, point: &Vector3<f64>, azimuth: f64) -> Result<Vector2<f64>> {
-        Ok(Vector2::from(angles_of(point, azimuth)?) + self.datum)
+    fn value(&self, point: &Vector3<f64>, look: Look) -> Result<Vector2<f64>> {
+        Ok(Vector2::from(angles_of(point, look.azimuth)?) + self.datum)
     }
 
     #[inline]
     fn predict<T: Table, const P: usize>(
         &self,
         point: &Vector3<f64>,
-        azimuth: f64,
+        look: Look,
         wanted: Wanted,
         d: &mut SMatrix<f64, 2, P>,
     ) -> Result<(Vector2<f64>, Matrix2x3<f64>)> {
-        let seen = angles_of(point, azimuth)?;
+        let seen = angles_of(point, look.azimuth)?;
         if let Some(place) = wanted.wants(T::AT.angles.datum) {
             d.fixed_columns_mut::<2>(place.start).fill_with_identity();
         }

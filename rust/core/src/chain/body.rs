@@ -60,11 +60,7 @@ impl Body {
     }
 
     fn slipped<const J: usize>(&self, row: &Covariates<J>) -> f64 {
-        if row.time_s.is_nan() {
-            f64::NAN
-        } else {
-            f64::from(u8::from(row.time_s >= self.slip_time_s))
-        }
+        since(row.time_s, self.slip_time_s)
     }
 
     /// Writes the wanted columns for the point that the mechanism gives, carried on by the derivative by the body.
@@ -89,6 +85,16 @@ impl Body {
             d.fixed_columns_mut::<3>(place.start)
                 .copy_from(&(by_body * self.slipped(row)));
         }
+    }
+}
+
+/// One from a moment on, zero before; NaN where the time is not known.
+#[inline]
+pub(crate) fn since(time_s: f64, moment_s: f64) -> f64 {
+    if time_s.is_nan() {
+        f64::NAN
+    } else {
+        f64::from(u8::from(time_s >= moment_s))
     }
 }
 

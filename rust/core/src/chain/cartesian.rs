@@ -1,7 +1,7 @@
 //! A sensor that shows coordinates: three lasers on a cube, a tracker.
 
 use super::effects::{Wanted, places, values_of};
-use super::{Sensor, Table};
+use super::{Look, Sensor, Table};
 use crate::Result;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
@@ -61,7 +61,7 @@ impl Cartesian {
 
 impl Sensor<3> for Cartesian {
     #[inline]
-    fn value(&self, point: &Vector3<f64>, _: f64) -> Result<SVector<f64, 3>> {
+    fn value(&self, point: &Vector3<f64>, _: Look) -> Result<SVector<f64, 3>> {
         Ok(self.shown(&self.seen(point)))
     }
 
@@ -69,7 +69,7 @@ impl Sensor<3> for Cartesian {
     fn predict<T: Table, const P: usize>(
         &self,
         point: &Vector3<f64>,
-        _: f64,
+        _: Look,
         wanted: Wanted,
         d: &mut SMatrix<f64, 3, P>,
     ) -> Result<(SVector<f64, 3>, Matrix3<f64>)> {

@@ -89,13 +89,22 @@ pub trait Mechanism<const J: usize, const P: usize>: Copy + Debug {
     }
 }
 
+/// What an instrument's reading depends on besides the point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// Azimuth about which angles are counted, rad.
+    pub azimuth: f64,
+    /// Time of the reading, s; NaN where it is not known.
+    pub time_s: f64,
+}
+
 /// The link `sensor`: what an instrument shows of a point.
 pub trait Sensor<const M: usize>: Copy + Debug {
-    /// Reading of a point, whose angles are counted about an azimuth.
+    /// Reading of a point.
     ///
     /// # Errors
     /// Says why the instrument shows nothing.
-    fn value(&self, point: &Vector3<f64>, azimuth: f64) -> Result<SVector<f64, M>>;
+    fn value(&self, point: &Vector3<f64>, look: Look) -> Result<SVector<f64, M>>;
 
     /// [`Self::value`] with the derivative by the point; writes its wanted columns.
     ///
@@ -104,7 +113,7 @@ pub trait Sensor<const M: usize>: Copy + Debug {
     fn predict<T: Table, const P: usize>(
         &self,
         point: &Vector3<f64>,
-        azimuth: f64,
+        look: Look,
         wanted: Wanted,
         d: &mut SMatrix<f64, M, P>,
     ) -> Result<(SVector<f64, M>, SMatrix<f64, M, 3>)>;
@@ -205,6 +214,14 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         Ok(self.structure.point_at(&joints.value)? * growth + shift + push)
     }
 
+    #[inline]
+    pub(crate) fn look(&self, joints: &SVector<f64, J>, row: &Covariates<J>) -> Look {
+        Look {
+            azimuth: self.structure.azimuth(joints),
+            time_s: row.time_s,
+        }
+    }
+
     /// Reading of one row. `push` is added to the measured point before the sensor sees it (a user's effect).
     ///
     /// # Errors
@@ -218,8 +235,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         let joints = self.joints.at::<R>(readings, row, Wanted::default());
         let (growth, shift) = self.body.at(row);
         let point = self.structure.point_at(&joints.value)? * growth + shift + push;
-        let azimuth = self.structure.azimuth(&joints.value);
-        checked(self.sensor.value(&point, azimuth)?)
+        checked(self.sensor.value(&point, self.look(&joints.value, row))?)
     }
 
     /// Reading of one row with the wanted derivatives. A column whose covariate is missing is NaN.
@@ -257,9 +273,9 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         let (growth, shift) = self.body.at(row);
         let point = self.structure.point(&solved);
         let body = point * growth + shift + push;
-        let azimuth = self.structure.azimuth(&joints.value);
+        let look = self.look(&joints.value, row);
         let d = &mut out.by_parameters;
-        let (value, by_body) = self.sensor.predict::<R, P>(&body, azimuth, wanted, d)?;
+        let (value, by_body) = self.sensor.predict::<R, P>(&body, look, wanted, d)?;
         self.body
             .columns::<R, J, M, P>(&point, row, &by_body, wanted, d);
         let by_point = by_body * growth;

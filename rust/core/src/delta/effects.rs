@@ -10,7 +10,8 @@ const DEGREE: f64 = 1.0_f64.to_radians();
 
 // what the mechanism computes itself, in `structure.rs`
 places! {
-    limb_1 platform_1 limb_2 platform_2 limb_3 platform_3 rail_lean rod_mismatch gravity_sag
+    limb_1 platform_1 limb_2 platform_2 limb_3 platform_3 rail_lean rod_mismatch limb_twist gravity_sag
+    drive_compliance
 }
 
 effects! { At;
@@ -61,6 +62,14 @@ effects! { At;
     // difference in length of the two rods of each limb
     rod_mismatch: Structure by structure {
         difference_1, difference_2, difference_3: "mm", 0.1, 1.0;
+    }
+    // turn of each limb's joint axis at the carriage against that at the platform, about the vertical
+    limb_twist: Structure by structure {
+        twist_1 "δψ₁", twist_2 "δψ₂", twist_3 "δψ₃": "rad", 0.01, 20.0;
+    }
+    // how far each carriage gives way along its rail if that carried the platform's whole weight alone
+    drive_compliance: Structure by structure {
+        yield_1, yield_2, yield_3: "mm", 0.05, 1.0;
     }
     // stretch of each limb if it carried the platform's whole weight alone
     gravity_sag: Body by structure {

@@ -40,6 +40,8 @@ pub struct Kinematics {
 pub(super) struct ByLimb {
     pub base_radius: Vector3<f64>,
     pub base_angle: Vector3<f64>,
+    /// How its rail turns with the base angle.
+    pub rail_by_angle: Vector3<f64>,
     pub joint: Vector3<f64>,
     pub platform_radius: Vector3<f64>,
     pub platform_angle: Vector3<f64>,
@@ -153,6 +155,10 @@ impl Kinematics {
         &self.rods
     }
 
+    pub(super) fn rails(&self) -> &[Vector3<f64>; LIMBS] {
+        &self.rails
+    }
+
     pub(super) fn with_rods(mut self, rods: [f64; LIMBS]) -> Self {
         self.rods = rods;
         self
@@ -164,36 +170,42 @@ impl Kinematics {
         let ([out, along], [lr, lt]) = (&self.base[limb], self.lean[limb]);
         let [platform_out, platform_along] = &self.platform[limb];
         let mut base_angle = along * self.base_radius[limb];
+        let mut rail_by_angle = Vector3::zeros();
         if lr != 0.0 || lt != 0.0 {
-            base_angle += self.across(limb, joint, &(along * lr - out * lt));
+            rail_by_angle = self.across(limb, &(along * lr - out * lt));
+            base_angle += rail_by_angle * self.height(limb, joint);
         }
         ByLimb {
             base_radius: *out,
             base_angle,
+            rail_by_angle,
             joint: self.rails[limb],
             platform_radius: -platform_out,
             platform_angle: -platform_along * self.platform_radius[limb],
         }
     }
 
-    /// Derivatives of a limb's sphere centre by the radial and the tangential lean of its rail.
+    /// Derivatives of a limb's rail by its radial and its tangential lean; the sphere centre moves by them times
+    /// [`Self::height`].
     #[inline]
-    pub(super) fn by_lean(&self, limb: usize, joint: f64) -> [Vector3<f64>; 2] {
+    pub(super) fn rail_by_lean(&self, limb: usize) -> [Vector3<f64>; 2] {
         let [out, along] = &self.base[limb];
-        [
-            self.across(limb, joint, out),
-            self.across(limb, joint, along),
-        ]
+        [self.across(limb, out), self.across(limb, along)]
     }
 
-    /// Movement of a carriage when `r = ẑ + λ_r e_r + λ_t e_t` changes by `v`: the rail is `r/|r|`, so it turns by
-    /// the part of `v` across it, over `|r|`.
+    /// Height of a carriage above the point about which its rail leans, mm.
     #[inline]
-    fn across(&self, limb: usize, joint: f64, v: &Vector3<f64>) -> Vector3<f64> {
+    pub(super) fn height(&self, limb: usize, joint: f64) -> f64 {
+        joint + self.joint_offset[limb] - self.pivot[limb]
+    }
+
+    /// Change of a rail when `r = ẑ + λ_r e_r + λ_t e_t` changes by `v`: the rail is `r/|r|`, so it turns by the part of
+    /// `v` across it, over `|r|`.
+    #[inline]
+    fn across(&self, limb: usize, v: &Vector3<f64>) -> Vector3<f64> {
         let rail = &self.rails[limb];
         let [lr, lt] = self.lean[limb];
-        let height = joint + self.joint_offset[limb] - self.pivot[limb];
-        (v - rail * rail.dot(v)) * (height / sqrt(1.0 + lr * lr + lt * lt))
+        (v - rail * rail.dot(v)) / sqrt(1.0 + lr * lr + lt * lt)
     }
 
     /// Platform centre for the given joint readings (Eq. 3 solved for x, y, z).
@@ -337,23 +349,7 @@ impl Kinematics {
             position - Vector3::from(centres[1]),
             position - Vector3::from(centres[2]),
         ];
-        // rows of A are the rods, so the columns of A⁻¹ are their cross products over the triple product
-        let crosses = [
-            rods[1].cross(&rods[2]),
-            rods[2].cross(&rods[0]),
-            rods[0].cross(&rods[1]),
-        ];
-        let volume = rods[0].dot(&crosses[0]);
-        let size = self.rods[0] * self.rods[1] * self.rods[2];
-        if volume.abs() <= SINGULAR * size {
-            return Err(Error::Singular);
-        }
-        let inverse = 1.0 / volume;
-        let answers = Matrix3::from_columns(&[
-            crosses[0] * inverse,
-            crosses[1] * inverse,
-            crosses[2] * inverse,
-        ]);
+        let answers = answers(&rods)?;
         Ok(Pose {
             position,
             joints: *joints,
@@ -407,6 +403,30 @@ impl Pose {
         }
         d
     }
+}
+
+/// Answers of the platform to the rods: columns of the inverse of the matrix whose rows they are.
+///
+/// # Errors
+/// [`Error::Singular`] where the rods lie in one plane.
+pub(super) fn answers(rods: &[Vector3<f64>; LIMBS]) -> Result<Matrix3<f64>> {
+    // cross products of the rods over their triple product
+    let crosses = [
+        rods[1].cross(&rods[2]),
+        rods[2].cross(&rods[0]),
+        rods[0].cross(&rods[1]),
+    ];
+    let volume = rods[0].dot(&crosses[0]);
+    let size_squared = rods[0].norm_squared() * rods[1].norm_squared() * rods[2].norm_squared();
+    if volume * volume <= SINGULAR * SINGULAR * size_squared {
+        return Err(Error::Singular);
+    }
+    let inverse = 1.0 / volume;
+    Ok(Matrix3::from_columns(&[
+        crosses[0] * inverse,
+        crosses[1] * inverse,
+        crosses[2] * inverse,
+    ]))
 }
 
 /// Radial and tangential unit vectors at an angle, rad.

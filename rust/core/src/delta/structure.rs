@@ -1,18 +1,20 @@
 //! The structure link: from carriages to the measured point, and how that answers to any small change.
 //!
-//! With equal rods the platform stays parallel and three spheres fix it. Under the platform's weight limb i
-//! carries the share `f_i = -L_i g_iz` of it, with `g_i` the columns of `A⁻¹` and the rods as rows of `A` (force
-//! balance: `Aᵀφ = -ẑ`), and its rods are longer by `c_i f_i`; lengths and pose are brought to agree. With unequal
-//! rods the platform also tilts: then all six rods `|x + R a - c|² = L²` are solved by Newton's method.
+//! With equal rods and parallel joint axes the platform stays parallel and three spheres fix it. Where the two rods of a
+//! limb differ, or the axis at its carriage is turned against that at the platform, the platform also tilts: then all six
+//! rods `|x + R a - c|² = L²` are solved by Newton's method.
 //!
-//! Every parameter acts by moving a carriage end by `dv` or lengthening rods by `dl`. With
-//! `dx = Σ g_k (r_k·dv_k + L_k dL_k)` and `dg_i = -Σ_k g_k (g_i·(dx - dv_k))`, the rods answer by
-//! `(I - C M) dL = dl + C h`, `M_ij = L_i s_z (g_i·g_j) L_j - g_iz δ_ij`,
-//! `h_i = L_i (s_z g_i·dx₀ - Σ_k g_kz g_i·dv_k)`, `s = Σ g_k`, `dx₀ = Σ g_k r_k·dv_k`.
+//! Under the platform's weight limb i pulls with `w_i |μ_i|` times that weight, where `μ_i` joins its carriage to the
+//! middle of its joint on the platform and `Σ w_i μ_i = -ẑ` (force balance). Its rods are longer by `c_i w_i |μ_i|`, and
+//! its carriage gives way along its rail `r_i` by `d_i w_i (μ_i·r_i)`. Loads and pose are brought to agree.
+//!
+//! Every parameter acts by moving the ends of rods or lengthening them. With rods as rows of `A` and `g_k` the columns of
+//! `A⁻¹` a parallel platform moves by `Σ g_k (ρ_k·dv_k + L_k dL_k)`, a tilted one by the inverse of its six rods. Loads
+//! `y` answer to that by `dy = Φ + B dy`, with `Φ` what the movement alone makes of them and `B` what loads make of loads.
 
 use super::effects::{AT, PARAMETERS, Values};
 use super::geometry::{Geometry, IDENTIFIABLE, LIMBS, PER_LIMB};
-use super::kinematics::Kinematics;
+use super::kinematics::{Kinematics, answers};
 use super::nominal::Model;
 use crate::chain::Mechanism;
 use crate::chain::effects::{Wanted, values_of};
@@ -22,10 +24,12 @@ use crate::{Error, Result};
 use nalgebra::{Matrix3, Matrix6, Rotation3, SMatrix, Vector3, Vector6};
 
 const ITERATIONS: usize = 60;
-/// Lengths and Newton steps are settled when nothing moves by more than this, mm.
+/// Loads and Newton steps are settled when nothing moves by more than this, mm.
 const TOLERANCE_MM: f64 = 1e-12;
-/// Pivot ratio below which the six rods do not fix the platform.
+/// Pivot ratio below which the six rods do not fix the platform, or loads run away.
 const SINGULAR: f64 = 1e-12;
+/// The two rods of a limb, as they stand along its axis.
+const SIDES: [f64; 2] = [1.0, -1.0];
 
 /// The delta with given errors: what joins its joints to the measured point.
 #[derive(Clone, Copy, Debug)]
@@ -39,12 +43,18 @@ pub struct Structure {
 struct Extras {
     /// From the platform centre to the measured point, platform frame, mm.
     target: Vector3<f64>,
-    /// Half the distance between the rods of a limb along its joint axis, mm.
+    /// Half the distance between the rods of a limb along its joint axis at the platform, mm.
     half_pair: [Vector3<f64>; LIMBS],
+    /// The same at the carriage.
+    half_carriage: [Vector3<f64>; LIMBS],
     /// Difference of the two rods of a limb, mm.
     mismatch: [f64; LIMBS],
+    /// Turn of the joint axis at the carriage against that at the platform, rad.
+    twist: [f64; LIMBS],
     /// Stretch of a limb under the whole weight, mm.
-    compliance: [f64; LIMBS],
+    stretch: [f64; LIMBS],
+    /// How far a carriage gives way under the whole weight, mm.
+    yielding: [f64; LIMBS],
 }
 
 impl Structure {
@@ -61,19 +71,23 @@ impl Structure {
         let at = AT.structure;
         let [r1, t1, r2, t2, r3, t3] = values_of(at.rail_lean, values);
         let lean = [[r1, t1], [r2, t2], [r3, t3]];
+        let twist: [f64; LIMBS] = values_of(at.limb_twist, values);
         let half = 0.5 * model.rod_spacing;
-        let pair = |limb: usize| {
-            // the joint axes of a limb are alike at carriage and platform, or equal rods would tilt it too
-            let (sin, cos) = sin_cos(model.geometry.limbs[limb].platform_angle_rad);
+        let pair = |limb: usize, turned: f64| {
+            // the drawing says how the axes lie: errors of the angles move joints, and twist alone turns an axis
+            let (sin, cos) = sin_cos(model.geometry.limbs[limb].platform_angle_rad + turned);
             Vector3::new(-sin * half, cos * half, 0.0)
         };
         Ok(Self {
             kinematics: Kinematics::leaning(&geometry, lean, model.home)?,
             extras: Extras {
                 target: model.target_offset,
-                half_pair: [pair(0), pair(1), pair(2)],
+                half_pair: [pair(0, 0.0), pair(1, 0.0), pair(2, 0.0)],
+                half_carriage: [pair(0, twist[0]), pair(1, twist[1]), pair(2, twist[2])],
                 mismatch: values_of(at.rod_mismatch, values),
-                compliance: values_of(at.gravity_sag, values),
+                twist,
+                stretch: values_of(at.gravity_sag, values),
+                yielding: values_of(at.drive_compliance, values),
             },
         })
     }
@@ -102,7 +116,7 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
 
     #[inline]
     fn point_at(&self, joints: &Vector3<f64>) -> Result<Vector3<f64>> {
-        if self.extras.is_plain() {
+        if self.extras.is_parallel() && self.extras.is_stiff() {
             return Ok(self.kinematics.forward(joints)? + self.extras.target);
         }
         Ok(self.solve(joints)?.point)
@@ -111,15 +125,20 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
     #[inline]
     fn columns<const M: usize>(
         &self,
-        joints: &Vector3<f64>,
+        _: &Vector3<f64>,
         solved: &Solved,
         by_point: &SMatrix<f64, M, 3>,
         wanted: Wanted,
         d: &mut SMatrix<f64, M, PARAMETERS>,
     ) -> SMatrix<f64, M, LIMBS> {
-        let at = AT.structure;
+        let (at, still) = (AT.structure, Vector3::zeros());
         if let Some(place) = wanted.wants(at.rod_mismatch) {
-            let columns = by_point * solved.by_rod_mismatch(&self.kinematics, &self.extras);
+            let columns = by_point * solved.by_rods(&self.extras, mismatched);
+            d.fixed_columns_mut::<LIMBS>(place.start)
+                .copy_from(&columns);
+        }
+        if let Some(place) = wanted.wants(at.limb_twist) {
+            let columns = by_point * solved.by_rods(&self.extras, twisted);
             d.fixed_columns_mut::<LIMBS>(place.start)
                 .copy_from(&columns);
         }
@@ -127,14 +146,14 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
         let platforms = [at.platform_1, at.platform_2, at.platform_3];
         let mut by_joints = SMatrix::<f64, M, LIMBS>::zeros();
         for limb in 0..LIMBS {
-            let joint = joints[limb];
+            let joint = solved.joints[limb];
             let by = self.kinematics.by_limb(limb, joint);
-            let by_joint = by_point * solved.by_carriage(limb, &by.joint);
+            let by_joint = by_point * solved.by_carriage(limb, &by.joint, &still);
             by_joints.set_column(limb, &by_joint);
             if wanted.wants(limbs[limb]).is_some() {
                 let first = limb * PER_LIMB;
-                let radius = solved.by_carriage(limb, &by.base_radius);
-                let angle = solved.by_carriage(limb, &by.base_angle);
+                let radius = solved.by_carriage(limb, &by.base_radius, &still);
+                let angle = solved.by_carriage(limb, &by.base_angle, &by.rail_by_angle);
                 d.set_column(first, &(by_point * radius));
                 d.set_column(first + 1, &(by_point * angle));
                 d.set_column(first + 2, &by_joint);
@@ -142,20 +161,24 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
             }
             if wanted.wants(platforms[limb]).is_some() {
                 let first = limb * PER_LIMB + IDENTIFIABLE;
-                // the kinematics gives the sphere centre, which moves against the platform end
-                let radius = solved.by_platform(limb, &-by.platform_radius);
-                let angle = solved.by_platform(limb, &-by.platform_angle);
+                let radius = solved.by_platform(limb, &by.platform_radius);
+                let angle = solved.by_platform(limb, &by.platform_angle);
                 d.set_column(first, &(by_point * radius));
                 d.set_column(first + 1, &(by_point * angle));
             }
             if let Some(place) = wanted.wants(at.rail_lean) {
-                for (k, lean) in self.kinematics.by_lean(limb, joint).iter().enumerate() {
-                    let column = by_point * solved.by_carriage(limb, lean);
+                let height = self.kinematics.height(limb, joint);
+                for (k, rail) in self.kinematics.rail_by_lean(limb).iter().enumerate() {
+                    let column = by_point * solved.by_carriage(limb, &(rail * height), rail);
                     d.set_column(place.start + 2 * limb + k, &column);
                 }
             }
             if let Some(place) = wanted.wants(at.gravity_sag) {
-                let column = by_point * solved.by_compliance(limb);
+                let column = by_point * solved.by_stretch(limb);
+                d.set_column(place.start + limb, &column);
+            }
+            if let Some(place) = wanted.wants(at.drive_compliance) {
+                let column = by_point * solved.by_yielding(limb, &by.joint);
                 d.set_column(place.start + limb, &column);
             }
         }
@@ -164,14 +187,25 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
 }
 
 impl Extras {
-    /// Whether three spheres are all there is.
-    fn is_plain(&self) -> bool {
-        self.mismatch == [0.0; LIMBS] && self.is_stiff()
+    /// Whether nothing tilts the platform.
+    fn is_parallel(&self) -> bool {
+        self.mismatch == [0.0; LIMBS] && self.twist == [0.0; LIMBS]
     }
 
+    /// Whether nothing gives way under the weight.
     fn is_stiff(&self) -> bool {
-        self.compliance == [0.0; LIMBS]
+        self.stretch == [0.0; LIMBS] && self.yielding == [0.0; LIMBS]
     }
+}
+
+/// How a unit of mismatch lengthens the rod on the positive side of a limb, times its length; the other is shortened.
+fn mismatched(_: &Extras, _: usize, _: &Vector3<f64>, length: f64) -> f64 {
+    0.5 * length
+}
+
+/// What a unit of twist is to the rod on the positive side of a limb: its end at the carriage moves along it.
+fn twisted(extras: &Extras, limb: usize, rod: &Vector3<f64>, _: f64) -> f64 {
+    rod.dot(&Vector3::z().cross(&extras.half_carriage[limb]))
 }
 
 /// One of six rods: its vector, length, and the platform's answer to a unit gain.
@@ -179,24 +213,43 @@ impl Extras {
 struct Rod {
     vector: Vector3<f64>,
     length: f64,
+    answer: Motion,
+}
+
+/// A small motion of the platform: of its centre, and a turn about it.
+#[derive(Clone, Copy, Debug, Default)]
+struct Motion {
     centre: Vector3<f64>,
     turn: Vector3<f64>,
 }
 
-/// How the rods answer to load: shares of the weight, and `(I - C M)⁻¹`.
-#[derive(Clone, Copy, Debug)]
-struct Loaded {
-    shares: Vector3<f64>,
-    compliance: Vector3<f64>,
-    answer: Matrix3<f64>,
+impl Motion {
+    fn add(&mut self, other: &Self, gain: f64) {
+        self.centre += other.centre * gain;
+        self.turn += other.turn * gain;
+    }
 }
 
-/// The platform tilted by unequal rods.
+/// The platform tilted by its six rods.
 #[derive(Clone, Copy, Debug)]
 struct Tilted {
     rods: [[Rod; 2]; LIMBS],
     turn: Rotation3<f64>,
-    arm: Vector3<f64>,
+}
+
+/// What the weight does: by how much each carriage gives way and each limb stretches, mm.
+type Loads = Vector6<f64>;
+
+/// How the loads answer to a small change.
+#[derive(Clone, Copy, Debug)]
+struct Loaded {
+    /// Pull of each limb by its length, `w`, of a unit weight.
+    pulls: Vector3<f64>,
+    rails: [Vector3<f64>; LIMBS],
+    stretch: [f64; LIMBS],
+    yielding: [f64; LIMBS],
+    /// `(I - B)⁻¹`.
+    answer: Matrix6<f64>,
 }
 
 /// The solved structure.
@@ -204,13 +257,18 @@ struct Tilted {
 pub struct Solved {
     /// Measured point, base frame, mm.
     point: Vector3<f64>,
-    /// Rods of the parallel platform.
+    /// Joints as the carriages stand, mm.
+    joints: Vector3<f64>,
+    /// From each carriage to the middle of its joint on the platform.
     rods: [Vector3<f64>; LIMBS],
-    /// Columns `g_i` of the inverse of the rods.
+    /// Columns `g_i` of the inverse of these rods.
     answers: Matrix3<f64>,
     lengths: [f64; LIMBS],
-    loaded: Option<Loaded>,
+    /// From the centre of the platform to its joints, and to the measured point, base frame.
+    levers: [Vector3<f64>; LIMBS],
+    arm: Vector3<f64>,
     tilted: Option<Tilted>,
+    loaded: Option<Loaded>,
 }
 
 impl Solved {
@@ -219,215 +277,267 @@ impl Solved {
         if extras.is_stiff() {
             return Self::unloaded(kinematics, extras, joints);
         }
-        let stretched = stretched(kinematics, &extras.compliance, joints)?;
-        let mut structure = Self::unloaded(&stretched, extras, joints)?;
-        structure.load(&extras.compliance)?;
-        Ok(structure)
+        let mut loads = Loads::zeros();
+        for _ in 0..ITERATIONS {
+            let (give, longer) = (loads.fixed_rows::<3>(0), loads.fixed_rows::<3>(3));
+            let lengths = Vector3::from(*kinematics.rods()) + longer;
+            let loaded = kinematics.with_rods(lengths.into());
+            let mut solved = Self::unloaded(&loaded, extras, &(joints + give))?;
+            let next = solved.loads(kinematics, extras);
+            let moved = (next - loads).amax();
+            if moved <= TOLERANCE_MM {
+                solved.load(kinematics, extras)?;
+                return Ok(solved);
+            }
+            loads = next;
+        }
+        Err(Error::NotConverged {
+            iterations: ITERATIONS,
+        })
     }
 
     #[inline]
     fn unloaded(kinematics: &Kinematics, extras: &Extras, joints: &Vector3<f64>) -> Result<Self> {
         let pose = kinematics.pose(joints)?;
-        let mut structure = Self {
+        let levers = [0, 1, 2].map(|limb| kinematics.platform_joint(limb));
+        let mut solved = Self {
             point: pose.position + extras.target,
+            joints: *joints,
             rods: *pose.rods(),
             answers: *pose.answers(),
             lengths: *kinematics.rods(),
-            loaded: None,
+            levers,
+            arm: extras.target,
             tilted: None,
+            loaded: None,
         };
-        if extras.mismatch != [0.0; LIMBS] {
+        if !extras.is_parallel() {
             let (centre, tilted) = six_rods(kinematics, extras, joints, &pose.position)?;
-            structure.point = centre + tilted.arm;
-            structure.tilted = Some(tilted);
+            let rods = &tilted.rods;
+            solved.rods = [0, 1, 2].map(|k| (rods[k][0].vector + rods[k][1].vector) * 0.5);
+            solved.answers = answers(&solved.rods)?;
+            solved.levers = levers.map(|lever| tilted.turn * lever);
+            solved.arm = tilted.turn * extras.target;
+            solved.point = centre + solved.arm;
+            solved.tilted = Some(tilted);
         }
-        Ok(structure)
+        Ok(solved)
+    }
+
+    /// Pull of each limb by its length: `Σ w_i μ_i = -ẑ`.
+    fn pulls(&self) -> Vector3<f64> {
+        -self.answers.row(2).transpose()
+    }
+
+    fn loads(&self, kinematics: &Kinematics, extras: &Extras) -> Loads {
+        let (w, rails) = (self.pulls(), kinematics.rails());
+        let give = |i: usize| extras.yielding[i] * w[i] * self.rods[i].dot(&rails[i]);
+        let longer = |i: usize| extras.stretch[i] * w[i] * self.rods[i].norm();
+        Loads::new(give(0), give(1), give(2), longer(0), longer(1), longer(2))
     }
 
     /// Keeps what the derivatives under load need.
-    fn load(&mut self, compliance: &[f64; LIMBS]) -> Result<()> {
-        let all = self.answers.column_sum();
-        let mut system = Matrix3::identity();
-        for i in 0..LIMBS {
-            let gi = self.answers.column(i);
-            for j in 0..LIMBS {
-                let gj = self.answers.column(j);
-                let m = self.lengths[i] * all.z * gi.dot(&gj) * self.lengths[j];
-                system[(i, j)] -= compliance[i] * m;
+    fn load(&mut self, kinematics: &Kinematics, extras: &Extras) -> Result<()> {
+        let mut loaded = Loaded {
+            pulls: self.pulls(),
+            rails: *kinematics.rails(),
+            stretch: extras.stretch,
+            yielding: extras.yielding,
+            answer: Matrix6::identity(),
+        };
+        let still = Vector3::zeros();
+        let mut transposed = [[0.0; 2 * LIMBS]; 2 * LIMBS];
+        for limb in 0..LIMBS {
+            let rail = loaded.rails[limb];
+            let by_give = loaded.made(self, &self.by_end(limb, &rail), limb, &rail, &still);
+            let by_longer = loaded.made(self, &self.by_longer(limb), limb, &still, &still);
+            for (k, made) in [(limb, by_give), (LIMBS + limb, by_longer)] {
+                transposed[k] = (-made).into();
+                transposed[k][k] += 1.0;
             }
-            system[(i, i)] += compliance[i] * gi.z;
         }
-        self.loaded = Some(Loaded {
-            shares: shares(&self.answers, &self.lengths),
-            compliance: Vector3::from(*compliance),
-            answer: system.try_inverse().ok_or(Error::Singular)?,
-        });
+        let Inverse { rows, weakest } = inverse(transposed).ok_or(Error::Singular)?;
+        if weakest <= SINGULAR {
+            return Err(Error::Singular);
+        }
+        // rows of the inverse of a transposed matrix are the columns of its inverse, as nalgebra reads them
+        loaded.answer = Matrix6::from(rows);
+        self.loaded = Some(loaded);
         Ok(())
     }
 
-    /// Derivative of the measured point by a movement of the carriage end of a limb.
-    #[inline]
-    fn by_carriage(&self, limb: usize, moved: &Vector3<f64>) -> Vector3<f64> {
-        let stiff = match &self.tilted {
-            None => self.answers.column(limb) * self.rods[limb].dot(moved),
-            Some(tilted) => tilted.by_end(limb, moved),
-        };
-        stiff + self.by_load(limb, moved)
+    /// Motion of the platform by a movement of the carriage end of a limb, loads held.
+    fn by_end(&self, limb: usize, end: &Vector3<f64>) -> Motion {
+        match &self.tilted {
+            None => Motion {
+                centre: self.answers.column(limb) * self.rods[limb].dot(end),
+                turn: Vector3::zeros(),
+            },
+            Some(tilted) => tilted.by_gains(limb, |rod, _| rod.vector.dot(end)),
+        }
     }
 
-    /// Derivative by a movement of the platform end of a limb, given in the platform frame.
+    /// Motion of the platform by the length of the rods of a limb, loads held.
+    fn by_longer(&self, limb: usize) -> Motion {
+        match &self.tilted {
+            None => Motion {
+                centre: self.answers.column(limb) * self.lengths[limb],
+                turn: Vector3::zeros(),
+            },
+            Some(tilted) => tilted.by_gains(limb, |rod, _| rod.length),
+        }
+    }
+
+    /// What a motion of the platform does to the measured point.
+    fn shown(&self, motion: &Motion) -> Vector3<f64> {
+        motion.centre + motion.turn.cross(&self.arm)
+    }
+
+    /// What a motion does to the measured point with the loads that it makes; `end` and `rail` are those of a limb whose
+    /// carriage moved by them.
+    fn settled(
+        &self,
+        motion: &Motion,
+        limb: usize,
+        end: &Vector3<f64>,
+        rail: &Vector3<f64>,
+    ) -> Vector3<f64> {
+        self.shown(motion)
+            + self.loaded.map_or(Vector3::zeros(), |loaded| {
+                let made = loaded.made(self, motion, limb, end, rail);
+                self.by_loads(&loaded, &(loaded.answer * made))
+            })
+    }
+
+    /// What loads do to the measured point.
+    fn by_loads(&self, loaded: &Loaded, loads: &Loads) -> Vector3<f64> {
+        let mut motion = Motion::default();
+        for limb in 0..LIMBS {
+            motion.add(&self.by_end(limb, &loaded.rails[limb]), loads[limb]);
+            motion.add(&self.by_longer(limb), loads[LIMBS + limb]);
+        }
+        self.shown(&motion)
+    }
+
+    /// Derivative of the measured point by a movement of the carriage end of a limb and of the direction of its rail.
     #[inline]
-    fn by_platform(&self, limb: usize, moved: &Vector3<f64>) -> Vector3<f64> {
-        let sphere = -moved;
-        let stiff = match &self.tilted {
-            None => self.answers.column(limb) * self.rods[limb].dot(&sphere),
-            Some(tilted) => tilted.by_end(limb, &(tilted.turn * sphere)),
+    fn by_carriage(&self, limb: usize, end: &Vector3<f64>, rail: &Vector3<f64>) -> Vector3<f64> {
+        if self.tilted.is_none() && self.loaded.is_none() {
+            return self.answers.column(limb) * self.rods[limb].dot(end);
+        }
+        self.settled(&self.by_end(limb, end), limb, end, rail)
+    }
+
+    /// Derivative by a movement of the sphere centre of a limb that its platform end makes, given in the platform frame.
+    #[inline]
+    fn by_platform(&self, limb: usize, centre: &Vector3<f64>) -> Vector3<f64> {
+        let end = match &self.tilted {
+            None => *centre,
+            Some(tilted) => tilted.turn * centre,
         };
-        stiff + self.by_load(limb, &sphere)
+        self.by_carriage(limb, &end, &Vector3::zeros())
     }
 
     /// Derivative by the length of the rods of a limb.
     #[inline]
     fn by_length(&self, limb: usize) -> Vector3<f64> {
+        let still = Vector3::zeros();
+        self.settled(&self.by_longer(limb), limb, &still, &still)
+    }
+
+    /// Derivative by the compliance of a limb along itself.
+    fn by_stretch(&self, limb: usize) -> Vector3<f64> {
+        let longer = self.pulls()[limb] * self.rods[limb].norm();
         match &self.loaded {
-            None => self.by_true_length(limb),
-            Some(loaded) => self.by_true_lengths(&loaded.answer.column(limb).into_owned()),
+            None => self.shown(&self.by_longer(limb)) * longer,
+            Some(loaded) => self.by_loads(loaded, &(loaded.answer.column(LIMBS + limb) * longer)),
         }
     }
 
-    /// Derivative by the compliance of a limb: its share of the weight lengthens its rods.
-    fn by_compliance(&self, limb: usize) -> Vector3<f64> {
+    /// Derivative by the compliance of a carriage along its rail.
+    fn by_yielding(&self, limb: usize, rail: &Vector3<f64>) -> Vector3<f64> {
+        let give = self.pulls()[limb] * self.rods[limb].dot(rail);
         match &self.loaded {
-            None => {
-                let share = shares(&self.answers, &self.lengths)[limb];
-                self.by_true_length(limb) * share
-            }
-            Some(loaded) => {
-                let longer = loaded.answer.column(limb) * loaded.shares[limb];
-                self.by_true_lengths(&longer)
-            }
+            None => self.shown(&self.by_end(limb, rail)) * give,
+            Some(loaded) => self.by_loads(loaded, &(loaded.answer.column(limb) * give)),
         }
     }
 
-    /// Derivative by the difference of the two rods of each limb, one column a limb.
-    fn by_rod_mismatch(&self, kinematics: &Kinematics, extras: &Extras) -> Matrix3<f64> {
-        match &self.tilted {
-            None => self.mismatch_of_parallel(kinematics, extras),
-            Some(tilted) => tilted.by_mismatch(),
+    /// Derivative by what lengthens the rod on the positive side of a limb by `gain` (times its length) and shortens the
+    /// other, one column a limb.
+    fn by_rods(
+        &self,
+        extras: &Extras,
+        gain: impl Fn(&Extras, usize, &Vector3<f64>, f64) -> f64,
+    ) -> Matrix3<f64> {
+        let still = Vector3::zeros();
+        let column = |limb: usize, motion: Motion| self.settled(&motion, limb, &still, &still);
+        if let Some(tilted) = &self.tilted {
+            let motion = |limb| {
+                let one = |rod: &Rod, side| side * gain(extras, limb, &rod.vector, rod.length);
+                column(limb, tilted.by_gains(limb, one))
+            };
+            return Matrix3::from_columns(&[motion(0), motion(1), motion(2)]);
         }
-    }
-
-    /// By the length that the rods of a limb have under load.
-    #[inline]
-    fn by_true_length(&self, limb: usize) -> Vector3<f64> {
-        match &self.tilted {
-            None => self.answers.column(limb) * self.lengths[limb],
-            Some(tilted) => tilted.by_length(limb),
-        }
-    }
-
-    fn by_true_lengths(&self, longer: &Vector3<f64>) -> Vector3<f64> {
-        (0..LIMBS).fold(Vector3::zeros(), |sum, k| {
-            sum + self.by_true_length(k) * longer[k]
-        })
-    }
-
-    /// What a movement of a sphere centre does by way of the loads. Inlined, so that the limb is a constant and no index
-    /// is left to be checked.
-    #[inline(always)]
-    fn by_load(&self, limb: usize, moved: &Vector3<f64>) -> Vector3<f64> {
-        let Some(loaded) = &self.loaded else {
-            return Vector3::zeros();
-        };
-        let first = self.answers.column(limb) * self.rods[limb].dot(moved);
-        let all = self.answers.column_sum();
-        let lift = self.answers[(2, limb)];
-        let mut load = Vector3::zeros();
-        for i in 0..LIMBS {
-            let g = self.answers.column(i);
-            load[i] = self.lengths[i] * (all.z * g.dot(&first) - lift * g.dot(moved));
-        }
-        self.by_true_lengths(&(loaded.answer * loaded.compliance.component_mul(&load)))
-    }
-
-    /// Around the parallel platform the two rods of a limb differ only by a turn:
-    /// `(pair × ρ_i)·dw = L_i m_i`, and the centre follows.
-    fn mismatch_of_parallel(&self, kinematics: &Kinematics, extras: &Extras) -> Matrix3<f64> {
-        let row = |i: usize| (extras.half_pair[i] * 2.0).cross(&self.rods[i]).transpose();
+        // around the parallel platform the two rods of a limb differ only by a turn, `(pair × ρ_i)·dw = gain`, and the
+        // centre follows
+        let row = |i: usize| extras.half_pair[i].cross(&self.rods[i]).transpose();
         let Some(turn) = Matrix3::from_rows(&[row(0), row(1), row(2)]).try_inverse() else {
             return Matrix3::zeros(); // rods without a distance between them cannot tilt the platform
         };
-        let mut out = Matrix3::zeros();
-        for limb in 0..LIMBS {
-            let dw: Vector3<f64> = turn.column(limb) * self.lengths[limb];
+        let motion = |limb: usize| {
+            let gain = gain(extras, limb, &self.rods[limb], self.lengths[limb]);
+            let turn: Vector3<f64> = turn.column(limb) * gain;
             let mut centre = Vector3::zeros();
             for k in 0..LIMBS {
-                let lever = dw.cross(&kinematics.platform_joint(k));
-                centre -= self.answers.column(k) * self.rods[k].dot(&lever);
+                let moved = turn.cross(&self.levers[k]);
+                centre -= self.answers.column(k) * self.rods[k].dot(&moved);
             }
-            out.set_column(limb, &(centre + dw.cross(&extras.target)));
+            column(limb, Motion { centre, turn })
+        };
+        Matrix3::from_columns(&[motion(0), motion(1), motion(2)])
+    }
+}
+
+impl Loaded {
+    /// What a motion makes of the loads where these are held meanwhile.
+    fn made(
+        &self,
+        solved: &Solved,
+        motion: &Motion,
+        limb: usize,
+        end: &Vector3<f64>,
+        rail: &Vector3<f64>,
+    ) -> Loads {
+        let mut moved = solved.levers.map(|l| motion.centre + motion.turn.cross(&l));
+        moved[limb] -= end;
+        // Σ dw_i μ_i + Σ w_i dμ_i = 0
+        let w = &self.pulls;
+        let turned = moved[0] * w[0] + moved[1] * w[1] + moved[2] * w[2];
+        let mut made = Loads::zeros();
+        for i in 0..LIMBS {
+            let (rod, more) = (&solved.rods[i], -solved.answers.column(i).dot(&turned));
+            let mut along = moved[i].dot(&self.rails[i]);
+            if i == limb {
+                along += rod.dot(rail);
+            }
+            let length = rod.norm();
+            made[i] = self.yielding[i] * (more * rod.dot(&self.rails[i]) + w[i] * along);
+            let longer = more * length + w[i] * rod.dot(&moved[i]) / length;
+            made[LIMBS + i] = self.stretch[i] * longer;
         }
-        out
+        made
     }
 }
 
 impl Tilted {
-    fn by_gains(&self, limb: usize, gain: impl Fn(&Rod, f64) -> f64) -> Vector3<f64> {
-        let (mut centre, mut turn) = (Vector3::zeros(), Vector3::zeros());
-        for (rod, side) in self.rods[limb].iter().zip([1.0, -1.0]) {
-            let gain = gain(rod, side);
-            centre += rod.centre * gain;
-            turn += rod.turn * gain;
+    fn by_gains(&self, limb: usize, gain: impl Fn(&Rod, f64) -> f64) -> Motion {
+        let mut motion = Motion::default();
+        for (rod, side) in self.rods[limb].iter().zip(SIDES) {
+            motion.add(&rod.answer, gain(rod, side));
         }
-        centre + turn.cross(&self.arm)
+        motion
     }
-
-    fn by_end(&self, limb: usize, moved: &Vector3<f64>) -> Vector3<f64> {
-        self.by_gains(limb, |rod, _| rod.vector.dot(moved))
-    }
-
-    fn by_length(&self, limb: usize) -> Vector3<f64> {
-        self.by_gains(limb, |rod, _| rod.length)
-    }
-
-    fn by_mismatch(&self) -> Matrix3<f64> {
-        let column = |limb: usize| self.by_gains(limb, |rod, side| 0.5 * side * rod.length);
-        Matrix3::from_columns(&[column(0), column(1), column(2)])
-    }
-}
-
-/// Shares of the weight that the limbs carry.
-fn shares(answers: &Matrix3<f64>, lengths: &[f64; LIMBS]) -> Vector3<f64> {
-    -answers
-        .row(2)
-        .transpose()
-        .component_mul(&Vector3::from(*lengths))
-}
-
-/// The kinematics with rods as long as they are under the weight.
-fn stretched(
-    kinematics: &Kinematics,
-    compliance: &[f64; LIMBS],
-    joints: &Vector3<f64>,
-) -> Result<Kinematics> {
-    let mut current = *kinematics;
-    for _ in 0..ITERATIONS {
-        let pose = current.pose(joints)?;
-        let share = shares(pose.answers(), current.rods());
-        let mut lengths = *kinematics.rods();
-        let mut moved = 0.0_f64;
-        for i in 0..LIMBS {
-            lengths[i] += compliance[i] * share[i];
-            moved = moved.max((lengths[i] - current.rods()[i]).abs());
-        }
-        current = current.with_rods(lengths);
-        if moved <= TOLERANCE_MM {
-            return Ok(current);
-        }
-    }
-    Err(Error::NotConverged {
-        iterations: ITERATIONS,
-    })
 }
 
 /// Newton on six rods from the parallel platform.
@@ -448,11 +558,9 @@ fn six_rods(
             let joint = kinematics.platform_joint(limb);
             // sphere centres are carriage minus platform joint
             let carriage = centres[limb] + joint;
-            for (k, rod) in pair.iter_mut().enumerate() {
-                let side = if k == 0 { 1.0 } else { -1.0 };
-                let offset = extras.half_pair[limb] * side;
-                let lever = turn * (joint + offset);
-                rod.vector = centre + lever - carriage - offset;
+            for (k, (rod, side)) in pair.iter_mut().zip(SIDES).enumerate() {
+                let lever = turn * (joint + extras.half_pair[limb] * side);
+                rod.vector = centre + lever - carriage - extras.half_carriage[limb] * side;
                 rod.length = kinematics.rods()[limb] + 0.5 * side * extras.mismatch[limb];
                 let row = 2 * limb + k;
                 let (v, t) = (rod.vector, lever.cross(&rod.vector));
@@ -470,12 +578,13 @@ fn six_rods(
             for (limb, pair) in rods.iter_mut().enumerate() {
                 for (k, rod) in pair.iter_mut().enumerate() {
                     let column = inverse.column(2 * limb + k);
-                    rod.centre = column.fixed_rows::<3>(0).into_owned();
-                    rod.turn = column.fixed_rows::<3>(3).into_owned();
+                    rod.answer = Motion {
+                        centre: column.fixed_rows::<3>(0).into_owned(),
+                        turn: column.fixed_rows::<3>(3).into_owned(),
+                    };
                 }
             }
-            let arm = turn * extras.target;
-            return Ok((centre, Tilted { rods, turn, arm }));
+            return Ok((centre, Tilted { rods, turn }));
         }
         let step = inverse * miss;
         centre += step.fixed_rows::<3>(0);

@@ -83,6 +83,11 @@ effects! { At;
         turn_x, turn_y, turn_z: "rad", 0.02, LEVER;
         shift_x, shift_y, shift_z: "mm", 5.0, 1.0;
     }
+    // by how much the error of the camera's pose grew at the time of its slip
+    camera_slip: Sensor by camera needs "time_s" search "time_s" {
+        turn_x, turn_y, turn_z: "rad", 2e-3, LEVER;
+        shift_x, shift_y, shift_z: "mm", 0.5, 1.0;
+    }
     // relative error of both focal lengths
     focal_length: Sensor by camera {
         focal: "1", 0.01, LEVER;

@@ -8,7 +8,7 @@ use super::structure::Structure;
 use crate::camera::{Camera, Face};
 use crate::chain::effects::{Effect, Wanted};
 use crate::chain::places::Places;
-use crate::chain::{self, Angles, Eye, Robot, Sensor, Settings, Table};
+use crate::chain::{self, Angles, Eye, Look, Robot, Sensor, Settings, Table};
 use crate::{Error, Result};
 use core::f64::consts::TAU;
 use nalgebra::{Matrix2x3, SMatrix, Vector2, Vector3};
@@ -37,10 +37,10 @@ pub enum Instrument {
 
 impl Sensor<READINGS> for Instrument {
     #[inline]
-    fn value(&self, point: &Vector3<f64>, azimuth: f64) -> Result<Vector2<f64>> {
+    fn value(&self, point: &Vector3<f64>, look: Look) -> Result<Vector2<f64>> {
         match self {
-            Self::Camera(eye, _) => eye.value(point, azimuth),
-            Self::Angles(angles) => angles.value(point, azimuth),
+            Self::Camera(eye, _) => eye.value(point, look),
+            Self::Angles(angles) => angles.value(point, look),
         }
     }
 
@@ -48,13 +48,13 @@ impl Sensor<READINGS> for Instrument {
     fn predict<T: Table, const P: usize>(
         &self,
         point: &Vector3<f64>,
-        azimuth: f64,
+        look: Look,
         wanted: Wanted,
         d: &mut SMatrix<f64, READINGS, P>,
     ) -> Result<(Vector2<f64>, Matrix2x3<f64>)> {
         match self {
-            Self::Camera(eye, _) => eye.predict::<T, P>(point, azimuth, wanted, d),
-            Self::Angles(angles) => angles.predict::<T, P>(point, azimuth, wanted, d),
+            Self::Camera(eye, _) => eye.predict::<T, P>(point, look, wanted, d),
+            Self::Angles(angles) => angles.predict::<T, P>(point, look, wanted, d),
         }
     }
 }
@@ -65,7 +65,7 @@ impl Model {
     /// # Errors
     /// As [`Camera::new`].
     pub fn camera(&self, values: &Values) -> Result<Camera> {
-        Ok(Eye::new::<Self, PARAMETERS>(&self.camera, values)?.camera)
+        Ok(*Eye::new::<Self, PARAMETERS>(&self.camera, self.camera_slip_time_s, values)?.camera())
     }
 }
 
@@ -89,7 +89,12 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
     }
 
     fn check(&self) -> Result<()> {
-        let times = [self.time_origin_s, self.slip_time_s, self.encoder_period];
+        let times = [
+            self.time_origin_s,
+            self.slip_time_s,
+            self.camera_slip_time_s,
+            self.encoder_period,
+        ];
         let mut settings = self.home.iter().chain(&self.gravity).chain(&times);
         if let Some(index) = settings.position(|v| !v.is_finite()) {
             return Err(Error::NotFinite { index });
@@ -113,7 +118,8 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
     fn sensor(&self, values: &Values) -> Result<Instrument> {
         Ok(match self.readings {
             Readings::Pixels => {
-                let eye = Eye::new::<Self, PARAMETERS>(&self.camera, values)?;
+                let eye =
+                    Eye::new::<Self, PARAMETERS>(&self.camera, self.camera_slip_time_s, values)?;
                 Instrument::Camera(eye, self.face)
             }
             Readings::Angles => Instrument::Angles(Angles::new::<Self, PARAMETERS>(values)),

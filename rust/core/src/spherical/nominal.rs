@@ -37,4 +37,6 @@ pub struct Model {
     pub slip_time_s: f64,
     /// Period of the encoders' cyclic error, rad.
     pub encoder_period: f64,
+    /// Moment of the slip of the camera, s.
+    pub camera_slip_time_s: f64,
 }

@@ -10,7 +10,7 @@ use super::model::{Chain, Instrument, Row};
 use super::nominal::Model;
 use crate::camera::{Camera, Face};
 use crate::chain::effects::Wanted;
-use crate::chain::{angles_by_axis, angles_of};
+use crate::chain::{Look, angles_by_axis, angles_of};
 use crate::{Error, Result};
 use core::f64::consts::TAU;
 use nalgebra::{Matrix3, SMatrix, Vector2, Vector3};
@@ -43,7 +43,11 @@ impl Camera {
 
 impl Chain {
     /// Direction seen at a reading: φ, γ, and their derivatives by the parameters.
-    fn seen(&self, reading: &Vector2<f64>) -> Result<(Vector2<f64>, SMatrix<f64, 2, PARAMETERS>)> {
+    fn seen(
+        &self,
+        reading: &Vector2<f64>,
+        look: Look,
+    ) -> Result<(Vector2<f64>, SMatrix<f64, 2, PARAMETERS>)> {
         let mut d = SMatrix::<f64, 2, PARAMETERS>::zeros();
         let (eye, face) = match &self.sensor {
             Instrument::Camera(eye, face) => (eye, *face),
@@ -59,11 +63,12 @@ impl Chain {
             }
         };
         let radius = self.structure.radius();
-        let point = eye.camera.on_sphere(reading, radius, face)?;
+        let stand = eye.at(look)?;
+        let point = stand.camera.on_sphere(reading, radius, face)?;
         let angles = angles_of(&point, libm::atan2(point.y, point.x))?;
-        let projection = eye.camera.projection(&point)?;
+        let projection = stand.camera.projection(&point)?;
         // the pixel is held and the point stays on the sphere: (∂π/∂X; Xᵀ) dX = (-∂π/∂p dp; R dR)
-        let by_point = eye.camera.by_point(&projection);
+        let by_point = stand.camera.by_point(&projection);
         let mut held = Matrix3::zeros();
         held.fixed_rows_mut::<2>(0).copy_from(&by_point);
         held.set_row(2, &point.transpose());
@@ -71,7 +76,7 @@ impl Chain {
             .try_inverse()
             .ok_or(Error::RayMisses { miss_mm: 0.0 })?;
         let by_pixel = answers.fixed_columns::<2>(0);
-        eye.columns::<Model, PARAMETERS>(&projection, &point, Wanted::ALL, &mut d);
+        eye.columns::<Model, PARAMETERS>(stand, &projection, &point, look, Wanted::ALL, &mut d);
         let by_axis = angles_by_axis(&point, angles[1]);
         d = -(by_axis * by_pixel) * d;
         let by_radius: Vector3<f64> = answers.column(2) * radius;
@@ -95,7 +100,7 @@ impl Chain {
         if let Some(index) = joints.value.iter().position(|v| !v.is_finite()) {
             return Err(Error::NotFinite { index });
         }
-        let (angles, by_seen) = self.seen(reading)?;
+        let (angles, by_seen) = self.seen(reading, self.look(&joints.value, &row.covariates))?;
         let pose = self
             .structure
             .kinematics()
