@@ -15,8 +15,10 @@ import sherkit._core as _core
 from ...fit.identify import Fit
 from ...model.batch import matrix
 from ...types import Bools, Floats
-from ..calibrated import Calibration, Note, Part, Planes
+from ..accuracy import Planes
+from ..calibrated import Calibration, Note
 from ..calibration_run import CalibrationRun
+from ..part import Part
 from .columns import SPHERICAL_ANGLES
 from .model import SphericalModel
 from .remote_centre import centre_in_words, remote_centre
