@@ -204,7 +204,7 @@ class Delta:
     def jacobian(self, joints_mm: ArrayLike) -> Floats:
         """Velocity Jacobian (3, 3) d position / d joints. Raises as :meth:`forward`, and ``Singular``."""
         q = vector(joints_mm, "joint readings")
-        values, reached = self._nominal.jacobian_batch(q[None, :])
+        values, _, reached = self._nominal.derivatives_batch(q[None, :])
         if not reached[0]:
             self._nominal.forward(q)  # raises the reason
             raise Singular("singular: the three rods lie in one plane here")
@@ -213,7 +213,7 @@ class Delta:
     def parameter_jacobian(self, joints_mm: ArrayLike) -> Batch:
         """Derivative of the position by the 18 geometric parameters (n, 3, 18), mm per mm or rad (Eq. 8)."""
         q = matrix(joints_mm, "joint readings")
-        values, reached = self._nominal.by_parameters_batch(q)
+        _, values, reached = self._nominal.derivatives_batch(q)
         return Batch(values, reached, why(self._nominal.forward, q, reached))
 
     @cached_property
