@@ -97,6 +97,15 @@ def test_robot_file_is_lossless(robot: Spherical, tmp_path_factory: pytest.TempP
     assert load_robot(path) == robot
 
 
+def test_a_direction_of_the_weight_that_is_left_out_is_asked_for(tmp_path: Path) -> None:
+    """Catches a weight that is taken to pull along the actuated axis without a word."""
+    geometry = {key: value for key, value in TABLES["geometry"].items() if key != "gravity"}
+    (tmp_path / "robot.toml").write_text(tomli_w.dumps(TABLES | {"geometry": geometry}))
+    with pytest.warns(sk.SherkitWarning, match=r"\[geometry\] gravity is left out: the weight is taken to") as heard:
+        assert load_robot(tmp_path / "robot.toml") == ROBOT
+    assert len(heard) == 1
+
+
 @pytest.mark.parametrize(
     ("table", "key", "value", "says"),
     [

@@ -64,7 +64,7 @@ class DeltaModel(ChainModel):
         """The compiled model."""
         r = self.robot
         pitch = self.period_mm or r.pole_pitch_mm or 1.0
-        settings = [r.rod_spacing_mm, pitch, *self.home_mm, self.time_origin_s, self.slip_time_s]
+        settings = [r.rod_spacing_mm or 0.0, pitch, *self.home_mm, self.time_origin_s, self.slip_time_s]
         offset = np.array(r.target_offset_mm)
         return _core.DeltaModel(r.geometry, offset, r.assembly_mode, np.array(settings, dtype=float))
 

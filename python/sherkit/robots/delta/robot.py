@@ -38,7 +38,8 @@ class Delta:
     """Nominal linear delta. Lengths in mm, angles in degrees as on a drawing, one value per limb.
 
     ``target_offset_mm`` points from the platform centre to the measured point. ``rod_spacing_mm`` is the
-    distance of the two rods of a limb. ``assembly_mode`` is ``"below"`` where the platform hangs under its
+    distance of the two rods of a limb, ``pole_pitch_mm`` the period of the encoders' scales; both are 0 where there is
+    none, None where nobody said. ``assembly_mode`` is ``"below"`` where the platform hangs under its
     carriages, ``"above"`` where it stands on them. Joint readings are carriage heights along +z;
     ``joint_limits_mm`` (low, high) are those that no motor may leave.
     """
@@ -48,7 +49,7 @@ class Delta:
     platform_radius_mm: Triple
     platform_angle_deg: Triple
     rod_length_mm: Triple
-    rod_spacing_mm: float = 0.0
+    rod_spacing_mm: float | None = None
     target_offset_mm: Triple = (0.0, 0.0, 0.0)
     pole_pitch_mm: float | None = None
     workspace_radius_mm: float | None = None
@@ -73,13 +74,13 @@ class Delta:
                 "platform_radius_mm": g.numbers("platform_radius_mm", 3),
                 "platform_angle_deg": g.numbers("platform_angle_deg", 3),
                 "rod_length_mm": g.numbers("rod_length_mm", 3, positive=True),
-                "rod_spacing_mm": g.number("rod_spacing_mm", 0.0),
+                "rod_spacing_mm": g.positive("rod_spacing_mm", or_zero=True),
                 "target_offset_mm": g.numbers("target_offset_mm", 3, (0.0, 0.0, 0.0)),
                 "assembly_mode": g.text("assembly_mode", ("below", "above"), "below"),
             }
             _check_shape(g, geometry)
         with table.table("joints", optional=True) as j:
-            pitch = j.positive("pole_pitch_mm")
+            pitch = j.positive("pole_pitch_mm", or_zero=True)
             limits = j.heights("limits_mm")
         with table.table("workspace", optional=True) as w:
             radius = w.positive("radius_mm")
@@ -103,14 +104,14 @@ class Delta:
             "platform_radius_mm": list(self.platform_radius_mm),
             "platform_angle_deg": list(self.platform_angle_deg),
             "rod_length_mm": list(self.rod_length_mm),
-            "rod_spacing_mm": self.rod_spacing_mm,
+            **({} if self.rod_spacing_mm is None else {"rod_spacing_mm": self.rod_spacing_mm}),
             "target_offset_mm": list(self.target_offset_mm),
         }
         if self.assembly_mode != "below":
             geometry["assembly_mode"] = self.assembly_mode
         tables: dict[str, Any] = {"kind": self.kind, "geometry": geometry}
         joints: dict[str, Any] = {}
-        if self.pole_pitch_mm:
+        if self.pole_pitch_mm is not None:
             joints["pole_pitch_mm"] = self.pole_pitch_mm
         if self.joint_limits_mm:
             joints["limits_mm"] = list(self.joint_limits_mm)
@@ -225,8 +226,6 @@ def _check_shape(table: Table, geometry: Mapping[str, Any]) -> None:
     """Refuses what cannot be a delta before the kinematics would say so less clearly."""
     if min(geometry["platform_radius_mm"]) < 0:
         raise table.fail("platform_radius_mm", "3 numbers, none below zero")
-    if geometry["rod_spacing_mm"] < 0:
-        raise table.fail("rod_spacing_mm", "a number, not below zero")
     for limb in range(3):
         span = abs(
             geometry["base_radius_mm"][limb] * np.exp(1j * np.deg2rad(geometry["base_angle_deg"][limb]))

@@ -1,6 +1,6 @@
 """The spherical robot, seen by a camera."""
 
-from ...model.kinds import Kind
+from ...model.kinds import Asked, Kind
 from .calibration import SphericalCalibration
 from .camera import CameraView
 from .camera_placement import camera_placement
@@ -19,6 +19,14 @@ KIND = Kind(
     "spherical", Spherical, SphericalModel, (SPHERICAL_PIXELS, SPHERICAL_ANGLES), SphericalCalibration,
     VirtualSpherical, coordinates=SPHERICAL_ANGLES.coordinates, poses=POSES, areas=AREAS,
     called="the spherical robot and its camera",
+    asks=(
+        Asked(
+            "geometry", "gravity",
+            "the weight is taken to pull along -z, against the actuated axis, and gravity_flexure is tried in that "
+            "direction alone",
+            "write its direction, which is [0, 0, -1] where z points up",
+        ),
+    ),
 )  # fmt: skip
 
 __all__ = [
