@@ -25,6 +25,7 @@ class Layout:
     reading between two places, whose other end is at ``to_joints``. People read coordinates in ``unit``, of which one
     unit of the file has ``per_unit``. ``velocities`` are covariates by joint. ``worst_first`` is how suspected outliers
     are taken out: those at least this part as far off as the farthest in one round, at zero all of them at once.
+    ``joints_tell_pose``: rows with the same joint readings stand at the same pose.
     """
 
     joints: tuple[str, ...]
@@ -35,6 +36,7 @@ class Layout:
     to_joints: tuple[str, ...] = ()
     velocities: tuple[str, ...] = ()
     worst_first: float = 0.0
+    joints_tell_pose: bool = True
 
     @cached_property
     def readings(self) -> tuple[str, ...]:
