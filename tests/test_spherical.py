@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 import sherkit as sk
 from second_simulator.spherical import SecondSpherical, sphere_grid, spherical_plan
-from sherkit import load_robot, save_robot
+from sherkit import _core, load_robot, save_robot
 from sherkit.cli.main import cli
 from sherkit.robots.spherical import CameraView, Spherical
 from sherkit.robots.spherical.paper import identify_joints, task_error
@@ -374,6 +374,24 @@ def test_straightness_is_that_of_the_line() -> None:
     for bad, says in [(np.zeros((2, 2)), "at least 3"), (np.array([[0, 0], [1, np.nan], [2, 2.0]]), "row 1")]:
         with pytest.raises(sk.errors.ShapeError, match=says):
             sk.spherical.straightness(bad)
+
+
+def test_unequal_limbs_differ_by_twice_the_value() -> None:
+    """Catches a value that says how far the limbs are apart, where it says how far each is off; and the reverse."""
+    (effect,) = (e for e in sk.spherical.SPHERICAL_CATALOGUE.values() if e.name == "unequal_limbs")
+    model = sk.spherical.SphericalModel(ROBOT).with_effect(effect)
+    more_alpha, more_beta = 0.004, -0.003
+    values = np.zeros(len(model.parameters))
+    values[model.owns(effect)] = more_alpha, more_beta
+    joints = ROBOT.inverse_batch(ANGLES).require()
+    rows = sk.Measurements.planned(joints, sk.spherical.SPHERICAL_ANGLES)
+    limbs = np.array([[1.0], [-1.0]]) * [more_alpha, more_beta, 0.0]
+    two = _core.SphericalKinematics(ROBOT.geometry + limbs.ravel(), ROBOT.assembly_mode)
+    apart, reached = two.forward_batch(joints)
+    assert reached.all()
+    np.testing.assert_allclose(model.predict(rows, values), apart, rtol=0, atol=1e-12)
+    assert "differ by twice the value" in effect.physics
+    assert "differ by twice this much" in sk.spherical.VirtualSpherical.OPTIONS["unequal_limbs_mrad"].what
 
 
 def test_lines_are_straight_in_the_picture() -> None:
