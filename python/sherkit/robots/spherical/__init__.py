@@ -3,7 +3,7 @@
 from ...model.kinds import Asked, Kind
 from .calibration import SphericalCalibration
 from .camera import CameraView
-from .camera_placement import camera_placement
+from .camera_placement import camera_placement, picture_half_angle
 from .columns import SPHERICAL_ANGLES, SPHERICAL_PIXELS
 from .effects import SPHERICAL_CATALOGUE
 from .model import SphericalModel
@@ -42,6 +42,7 @@ __all__ = [
     "VirtualSpherical",
     "camera_placement",
     "identify_joints",
+    "picture_half_angle",
     "remote_centre",
     "sphere_patch",
     "straightness",
