@@ -117,7 +117,7 @@ def main(per_side: int, save_in: Path | None) -> dict[str, Any]:
     console.print(
         "The paper leads φ constant (vertical) and γ constant (horizontal). Neither shows an error of α or β: φ is the "
         "mean of the\njoints, γ a function of their difference. An arc of constant γ is 0.6 cm off its straight line "
-        "by itself; the paper\nprints 0.59 cm. The chord of that arc and a diagonal, straight in the picture, show them."
+        "by itself; the paper\nprints 0.59 cm. The chord of that arc and a diagonal, straight in the picture, show it."
     )
     console.print(f"\nremote centre: {sk.spherical.remote_centre(fit)}")
     return {"sigmas": sigmas, "joint_rms_rad": joints, "before": drawn_way, "after": right_way, "shown_rad": shown}

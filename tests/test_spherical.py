@@ -376,6 +376,20 @@ def test_straightness_is_that_of_the_line() -> None:
             sk.spherical.straightness(bad)
 
 
+@pytest.mark.parametrize(
+    ("link", "columns", "says"), [("joints", 2, "each joint"), ("body", 3, "x, y, z"), ("sensor", 2, "each reading")]
+)
+def test_a_users_effect_has_the_shape_of_its_link(link: str, columns: int, says: str, run: sk.Measurements) -> None:
+    """Catches three millimetres asked of a robot of two joints seen in pixels, and a shape that nobody says."""
+
+    def added(width: int) -> sk.Effect:
+        return sk.effect(at=link, parameters={"a": ("", 1e-3)})(lambda rows, p: p.a * np.ones((len(rows), width)))
+
+    assert np.isfinite(sk.identify(ROBOT, run, effects=[added(columns)]).values).all()
+    with pytest.raises(sk.errors.EffectError, match=rf"shape \(\d+, {columns}\).* at the link '{link}' it is .*{says}"):
+        sk.identify(ROBOT, run, effects=[added(5 - columns)])
+
+
 def test_unequal_limbs_differ_by_twice_the_value() -> None:
     """Catches a value that says how far the limbs are apart, where it says how far each is off; and the reverse."""
     (effect,) = (e for e in sk.spherical.SPHERICAL_CATALOGUE.values() if e.name == "unequal_limbs")
