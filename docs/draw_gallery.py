@@ -82,7 +82,7 @@ ITEMS = [
          "Every step of a study: filled on poses that the fit had not seen, open on those it was fitted to. The "
          "further apart the two, the more the fit learned by heart. Dotted is the noise, below which nothing can be "
          "gained; dashed the accuracy that is needed.",
-         "from sherkit.robots.calibrated import REQUIREMENT_UM\n"
+         "from sherkit.robots.accuracy import REQUIREMENT_UM\n"
          "from sherkit.report.error_history import error_history, error_history_of\n"
          "error_history(error_history_of(study, found, REQUIREMENT_UM))"),
     Item("candidates", "Candidates",

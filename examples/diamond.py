@@ -61,11 +61,11 @@ def main(per_side: int, save_in: Path | None) -> dict[str, Any]:
     robot = sk.load_robot(HERE / "diamond.toml")
     assert isinstance(robot, sk.spherical.Spherical)
     lens = np.arctan(320.0 / robot.seen.focal_px[1])
-    best = sk.spherical.camera_placement(robot.radius_mm, lens, region="quarter")
+    distance = float(np.linalg.norm(robot.seen.core.position))
+    shown = sk.spherical.picture_half_angle(robot.radius_mm, lens, distance)
     console.print(
-        f"Best distance of a camera with a half angle of view of {np.rad2deg(lens):.2f}°: "
-        f"[b]{best.distance_mm / 10:.2f} cm[/b] (paper: 44.62 cm); the picture's height shows "
-        f"±{np.rad2deg(best.picture_half_angle_rad):.1f}° of the sphere"
+        f"The camera stands at the paper's distance, [b]{distance / 10:.2f} cm[/b]; with half an angle of view of "
+        f"{np.rad2deg(lens):.2f}° the picture's height shows ±{np.rad2deg(shown):.1f}° of the sphere"
     )
 
     hidden = sk.spherical.VirtualSpherical(robot, HIDDEN)
@@ -115,12 +115,12 @@ def main(per_side: int, save_in: Path | None) -> dict[str, Any]:
         table.add_row(name, *paper_cells, f"{was / 10:.4f} cm", f"{now / 10:.4f} cm", f"{was / now:.1f}")
     console.print(table)
     console.print(
-        "Along the vertical line φ is constant, and the mean of the joints whatever α and β: only the other two can "
-        "show them.\nThe paper's 0.59 cm is about what an arc of constant γ, its second case, is off from its chord: "
-        "0.57 cm."
+        "The paper leads φ constant (vertical) and γ constant (horizontal). Neither shows an error of α or β: φ is the "
+        "mean of the\njoints, γ a function of their difference. An arc of constant γ is 0.6 cm off its straight line "
+        "by itself; the paper\nprints 0.59 cm. The chord of that arc and a diagonal, straight in the picture, show it."
     )
     console.print(f"\nremote centre: {sk.spherical.remote_centre(fit)}")
-    return {"sigmas": sigmas, "joint_rms_rad": joints, "before": drawn_way, "after": right_way, "best": best}
+    return {"sigmas": sigmas, "joint_rms_rad": joints, "before": drawn_way, "after": right_way, "shown_rad": shown}
 
 
 if __name__ == "__main__":

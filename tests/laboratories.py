@@ -6,7 +6,7 @@ import tomli_w
 
 from sherkit.cli.demo import EXAMPLE
 
-ROBOT = EXAMPLE.to_tables() | {"joints": {"limits_mm": [60.0, 200.0]}}
+ROBOT = EXAMPLE.to_tables() | {"joints": {"pole_pitch_mm": 2.0, "limits_mm": [60.0, 200.0]}}
 
 
 def laboratory(folder, *, time_scale=400.0, noise_mm=0.005, lasers=None, rails=None, **tables):
@@ -49,7 +49,7 @@ def experiment(folder, *, per_side=3, planes=(-8.0, 8.0), rails=None, lasers=Non
 
 SPHERICAL = {
     "kind": "spherical",
-    "geometry": {"alpha_deg": 45.0, "beta_deg": 45.0, "radius_mm": 200.0},
+    "geometry": {"alpha_deg": 45.0, "beta_deg": 45.0, "radius_mm": 200.0, "gravity": [0.0, 0.0, -1.0]},
     "joints": {"limits_deg": [-180.0, 270.0]},
     "workspace": {"phi_deg": [60.0, 120.0], "gamma_deg": [25.0, 65.0]},
     "camera": {

@@ -28,9 +28,7 @@ ROWS = {
     "seeds on the edge": "joint_scale and rail_lean in turn over the seeds 0 to 3",
     "claims": "there are no claims",
     "no noise known": "adequate: no effect added",
-    "repeats without a pose column": "the noise is unknown though each joint reading stands three times in the run",
     "next poses": "u_px, v_px and separation_sigma; no joint readings",
-    "left-out settings": "no warning",
 }
 
 GROSS = {

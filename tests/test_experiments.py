@@ -441,10 +441,12 @@ def test_experiments_that_cannot_be_are_refused(tmp_path, tables, said):
 def test_nothing_moves_without_soft_limits(tmp_path):
     """Catches a robot file without limits that is driven all the same."""
     path = changed(tmp_path)
-    (tmp_path / "robot.toml").write_text(tomli_w.dumps({**ROBOT, "joints": {}}))
+    (tmp_path / "robot.toml").write_text(tomli_w.dumps({**ROBOT, "joints": {"pole_pitch_mm": 2.0}}))
     with pytest.raises(ExperimentError, match="limits_mm is missing"):
         load_experiment(path)
-    (tmp_path / "robot.toml").write_text(tomli_w.dumps({**ROBOT, "joints": {"limits_mm": [125.0, 130.0]}}))
+    (tmp_path / "robot.toml").write_text(
+        tomli_w.dumps({**ROBOT, "joints": {"pole_pitch_mm": 2.0, "limits_mm": [125.0, 130.0]}})
+    )
     with pytest.raises(ExperimentError, match="the plan sends a joint to"):
         load_experiment(path)
 

@@ -17,7 +17,7 @@ import polars as pl
 import pytest
 from numpy.typing import NDArray
 
-from sherkit import Measurements, SherkitError, identify, load_robot, read_measurements
+from sherkit import Measurements, SherkitError, SherkitWarning, identify, load_robot, read_measurements
 from sherkit.robots.delta import DeltaModel, import_klipper
 
 Floats = NDArray[np.float64]
@@ -227,7 +227,10 @@ def test_the_command_writes_what_the_function_reads(tmp_path: Path) -> None:
     path = saved(tmp_path, config(TRUE, SAVED))
     subprocess.run([SHERKIT, "import", "klipper", str(path), "-o", str(tmp_path / "out")], check=True, timeout=600)
     found = import_klipper(path)
-    assert load_robot(tmp_path / "out" / "robot.toml") == found.robot
+    # a printer's configuration does not say how far apart the rods of an arm are; that it has no encoders is known
+    with pytest.warns(SherkitWarning, match="rod_spacing_mm is left out") as heard:
+        assert load_robot(tmp_path / "out" / "robot.toml") == found.robot
+    assert len(heard) == 1
     read = read_measurements(tmp_path / "out" / "run.csv")
     assert np.array_equal(read.joints, found.measurements.joints)
     assert np.array_equal(read.readings, found.measurements.readings)
@@ -358,6 +361,7 @@ def test_the_real_rows_are_those_read_by_hand(real: Path) -> None:
     assert len(data) == len(heights_) + len(distances_) + len(mesh_)
 
 
+@pytest.mark.filterwarnings("ignore:.*rod_spacing_mm is left out:sherkit.SherkitWarning")
 def test_the_real_printer_is_calibrated(real: Path, tmp_path: Path) -> None:
     """Catches a fit that does not end, keeps silent on what heights do not tell, or is worse than Klipper's own."""
 
@@ -366,7 +370,9 @@ def test_the_real_printer_is_calibrated(real: Path, tmp_path: Path) -> None:
 
     assert run("import", "klipper", str(real / "printer.cfg"), "-o", ".").returncode == 0
     done = run("calibrate", "robot.toml", "run.csv", "-o", "calibrated.toml", "--json")
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0
+    # all that is asked for: a printer's configuration does not say how far apart the rods of an arm are
+    assert re.fullmatch(r"warning: robot\.toml: \[geometry\] rod_spacing_mm is left out: .*\n", done.stderr)
     said = json.loads(done.stdout)["whole"]
     assert said["rank"] == 9
     assert len(said["unobserved"]) == said["parameters_free"] - said["rank"] == 6

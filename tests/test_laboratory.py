@@ -415,7 +415,10 @@ def test_the_demo_compensates_what_was_hidden(tmp_path):
 def test_a_robot_without_a_workspace_is_refused(tmp_path):
     """Catches a laboratory that would start around a robot that it cannot put anywhere, and eyes on the wrong robot."""
     path = laboratory(tmp_path)
-    spherical = {"kind": "spherical", "geometry": {"alpha_deg": 45.0, "beta_deg": 45.0, "radius_mm": 50.0}}
+    spherical = {
+        "kind": "spherical",
+        "geometry": {"alpha_deg": 45.0, "beta_deg": 45.0, "radius_mm": 50.0, "gravity": [0, 0, -1]},
+    }
     (tmp_path / "robot.toml").write_text(tomli_w.dumps(spherical))
     with pytest.raises(RobotError, match="workspace"):
         load_laboratory(path)

@@ -20,7 +20,7 @@ from hypothesis import given
 
 from bad_inputs import BAD, GOOD, NAME, Bad
 from sherkit import Measurements, SherkitError, SherkitWarning, from_frame, read_measurements
-from sherkit.data import stream_measurements
+from sherkit.data import from_arrays, stream_measurements
 from sherkit.errors import MeasurementError
 from sherkit.robots.delta.columns import DELTA
 
@@ -452,7 +452,39 @@ def test_repeatability_is_the_pooled_spread_of_poses() -> None:
 def test_repeatability_needs_repeats(plain: Measurements) -> None:
     """Catches a spread claimed from single readings; the one repeat here is marked as an outlier."""
     assert plain.repeatability is None
-    assert from_frame({f"{n}_mm": [1.0, 1.0] for n in ("q1", "q2", "q3", "x")}).repeatability is None
+    assert from_frame({"q1_mm": [1.0, 2.0], "q2_mm": [1.0, 1.0], "q3_mm": [1.0, 1.0], "x_mm": [1.0, 1.0]}
+                      ).repeatability is None  # fmt: skip
+
+
+def test_equal_joint_readings_are_repeats() -> None:
+    """Catches repeats that nobody numbered counted as poses of their own; rows taken for repeats that share a joint or
+    two, or agree but for the last bit; and an approach or a payload that makes a new pose."""
+    q1 = [0.0, 5.0, -0.0, 5.0, 5.0, np.nextafter(5.0, 6.0), 0.0]
+    q2 = [1.0, 1.0, 1.0, 1.0, 2.0, 1.0, 1.0]
+    columns = {"q1_mm": q1, "q2_mm": q2, "q3_mm": [3.0] * 7, "x_mm": [1.0, 2.0, 1.1, 2.2, 3.0, 4.0, 1.2]}
+    others = {"time_s": np.arange(7.0), "direction_1": [1, -1, -1, 1, 1, 1, 1], "payload_g": [0, 0, 50, 50, 0, 0, 0]}
+    for data in (from_frame(columns), from_frame(columns | others)):
+        assert data.groups.tolist() == [0, 1, 0, 1, 2, 3, 0]
+        assert data.repeatability is not None
+        assert data.repeatability.degrees_of_freedom == {"x_mm": 3}
+        assert data.select(np.array([6, 4, 0])).groups.tolist() == [0, 1, 0]
+    numbered = from_frame(columns | {"pose": [1, 1, 2, 2, 3, 3, 4]})
+    assert numbered.groups.tolist() == [0, 0, 1, 1, 2, 2, 3]
+
+
+def test_repeats_of_distances_agree_at_both_ends() -> None:
+    """Catches distances from one place to several others taken for repeats of one."""
+    one_end = {f"q{k}_mm": [1.0] * 4 for k in (1, 2, 3)}
+    other = {f"to_q{k}_mm": [2.0, 2.0, 3.0, np.nan] for k in (1, 2, 3)}
+    data = from_frame(one_end | other | {"distance_mm": [5.0, 5.1, 6.0, np.nan], "z_mm": [np.nan] * 3 + [7.0]})
+    assert data.groups.tolist() == [0, 0, 1, 2]
+
+
+def test_places_of_any_machine_are_no_repeats_unless_it_is_said() -> None:
+    """Catches two sides of a pier taken for one pose, since the telescope looks at one star."""
+    given = {"place": {"altitude": np.array([1.0, 1.0])}, "readings": np.ones((2, 1)), "names": ["x"], "unit": "arcsec"}
+    assert from_arrays(**given).groups.tolist() == [0, 1]
+    assert from_arrays(**given, pose=np.array([4, 4])).groups.tolist() == [0, 0]
 
 
 def test_select_takes_masks_and_indices(plain: Measurements) -> None:

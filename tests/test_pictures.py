@@ -40,7 +40,7 @@ from sherkit.report.residual_map import Change, residual_map
 from sherkit.report.residuals import Residuals, residuals_of
 from sherkit.report.run import run_in_time
 from sherkit.report.workspace import NextPoses, accuracy_map, accuracy_of, next_poses
-from sherkit.robots.calibrated import REQUIREMENT_UM
+from sherkit.robots.accuracy import REQUIREMENT_UM
 from sherkit.robots.delta.paper import paper_whole
 from strategies import EXAMPLE
 

@@ -24,6 +24,7 @@ from sherkit.lab.experiment import RunFile, load_experiment
 from sherkit.lab.experiment import run as run_experiment
 from sherkit.lab.laboratory import RunningLaboratory, load_laboratory
 from sherkit.model import kinds
+from sherkit.model.sentences import COMMON
 from sherkit.planning.outlook import planning_of
 
 ROBOT = """
@@ -222,6 +223,21 @@ def test_the_command_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "rail_lean" not in shown
     said(capsys, 0, "simulate", "robot.toml", "-o", "virtual.csv", "--truth", "truth.toml", "--poses", "local")
     assert "Verdict: adequate" in said(capsys, 0, "diagnose", "robot.toml", "virtual.csv")
+
+
+def test_its_own_errors_can_be_simulated(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches options of ``sherkit simulate`` that were read before the kind was known."""
+    assert "Planar: of the tip at full reach" in " ".join(said(capsys, 0, "simulate", "-h").split())
+    said(capsys, 0, "simulate", "robot.toml", "-o", "virtual.csv", "--truth", "truth.toml", "--fall-mm", "0.25")
+    assert "0.25" in Path("truth.toml").read_text()
+
+
+def test_every_sentence_that_robots_share_is_used() -> None:
+    """Catches a common sentence that every robot replaces by its own."""
+    for name, words in COMMON.items():
+        having = [kind.model.catalogue[name] for kind in kinds.KINDS.values() if name in kind.model.catalogue]
+        assert any((e.physics, e.residuals, e.workshop) == (words.physics, words.residuals, words.workshop)
+                   for e in having), name  # fmt: skip
 
 
 def test_an_experiment_is_planned(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import copy
 import math
 import re
+import subprocess
+import sys
 import tomllib
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,8 +20,9 @@ from hypothesis import given
 
 from bad_inputs import PAGE
 from second_simulator import write_robot_toml
-from sherkit import load_robot, save_robot
+from sherkit import SherkitWarning, load_robot, save_robot
 from sherkit.errors import RobotError
+from sherkit.model.kinds import robot_from_tables
 from sherkit.robots.delta import Delta
 from strategies import EXAMPLE, between, deltas
 
@@ -117,14 +121,15 @@ def test_windows_files_are_read(tmp_path: Path) -> None:
     assert load_robot(saved(tmp_path, TEXT.replace("\n", "\r\n").encode("utf-8-sig"))) == EXAMPLE
 
 
+@pytest.mark.filterwarnings("ignore:.* is left out:sherkit.SherkitWarning")
 @given(data=st.data())
 def test_round_trip_is_lossless(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Catches a field that ``save_robot`` forgets or rounds."""
     length = between(1e-3, 1e3)
     robot = replace(
         data.draw(deltas()),
-        rod_spacing_mm=data.draw(between(0.0, 100.0)),
-        pole_pitch_mm=data.draw(st.none() | length),
+        rod_spacing_mm=data.draw(st.none() | between(0.0, 100.0)),
+        pole_pitch_mm=data.draw(st.none() | st.just(0.0) | length),
         workspace_radius_mm=data.draw(st.none() | length),
         workspace_z_mm=data.draw(st.none() | st.tuples(between(-100.0, -1e-3), between(0.0, 100.0))),
         region_half_width_mm=data.draw(st.none() | length),
@@ -137,7 +142,8 @@ def test_round_trip_is_lossless(data: st.DataObject, tmp_path_factory: pytest.Te
 def test_what_may_be_left_out(tmp_path: Path) -> None:
     """Catches an optional table that has become required, and a default that is not the documented one."""
     tables = {"kind": "delta", "geometry": {key: TABLES["geometry"][key] for _, key in REQUIRED}}
-    robot = load_robot(saved(tmp_path, tables))
+    with pytest.warns(SherkitWarning, match="is left out"):
+        robot = load_robot(saved(tmp_path, tables))
     assert robot == Delta(
         base_radius_mm=(90.0, 90.0, 90.0),
         base_angle_deg=(90.0, 210.0, 330.0),
@@ -145,6 +151,44 @@ def test_what_may_be_left_out(tmp_path: Path) -> None:
         platform_angle_deg=(90.0, 210.0, 330.0),
         rod_length_mm=(120.0, 120.0, 120.0),
     )
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "says"),
+    [
+        ("geometry", "rod_spacing_mm", "rods of unequal length (rod_mismatch) cannot be tried"),
+        ("joints", "pole_pitch_mm", "the period of the encoders' cyclic error (encoder_cyclic) is searched for"),
+    ],
+)
+def test_a_setting_that_is_left_out_is_asked_for(table: str, key: str, says: str, tmp_path: Path) -> None:
+    """Catches an effect that cannot be tried, or a period that nobody gave, in silence; and nagging who has none."""
+    path = saved(tmp_path, changed(table, key))
+    with pytest.warns(SherkitWarning) as heard:
+        robot = load_robot(path)
+    assert len(heard) == 1
+    said = str(heard[0].message)
+    assert said.startswith(f"{path}: [{table}] {key} is left out: {says}")
+    assert f"{key} = 0" in said
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert getattr(load_robot(saved(tmp_path, changed(table, key, 0))), key) == 0.0
+        robot_from_tables(robot.to_tables(), "made in Python")
+    save_robot(robot, path)
+    with pytest.warns(SherkitWarning, match=f"{key} is left out"):
+        assert load_robot(path) == robot
+
+
+def test_settings_are_asked_for_in_plain_lines(tmp_path: Path) -> None:
+    """Catches a warning that the command prints with a path of the library, in more than a line, or not at all."""
+    path = saved(tmp_path, {"kind": "delta", "geometry": {key: TABLES["geometry"][key] for _, key in REQUIRED}})
+    made = subprocess.run(
+        [sys.executable, "-c", "from sherkit.cli import main; main()", "effects", "--robot", str(path)],
+        capture_output=True, text=True, encoding="utf-8", check=True,
+    )  # fmt: skip
+    lines = made.stderr.splitlines()
+    assert [line.split(" is left out")[0] for line in lines] == [
+        f"warning: {path}: [geometry] rod_spacing_mm", f"warning: {path}: [joints] pole_pitch_mm",
+    ]  # fmt: skip
 
 
 # -- keys ----------------------------------------------------------------------------------------------------
@@ -209,9 +253,13 @@ def test_lengths_below_zero_are_refused(table: str, key: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("table", "key"), [("joints", "pole_pitch_mm"), ("workspace", "radius_mm"), ("region_of_interest", "half_width_mm")]
-)
-@pytest.mark.parametrize("value", [-1.0, 0.0])
+    ("table", "key", "value"),
+    [
+        ("joints", "pole_pitch_mm", -1.0),
+        *((table, key, value) for table, key in (("workspace", "radius_mm"), ("region_of_interest", "half_width_mm"))
+          for value in (-1.0, 0.0)),
+    ],
+)  # fmt: skip
 def test_optional_lengths_must_be_positive(table: str, key: str, value: float, tmp_path: Path) -> None:
     """Catches a region of interest of negative width, and a zero silently taken for "not given"."""
     assert refusal(tmp_path, changed(table, key, value)).startswith(f"[{table}] {key}: expected ")

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 import sherkit as sk
 from second_simulator.spherical import SecondSpherical, sphere_grid, spherical_plan
-from sherkit import load_robot, save_robot
+from sherkit import _core, load_robot, save_robot
 from sherkit.cli.main import cli
 from sherkit.robots.spherical import CameraView, Spherical
 from sherkit.robots.spherical.paper import identify_joints, task_error
-from sherkit.robots.spherical.straightness import LINES, PAPER_LINES, targets
+from sherkit.robots.spherical.straightness import LINES, OWN_LINES, PAPER_LINES, targets
 from strategies import EXAMPLE as DELTA
 from strategies import between
 
@@ -95,6 +95,15 @@ def test_robot_file_is_lossless(robot: Spherical, tmp_path_factory: pytest.TempP
     path = tmp_path_factory.getbasetemp() / "spherical.toml"
     save_robot(robot, path)
     assert load_robot(path) == robot
+
+
+def test_a_direction_of_the_weight_that_is_left_out_is_asked_for(tmp_path: Path) -> None:
+    """Catches a weight that is taken to pull along the actuated axis without a word."""
+    geometry = {key: value for key, value in TABLES["geometry"].items() if key != "gravity"}
+    (tmp_path / "robot.toml").write_text(tomli_w.dumps(TABLES | {"geometry": geometry}))
+    with pytest.warns(sk.SherkitWarning, match=r"\[geometry\] gravity is left out: the weight is taken to") as heard:
+        assert load_robot(tmp_path / "robot.toml") == ROBOT
+    assert len(heard) == 1
 
 
 @pytest.mark.parametrize(
@@ -367,41 +376,103 @@ def test_straightness_is_that_of_the_line() -> None:
             sk.spherical.straightness(bad)
 
 
-def test_lines_are_straight_in_the_picture() -> None:
-    """Catches targets on an arc; the paper's second case, followed at constant γ, is off its chord by 5.7 mm of 200."""
+@pytest.mark.parametrize(
+    ("link", "columns", "says"), [("joints", 2, "each joint"), ("body", 3, "x, y, z"), ("sensor", 2, "each reading")]
+)
+def test_a_users_effect_has_the_shape_of_its_link(link: str, columns: int, says: str, run: sk.Measurements) -> None:
+    """Catches three millimetres asked of a robot of two joints seen in pixels, and a shape that nobody says."""
+
+    def added(width: int) -> sk.Effect:
+        return sk.effect(at=link, parameters={"a": ("", 1e-3)})(lambda rows, p: p.a * np.ones((len(rows), width)))
+
+    assert np.isfinite(sk.identify(ROBOT, run, effects=[added(columns)]).values).all()
+    with pytest.raises(sk.errors.EffectError, match=rf"shape \(\d+, {columns}\).* at the link '{link}' it is .*{says}"):
+        sk.identify(ROBOT, run, effects=[added(5 - columns)])
+
+
+def test_unequal_limbs_differ_by_twice_the_value() -> None:
+    """Catches a value that says how far the limbs are apart, where it says how far each is off; and the reverse."""
+    (effect,) = (e for e in sk.spherical.SPHERICAL_CATALOGUE.values() if e.name == "unequal_limbs")
+    model = sk.spherical.SphericalModel(ROBOT).with_effect(effect)
+    more_alpha, more_beta = 0.004, -0.003
+    values = np.zeros(len(model.parameters))
+    values[model.owns(effect)] = more_alpha, more_beta
+    joints = ROBOT.inverse_batch(ANGLES).require()
+    rows = sk.Measurements.planned(joints, sk.spherical.SPHERICAL_ANGLES)
+    limbs = np.array([[1.0], [-1.0]]) * [more_alpha, more_beta, 0.0]
+    two = _core.SphericalKinematics(ROBOT.geometry + limbs.ravel(), ROBOT.assembly_mode)
+    apart, reached = two.forward_batch(joints)
+    assert reached.all()
+    np.testing.assert_allclose(model.predict(rows, values), apart, rtol=0, atol=1e-12)
+    assert "differ by twice the value" in effect.physics
+    assert "differ by twice this much" in sk.spherical.VirtualSpherical.OPTIONS["unequal_limbs_mrad"].what
+
+
+def in_picture(camera: CameraView, angles: Floats, radius_mm: float = 200.0) -> Floats:
+    """Pixels (n, 2) of directions φ, γ (n, 2)."""
+    phi, gamma = angles.T
+    axis = np.column_stack([np.sin(gamma) * np.cos(phi), np.sin(gamma) * np.sin(phi), np.cos(gamma)])
+    return camera.core.project_batch(radius_mm * axis)[0]
+
+
+def test_lines_are_led_as_the_paper_says_and_straight_in_the_picture() -> None:
+    """Catches a second case that is led along the chord where the paper leads γ constant; and own lines on an arc."""
     top = CameraView.facing(np.pi / 2, 0.0, 1000.0, size_px=(1280, 1024), focal_px=(2200.0, 2200.0))
     for line in LINES.values():
         angles = targets(top, 200.0, line)
-        axis = np.column_stack(
-            [np.sin(angles[:, 1]) * np.cos(angles[:, 0]), np.sin(angles[:, 1]) * np.sin(angles[:, 0]),
-             np.cos(angles[:, 1])]
-        )  # fmt: skip
-        pixels, _ = top.core.project_batch(np.ascontiguousarray(200.0 * axis))
-        assert sk.spherical.straightness(pixels) < 1e-9
         np.testing.assert_allclose(angles[[0, -1]], [line.start_rad, line.end_rad], atol=1e-9)
-    turned = np.linspace(*(PAPER_LINES["horizontal"].start_rad[0], PAPER_LINES["horizontal"].end_rad[0]), 41)
-    arc = 200.0 * np.sin(np.pi / 4) * np.column_stack([np.cos(turned), np.sin(turned)])
-    assert sk.spherical.straightness(arc) == pytest.approx(5.9, abs=0.4)
+    for name, constant in (("vertical", 0), ("horizontal", 1)):
+        angles = targets(top, 200.0, PAPER_LINES[name])
+        assert np.ptp(angles[:, constant]) < 1e-15
+        assert np.ptp(np.diff(angles[:, 1 - constant])) < 1e-12
+    for line in OWN_LINES.values():
+        assert sk.spherical.straightness(in_picture(top, targets(top, 200.0, line))) < 1e-9
+    # an arc of constant γ in the picture, in mm of its plane: what the paper's second case leaves by itself
+    pixels = in_picture(top, targets(top, 200.0, PAPER_LINES["horizontal"]))
+    depth = top.translation_mm[2] - 200.0 * np.cos(np.pi / 4)
+    assert sk.spherical.straightness(pixels * depth / 2200.0) == pytest.approx(5.9, abs=0.1)
     with pytest.raises(sk.SherkitError, match="does not see"):
         targets(CameraView.facing(np.pi / 2, 0.0, 300.0, size_px=(1280, 1024), focal_px=(600.0, 600.0)), 200.0,
                 PAPER_LINES["vertical"])  # fmt: skip
 
 
+def test_lines_of_constant_phi_or_gamma_show_no_error_of_the_arcs() -> None:
+    """Catches a claim that the paper's cases could show what they cannot, and own lines that cannot either."""
+    top = CameraView.facing(np.pi / 2, 0.0, 1000.0, size_px=(1280, 1024), focal_px=(2200.0, 2200.0))
+    wrong = ROBOT.kinematics({"alpha": -0.022, "beta": 0.0183})
+    gone = {name: wrong.forward_batch(ROBOT.inverse_batch(targets(top, 200.0, line)).require())[0]
+            for name, line in LINES.items()}  # fmt: skip
+    assert np.ptp(gone["vertical"][:, 0]) < 1e-12
+    assert np.ptp(gone["horizontal"][:, 1]) < 1e-12
+    for name in OWN_LINES:
+        assert sk.spherical.straightness(in_picture(top, gone[name])) > 1.0
+
+
 def test_where_to_put_the_camera() -> None:
-    """Catches another optimum than the paper's 44.62 cm, one that is none, and what the lens does not let in."""
-    for degrees, region in [(26.90, "half"), (17.31, "quarter")]:
-        lens = np.deg2rad(degrees)
-        best = sk.spherical.camera_placement(200.0, lens, region=region)
-        assert best.distance_mm == pytest.approx(446.2, abs=0.1)
-        for factor in (0.98, 1.02):
-            beside = sk.spherical.camera_placement(200.0, lens, region=region, distance_mm=factor * best.distance_mm)
-            assert beside.benefit_mm2 < best.benefit_mm2
-        assert best.half_angle_rad == pytest.approx(np.arccos(200.0 / best.distance_mm))
-        # by the law of sines, from the camera's edge ray to where it meets the sphere
-        edge = best.picture_half_angle_rad
-        if edge < best.half_angle_rad:
-            seen_under = np.arctan2(200.0 * np.sin(edge), best.distance_mm - 200.0 * np.cos(edge))
-            assert seen_under == pytest.approx(lens)
+    """Catches an optimum that is none, and areas below zero for a lens that does not show the sphere's rim.
+
+    The paper prints its distance, 44.62 cm, and no lens; 26.90° follows from the distance and is no evidence of either.
+    """
+    lens = np.deg2rad(26.90)
+    best = sk.spherical.camera_placement(200.0, lens)
+    assert best.distance_mm == pytest.approx(446.2, abs=0.1)
+    for factor in (0.998, 1.02):
+        beside = sk.spherical.camera_placement(200.0, lens, distance_mm=factor * best.distance_mm)
+        assert beside.benefit_mm2 < best.benefit_mm2
+        assert beside.waste_mm2 >= 0
+    assert best.half_angle_rad == pytest.approx(np.arccos(200.0 / best.distance_mm))
+    for distance in (None, 446.2):
+        with pytest.raises(
+            sk.errors.ShapeError, match=r"17\.31° shows nothing but sphere from 446\.\d mm.* takes 26\.6"
+        ):
+            sk.spherical.camera_placement(200.0, np.deg2rad(17.31), region="quarter", distance_mm=distance)
+    # by the law of sines, from the camera's edge ray to where it meets the sphere
+    edge = sk.spherical.picture_half_angle(200.0, 0.3, 446.2)
+    assert np.arctan2(200.0 * np.sin(edge), 446.2 - 200.0 * np.cos(edge)) == pytest.approx(0.3)
+    assert sk.spherical.picture_half_angle(200.0, 0.5, 446.2) == pytest.approx(np.arccos(200.0 / 446.2))
+    for wrong in ((200.0, 0.3, 150.0), (200.0, 2.0, 446.2), (200.0, float("nan"), 446.2)):
+        with pytest.raises(sk.errors.ShapeError, match="outside the sphere"):
+            sk.spherical.picture_half_angle(*wrong)
     for lens, distance in [(2.0, None), (-0.1, None), (0.3, 150.0)]:
         with pytest.raises(sk.SherkitError):
             sk.spherical.camera_placement(200.0, lens, distance_mm=distance)

@@ -162,7 +162,7 @@ def test_the_solver_finds_what_was_planted(kind: str) -> None:
 
 
 def test_the_papers_figures() -> None:
-    """Catches the optimum with the paper's misprints."""
+    """Catches another root of Eq. 33. The paper prints its distance and no lens: these angles follow from it."""
     for degrees, region in [(26.90, "half"), (17.31, "quarter")]:
         found = _core.spherical_camera_placement(200.0, math.radians(degrees), 5.0, region)
         assert found["distance_mm"] == pytest.approx(446.2, abs=0.1)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 import sherkit as sk
 from second_simulator import Robot, draw_geometric_errors, grid, make_plan, scaled_effect, simulate, truth
 from sherkit.fit.hold_out import spatial_blocks
+from sherkit.study import joined
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]
@@ -115,6 +116,17 @@ def test_each_run_that_is_joined_keeps_its_own_directions() -> None:
     study.add("backlash")
     for k in (1, 2, 3):
         assert abs(study.history[-1].parameters[f"backlash.width_{k}"] - 0.05) < 0.005
+
+
+def test_poses_of_two_runs_are_others_without_numbers_too() -> None:
+    """Catches equal joint readings of two days taken for repeats, though between the days more has changed."""
+    first, second = (run(seed, {}).to_frame().drop("pose", "repeat") for seed in (2, 2))
+    apart = sk.from_frame(first)
+    both = joined(apart, sk.from_frame(second.with_columns(pl.col("time_s") + 5e3)))
+    assert len(np.unique(both.groups)) == 2 * len(np.unique(apart.groups)) < len(both)
+    numbered = run(2, {})
+    both = joined(numbered, sk.from_frame(second.with_columns(pl.col("time_s") + 5e3)))
+    assert len(np.unique(both.groups)) == 2 * len(np.unique(apart.groups))
 
 
 def test_undo_goes_back_to_the_start(leaning: sk.Measurements) -> None:

@@ -168,7 +168,7 @@ def test_intrinsics_come_back(board: str) -> None:
         made = cv2.aruco.CharucoBoard((9, 6), 20.0, 15.0, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100))
         found = charuco_intrinsics(photographed(made.generateImage((440, 320), None, 40, 1), 12, 6), (9, 6), 20.0, 15.0)
     assert found.pictures == 12
-    assert found.without == ()
+    assert found.without == {}
     assert found.rms_px < 0.3
     values = np.array([*found.focal_px, *found.centre_px, *found.distortion])
     true = np.array([*CAMERA.focal_px, *CAMERA.centre_px, *CAMERA.distortion])
@@ -293,6 +293,31 @@ def test_every_picture_has_a_row(filmed: Path, tmp_path: Path) -> None:
     assert read_measurements(tmp_path / "run.csv").pose.tolist() == [k for k in range(1, 17) if k != 3]
 
 
+def test_a_picture_that_cannot_be_read_stops_no_batch(filmed: Path, tmp_path: Path) -> None:
+    """Catches a batch that ends at one broken file, a row that slips to the next picture's joints, and silence."""
+    shutil.copytree(filmed / "pictures", tmp_path / "pictures")
+    names = [f"picture_{k:04d}.png" for k in range(1, 17)]
+    (tmp_path / "pictures" / names[6]).write_text("the disk was full")
+    made = sherkit("markers", tmp_path / "pictures", "-o", tmp_path / "rows.csv")
+    assert made.exit_code == 0, made.output
+    assert f"{names[6]}: is not a picture that can be read" in " ".join(made.stderr.split())
+    rows = pl.read_csv(tmp_path / "rows.csv")
+    assert rows["why"].to_list() == ["is not a picture that can be read" if k == 6 else None for k in range(16)]
+    with pytest.warns(SherkitWarning, match=rf"1 of 16 pictures give no row: .*{names[6]}: is not a picture"):
+        made = sherkit("markers", tmp_path / "pictures", "--joints", filmed / "run.csv", "-o", tmp_path / "run.csv")
+    assert made.exit_code == 0, made.output
+    kept, whole = (read_measurements(path / "run.csv") for path in (tmp_path, filmed))
+    assert kept.pose.tolist() == [k for k in range(1, 17) if k != 7]
+    np.testing.assert_array_equal(kept.readings, np.delete(whole.readings, 6, axis=0))
+    for name in names:
+        (tmp_path / "pictures" / name).write_bytes(b"")
+    refused = sherkit("markers", tmp_path / "pictures", "-o", tmp_path / "none.csv")
+    assert str(refused.exception).endswith(
+        f"{names[0]}: is not a picture that can be read; none of the 16 pictures can be read"
+    )
+    assert not (tmp_path / "none.csv").exists()
+
+
 def test_a_video_is_joined_to_joints_by_time(tmp_path: Path) -> None:
     """Catches a video joined by number, a delay with the wrong sign, and velocities that are lost on the way."""
     robot = load_robot(DIAMOND)
@@ -330,9 +355,11 @@ def test_the_lens_from_pictures_of_a_board(tmp_path: Path) -> None:
     for k, taken in enumerate(photographed(chessboard((9, 6), 40), 12, 5)):
         cv2.imwrite(str(tmp_path / f"board_{k:02d}.png"), taken)
     cv2.imwrite(str(tmp_path / "none.png"), np.full((640, 1280), 128, np.uint8))
+    (tmp_path / "text.png").write_text("text")
     made = sherkit("intrinsics", tmp_path, "--chessboard", "9x6", "--square-mm", "20", "-o", tmp_path / "camera.toml")
     assert made.exit_code == 0, made.output
-    assert "none.png" in made.stderr
+    assert "none.png: the board was not found" in " ".join(made.stderr.split())
+    assert "text.png: is not a picture that can be read" in " ".join(made.stderr.split())
     lens = tomllib.loads((tmp_path / "camera.toml").read_text())["camera"]
     assert lens["focal_px"] == pytest.approx(CAMERA.focal_px, rel=5e-3)
     placed = {**lens, "phi_deg": 90.0, "gamma_deg": 45.0, "distance_mm": 446.2}

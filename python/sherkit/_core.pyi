@@ -60,8 +60,8 @@ class DeltaKinematics:
     def inverse(self, position: _Floats) -> _Floats: ...
     def forward_batch(self, joints: _Floats) -> tuple[_Floats, _Bools]: ...
     def inverse_batch(self, positions: _Floats) -> tuple[_Floats, _Bools]: ...
-    def jacobian_batch(self, joints: _Floats) -> tuple[_Floats, _Bools]: ...
-    def by_parameters_batch(self, joints: _Floats) -> tuple[_Floats, _Bools]: ...
+    def derivatives_batch(self, joints: _Floats) -> tuple[_Floats, _Floats, _Bools]:
+        """Of the position: by the joints (n, 3, 3) and by ``parameters`` (n, 3, 18)."""
 
 #: Joints (n, k), other ends of distances (n, k), covariates (n, 2 + 2 k), displacements of the point (n, 3) mm.
 _Block = tuple[_Floats, _Floats | None, _Floats | None, _Floats | None]
@@ -223,16 +223,19 @@ class _Calibrated:
     def forward(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats]:
         """Where it is (k,), and the derivative by the joints (k, k)."""
 
+    def forward_batch(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats, _Bools]:
+        """The same for rows (n, k) of joints: (n, k), (n, k, k), and which are in reach."""
+
 @final
 class SphericalCalibrated(_Calibrated):
     """Where the end of the tool axis is, seen from the nominal centre: phi and gamma, rad."""
 
     def __new__(cls, model: SphericalModel, values: _Floats, elbows: str = "open") -> SphericalCalibrated: ...
     def inverse(self, angles: _Floats, covariates: list[float]) -> _Floats: ...
-    def forward_batch(
+    def by_parameters_batch(
         self, joints: _Floats, covariates: list[float], free: list[int]
-    ) -> tuple[_Floats, _Floats, _Floats, _Bools]:
-        """phi, gamma (n, 2); by the joints (n, 2, 2) and by the parameters in ``free`` (n, 2, free); which reached."""
+    ) -> tuple[_Floats, _Floats, _Bools]:
+        """phi, gamma (n, 2), their derivatives by the parameters in ``free`` (n, 2, free), and which are in reach."""
 
     def inverse_batch(self, angles: _Floats, covariates: list[float]) -> tuple[_Floats, _Bools]: ...
 
@@ -277,7 +280,6 @@ class Calibrated(_Calibrated):
         region: tuple[_Floats, _Floats, float] | None,
     ) -> Calibrated: ...
     def inverse(self, position: _Floats, covariates: list[float]) -> _Floats: ...
-    def forward_batch(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats, _Bools]: ...
     def inverse_batch(self, positions: _Floats, covariates: list[float]) -> tuple[_Floats, _Bools]: ...
 
 @final

@@ -410,12 +410,13 @@ def joined(first: Measurements, second: Measurements) -> Measurements:
             f"({first.time_s.max():g} s); count its time_s on from there, or drift and direction would be wrong"
         )
     a, b = first.to_frame(), second.to_frame()
-    if first.pose is not None:
-        # poses of the second run are others, whatever their numbers; without numbers each row is a pose of its own
-        number = pl.col(POSE) if second.pose is not None else pl.int_range(1, pl.len() + 1, dtype=pl.Int64)
-        b = b.with_columns((number + int(first.pose.max())).alias(POSE))
+    if first.pose is not None or second.pose is None:
+        # poses of the second run are others, whatever their numbers: between two runs more may have changed
+        before, after = _numbered(first), _numbered(second)
+        a = a.with_columns(pl.Series(POSE, before))
+        b = b.with_columns(pl.Series(POSE, after + before.max()))
         if REPEAT in a.columns and REPEAT not in b.columns:
-            b = b.with_columns(pl.lit(1, dtype=pl.Int64).alias(REPEAT))
+            b = b.with_columns(pl.int_range(1, pl.len() + 1, dtype=pl.Int64).over(POSE).alias(REPEAT))
     a, b = _complete(a, b.columns, first.layout), _complete(b, a.columns, first.layout)
     common = [c for c in a.columns if c in b.columns]
     lost = [c for c in (*a.columns, *b.columns) if c not in common and not c.startswith("direction_")]
@@ -432,6 +433,11 @@ def joined(first: Measurements, second: Measurements) -> Measurements:
         if np.isfinite(direction).all():
             both = both.with_columns(pl.Series(f"direction_{k + 1}", direction))
     return from_frame(both, first.source)
+
+
+def _numbered(run: Measurements) -> Ints:
+    """Pose numbers (n,) as they are given, else by repeats of the joint readings, from 1."""
+    return run.groups + 1 if run.pose is None else run.pose
 
 
 def _complete(frame: pl.DataFrame, wanted: Sequence[str], layout: Layout) -> pl.DataFrame:

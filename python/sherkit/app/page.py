@@ -28,7 +28,7 @@ from ..report.residual_against import note as against_note
 from ..report.residual_map import Change, residual_map
 from ..report.residuals import Residuals
 from ..report.style import INK, MUTED, REFUSED, number, quantity
-from ..robots.calibrated import REQUIREMENT_UM
+from ..robots.accuracy import REQUIREMENT_UM
 from .workbench import Moment, Workbench, rights_of
 
 _LEFT, _MIDDLE, _RIGHT = 322, 880, 430

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 import tomli_w
@@ -20,23 +19,30 @@ from . import output
 from .tool import is_tool
 from .vision import require_vision
 
-Command = TypeVar("Command", bound=Callable[..., Any])
 
-
-def _errors_to_hide(command: Command) -> Command:
+def _errors_to_hide() -> list[click.Parameter]:
     """An option for each error that the virtual robots know, with the kinds of robot that have it."""
     known: dict[str, list[tuple[str, Option]]] = {}
     for kind in KINDS.values():
         for name, one in (kind.virtual.OPTIONS if kind.virtual is not None else {}).items():
             known.setdefault(name, []).append((kind.name.capitalize(), one))
-    for name, having in reversed(known.items()):
+    made: list[click.Parameter] = []
+    for name, having in known.items():
         said = [f"{who}: {o.what}{f'; default {o.default:g}' if o.default else ''}." for who, o in having]
         limits = float if any(o.signed for _, o in having) else click.FloatRange(min=0)
-        command = click.option(f"--{name.replace('_', '-')}", type=limits, help=" ".join(said))(command)
-    return command
+        made.append(click.Option([f"--{name.replace('_', '-')}"], type=limits, help=" ".join(said)))
+    return made
 
 
-@click.command()
+class _Simulate(click.Command):
+    """Its options are those of the kinds that are known when it is called, a user's own among them."""
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        *own, asking_for_help = super().get_params(ctx)
+        return [*own, *_errors_to_hide(), asking_for_help]
+
+
+@click.command(cls=_Simulate)
 @click.argument("robot", type=click.Path(path_type=Path))
 @click.option("-o", "--output", "destination", type=click.Path(path_type=Path), required=True, help="CSV or Parquet.")
 @click.option("--poses", type=click.Choice(("whole", "local")), default="whole", show_default=True)
@@ -44,7 +50,6 @@ def _errors_to_hide(command: Command) -> Command:
 @click.option("--order", type=click.Choice(("planes", "shuffled")), default="planes", show_default=True)
 @click.option("--errors", type=click.FloatRange(min=0), default=1.0, show_default=True,
               help="Size of the geometric errors, 1 = as in the paper's tables.")  # fmt: skip
-@_errors_to_hide
 @click.option("--pictures", type=click.Path(path_type=Path), help="With a camera: draw pictures into this folder, and "
               "read the pixels from them.")  # fmt: skip
 @click.option("--experiment", type=click.Choice((*EXPERIMENTS, "free", "bench")), default="vessels", show_default=True,

@@ -10,7 +10,8 @@ from rich.table import Table
 from ..calibrate import Result
 from ..errors import SherkitError
 from ..names import listed
-from ..robots.calibrated import REQUIREMENT_UM, Calibration, calibration_class
+from ..robots.accuracy import REQUIREMENT_UM
+from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from ..robots.delta import paper
 from .output import out, table

@@ -48,8 +48,8 @@ def markers(
 ) -> None:  # fmt: skip
     """Find the marker in SOURCES: pictures, folders of them, a video, or the number of a camera.
 
-    Without --joints every picture has a row, and one without a marker says why. With --joints the output is a run that
-    sherkit calibrate reads.
+    Without --joints every picture has a row, and one that shows no marker or cannot be read says why. With --joints the
+    output is a run that sherkit calibrate reads.
     """
     require_vision()
     from ..robots.spherical.pictures import WHY, joined_by_time, marker_rows, run_of
@@ -57,15 +57,23 @@ def markers(
 
     pictures, timed = pictures_from(sources, seconds)
     names: list[str] = []
+    unreadable: dict[str, str] = {}
 
     def named() -> Iterator[CameraPicture]:
         for picture in pictures:
             names.append(picture.name)
+            if picture.why:
+                unreadable[picture.name] = picture.why
             yield picture
 
     seen = marker_rows(named(), marker, identity)
     if len(seen) == 0:
         raise SherkitError(f"{sources[0]}: holds no picture")
+    if len(unreadable) == len(seen):
+        more = f"; none of the {len(seen)} pictures can be read" if len(seen) > 1 else ""
+        raise SherkitError(f"{names[0]}: {unreadable[names[0]]}{more}")
+    for name, why in unreadable.items():
+        output.warn(f"{name}: {why}; the others are used")
     if joints is None:
         write_table(seen.with_columns(pl.Series("picture", names)), destination)
         missing = int(seen[WHY].is_not_null().sum())
@@ -136,8 +144,8 @@ def intrinsics(
     for label, value, std in zip(labels, values, found.std, strict=True):
         table.add_row(label, f"{value:.5g}" if abs(value) < 10 else f"{value:.2f}", f"{std:.2g}")
     output.out.print(table)
-    for name in found.without:
-        output.warn(f"{name}: the board was not found")
+    for name, why in found.without.items():
+        output.warn(f"{name}: {why}")
     if destination is not None:
         lens = {
             "size_px": list(found.size_px),

@@ -82,6 +82,7 @@ def from_arrays(
         # the side from which an input came to its value is not known of a machine that is not
         direction=np.full(inputs.shape, np.nan),
         order=order_in_time(time_s, n) if line is None else numbers,
-        layout=Layout(tuple(place), tuple(names), unit, 1.0),
+        # a place need not be all that the machine was told: which rows are repeats, the caller says
+        layout=Layout(tuple(place), tuple(names), unit, 1.0, joints_tell_pose=False),
         block=block,
     )

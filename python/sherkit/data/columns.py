@@ -24,6 +24,7 @@ class Layout:
     ``joints`` name the readings of the joints, ``coordinates`` what instruments show of where it is; ``distance`` is a
     reading between two places, whose other end is at ``to_joints``. People read coordinates in ``unit``, of which one
     unit of the file has ``per_unit``. ``velocities`` are covariates by joint.
+    ``joints_tell_pose``: rows with the same joint readings stand at the same pose.
     """
 
     joints: tuple[str, ...]
@@ -33,6 +34,7 @@ class Layout:
     distance: str | None = None
     to_joints: tuple[str, ...] = ()
     velocities: tuple[str, ...] = ()
+    joints_tell_pose: bool = True
 
     @cached_property
     def readings(self) -> tuple[str, ...]:

@@ -296,10 +296,23 @@ class Measurements:
 
     @cached_property
     def groups(self) -> Ints:
-        """A number per row, equal for repeats of the same pose; every row its own where no pose is given."""
-        if self.pose is None:
+        """A number (n,) per row, equal for repeats of the same pose.
+
+        Where no pose is given, rows are repeats whose joint readings are equal to the last bit, and those of the other
+        end of a distance: readings that were commanded come back exactly, those that were read never do.
+        """
+        if self.pose is not None:
+            return np.unique(self.pose, return_inverse=True)[1].ravel().astype(np.int64)
+        if not self.layout.joints_tell_pose:
             return np.arange(len(self), dtype=np.int64)
-        return np.unique(self.pose, return_inverse=True)[1].ravel().astype(np.int64)
+        # The joints alone make a pose, as its number does where one is given. The side from which it was approached,
+        # a payload, the temperature may differ between repeats: they move the point by much less than another pose
+        # does, and what they do is seen best where nothing else changed. As poses of their own, such rows would be
+        # held out apart, and a pose's own error would count once for each of them as if it were new.
+        inputs = np.column_stack([self.joints, np.where(np.isnan(self.to_joints), np.inf, self.to_joints)])
+        _, first, group = np.unique(inputs + 0.0, axis=0, return_index=True, return_inverse=True)
+        # numbered as they come: without repeats, by row
+        return np.argsort(np.argsort(first))[group.ravel()].astype(np.int64)
 
     @cached_property
     def repeatability(self) -> Repeatability | None:
@@ -308,8 +321,6 @@ class Measurements:
         Outliers that the user marked are left out. A pose's readings are compared with their own mean, so
         the figure is free of any model (Draper and Smith, *Applied Regression Analysis*, 1.5).
         """
-        if self.pose is None:
-            return None
         sigma: dict[str, float] = {}
         freedom: dict[str, int] = {}
         for k, name in enumerate(self.layout.readings):

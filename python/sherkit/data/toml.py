@@ -213,10 +213,17 @@ class Table:
             raise self.fail(key, "two numbers, the lower first")
         return (low, high)
 
-    def positive(self, key: str) -> float | None:
-        """A positive number, or None where the key is not given."""
+    def positive(self, key: str, *, or_zero: bool = False) -> float | None:
+        """A positive number, or None where the key is not given; ``or_zero``: 0 says that there is none."""
         self._known.add(key)
-        return self.number(key, positive=True) if key in self._values else None
+        if key not in self._values:
+            return None
+        if not or_zero:
+            return self.number(key, positive=True)
+        value = self._values[key]
+        if not _is_number(value) or value < 0:
+            raise self.fail(key, "a positive number, or 0 for none")
+        return float(value)
 
     def numbers(
         self, key: str, count: int, default: tuple[float, ...] | None = None, *, positive: bool = False

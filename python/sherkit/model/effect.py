@@ -15,10 +15,15 @@ from ..types import Floats
 from .parameter import Parameter
 
 LINKS = ("joints", "structure", "body", "sensor")
-#: Links at which a NumPy function can act: it adds to joint readings, to the measured point, or to the readings.
-USER_LINKS = ("joints", "body", "sensor")
+#: Links at which a NumPy function can act, and the columns of what it gives, one row for each row of the run.
+USER_LINKS = {
+    "joints": "one column for each joint, in the unit of its reading",
+    "body": "x, y, z of the displacement of the measured point, mm",
+    "sensor": "one column for each reading, in its unit",
+}
 
-#: A user's function: rows (attributes ``joints``, ``time``, every covariate by name) and parameters → (n, 3).
+#: A user's function: rows (attributes ``joints``, ``time``, every covariate by name) and parameters → what it adds at
+#: its link, see :data:`USER_LINKS`.
 Function = Callable[[Any, SimpleNamespace], Any]
 
 
@@ -63,8 +68,8 @@ class Effect:
             Parameter(f"{self.name}.{p.name}", p.symbol or p.name, p.unit, p.size, p.lever_mm) for p in self.parameters
         )
 
-    def evaluate(self, rows: Any, values: Floats, axes: int = 3) -> Floats:
-        """What a NumPy effect adds (n, axes), mm, or in the unit of another machine's readings.
+    def evaluate(self, rows: Any, values: Floats, axes: int) -> Floats:
+        """What a NumPy effect adds at its link (n, axes), see :data:`USER_LINKS`.
 
         Raises :class:`EffectError` naming effect and what is wrong.
         """
@@ -80,14 +85,17 @@ class Effect:
             raise EffectError(f"effect '{self.name}' failed: {type(error).__name__}: {error}") from error
         n = len(rows)
         if out.shape != (n, axes):
-            raise EffectError(f"effect '{self.name}': expected an array of shape ({n}, {axes}), got {out.shape}")
+            raise EffectError(
+                f"effect '{self.name}': expected an array of shape ({n}, {axes}), got {out.shape}; at the link "
+                f"'{self.link}' it is {USER_LINKS[self.link]}"
+            )
         out = out.astype(float)
         if not np.isfinite(out).all():
             row = int(np.argmax(~np.isfinite(out).all(axis=1)))
             raise EffectError(f"effect '{self.name}' is not finite at row {row}")
         return out
 
-    def columns(self, rows: Any, values: Floats, axes: int = 3) -> Floats:
+    def columns(self, rows: Any, values: Floats, axes: int) -> Floats:
         """Derivatives (n, axes, p) of a NumPy effect: the user's own, or central differences of fourth order."""
         names = [p.name for p in self.parameters]
         if self.derivative is not None:
@@ -154,7 +162,7 @@ def parameters_of_core(
     )
 
 
-def check_user_effect(effect: Effect, rows: Any, axes: int = 3) -> None:
+def check_user_effect(effect: Effect, rows: Any, axes: int) -> None:
     """What a user's effect must pass on these rows: zero at zero, right shape, finite, derivative that agrees.
 
     Raises :class:`~sherkit.errors.EffectError` with a sentence on what is wrong.
@@ -182,9 +190,11 @@ def effect(
 ) -> Callable[[Function], Effect]:
     """Makes a NumPy function of a few lines an effect with the standing of the built-in ones.
 
-    ``at`` is the link: ``joints`` (mm added to the joint readings), ``body`` (mm added to the measured point) or
-    ``sensor`` (mm added to what the sensors show). ``parameters`` maps names to units, or to (unit, plausible size).
-    Raises :class:`~sherkit.errors.EffectError` for an unknown link or no parameter.
+    ``at`` is the link, and the function gives what is added there: at ``joints`` (n, k) to the readings of k joints, mm
+    or rad as they are; at ``body`` (n, 3) mm to the measured point; at ``sensor`` (n, m) to what is read, in its unit:
+    (n, 3) mm of a delta, (n, 2) px or rad of a spherical robot, the readings of any other machine. ``parameters`` maps
+    names to units, or to (unit, plausible size). Raises :class:`~sherkit.errors.EffectError` for an unknown link or no
+    parameter.
 
         @sk.effect(at="body", parameters={"amplitude": "mm"})
         def floor_heave(rows, p):

@@ -140,6 +140,22 @@ class SeenInPictures(Protocol):
 
 
 @dataclass(frozen=True)
+class Asked:
+    """A setting of a robot file that may be left out, but not in silence: ``key`` of ``table``.
+
+    ``without`` says what cannot be tried or is assumed without it, ``instead`` what to write, also by whoever has none.
+    """
+
+    table: str
+    key: str
+    without: str
+    instead: str
+
+    def __str__(self) -> str:
+        return f"[{self.table}] {self.key} is left out: {self.without}; {self.instead}"
+
+
+@dataclass(frozen=True)
 class Kind:
     """What a kind of robot brings.
 
@@ -154,6 +170,7 @@ class Kind:
     a part of it. ``signature`` gives the places (n, 3) that an effect is drawn at and what is left of it there (n, 3),
     mm; None where it is not drawn. ``called`` is what people call it, such as "the linear delta". ``choices`` are the
     words from which keys of its table ``[geometry]`` choose; its attributes have the same names.
+    ``asks`` are the settings of its file that are asked for where they are left out.
     """
 
     name: str
@@ -169,6 +186,7 @@ class Kind:
     signature: Callable[[Effect, Any], tuple[Floats, Floats]] | None = None
     called: str = ""
     choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    asks: tuple[Asked, ...] = ()
 
     @property
     def title(self) -> str:

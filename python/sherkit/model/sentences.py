@@ -5,12 +5,6 @@ from __future__ import annotations
 from .effect import Sentences
 
 COMMON: dict[str, Sentences] = {
-    "joint_offset": Sentences(
-        physics="The zero of an encoder is not where the drawing has it: every reading of the joint is off by one "
-        "value.",
-        residuals="What a displacement of one joint does, the same at every reading of it.",
-        workshop="Drive each joint to its mechanical zero and set the encoder there.",
-    ),
     "joint_scale": Sentences(
         physics="The ratio of gear, belt or scale is not quite what the drawing says, so an encoder counts too much or "
         "too little.",
@@ -47,12 +41,6 @@ COMMON: dict[str, Sentences] = {
         physics="Something let go at one moment: a clamp, a magnet, what the instrument looks at.",
         residuals="A step over time: all readings before it agree, all after it agree.",
         workshop="Tighten what holds the measured point; measure again from the moment on.",
-    ),
-    "beam_alignment": Sentences(
-        physics="The instrument's axes are not square, it is turned to the base, or a sensor's scale is off: each "
-        "reading shows a little of the other coordinates.",
-        residuals="Linear in the coordinates.",
-        workshop="Square the axes of the instrument; compare sensor scales on a gauge block.",
     ),
     "sensor_linearity": Sentences(
         physics="A sensor's reading bends away from the straight line towards the ends of its range.",

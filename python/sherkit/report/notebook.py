@@ -16,7 +16,8 @@ from bokeh.resources import INLINE
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
 from ..fit.identify import Fit
-from ..robots.calibrated import REQUIREMENT_UM, Calibration
+from ..robots.accuracy import REQUIREMENT_UM
+from ..robots.calibrated import Calibration
 from ..study import Study
 from .candidates import candidates
 from .error_history import error_history, error_history_of

@@ -27,7 +27,8 @@ from ..diagnosis import Diagnosis, sentence
 from ..errors import SherkitError
 from ..fit.forms import known
 from ..names import listed
-from ..robots.calibrated import REQUIREMENT_UM, Calibration, calibration_class
+from ..robots.accuracy import REQUIREMENT_UM
+from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from ..study import Study
 from .atlas import atlas_of, signature_atlas

@@ -1,14 +1,42 @@
-"""Files of calibrations: the version they are written in, and for which robot they are."""
+"""Files of calibrations: the version they are written in, for which robot they are, and what is wrong with one."""
 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..errors import CalibrationError
+import tomli_w
+
+import sherkit._core as _core
+
+from ..data.toml import Table
+from ..errors import CalibrationError, SherkitError
+from ..model.kinds import Robot
 
 FORMAT = 1
+
+
+def write(path: Path, settings: Mapping[str, Any], robot: Robot, parts: Mapping[str, dict[str, Any]]) -> None:
+    """Writes the tables of a calibration: what it is made by, its robot, what was identified."""
+    tables = {
+        "calibration": {"format": FORMAT, "made_by": f"sherkit {_core.__version__}", **settings},
+        "robot": robot.to_tables(),
+        **parts,
+    }
+    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+
+
+@contextmanager
+def reading(path: Path, tables: dict[str, Any]) -> Iterator[Table]:
+    """The tables of a file to read from; whatever is wrong with them is a :class:`CalibrationError` that names it."""
+    try:
+        yield Table(tables, str(path), error=CalibrationError)
+    except (TypeError, ValueError, OverflowError, SherkitError) as error:
+        said = str(error)
+        raise CalibrationError(said if said.startswith(f"{path}: ") else f"{path}: {said}") from None
 
 
 def tables_of(path: Path, kind: str | None = None) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..errors import SherkitError
 from ..names import listed
 from ..types import Floats
-from .pictures import CameraPicture, picture_of
+from .pictures import CameraPicture, picture_in, picture_of
 
 #: A camera has nine unknowns and each picture adds six: fewer pictures than this fix them badly.
 _FEWEST = 4
@@ -29,7 +29,7 @@ class Intrinsics:
 
     ``focal_px`` (x, y), ``centre_px`` (u, v), ``distortion`` (k1, k2, p1, p2), ``size_px`` (width, height). ``std`` has
     the standard deviations of focal_px, centre_px and distortion in this order; ``rms_px`` is what the corners leave,
-    ``without`` names the pictures on which no board was found.
+    ``without`` are the pictures that gave nothing, by name, each with its reason.
     """
 
     focal_px: tuple[float, float]
@@ -39,7 +39,7 @@ class Intrinsics:
     std: tuple[float, ...] = ()
     rms_px: float = float("nan")
     pictures: int = 0
-    without: tuple[str, ...] = ()
+    without: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def matrix(self) -> Floats:
@@ -90,10 +90,13 @@ def charuco_intrinsics(
 def _calibrated(pictures: Sequence[Any], find: Any, what: str) -> Intrinsics:
     known: list[Any] = []
     seen: list[Any] = []
-    missing: list[str] = []
+    missing: dict[str, str] = {}
     size: tuple[int, int] | None = None
     for k, given in enumerate(pictures):
-        picture = picture_of(given, f"picture {k}")
+        picture = picture_in(given) if isinstance(given, str | Path) else picture_of(given, f"picture {k}")
+        if picture.why:
+            missing[picture.name] = picture.why
+            continue
         if size is not None and picture.size_px != size:
             raise SherkitError(
                 f"{picture.name}: is {picture.size_px[0]} × {picture.size_px[1]} px, the others {size[0]} × {size[1]}; "
@@ -102,12 +105,12 @@ def _calibrated(pictures: Sequence[Any], find: Any, what: str) -> Intrinsics:
         size = picture.size_px
         found = find(picture)
         if found is None:
-            missing.append(picture.name)
+            missing[picture.name] = "the board was not found"
             continue
         known.append(np.asarray(found[0], np.float32).reshape(-1, 1, 3))
         seen.append(np.asarray(found[1], np.float32).reshape(-1, 1, 2))
     if len(known) < _FEWEST or size is None:
-        lost = f"; it was not found in {listed(missing)}" if missing else ""
+        lost = f"; not in {listed(f'{name} ({why})' for name, why in missing.items())}" if missing else ""
         raise SherkitError(f"{what} was found in {len(known)} pictures; expected {_FEWEST} or more{lost}")
     flags = cv2.CALIB_FIX_K3
     rms, matrix, distortion, _, _, std, _, _ = cv2.calibrateCameraExtended(known, seen, size, None, None, flags=flags)
@@ -121,5 +124,5 @@ def _calibrated(pictures: Sequence[Any], find: Any, what: str) -> Intrinsics:
         std=tuple(float(s) for s in spread[:8]),
         rms_px=float(rms),
         pictures=len(known),
-        without=tuple(missing),
+        without=missing,
     )

@@ -47,7 +47,8 @@ _ENOUGH = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
 class Seen:
     """A marker's place ``u_px``, ``v_px`` with its standard deviation ``sigma_px``; NaN where there is none.
 
-    ``why`` is empty where one marker was found, else a sentence: no marker, blurred, or how many candidates.
+    ``why`` is empty where one marker was found, else a sentence: no marker, blurred, how many candidates, or a picture
+    that could not be read.
     """
 
     u_px: float
@@ -76,6 +77,8 @@ def find_marker(
     if kind not in KINDS:
         raise SherkitError(f"marker: '{kind}' is not known; choose {', '.join(KINDS)}")
     picture = picture_of(given)
+    if picture.why:
+        return _none(picture.why)
     return _corner(picture.grey) if kind == "corner" else _tag(picture.grey, kind, identity)
 
 

@@ -13,14 +13,20 @@ from numpy.typing import NDArray
 
 from ..errors import SherkitError
 
+_UNREADABLE = "is not a picture that can be read"
+
 
 @dataclass(frozen=True, eq=False)
 class CameraPicture:
-    """Grey values (height, width), 0 to 255, with a name for messages and the moment of the exposure, s."""
+    """Grey values (height, width), 0 to 255, with a name for messages and the moment of the exposure, s.
+
+    ``why`` says in words why a picture could not be read; it then has no grey values.
+    """
 
     grey: NDArray[np.uint8]
     name: str
     time_s: float = float("nan")
+    why: str = ""
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -41,9 +47,12 @@ def picture_of(
         path = Path(given)
         if not path.is_file():
             raise SherkitError(f"{path}: there is no such picture")
-        read = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        try:
+            read = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        except cv2.error as error:  # a header that promises more than a picture may have
+            raise SherkitError(f"{path}: {_UNREADABLE} ({error.err})") from None
         if read is None:
-            raise SherkitError(f"{path}: is not a picture that can be read")
+            raise SherkitError(f"{path}: {_UNREADABLE}")
         return CameraPicture(np.asarray(read, np.uint8), str(path), time_s)
     array = np.asarray(given)
     if array.ndim == 3 and array.shape[2] == 3:
@@ -51,6 +60,15 @@ def picture_of(
     if array.ndim != 2 or array.dtype != np.uint8:
         raise SherkitError(f"{name}: expected grey values (height, width) as uint8, got {array.shape} of {array.dtype}")
     return CameraPicture(array, name, time_s)
+
+
+def picture_in(path: str | Path) -> CameraPicture:
+    """The picture of a file; one that cannot be read says why, so that it does not stop the others of a batch."""
+    try:
+        return picture_of(path)
+    except SherkitError as error:
+        why = str(error).removeprefix(f"{path}: ")
+        return CameraPicture(np.zeros((0, 0), np.uint8), str(path), why=why)
 
 
 def frames_of(video: str | Path | int) -> Iterator[CameraPicture]:

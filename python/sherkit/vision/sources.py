@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ..errors import SherkitError
-from .pictures import CameraPicture, frames_of, picture_of
+from .pictures import CameraPicture, frames_of, picture_in
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 VIDEOS = (".avi", ".mp4", ".mkv", ".mov", ".m4v", ".mjpg")
@@ -35,7 +35,8 @@ def picture_files(sources: Sequence[str | Path]) -> list[Path]:
 def pictures_from(sources: Sequence[str], seconds: float | None = None) -> tuple[Iterator[CameraPicture], bool]:
     """The pictures of ``sources``, and whether they carry times: one video, a live camera's number, or files.
 
-    ``seconds`` ends a live camera. Raises :class:`~sherkit.errors.SherkitError` for an empty or mixed choice.
+    ``seconds`` ends a live camera. A file that cannot be read comes as a picture that says why. Raises
+    :class:`~sherkit.errors.SherkitError` for an empty or mixed choice.
     """
     if not sources:
         raise SherkitError("expected pictures, folders of pictures, one video, or the number of a camera")
@@ -48,7 +49,7 @@ def pictures_from(sources: Sequence[str], seconds: float | None = None) -> tuple
         if seconds is None:
             raise SherkitError(f"camera {moving[0]}: say for how long, with --seconds")
         return _for(frames_of(int(moving[0])), seconds), True
-    return (picture_of(path) for path in picture_files(sources)), False
+    return (picture_in(path) for path in picture_files(sources)), False
 
 
 def _for(frames: Iterator[CameraPicture], seconds: float) -> Iterator[CameraPicture]:

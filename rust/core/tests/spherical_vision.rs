@@ -127,9 +127,10 @@ fn an_optimum_beside_its_trough_is_one() {
     }
 }
 
-/// The paper's distance for its robot, and an optimum where the benefit only falls.
+/// Another root of Eq. 33, and an optimum where the benefit only falls. The paper prints its distance, 44.62 cm, and no
+/// lens: these angles follow from the distance, and at the second one the picture does not hold the sphere's rim.
 #[test]
-fn the_papers_camera_stands_at_44_62_cm() {
+fn the_distance_is_the_outer_root() {
     for (degrees, region) in [(26.90_f64, Region::Half), (17.31, Region::Quarter)] {
         let best = best_placement(200.0, degrees.to_radians(), 5.0, region).unwrap();
         assert!((best.distance_mm - 446.2).abs() < 0.1, "{best:?}");

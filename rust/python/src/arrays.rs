@@ -1,10 +1,11 @@
 //! `NumPy` arrays in and out, with their shapes checked.
 
 use crate::errors::shape;
+use nalgebra::SMatrix;
 use numpy::ndarray::Dimension;
 use numpy::{
-    IntoPyArray, PyArray, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1, PyReadonlyArray2,
-    PyUntypedArrayMethods,
+    IntoPyArray, PyArray, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1,
+    PyReadonlyArray2, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 
@@ -78,6 +79,61 @@ where
     [usize; K]: numpy::ndarray::IntoDimension<Dim = numpy::ndarray::Dim<[usize; K]>>,
 {
     numbers.into_pyarray(py).reshape(dims)
+}
+
+/// A matrix of as many numbers for each of many rows, NaN until it is put.
+pub struct Rows {
+    numbers: Vec<f64>,
+    shape: [usize; 3],
+}
+
+impl Rows {
+    /// `n` matrices of `lines` and `columns`.
+    pub fn new(n: usize, lines: usize, columns: usize) -> Self {
+        Self {
+            numbers: vec![f64::NAN; n * lines * columns],
+            shape: [n, lines, columns],
+        }
+    }
+
+    fn line(&mut self, row: usize, line: usize) -> &mut [f64] {
+        let [_, lines, columns] = self.shape;
+        &mut self.numbers[(row * lines + line) * columns..][..columns]
+    }
+
+    /// The matrix of a row.
+    pub fn put<const R: usize, const C: usize>(&mut self, row: usize, matrix: &SMatrix<f64, R, C>) {
+        for (k, numbers) in matrix.row_iter().enumerate() {
+            for (out, number) in self.line(row, k).iter_mut().zip(numbers.iter()) {
+                *out = *number;
+            }
+        }
+    }
+
+    /// The matrix of a row is these columns of another.
+    pub fn put_columns<const R: usize, const C: usize>(
+        &mut self,
+        row: usize,
+        matrix: &SMatrix<f64, R, C>,
+        columns: &[usize],
+    ) {
+        for k in 0..R {
+            for (out, &column) in self.line(row, k).iter_mut().zip(columns) {
+                *out = matrix[(k, column)];
+            }
+        }
+    }
+
+    /// As an array `(n, lines)` of matrices with one column.
+    pub fn vectors(self, py: Python<'_>) -> PyResult<Bound<'_, PyArray2<f64>>> {
+        let [n, lines, _] = self.shape;
+        shaped(py, self.numbers, [n, lines])
+    }
+
+    /// As an array `(n, lines, columns)`.
+    pub fn matrices(self, py: Python<'_>) -> PyResult<Bound<'_, PyArray3<f64>>> {
+        shaped(py, self.numbers, self.shape)
+    }
 }
 
 /// Rows of `width` numbers, and which of them could be computed.

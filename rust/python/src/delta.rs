@@ -1,16 +1,16 @@
 //! The delta from Python: `DeltaKinematics`, `DeltaModel`, `Calibrated`.
 
-use crate::arrays::{Marked, fixed, rows, shaped};
+use crate::arrays::{Marked, fixed, rows};
 use crate::bernstein::Bernstein;
 use crate::errors::{shape, to_python};
 use crate::lanes::{self, LANES, LaneMap};
 use crate::robot::{
-    self, Block, Calibrated as _, Derivatives, Problem, Single, calibrated_class, each, many,
-    matrices, model_class, now, one, put,
+    self, Block, Both, Calibrated as _, Derivatives, Problem, Single, WithDerivative, both,
+    calibrated_class, each, many, model_class, now, one,
 };
 use crate::solver::Solver;
 use nalgebra::{Matrix3, Vector3};
-use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use sherkit_core::Result;
 use sherkit_core::chain::Robot;
@@ -95,25 +95,15 @@ impl DeltaKinematics {
         many(py, "positions", &positions, Inverse(&self.0))
     }
 
-    /// Velocity Jacobian, `(n, 3, 3)`; rows out of reach are NaN and marked.
-    fn jacobian_batch<'py>(
+    /// Derivative of the position by the joints `(n, 3, 3)` and by the 18 geometric parameters `(n, 3, 18)`.
+    fn derivatives_batch<'py>(
         &self,
         py: Python<'py>,
         joints: PyReadonlyArray2<'_, f64>,
-    ) -> PyResult<Marked<'py, PyArray3<f64>>> {
-        matrices(py, rows::<3, _>("joints", &joints)?, |q| {
-            Some(self.0.pose(q).ok()?.by_joints())
-        })
-    }
-
-    /// Derivative by the 18 geometric parameters, `(n, 3, 18)`; rows out of reach are NaN and marked.
-    fn by_parameters_batch<'py>(
-        &self,
-        py: Python<'py>,
-        joints: PyReadonlyArray2<'_, f64>,
-    ) -> PyResult<Marked<'py, PyArray3<f64>>> {
-        matrices(py, rows::<3, _>("joints", &joints)?, |q| {
-            Some(self.0.by_parameters(&self.0.pose(q).ok()?))
+    ) -> PyResult<Both<'py>> {
+        both(py, "joints", &joints, |q| {
+            let pose = self.0.pose(q).ok()?;
+            Some((pose.by_joints(), self.0.by_parameters(&pose)))
         })
     }
 }
@@ -204,12 +194,6 @@ type Part<'py> = (
     Option<Bernstein>,
 );
 type Region<'py> = (PyReadonlyArray1<'py, f64>, PyReadonlyArray1<'py, f64>, f64);
-/// Positions, derivatives by the joints, and which rows are in reach.
-type Batch<'py> = (
-    Bound<'py, PyArray2<f64>>,
-    Bound<'py, PyArray3<f64>>,
-    Bound<'py, PyArray1<bool>>,
-);
 
 impl robot::Calibrated<3> for Calibrated {
     type Core<'a> = Core<'a>;
@@ -263,31 +247,5 @@ calibrated_class!(Calibrated, 3, position, positions, {
             whole: OwnedBranch::new(whole)?,
             local,
         })
-    }
-
-    /// Positions, Jacobians, and which rows are in reach; the others are NaN.
-    fn forward_batch<'py>(
-        &self,
-        py: Python<'py>,
-        joints: PyReadonlyArray2<'_, f64>,
-        covariates: Vec<f64>,
-    ) -> PyResult<Batch<'py>> {
-        let (core, now) = (self.core()?, now(&covariates)?);
-        let q = rows::<3, _>("joints", &joints)?;
-        let mut x = vec![f64::NAN; q.len() * 3];
-        let mut j = vec![f64::NAN; q.len() * 9];
-        let mut reached = vec![false; q.len()];
-        for (i, q) in q.iter().enumerate() {
-            if let Ok((position, by_joints)) = core.forward(&Vector3::from(*q), &now) {
-                x[i * 3..][..3].copy_from_slice(position.as_slice());
-                put(&mut j[i * 9..][..9], &by_joints);
-                reached[i] = true;
-            }
-        }
-        Ok((
-            shaped(py, x, [q.len(), 3])?,
-            shaped(py, j, [q.len(), 3, 3])?,
-            PyArray1::from_vec(py, reached),
-        ))
     }
 });

@@ -1,7 +1,7 @@
 //! One frame for every robot: rows as they come from Python, predictions, derivatives, rows for the solver, the model of
 //! the control loop. Bodies are generic functions; the macros hold the signatures that Python sees.
 
-use crate::arrays::{Marked, fixed, marked, rows, rows_like, shaped};
+use crate::arrays::{Marked, Rows, fixed, marked, rows, rows_like, shaped};
 use crate::errors::{shape, to_python};
 use crate::lanes::{LaneMap, in_lanes};
 use crate::solver::{Solver, iterate};
@@ -29,6 +29,20 @@ pub type Block<'py> = (
 pub type Derivatives<'py> = (
     Bound<'py, PyArray3<f64>>,
     Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray1<bool>>,
+);
+
+/// Two derivatives for each row, and which rows could be computed.
+pub type Both<'py> = (
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray1<bool>>,
+);
+
+/// A value for each row with its derivative, and which rows could be computed.
+pub type WithDerivative<'py> = (
+    Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray3<f64>>,
     Bound<'py, PyArray1<bool>>,
 );
@@ -488,37 +502,29 @@ pub fn many<'py, const N: usize, const O: usize>(
     marked(py, found, reached, O)
 }
 
-/// A matrix for each of many vectors, row by row `(n, R, C)`; those that cannot be computed are NaN and marked.
-pub fn matrices<'py, const N: usize, const R: usize, const C: usize>(
+/// Two matrices for each of many vectors `(n, R, A)` and `(n, R, B)`; where they cannot be computed they are NaN and marked.
+pub fn both<'py, const N: usize, const R: usize, const A: usize, const B: usize>(
     py: Python<'py>,
-    rows: &[[f64; N]],
-    of: impl Fn(&SVector<f64, N>) -> Option<SMatrix<f64, R, C>>,
-) -> PyResult<Marked<'py, PyArray3<f64>>> {
-    let mut out = vec![f64::NAN; rows.len() * R * C];
-    let mut reached = vec![false; rows.len()];
-    for ((row, out), ok) in rows
-        .iter()
-        .zip(out.chunks_exact_mut(R * C))
-        .zip(&mut reached)
-    {
-        if let Some(found) = of(&SVector::from(*row)) {
-            put(out, &found);
-            *ok = true;
+    name: &str,
+    array: &PyReadonlyArray2<'_, f64>,
+    of: impl Fn(&SVector<f64, N>) -> Option<(SMatrix<f64, R, A>, SMatrix<f64, R, B>)>,
+) -> PyResult<Both<'py>> {
+    let vectors = rows::<N, _>(name, array)?;
+    let n = vectors.len();
+    let (mut first, mut second) = (Rows::new(n, R, A), Rows::new(n, R, B));
+    let mut reached = vec![false; n];
+    for (i, vector) in vectors.iter().enumerate() {
+        if let Some((a, b)) = of(&SVector::from(*vector)) {
+            first.put(i, &a);
+            second.put(i, &b);
+            reached[i] = true;
         }
     }
     Ok((
-        shaped(py, out, [rows.len(), R, C])?,
+        first.matrices(py)?,
+        second.matrices(py)?,
         PyArray1::from_vec(py, reached),
     ))
-}
-
-/// Writes a matrix row by row.
-pub fn put<const R: usize, const C: usize>(out: &mut [f64], matrix: &SMatrix<f64, R, C>) {
-    for (line, row) in out.chunks_exact_mut(C).zip(matrix.row_iter()) {
-        for (o, v) in line.iter_mut().zip(row.iter()) {
-            *o = *v;
-        }
-    }
 }
 
 /// What a control loop knows besides the joints: time s, temperature °C, a direction for each joint. It commands places,
@@ -572,11 +578,34 @@ pub fn forward<'py, T: Calibrated<N>, const N: usize>(
 ) -> PyResult<Single<'py>> {
     let (q, now) = (vector("joints", joints)?, now(covariates)?);
     let (x, j) = T::forward_at(&robot.core()?, &q, &now).map_err(to_python)?;
-    let mut numbers = vec![0.0; N * N];
-    put(&mut numbers, &j);
     Ok((
         PyArray1::from_slice(py, x.as_slice()),
-        shaped(py, numbers, [N, N])?,
+        shaped(py, j.transpose().as_slice().to_vec(), [N, N])?,
+    ))
+}
+
+/// The same for many joint readings `(n, N)`; those out of reach are NaN and marked.
+pub fn forward_batch<'py, T: Calibrated<N>, const N: usize>(
+    py: Python<'py>,
+    robot: &T,
+    joints: &PyReadonlyArray2<'_, f64>,
+    covariates: &[f64],
+) -> PyResult<WithDerivative<'py>> {
+    let (core, now) = (robot.core()?, now(covariates)?);
+    let q = rows::<N, _>("joints", joints)?;
+    let (mut places, mut by_joints) = (Rows::new(q.len(), N, 1), Rows::new(q.len(), N, N));
+    let mut reached = vec![false; q.len()];
+    for (i, q) in q.iter().enumerate() {
+        if let Ok((x, j)) = T::forward_at(&core, &SVector::from(*q), &now) {
+            places.put(i, &x);
+            by_joints.put(i, &j);
+            reached[i] = true;
+        }
+    }
+    Ok((
+        places.vectors(py)?,
+        by_joints.matrices(py)?,
+        PyArray1::from_vec(py, reached),
     ))
 }
 
@@ -600,6 +629,16 @@ macro_rules! calibrated_class {
                 covariates: Vec<f64>,
             ) -> PyResult<Single<'py>> {
                 $crate::robot::forward(py, self, &joints, &covariates)
+            }
+
+            /// The same for many joint readings, and which are in reach; the others are NaN.
+            fn forward_batch<'py>(
+                &self,
+                py: Python<'py>,
+                joints: PyReadonlyArray2<'_, f64>,
+                covariates: Vec<f64>,
+            ) -> PyResult<WithDerivative<'py>> {
+                $crate::robot::forward_batch(py, self, &joints, &covariates)
             }
 
             /// Joint readings at which it is there.

@@ -1,13 +1,13 @@
 //! The spherical robot from Python: `SphericalKinematics`, `SphericalModel`, `SphericalCalibrated`, and where its camera
 //! should stand.
 
-use crate::arrays::{Marked, fixed, rows, shaped};
+use crate::arrays::{Marked, Rows, fixed, rows};
 use crate::camera::face;
 use crate::errors::{shape, to_python};
 use crate::lanes::{self, LANES, LaneMap};
 use crate::robot::{
-    self, Block, Calibrated as _, Derivatives, Problem, Single, calibrated_class, check_free,
-    copied, each, many, model_class, now, one, put, rows_of,
+    self, Block, Both, Calibrated as _, Derivatives, Problem, Single, WithDerivative, both,
+    calibrated_class, check_free, copied, each, many, model_class, now, one, rows_of,
 };
 use crate::solver::Solver;
 use nalgebra::{Matrix2, Vector2, Vector3};
@@ -144,9 +144,8 @@ impl SphericalKinematics {
         py: Python<'py>,
         joints: PyReadonlyArray2<'_, f64>,
     ) -> PyResult<Both<'py>> {
-        let q = rows::<2, _>("joints", &joints)?;
-        both(py, q, |q| {
-            let pose = self.0.pose(&Vector2::from(*q)).ok()?;
+        both(py, "joints", &joints, |q| {
+            let pose = self.0.pose(q).ok()?;
             pose.phi_rad
                 .is_finite()
                 .then(|| (pose.by_joints(), pose.by_parameters()))
@@ -160,9 +159,8 @@ impl SphericalKinematics {
         py: Python<'py>,
         joints: PyReadonlyArray2<'_, f64>,
     ) -> PyResult<Both<'py>> {
-        let q = rows::<2, _>("joints", &joints)?;
-        both(py, q, |q| {
-            let pose = self.0.pose(&Vector2::from(*q)).ok()?;
+        both(py, "joints", &joints, |q| {
+            let pose = self.0.pose(q).ok()?;
             let by_angles = pose.joints_by_angles().ok()?;
             let by_parameters = pose.joints_by_parameters().ok()?;
             pose.phi_rad
@@ -170,35 +168,6 @@ impl SphericalKinematics {
                 .then_some((by_angles, by_parameters))
         })
     }
-}
-
-type Both<'py> = (
-    Bound<'py, PyArray3<f64>>,
-    Bound<'py, PyArray3<f64>>,
-    Bound<'py, PyArray1<bool>>,
-);
-
-fn both<'py>(
-    py: Python<'py>,
-    joints: &[[f64; 2]],
-    of: impl Fn(&[f64; 2]) -> Option<(nalgebra::Matrix2<f64>, nalgebra::SMatrix<f64, 2, GEOMETRIC>)>,
-) -> PyResult<Both<'py>> {
-    let n = joints.len();
-    let mut square = vec![f64::NAN; n * 4];
-    let mut wide = vec![f64::NAN; n * 2 * GEOMETRIC];
-    let mut reached = vec![false; n];
-    for (i, q) in joints.iter().enumerate() {
-        if let Some((a, b)) = of(q) {
-            square[i * 4..][..4].copy_from_slice(a.transpose().as_slice());
-            wide[i * 2 * GEOMETRIC..][..2 * GEOMETRIC].copy_from_slice(b.transpose().as_slice());
-            reached[i] = true;
-        }
-    }
-    Ok((
-        shaped(py, square, [n, 2, 2])?,
-        shaped(py, wide, [n, 2, GEOMETRIC])?,
-        PyArray1::from_vec(py, reached),
-    ))
 }
 
 /// A nominal spherical robot and camera whose errors and effects are to be identified. Readings are u, v in pixels or
@@ -283,33 +252,32 @@ model_class!(SphericalModel, Model, spherical, {
         values: PyReadonlyArray1<'_, f64>,
         block: Block<'_>,
         free: Vec<usize>,
-    ) -> PyResult<Batch<'py>> {
+    ) -> PyResult<(
+        Bound<'py, PyArray2<f64>>,
+        Bound<'py, PyArray3<f64>>,
+        Bound<'py, PyArray3<f64>>,
+        Bound<'py, PyArray1<bool>>,
+    )> {
         check_free::<PARAMETERS>(&free)?;
         let chain = robot::chain(&self.0, &values)?;
         let rows = rows_of::<2>(&block)?;
-        let n = rows.len();
-        let mut out = vec![f64::NAN; n * 3];
-        let mut by_parameters = vec![f64::NAN; n * 3 * free.len()];
-        let mut by_joints = vec![f64::NAN; n * 6];
-        let mut reached = vec![false; n];
+        let mut out = Rows::new(rows.len(), 3, 1);
+        let mut by_parameters = Rows::new(rows.len(), 3, free.len());
+        let mut by_joints = Rows::new(rows.len(), 3, 2);
+        let mut reached = vec![false; rows.len()];
         for (i, row) in rows.iter().enumerate() {
             let Ok(centre) = chain.centre(&row.joints, &row.covariates) else {
                 continue;
             };
             reached[i] = true;
-            out[3 * i..][..3].copy_from_slice(centre.value.as_slice());
-            put(&mut by_joints[6 * i..][..6], &centre.by_joints);
-            for axis in 0..3 {
-                let line = &mut by_parameters[(3 * i + axis) * free.len()..][..free.len()];
-                for (o, &k) in line.iter_mut().zip(&free) {
-                    *o = centre.by_parameters[(axis, k)];
-                }
-            }
+            out.put(i, &centre.value);
+            by_joints.put(i, &centre.by_joints);
+            by_parameters.put_columns(i, &centre.by_parameters, &free);
         }
         Ok((
-            shaped(py, out, [n, 3])?,
-            shaped(py, by_parameters, [n, 3, free.len()])?,
-            shaped(py, by_joints, [n, 3, 2])?,
+            out.vectors(py)?,
+            by_parameters.matrices(py)?,
+            by_joints.matrices(py)?,
             PyArray1::from_vec(py, reached),
         ))
     }
@@ -323,35 +291,25 @@ model_class!(SphericalModel, Model, spherical, {
         block: Block<'_>,
         readings: PyReadonlyArray2<'_, f64>,
         free: Vec<usize>,
-    ) -> PyResult<(
-        Bound<'py, PyArray2<f64>>,
-        Bound<'py, PyArray3<f64>>,
-        Bound<'py, PyArray1<bool>>,
-    )> {
+    ) -> PyResult<WithDerivative<'py>> {
         check_free::<PARAMETERS>(&free)?;
         let chain = robot::chain(&self.0, &values)?;
         let rows = rows_of::<2>(&block)?;
-        let n = rows.len();
-        let readings = copied::<2>("readings", &readings, n)?;
-        let mut out = vec![f64::NAN; n * 2];
-        let mut by_parameters = vec![f64::NAN; n * 2 * free.len()];
-        let mut reached = vec![false; n];
+        let readings = copied::<2>("readings", &readings, rows.len())?;
+        let mut out = Rows::new(rows.len(), 2, 1);
+        let mut by_parameters = Rows::new(rows.len(), 2, free.len());
+        let mut reached = vec![false; rows.len()];
         for (i, (row, reading)) in rows.iter().zip(&readings).enumerate() {
             let Ok(found) = chain.inverse_residual(row, &Vector2::from(*reading)) else {
                 continue;
             };
             reached[i] = true;
-            out[2 * i..][..2].copy_from_slice(found.value.as_slice());
-            for axis in 0..2 {
-                let line = &mut by_parameters[(2 * i + axis) * free.len()..][..free.len()];
-                for (o, &k) in line.iter_mut().zip(&free) {
-                    *o = found.by_parameters[(axis, k)];
-                }
-            }
+            out.put(i, &found.value);
+            by_parameters.put_columns(i, &found.by_parameters, &free);
         }
         Ok((
-            shaped(py, out, [n, 2])?,
-            shaped(py, by_parameters, [n, 2, free.len()])?,
+            out.vectors(py)?,
+            by_parameters.matrices(py)?,
             PyArray1::from_vec(py, reached),
         ))
     }
@@ -403,14 +361,6 @@ pub struct SphericalCalibrated {
     elbows: Elbows,
 }
 
-/// A vector, its derivatives by joints and by parameters, or by parameters and joints, and which rows are in reach.
-type Batch<'py> = (
-    Bound<'py, PyArray2<f64>>,
-    Bound<'py, PyArray3<f64>>,
-    Bound<'py, PyArray3<f64>>,
-    Bound<'py, PyArray1<bool>>,
-);
-
 impl robot::Calibrated<2> for SphericalCalibrated {
     type Core<'a> = &'a Core;
 
@@ -456,38 +406,30 @@ calibrated_class!(SphericalCalibrated, 2, angles, angles, {
         })
     }
 
-    /// φ, γ `(n, 2)`, by the joints `(n, 2, 2)`, by the parameters in `free` `(n, 2, free)`, and which rows are in reach.
-    fn forward_batch<'py>(
+    /// φ, γ `(n, 2)`, their derivatives by the parameters in `free` `(n, 2, free)`, and which rows are in reach.
+    fn by_parameters_batch<'py>(
         &self,
         py: Python<'py>,
         joints: PyReadonlyArray2<'_, f64>,
         covariates: Vec<f64>,
         free: Vec<usize>,
-    ) -> PyResult<Batch<'py>> {
+    ) -> PyResult<WithDerivative<'py>> {
         check_free::<PARAMETERS>(&free)?;
         let (now, wanted) = (now(&covariates)?, Wanted::of(CATALOGUE, &free));
         let q = rows::<2, _>("joints", &joints)?;
-        let mut x = vec![f64::NAN; q.len() * 2];
-        let mut j = vec![f64::NAN; q.len() * 4];
-        let mut p = vec![f64::NAN; q.len() * 2 * free.len()];
+        let mut out = Rows::new(q.len(), 2, 1);
+        let mut by_parameters = Rows::new(q.len(), 2, free.len());
         let mut reached = vec![false; q.len()];
         for (i, q) in q.iter().enumerate() {
-            let Ok(found) = self.robot.predict(&Vector2::from(*q), &now, wanted) else {
-                continue;
-            };
-            x[2 * i..][..2].copy_from_slice(found.value.as_slice());
-            put(&mut j[4 * i..][..4], &found.by_joints);
-            for axis in 0..2 {
-                for (k, &index) in free.iter().enumerate() {
-                    p[(2 * i + axis) * free.len() + k] = found.by_parameters[(axis, index)];
-                }
+            if let Ok(found) = self.robot.predict(&Vector2::from(*q), &now, wanted) {
+                reached[i] = true;
+                out.put(i, &found.value);
+                by_parameters.put_columns(i, &found.by_parameters, &free);
             }
-            reached[i] = true;
         }
         Ok((
-            shaped(py, x, [q.len(), 2])?,
-            shaped(py, j, [q.len(), 2, 2])?,
-            shaped(py, p, [q.len(), 2, free.len()])?,
+            out.vectors(py)?,
+            by_parameters.matrices(py)?,
             PyArray1::from_vec(py, reached),
         ))
     }

@@ -1,6 +1,6 @@
 """The linear delta."""
 
-from ...model.kinds import Kind
+from ...model.kinds import Asked, Kind
 from .calibration import DeltaCalibration
 from .columns import DELTA
 from .correction import Correction, choose_correction, fit_grid, fit_polynomial
@@ -18,6 +18,18 @@ KIND = Kind(
     "delta", Delta, DeltaModel, (DELTA,), DeltaCalibration, VirtualDelta,
     coordinates=DELTA.coordinates, poses=POSES, grid="grid", areas=AREAS, signature=signature,
     called="the linear delta", choices={"assembly_mode": ASSEMBLY_MODES},
+    asks=(
+        Asked(
+            "geometry", "rod_spacing_mm",
+            "rods of unequal length (rod_mismatch) cannot be tried without the distance of the two rods of a limb",
+            "write it, or rod_spacing_mm = 0 where each limb has a single rod",
+        ),
+        Asked(
+            "joints", "pole_pitch_mm",
+            "the period of the encoders' cyclic error (encoder_cyclic) is searched for in the readings instead",
+            "write the pitch of their scales, or pole_pitch_mm = 0 where they have none",
+        ),
+    ),
 )  # fmt: skip
 
 __all__ = [

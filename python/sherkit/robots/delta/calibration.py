@@ -20,8 +20,10 @@ from ...errors import CalibrationError, FitError
 from ...fit.identify import Fit
 from ...model.kinds import Robot
 from ...types import Bools, Floats
-from ..calibrated import Calibration, Note, Part, Planes
+from ..accuracy import Planes
+from ..calibrated import Calibration, Note
 from ..calibration_run import CalibrationRun
+from ..part import Part
 from .columns import POSITION
 from .corrected import DeltaCorrected, corrected
 from .correction import Correction, enough_rows

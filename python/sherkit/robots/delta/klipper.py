@@ -70,6 +70,7 @@ def import_klipper(path: str | Path) -> KlipperDelta:
         platform_radius_mm=(0.0, 0.0, 0.0),
         platform_angle_deg=_triple(angle),
         rod_length_mm=_triple(arm),
+        pole_pitch_mm=0.0,  # steppers without encoders
         workspace_radius_mm=print_radius,
     )
     top = np.array([e + math.sqrt(a * a - radius * radius) for e, a in zip(endstop, arm, strict=True)])

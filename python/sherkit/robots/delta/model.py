@@ -44,7 +44,7 @@ class DeltaModel(ChainModel):
     table: ClassVar = _core.DeltaModel.CATALOGUE
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "period_mm", self.period_mm or self.robot.pole_pitch_mm)
+        object.__setattr__(self, "period_mm", self.period_mm or self.robot.pole_pitch_mm or None)
         super().__post_init__()
 
     def lever_mm(self, name: str) -> float:
@@ -70,7 +70,7 @@ class DeltaModel(ChainModel):
         """The compiled model."""
         r = self.robot
         # without a cyclic error the period does not matter
-        settings = [r.rod_spacing_mm, self.period_mm or 1.0, *self.home_mm, self.time_origin_s, self.slip_time_s]
+        settings = [r.rod_spacing_mm or 0.0, self.period_mm or 1.0, *self.home_mm, self.time_origin_s, self.slip_time_s]
         offset = np.array(r.target_offset_mm)
         return _core.DeltaModel(r.geometry, offset, r.assembly_mode, np.array(settings, dtype=float))
 

@@ -40,7 +40,8 @@ class Delta:
     """Nominal linear delta. Lengths in mm, angles in degrees as on a drawing, one value per limb.
 
     ``target_offset_mm`` points from the platform centre to the measured point. ``rod_spacing_mm`` is the
-    distance of the two rods of a limb. ``assembly_mode`` is ``"below"`` where the platform hangs under its
+    distance of the two rods of a limb, ``pole_pitch_mm`` the period of the encoders' scales; both are 0 where there is
+    none, None where nobody said. ``assembly_mode`` is ``"below"`` where the platform hangs under its
     carriages, ``"above"`` where it stands on them. Joint readings are carriage heights along +z;
     ``joint_limits_mm`` (low, high) are those that no motor may leave.
     """
@@ -50,7 +51,7 @@ class Delta:
     platform_radius_mm: Triple
     platform_angle_deg: Triple
     rod_length_mm: Triple
-    rod_spacing_mm: float = 0.0
+    rod_spacing_mm: float | None = None
     target_offset_mm: Triple = (0.0, 0.0, 0.0)
     pole_pitch_mm: float | None = None
     workspace_radius_mm: float | None = None
@@ -75,13 +76,13 @@ class Delta:
                 "platform_radius_mm": g.numbers("platform_radius_mm", 3),
                 "platform_angle_deg": g.numbers("platform_angle_deg", 3),
                 "rod_length_mm": g.numbers("rod_length_mm", 3, positive=True),
-                "rod_spacing_mm": g.number("rod_spacing_mm", 0.0),
+                "rod_spacing_mm": g.positive("rod_spacing_mm", or_zero=True),
                 "target_offset_mm": g.numbers("target_offset_mm", 3, (0.0, 0.0, 0.0)),
                 "assembly_mode": g.text("assembly_mode", ASSEMBLY_MODES, "below"),
             }
             _check_shape(g, geometry)
         with table.table("joints", optional=True) as j:
-            pitch = j.positive("pole_pitch_mm")
+            pitch = j.positive("pole_pitch_mm", or_zero=True)
             limits = j.heights("limits_mm")
         with table.table("workspace", optional=True) as w:
             radius = w.positive("radius_mm")
@@ -105,14 +106,14 @@ class Delta:
             "platform_radius_mm": list(self.platform_radius_mm),
             "platform_angle_deg": list(self.platform_angle_deg),
             "rod_length_mm": list(self.rod_length_mm),
-            "rod_spacing_mm": self.rod_spacing_mm,
+            **({} if self.rod_spacing_mm is None else {"rod_spacing_mm": self.rod_spacing_mm}),
             "target_offset_mm": list(self.target_offset_mm),
         }
         if self.assembly_mode != "below":
             geometry["assembly_mode"] = self.assembly_mode
         tables: dict[str, Any] = {"kind": self.kind, "geometry": geometry}
         joints: dict[str, Any] = {}
-        if self.pole_pitch_mm:
+        if self.pole_pitch_mm is not None:
             joints["pole_pitch_mm"] = self.pole_pitch_mm
         if self.joint_limits_mm:
             joints["limits_mm"] = list(self.joint_limits_mm)
@@ -206,7 +207,7 @@ class Delta:
     def jacobian(self, joints_mm: ArrayLike) -> Floats:
         """Velocity Jacobian (3, 3) d position / d joints. Raises as :meth:`forward`, and ``Singular``."""
         q = vector(joints_mm, "joint readings")
-        values, reached = self._nominal.jacobian_batch(q[None, :])
+        values, _, reached = self._nominal.derivatives_batch(q[None, :])
         if not reached[0]:
             self._nominal.forward(q)  # raises the reason
             raise Singular("singular: the three rods lie in one plane here")
@@ -215,7 +216,7 @@ class Delta:
     def parameter_jacobian(self, joints_mm: ArrayLike) -> Batch:
         """Derivative of the position by the 18 geometric parameters (n, 3, 18), mm per mm or rad (Eq. 8)."""
         q = matrix(joints_mm, "joint readings")
-        values, reached = self._nominal.by_parameters_batch(q)
+        _, values, reached = self._nominal.derivatives_batch(q)
         return Batch(values, reached, why(self._nominal.forward, q, reached))
 
     @cached_property
@@ -227,8 +228,6 @@ def _check_shape(table: Table, geometry: Mapping[str, Any]) -> None:
     """Refuses what cannot be a delta before the kinematics would say so less clearly."""
     if min(geometry["platform_radius_mm"]) < 0:
         raise table.fail("platform_radius_mm", "3 numbers, none below zero")
-    if geometry["rod_spacing_mm"] < 0:
-        raise table.fail("rod_spacing_mm", "a number, not below zero")
     for limb in range(3):
         span = abs(
             geometry["base_radius_mm"][limb] * np.exp(1j * np.deg2rad(geometry["base_angle_deg"][limb]))

@@ -1,9 +1,9 @@
 """The spherical robot, seen by a camera."""
 
-from ...model.kinds import Kind
+from ...model.kinds import Asked, Kind
 from .calibration import SphericalCalibration
 from .camera import CameraView
-from .camera_placement import camera_placement
+from .camera_placement import camera_placement, picture_half_angle
 from .columns import SPHERICAL_ANGLES, SPHERICAL_PIXELS
 from .effects import SPHERICAL_CATALOGUE
 from .model import SphericalModel
@@ -20,6 +20,14 @@ KIND = Kind(
     VirtualSpherical, coordinates=SPHERICAL_ANGLES.coordinates, poses=POSES, areas=AREAS,
     called="the spherical robot and its camera",
     choices={"assembly_mode": ASSEMBLY_MODES, "working_mode": WORKING_MODES},
+    asks=(
+        Asked(
+            "geometry", "gravity",
+            "the weight is taken to pull along -z, against the actuated axis, and gravity_flexure is tried in that "
+            "direction alone",
+            "write its direction, which is [0, 0, -1] where z points up",
+        ),
+    ),
 )  # fmt: skip
 
 __all__ = [
@@ -35,6 +43,7 @@ __all__ = [
     "VirtualSpherical",
     "camera_placement",
     "identify_joints",
+    "picture_half_angle",
     "remote_centre",
     "sphere_patch",
     "straightness",

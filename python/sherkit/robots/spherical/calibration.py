@@ -8,15 +8,15 @@ from functools import cached_property
 from typing import ClassVar, Self, cast
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 import sherkit._core as _core
 
 from ...fit.identify import Fit
-from ...model.batch import matrix
 from ...types import Bools, Floats
-from ..calibrated import Calibration, Note, Part, Planes
+from ..accuracy import Planes
+from ..calibrated import Calibration, Note
 from ..calibration_run import CalibrationRun
+from ..part import Part
 from .columns import SPHERICAL_ANGLES
 from .model import SphericalModel
 from .remote_centre import centre_in_words, remote_centre
@@ -96,11 +96,6 @@ class SphericalCalibration(Calibration):
         """The compiled model: the same code that a control loop runs."""
         return _core.SphericalCalibrated(self.model.core, self.model.full(self.whole.values), self.robot.working_mode)
 
-    def _rows(self, joints: ArrayLike) -> tuple[Floats, Floats, Bools]:
-        q = matrix(joints, "joint readings", 2)
-        values, by_joints, _, reached = self.core.forward_batch(q, self._now(), [])
-        return values, by_joints, reached
-
     @property
     def radius_mm(self) -> float:
         """Distance of the end of the tool from the centre, as identified."""
@@ -112,7 +107,7 @@ class SphericalCalibration(Calibration):
     def spread(self, coordinates: Floats, joints: Floats) -> Floats:
         """Covariance (n, 2, 2) of angles across the tool, rad²."""
         del coordinates
-        angles, _, by_values, _ = self.core.forward_batch(joints, self._now(), self.model.indices)
+        angles, by_values, _ = self.core.by_parameters_batch(joints, self._now(), self.model.indices)
         across = np.stack([_across(by_values[:, :, k], angles) for k in range(by_values.shape[2])], axis=2)
         return across @ self.whole.covariance @ across.transpose(0, 2, 1) + self.whole.residual_covariance
 

@@ -21,7 +21,8 @@ _OWN = {
         workshop="Compare a full turn of each joint with its index mark; correct counts per turn.",
     ),
     "unequal_limbs": Sentences(
-        physics="The two limbs are not alike: one has longer arcs than the other, by half the value each.",
+        physics="The two limbs are not alike: the arcs of limb 1 are longer than the common ones by the value, those "
+        "of limb 2 shorter by as much, so the limbs differ by twice the value.",
         residuals="The tool leans to one side, more where it points away from the actuated axis.",
         workshop="Measure the arcs of both limbs on one fixture and match them.",
     ),

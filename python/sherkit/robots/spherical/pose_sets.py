@@ -18,7 +18,7 @@ def _patch(robot: Spherical, table: Table) -> Floats:
 
 
 def _line(robot: Spherical, table: Table) -> Floats:
-    # the straightness experiment: the picture of the marker is to follow a line
+    # the straightness experiment
     line = LINES[table.text("line", tuple(LINES))]
     return targets(robot.seen, robot.radius_mm, line, table.whole("count", 41, least=3))
 

@@ -36,7 +36,8 @@ pub struct Placement {
     pub coverage: f64,
     /// Area of the region that is seen, `S_ROI`, mm².
     pub seen_mm2: f64,
-    /// Area of the background in the picture, `S_waste`, mm².
+    /// Area of the background in the picture, `S_waste`, mm²; negative where the lens does not take in the whole rim of
+    /// the sphere, which the paper supposes: areas and benefit then mean nothing.
     pub waste_mm2: f64,
     /// `J = q S_ROI - S_waste` (Eq. 29), mm².
     pub benefit_mm2: f64,

@@ -1,0 +1,147 @@
+"""What was identified of a robot in one run: values and covariance of its errors, what is left, and its table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from ..data.columns import TEMPERATURE
+from ..data.toml import Table
+from ..fit.identify import Fit
+from ..model.chain import ChainModel
+from ..model.effect import effects_by_name
+from ..model.kinds import Robot, catalogue_of, kind_of, model_of
+from ..names import listed
+from ..types import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One identified model: errors by name, their covariance, and what it leaves.
+
+    ``free`` and ``effects`` say what was identified, ``settings`` the settings of the effects; effects given in NumPy
+    do not run in a control loop and are listed in ``left_out``. ``now`` holds time, temperature and a direction for
+    each joint that stand for the covariates where the loop does not give its own: the end of the run, its mean
+    temperature, the middle of the backlash. ``covariance`` (p, p) in the order of ``values``; ``residual_covariance``
+    (k, k) of held-out readings about the model, noise included, in the unit of the coordinates. ``low`` and ``high``
+    (k,) are the corners of the box in which the run measured, as coordinates.
+    """
+
+    free: tuple[str, ...]
+    effects: tuple[str, ...]
+    settings: dict[str, float]
+    left_out: tuple[str, ...]
+    now: tuple[float, ...]
+    values: Floats
+    covariance: Floats
+    residual_covariance: Floats
+    low: Floats
+    high: Floats
+    made_from: str
+    rows: int
+
+    @staticmethod
+    def identified(fit: Fit) -> dict[str, Any]:
+        """What a part has from its fit alone."""
+        model, data = fit.model, fit.data
+        time, temperature = data.time_s, data.covariates.get(TEMPERATURE)
+        return {
+            "free": model.free,
+            "effects": tuple(e.name for e in model.built_in),
+            "settings": {name: value or 0.0 for name, value in model.settings().items()},
+            "left_out": tuple(e.name for e in model.own),
+            "now": (
+                float(time.max()) if time is not None else 0.0,
+                float(temperature.mean()) if temperature is not None else 20.0,
+                *(0.0 for _ in data.layout.joints),
+            ),
+            "values": fit.values[: len(model.indices)],
+            "made_from": data.source,
+            "rows": len(data),
+        }
+
+    def model(self, robot: Robot) -> ChainModel:
+        """The model that was identified."""
+        chosen = effects_by_name(catalogue_of(robot), self.effects)
+        return kind_of(robot).model(robot, self.free, chosen, **self.settings)
+
+    def to_table(self, robot: Robot, coordinates: tuple[str, ...]) -> dict[str, Any]:
+        """For TOML, without loss."""
+        unit, now = _unit(coordinates), _now_names(robot)
+        std = np.sqrt(np.diag(self.covariance).clip(0.0))
+        return {
+            "made_from": self.made_from,
+            "rows": self.rows,
+            "effects": list(self.effects),
+            "left_out": list(self.left_out),
+            **({"settings": dict(self.settings)} if self.settings else {}),
+            "now": dict(zip(now, self.now, strict=True)),
+            "parameters": [
+                {"name": p.name, "value": float(v), "std": float(s), "unit": p.unit}
+                for p, v, s in zip(self.model(robot).parameters, self.values, std, strict=True)
+            ],
+            "covariance": self.covariance.tolist(),
+            f"residual_covariance_{unit}2": self.residual_covariance.tolist(),
+            **self._own_table(unit),
+            f"low_{unit}": self.low.tolist(),
+            f"high_{unit}": self.high.tolist(),
+        }
+
+    def _own_table(self, unit: str) -> dict[str, Any]:
+        del unit
+        return {}
+
+    @classmethod
+    def from_table(cls, table: Table, robot: Robot, coordinates: tuple[str, ...]) -> Self:
+        """Back from :meth:`to_table`. Raises :class:`~sherkit.errors.CalibrationError` with the key."""
+        unit, size = _unit(coordinates), len(coordinates)
+        names, values = [], []
+        for p in table.tables("parameters", optional=False):
+            names.append(p.words("name"))
+            values.append(p.number("value"))
+            p.pass_over("std", "unit")  # they follow from covariance and model
+        settings = {}
+        known = model_of(robot).settings()
+        if known:
+            with table.table("settings") as s:
+                settings = {name: s.number(name) for name in known}
+        with table.table("now") as n:
+            now = tuple(n.number(name) for name in _now_names(robot))
+        low, high = table.array(f"low_{unit}", size), table.array(f"high_{unit}", size)
+        if (low > high).any():
+            raise table.fail(f"low_{unit}", f"nothing above high_{unit}")
+        made = cls(
+            free=tuple(name for name in names if "." not in name),
+            effects=table.texts("effects"),
+            settings=settings,
+            left_out=table.texts("left_out"),
+            now=now,
+            values=np.array(values, dtype=float),
+            covariance=table.covariance("covariance", len(values)),
+            residual_covariance=table.covariance(f"residual_covariance_{unit}2", size),
+            low=low,
+            high=high,
+            made_from=table.words("made_from", empty=True),
+            rows=table.whole("rows", least=0),
+            **cls._own_fields(table, unit, size),
+        )
+        expected = [p.name for p in made.model(robot).parameters]
+        if names != expected:
+            wrong = next((f for f, e in zip(names, expected, strict=False) if f != e), "a missing one")
+            raise table.refuse(f"parameters: expected {listed(expected, 30)}; '{wrong}' does not belong there")
+        return made
+
+    @classmethod
+    def _own_fields(cls, table: Table, unit: str, size: int) -> dict[str, Any]:
+        del table, unit, size
+        return {}
+
+
+def _unit(coordinates: tuple[str, ...]) -> str:
+    return coordinates[0].rpartition("_")[2]
+
+
+def _now_names(robot: Robot) -> tuple[str, ...]:
+    return ("time_s", "temperature_c", *kind_of(robot).layout.directions)
