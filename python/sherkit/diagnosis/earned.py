@@ -22,6 +22,7 @@ from ..model.effect import Effect
 from ..types import Floats, Ints
 from .fitted_run import FittedRun
 from .stage import testable
+from .waves import waves_of
 
 #: Level of the test on rows held out.
 LEVEL = 0.05
@@ -62,13 +63,15 @@ def earned(
     sigma: Floats,
     deals: Sequence[Ints],
     rivals: Sequence[Effect] | None = None,
+    periods: Sequence[float] = (),
     also: Collection[str] = (),
     seed: int = 0,
 ) -> Earned:
     """What ``effect``, which is in the model of ``run``, brings given all others of the model but those of ``also``.
 
     ``deals`` are folds (n,) of all rows of the data; ``rivals`` what might have been chosen in its place, None where
-    nobody chose. An effect without which the rows cannot be fitted earns its place.
+    nobody chose, and ``periods`` others that might have been chosen for it. An
+    effect without which the rows cannot be fitted earns its place.
     """
     axes = list(run.axes)
     rows = testable(run, np.flatnonzero(run.whole))
@@ -85,9 +88,10 @@ def earned(
     with_it = _held_out(_View(more.residual, more.fitted), fold)
     without = _held_out(_View(plain.residual, plain.fitted), fold)
     chosen = np.ones(fold.shape, dtype=bool)
-    if rivals:
+    if rivals or periods:
         own = more.fitted[:, :, place]
         others = [columns for rival, columns in plain.effects if rival.name != effect.name]
+        others += [waves_of(plain, 1.0 / period) for period in periods]
         chosen = _chosen(_View(plain.residual, plain.fitted), own, others, fold)
     gain = ((without**2).sum(axis=2) - (with_it**2).sum(axis=2)) * chosen
     per_pose = np.bincount(np.unique(more.group, return_inverse=True)[1], gain.mean(axis=0))

@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
+import numpy as np
+
 from ..model.effect import Effect
 from ..types import Floats, Ints
 from .answers import StepReport
@@ -14,6 +16,9 @@ from .fitted_run import FittedRun
 from .search import ABSURD, Search, SearchResult, refit, sizes_of
 from .setting import on_all_rows
 from .stage import Candidate
+
+#: Other periods that compete with the one that was found.
+_MOST_PERIODS = 24
 
 
 @dataclass(eq=False)
@@ -111,8 +116,27 @@ def _judged(
     result.added = ordered
     alike = {name for other in result.alternatives for name in other.names} | {c.name for c in ordered}
     rivals = [e for e in effects if e.name not in alike]
-    judged = [earned(partial, c.effect, sigma=sigma, deals=deals, rivals=rivals, seed=seed) for c in ordered]
+    judged = [
+        earned(partial, c.effect, sigma=sigma, deals=deals, rivals=rivals, periods=_other_periods(result, c), seed=seed)
+        for c in ordered
+    ]
     return partial, judged, tuple(steps)
+
+
+def _other_periods(result: SearchResult, candidate: Candidate) -> tuple[float, ...]:
+    """Periods apart from the one found at which a periodic effect took most: other rows might have chosen them."""
+    stage = result.stages[0]
+    if not candidate.effect.is_periodic:
+        return ()
+    gains = stage.plain.gains()[0][stage.n_shapes :]
+    found = candidate.setting or stage.run.model.setting_of(candidate.effect) or np.inf
+    apart = 1.0 / max(float(np.ptp(v)) for v in stage.view.inputs.values())
+    tried = [
+        (gain, c.setting)
+        for gain, c in zip(gains.tolist(), stage.candidates, strict=True)
+        if c.name == candidate.name and c.setting is not None and abs(1.0 / c.setting - 1.0 / found) > apart
+    ]
+    return tuple(setting for _, setting in sorted(tried, reverse=True)[:_MOST_PERIODS])
 
 
 def not_needed(
