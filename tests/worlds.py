@@ -32,6 +32,7 @@ from second_simulator import (
     truth,
     write_robot_toml,
 )
+from second_simulator.plans import Order
 from second_simulator.spherical import SecondSpherical, Unmodelled, camera_facing, sphere_grid, spherical_plan
 
 Floats = NDArray[np.float64]
@@ -147,14 +148,15 @@ def delta_world(
     config: Mapping[str, Any] = NOMINAL_CONFIG,
     period_mm: float | None = None,
     steps: tuple[str, ...] = (),
+    order: Order = "shuffled",
 ) -> World:
-    """A run over ``points`` in shuffled order. Of each ``scaled_um`` effect a geometric fit leaves that RMS.
+    """A run over ``points`` in this order. Of each ``scaled_um`` effect a geometric fit leaves that RMS.
 
     ``settings`` is the file that the person writes; the real robot is ``config`` with errors of its own, and its
     encoders have ``period_mm``.
     """
     robot = Robot.from_dict(config | ({"joints": {"pole_pitch_mm": period_mm}} if period_mm else {}))
-    plan = make_plan(robot, points, repeats, "shuffled", seed)
+    plan = make_plan(robot, points, repeats, order, seed)
     errors = draw_geometric_errors(np.random.default_rng([seed, 1]))
     planted: dict[str, Any] = dict(effects or {})
     for k, (name, rms_um) in enumerate((scaled_um or {}).items()):

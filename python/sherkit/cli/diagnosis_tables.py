@@ -48,9 +48,6 @@ def diagnosis(d: Diagnosis) -> None:
     out.print(f"   {missing}: familywise p = {d.p_missing:.4g} over all effects and shapes")
     for note in d.notes:
         out.print(f"   {escape(note)}")
-    if len(d.outliers):
-        lines = d.fit.data.line[d.outliers]
-        out.print(f"   suspected outliers: {d.fit.data.counted}s {listed(lines, 20)}")
     if d.smallest_found:
         out.print(_power(d))
     out.print("\n[bold]2. Where?[/]")

@@ -31,7 +31,7 @@ from .stage import testable
 
 #: Chance that a run without gross errors has anything listed; of several that are listed, the expected part of false
 #: ones.
-_LEVEL = 0.01
+_LEVEL = 0.005
 #: Chance that a column takes part in describing a run of pure noise.
 _DESCRIBED = 0.01
 #: Residuals are cut to this many spreads at the start.
@@ -113,12 +113,11 @@ def sentences(data: Measurements, rows: Ints) -> tuple[str, ...]:
         )
     single = np.flatnonzero(wild & ~whole[group])
     if len(single):
-        many = len(single) > 1
-        out.append(
-            f"{f'{len(single)} {data.counted}s are suspected outliers' if many else 'one row is a suspected outlier'} "
-            f"({data.counted}{'s' if many else ''} {_spans(data.line[single])}); all figures here are without "
-            f"{'them' if many else 'it'}"
-        )
+        what, are = (f"{len(single)} {data.counted}s", "are suspected outliers") if len(single) > 1 else (
+            f"one {data.counted}", "is a suspected outlier"
+        )  # fmt: skip
+        where = f"{data.counted}{'s' if len(single) > 1 else ''} {_spans(data.line[single])}"
+        out.append(f"{what} {are} ({where}); all figures here are without {'them' if len(single) > 1 else 'it'}")
     return tuple(out)
 
 

@@ -1,0 +1,114 @@
+"""Gross errors by row, by pose and by stretch of time: which rows are listed, and in which words.
+
+Robots and runs of seed 0 where nothing else is said. Rates of poses that are wrong in all repeats are measured in
+``test_honest_verdict.py``; single rows under heavy tails in ``test_discovery.py``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+import sherkit as sk
+import worlds
+from second_simulator.plans import Order
+from worlds import Floats
+
+
+def rows_of(world: worlds.World, add: Floats | None = None) -> sk.Measurements:
+    """The run of a world; ``add`` (n, 3) mm is added to what was read."""
+    columns = dict(world.columns)
+    for k, name in enumerate(("x_mm", "y_mm", "z_mm") if add is not None else ()):
+        columns[name] = columns[name] + add[:, k]
+    return sk.from_frame(pl.DataFrame(columns))
+
+
+def diagnosed(world: worlds.World, add: Floats | None = None) -> sk.diagnosis.Diagnosis:
+    return sk.diagnose(sk.identify(world.robot, rows_of(world, add)))
+
+
+def pushed(world: worlds.World, rows: Floats, um: float, seed: int = 0) -> Floats:
+    """A shift (n, 3), mm, of these rows by one vector of ``um``."""
+    v = np.random.default_rng([seed, 20]).normal(size=3)
+    out = np.zeros((len(world.columns["pose"]), 3))
+    out[rows] = 1e-3 * um * v / np.linalg.norm(v)
+    return out
+
+
+@pytest.mark.parametrize("order", ["planes", "shuffled"])
+@pytest.mark.parametrize("noises", [20.0, 50.0])
+def test_what_was_bumped_and_put_back_is_listed(order: Order, noises: float) -> None:
+    """Catches a bump taken for a slip, or pressed into a smooth course in time: a tenth of the run, off by one vector,
+    whether it holds whole poses or single readings of many."""
+    world = worlds.delta_world(3, order=order)
+    n = len(world.columns["pose"])
+    bumped = np.arange(n // 3, n // 3 + n // 10)
+    d = diagnosed(world, pushed(world, bumped, noises * worlds.NOISE_UM))
+    assert set(bumped) <= set(d.outliers.tolist())
+    assert len(d.outliers) <= len(bumped) + 3
+    assert (d.verdict, d.effects) == ("adequate", ())
+
+
+@pytest.mark.parametrize("noises", [5.0, 50.0])
+def test_what_slipped_and_stayed_is_an_effect(noises: float) -> None:
+    """Catches the end of a run that is thrown away because it is the smaller part: a slip after seven eighths."""
+    world = worlds.delta_world(4)
+    n = len(world.columns["pose"])
+    d = diagnosed(world, pushed(world, np.arange(7 * n // 8, n), noises * worlds.NOISE_UM))
+    assert len(d.outliers) <= 3
+    assert "slip" in d.effects
+
+
+def test_a_reading_off_by_kilometres_does_not_weigh_its_axis_down() -> None:
+    """Catches noise that is still that of the wild repeats, a fit that stays where they threw it, and the other
+    readings of the pose listed with it. One reading each of three poses: 3 km in x, 10 m in z, 50 µm in y."""
+    world = worlds.clean(0)
+    add = np.zeros((len(world.columns["pose"]), 3))
+    add[7, 0], add[100, 2], add[150, 1] = 3e6, -1e4, 0.05
+    d, clean = diagnosed(world, add), diagnosed(world)
+    assert d.outliers.tolist() == [7, 100, 150]
+    assert d.verdict == clean.verdict
+    assert (np.abs(d.fit.values - clean.fit.values) < 0.5 * clean.fit.std_from_readings + 1e-9).all()
+    assert d.noise["x"] == pytest.approx(clean.noise["x"], rel=0.02)
+
+
+@pytest.mark.parametrize("effect", ["beam_alignment", "rail_lean", "encoder_cyclic"])
+def test_wrong_poses_are_found_beside_a_missing_effect(effect: str) -> None:
+    """Catches an effect whose extremes are listed, and wrong poses that hide behind it: five of 192 poses off by
+    twenty times the noise, and by four times the effect."""
+    world = worlds.delta_world(1, {effect: 5 * worlds.NOISE_UM})
+    wrong = np.isin(world.columns["pose"], (3, 50, 77, 120, 191))
+    d = diagnosed(world, pushed(world, wrong, 20 * worlds.NOISE_UM))
+    assert set(np.flatnonzero(wrong)) <= set(d.outliers.tolist())
+    assert len(d.outliers) <= wrong.sum() + 3
+    assert d.effects == (effect,)
+
+
+@pytest.mark.parametrize("make", [worlds.spherical_scatter, worlds.spherical_sine, worlds.twisted_limbs])
+def test_what_the_model_does_not_know_is_no_gross_error(make: Any) -> None:
+    """Catches a scatter from pose to pose, a ripple or an unknown effect of which the extremes are thrown away."""
+    for seed in range(3):
+        assert len(diagnosed(make(seed)).outliers) == 0
+
+
+def test_wrong_rows_are_named_by_pose_and_by_line() -> None:
+    """Catches wrong poses told as so many rows, lines that are not those of the file, and a silent listing."""
+    world = worlds.clean(2)
+    pose = world.columns["pose"]
+    wrong = np.isin(pose, (10, 11, 60))
+    add = pushed(world, wrong, 500.0)
+    single = int(np.flatnonzero(pose == 100)[1])
+    add[single, 0] += 1.0
+    d = diagnosed(world, add)
+    assert set(d.outliers.tolist()) == {*np.flatnonzero(wrong).tolist(), single}
+    (poses,) = [note for note in d.notes if note.startswith("3 poses are wrong in all their repeats (pose 10-11, 60;")]
+    (row,) = [note for note in d.notes if note.startswith("one row is a suspected outlier")]
+    line = d.fit.data.line
+    assert f"row {line[single]})" in row
+    assert f"rows {line[wrong][0]}" in poses
+    assert d.fit.data.outlier.sum() == 10
+    assert d.base.data.outlier.sum() == 10
+    assert d.steps[0].held_out_rms < 1.2 * worlds.NOISE_UM
