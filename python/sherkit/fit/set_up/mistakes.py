@@ -8,12 +8,11 @@ import numpy as np
 
 from ...data import Measurements
 from ...data.noise import noise_of
-from ...errors import SherkitError
 from ...model.base import ModelWithEffects
 from ...types import Bools, Floats
 from .columns_alone import commanded_joints, constant_by_mistake, time_in_milliseconds
 from .hypotheses import SetUp, hypotheses, turned_frame
-from .plausible import COUNTED, Plausible, as_fitted, only_shift, plausible_fit
+from .plausible import COUNTED, NOT_COMPUTED, Plausible, as_fitted, only_shift, plausible_fit
 
 #: A set-up is mistaken where another explains the run better by a factor of five with parameters as plausible.
 _MUCH = COUNTED * float(np.log(5.0))
@@ -66,7 +65,7 @@ def set_up_mistakes(model: ModelWithEffects, data: Measurements, values: Floats 
     late = time_in_milliseconds(data)
     out = [Mistake(late)] if late else []
     if values is not None:
-        still = dict(constant_by_mistake(data, model.predict(data, np.zeros(len(values)))))
+        still = dict(constant_by_mistake(model, data))
         if still:
             out += [Mistake(sentence) for sentence in still.values()]
             taken = data.taken.copy()
@@ -112,10 +111,14 @@ def _wrong(
         return _nothing_usual(now, free, before, unit)
     first, found = better[0]
     after = per_unit * found.rms_of_all
-    said = "; or ".join(f"{one.looks} ({one.advice})" for one, _ in better)
-    stood = "where nothing can be computed as it stands" if np.isnan(before) else f"instead of {before:.3g} {unit}"
-    same = ", which here says the same" if len(better) > 1 else ""
-    out = [Mistake(f"{said}{same}: {after:.3g} {unit} RMS {stood}", before, after)]
+    looks, advice = (
+        dict.fromkeys(words) for words in zip(*((one.looks, one.advice) for one, _ in better), strict=True)
+    )
+    stood = "where nothing can be computed as it stands" if np.isnan(before) else f"instead of {_plain(before)}"
+    same = ", which here is the same" if len(better) > 1 else ""
+    then = "" if most == _MOST_MISTAKES else "then "
+    sentence = f"{then}{', or '.join(looks)}{same}: {_plain(after)} {unit} RMS {stood}; {', or '.join(advice)}"
+    out = [Mistake(sentence, before, after)]
     return out if most == 1 else out + _wrong(first.model, first.data, None, most - 1)
 
 
@@ -154,7 +157,7 @@ def _turned(
             if found is None:
                 break
             values = found.values
-    except SherkitError:
+    except NOT_COMPUTED:
         found = None
     return one or SetUp("", "", model, data), found
 
@@ -164,9 +167,14 @@ def _datum(model: ModelWithEffects, data: Measurements) -> Bools | None:
     for one in (SetUp("", "", model, data), *hypotheses(model, data)):
         try:
             return only_shift(one.model, one.data)
-        except SherkitError:
+        except NOT_COMPUTED:
             continue
     return None
+
+
+def _plain(value: float) -> str:
+    """Three digits, never as a power of ten."""
+    return f"{float(f'{value:.3g}'):,.12g}"
 
 
 def _nothing_usual(now: Plausible | None, free: Plausible | None, before: float, unit: str) -> list[Mistake]:
@@ -174,7 +182,7 @@ def _nothing_usual(now: Plausible | None, free: Plausible | None, before: float,
     if now is None or free is None or min(now.relative, free.relative) < _ABSURD:
         return []
     sentence = (
-        f"nothing that is usually mistaken explains the run: {before:.3g} {unit} RMS are left with parameters of "
+        f"nothing that is usually mistaken explains the run: {_plain(before)} {unit} RMS are left with parameters of "
         f"plausible size, {100 * now.relative:.0f} % of how far the readings move; compare a pose or two with the "
         "robot's file by hand"
     )
