@@ -12,7 +12,7 @@ from ...model.base import ModelWithEffects
 from ...types import Bools, Floats
 from .columns_alone import commanded_joints, constant_by_mistake, time_in_milliseconds
 from .hypotheses import SetUp, hypotheses, turned_frame
-from .plausible import COUNTED, NOT_COMPUTED, Plausible, as_fitted, only_shift, plausible_fit
+from .plausible import COUNTED, NOT_COMPUTED, Plausible, as_fitted, only_shift, plausible_fit, thinned
 
 #: A set-up is mistaken where another explains the run better by a factor of five with parameters as plausible.
 _MUCH = COUNTED * float(np.log(5.0))
@@ -108,7 +108,9 @@ def _wrong(
     unit, per_unit = data.layout.unit, data.layout.per_unit
     before = float("nan") if now is None else per_unit * now.rms_of_all
     if not better:
-        return _nothing_usual(now, free, before, unit)
+        if now is None or free is None or min(now.relative, free.relative) < _ABSURD or not _moves(model, data, now):
+            return []
+        return [_nothing_usual(now, before, unit)]
     first, found = better[0]
     after = per_unit * found.rms_of_all
     looks, advice = (
@@ -177,13 +179,17 @@ def _plain(value: float) -> str:
     return f"{float(f'{value:.3g}'):,.12g}"
 
 
-def _nothing_usual(now: Plausible | None, free: Plausible | None, before: float, unit: str) -> list[Mistake]:
+def _moves(model: ModelWithEffects, data: Measurements, now: Plausible) -> bool:
+    """Whether the robot was driven anywhere, beside what is left: at one place readings are all noise."""
+    driven = np.ptp(model.predict(thinned(data), now.values), axis=0)
+    return bool(driven.max() > now.rms_of_all)
+
+
+def _nothing_usual(now: Plausible, before: float, unit: str) -> Mistake:
     """That the fit is absurd and nothing that is usually mistaken explains it."""
-    if now is None or free is None or min(now.relative, free.relative) < _ABSURD:
-        return []
     sentence = (
         f"nothing that is usually mistaken explains the run: {_plain(before)} {unit} RMS are left with parameters of "
         f"plausible size, {100 * now.relative:.0f} % of how far the readings move; compare a pose or two with the "
         "robot's file by hand"
     )
-    return [Mistake(sentence, before)]
+    return Mistake(sentence, before)
