@@ -106,6 +106,19 @@ def test_a_height_that_was_held_is_no_mistake() -> None:
     assert told(slow) == ()
 
 
+def test_noise_at_one_place_is_no_mistake() -> None:
+    """Catches a fit called absurd where the robot stood still, as in a test of repeatability."""
+    assert told(worlds.delta_world(0, points=np.zeros((30, 3)), repeats=1)) == ()
+
+
+def test_what_nothing_usual_explains_is_said() -> None:
+    """Catches physics that is blamed for readings of another run: rows in another order."""
+    world = worlds.delta_world(0, repeats=1)
+    order = np.random.default_rng(3).permutation(len(world.columns["pose"]))
+    (said,) = told(mistakes.columns(lambda c: {name: c[name][order] for name in POSITION})(world))
+    assert "nothing that is usually mistaken" in said.sentence
+
+
 def test_an_error_of_reach_names_the_mistake() -> None:
     """Catches "cannot reach" without a word on the joint that is counted downwards, or a word that is not right."""
     world = mistakes.file_of(NAMED["joint 2 counted downwards"].change(mistakes.delta_run(3)))

@@ -12,7 +12,9 @@ from scipy import stats
 
 from ...data import Measurements
 from ...data.columns import TIME
-from ...types import Floats, Ints
+from ...errors import SherkitError
+from ...model.base import ModelWithEffects
+from ...types import Ints
 
 #: A reading that never changes is a mistake where the place moves it by more than this part of what moves most.
 _MOVES = 0.05
@@ -35,15 +37,20 @@ def constant(data: Measurements) -> Ints:
     return np.array(out, dtype=np.int64)
 
 
-def constant_by_mistake(data: Measurements, predicted: Floats) -> Iterator[tuple[int, str]]:
-    """Readings that never change though the place does: the column and the sentence.
+def constant_by_mistake(model: ModelWithEffects, data: Measurements) -> Iterator[tuple[int, str]]:
+    """Readings that never change though the drawing moves the place: the column and the sentence.
 
-    ``predicted`` (n, m) are the drawing's readings. Where the place was held there on purpose, as by a probe that is
-    lowered to a table, they do not change either.
+    Where it was held there on purpose, as by a probe that is lowered to a table, the drawing's do not change either.
     """
-    moves = np.ptp(predicted, axis=0)
+    still = constant(data)
+    if not len(still):
+        return
+    try:
+        moves = np.ptp(model.predict(data, np.zeros(len(model.parameters))), axis=0)
+    except SherkitError:
+        return
     most = moves[: data.coordinates].max()
-    for k in constant(data):
+    for k in still:
         if moves[k] > _MOVES * most:
             name, per_unit, unit = data.layout.readings[k], data.layout.per_unit, data.layout.unit
             value = float(data.readings[data.used[:, k], k][0])

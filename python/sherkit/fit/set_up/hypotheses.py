@@ -36,6 +36,8 @@ _QUARTERS = ((-1.0, 0.5), (-1.0, 1.0), (1.0, 0.5), (1.0, -0.5), (1.0, 1.0))
 _ROWS = 3
 #: A frame that is turned anyhow is less likely from the outset than a slip: its three angles fit more.
 _TURNED = 10.0
+#: A turn is half a turn as long as it is as near to one as this.
+_PLANE_DEG = 3.0
 #: All subsets of so few columns are tried; of more, single ones and all together.
 _FEW = 3
 
@@ -325,10 +327,15 @@ def turned_frame(model: ModelWithEffects, data: Measurements, values: Floats, *,
     axis = angle / max(float(np.linalg.norm(angle)), 1e-12)
     readings = data.readings.copy()
     readings[:, :3] = (data.readings[:, :3] - middle) @ turn.T + middle
-    what = "mirrored in a point and turned" if mirrored else "turned"
+    along = f"({', '.join(f'{v:.2f}' for v in np.round(axis, 2) + 0.0)})"
+    what = f"turned by {degrees:.1f}° about {along}"
+    if mirrored:
+        # a point's mirror image turned by half a turn is that of a plane
+        plane = degrees > 180.0 - _PLANE_DEG
+        what = f"mirrored in the plane square to {along}" if plane else f"mirrored in a point and {what}"
     return SetUp(
-        f"the frame of {_and(names)} looks {what} by {degrees:.1f}° about ({', '.join(f'{v:.2f}' for v in axis)})",
-        "turn the readings back, or turn the angles of the robot file with it",
+        f"the frame of {_and(names)} looks {what}",
+        "turn the readings back, or the angles of the robot file with them",
         model,
         replace(data, readings=np.where(data.taken, readings, 0.0)),
         farther=_TURNED,

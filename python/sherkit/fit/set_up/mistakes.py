@@ -8,12 +8,11 @@ import numpy as np
 
 from ...data import Measurements
 from ...data.noise import noise_of
-from ...errors import SherkitError
 from ...model.base import ModelWithEffects
 from ...types import Bools, Floats
 from .columns_alone import commanded_joints, constant_by_mistake, time_in_milliseconds
 from .hypotheses import SetUp, hypotheses, turned_frame
-from .plausible import COUNTED, Plausible, as_fitted, only_shift, plausible_fit
+from .plausible import COUNTED, NOT_COMPUTED, Plausible, as_fitted, only_shift, plausible_fit, thinned
 
 #: A set-up is mistaken where another explains the run better by a factor of five with parameters as plausible.
 _MUCH = COUNTED * float(np.log(5.0))
@@ -66,7 +65,7 @@ def set_up_mistakes(model: ModelWithEffects, data: Measurements, values: Floats 
     late = time_in_milliseconds(data)
     out = [Mistake(late)] if late else []
     if values is not None:
-        still = dict(constant_by_mistake(data, model.predict(data, np.zeros(len(values)))))
+        still = dict(constant_by_mistake(model, data))
         if still:
             out += [Mistake(sentence) for sentence in still.values()]
             taken = data.taken.copy()
@@ -109,13 +108,19 @@ def _wrong(
     unit, per_unit = data.layout.unit, data.layout.per_unit
     before = float("nan") if now is None else per_unit * now.rms_of_all
     if not better:
-        return _nothing_usual(now, free, before, unit)
+        if now is None or free is None or min(now.relative, free.relative) < _ABSURD or not _moves(model, data, now):
+            return []
+        return [_nothing_usual(now, before, unit)]
     first, found = better[0]
     after = per_unit * found.rms_of_all
-    said = "; or ".join(f"{one.looks} ({one.advice})" for one, _ in better)
-    stood = "where nothing can be computed as it stands" if np.isnan(before) else f"instead of {before:.3g} {unit}"
-    same = ", which here says the same" if len(better) > 1 else ""
-    out = [Mistake(f"{said}{same}: {after:.3g} {unit} RMS {stood}", before, after)]
+    looks, advice = (
+        dict.fromkeys(words) for words in zip(*((one.looks, one.advice) for one, _ in better), strict=True)
+    )
+    stood = "where nothing can be computed as it stands" if np.isnan(before) else f"instead of {_plain(before)}"
+    same = ", which here is the same" if len(better) > 1 else ""
+    then = "" if most == _MOST_MISTAKES else "then "
+    sentence = f"{then}{', or '.join(looks)}{same}: {_plain(after)} {unit} RMS {stood}; {', or '.join(advice)}"
+    out = [Mistake(sentence, before, after)]
     return out if most == 1 else out + _wrong(first.model, first.data, None, most - 1)
 
 
@@ -154,7 +159,7 @@ def _turned(
             if found is None:
                 break
             values = found.values
-    except SherkitError:
+    except NOT_COMPUTED:
         found = None
     return one or SetUp("", "", model, data), found
 
@@ -164,18 +169,27 @@ def _datum(model: ModelWithEffects, data: Measurements) -> Bools | None:
     for one in (SetUp("", "", model, data), *hypotheses(model, data)):
         try:
             return only_shift(one.model, one.data)
-        except SherkitError:
+        except NOT_COMPUTED:
             continue
     return None
 
 
-def _nothing_usual(now: Plausible | None, free: Plausible | None, before: float, unit: str) -> list[Mistake]:
+def _plain(value: float) -> str:
+    """Three digits, never as a power of ten."""
+    return f"{float(f'{value:.3g}'):,.12g}"
+
+
+def _moves(model: ModelWithEffects, data: Measurements, now: Plausible) -> bool:
+    """Whether the robot was driven anywhere, beside what is left: at one place readings are all noise."""
+    driven = np.ptp(model.predict(thinned(data), now.values), axis=0)
+    return bool(driven.max() > now.rms_of_all)
+
+
+def _nothing_usual(now: Plausible, before: float, unit: str) -> Mistake:
     """That the fit is absurd and nothing that is usually mistaken explains it."""
-    if now is None or free is None or min(now.relative, free.relative) < _ABSURD:
-        return []
     sentence = (
-        f"nothing that is usually mistaken explains the run: {before:.3g} {unit} RMS are left with parameters of "
+        f"nothing that is usually mistaken explains the run: {_plain(before)} {unit} RMS are left with parameters of "
         f"plausible size, {100 * now.relative:.0f} % of how far the readings move; compare a pose or two with the "
         "robot's file by hand"
     )
-    return [Mistake(sentence, before)]
+    return Mistake(sentence, before)

@@ -27,6 +27,8 @@ SIZES = 2.0
 #: More rows than this say nothing new about a mistake.
 _MOST_ROWS = 300
 _ROUNDS = 12
+#: What a model may raise where it is asked for what it was not made for.
+NOT_COMPUTED = (SherkitError, ArithmeticError, LookupError, ValueError)
 _EVALUATIONS = 6
 #: Another round is worth its time where the misfit falls by more than this.
 _WORTH = 0.2
@@ -85,22 +87,23 @@ def plausible_fit(model: ModelWithEffects, data: Measurements, datum: Bools, rou
     counted = np.sqrt(min(1.0, COUNTED / max(int(used.sum()), 1)))
     problem = LeastSquares(model, data, counted * freed)
     values = np.zeros(len(sizes))
-    best: Plausible | None = None
     elsewhere = part_elsewhere(model, data)
+    taken = used.any(axis=0)
+    smallest = _SMALLEST * np.where(taken, spread, 1.0)
+    best: Plausible | None = None
     try:
-        rms = robust_rms(problem.left(values), used, centred=bool(datum.any()))
-        for _ in range(rounds):
-            wide = np.maximum(np.where(np.isfinite(rms), rms, 1.0), _SMALLEST * np.nan_to_num(spread, nan=1.0))
-            solver, _ = problem.solve(
-                np.where(used, 1.0 / wide, 0.0), values, priors=True, loss="cauchy", max_evaluations=_EVALUATIONS
-            )
-            values = solver.trial
-            rms = robust_rms(problem.left(values), used)
-            now = Plausible(values, rms, spread, moved_by(values, sizes, datum), elsewhere)
-            if best is not None and now.misfit > best.misfit - _WORTH:
-                break
-            best = now
-    except SherkitError:
+        with np.errstate(all="ignore"):
+            rms = robust_rms(problem.left(values), used, centred=bool(datum.any()))
+            for _ in range(rounds):
+                weights = np.where(used, 1.0 / np.maximum(np.where(taken, rms, 1.0), smallest), 0.0)
+                solver, _ = problem.solve(weights, values, priors=True, loss="cauchy", max_evaluations=_EVALUATIONS)
+                values = solver.trial
+                rms = robust_rms(problem.left(values), used)
+                now = Plausible(values, rms, spread, moved_by(values, sizes, datum), elsewhere)
+                if not np.isfinite(rms[taken]).all() or (best is not None and now.misfit > best.misfit - _WORTH):
+                    break
+                best = now
+    except NOT_COMPUTED:
         return best
     return best
 
