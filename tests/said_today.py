@@ -39,7 +39,6 @@ ROWS = {
     "no noise known": "adequate: no effect added",
     "repeats without a pose column": "the noise is unknown though each joint reading stands three times in the run",
     "common lean": "six numbers, 0.00003 and 0.00202 and so on; nothing says that three of them are one",
-    "next poses": "u_px, v_px and separation_sigma; no joint readings",
     "left-out settings": "no warning",
 }
 

@@ -12,7 +12,7 @@ from sherkit.data import Measurements
 from sherkit.model.chain import ChainModel
 from sherkit.types import Floats
 
-from .columns import PLANAR
+from .columns import PLANAR, TIP
 from .core import CATALOGUE, PlanarCore
 from .effects import PLANAR_CATALOGUE
 from .robot import PlanarArm
@@ -32,6 +32,7 @@ class PlanarModel(ChainModel):
     catalogue: ClassVar = PLANAR_CATALOGUE
     layouts: ClassVar = (PLANAR,)
     table: ClassVar = CATALOGUE
+    targets: ClassVar = TIP
 
     def lever_mm(self, name: str) -> float:
         """An offset moves what hangs on its joint."""
@@ -53,12 +54,11 @@ class PlanarModel(ChainModel):
         home = np.deg2rad(r.home_deg)
         return PlanarCore(np.array(r.length_mm), r.height_mm, home, self.time_origin_s, self.slip_time_s)
 
-    def reachable(self, data: Measurements, values: Floats) -> tuple[Floats, Measurements]:
-        """A grid over the joints where the run was, with the rows it would give."""
+    def grid(self, data: Measurements) -> Floats:
+        """Places of the tip (k, 2), mm, for a grid over the joints where the run was."""
         low, high = data.joints.min(axis=0), data.joints.max(axis=0)
         ticks = np.meshgrid(*np.linspace(low, high, _GRID).T, indexing="ij")
-        rows = data.unmeasured(np.stack(ticks, axis=-1).reshape(-1, 2))
-        return self.core.predict(self.full(values), self.block(rows))[0], rows
+        return self.robot.forward_batch(np.stack(ticks, axis=-1).reshape(-1, 2)).values
 
     def reason(self, data: Measurements, row: int, values: Floats) -> str:
         """Joints reach everywhere: it is a column."""

@@ -44,8 +44,10 @@ class Diagnosis(Shown):
     """The answers, in the order a person asks.
 
     ``verdict`` is ``adequate``, ``explained``, ``partly explained`` or ``unexplained``. ``ties`` are groups of
-    effects that these rows cannot tell apart, the leading one first. ``fit`` is the model with the named effects
-    on all rows. Errors are RMS of single readings in ``unit``: µm for a delta.
+    effects that these rows cannot tell apart, the leading one first. ``next_poses`` are joints to drive to and the
+    coordinates that these are, in the order to measure them, each with the separation in standard deviations that run
+    and poses up to it reach; ``advice`` says what no reachable pose tells, and what would. ``fit`` is the model with
+    the named effects on all rows. Errors are RMS of single readings in ``unit``: µm for a delta.
     """
 
     verdict: str
@@ -68,6 +70,7 @@ class Diagnosis(Shown):
     hides_in: dict[str, tuple[str, ...]]
     outliers: Ints
     next_poses: tuple[dict[str, float], ...]
+    advice: str
     notes: tuple[str, ...]
     fit: Fit = field(repr=False)
     base: Fit = field(repr=False)
@@ -122,6 +125,7 @@ class Diagnosis(Shown):
             "hides_in": {k: list(v) for k, v in self.hides_in.items()},
             "outliers": self.fit.data.line[self.outliers].tolist(),
             "next_poses": list(self.next_poses),
+            "advice": self.advice,
             "notes": list(self.notes),
         }
 

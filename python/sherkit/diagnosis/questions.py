@@ -19,6 +19,8 @@ from ..types import Floats, Ints
 from .answers import CandidateReport, Diagnosis, StepReport
 from .crossvalidation import HeldOutError, held_out
 from .fitted_run import FittedRun
+from .hiding import hides_in
+from .next_poses import Proposal
 from .power import smallest_found
 from .search import Search, SearchResult, is_plausible, refit
 from .shapes import Shape
@@ -32,7 +34,6 @@ _LOCKED = 1.0 / 3.0
 #: Fewer rows than this are not split.
 _SPLIT_FROM = 90
 _FOLDS = 6
-_HIDDEN_FROM = 0.97
 _SMALLEST_P = 1e-300
 #: Level at which an axis takes part in a signature.
 _AXIS_LEVEL = 1e-3
@@ -129,7 +130,7 @@ def diagnose(
         threshold = float(np.quantile(found.stages[0].plain.null(199, seed), 1 - level))
         smallest = {c.name: smallest_found(stage, c, threshold) for c in search.strongest_settings(stage)}
     signature = _signature(found, found.stages[-1]) if found.signature else None
-    hidden = {c.name: hides_in(base_stage, c) for c in base_stage.candidates}
+    proposal = _next(found, sigma) if ties else Proposal()
     return Diagnosis(
         verdict=verdict,
         unit=run.unit,
@@ -148,9 +149,10 @@ def diagnose(
         neighbour_correlation=neighbour_correlation(base_stage),
         confirmed=confirmed,
         signature=signature,
-        hides_in={k: v for k, v in hidden.items() if v},
+        hides_in=hides_in(base_stage),
         outliers=wild,
-        next_poses=_next(found, sigma) if ties else (),
+        next_poses=proposal.poses,
+        advice=proposal.advice,
         notes=tuple(notes),
         fit=final.fit,
         base=run.fit,
@@ -168,7 +170,7 @@ def _without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[Fitted
     return run, wild
 
 
-def _next(found: SearchResult, sigma: Floats) -> tuple[dict[str, float], ...]:
+def _next(found: SearchResult, sigma: Floats) -> Proposal:
     """Poses that would tell the leading set from those tied with it."""
     return found.stages[-1].run.next_poses([other.stage.run for other in found.alternatives], sigma)
 
@@ -326,26 +328,6 @@ def _confirm(search: Search, found: SearchResult, run: FittedRun, locked: Ints) 
     per_pose = np.bincount(np.unique(run.data.groups[locked], return_inverse=True)[1], gain)
     signs = np.random.default_rng(search.seed).integers(0, 2, (1999, len(per_pose))) * 2.0 - 1.0
     return float((1 + (signs @ per_pose >= per_pose.sum()).sum()) / 2000)
-
-
-def hides_in(stage: Stage, candidate: Candidate) -> tuple[str, ...]:
-    """Fitted parameters that cover most of an effect on these poses; empty where most of it is to be seen."""
-    columns = stage.scan.take(candidate.columns)
-    size = np.array([p.size for p in candidate.effect.parameters])
-    whole = columns @ size if not candidate.columns.functions else columns.sum(axis=1)
-    inside = stage.scan.basis.T @ whole
-    if float(inside @ inside) < _HIDDEN_FROM * float(whole @ whole):
-        return ()
-    fitted = stage.view.fitted.reshape(stage.scan.n * stage.scan.m, -1)
-    order = np.argsort(stage.view.group, kind="stable")
-    target = np.empty_like(whole).reshape(stage.scan.n, stage.scan.m)
-    target[order] = whole.reshape(stage.scan.n, stage.scan.m)
-    scale = np.array([p.size for p in stage.run.fit.parameters])
-    length = fitted.shape[1]
-    x = np.linalg.lstsq(fitted * scale[:length], target.reshape(-1), rcond=1e-9)[0]
-    names = [p.name for p in stage.run.fit.parameters]
-    top = np.argsort(-np.abs(x))
-    return tuple(names[k] for k in top[:6] if abs(x[k]) >= 0.3 * abs(x[top[0]]))
 
 
 def _signature(found: SearchResult, stage: Stage) -> dict[str, Any]:
