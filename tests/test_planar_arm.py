@@ -79,7 +79,7 @@ def test_where_it_could_be_sent_next() -> None:
     assert found is not None
     assert tuple(found.targets) == KIND.coordinates
     assert np.abs(found.rows.joints).max() <= np.deg2rad(60.0)
-    there = robot.forward_batch(found.rows.joints).require("pose")
+    there = np.array([robot.forward(q) for q in found.rows.joints])
     np.testing.assert_allclose(there, np.column_stack(list(found.targets.values())), atol=0.02)
 
 

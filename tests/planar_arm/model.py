@@ -58,7 +58,7 @@ class PlanarModel(ChainModel):
         """Places of the tip (k, 2), mm, for a grid over the joints where the run was."""
         low, high = data.joints.min(axis=0), data.joints.max(axis=0)
         ticks = np.meshgrid(*np.linspace(low, high, _GRID).T, indexing="ij")
-        return self.robot.forward_batch(np.stack(ticks, axis=-1).reshape(-1, 2)).values
+        return np.array([self.robot.forward(q) for q in np.stack(ticks, axis=-1).reshape(-1, 2)])
 
     def reason(self, data: Measurements, row: int, values: Floats) -> str:
         """Joints reach everywhere: it is a column."""

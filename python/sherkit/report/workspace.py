@@ -196,7 +196,7 @@ def _pose_tables(state: NextPoses) -> Tables:
     table: dict[str, Any] = {key: [pose[key] for pose in state.poses] for key in keys}
     table["order"] = [str(k) for k in range(1, len(state.poses) + 1)]
     out: Tables = {"measured": measured, "next": table}
-    names = _drawn(state)
+    names = _drawn(state) if state.poses else []
     for k, (a, b) in enumerate([(0, 1), (0, 2)]):
         out[f"orders_{k}"] = _orders(table, names[a], names[b]) if len(names) > b else {"x": [], "y": [], "text": []}
     return out
