@@ -73,6 +73,18 @@ def measured(robot: Any, hidden: str = "", seed: int = 1) -> sk.Measurements:
     return made.measure(fan(robot, 8), repeats=3, seed=seed)
 
 
+def test_where_it_could_be_sent_next() -> None:
+    """Catches a kind whose poses come without joints or coordinates, or beyond its limits."""
+    robot = PlanarArm((250.0, 180.0), joint_limits_deg=(-60.0, 60.0))
+    data = measured(robot)
+    found = kinds.model_of(robot).reachable(data, sk.identify(robot, data).values)
+    assert found is not None
+    assert tuple(found.targets) == KIND.coordinates
+    assert np.abs(found.rows.joints).max() <= np.deg2rad(60.0)
+    there = np.array([robot.forward(q) for q in found.rows.joints])
+    np.testing.assert_allclose(there, np.column_stack(list(found.targets.values())), atol=0.02)
+
+
 def said(capsys: pytest.CaptureFixture[str], code: int, *arguments: str) -> str:
     """What the command prints, beside errors if it ends with one."""
     with pytest.raises(SystemExit) as ended:

@@ -12,7 +12,7 @@ from sherkit.data import Measurements
 from sherkit.model.chain import ChainModel
 from sherkit.types import Floats
 
-from .columns import PLANAR
+from .columns import PLANAR, TIP
 from .core import CATALOGUE, PlanarCore
 from .effects import PLANAR_CATALOGUE
 from .robot import PlanarArm
@@ -33,6 +33,7 @@ class PlanarModel(ChainModel):
     catalogue: ClassVar = PLANAR_CATALOGUE
     layouts: ClassVar = (PLANAR,)
     table: ClassVar = CATALOGUE
+    targets: ClassVar = TIP
 
     def lever_mm(self, name: str) -> float:
         """An offset moves what hangs on its joint."""
@@ -56,12 +57,11 @@ class PlanarModel(ChainModel):
         times, period = (self.time_origin_s, self.slip_time_s), self.period_rad or np.pi
         return PlanarCore(np.array(r.length_mm), r.height_mm, home, *times, period)
 
-    def reachable(self, data: Measurements, values: Floats) -> tuple[Floats, Measurements]:
-        """A grid over the joints where the run was, with the rows it would give."""
+    def grid(self, data: Measurements) -> Floats:
+        """Places of the tip (k, 2), mm, for a grid over the joints where the run was."""
         low, high = data.joints.min(axis=0), data.joints.max(axis=0)
         ticks = np.meshgrid(*np.linspace(low, high, _GRID).T, indexing="ij")
-        rows = data.unmeasured(np.stack(ticks, axis=-1).reshape(-1, 2))
-        return self.core.predict(self.full(values), self.block(rows))[0], rows
+        return np.array([self.robot.forward(q) for q in np.stack(ticks, axis=-1).reshape(-1, 2)])
 
     def reason(self, data: Measurements, row: int, values: Floats) -> str:
         """Joints reach everywhere: it is a column."""

@@ -6,6 +6,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from ..diagnosis import Diagnosis, largest, sentence
+from ..diagnosis.next_poses import SEPARATION
 from ..names import listed
 from .output import out, table
 
@@ -129,19 +130,20 @@ def _power(d: Diagnosis) -> Table:
 
 
 def _poses(d: Diagnosis) -> Table:
-    axes = [name for name in d.next_poses[0] if name != "separation_sigma"]
-    made = table("Poses to measure next, in this order", "", *map(_with_unit, axes), "separation, σ")
+    axes = [name for name in d.next_poses[0] if name != SEPARATION]
+    made = table("Poses to measure next, in this order", "", *map(_with_unit, axes), "separation with it, σ")
     for k, pose in enumerate(d.next_poses, start=1):
-        cells = [f"{pose[a]:.1f}" for a in axes]
-        made.add_row(str(k), *cells, f"{pose['separation_sigma']:.1f}")
+        made.add_row(str(k), *(f"{pose[a]:.6g}" for a in axes), f"{pose[SEPARATION]:.1f}")
     return made
 
 
 def _next(d: Diagnosis) -> list[str]:
+    advice = [escape(d.advice)] if d.advice else []
     if d.ties and d.next_poses:
-        return ["measure the poses below, some time after this run, and diagnose both: sherkit diagnose ROBOT RUN MORE"]
+        poses = "measure the poses below, some time after this run, and diagnose both: sherkit diagnose ROBOT RUN MORE"
+        return [*advice, poses]
     if d.ties:
-        return ["no reachable pose separates the tie; change the order of the poses, the temperature or the load"]
+        return advice or ["which poses could be reached is not known of this machine, so none are proposed"]
     if d.verdict == "explained":
         return [
             f"add it: sherkit calibrate ROBOT RUN {' '.join(f'--effect {e}' for e in d.effects)} -o calibrated.toml"

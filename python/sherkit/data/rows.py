@@ -289,6 +289,13 @@ class Measurements:
             },
         )
 
+    def to_be_read(self, layout: c.Layout) -> Measurements:
+        """The same rows where the coordinates of another layout with these joints are still to be read."""
+        n, m = len(self), len(layout.readings)
+        taken = np.tile([name != layout.distance for name in layout.readings], (n, 1))
+        nothing = np.full((n, m), np.nan)
+        return replace(self, layout=layout, readings=np.zeros((n, m)), taken=taken, sigma=nothing)
+
     @cached_property
     def distances_or_none(self) -> Floats | None:
         """``to_joints`` where any row is a distance, else None, as the core takes it."""

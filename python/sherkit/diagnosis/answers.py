@@ -50,8 +50,11 @@ class Diagnosis(Shown):
     alone. ``effects`` are those that are missing, ``not_needed`` those in the model that bring nothing;
     ``reservation`` says what one unknown would look like where many numbers explain, and which size is implausible.
     ``ties`` are groups of effects that these rows cannot tell apart, the leading one first; ``confirmed`` is the
-    largest p with which a named effect earns its place on rows held out. ``fit`` is the model with the named effects on
-    all rows. Errors are RMS of single readings in ``unit``: µm for a delta.
+    largest p with which a named effect earns its place on rows held out. ``next_poses`` are
+    joints to drive to and the coordinates that these are, in the order to measure them, each with the separation in
+    standard deviations that run and poses up to it reach; ``advice`` says what no reachable pose tells, and what would.
+    ``fit`` is the model with the named effects on all rows.
+    Errors are RMS of single readings in ``unit``: µm for a delta.
     """
 
     verdict: str
@@ -77,6 +80,7 @@ class Diagnosis(Shown):
     hides_in: dict[str, tuple[str, ...]]
     outliers: Ints
     next_poses: tuple[dict[str, float], ...]
+    advice: str
     notes: tuple[str, ...]
     fit: Fit = field(repr=False)
     base: Fit = field(repr=False)
@@ -147,6 +151,7 @@ class Diagnosis(Shown):
             "hides_in": {k: list(v) for k, v in self.hides_in.items()},
             "outliers": self.fit.data.line[self.outliers].tolist(),
             "next_poses": list(self.next_poses),
+            "advice": self.advice,
             "notes": list(self.notes),
         }
 

@@ -15,7 +15,7 @@ from ..model.base import ModelWithEffects
 from ..model.effect import Effect
 from ..types import Bools, Floats, Ints
 from .linearised import Linearised
-from .next_poses import next_poses
+from .next_poses import Proposal, next_poses
 
 
 class FittedRun:
@@ -122,9 +122,8 @@ class FittedRun:
         data = self.data.select(rows)
         return data.readings - other.model.predict(data, other.fit.values)
 
-    def next_poses(self, rivals: Sequence[FittedRun], sigma: Floats) -> tuple[dict[str, float], ...]:
-        """Poses that tell this fit from its rivals best, in the order to measure them; none where it is not known what
-        can be reached."""
+    def next_poses(self, rivals: Sequence[FittedRun], sigma: Floats) -> Proposal:
+        """Poses that tell this fit from its rivals best, in the order to measure them, and what they cannot tell."""
         return next_poses(self.fit, [rival.fit for rival in rivals], sigma)
 
     # -- what can be looked at ---------------------------------------------------------------------------

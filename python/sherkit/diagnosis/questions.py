@@ -21,8 +21,10 @@ from .answers import CandidateReport, Diagnosis
 from .claims import verdict_of
 from .crossvalidation import HeldOutError, held_out
 from .fitted_run import FittedRun
+from .hiding import hides_in
 from .lack_of_fit import lack_of_fit
 from .named import not_needed, searched
+from .next_poses import Proposal
 from .one_unknown import OneUnknown, one_unknown
 from .outliers import sentences, without_outliers
 from .power import smallest_found
@@ -39,7 +41,6 @@ _FOLDS = 6
 _DEALS = 5
 #: Numbers up to which a single effect is taken by its name without asking what an unknown would look like.
 _FEW = 6
-_HIDDEN_FROM = 0.97
 _SMALLEST_P = 1e-300
 #: Level at which an axis takes part in a signature.
 _AXIS_LEVEL = 1e-3
@@ -120,7 +121,7 @@ def diagnose(
         threshold = float(np.quantile(found.result.stages[0].plain.null(199, seed), 1 - level))
         smallest = {c.name: smallest_found(stage, c, threshold) for c in found.search.strongest_settings(stage)}
     signature = _signature(found.result, found.result.stages[-1]) if found.result.signature else None
-    hidden = {c.name: hides_in(base_stage, c) for c in base_stage.candidates}
+    proposal = _next(found.result, unknown, sigma)
     return Diagnosis(
         verdict=verdict,
         unit=run.unit,
@@ -142,9 +143,10 @@ def diagnose(
         neighbour_correlation=neighbour_correlation(base_stage),
         confirmed=max((one.p for one in found.earned), default=None),
         signature=signature,
-        hides_in={k: v for k, v in hidden.items() if v},
+        hides_in=hides_in(base_stage),
         outliers=wild,
-        next_poses=_next(found.result, unknown, sigma),
+        next_poses=proposal.poses,
+        advice=proposal.advice,
         notes=tuple(notes),
         fit=final.fit,
         base=run.fit,
@@ -152,13 +154,13 @@ def diagnose(
     )
 
 
-def _next(found: SearchResult, unknown: OneUnknown | None, sigma: Floats) -> tuple[dict[str, float], ...]:
+def _next(found: SearchResult, unknown: OneUnknown | None, sigma: Floats) -> Proposal:
     """Poses that would tell the leading set from those tied with it, and from one unknown."""
     lead = found.stages[-1].run
     rivals = [other.stage.run for other in found.alternatives]
     if unknown is not None and unknown.rivals:
         rivals.append(unknown.run)
-    return lead.next_poses(rivals, sigma) if rivals else ()
+    return lead.next_poses(rivals, sigma) if rivals else Proposal()
 
 
 def _noise_left(run: FittedRun, sigma: Floats) -> Floats:
@@ -249,26 +251,6 @@ def _parameters(base: Stage, candidate: Candidate, run: FittedRun | None) -> tup
         x, std = x * unit, std * unit
     size = np.array([p.size for p in effect.parameters])
     return x, std, bool((np.abs(x) - 2 * std <= 5 * size).all())
-
-
-def hides_in(stage: Stage, candidate: Candidate) -> tuple[str, ...]:
-    """Fitted parameters that cover most of an effect on these poses; empty where most of it is to be seen."""
-    columns = stage.scan.take(candidate.columns)
-    size = np.array([p.size for p in candidate.effect.parameters])
-    whole = columns @ size if not candidate.columns.functions else columns.sum(axis=1)
-    inside = stage.scan.basis.T @ whole
-    if float(inside @ inside) < _HIDDEN_FROM * float(whole @ whole):
-        return ()
-    fitted = stage.view.fitted.reshape(stage.scan.n * stage.scan.m, -1)
-    order = np.argsort(stage.view.group, kind="stable")
-    target = np.empty_like(whole).reshape(stage.scan.n, stage.scan.m)
-    target[order] = whole.reshape(stage.scan.n, stage.scan.m)
-    scale = np.array([p.size for p in stage.run.fit.parameters])
-    length = fitted.shape[1]
-    x = np.linalg.lstsq(fitted * scale[:length], target.reshape(-1), rcond=1e-9)[0]
-    names = [p.name for p in stage.run.fit.parameters]
-    top = np.argsort(-np.abs(x))
-    return tuple(names[k] for k in top[:6] if abs(x[k]) >= 0.3 * abs(x[top[0]]))
 
 
 def _signature(found: SearchResult, stage: Stage) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ..data import Measurements
+from ..data.columns import Layout
 from ..errors import EffectError, ShapeError
 from ..types import Floats
 from .effect import Effect, check_user_effect
@@ -33,6 +34,15 @@ class Derivatives:
     inputs: Floats | None
     refused: dict[str, str]
     reads_point: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Reachable:
+    """Poses that a machine can be sent to: ``targets`` are the coordinates (k,) of its kinematics by name, as a plan
+    takes them; ``rows`` (k) are those that would be read there, with the joints to drive to."""
+
+    targets: Mapping[str, Floats]
+    rows: Measurements
 
 
 class ModelWithEffects(ABC):
@@ -104,8 +114,8 @@ class ModelWithEffects(ABC):
         """Settings of the effects that are no parameters: what :meth:`with_effect` takes besides the effect."""
         return {}
 
-    def reachable(self, data: Measurements, values: Floats) -> tuple[Floats, Measurements] | None:
-        """Coordinates (k, m) of poses that could be measured next, and their rows; None where that is not known."""
+    def reachable(self, data: Measurements, values: Floats) -> Reachable | None:
+        """Poses that could be measured next with these parameters; None where that is not known."""
         del data, values
         return None
 
@@ -114,6 +124,10 @@ class ModelWithEffects(ABC):
         counted from its other end."""
         del data
         return {}
+
+    def readable(self, data: Measurements) -> tuple[Layout, ...]:
+        """Runs that the model can predict: what was read, and what else could be."""
+        return (data.layout,)
 
     # -- parameters --------------------------------------------------------------------------------------
 

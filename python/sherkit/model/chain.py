@@ -18,17 +18,23 @@ from numpy.typing import NDArray
 import sherkit._core as _core
 
 from ..data import Measurements
-from ..data.columns import TEMPERATURE, Layout
+from ..data.columns import TEMPERATURE, Layout, unit_in
 from ..errors import EffectError, FitError, ShapeError
 from ..names import listed, nearest
-from ..types import Floats
-from .base import Derivatives, ModelWithEffects
+from ..types import Bools, Floats
+from .base import Derivatives, ModelWithEffects, Reachable
 from .effect import Effect, parameters_of_core
 from .parameter import Parameter
 from .rows import Rows
 
 #: Joints (n, k), other ends of distances, covariates (n, 2 + 2 k), displacements of the measured point (n, 3).
 Block = tuple[Floats, Floats | None, Floats | None, Floats | None]
+
+#: Digits of what a person is asked to drive to, by unit: of targets, and of joints, finer than any encoder stops at.
+_TARGET_DIGITS = {"mm": 1, "rad": 3}
+_JOINT_DIGITS = {"mm": 3, "rad": 5}
+#: Part of its size by which a workspace may be left: a robot that is not as drawn stands a little elsewhere.
+SLACK = 0.05
 
 
 @dataclass(frozen=True)
@@ -50,6 +56,8 @@ class ChainModel(ModelWithEffects):
     table: ClassVar[Sequence[Mapping[str, Any]]]
     #: The kinds of run that show this robot.
     layouts: ClassVar[tuple[Layout, ...]]
+    #: The coordinates of its kinematics, as columns: where it is sent.
+    targets: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         known = [p.name for p in self.base]
@@ -109,6 +117,57 @@ class ChainModel(ModelWithEffects):
     @abstractmethod
     def reason(self, data: Measurements, row: int, values: Floats) -> str:
         """Why a row cannot be reached."""
+
+    # -- where it can be sent ------------------------------------------------------------------------------
+
+    def grid(self, data: Measurements) -> Floats | None:
+        """Coordinates (k, c) over the workspace, or over where the run was; None where that is not known."""
+        del data
+        return None
+
+    def stands(self, rows: Measurements, values: Floats) -> tuple[Floats, Bools]:
+        """Coordinates (k, c) of the identified robot at the joints of these rows, and which of them can be read.
+
+        By default the readings without their datum.
+        """
+        full = self.full(values)
+        names = {p["name"] for row in self.table if row["name"] == "datum" for p in row["parameters"]}
+        full[[p.name in names for p in self.core_parameters]] = 0.0
+        found, reached = self.core_for(rows).predict(full, self.block(rows))
+        return found[:, : len(self.targets)], reached
+
+    def allowed(self, coordinates: Floats) -> Bools:
+        """Which coordinates (k, c) lie in the workspace, give or take what a robot is off by; all unless it has one."""
+        return np.ones(len(coordinates), dtype=bool)
+
+    def reachable(self, data: Measurements, values: Floats) -> Reachable | None:
+        """A grid of poses within joint limits and the workspace, by the drawing and by the identified robot.
+
+        Targets are rounded to what a person would type, each of them once; the joints are the drawing's for them.
+        """
+        grid = self.grid(data)
+        if grid is None or not self.targets:
+            return None
+        digits = _TARGET_DIGITS.get(unit_in(self.targets[0]), 3)
+        targets = np.unique(np.round(grid, digits), axis=0)
+        there = self.robot.inverse_batch(targets)
+        joints = np.round(there.values, _JOINT_DIGITS.get(self.robot.joint_unit, 5))
+        within = there.reached
+        if self.robot.joint_limits is not None:
+            low, high = self.robot.joint_limits
+            within = within & ((joints >= low) & (joints <= high)).all(axis=1)
+        targets, joints = targets[within], joints[within]
+        if len(joints):
+            found, reached = self.stands(data.unmeasured(joints), values)
+            within = reached & self.allowed(found)
+            targets, joints = targets[within], joints[within]
+        if not len(joints):
+            return None
+        return Reachable(dict(zip(self.targets, targets.T, strict=True)), data.unmeasured(joints))
+
+    def readable(self, data: Measurements) -> tuple[Layout, ...]:
+        """Every kind of run that shows this robot, that of these rows first."""
+        return (data.layout, *(one for one in self.layouts if one != data.layout))
 
     def require_own(self, data: Measurements) -> None:
         """Raises :class:`~sherkit.errors.FitError` for a run of another kind of robot."""

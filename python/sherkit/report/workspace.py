@@ -11,6 +11,7 @@ from bokeh.core.properties import value
 from bokeh.models import LinearColorMapper, Range1d
 from numpy.typing import NDArray
 
+from ..diagnosis.next_poses import SEPARATION
 from ..robots.calibrated import Calibration
 from ..types import Floats
 from .picture import Picture, Tables, sources_of, stacked
@@ -151,7 +152,7 @@ class NextPoses:
 def next_poses(state: NextPoses) -> Picture[NextPoses]:
     """Proposed poses, numbered in the order to measure them, seen from above and from the side."""
     sources = sources_of(_pose_tables(state))
-    names = [k for k in state.poses[0] if k != "separation_sigma"] if state.poses else list(state.left.place)[:2]
+    names = _drawn(state)
     pairs = [(names[0], names[1])] + ([(names[0], names[2])] if len(names) > 2 else [])
     figures = []
     spans = _spans(state, names)
@@ -171,7 +172,7 @@ def next_poses(state: NextPoses) -> Picture[NextPoses]:
                 "x", "y", "text", source=sources[f"orders_{k}"], text_align="center", text_baseline="middle", **text
             )
             made.add_tools(
-                hover([dots], ("pose", "@order"), *((quantity(n), f"@{n}{{0.0}}") for n in names),
+                hover([dots], ("pose", "@order"), *((quantity(n), f"@{n}") for n in state.poses[0] if n != SEPARATION),
                       ("separation with it", "@separation_sigma{0.0} σ"))
             )  # fmt: skip
         figures.append(made)
@@ -182,6 +183,12 @@ def next_poses(state: NextPoses) -> Picture[NextPoses]:
     return Picture("next_poses", stacked("next_poses", figures, columns=2), sources, _pose_tables, note=note)
 
 
+def _drawn(state: NextPoses) -> list[str]:
+    """What the poses are drawn by: what instruments show of the place, where the poses say it."""
+    keys = [k for k in state.poses[0] if k != SEPARATION] if state.poses else list(state.left.place)[:2]
+    return [k for k in keys if k in state.left.place] or keys
+
+
 def _pose_tables(state: NextPoses) -> Tables:
     first = np.unique(state.left.group, return_index=True)[1][:2000]
     measured = {name: v[first].astype(np.float32) for name, v in state.left.place.items()}
@@ -189,7 +196,7 @@ def _pose_tables(state: NextPoses) -> Tables:
     table: dict[str, Any] = {key: [pose[key] for pose in state.poses] for key in keys}
     table["order"] = [str(k) for k in range(1, len(state.poses) + 1)]
     out: Tables = {"measured": measured, "next": table}
-    names = [k for k in keys if k != "separation_sigma"]
+    names = _drawn(state) if state.poses else []
     for k, (a, b) in enumerate([(0, 1), (0, 2)]):
         out[f"orders_{k}"] = _orders(table, names[a], names[b]) if len(names) > b else {"x": [], "y": [], "text": []}
     return out

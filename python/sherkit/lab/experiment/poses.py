@@ -27,8 +27,7 @@ def names_of_poses(kind: Kind) -> tuple[str, ...]:
     names: list[str] = []
     for name in kind.poses:
         names += [name, _DESIGNED] if name == kind.grid else [name]
-    # a diagnosis proposes readings: only where those are coordinates can the robot be sent there
-    return (*names, _DIAGNOSIS) if kind.shows_coordinates else tuple(names)
+    return (*names, _DIAGNOSIS) if kind.coordinates else tuple(names)
 
 
 def coordinates_of_plan(table: Table, folder: Path, robot: Robot) -> Floats:
@@ -77,12 +76,12 @@ def _designed(table: Table, places: Floats, robot: Robot) -> Floats:
 def _proposed(path: Path, names: tuple[str, ...]) -> Floats:
     """The poses that a diagnosis proposed: what ``sherkit diagnose --json`` prints."""
     try:
-        poses = json.loads(path.read_text(encoding="utf-8"))["next_poses"]
-        out = np.array([[float(p[name]) for name in names] for p in poses]).reshape(-1, len(names))
+        found = json.loads(path.read_text(encoding="utf-8"))
+        out = np.array([[float(p[name]) for name in names] for p in found["next_poses"]]).reshape(-1, len(names))
     except OSError as error:
         raise ExperimentError(f"{path}: cannot be read: {error.strerror}") from None
     except (ValueError, KeyError, TypeError) as error:
         raise ExperimentError(f"{path}: is not what 'sherkit diagnose --json' prints: {error}") from None
     if not len(out):
-        raise ExperimentError(f"{path}: the diagnosis proposes no pose; nothing is tied")
+        raise ExperimentError(f"{path}: the diagnosis proposes no pose: {found.get('advice') or 'nothing is tied'}")
     return out

@@ -12,9 +12,9 @@ import sherkit._core as _core
 
 from ...data import Measurements
 from ...errors import SherkitError
-from ...model.chain import ChainModel
-from ...types import Floats
-from .columns import DELTA
+from ...model.chain import SLACK, ChainModel
+from ...types import Bools, Floats
+from .columns import DELTA, POSITION
 from .effects import CATALOGUE
 from .robot import Delta
 
@@ -42,6 +42,7 @@ class DeltaModel(ChainModel):
     layouts: ClassVar = (DELTA,)
     period_in_file: ClassVar = "pole_pitch_mm under [joints]"
     table: ClassVar = _core.DeltaModel.CATALOGUE
+    targets: ClassVar = POSITION
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "period_mm", self.period_mm or self.robot.pole_pitch_mm or None)
@@ -84,24 +85,33 @@ class DeltaModel(ChainModel):
             q = np.array(self.robot.rod_length_mm)
         return (float(q[0]), float(q[1]), float(q[2]))
 
-    def reachable(self, data: Measurements, values: Floats) -> tuple[Floats, Measurements] | None:
-        """A grid of poses over the workspace (or where the run was), with the rows they would give."""
+    def grid(self, data: Measurements) -> Floats | None:
+        """Places (k, 3), mm, over the workspace, or over where the run was."""
         robot = self.robot
-        measured = self.predict(data, values)[~data.is_distance, :3]
-        low, high = measured.min(axis=0), measured.max(axis=0)
+        where = robot.forward_batch(data.joints)
+        if not where.reached.any():
+            return None
+        low, high = where.values[where.reached].min(axis=0), where.values[where.reached].max(axis=0)
         if robot.workspace_radius_mm:
             low[:2], high[:2] = -robot.workspace_radius_mm, robot.workspace_radius_mm
         if robot.workspace_z_mm:
             low[2], high[2] = robot.workspace_z_mm
         axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, _GRID, strict=True)]
-        poses = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         if robot.workspace_radius_mm:
-            poses = poses[np.hypot(poses[:, 0], poses[:, 1]) <= robot.workspace_radius_mm * (1 + 1e-9)]
-        batch = robot.inverse_batch(poses)
-        poses, joints = poses[batch.reached], batch.values[batch.reached]
-        reached = self.core.predict(self.full(values), self.block(data.unmeasured(joints)))[1]
-        poses, joints = poses[reached], joints[reached]
-        return (poses, data.unmeasured(joints)) if len(poses) else None
+            places = places[np.hypot(places[:, 0], places[:, 1]) <= robot.workspace_radius_mm * (1 + 1e-9)]
+        return places
+
+    def allowed(self, coordinates: Floats) -> Bools:
+        """Which places (k, 3) lie in the workspace of the robot file."""
+        robot, inside = self.robot, np.ones(len(coordinates), dtype=bool)
+        if robot.workspace_radius_mm:
+            inside &= np.hypot(coordinates[:, 0], coordinates[:, 1]) <= robot.workspace_radius_mm * (1 + SLACK)
+        if robot.workspace_z_mm:
+            low, high = robot.workspace_z_mm
+            size = max(high - low, robot.workspace_radius_mm or 0.0)
+            inside &= (coordinates[:, 2] >= low - SLACK * size) & (coordinates[:, 2] <= high + SLACK * size)
+        return inside
 
     def reason(self, data: Measurements, row: int, values: Floats) -> str:
         """Which limb cannot reach, by how much; or what else is wrong."""

@@ -12,13 +12,14 @@ import sherkit._core as _core
 
 from ...data import Measurements
 from ...errors import SherkitError
-from ...model.chain import ChainModel
-from ...types import Floats
+from ...model.chain import SLACK, ChainModel
+from ...types import Bools, Floats
 from .camera import CameraView
 from .columns import SPHERICAL_ANGLES, SPHERICAL_PIXELS
 from .effects import SPHERICAL_CATALOGUE
 from .robot import Spherical
 
+_DATUM = ("datum_phi", "datum_gamma")
 #: Poses along φ and γ from which the next ones are chosen.
 _GRID = (15, 11)
 #: A robot without a camera reads angles; the core wants one all the same.
@@ -45,6 +46,7 @@ class SphericalModel(ChainModel):
     catalogue: ClassVar = SPHERICAL_CATALOGUE
     layouts: ClassVar = (SPHERICAL_PIXELS, SPHERICAL_ANGLES)
     table: ClassVar = _core.SphericalModel.CATALOGUE
+    targets: ClassVar = SPHERICAL_ANGLES.coordinates
 
     def lever_mm(self, name: str) -> float:
         """Angles move what stands on the sphere."""
@@ -95,8 +97,8 @@ class SphericalModel(ChainModel):
             return {}
         return {name: (0.0, size - 1.0) for name, size in zip(data.layout.coordinates, camera.size_px, strict=True)}
 
-    def reachable(self, data: Measurements, values: Floats) -> tuple[Floats, Measurements] | None:
-        """A grid over the workspace (or where the run was) in φ and γ, with the rows it would give, as coordinates."""
+    def grid(self, data: Measurements) -> Floats | None:
+        """φ and γ (k, 2), rad, over the workspace, or over where the run was."""
         robot = self.robot
         seen = robot.forward_batch(data.joints)
         where = seen.values[seen.reached]
@@ -106,15 +108,28 @@ class SphericalModel(ChainModel):
         for k, given in enumerate((robot.phi_deg, robot.gamma_deg)):
             low, high = (where[:, k].min(), where[:, k].max()) if given is None else np.deg2rad(given)
             limits.append(np.linspace(low, high, _GRID[k]))
-        angles = np.stack(np.meshgrid(*limits, indexing="ij"), axis=-1).reshape(-1, 2)
-        batch = robot.inverse_batch(angles)
-        rows = data.unmeasured(batch.values[batch.reached])
-        readings, reached = self.core_for(rows).predict(self.full(values), self.block(rows))
-        if robot.camera is not None and data.layout != SPHERICAL_ANGLES:
-            size = np.array(robot.camera.size_px)
-            reached = reached & ((readings >= 0) & (readings <= size - 1)).all(axis=1)
-        rows = data.unmeasured(rows.joints[reached])
-        return (readings[reached], rows) if len(rows) else None
+        return np.stack(np.meshgrid(*limits, indexing="ij"), axis=-1).reshape(-1, 2)
+
+    def stands(self, rows: Measurements, values: Floats) -> tuple[Floats, Bools]:
+        """φ and γ (k, 2), rad, of the tool, and whether the marker is in the picture where one is taken."""
+        full = self.full(values)
+        tool = np.where([p.name in _DATUM for p in self.core_parameters], 0.0, full)
+        found, reached = self.pointing.predict(tool, self.block(rows))
+        if rows.layout != SPHERICAL_ANGLES:
+            pixels, shown = self.core_for(rows).predict(full, self.block(rows))
+            size = np.array(self.robot.seen.size_px)
+            reached = reached & shown & ((pixels >= 0) & (pixels <= size - 1)).all(axis=1)
+        return found, reached
+
+    def allowed(self, coordinates: Floats) -> Bools:
+        """Which φ and γ (k, 2) lie in the workspace of the robot file."""
+        inside = np.ones(len(coordinates), dtype=bool)
+        for k, given in enumerate((self.robot.phi_deg, self.robot.gamma_deg)):
+            if given is not None:
+                low, high = np.deg2rad(given)
+                slack = SLACK * (high - low)
+                inside &= (coordinates[:, k] >= low - slack) & (coordinates[:, k] <= high + slack)
+        return inside
 
     def reason(self, data: Measurements, row: int, values: Floats) -> str:
         """What of mechanism or camera fails there."""
