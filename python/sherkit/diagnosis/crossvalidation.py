@@ -64,7 +64,7 @@ def _unwhitened(stage: Stage, columns: Columns) -> Floats:
             for j, k in enumerate(columns.functions):
                 out[:, a, a * len(columns.functions) + j] = stage.family.functions[:, k]
         return out
-    return stage.physical[:, :, list(columns.dense)]
+    return stage.columns[:, :, list(columns.dense)]
 
 
 def _error(

@@ -23,6 +23,8 @@ from .linearised import orthonormal
 _LEFT = 0.02
 #: The same for physical effects, whose derivatives are exact.
 _LEFT_EXACT = 1e-4
+#: Candidates whose products are taken at once: as many as fit into a processor's cache.
+_AT_ONCE = 32
 
 
 @dataclass(frozen=True)
@@ -113,9 +115,10 @@ class Scan:
             axis, function = columns[separable] // self.f, columns[separable] % self.f
             same = axis[:, :, None] == axis[:, None, :]
             gram[separable] = np.where(same, ff[function[:, :, None], function[:, None, :]], 0.0)
-            for i in np.flatnonzero(~separable):
-                block = self.dense[:, columns[i] - limit]
-                gram[i] = block.T @ block
+            full = np.flatnonzero(~separable)
+            for some in np.array_split(full, max(len(full) // _AT_ONCE, 1)):
+                blocks = self.dense.T[columns[some] - limit]
+                gram[some] = blocks @ blocks.transpose(0, 2, 1)
             out[k] = gram
         return out
 

@@ -45,7 +45,8 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """Shapes with their columns: ``functions`` (n, f), used on single axes, and ``dense`` (n, m, d)."""
+    """Shapes with their columns: ``functions`` (n, f), used on single axes, and ``dense`` (n, m, d), whose numbers
+    go on from those of the effects."""
 
     shapes: tuple[Shape, ...]
     functions: Floats
@@ -53,12 +54,12 @@ class Family:
 
 
 class _Builder:
-    def __init__(self, view: Linearised) -> None:
+    def __init__(self, view: Linearised, first: int) -> None:
         self.view = view
         self.shapes: list[Shape] = []
         self.functions: list[Floats] = []
         self.dense: list[Floats] = []
-        self.count_functions = self.count_dense = 0
+        self.count_functions, self.count_dense = 0, first
 
     def function(self, raw: NDArray[Any]) -> int:
         return self.block(raw[:, None])[0]
@@ -88,12 +89,15 @@ class _Builder:
             self.shapes.append(Shape(depends_on, shape, axis=axis, functions=functions, **about))  # type: ignore[arg-type]
 
 
-def build(view: Linearised, *, thorough: bool = True, periods: Sequence[tuple[str, float]] = ()) -> Family:
+def build(
+    view: Linearised, *, thorough: bool = True, periods: Sequence[tuple[str, float]] = (), number: int = 0
+) -> Family:
     """All shapes for the variables of a view; periods and hysteresis only where ``thorough``.
 
-    ``periods`` (variable, period) are looked at besides those of the grid.
+    ``periods`` (variable, period) are looked at besides those of the grid; ``number`` is that of the first full
+    column.
     """
-    b = _Builder(view)
+    b = _Builder(view, number)
     unit = {name: _unit(v) for name, v in view.variables.items() if len(np.unique(v)) >= _FEWEST_VALUES}
     poses = [name for name in unit if name in view.pattern_of or name in view.place]
     others = [name for name in unit if name not in poses]

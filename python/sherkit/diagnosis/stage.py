@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -60,8 +60,8 @@ class Stage:
     candidates: tuple[Candidate, ...]
     untestable: dict[str, str]
     nuisance: tuple[Shape, ...]
-    #: Columns of the effects (n, m, k), not filtered in time.
-    physical: Floats = field(repr=False)
+    #: Columns of effects and shapes (n, m, k), not filtered in time.
+    columns: Floats = field(repr=False)
 
     @cached_property
     def plain(self) -> ConditionalScan:
@@ -118,12 +118,13 @@ def stage_of(
     view = run.linearised(rows, effects, sigma)
     candidates: list[Candidate] = []
     offset = 0
-    for effect, columns in view.effects:
-        first, offset = offset, offset + columns.shape[2]
+    for effect, of_effect in view.effects:
+        first, offset = offset, offset + of_effect.shape[2]
         candidates.append(Candidate(effect, Columns(dense=tuple(range(first, offset)), exact=True)))
     physical = _stacked(view)
     periods = [(n.depends_on[0], n.period) for n in nuisance if n.period is not None]
-    family = build(view, thorough=thorough, periods=periods)
+    family = build(view, thorough=thorough, periods=periods, number=offset)
+    offset += family.dense.shape[2]
     stepped: list[Floats] = []
     for effect, moved in view.in_time:
         for shape in family.shapes:
@@ -145,17 +146,17 @@ def stage_of(
 
     if rho is None:
         rho = correlation_in_time(view.residual, _rich_basis(view.fitted, physical, family))
-    physical = np.concatenate([physical, *stepped], axis=2)
+    columns = np.concatenate([physical, family.dense, *stepped], axis=2)
     lag = _lags(run.data.order[rows])
-    shifted = tuple(_shift(s, offset) for s in family.shapes)
     if thorough:
-        candidates += [Candidate(effect, *wave) for effect, _ in view.periodic for wave in _on_all_inputs(shifted)]
+        waves = _on_all_inputs(family.shapes)
+        candidates += [Candidate(effect, *wave) for effect, _ in view.periodic for wave in waves]
     scan = Scan(
         whiten(view.residual, rho, lag),
         whiten(view.fitted, rho, lag),
         whiten(family.functions, rho, lag),
-        whiten(np.concatenate([physical, family.dense], axis=2), rho, lag),
-        [columns_of(s) for s in shifted] + [c.columns for c in candidates],
+        whiten(columns, rho, lag),
+        [columns_of(s) for s in family.shapes] + [c.columns for c in candidates],
         view.group,
     )
     return Stage(
@@ -166,12 +167,12 @@ def stage_of(
         rho=rho,
         lag=lag,
         view=view,
-        family=Family(shifted, family.functions, family.dense),
+        family=family,
         scan=scan,
         candidates=tuple(candidates),
         untestable=dict(view.untestable),
-        nuisance=tuple(_again(n, shifted) for n in nuisance),
-        physical=physical,
+        nuisance=tuple(_again(n, family.shapes) for n in nuisance),
+        columns=columns,
     )
 
 
@@ -226,10 +227,6 @@ def _rich_basis(fitted: Floats, physical: Floats, family: Family) -> Floats:
         out[:, a, a * f.shape[1] : (a + 1) * f.shape[1]] = f
     out[:, :, m * f.shape[1] :] = q.reshape(n, m, -1)
     return out.reshape(n * m, -1)
-
-
-def _shift(shape: Shape, offset: int) -> Shape:
-    return replace(shape, dense=tuple(k + offset for k in shape.dense))
 
 
 def _again(old: Shape, shapes: Sequence[Shape]) -> Shape:

@@ -109,7 +109,7 @@ def _signatures(stage: Stage) -> tuple[Floats, list[tuple[str, float, Floats]]]:
             values = stage.family.functions[:, list(candidate.columns.functions)]
             columns = np.einsum("nk,ab->nakb", values, np.eye(m)).reshape(n * m, -1)
         else:
-            columns = stage.physical[:, :, list(candidate.columns.dense)].reshape(n * m, -1)
+            columns = stage.columns[:, :, list(candidate.columns.dense)].reshape(n * m, -1)
         columns = columns - basis @ (basis.T @ columns)
         scale = np.linalg.norm(columns, axis=0)
         x = np.linalg.lstsq(columns / np.where(scale > 0, scale, 1.0), residual, rcond=1e-9)[0]
