@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import tomllib
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -316,6 +318,72 @@ def test_a_picture_that_cannot_be_read_stops_no_batch(filmed: Path, tmp_path: Pa
         f"{names[0]}: is not a picture that can be read; none of the 16 pictures can be read"
     )
     assert not (tmp_path / "none.csv").exists()
+
+
+def on_paper(path: Path) -> tuple[NDArray[np.uint8], float]:
+    """The picture of a printed marker, and how many of its pixels make a millimetre of paper."""
+    data = path.read_bytes()
+    if path.suffix == ".png":
+        at = data.index(b"pHYs") + 4
+        assert data[at + 8] == 1  # per metre
+        return cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), int.from_bytes(data[at : at + 4], "big") / 1e3
+    side = int(re.search(rb"/Width (\d+)", data)[1])
+    points = float(re.search(rb"q ([\d.]+) 0 0 ", data)[1])
+    packed = data[data.index(b"stream\n", data.index(b"/Image")) + 7 :]
+    bits = np.frombuffer(zlib.decompressobj().decompress(packed), np.uint8).reshape(side, -1)
+    white = np.pad(np.unpackbits(bits, axis=1)[:, :side], side // 4, constant_values=1)
+    assert data.startswith(b"%PDF-1.4")
+    assert data[int(data.split(b"startxref\n")[1].split()[0]) :].startswith(b"xref")
+    assert b"print at 100 %" in data
+    return white * np.uint8(255), side / (points * 25.4 / 72)
+
+
+@pytest.mark.parametrize("ending", ["png", "pdf"])
+@pytest.mark.parametrize(("kind", "identity"), [("corner", None), ("aruco", 7), ("apriltag", 30)])
+def test_the_printed_marker_is_the_one_that_is_looked_for(
+    kind: str, identity: int | None, ending: str, tmp_path: Path
+) -> None:
+    """Catches a tag of another dictionary or number, a marker turned inside out, and a size that is not that of the
+    paper; the size is measured on the black of the picture."""
+    path = tmp_path / f"marker.{ending}"
+    more = () if identity is None else ("--identity", str(identity))
+    made = sherkit("markers", "--print", path, "--marker", kind, "--size-mm", "17.5", *more)
+    assert made.exit_code == 0, made.output
+    assert "17.5 mm" in made.output
+    picture, per_mm = on_paper(path)
+    # cut out, as the words below have corners too
+    picture = picture[: round(30 * per_mm)]
+    share = 8.0 / per_mm
+    seen = find_marker(cv2.resize(picture, None, fx=share, fy=share, interpolation=cv2.INTER_AREA), kind, identity)
+    assert seen.found, seen.why
+    middle = round((seen.v_px + 0.5) / share), round((seen.u_px + 0.5) / share)
+    rows, columns = np.nonzero(picture < 128)
+    assert np.hypot(rows.mean() - middle[0], columns.mean() - middle[1]) < 3.0 * per_mm
+    for black in (rows, columns):
+        assert (np.ptp(black) + 1) / per_mm == pytest.approx(17.5, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--print", "marker.svg"), "marker.svg: expected a name that ends in .pdf or .png"),
+        (("--print", "m.pdf", "--marker", "aruco", "--identity", "50"), "DICT_4X4_50 has the tags 0 to 49, got 50"),
+        (("--print", "m.pdf", "--identity", "1"), "a corner marker has no number"),
+        (("--print", "m.pdf", "--size-mm", "300"), "at most 180 mm"),
+        (("--print", "m.pdf", "pictures"), "looks at no pictures"),
+        ((), "expected SOURCES, the pictures to look at; or --print FILE"),
+        (("pictures",), "expected -o, the table to write; or --print FILE"),
+    ],
+)
+def test_what_cannot_be_printed_is_said(
+    arguments: tuple[str, ...], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a file of another kind under the wrong name, and a tag that the dictionary does not have."""
+    monkeypatch.chdir(tmp_path)
+    refused = sherkit("markers", *arguments)
+    assert refused.exit_code != 0
+    assert says in " ".join(f"{refused.output} {refused.exception}".split())
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_video_is_joined_to_joints_by_time(tmp_path: Path) -> None:

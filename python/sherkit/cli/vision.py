@@ -32,26 +32,36 @@ def require_vision() -> None:
 
 
 @click.command()
-@click.argument("sources", nargs=-1, required=True)
-@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), required=True, help="CSV or Parquet.")
+@click.argument("sources", nargs=-1)
+@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), help="CSV or Parquet.")
 @click.option("--joints", type=click.Path(path_type=Path), help="CSV with theta1_rad, theta2_rad: one row for each "
               "picture in their order, or for a video with time_s, joined by time.")  # fmt: skip
 @click.option("--marker", type=click.Choice(_MARKERS), default="corner", show_default=True)
-@click.option("--identity", type=int, help="Number of the tag, where several may be seen.")
+@click.option("--identity", type=int, help="Number of the tag, where several may be seen, or to be printed.")
 @click.option("--delay-s", type=float, default=0.0, show_default=True, help="How much later the camera's clock stands.")
 @click.option("--longest-gap-s", type=click.FloatRange(min=0), default=0.1, show_default=True,
               help="Joint readings on both sides of a picture may be this far apart.")  # fmt: skip
 @click.option("--seconds", type=click.FloatRange(min=0), help="How long to film with a live camera.")
+@click.option("--print", "paper", type=click.Path(path_type=Path), metavar="FILE", help="Write the --marker to print "
+              "(.pdf or .png) instead of looking for it.")  # fmt: skip
+@click.option("--size-mm", type=click.FloatRange(min=0, min_open=True), default=24.0, show_default=True,
+              help="With --print: diameter of the corner marker, side of the black square of a tag.")  # fmt: skip
 def markers(
-    sources: tuple[str, ...], destination: Path, joints: Path | None, marker: str, identity: int | None,
-    delay_s: float, longest_gap_s: float, seconds: float | None,
+    sources: tuple[str, ...], destination: Path | None, joints: Path | None, marker: str, identity: int | None,
+    delay_s: float, longest_gap_s: float, seconds: float | None, paper: Path | None, size_mm: float,
 ) -> None:  # fmt: skip
     """Find the marker in SOURCES: pictures, folders of them, a video, or the number of a camera.
 
     Without --joints every picture has a row, and one that shows no marker or cannot be read says why. With --joints the
-    output is a run that sherkit calibrate reads.
+    output is a run that sherkit calibrate reads. With --print the marker itself is written, to be printed.
     """
     require_vision()
+    if paper is not None:
+        _print(paper, marker, size_mm, identity, asked=bool(sources) or destination is not None)
+        return
+    if not sources or destination is None:
+        wanted = "-o, the table to write" if sources else "SOURCES, the pictures to look at"
+        raise click.UsageError(f"expected {wanted}; or --print FILE for a marker to print")
     from ..robots.spherical.pictures import WHY, joined_by_time, marker_rows, run_of
     from ..vision.sources import pictures_from
 
@@ -87,6 +97,18 @@ def markers(
     data = run_of({name: moved[name].to_numpy() for name in moved.columns}, seen, names)
     data.save(destination)
     output.say(f"{len(data)} rows written to {destination}, of {len(seen)} pictures")
+
+
+def _print(paper: Path, marker: str, size_mm: float, identity: int | None, *, asked: bool) -> None:
+    """Writes a marker to print, and says what it is."""
+    from ..vision.printed import save_marker
+
+    if asked:
+        raise SherkitError("--print writes a marker and looks at no pictures; leave out SOURCES and -o")
+    if marker == "corner" and identity is not None:
+        raise SherkitError("--identity: a corner marker has no number; choose --marker aruco or apriltag")
+    said = save_marker(paper, marker, size_mm=size_mm, identity=identity or 0)
+    output.say(f"{paper}: {said}; print it at 100 % and check the bar of 50 mm with a ruler")
 
 
 def _joints(path: Path) -> pl.DataFrame:

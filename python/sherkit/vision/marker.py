@@ -22,7 +22,11 @@ from ..types import Floats
 from .pictures import CameraPicture, picture_of
 
 KINDS = ("corner", "aruco", "apriltag")
-_DICTIONARIES = {"aruco": cv2.aruco.DICT_4X4_50, "apriltag": cv2.aruco.DICT_APRILTAG_36h11}
+#: The dictionaries of the tags, by their names and as OpenCV counts them.
+DICTIONARIES = {
+    "aruco": ("DICT_4X4_50", cv2.aruco.DICT_4X4_50),
+    "apriltag": ("DICT_APRILTAG_36h11", cv2.aruco.DICT_APRILTAG_36h11),
+}
 
 #: Half the side of the patch that is compared with itself turned, px.
 _PATCH = 7
@@ -194,7 +198,7 @@ def _refined(grey: NDArray[np.uint8], u: float, v: float) -> tuple[float, float,
 def _tag(grey: NDArray[np.uint8], kind: str, identity: int | None) -> Seen:
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(_DICTIONARIES[kind]), settings)
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(DICTIONARIES[kind][1]), settings)
     corners, ids, _ = detector.detectMarkers(grey)
     numbers = [] if ids is None else np.asarray(ids).ravel().tolist()
     wanted = [k for k, number in enumerate(numbers) if identity is None or number == identity]
