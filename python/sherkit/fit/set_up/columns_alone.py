@@ -104,7 +104,7 @@ def commanded_joints(data: Measurements) -> str | None:
         if free < _FEWEST:
             continue
         declared = float(np.sqrt(np.mean(data.sigma[data.used[:, k], k] ** 2)))
-        spread = typical_scatter(data, k)
+        spread = _scatter_of_repeats(data, k)
         if spread > _SCATTER * declared and stats.chi2.sf(free * (spread / declared) ** 2, free) < _LEVEL:
             each = data.layout.per_unit
             told.append(
@@ -119,7 +119,7 @@ def commanded_joints(data: Measurements) -> str | None:
     )
 
 
-def typical_scatter(data: Measurements, column: int) -> float:
+def _scatter_of_repeats(data: Measurements, column: int) -> float:
     """Spread of repeats about the mean of their pose, by the median over poses: a few wild ones do not count."""
     rows = data.used[:, column]
     group = np.unique(data.groups[rows], return_inverse=True)[1]

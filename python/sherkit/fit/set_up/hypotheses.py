@@ -32,8 +32,8 @@ UNITS: dict[str, tuple[tuple[str, float], ...]] = {
 }
 #: Where angles may be counted from: reading = sign · angle + this, rad.
 _QUARTERS = ((-1.0, 0.5), (-1.0, 1.0), (1.0, 0.5), (1.0, -0.5), (1.0, 1.0))
-#: Readings that stand so many rows from their joints are looked for.
-_ROWS = 3
+#: Rows by which readings may stand below their joints.
+_ROWS = (1, -1, 2, -2, 3, -3)
 #: A frame that is turned anyhow is less likely from the outset than a slip: its three angles fit more.
 _TURNED = 10.0
 #: A turn is half a turn as long as it is as near to one as this.
@@ -115,7 +115,7 @@ class _Block:
             yield unit, [k for k, u in zip(columns, units, strict=True) if u == unit]
 
     def named(self, columns: Sequence[int]) -> str:
-        """Their names in words, and what they are where they are all."""
+        """Their names, in words."""
         return _and([self.names[k] for k in columns])
 
 
@@ -240,8 +240,8 @@ def _other_units(
 def _of_rows(data: Measurements) -> Iterator[tuple[str, str, Measurements]]:
     """Readings that stand some rows away from the joints they belong to."""
     n = len(data)
-    for by in (1, -1, 2, -2, 3, -3):
-        if abs(by) > _ROWS or n <= 4 * abs(by):
+    for by in _ROWS:
+        if n <= 4 * abs(by):
             continue
         rows = np.arange(max(-by, 0), n - max(by, 0))
         rows_there: Ints = rows + by
