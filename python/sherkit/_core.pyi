@@ -178,7 +178,7 @@ class SphericalModel(_Model):
     """Readings are u, v (px) or phi, gamma (rad), as ``readings`` says: "pixels" or "angles".
 
     ``settings``: radius of the sphere (mm), direction of the weight (3), home joint readings (2, rad), and perhaps
-    origin of time and slip time (s).
+    origin of time and slip time (s) and the period of the encoders (rad).
     """
 
     def __new__(
