@@ -381,7 +381,7 @@ def turntable(seed: int, *, wrong: bool = True) -> sk.fit.Fit:
     c = 0.02 * rng.uniform(0.8, 1.2)
     shown = 1e3 * angle + 1.0 + 4.0 * np.sin(angle) + 8.0 * np.sin(2 * angle + 40.0 * c)
     readings = (shown + 0.2 * rng.normal(size=300))[:, None]
-    data = sk.data.from_arrays({"angle_rad": angle}, readings, ("shown",), "mrad", pose=pose)
+    data = sk.data.from_arrays(place={"angle_rad": angle}, readings=readings, names=("shown",), unit="mrad", pose=pose)
     return sk.identify(WrongDerivative(wrong), data)
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -25,8 +26,10 @@ from .stage import testable
 from .waves import waves_of
 
 #: Level of the test on rows held out.
-LEVEL = 0.05
+LEVEL = 0.01
 _FLIPS = 1999
+#: Rivals that are fitted in full.
+_REFITTED = 2
 #: Part of a column's squared length that the fit must leave of it.
 _LEFT = 1e-8
 
@@ -70,8 +73,8 @@ def earned(
     """What ``effect``, which is in the model of ``run``, brings given all others of the model but those of ``also``.
 
     ``deals`` are folds (n,) of all rows of the data; ``rivals`` what might have been chosen in its place, None where
-    nobody chose, and ``periods`` others that might have been chosen for it. An
-    effect without which the rows cannot be fitted earns its place.
+    nobody chose, and ``periods`` others that might have been chosen for it. An effect without which the rows
+    cannot be fitted earns its place.
     """
     axes = list(run.axes)
     rows = testable(run, np.flatnonzero(run.whole))
@@ -80,7 +83,6 @@ def earned(
     try:
         full = run.without_effects(also) if also else run
         less = full.without_effects((effect.name,))
-        place = full.owns(effect)
         more = full.linearised(rows, (), scale)
         plain = less.linearised(rows, tuple(rivals or ()), scale)
     except SherkitError:
@@ -89,10 +91,19 @@ def earned(
     without = _held_out(_View(plain.residual, plain.fitted), fold)
     chosen = np.ones(fold.shape, dtype=bool)
     if rivals or periods:
-        own = more.fitted[:, :, place]
-        others = [columns for rival, columns in plain.effects if rival.name != effect.name]
-        others += [waves_of(plain, 1.0 / period) for period in periods]
-        chosen = _chosen(_View(plain.residual, plain.fitted), own, others, fold)
+        others = [(rival, columns) for rival, columns in plain.effects if rival.name != effect.name]
+        waves = [waves_of(plain, 1.0 / period) for period in periods]
+        linear = _scores_of_sets(_View(plain.residual, plain.fitted), [*(by for _, by in others), *waves], fold)
+        exact = [_scores(_View(more.residual, more.fitted), fold)]
+        # what comes nearest to first order is fitted in full: far from zero its derivatives there do not tell
+        for k in np.argsort(linear[: len(others)].mean(axis=(1, 2)))[:_REFITTED]:
+            try:
+                view = less.refit([(others[int(k)][0], None)]).linearised(rows, (), scale)
+            except SherkitError:
+                continue
+            exact.append(_scores(_View(view.residual, view.fitted), fold))
+        best = np.concatenate([np.stack(exact), linear]).min(axis=0)
+        chosen = np.take_along_axis(exact[0] <= best, fold, axis=1)
     gain = ((without**2).sum(axis=2) - (with_it**2).sum(axis=2)) * chosen
     per_pose = np.bincount(np.unique(more.group, return_inverse=True)[1], gain.mean(axis=0))
     signs = np.random.default_rng(seed).integers(0, 2, (_FLIPS, len(per_pose))) * 2.0 - 1.0
@@ -133,33 +144,53 @@ def _held_out(view: _View, fold: Ints) -> Floats:
     return out
 
 
-def _chosen(view: _View, own: Floats, others: Sequence[Floats], fold: Ints) -> Floats:
-    """For which rows (deals, n) the others chose the effect's ``own`` columns (n, m, k) before those of the ``others``,
-    by Schwarz's criterion."""
-    m = view.residual.shape[1]
-    sets = [_unit_length(own), *map(_unit_length, others)]
-    columns = np.concatenate([_unit_length(view.columns), *sets], axis=2)
-    first = view.columns.shape[2]
-    ends = first + np.cumsum([0, *(s.shape[2] for s in sets)])
-    out = np.zeros(fold.shape, dtype=bool)
+def _scores(view: _View, fold: Ints) -> Floats:
+    """Schwarz's criterion (deals, folds) of a fit to the rows outside each fold."""
+    columns, m = _unit_length(view.columns), view.residual.shape[1]
+    out = np.empty((len(fold), int(fold.max()) + 1))
     for deal, of in enumerate(fold):
         grams, right = _grams(columns, view.residual, of)
-        squares = np.array([(view.residual[of == k] ** 2).sum() for k in range(len(grams))])
-        for k in np.unique(of):
+        squares = _squares(view.residual, of, len(grams))
+        for k in range(len(grams)):
+            root = _root(grams.sum(axis=0) - grams[k])
+            taken = root.T @ (right.sum(axis=0) - right[k])
+            out[deal, k] = _schwarz(squares.sum() - squares[k] - taken @ taken, root.shape[1], (of != k).sum() * m)
+    return out
+
+
+def _scores_of_sets(view: _View, sets: Sequence[Floats], fold: Ints) -> Floats:
+    """Schwarz's criterion (sets, deals, folds) of the fit with each set of columns (n, m, k) beside its own."""
+    m = view.residual.shape[1]
+    sets = [_unit_length(one) for one in sets]
+    columns = np.concatenate([_unit_length(view.columns), *sets], axis=2)
+    first = view.columns.shape[2]
+    ends = np.cumsum([0, *(one.shape[2] for one in sets)])
+    out = np.empty((len(sets), len(fold), int(fold.max()) + 1))
+    for deal, of in enumerate(fold):
+        grams, right = _grams(columns, view.residual, of)
+        squares = _squares(view.residual, of, len(grams))
+        for k in range(len(grams)):
             gram, b = grams.sum(axis=0) - grams[k], right.sum(axis=0) - right[k]
             base = _root(gram[:first, :first])
             fitted = base.T @ b[:first]
             total = squares.sum() - squares[k] - fitted @ fitted
             cross = base.T @ gram[:first, first:]
             gram, b = gram[first:, first:] - cross.T @ cross, b[first:] - cross.T @ fitted
-            count = (of != k).sum() * m
-            score = []
-            for low, high in zip(ends[:-1] - first, ends[1:] - first, strict=True):
+            for j, (low, high) in enumerate(pairwise(ends)):
                 root = _root(gram[low:high, low:high], _LEFT)
-                taken = float(((root.T @ b[low:high]) ** 2).sum())
-                score.append(count * np.log(max(total - taken, 1e-300)) + root.shape[1] * np.log(count))
-            out[deal, of == k] = score[0] <= min(score)
+                taken = root.T @ b[low:high]
+                rank = base.shape[1] + root.shape[1]
+                out[j, deal, k] = _schwarz(total - taken @ taken, rank, (of != k).sum() * m)
     return out
+
+
+def _schwarz(squares: float, rank: int, count: int) -> float:
+    return float(count * np.log(max(squares, 1e-300)) + rank * np.log(count))
+
+
+def _squares(residual: Floats, fold: Ints, folds: int) -> Floats:
+    """Sums of squares (folds,) of the rows of each fold."""
+    return np.bincount(fold, (residual**2).sum(axis=1), folds).astype(float)
 
 
 def _grams(columns: Floats, residual: Floats, fold: Ints) -> tuple[Floats, Floats]:

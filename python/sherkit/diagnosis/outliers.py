@@ -20,7 +20,7 @@ from scipy import stats
 
 from ..data import Measurements
 from ..data.noise import MAD
-from ..errors import FitError
+from ..errors import SherkitError
 from ..model.effect import Effect
 from ..names import listed
 from ..types import Bools, Floats, Ints
@@ -140,7 +140,7 @@ def _believable(run: FittedRun, rows: Ints) -> FittedRun:
     def typical(values: Floats) -> float:
         try:
             left = (data.readings - model.predict(data, values))[:, axes] / run.noise[0][axes]
-        except FitError:
+        except SherkitError:  # not every step ends at a robot that could be built
             return np.inf
         return float(np.median(np.linalg.norm(left, axis=1)))
 

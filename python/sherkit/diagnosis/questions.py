@@ -12,7 +12,7 @@ from ..data.given import RunLike
 from ..errors import EffectError, FitError
 from ..fit.forms import known
 from ..fit.identify import Fit, identify
-from ..fit.set_up import set_up_mistakes
+from ..fit.set_up import held, set_up_mistakes
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
@@ -77,7 +77,7 @@ def diagnose(
     for effect in effects:
         run.model.check_effect(effect, run.data, fit.values)
     every = (*run.catalogue, *effects)
-    notes = [mistake.sentence for mistake in mistakes]
+    notes = [*(mistake.sentence for mistake in mistakes), *held(run.data)]
 
     step("noise and outliers")
     run, wild = without_outliers(run, every)

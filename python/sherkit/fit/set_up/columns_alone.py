@@ -37,6 +37,15 @@ def constant(data: Measurements) -> Ints:
     return np.array(out, dtype=np.int64)
 
 
+def held(data: Measurements) -> tuple[str, ...]:
+    """What a constant reading leaves open, in a sentence for each."""
+    return tuple(
+        f"{data.layout.readings[k]} is constant, the same in all {int(data.used[:, k].sum())} rows: whatever lets the "
+        "robot move less would fit it, so that gains and scales cannot be told from it"
+        for k in constant(data)
+    )
+
+
 def constant_by_mistake(model: ModelWithEffects, data: Measurements) -> Iterator[tuple[int, str]]:
     """Readings that never change though the drawing moves the place: the column and the sentence.
 

@@ -10,7 +10,7 @@ from ...data import Measurements
 from ...data.noise import noise_of
 from ...model.base import ModelWithEffects
 from ...types import Bools, Floats
-from .columns_alone import commanded_joints, constant_by_mistake, time_in_milliseconds
+from .columns_alone import commanded_joints, constant, constant_by_mistake, time_in_milliseconds
 from .hypotheses import SetUp, hypotheses, turned_frame
 from .plausible import COUNTED, NOT_COMPUTED, Plausible, as_fitted, only_shift, plausible_fit, thinned
 
@@ -73,6 +73,9 @@ def set_up_mistakes(model: ModelWithEffects, data: Measurements, values: Floats 
             data, values = replace(data, taken=taken).select(np.flatnonzero(taken.any(axis=1))), None
             if not len(data):
                 return tuple(out)
+    if set(np.flatnonzero(data.used.any(axis=0))) <= set(constant(data)):
+        # whatever makes the robot stand still would fit a reading that is held
+        return tuple(out)
     free = None if values is None else as_fitted(model, data, values)
     wrong = [] if free is not None and _is_small(free, data) else _wrong(model, data, free)
     commanded = None if wrong else commanded_joints(data)
