@@ -37,7 +37,8 @@ class Proposal:
 
     A pose names the joints to drive to, the coordinates of the drawing's kinematics that these are, what would be read
     there where that is something else, and ``separation_sigma``: how far the nearest rival that the poses can tell,
-    refitted to run and poses up to this one, is still from the true model, in standard deviations.
+    refitted to run and poses up to this one, is still from the true model, in standard deviations, where each new pose
+    is read as often as those of the run.
     """
 
     poses: tuple[dict[str, float], ...] = ()
@@ -119,7 +120,10 @@ def _advice(true: Fit, rows: Measurements, untold: Sequence[Fit], sigma: Floats,
         told_by = _told_by(true, rows, rival, sigma, most) or "no instrument known to sherkit"
         would.setdefault(told_by, []).append(_what(rival, true))
     which = listed([_what(rival, true) for rival in untold])
-    out = f"no reachable poses tell {_what(true, untold[0])} from {which}: these instruments cannot tell"
+    out = (
+        f"no reachable poses, read as often as those of the run, tell {_what(true, untold[0])} from {which}: these "
+        "instruments cannot tell"
+    )
     if len(would) == 1:
         return f"{out}; {next(iter(would))} would"
     return "; ".join([out, *(f"{one} would tell {listed(names)}" for one, names in would.items())])
@@ -172,7 +176,9 @@ class _Trial:
     ) -> None:
         self.true, self.zero_is_free = true, zero_is_free
         self.sigma = sigma[: true.data.coordinates]
-        self.of_new = self.sigma if of_new is None else of_new
+        # each new pose is read as often as those of the run
+        often = np.sqrt(len(true.data) / len(np.unique(true.data.groups)))
+        self.of_new = (self.sigma if of_new is None else of_new) / often
         self.later = [_at(rows, true, k) for k in range(most)]
         self.told = [true.model.predict(one, true.values)[:, : rows.coordinates] for one in self.later]
 
