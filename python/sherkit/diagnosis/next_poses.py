@@ -8,7 +8,7 @@ cause in time from one in space where the run had mixed them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,7 +37,8 @@ class Proposal:
 
     A pose names the joints to drive to, the coordinates of the drawing's kinematics that these are, what would be read
     there where that is something else, and ``separation_sigma``: how far the nearest rival that the poses can tell,
-    refitted to run and poses up to this one, is still from the true model, in standard deviations.
+    refitted to run and poses up to this one, is still from the true model, in standard deviations, where each new pose
+    is read as often as those of the run.
     """
 
     poses: tuple[dict[str, float], ...] = ()
@@ -57,7 +58,7 @@ def next_poses(true: Fit, rivals: Sequence[Fit], sigma: Floats, most: int = MOST
         trial = _Trial(true, reachable.rows, sigma, most)
         problems = [_Problem(trial, rival) for rival in rivals]
         chosen, told = _chosen(problems, most)
-        untold = [p.rival for p in problems if p not in told]
+        untold = {p.rival: float(np.sqrt(max(p.distance, 0.0))) for p in problems if p not in told}
         if not untold:
             return Proposal(_named(trial, reachable, chosen))
         advice = _advice(true, reachable.rows, untold, sigma, most)
@@ -112,14 +113,17 @@ def _what(fit: Fit, other: Fit) -> str:
     return " with ".join(e.name for e in fit.model.effects if e.name not in names) or "the model without effects"
 
 
-def _advice(true: Fit, rows: Measurements, untold: Sequence[Fit], sigma: Floats, most: int) -> str:
-    """That these instruments cannot tell, and which of the readings that the model can predict would."""
+def _advice(true: Fit, rows: Measurements, untold: Mapping[Fit, float], sigma: Floats, most: int) -> str:
+    """That these instruments cannot tell, and which of the readings that the model can predict would; ``untold`` has
+    the separation that poses reach, in standard deviations."""
     would: dict[str, list[str]] = {}
     for rival in untold:
         told_by = _told_by(true, rows, rival, sigma, most) or "no instrument known to sherkit"
         would.setdefault(told_by, []).append(_what(rival, true))
-    which = listed([_what(rival, true) for rival in untold])
-    out = f"no reachable poses tell {_what(true, untold[0])} from {which}: these instruments cannot tell"
+    which = listed([f"{_what(rival, true)} (by {reached:.1f} σ)" for rival, reached in untold.items()])
+    lead = _what(true, next(iter(untold)))
+    poses = "no reachable poses, read as often as those of the run,"
+    out = f"{poses} tell {lead} from {which}: these instruments cannot tell"
     if len(would) == 1:
         return f"{out}; {next(iter(would))} would"
     return "; ".join([out, *(f"{one} would tell {listed(names)}" for one, names in would.items())])
@@ -172,7 +176,9 @@ class _Trial:
     ) -> None:
         self.true, self.zero_is_free = true, zero_is_free
         self.sigma = sigma[: true.data.coordinates]
-        self.of_new = self.sigma if of_new is None else of_new
+        # each new pose is read as often as those of the run
+        often = np.sqrt(len(true.data) / len(np.unique(true.data.groups)))
+        self.of_new = (self.sigma if of_new is None else of_new) / often
         self.later = [_at(rows, true, k) for k in range(most)]
         self.told = [true.model.predict(one, true.values)[:, : rows.coordinates] for one in self.later]
 

@@ -40,6 +40,7 @@ def robot_of(given: RobotLike) -> Robot:
     """A robot as it is, or read from its file. Raises :class:`~sherkit.errors.RobotError` for anything else."""
     if isinstance(given, str | os.PathLike):
         return load_robot(given)
-    if not isinstance(given, Robot):
+    # by its kind alone: Python before 3.12 would ask every property, and a robot without a workspace refuses its middle
+    if not isinstance(getattr(given, "kind", None), str):
         raise RobotError(f"expected a robot or the path of its file, got {type(given).__name__}")
     return given

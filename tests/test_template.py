@@ -1,0 +1,71 @@
+"""A template of an effect, filled in from what a run leaves: it runs as it is, on every robot and on a user's model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+import sherkit as sk
+import test_discovery as delta
+import test_spherical_discovery as spherical
+from sherkit.diagnosis import template
+from sherkit.model.effect_file import load_effects
+from worlds import WrongDerivative
+
+
+def of_a_delta() -> tuple[Any, sk.Measurements]:
+    """What goes with the humidity: no effect of the catalogue."""
+    return delta.DELTA, delta.measured(delta.GRIDS["small"], 3, scaled={"humidity": 4 * delta.NOISE_UM}).data
+
+
+def of_a_spherical_robot() -> tuple[Any, sk.Measurements]:
+    """A cube of one joint, in v alone; the robot file has no workspace."""
+    frame = spherical.measured("small", 4).data.to_frame()
+    theta = frame["theta2_rad"].to_numpy()
+    cube = 0.4 * ((theta - theta.mean()) / theta.std()) ** 3
+    return spherical.ROBOT, sk.from_frame(frame.with_columns(v_px=frame["v_px"] + pl.Series(cube)))
+
+
+def of_a_users_model() -> tuple[Any, sk.Measurements]:
+    """A turntable that shows how warm its scale is."""
+    rng = np.random.default_rng(3)
+    pose = np.repeat(np.arange(100), 3)
+    angle, warm = rng.uniform(-3.0, 3.0, 100)[pose], rng.uniform(18.0, 26.0, 100)[pose]
+    shown = 1e3 * angle + 1.0 + 4.0 * np.sin(angle) + 8.0 * np.sin(2 * angle) + 0.3 * (warm - 22.0) ** 2
+    readings = (shown + 0.2 * rng.normal(size=300))[:, None]
+    data = sk.data.from_arrays(
+        place={"angle_rad": angle}, readings=readings, names=("shown",), unit="mrad", pose=pose,
+        covariates={"scale_c": warm},
+    )  # fmt: skip
+    return Warmed(wrong=False), data
+
+
+class Warmed(WrongDerivative):
+    """The turntable whose temperature may be a suspect."""
+
+    def covariates(self, data: sk.Measurements) -> dict[str, Any]:
+        return {"scale_c": data["scale_c"]}
+
+
+@pytest.mark.parametrize("of", [of_a_delta, of_a_spherical_robot, of_a_users_model])
+def test_the_template_of_what_is_left_explains_it(of: Any, tmp_path: Path) -> None:
+    """Catches a template that knows the columns of one robot, or a study that cannot take it."""
+    robot, data = of()
+    fit = sk.identify(robot, data)
+    d = sk.diagnose(fit)
+    assert d.signature is not None
+    path = tmp_path / "my_effects.py"
+    path.write_text(template(d.signature, data.layout, "unknown_effect", path.name), encoding="utf-8")
+    (effect,) = load_effects(path)
+    again = sk.diagnose(fit, effects=(effect,))
+    assert "unknown_effect" in again.effects
+    assert again.steps[-1].held_out_rms < 0.5 * again.steps[0].held_out_rms
+    if isinstance(robot, sk.delta.Delta | sk.spherical.Spherical):
+        study = sk.Study(robot, data)
+        before = study.diagnose().steps[0].held_out_rms
+        assert study.add(effect).held_out_rms
+        assert study.diagnose().steps[0].held_out_rms < 0.5 * before
