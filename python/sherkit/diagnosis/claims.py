@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+#: Reasons that the first line gives; the claims have all.
+_MOST = 2
+
 
 @dataclass(frozen=True)
 class Claim:
@@ -61,7 +64,7 @@ def headline(claims: Sequence[Claim], effects: Sequence[str], not_needed: Sequen
     else:
         line = f"{verdict}: {named or 'no effect added'}"
         if failing:
-            line += f"; {failing[0]}"
+            line += "; " + "; ".join(failing[:_MOST])
     if not_needed:
         verb = "is" if len(not_needed) == 1 else "are"
         line += f"; but {' and '.join(not_needed)}, in the model already, {verb} not needed"
