@@ -45,16 +45,16 @@ const SLIP: Range<usize> = of("slip");
 const CAMERA_SLIP: Range<usize> = of("camera_slip");
 
 /// The same robot read in pixels and in angles.
-fn both(model: Model) -> [Model; 2] {
+fn both(model: &Model) -> [Model; 2] {
     let [pixels, angles] = KINDS;
     [
         Model {
             readings: pixels,
-            ..model
+            ..*model
         },
         Model {
             readings: angles,
-            ..model
+            ..*model
         },
     ]
 }
@@ -135,7 +135,7 @@ proptest! {
         let (model, joints) = robot;
         let values = if quiet { [0.0; PARAMETERS] } else { values };
         let (row, sizes): (Row, Values) = (row(joints), plausible(CATALOGUE));
-        for model in both(model) {
+        for model in both(&model) {
             let chain = model.with(&values).unwrap();
             let found = chain.row_predict(&row, Wanted::ALL).unwrap();
             prop_assert_eq!(found.value, chain.row_value(&row).unwrap());
@@ -202,7 +202,7 @@ proptest! {
         }
         let row = Row { push: Vector3::zeros(), ..row(joints) };
         let sizes: Values = plausible(CATALOGUE);
-        for model in both(model) {
+        for model in both(&model) {
             let chain = model.with(&values).unwrap();
             let scale = if model.readings == Readings::Pixels { 500.0 } else { 1.0 };
             let reading = chain.row_value(&row).unwrap() + Vector2::from(off) * scale;
@@ -394,7 +394,7 @@ proptest! {
         for (p, b) in wild {
             values[p] = f64::from_bits(b);
         }
-        for model in both(model) {
+        for model in both(&model) {
             let Ok(chain): Result<Chain, Error> = model.with(&values) else { continue };
             for joints in [joints, [bits[0], bits[1]]] {
                 for covariates in [Covariates::NONE, row(joints).covariates] {
