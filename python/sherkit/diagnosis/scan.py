@@ -87,7 +87,7 @@ class Scan:
     def squared(self) -> Floats:
         """Squared length of every column."""
         f = (self.functions**2).sum(axis=0)
-        return np.concatenate([np.tile(f, self.m), (self.dense**2).sum(axis=0)])
+        return np.concatenate([np.tile(f, self.m), np.einsum("ij,ij->j", self.dense, self.dense)])
 
     @cached_property
     def _sizes(self) -> dict[int, tuple[Ints, Ints]]:

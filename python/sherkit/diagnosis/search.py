@@ -94,9 +94,10 @@ class Search:
         self.rho = rho
         self.base = base.on(rows, sigma)
 
-    def stage(self, run: FittedRun, nuisance: Sequence[Shape] = ()) -> Stage:
+    def stage(self, run: FittedRun, nuisance: Sequence[Shape] = (), *, thorough: bool = True) -> Stage:
         """The stage of a run; the correlation of the noise is estimated once, at the first."""
-        stage = stage_of(run, self.effects, np.arange(len(self.rows)), self.sigma, rho=self.rho, nuisance=nuisance)
+        rows = np.arange(len(self.rows))
+        stage = stage_of(run, self.effects, rows, self.sigma, rho=self.rho, nuisance=nuisance, thorough=thorough)
         self.rho = stage.rho
         return stage
 
@@ -131,7 +132,7 @@ class Search:
                 after = self.stage(refit(stage.run, (best,)), stage.nuisance)
                 added: tuple[Candidate, ...] = (best,)
                 if nearest is not None and self.beats(nearest, after, best):
-                    after, added = nearest.stage, nearest.candidates
+                    after, added = self.stage(nearest.stage.run, stage.nuisance), nearest.candidates
                 found.added += added
                 stage = after
                 found.stages.append(stage)
@@ -257,7 +258,10 @@ class Search:
                 run = refit(stage.run, members)
             except SherkitError:
                 continue
-            after = self.stage(run, stage.nuisance)
+            # most of what does not explain leaves something that shows without the shapes that cost time
+            after = self.stage(run, stage.nuisance, thorough=False)
+            if float(after.plain.deviates().max()) <= _PLAINLY_LEFT:
+                after = self.stage(run, stage.nuisance)
             out.append(Explanation(members, after, self.left(after.plain)))
         out.sort(key=lambda e: (not plausible(e), bic(e.stage.plain, e.candidates)))
         return out
