@@ -22,6 +22,10 @@ def notes_on_periods(d: sk.diagnosis.Diagnosis) -> list[str]:
     return [note for note in d.notes if "period" in note]
 
 
+#: Robot files without a pitch say so.
+pytestmark = pytest.mark.filterwarnings("ignore:.*is left out")
+
+
 def run_of(world: World) -> FittedRun:
     return FittedRun(world.study().fit)
 

@@ -114,8 +114,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     dense = virtual(3, 0.0).measure(grid(18.0, 7, (-15.0, 0.0, 15.0)), repeats=2, order="shuffled", seed=1)
     waves = 0.05 * (pl.col("x_mm") / 2.1).sin()
     dense.to_frame().with_columns(pl.col("y_mm") + waves).write_csv(folder / "strange.csv")
-    place = np.random.default_rng(3).uniform(-20, 20, (20, 2))
-    plane = virtual(6, 8e-3).measure(np.column_stack([place, np.zeros(20)]), repeats=1, seed=6)
+    place = np.random.default_rng(3).uniform(-20, 20, (24, 2))
+    plane = virtual(6, 8e-3).measure(np.column_stack([place, np.zeros(24)]), repeats=1, seed=6)
     plane.save(folder / "plane.csv")
     return folder
 
@@ -300,7 +300,7 @@ def test_calibration_with_a_local_run_an_effect_and_a_loss(runs: Path) -> None:
     assert f"rod_length_1 δl₁ {value:+.5g}" in text
     assert "the region of interest" in text
     assert f"{number(told['local']['rms_um']['before']['x'])} ±" in text
-    assert "adequate: nothing significant is missing" in text
+    assert "adequate: no effect added" in text
     assert "with rail_lean" in text
     assert "the model as it came: " not in text
     assert "local.csv SHA-256" in text
@@ -319,7 +319,7 @@ def test_calibration_of_some_parameters(runs: Path) -> None:
 def test_nothing_missing(runs: Path) -> None:
     """Catches a picture that shows an effect as added where none was, and a lost table of what would be found."""
     text = report(runs, "plain.html", "diagnose", "robot.toml", "plain.csv")
-    assert "adequate: nothing significant is missing" in text
+    assert "adequate: no effect added" in text
     assert "would have been found" in text
     assert inside(runs / "plain.html", "swaps")["state"] == 0
 

@@ -542,10 +542,10 @@ def test_an_error_of_every_pose_is_told() -> None:
     frame = clean.to_frame()
     off = frame.with_columns(pl.col("u_px") + own[:, 0], pl.col("v_px") + own[:, 1])
     told, silent = (sk.diagnose(sk.identify(ROBOT, sk.from_frame(f))) for f in (off, frame))
-    sentence = [note for note in told.notes if "an error of its own" in note]
-    assert len(sentence) == 1
-    found = re.search(r"u ([\d.]+), v ([\d.]+) px", sentence[0])
+    claim = next(c for c in told.claims if c.name == "poses_as_repeats")
+    assert claim.holds is False
+    found = re.search(r"u ([\d.]+), v ([\d.]+)\)", claim.result)
     assert found
     assert [float(one) for one in found.groups()] == pytest.approx([0.5, 0.5], rel=0.25)
-    assert told.verdict == "adequate"
-    assert not any("an error of its own" in note for note in silent.notes)
+    assert told.verdict == "unexplained"
+    assert next(c for c in silent.claims if c.name == "poses_as_repeats").holds

@@ -102,9 +102,9 @@ def test_what_is_no_marker_says_so() -> None:
 @pytest.mark.parametrize("kind", ["aruco", "apriltag"])
 def test_a_tag_is_found_in_its_middle(kind: str) -> None:
     """Catches the mean of four corners taken for the middle of a tag seen at a slant, and the wrong one of two tags."""
-    from sherkit.vision.marker import _DICTIONARIES
+    from sherkit.vision.marker import DICTIONARIES
 
-    dictionary = cv2.aruco.getPredefinedDictionary(_DICTIONARIES[kind])
+    dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[kind][1])
 
     def at(number: int, left: float) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
         tag = cv2.copyMakeBorder(cv2.aruco.generateImageMarker(dictionary, number, 200), 40, 40, 40, 40, 0, value=255)
