@@ -505,7 +505,6 @@ def test_twenty_seeds_say_the_same() -> None:
     assert same >= 0.97 * len(outcomes)
 
 
-@pytest.mark.xfail(strict=True, reason="explained by others in 14 of 16 worlds when it was first counted")
 @pytest.mark.parametrize("name", ["limb_twist", "drive_compliance"])
 def test_structural_effects_are_never_explained_by_others(name: str) -> None:
     """Catches conspiracies on any draw: ratios 1, 2 and 4, ten seeds each. Prints what is named instead."""
