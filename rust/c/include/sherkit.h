@@ -76,7 +76,7 @@ typedef int32_t sherkit_result;
 
 // A calibrated delta robot. Its content is nobody's business.
 typedef struct sherkit_delta {
-    uint64_t words[448];
+    uint64_t words[416];
 } sherkit_delta;
 
 // What a reading of the delta depends on beside its joints. NaN where it is not known; an effect that needs it then

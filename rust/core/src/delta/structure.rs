@@ -366,7 +366,9 @@ impl Solved {
         Ok(())
     }
 
-    /// Motion of the platform by a movement of the carriage end of a limb, loads held.
+    /// Motion of the platform by a movement of the carriage end of a limb, loads held. This and what calls it is inlined,
+    /// so that the limb is known to be one of three and no index is left to be checked.
+    #[inline(always)]
     fn by_end(&self, limb: usize, end: &Vector3<f64>) -> Motion {
         match &self.tilted {
             None => Motion {
@@ -378,6 +380,7 @@ impl Solved {
     }
 
     /// Motion of the platform by the length of the rods of a limb, loads held.
+    #[inline(always)]
     fn by_longer(&self, limb: usize) -> Motion {
         match &self.tilted {
             None => Motion {
@@ -395,6 +398,7 @@ impl Solved {
 
     /// What a motion does to the measured point with the loads that it makes; `end` and `rail` are those of a limb whose
     /// carriage moved by them.
+    #[inline(always)]
     fn settled(
         &self,
         motion: &Motion,
@@ -410,6 +414,7 @@ impl Solved {
     }
 
     /// What loads do to the measured point.
+    #[inline(always)]
     fn by_loads(&self, loaded: &Loaded, loads: &Loads) -> Vector3<f64> {
         let mut motion = Motion::default();
         for limb in 0..LIMBS {
@@ -420,7 +425,7 @@ impl Solved {
     }
 
     /// Derivative of the measured point by a movement of the carriage end of a limb and of the direction of its rail.
-    #[inline]
+    #[inline(always)]
     fn by_carriage(&self, limb: usize, end: &Vector3<f64>, rail: &Vector3<f64>) -> Vector3<f64> {
         if self.tilted.is_none() && self.loaded.is_none() {
             return self.answers.column(limb) * self.rods[limb].dot(end);
@@ -429,7 +434,7 @@ impl Solved {
     }
 
     /// Derivative by a movement of the sphere centre of a limb that its platform end makes, given in the platform frame.
-    #[inline]
+    #[inline(always)]
     fn by_platform(&self, limb: usize, centre: &Vector3<f64>) -> Vector3<f64> {
         let end = match &self.tilted {
             None => *centre,
@@ -439,13 +444,14 @@ impl Solved {
     }
 
     /// Derivative by the length of the rods of a limb.
-    #[inline]
+    #[inline(always)]
     fn by_length(&self, limb: usize) -> Vector3<f64> {
         let still = Vector3::zeros();
         self.settled(&self.by_longer(limb), limb, &still, &still)
     }
 
     /// Derivative by the compliance of a limb along itself.
+    #[inline(always)]
     fn by_stretch(&self, limb: usize) -> Vector3<f64> {
         let longer = self.pulls()[limb] * self.rods[limb].norm();
         match &self.loaded {
@@ -455,6 +461,7 @@ impl Solved {
     }
 
     /// Derivative by the compliance of a carriage along its rail.
+    #[inline(always)]
     fn by_yielding(&self, limb: usize, rail: &Vector3<f64>) -> Vector3<f64> {
         let give = self.pulls()[limb] * self.rods[limb].dot(rail);
         match &self.loaded {
@@ -501,6 +508,7 @@ impl Solved {
 
 impl Loaded {
     /// What a motion makes of the loads where these are held meanwhile.
+    #[inline(always)]
     fn made(
         &self,
         solved: &Solved,
@@ -510,7 +518,11 @@ impl Loaded {
         rail: &Vector3<f64>,
     ) -> Loads {
         let mut moved = solved.levers.map(|l| motion.centre + motion.turn.cross(&l));
-        moved[limb] -= end;
+        for (i, moved) in moved.iter_mut().enumerate() {
+            if i == limb {
+                *moved -= end;
+            }
+        }
         // Σ dw_i μ_i + Σ w_i dμ_i = 0
         let w = &self.pulls;
         let turned = moved[0] * w[0] + moved[1] * w[1] + moved[2] * w[2];
@@ -531,6 +543,7 @@ impl Loaded {
 }
 
 impl Tilted {
+    #[inline(always)]
     fn by_gains(&self, limb: usize, gain: impl Fn(&Rod, f64) -> f64) -> Motion {
         let mut motion = Motion::default();
         for (rod, side) in self.rods[limb].iter().zip(SIDES) {
