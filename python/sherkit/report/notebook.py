@@ -58,7 +58,7 @@ def cell(value: Any) -> str | None:
         pictures = pictures_of(value)
     except SherkitError:
         return None
-    parts: list[Any] = [Div(text=f"<pre style='font-size:14px'>{escape(str(value))}</pre>")]
+    parts: list[Any] = [Div(text=f"<pre style='font-size:14px;white-space:pre-wrap'>{escape(str(value))}</pre>")]
     for one in pictures:
         parts += [one.root, Div(text=f"<p style='font-size:14px;color:#555'>{escape(one.note)}</p>", width=900)]
     page = file_html(column(*parts, sizing_mode="stretch_width"), INLINE, "")
