@@ -206,3 +206,12 @@ def test_a_model_with_three_methods_has_them_too() -> None:
         fit = sk.identify(model, data)
         said = set_up_mistakes(model, data, fit.values)
         assert [words in m.sentence for m in said] == ([] if words is None else [True]), words
+
+
+def test_a_mistake_beside_large_physics_ends_in_a_sentence() -> None:
+    """Catches a search for wrong rows where all are wrong: the columns of x and y exchanged on leaning rails."""
+    world = worlds.delta_world(0, effects={"rail_lean": np.full(6, 8e-3)})
+    columns = world.columns | {"x_mm": world.columns["y_mm"], "y_mm": world.columns["x_mm"]}
+    answer = replace(world, columns=columns).ask()
+    assert answer.verdict == "unexplained"
+    assert answer.says(("x_mm",), ("y_mm",), ("swap", "interchang", "mirror"))

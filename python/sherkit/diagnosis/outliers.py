@@ -408,7 +408,7 @@ class _Judged:
         n, m = self.e.shape
         q = self.basis.reshape(n, m, -1)
         inside = believed[self.item]
-        part = q[inside].reshape(-1, q.shape[2])
+        part = q[inside].reshape(int(inside.sum()) * q.shape[1], q.shape[2])
         value, vector = np.linalg.eigh(part.T @ part)
         # what the believed ones do not tell is not held against the others
         root = vector / np.sqrt(np.maximum(value, 1e-9))

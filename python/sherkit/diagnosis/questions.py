@@ -80,7 +80,8 @@ def diagnose(
     notes = [*(mistake.sentence for mistake in mistakes), *held(run.data)]
 
     step("noise and outliers")
-    run, wild = without_outliers(run, every)
+    # beside a mistake of the set-up every row may look wrong
+    run, wild = (run, np.zeros(0, dtype=np.int64)) if mistakes else without_outliers(run, every)
     sigma, origin = run.noise
     rows = np.flatnonzero(run.whole)
     notes += sentences(run.data, wild)
