@@ -105,9 +105,7 @@ def earned(
         best = np.concatenate([np.stack(exact), linear]).min(axis=0)
         chosen = np.take_along_axis(exact[0] <= best, fold, axis=1)
     gain = ((without**2).sum(axis=2) - (with_it**2).sum(axis=2)) * chosen
-    per_pose = np.bincount(np.unique(more.group, return_inverse=True)[1], gain.mean(axis=0))
-    signs = np.random.default_rng(seed).integers(0, 2, (_FLIPS, len(per_pose))) * 2.0 - 1.0
-    p = float((1 + (signs @ per_pose >= per_pose.sum()).sum()) / (_FLIPS + 1))
+    p = flipped(gain.mean(axis=0), more.group, seed)
     return Earned(
         effect.name,
         without=_rms(without, scale) * run.per_unit,
@@ -115,6 +113,13 @@ def earned(
         p=p,
         again=float(chosen.mean()),
     )
+
+
+def flipped(gain: Floats, group: Ints, seed: int) -> float:
+    """One-sided p of a positive sum of paired gains (n,), by flipping signs of whole groups (n,)."""
+    per_pose = np.bincount(np.unique(group, return_inverse=True)[1], gain)
+    signs = np.random.default_rng(seed).integers(0, 2, (_FLIPS, len(per_pose))) * 2.0 - 1.0
+    return float((1 + (signs @ per_pose >= per_pose.sum()).sum()) / (_FLIPS + 1))
 
 
 def held_out_rms(run: FittedRun, sigma: Floats, deals: Sequence[Ints]) -> float:

@@ -22,7 +22,7 @@ from ..errors import SherkitError
 from ..model.effect import Effect
 from ..model.parameter import Parameter
 from ..types import Bools, Floats, Ints
-from .earned import held_out_rms
+from .earned import flipped, held_out_rms
 from .fitted_run import FittedRun
 
 #: Orders of the polynomials tried.
@@ -35,7 +35,6 @@ _WORSE = 1.15
 _RIM = 0.2
 _FEWEST = 10
 _LEVEL = 0.05
-_FLIPS = 1999
 #: What a plausible unknown adds, by unit of what it is added to; a hundredth of a unit for others.
 _SIZES = {"mm": 0.1, "rad": 1e-3, "px": 1.0}
 
@@ -126,9 +125,7 @@ def _at_the_rim(unknown: FittedRun, named: FittedRun, sigma: Floats) -> tuple[tu
         return None, None
     rms = tuple(named.per_unit * float(np.sqrt(np.mean(one**2))) for one in left)
     gain = ((left[1] / sigma[axes]) ** 2 - (left[0] / sigma[axes]) ** 2).sum(axis=1)
-    per_pose = np.bincount(group, gain)
-    signs = np.random.default_rng(0).integers(0, 2, (_FLIPS, len(per_pose))) * 2.0 - 1.0
-    return (rms[0], rms[1]), float((1 + (signs @ per_pose >= per_pose.sum()).sum()) / (_FLIPS + 1))
+    return (rms[0], rms[1]), flipped(gain, group, 0)
 
 
 def _outermost(run: FittedRun) -> Bools:

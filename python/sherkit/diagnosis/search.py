@@ -67,7 +67,6 @@ class SearchResult:
     alternatives: list[Explanation] = field(default_factory=list)
     replaced: tuple[str, ...] = ()
     signature: list[Shape] = field(default_factory=list)
-    explained: bool = False
 
 
 class Search:
@@ -145,7 +144,6 @@ class Search:
             p = self.left(stage.plain)
         found.p_left = p
         self._prune(found)
-        found.explained = p > self.level and not found.signature and bool(found.added)
         return found
 
     def as_it_stands(self) -> SearchResult:
