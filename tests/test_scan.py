@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from sherkit.diagnosis import play_operator
-from sherkit.diagnosis.linearised import Linearised, correlation_in_time, orthonormal, whiten
-from sherkit.diagnosis.scan import Columns, Scan, deviate
+from sherkit.diagnosis.linearised import Linearised, Whitening, correlation_in_time, orthonormal, whiten
+from sherkit.diagnosis.scan import Columns, Scan, codes_of, deviate
 from sherkit.diagnosis.shapes import build
+from sherkit.diagnosis.waves import Waves, waves_of
+from sherkit.model.effect import Effect
 
 Floats = NDArray[np.float64]
 
@@ -116,7 +118,7 @@ def test_a_deviate_has_the_tail_of_its_f(k: int, free: int) -> None:
 def test_flips_are_flips_of_whole_poses_fitted_again() -> None:
     """Catches a null distribution without the fit after each flip, or with repeats of a pose flipped apart.
 
-    The same signs, each flipped residual projected anew and scored by brute force, 8 flips.
+    The same signs, each flipped residual projected anew and scored by brute force, 8 flips, the first of them none.
     """
     scan, parts = problem(3)
     extra = columns_of(CANDIDATES[0], parts)
@@ -124,17 +126,20 @@ def test_flips_are_flips_of_whole_poses_fitted_again() -> None:
     model = np.concatenate([parts["fitted"].reshape(N * M, P), extra], axis=1)
     residual = left(parts["residual"].ravel(), model).reshape(N, M)
     poses = np.unique(parts["group"])
-    signs = np.random.default_rng(11).integers(0, 2, (len(poses), 8)) * 2.0 - 1.0
+    codes = codes_of(len(poses), 11)
+    assert len(set(codes.tolist())) == len(poses)
+    which = [0, 1, 2, 3, 500, 1023, 1024, 2047]
     expected = []
-    for flip in range(8):
-        sign = signs[np.searchsorted(poses, parts["group"]), flip]
+    for flip in which:
+        shared = [bin(int(code) & flip).count("1") for code in codes]
+        sign = np.where(np.array(shared) % 2, -1.0, 1.0)[np.searchsorted(poses, parts["group"])]
         flipped = (residual * sign[:, None]).ravel()
         scores = []
         for candidate in CANDIDATES[1:]:
             f, k, free = brute_f(flipped, model, columns_of(candidate, parts))
             scores.append(wilson_hilferty(f, k, free))
         expected.append(max(scores))
-    np.testing.assert_allclose(given.null(8, 11), expected, rtol=1e-7, atol=1e-8)
+    np.testing.assert_allclose(given.null(11)[which], expected, rtol=1e-7, atol=1e-8)
 
 
 def test_nothing_left_scores_minus_infinity() -> None:
@@ -170,7 +175,7 @@ def test_p_values_of_noise_are_uniform() -> None:
                     CANDIDATES, group)  # fmt: skip
         given = scan.condition(np.zeros((N * M, 0)))
         largest = float(given.deviates().max())
-        below += (1 + (given.null(199, seed) >= largest).sum()) / 200 <= 0.05
+        below += given.p_value(largest, seed=seed) <= 0.05
     assert stats.binom.ppf(5e-4, 300, 0.05) <= below <= stats.binom.isf(5e-4, 300, 0.05)
 
 
@@ -256,9 +261,10 @@ def test_shapes_follow_from_the_variables_alone() -> None:
         patterns={name: rng.normal(size=(n, 3)) for name in q},
         group=np.arange(n),
         pattern_of={name: name for name in q},
+        inputs=q,
         time=time,
     )
-    family = build(view)
+    family = build(view, Waves(view))
     kinds = {s.shape for s in family.shapes}
     assert kinds == {"smooth", "periodic", "interaction", "hysteretic", "step"}
     assert not any("lamp" in s.depends_on for s in family.shapes)
@@ -267,3 +273,40 @@ def test_shapes_follow_from_the_variables_alone() -> None:
     np.testing.assert_allclose(family.functions.mean(axis=0), 0.0, atol=1e-12)
     assert {s.depends_on for s in family.shapes if s.shape == "step"} == {("time_s",)}
     assert {s.pattern for s in family.shapes if s.shape == "hysteretic" and s.pattern} == set(q)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.6, -0.4])
+@pytest.mark.parametrize("ring", [False, True])
+def test_waves_that_are_never_written_out_are_those_that_are(rho: float, ring: bool) -> None:
+    """Catches products, Gram matrices, sums over poses and flips of waves that differ from those of full columns, also
+    under the filter in time, across gaps, with poses scattered over the run, and with a sign or a number mistaken."""
+    rng = np.random.default_rng(5)
+    q = {f"q{k}": rng.uniform(0, 2.5, N) for k in (1, 2)}
+    turning = Effect("ring", "joints", (), search="period_rad")
+    view = Linearised(
+        residual=rng.normal(size=(N, M)),
+        fitted=rng.normal(size=(N, M, P)),
+        variables=q,
+        patterns={name: rng.normal(size=(N, M)) for name in q},
+        group=rng.permutation(np.repeat(np.arange(N // 3), 3)),
+        pattern_of={name: name for name in q},
+        inputs=q,
+        periodic=((turning, None),) if ring else (),
+    )
+    filtered = Whitening(rho, rng.integers(1, 4, N))
+    waves = Waves(view)
+    dense = np.concatenate([waves_of(view, f) for f in waves.at], axis=2)
+    # at each frequency the sine and the cosine of the first input, then of the second
+    every = [tuple(range(4 * f, 4 * f + 4)) for f in range(len(waves.at))]
+    sets = [of for f in every for of in (f, f[:2], f[2:])]
+    known = [numbers for numbers, _ in waves.on_all_inputs()]
+    alike = [of for f in known for of in (f, f[:2], f[2:])]
+    common = filtered(view.residual), filtered(view.fitted), np.zeros((N, 0))
+    written = Scan(*common, filtered(dense), [Columns(dense=s, exact=True) for s in sets], view.group)
+    numbers = [Columns(waves=s, exact=True) for s in alike]
+    never = Scan(*common, np.zeros((N, M, 0)), numbers, view.group, waves.filtered(filtered))
+    added = written.take(written.candidates[4])
+    np.testing.assert_allclose(never.take(never.candidates[4]), added, atol=1e-12)
+    one, other = written.condition(added), never.condition(added)
+    np.testing.assert_allclose(other.deviates(), one.deviates(), rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(other.null(3), one.null(3), rtol=1e-7, atol=1e-7)

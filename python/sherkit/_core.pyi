@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 _Floats = NDArray[np.float64]
 _Bools = NDArray[np.bool_]
+_Ints = NDArray[np.int64]
 _Bytes = NDArray[np.uint8]
 
 __all__ = [
@@ -36,6 +37,7 @@ __all__ = [
     "bernstein_basis",
     "bernstein_fit",
     "bernstein_fit_grid",
+    "largest_under_flips",
     "register_points",
     "spherical_camera_placement",
     "tool_fit_beam",
@@ -511,4 +513,12 @@ def spherical_camera_placement(
 
     ``lens_rad`` is half the angle of view; ``region`` "half" or "quarter" of the sphere. Keys: distance_mm,
     half_angle_rad, coverage (share of the region), seen_mm2, waste_mm2, benefit_mm2.
+    """
+
+def largest_under_flips(rows: _Floats, ends: _Ints, class_of: _Ints, classes: int, codes: _Ints, flips: int) -> _Floats:
+    """Largest sum of squares (classes, flips) of candidates under every pattern of signs of a group.
+
+    ``rows`` (R, g) are what each of g poses adds to a direction; candidate c owns those up to ``ends[c]`` and is of
+    class ``class_of[c]``. Pattern t gives pose p the sign of the parity of ``codes[p] & t``; ``flips`` is a power of
+    two. Raises ValueError for numbers outside these ranges.
     """

@@ -53,20 +53,60 @@ class Linearised:
         return self.residual.shape[1]
 
 
-def whiten(values: Floats, rho: float, lag: Ints | None = None) -> Floats:
+class Whitening:
     """The AR(1) filter along the first axis; every row keeps its variance.
 
     ``lag`` (n,) is how many rows of the run lie between a row and the one before it here (1 where it follows at once):
-    across a gap the correlation is ``rho`` to that power.
+    across a gap the correlation is ``rho`` to that power. A row of the result is ``here`` times its own value and
+    ``before`` times that of the row before it, (n,) each.
     """
-    if rho == 0.0:
-        return values
-    steps = np.ones(len(values), dtype=np.int64) if lag is None else lag
-    carried = np.sign(rho) ** steps * np.abs(rho) ** steps
-    carried[0] = 0.0
-    shape = (-1,) + (1,) * (values.ndim - 1)
-    before = np.concatenate([values[:1], values[:-1]])
-    return (values - carried.reshape(shape) * before) / np.sqrt(1.0 - carried**2).reshape(shape)
+
+    def __init__(self, rho: float, lag: Ints) -> None:
+        self.rho, self.lag = rho, lag
+        carried = np.sign(rho) ** lag * np.abs(rho) ** lag
+        carried[:1] = 0.0
+        self.here = 1.0 / np.sqrt(1.0 - carried**2)
+        self.before = -carried * self.here
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Whitening) and self.rho == other.rho and np.array_equal(self.lag, other.lag)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __call__(self, values: Floats) -> Floats:
+        """Values (n, …) filtered."""
+        if self.rho == 0.0:
+            return values
+        shape = (-1,) + (1,) * (values.ndim - 1)
+        out = values * self.here.reshape(shape)
+        out[1:] += values[:-1] * self.before[1:].reshape(shape)
+        return out
+
+    def transposed(self, values: Floats) -> Floats:
+        """The filter's transpose of values (n, …)."""
+        if self.rho == 0.0:
+            return values
+        shape = (-1,) + (1,) * (values.ndim - 1)
+        out = values * self.here.reshape(shape)
+        out[:-1] += values[1:] * self.before[1:].reshape(shape)
+        return out
+
+    @property
+    def diagonal(self) -> Floats:
+        """Diagonal (n,) of the filter's transpose times the filter."""
+        out = self.here**2
+        out[:-1] += self.before[1:] ** 2
+        return out
+
+    @property
+    def beside(self) -> Floats:
+        """Of the same, what stands in each row's place (n,) of the row before it."""
+        return self.here * self.before
+
+
+def whiten(values: Floats, rho: float, lag: Ints | None = None) -> Floats:
+    """Values (n, …) under :class:`Whitening`, each row following at once where no ``lag`` is given."""
+    return Whitening(rho, np.ones(len(values), dtype=np.int64) if lag is None else lag)(values)
 
 
 def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:

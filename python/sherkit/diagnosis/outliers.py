@@ -317,7 +317,7 @@ class _Judged:
         """Effects and smooth shapes (n·m, k) as unit columns, what is fitted taken out of them; and how many of the
         basis were taken out."""
         n, m = self.e.shape
-        family = build(self.view, thorough=False)
+        family = build(self.view)
         smooth = [s for s in family.shapes if s.shape in ("smooth", "interaction")]
         single = family.functions[:, sorted({k for s in smooth for k in s.functions})]
         dense = family.dense[:, :, sorted({k for s in smooth for k in s.dense})]

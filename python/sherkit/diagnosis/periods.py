@@ -15,7 +15,6 @@ from scipy import optimize
 
 from ..names import listed
 from ..types import Floats, Ints
-from .linearised import whiten
 from .stage import Candidate, Stage
 from .waves import OVERSAMPLING, TURN, frequencies, rings, waves_of
 
@@ -144,7 +143,7 @@ class _Profile:
     def taken(self, frequency: float) -> float:
         """Sum of squares that it takes."""
         stage = self.stage
-        columns = whiten(waves_of(stage.view, frequency), stage.rho, stage.lag)[self.order]
+        columns = stage.filtered(waves_of(stage.view, frequency))[self.order]
         flat = columns.reshape(stage.scan.n * stage.scan.m, -1)
         for basis in (stage.scan.basis, stage.plain.added):
             flat = flat - basis @ (basis.T @ flat)

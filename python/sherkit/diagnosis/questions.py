@@ -119,7 +119,7 @@ def diagnose(
     reports = _candidate_reports(base_stage, gains, final, found.result)
     smallest: dict[str, tuple[float, float]] = {}
     if verdict == "adequate":
-        threshold = float(np.quantile(found.result.stages[0].plain.null(199, seed), 1 - level))
+        threshold = float(np.quantile(found.result.stages[0].plain.null(seed)[1:], 1 - level))
         smallest = {c.name: smallest_found(stage, c, threshold) for c in found.search.strongest_settings(stage)}
     signature = _signature(found.result, found.result.stages[-1]) if found.result.signature else None
     proposal = _next(found.result, unknown, sigma)
@@ -290,7 +290,7 @@ def _axes_of(stage: Stage, shape: Shape) -> list[str]:
     x = np.linalg.lstsq(columns, stage.scan.residual, rcond=1e-9)[0]
     by_axis = ((columns @ x).reshape(stage.scan.n, stage.scan.m) ** 2).sum(axis=0)
     noise = stage.plain.sum_of_squares / stage.plain.free
-    count = max(len(shape.functions), len(shape.dense))
+    count = max(len(shape.functions), len(shape.dense), len(shape.waves))
     enough = noise * float(special.chdtri(count, _AXIS_LEVEL))
     axes = [stage.run.names[stage.axes[k]] for k in range(stage.scan.m) if by_axis[k] > enough]
     return axes or [stage.run.names[stage.axes[int(np.argmax(by_axis))]]]

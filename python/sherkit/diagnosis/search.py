@@ -20,12 +20,11 @@ from ..errors import SherkitError
 from ..model.effect import Effect
 from ..types import Floats
 from .fitted_run import FittedRun
-from .linearised import whiten
 from .periods import period_of
-from .scan import ConditionalScan
+from .scan import FLIPS, ConditionalScan
 from .shapes import Shape, wave
 from .stage import Candidate, Stage, columns_of, stage_of
-from .waves import OVERSAMPLING
+from .waves import OVERSAMPLING, Waves
 
 #: Plausible sizes up to which a parameter is plausible, and those from which on it is absurd and nothing is believed.
 PLAUSIBLE, ABSURD = 5.0, 500.0
@@ -91,21 +90,25 @@ class Search:
         self.seed = seed
         self.step = step
         self.rho = rho
+        self.waves: Waves | None = None
         self.base = base.on(rows, sigma)
 
     def stage(self, run: FittedRun, nuisance: Sequence[Shape] = (), *, thorough: bool = True) -> Stage:
-        """The stage of a run; the correlation of the noise is estimated once, at the first."""
+        """The stage of a run; the correlation of the noise is estimated once, at the first, as waves are made once."""
         rows = np.arange(len(self.rows))
-        stage = stage_of(run, self.effects, rows, self.sigma, rho=self.rho, nuisance=nuisance, thorough=thorough)
-        self.rho = stage.rho
+        stage = stage_of(
+            run, self.effects, rows, self.sigma,
+            rho=self.rho, nuisance=nuisance, thorough=thorough, waves=self.waves,
+        )  # fmt: skip
+        self.rho, self.waves = stage.filtered.rho, stage.waves or self.waves
         return stage
 
     def left(self, given: ConditionalScan) -> float:
         """Familywise p of what is left."""
         largest = float(given.deviates().max())
         if largest > _PLAINLY_LEFT:
-            return 1.0 / 2000.0
-        return given.p_value(largest, seed=self.seed, decisive=self.level)
+            return 1.0 / FLIPS
+        return given.p_value(largest, seed=self.seed)
 
     # -- the search --------------------------------------------------------------------------------------
 
@@ -204,9 +207,7 @@ class Search:
                     centred = (w - w.mean())[:, None]
                     for a in axes:
                         columns.append(np.where(np.arange(stage.scan.m) == a, centred, 0.0))
-            stacked = whiten(np.stack(columns, axis=2), stage.rho, stage.lag)[order].reshape(
-                stage.scan.n * stage.scan.m, -1
-            )
+            stacked = stage.filtered(np.stack(columns, axis=2))[order].reshape(stage.scan.n * stage.scan.m, -1)
             given = stage.scan.condition(np.concatenate([stage.nuisance_columns, stacked], axis=1))
             return -given.sum_of_squares
 

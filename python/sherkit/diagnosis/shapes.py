@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..types import Floats
 from .linearised import Linearised
-from .waves import OVERSAMPLING, TURN, frequencies
+from .waves import OVERSAMPLING, TURN, Waves, frequencies
 
 _ORDERS = 3
 _STEPS = 24
@@ -29,7 +29,8 @@ _FEWEST_VALUES = 2
 class Shape:
     """A family of columns that stand for one description.
 
-    ``functions`` are indices of functions, used on axis ``axis`` or on all (None); ``dense`` ones of full columns.
+    ``functions`` are indices of functions, used on axis ``axis`` or on all (None); ``dense`` ones of full columns and
+    ``waves`` of :class:`~.waves.Waves`.
     """
 
     depends_on: tuple[str, ...]
@@ -41,6 +42,7 @@ class Shape:
     setting: float | None = None
     functions: tuple[int, ...] = ()
     dense: tuple[int, ...] = ()
+    waves: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +92,9 @@ class _Builder:
 
 
 def build(
-    view: Linearised, *, thorough: bool = True, periods: Sequence[tuple[str, float]] = (), number: int = 0
+    view: Linearised, waves: Waves | None = None, *, periods: Sequence[tuple[str, float]] = (), number: int = 0
 ) -> Family:
-    """All shapes for the variables of a view; periods and hysteresis only where ``thorough``.
+    """All shapes for the variables of a view; periods and hysteresis only with the ``waves`` of its inputs.
 
     ``periods`` (variable, period) are looked at besides those of the grid; ``number`` is that of the first full
     column.
@@ -112,9 +114,16 @@ def build(
         if pattern is not None and orders > 1:
             dense = tuple(b.column(pattern, legendre[:, k]) for k in range(orders))
             b.shapes.append(Shape((name,), "smooth", order=orders, pattern=pattern, dense=dense))
-    if thorough:
+    if waves is not None:
         for name in poses:
-            _waves(b, name, frequencies(view) if name in view.inputs else _coarse(view.variables[name]))
+            if name in waves.names:
+                for f, period in enumerate((1.0 / waves.at).tolist()):
+                    pair = waves.numbers(name, f)
+                    b.shapes.append(
+                        Shape((name,), "periodic", period=period, pattern=view.pattern_of[name], waves=pair)
+                    )
+            else:
+                _waves(b, name, frequencies(view) if name in view.inputs else _coarse(view.variables[name]))
     for name, period in periods:
         if name in unit:
             _waves(b, name, np.array([1.0 / period]))
@@ -133,7 +142,7 @@ def build(
                 t, u = unit[joint], unit[other]
                 dense = tuple(b.column(pattern, v) for v in (u, u * u, t * u))
                 b.shapes.append(Shape((joint, other), "interaction", pattern=pattern, dense=dense))
-    if thorough:
+    if waves is not None:
         _hysteretic(b)
     _steps(b)
     n, m = len(view), view.axes

@@ -13,10 +13,10 @@ from ..errors import FitError
 from ..model.effect import Effect
 from ..types import Floats
 from .fitted_run import FittedRun
-from .linearised import Linearised, correlation_in_time, orthonormal, whiten
+from .linearised import Linearised, Whitening, correlation_in_time, orthonormal
 from .scan import Columns, ConditionalScan, Scan
 from .shapes import Family, Shape, build
-from .waves import waves_of
+from .waves import Waves, waves_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,23 +43,23 @@ class Stage:
     """A fit on some rows, seen by diagnosis.
 
     ``rows`` are indices of the rows used, in the order of time; ``sigma`` (m,) the noise of each axis;
-    ``rho`` the correlation of the noise from row to row and ``lag`` how many rows of the run it is from one row here to
-    the next; ``candidates`` the effects that can be tried;
-    ``untestable`` effect to the reason why it cannot.
+    ``filtered`` the filter that takes the correlation of the noise from row to row out;
+    ``candidates`` the effects that can be tried; ``untestable`` effect to the reason why it cannot.
     """
 
     run: FittedRun
     rows: NDArray[np.int64]
     axes: tuple[int, ...]
     sigma: Floats
-    rho: float
-    lag: NDArray[np.int64]
+    filtered: Whitening
     view: Linearised
     family: Family
     scan: Scan
     candidates: tuple[Candidate, ...]
     untestable: dict[str, str]
     nuisance: tuple[Shape, ...]
+    #: Waves of the inputs where it is a thorough one.
+    waves: Waves | None
     #: Columns of effects and shapes (n, m, k), not filtered in time.
     columns: Floats = field(repr=False)
 
@@ -92,7 +92,7 @@ class Stage:
 
 def columns_of(shape: Shape) -> Columns:
     """A shape's columns for the scan."""
-    return Columns(shape.functions, shape.axis, shape.dense)
+    return Columns(shape.functions, shape.axis, shape.dense, shape.waves)
 
 
 def stage_of(
@@ -105,11 +105,13 @@ def stage_of(
     nuisance: Sequence[Shape] = (),
     thorough: bool = True,
     at: Mapping[str, float] | None = None,
+    waves: Waves | None = None,
 ) -> Stage:
     """Builds the stage for a run on the given ones of its rows. ``sigma`` (columns,) is the noise per reading.
 
     Only a ``thorough`` one has the shapes that cost time, periods and hysteresis, and tries periodic effects at every
-    frequency; else they are tried at the period that the model has and at that of ``at``, by name.
+    frequency; else they are tried at the period that the model has and at that of ``at``, by name. ``waves`` are those
+    of an earlier stage of the same rows, which need not be made again.
 
     Raises :class:`FitError` where no row has all readings.
     """
@@ -123,7 +125,8 @@ def stage_of(
         candidates.append(Candidate(effect, Columns(dense=tuple(range(first, offset)), exact=True)))
     physical = _stacked(view)
     periods = [(n.depends_on[0], n.period) for n in nuisance if n.period is not None]
-    family = build(view, thorough=thorough, periods=periods, number=offset)
+    waves = (waves or Waves(view)) if thorough else None
+    family = build(view, waves, periods=periods, number=offset)
     offset += family.dense.shape[2]
     stepped: list[Floats] = []
     for effect, moved in view.in_time:
@@ -147,44 +150,37 @@ def stage_of(
     if rho is None:
         rho = correlation_in_time(view.residual, _rich_basis(view.fitted, physical, family))
     columns = np.concatenate([physical, family.dense, *stepped], axis=2)
-    lag = _lags(run.data.order[rows])
-    if thorough:
-        waves = _on_all_inputs(family.shapes)
-        candidates += [Candidate(effect, *wave) for effect, _ in view.periodic for wave in waves]
+    filtered = Whitening(rho, _lags(run.data.order[rows]))
+    if waves is not None:
+        candidates += [
+            Candidate(effect, Columns(waves=numbers, exact=True), period)
+            for effect, _ in view.periodic
+            for numbers, period in waves.on_all_inputs()
+        ]
     scan = Scan(
-        whiten(view.residual, rho, lag),
-        whiten(view.fitted, rho, lag),
-        whiten(family.functions, rho, lag),
-        whiten(columns, rho, lag),
+        filtered(view.residual),
+        filtered(view.fitted),
+        filtered(family.functions),
+        filtered(columns),
         [columns_of(s) for s in family.shapes] + [c.columns for c in candidates],
         view.group,
+        waves.filtered(filtered) if waves is not None else None,
     )
     return Stage(
         run=run,
         rows=rows,
         axes=run.axes,
         sigma=sigma,
-        rho=rho,
-        lag=lag,
+        filtered=filtered,
         view=view,
         family=family,
         scan=scan,
         candidates=tuple(candidates),
         untestable=dict(view.untestable),
         nuisance=tuple(_again(n, family.shapes) for n in nuisance),
+        waves=waves,
         columns=columns,
     )
-
-
-def _on_all_inputs(shapes: Sequence[Shape]) -> list[tuple[Columns, float]]:
-    """Waves of one period on every input together, and that period; their columns are those of the single shapes."""
-    by_period: dict[float, list[int]] = {}
-    for shape in shapes:
-        if shape.period is not None and shape.pattern is not None:
-            by_period.setdefault(shape.period, []).extend(shape.dense)
-    most = max((len(columns) for columns in by_period.values()), default=0)
-    every = [(tuple(columns), period) for period, columns in by_period.items() if len(columns) == most]
-    return [(Columns(dense=columns, exact=True), period) for columns, period in every]
 
 
 def testable(run: FittedRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -6,6 +6,7 @@ mod camera;
 mod delta;
 mod errors;
 mod filter;
+mod flips;
 mod lanes;
 mod noise;
 mod robot;
@@ -46,5 +47,6 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(bernstein::bernstein_fit, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_fit_grid, m)?)?;
     m.add_function(wrap_pyfunction!(spherical::spherical_camera_placement, m)?)?;
+    m.add_function(wrap_pyfunction!(flips::largest_under_flips, m)?)?;
     Ok(())
 }

@@ -6,3 +6,4 @@ pub mod math;
 pub mod registration;
 pub mod rigid;
 pub mod trig;
+pub mod walsh;
