@@ -502,3 +502,11 @@ def test_no_row_of_the_table_contradicts_itself() -> None:
             outcomes.append((name, f"{answer.verdict}{', contradicts itself' if found else ''}"))
     table("rows of the table", outcomes)
     assert not [case for case, outcome in outcomes if "contradicts" in outcome]
+
+
+def test_a_combination_that_hardly_shows_does_not_keep_a_fit_from_its_minimum() -> None:
+    """Catches a fit that is called unfinished because steps along a combination known to 35 plausible sizes stay long:
+    the right effect was refused for it, and what it leaves called scatter of the poses."""
+    d = honest(worlds.delta_world(13, {"sensor_linearity": NOISE_UM}).ask())
+    assert d.effects == ("sensor_linearity",)
+    assert d.verdict == "explained"

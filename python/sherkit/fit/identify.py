@@ -31,6 +31,7 @@ from ..model.robot_file import RobotLike, load_robot
 from ..notebook import Shown
 from ..types import Floats
 from .directions import Direction, badly_observed, unobserved
+from .iterate import reached
 from .least_squares import LeastSquares
 from .robust import LOSSES, scale, spread
 from .set_up import set_up_mistakes
@@ -246,7 +247,7 @@ def identify(
             if (moved <= _SETTLED * problem.sizes).all():
                 break
     result = solver.result()
-    evaluations = result["evaluations"]
+    evaluations, at_minimum = result["evaluations"], reached(ended, result)
     judged = weights if loss == "linear" else weights / spread(problem.left(values), weights)
     if loss != "linear" or priors:
         # what the readings say there, none of them weighed down for being far off
@@ -272,7 +273,7 @@ def identify(
         noise=noise,
         loss=loss,
         priors=priors,
-        converged=ended == "converged" and bool((moved <= still).all()),
+        converged=at_minimum and bool((moved <= still).all()),
         evaluations=evaluations,
     )
     # predicted for the scale already

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import sherkit._core as _core
 
 from ..errors import FitError
 from ..types import Floats
+
+#: Part of the variance of the noise that is not worth a step: it would go by three hundredths of a deviation.
+_NOTHING = 1e-3
 
 
 def iterate(solver: _core.Solver, feed: Callable[[Floats], None]) -> str:
@@ -29,3 +33,13 @@ def iterate(solver: _core.Solver, feed: Callable[[Floats], None]) -> str:
         ended = solver.advance()
         if ended != "evaluate":
             return ended
+
+
+def reached(ended: str, result: Mapping[str, Any]) -> bool:
+    """Whether a solver that ``ended`` so stands at the minimum, by its ``result``.
+
+    Along a combination that the rows hardly tell, steps stay long however small their use, and the curvature of the
+    rows makes them miss: there it is enough that next to nothing is left to gain.
+    """
+    variance = result["cost"] / max(result["rows"] - result["rank"], 1)
+    return ended == "converged" or bool(result["to_gain"] <= _NOTHING * variance)

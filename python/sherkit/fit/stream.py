@@ -18,7 +18,7 @@ from ..model.effect import Effect
 from ..model.kinds import Robot, model_of
 from ..types import Floats
 from .identify import Identified, extended_by
-from .iterate import iterate
+from .iterate import iterate, reached
 from .least_squares import push
 
 
@@ -71,6 +71,6 @@ def identify_stream(
         unobserved_basis=result["unobserved"],
         scale=scale,
         rows=rows,
-        converged=ended == "converged",
+        converged=reached(ended, result),
         evaluations=result["evaluations"],
     )

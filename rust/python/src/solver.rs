@@ -203,12 +203,17 @@ impl Solver {
         let mut data = vec![0.0; n * n];
         let mut unobserved = vec![0.0; n * n];
         let mut scratch = vec![0.0; n];
-        let (rank, singular, directions) = self
+        let (rank, singular, directions, to_gain) = self
             .levenberg
             .with_decomposition(|d| {
                 d.covariance(&mut data, &mut unobserved, &mut scratch);
                 let directions: Vec<f64> = d.unobserved().flatten().copied().collect();
-                (d.rank(), d.singular_values().to_vec(), directions)
+                (
+                    d.rank(),
+                    d.singular_values().to_vec(),
+                    directions,
+                    d.to_gain(),
+                )
             })
             .map_err(to_python)?;
         let out = PyDict::new(py);
@@ -219,6 +224,7 @@ impl Solver {
         out.set_item("singular_values", PyArray1::from_vec(py, singular))?;
         out.set_item("rank", rank)?;
         out.set_item("cost", self.levenberg.cost())?;
+        out.set_item("to_gain", to_gain)?;
         out.set_item("evaluations", self.levenberg.evaluations())?;
         out.set_item("rows", self.stack.rows())?;
         Ok(out)

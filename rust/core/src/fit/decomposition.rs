@@ -213,6 +213,12 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Decomposition<S> {
         }
     }
 
+    /// By how much the undamped step would lower the sum of squares, were the rows linear.
+    #[must_use]
+    pub fn to_gain(&self) -> f64 {
+        self.observed().map(|(_, c, _)| c * c).sum()
+    }
+
     /// Takes the unobserved directions out of a change of the parameters.
     pub fn remove_unobserved(&self, change: &mut [f64]) {
         let sizes = self.sizes();
