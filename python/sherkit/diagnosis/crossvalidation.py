@@ -1,16 +1,13 @@
-"""Held-out error of a fit and of each single addition, by blocks, in linear approximation around the fit.
-
-Every fold needs only the Gram matrix of all columns over its rows; leaving a block out is a subtraction.
-"""
+"""Held-out error with each single addition, by blocks, in linear approximation around the fit."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..types import Floats, Ints
+from .folds import Folds, solved, unit_length
 from .scan import Columns
 from .stage import Stage
 
@@ -23,36 +20,22 @@ class HeldOutError:
     std: float
 
 
-def held_out(stage: Stage, block: Ints) -> tuple[HeldOutError, list[HeldOutError]]:
-    """Held-out error (in the unit of the run, axes together) of the fit itself and with each candidate.
+def held_out(stage: Stage, block: Ints) -> list[HeldOutError]:
+    """Held-out error (in the unit of the run, axes together) with each candidate of a stage that is not thorough.
 
     ``block`` (n,) is the fold of each row.
     """
     view = stage.view
-    n, m = view.residual.shape
-    physical: list[Floats] = []
-    places: list[list[int]] = []
-    p = view.fitted.shape[2]
-    for candidate in stage.candidates:
-        columns = _unwhitened(stage, candidate.columns)
-        first = p + sum(c.shape[2] for c in physical)
-        physical.append(columns)
-        places.append(list(range(first, first + columns.shape[2])))
-    z = np.concatenate([view.fitted, *physical, view.residual[:, :, None]], axis=2)
-    z = z * stage.sigma[None, :, None]  # in the unit of the readings, so that axes count by their error
-    scale = np.linalg.norm(z.reshape(n * m, -1), axis=0)
-    scale[-1] = 1.0
-    z = z / np.where(scale > 0, scale, 1.0)
-    grams, counts = [], []
-    for fold in np.unique(block):
-        part = z[block == fold].reshape(-1, z.shape[2])
-        grams.append(part.T @ part)
-        counts.append(len(part))
-    total = np.sum(grams, axis=0)
-    fitted = list(range(p))
-    unit = stage.run.per_unit
-    base = _error(grams, counts, total, fitted, unit)
-    return base, [_error(grams, counts, total, fitted + place, unit) for place in places]
+    added = [_unwhitened(stage, candidate.columns) for candidate in stage.candidates]
+    # in the unit of the readings, so that axes count by their error
+    columns = unit_length(np.concatenate([view.fitted, *added], axis=2) * stage.sigma[None, :, None])
+    folds = Folds.of(columns, view.residual * stage.sigma, np.unique(block, return_inverse=True)[1].ravel())
+    fitted = list(range(view.fitted.shape[2]))
+    out, first = [], len(fitted)
+    for one in added:
+        out.append(_error(folds, fitted + list(range(first, first + one.shape[2])), stage.run.per_unit))
+        first += one.shape[2]
+    return out
 
 
 def _unwhitened(stage: Stage, columns: Columns) -> Floats:
@@ -67,24 +50,16 @@ def _unwhitened(stage: Stage, columns: Columns) -> Floats:
     return stage.columns[:, :, list(columns.dense)]
 
 
-def _error(
-    grams: Sequence[Floats], counts: Sequence[int], total: Floats, columns: list[int], unit: float
-) -> HeldOutError:
-    """What blocks left out in turn show."""
-    squares = []
-    last = total.shape[0] - 1
-    index = np.ix_(columns, columns)
-    for gram in grams:
-        rest = total - gram
-        a = rest[index]
-        value, vector = np.linalg.eigh(a)
-        keep = value > 1e-11 * max(value[-1], 1e-300)
-        x = vector[:, keep] @ ((vector[:, keep].T @ rest[columns, last]) / value[keep])
-        squares.append(float(gram[last, last] - 2 * x @ gram[columns, last] + x @ gram[index] @ x))
-    count = sum(counts)
-    rms = float(np.sqrt(max(sum(squares), 0.0) / count))
-    apart = np.array(squares) - rms**2 * np.array(counts)
-    folds = len(squares)
-    variance = float((apart**2).sum()) * folds / max(folds - 1, 1) / count**2
+def _error(folds: Folds, columns: list[int], unit: float) -> HeldOutError:
+    """What blocks left out in turn show of a fit with these of the columns."""
+    squares, index = np.empty(len(folds)), np.ix_(columns, columns)
+    for k in range(len(folds)):
+        gram, right, _, _ = folds.outside(k)
+        x = solved(gram[index], right[columns])
+        squares[k] = folds.squares[k] - 2 * x @ folds.right[k, columns] + x @ folds.grams[k][index] @ x
+    count = int(folds.counts.sum())
+    rms = float(np.sqrt(max(float(squares.sum()), 0.0) / count))
+    apart = squares - rms**2 * folds.counts
+    variance = float((apart**2).sum()) * len(folds) / max(len(folds) - 1, 1) / count**2
     # the error of a mean square is twice the root's size
     return HeldOutError(unit * rms, unit * np.sqrt(variance) / (2 * rms) if rms > 0 else 0.0)

@@ -22,6 +22,7 @@ from ..errors import SherkitError
 from ..model.effect import Effect
 from ..types import Floats, Ints
 from .fitted_run import FittedRun
+from .folds import Folds, root_of, solved, unit_length
 from .stage import testable
 from .waves import waves_of
 
@@ -138,89 +139,44 @@ def _rms(values: Floats, scale: Floats) -> float:
 def _held_out(view: _View, fold: Ints) -> Floats:
     """Errors (deals, n, m) of rows that were held out in turn."""
     n, m = view.residual.shape
-    columns = _unit_length(view.columns)
+    columns = unit_length(view.columns)
     out = np.empty((len(fold), n, m))
     for deal, of in enumerate(fold):
-        grams, right = _grams(columns, view.residual, of)
+        folds = Folds.of(columns, view.residual, of)
         for k in np.unique(of):
+            gram, right, _, _ = folds.outside(k)
             inside = of == k
-            x = _solved(grams.sum(axis=0) - grams[k], right.sum(axis=0) - right[k])
-            out[deal, inside] = view.residual[inside] - columns[inside] @ x
+            out[deal, inside] = view.residual[inside] - columns[inside] @ solved(gram, right)
     return out
 
 
 def _scores(view: _View, fold: Ints) -> Floats:
     """Schwarz's criterion (deals, folds) of a fit to the rows outside each fold."""
-    columns, m = _unit_length(view.columns), view.residual.shape[1]
-    out = np.empty((len(fold), int(fold.max()) + 1))
-    for deal, of in enumerate(fold):
-        grams, right = _grams(columns, view.residual, of)
-        squares = _squares(view.residual, of, len(grams))
-        for k in range(len(grams)):
-            root = _root(grams.sum(axis=0) - grams[k])
-            taken = root.T @ (right.sum(axis=0) - right[k])
-            out[deal, k] = _schwarz(squares.sum() - squares[k] - taken @ taken, root.shape[1], (of != k).sum() * m)
-    return out
+    return _scores_of_sets(view, [np.zeros((*view.residual.shape, 0))], fold)[0]
 
 
 def _scores_of_sets(view: _View, sets: Sequence[Floats], fold: Ints) -> Floats:
     """Schwarz's criterion (sets, deals, folds) of the fit with each set of columns (n, m, k) beside its own."""
-    m = view.residual.shape[1]
-    sets = [_unit_length(one) for one in sets]
-    columns = np.concatenate([_unit_length(view.columns), *sets], axis=2)
     first = view.columns.shape[2]
+    columns = np.concatenate([unit_length(view.columns), *(unit_length(one) for one in sets)], axis=2)
     ends = np.cumsum([0, *(one.shape[2] for one in sets)])
     out = np.empty((len(sets), len(fold), int(fold.max()) + 1))
     for deal, of in enumerate(fold):
-        grams, right = _grams(columns, view.residual, of)
-        squares = _squares(view.residual, of, len(grams))
-        for k in range(len(grams)):
-            gram, b = grams.sum(axis=0) - grams[k], right.sum(axis=0) - right[k]
-            base = _root(gram[:first, :first])
+        folds = Folds.of(columns, view.residual, of)
+        for k in range(len(folds)):
+            gram, b, total, count = folds.outside(k)
+            base = root_of(gram[:first, :first])
             fitted = base.T @ b[:first]
-            total = squares.sum() - squares[k] - fitted @ fitted
+            total -= float(fitted @ fitted)
             cross = base.T @ gram[:first, first:]
             gram, b = gram[first:, first:] - cross.T @ cross, b[first:] - cross.T @ fitted
             for j, (low, high) in enumerate(pairwise(ends)):
-                root = _root(gram[low:high, low:high], _LEFT)
+                root = root_of(gram[low:high, low:high], _LEFT)
                 taken = root.T @ b[low:high]
                 rank = base.shape[1] + root.shape[1]
-                out[j, deal, k] = _schwarz(total - taken @ taken, rank, (of != k).sum() * m)
+                out[j, deal, k] = _schwarz(total - float(taken @ taken), rank, count)
     return out
 
 
 def _schwarz(squares: float, rank: int, count: int) -> float:
     return float(count * np.log(max(squares, 1e-300)) + rank * np.log(count))
-
-
-def _squares(residual: Floats, fold: Ints, folds: int) -> Floats:
-    """Sums of squares (folds,) of the rows of each fold."""
-    return np.bincount(fold, (residual**2).sum(axis=1), folds).astype(float)
-
-
-def _grams(columns: Floats, residual: Floats, fold: Ints) -> tuple[Floats, Floats]:
-    """Gram matrices (folds, k, k) and products with the residual (folds, k), fold by fold."""
-    count = int(fold.max()) + 1
-    grams = np.zeros((count, columns.shape[2], columns.shape[2]))
-    right = np.zeros((count, columns.shape[2]))
-    for k in range(count):
-        part = columns[fold == k].reshape(-1, columns.shape[2])
-        grams[k], right[k] = part.T @ part, part.T @ residual[fold == k].reshape(-1)
-    return grams, right
-
-
-def _root(gram: Floats, least: float = 0.0) -> Floats:
-    """A matrix whose product with its transpose is the pseudo-inverse, (k, rank)."""
-    value, vector = np.linalg.eigh(gram)
-    keep = value > max(1e-11 * float(value.max(initial=0.0)), least, 1e-300)
-    return vector[:, keep] / np.sqrt(value[keep])
-
-
-def _solved(gram: Floats, right: Floats) -> Floats:
-    root = _root(gram)
-    return root @ (root.T @ right)
-
-
-def _unit_length(columns: Floats) -> Floats:
-    length = np.sqrt((columns**2).sum(axis=(0, 1)))
-    return columns / np.where(length > 0, length, 1.0)

@@ -101,7 +101,7 @@ def diagnose(
     at = periods_shown(found.search, found.result)
     base_stage = stage_of(run, every, rows, sigma, rho=rho, thorough=False, at=at)
     stage = stage_of(final, every, rows, sigma, rho=rho, thorough=False, at=at) if found.names else base_stage
-    gains = held_out(base_stage, deals[0][base_stage.rows])[1]
+    gains = held_out(base_stage, deals[0][base_stage.rows])
 
     if origin != "declared":
         sigma = _noise_left(final, sigma)
