@@ -1,0 +1,84 @@
+"""A fit to start from that wild rows have not ruined."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..data.noise import MAD
+from ..errors import SherkitError
+from ..types import Floats, Ints
+from .fitted_run import FittedRun
+from .linearised import orthonormal
+
+#: Residuals are cut to this many spreads.
+CUT = 1.5
+ROUNDS = 20
+#: No residual is told from zero below this part of the range of the readings.
+DIGITS = 1e-9
+
+
+def believable(run: FittedRun, rows: Ints) -> FittedRun:
+    """The fit, or where gross errors have ruined it another one, from the drawing and without what stands apart there.
+
+    It is ruined where it did not end, or where the median row is further off than before the fit.
+    """
+    axes = list(run.axes)
+    data = run.data.select(rows)
+    model = run.model
+
+    def typical(values: Floats) -> float:
+        try:
+            left = (data.readings - model.predict(data, values))[:, axes] / run.noise[0][axes]
+        except SherkitError:  # not every step ends at a robot that could be built
+            return np.inf
+        return float(np.median(np.linalg.norm(left, axis=1)))
+
+    drawn = model.starting_at(None)
+    now = typical(run.fit.values)
+    if run.fit.converged and now <= typical(drawn):
+        return run
+    values, best = drawn, typical(drawn)
+    for _ in range(ROUNDS):
+        # the step that the bulk of the rows asks for, until it gains no more
+        residual = (data.readings - model.predict(data, values))[:, axes]
+        columns = model.derivatives(data, values)[:, axes]
+        step = _robust_step(residual, columns)
+        while typical(values + step) > best and np.abs(step).max() > 0:
+            step = 0.5 * step
+            if np.abs(step).max() < 1e-9 * np.abs(values).max(initial=1e-9):
+                break
+        else:
+            values = values + step
+            gained, best = best - typical(values), typical(values)
+            if gained > 1e-6 * best:
+                continue
+        break
+    left = (data.readings - model.predict(data, values))[:, axes]
+    spread = MAD * np.median(np.abs(left), axis=0)
+    far = (np.abs(left) > 10.0 * np.maximum(spread, DIGITS * np.ptp(data.readings[:, axes], axis=0))).any(axis=1)
+    return run.without(rows[far])
+
+
+def _robust_step(residual: Floats, columns: Floats) -> Floats:
+    """The linear step (p,) that residuals (n, m) ask for, wild ones cut to size."""
+    spread = np.maximum(MAD * np.median(np.abs(residual), axis=0), 1e-300)
+    e = residual / spread
+    a = (columns / spread[:, None]).reshape(e.size, -1)
+    scale = np.maximum(np.linalg.norm(a, axis=0), 1e-300)
+    left = huber(e, orthonormal(a))
+    return np.linalg.lstsq(a / scale, (e - left).reshape(-1), rcond=1e-9)[0] / scale
+
+
+def huber(e: Floats, q: Floats) -> Floats:
+    """What a fit of orthonormal columns (n·m, k) leaves of residuals (n, m) when wild ones are cut to size."""
+    left = e
+    before = np.inf
+    for _ in range(5 * ROUNDS):
+        limit = CUT * MAD * np.median(np.abs(left), axis=0)
+        tame = e - left + np.clip(left, -limit, limit)
+        left = e - (q @ (q.T @ tame.reshape(-1))).reshape(e.shape)
+        now = float(limit.sum())
+        if abs(before - now) <= 1e-3 * now:
+            break
+        before = now
+    return left
