@@ -10,6 +10,7 @@ mod geometry;
 mod kinematics;
 mod model;
 mod nominal;
+mod six_rods;
 mod structure;
 mod trilateration;
 

@@ -16,20 +16,19 @@ use super::effects::{AT, PARAMETERS, Values};
 use super::geometry::{Geometry, IDENTIFIABLE, LIMBS, PER_LIMB};
 use super::kinematics::{Kinematics, answers};
 use super::nominal::Model;
+use super::six_rods::{Motion, Pairs, Rod, Tilted, mismatched, six_rods, twisted};
 use crate::chain::Mechanism;
 use crate::chain::effects::{Wanted, values_of};
 use crate::numbers::inverse::{Inverse, inverse};
-use crate::numbers::math::{sin_cos, sqrt};
+use crate::numbers::math::sin_cos;
 use crate::{Error, Result};
-use nalgebra::{Matrix3, Matrix6, Rotation3, SMatrix, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3, Vector6};
 
 const ITERATIONS: usize = 60;
-/// Loads and Newton steps are settled when nothing moves by more than this, mm.
+/// Loads are settled when none changes by more than this, mm.
 const TOLERANCE_MM: f64 = 1e-12;
-/// Pivot ratio below which the six rods do not fix the platform, or loads run away.
+/// Pivot ratio below which loads run away.
 const SINGULAR: f64 = 1e-12;
-/// The two rods of a limb, as they stand along its axis.
-const SIDES: [f64; 2] = [1.0, -1.0];
 
 /// The delta with given errors: what joins its joints to the measured point.
 #[derive(Clone, Copy, Debug)]
@@ -43,14 +42,7 @@ pub struct Structure {
 struct Extras {
     /// From the platform centre to the measured point, platform frame, mm.
     target: Vector3<f64>,
-    /// Half the distance between the rods of a limb along its joint axis at the platform, mm.
-    half_pair: [Vector3<f64>; LIMBS],
-    /// The same at the carriage.
-    half_carriage: [Vector3<f64>; LIMBS],
-    /// Difference of the two rods of a limb, mm.
-    mismatch: [f64; LIMBS],
-    /// Turn of the joint axis at the carriage against that at the platform, rad.
-    twist: [f64; LIMBS],
+    pairs: Pairs,
     /// Stretch of a limb under the whole weight, mm.
     stretch: [f64; LIMBS],
     /// How far a carriage gives way under the whole weight, mm.
@@ -82,10 +74,12 @@ impl Structure {
             kinematics: Kinematics::leaning(&geometry, lean, model.home)?,
             extras: Extras {
                 target: model.target_offset,
-                half_pair: [pair(0, 0.0), pair(1, 0.0), pair(2, 0.0)],
-                half_carriage: [pair(0, twist[0]), pair(1, twist[1]), pair(2, twist[2])],
-                mismatch: values_of(at.rod_mismatch, values),
-                twist,
+                pairs: Pairs {
+                    half_platform: [pair(0, 0.0), pair(1, 0.0), pair(2, 0.0)],
+                    half_carriage: [pair(0, twist[0]), pair(1, twist[1]), pair(2, twist[2])],
+                    mismatch: values_of(at.rod_mismatch, values),
+                    twist,
+                },
                 stretch: values_of(at.gravity_sag, values),
                 yielding: values_of(at.drive_compliance, values),
             },
@@ -116,7 +110,7 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
 
     #[inline]
     fn point_at(&self, joints: &Vector3<f64>) -> Result<Vector3<f64>> {
-        if self.extras.is_parallel() && self.extras.is_stiff() {
+        if self.extras.pairs.are_parallel() && self.extras.is_stiff() {
             return Ok(self.kinematics.forward(joints)? + self.extras.target);
         }
         Ok(self.solve(joints)?.point)
@@ -133,12 +127,12 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
     ) -> SMatrix<f64, M, LIMBS> {
         let (at, still) = (AT.structure, Vector3::zeros());
         if let Some(place) = wanted.wants(at.rod_mismatch) {
-            let columns = by_point * solved.by_rods(&self.extras, mismatched);
+            let columns = by_point * solved.by_rods(&self.extras.pairs, mismatched);
             d.fixed_columns_mut::<LIMBS>(place.start)
                 .copy_from(&columns);
         }
         if let Some(place) = wanted.wants(at.limb_twist) {
-            let columns = by_point * solved.by_rods(&self.extras, twisted);
+            let columns = by_point * solved.by_rods(&self.extras.pairs, twisted);
             d.fixed_columns_mut::<LIMBS>(place.start)
                 .copy_from(&columns);
         }
@@ -187,54 +181,10 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
 }
 
 impl Extras {
-    /// Whether nothing tilts the platform.
-    fn is_parallel(&self) -> bool {
-        self.mismatch == [0.0; LIMBS] && self.twist == [0.0; LIMBS]
-    }
-
     /// Whether nothing gives way under the weight.
     fn is_stiff(&self) -> bool {
         self.stretch == [0.0; LIMBS] && self.yielding == [0.0; LIMBS]
     }
-}
-
-/// How a unit of mismatch lengthens the rod on the positive side of a limb, times its length; the other is shortened.
-fn mismatched(_: &Extras, _: usize, _: &Vector3<f64>, length: f64) -> f64 {
-    0.5 * length
-}
-
-/// What a unit of twist is to the rod on the positive side of a limb: its end at the carriage moves along it.
-fn twisted(extras: &Extras, limb: usize, rod: &Vector3<f64>, _: f64) -> f64 {
-    rod.dot(&Vector3::z().cross(&extras.half_carriage[limb]))
-}
-
-/// One of six rods: its vector, length, and the platform's answer to a unit gain.
-#[derive(Clone, Copy, Debug, Default)]
-struct Rod {
-    vector: Vector3<f64>,
-    length: f64,
-    answer: Motion,
-}
-
-/// A small motion of the platform: of its centre, and a turn about it.
-#[derive(Clone, Copy, Debug, Default)]
-struct Motion {
-    centre: Vector3<f64>,
-    turn: Vector3<f64>,
-}
-
-impl Motion {
-    fn add(&mut self, other: &Self, gain: f64) {
-        self.centre += other.centre * gain;
-        self.turn += other.turn * gain;
-    }
-}
-
-/// The platform tilted by its six rods.
-#[derive(Clone, Copy, Debug)]
-struct Tilted {
-    rods: [[Rod; 2]; LIMBS],
-    turn: Rotation3<f64>,
 }
 
 /// What the weight does: by how much each carriage gives way and each limb stretches, mm.
@@ -311,8 +261,8 @@ impl Solved {
             tilted: None,
             loaded: None,
         };
-        if !extras.is_parallel() {
-            let (centre, tilted) = six_rods(kinematics, extras, joints, &pose.position)?;
+        if !extras.pairs.are_parallel() {
+            let (centre, tilted) = six_rods(kinematics, &extras.pairs, joints, &pose.position)?;
             let rods = &tilted.rods;
             solved.rods = [0, 1, 2].map(|k| (rods[k][0].vector + rods[k][1].vector) * 0.5);
             solved.answers = answers(&solved.rods)?;
@@ -474,26 +424,26 @@ impl Solved {
     /// other, one column a limb.
     fn by_rods(
         &self,
-        extras: &Extras,
-        gain: impl Fn(&Extras, usize, &Vector3<f64>, f64) -> f64,
+        pairs: &Pairs,
+        gain: impl Fn(&Pairs, usize, &Vector3<f64>, f64) -> f64,
     ) -> Matrix3<f64> {
         let still = Vector3::zeros();
         let column = |limb: usize, motion: Motion| self.settled(&motion, limb, &still, &still);
         if let Some(tilted) = &self.tilted {
             let motion = |limb| {
-                let one = |rod: &Rod, side| side * gain(extras, limb, &rod.vector, rod.length);
+                let one = |rod: &Rod, side| side * gain(pairs, limb, &rod.vector, rod.length);
                 column(limb, tilted.by_gains(limb, one))
             };
             return Matrix3::from_columns(&[motion(0), motion(1), motion(2)]);
         }
         // around the parallel platform the two rods of a limb differ only by a turn, `(pair × ρ_i)·dw = gain`, and the
         // centre follows
-        let row = |i: usize| extras.half_pair[i].cross(&self.rods[i]).transpose();
+        let row = |i: usize| pairs.half_platform[i].cross(&self.rods[i]).transpose();
         let Some(turn) = Matrix3::from_rows(&[row(0), row(1), row(2)]).try_inverse() else {
             return Matrix3::zeros(); // rods without a distance between them cannot tilt the platform
         };
         let motion = |limb: usize| {
-            let gain = gain(extras, limb, &self.rods[limb], self.lengths[limb]);
+            let gain = gain(pairs, limb, &self.rods[limb], self.lengths[limb]);
             let turn: Vector3<f64> = turn.column(limb) * gain;
             let mut centre = Vector3::zeros();
             for k in 0..LIMBS {
@@ -540,70 +490,4 @@ impl Loaded {
         }
         made
     }
-}
-
-impl Tilted {
-    #[inline(always)]
-    fn by_gains(&self, limb: usize, gain: impl Fn(&Rod, f64) -> f64) -> Motion {
-        let mut motion = Motion::default();
-        for (rod, side) in self.rods[limb].iter().zip(SIDES) {
-            motion.add(&rod.answer, gain(rod, side));
-        }
-        motion
-    }
-}
-
-/// Newton on six rods from the parallel platform.
-fn six_rods(
-    kinematics: &Kinematics,
-    extras: &Extras,
-    joints: &Vector3<f64>,
-    start: &Vector3<f64>,
-) -> Result<(Vector3<f64>, Tilted)> {
-    let centres = kinematics.sphere_centres(joints);
-    let mut centre = *start;
-    let mut turn = Rotation3::identity();
-    for _ in 0..ITERATIONS {
-        let mut system = [[0.0; 6]; 6];
-        let mut miss = Vector6::zeros();
-        let mut rods = [[Rod::default(); 2]; LIMBS];
-        for (limb, pair) in rods.iter_mut().enumerate() {
-            let joint = kinematics.platform_joint(limb);
-            // sphere centres are carriage minus platform joint
-            let carriage = centres[limb] + joint;
-            for (k, (rod, side)) in pair.iter_mut().zip(SIDES).enumerate() {
-                let lever = turn * (joint + extras.half_pair[limb] * side);
-                rod.vector = centre + lever - carriage - extras.half_carriage[limb] * side;
-                rod.length = kinematics.rods()[limb] + 0.5 * side * extras.mismatch[limb];
-                let row = 2 * limb + k;
-                let (v, t) = (rod.vector, lever.cross(&rod.vector));
-                system[row] = [v.x, v.y, v.z, t.x, t.y, t.z];
-                miss[row] = 0.5 * (rod.length * rod.length - rod.vector.norm_squared());
-            }
-        }
-        let worst = miss.amax();
-        let Inverse { rows, weakest } = inverse(system).ok_or(Error::Singular)?;
-        if weakest <= SINGULAR || !worst.is_finite() {
-            return Err(Error::Singular);
-        }
-        let inverse = Matrix6::from(rows).transpose();
-        if worst <= TOLERANCE_MM * sqrt(rods[0][0].vector.norm_squared()) {
-            for (limb, pair) in rods.iter_mut().enumerate() {
-                for (k, rod) in pair.iter_mut().enumerate() {
-                    let column = inverse.column(2 * limb + k);
-                    rod.answer = Motion {
-                        centre: column.fixed_rows::<3>(0).into_owned(),
-                        turn: column.fixed_rows::<3>(3).into_owned(),
-                    };
-                }
-            }
-            return Ok((centre, Tilted { rods, turn }));
-        }
-        let step = inverse * miss;
-        centre += step.fixed_rows::<3>(0);
-        turn = Rotation3::from_scaled_axis(step.fixed_rows::<3>(3).into_owned()) * turn;
-    }
-    Err(Error::NotConverged {
-        iterations: ITERATIONS,
-    })
 }
