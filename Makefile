@@ -8,6 +8,8 @@ BIN    := $(VENV)/bin
 WHEELS := target/wheels
 STAMP  := $(VENV)/.installed
 PYTHONS := python tests benchmarks examples docs
+# two workers, each of them one thread: more of them only stand in each other's way
+export OPENBLAS_NUM_THREADS := 1
 SOURCES := Cargo.toml Cargo.lock pyproject.toml README.md $(shell find rust python -type f -not -name '*.so' -not -path '*/__pycache__/*')
 
 .PHONY: demo demo-lab test test-rust test-python test-slow lint no-std header header-check bench format clean check-tools
