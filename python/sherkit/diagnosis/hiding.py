@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import linalg
+import scipy
 
 from ..types import Floats
 from .linearised import orthonormal
@@ -54,6 +54,6 @@ def _taken_up(columns: Floats, fitted: Floats, names: Floats, size: Floats) -> t
     root = vector[:, value > 1e-12 * value[-1]] / np.sqrt(value[value > 1e-12 * value[-1]])
     if not root.shape[1] or np.linalg.eigvalsh(root.T @ left @ root)[-1] > 1.0 - _HIDDEN_FROM:
         return ()
-    x = np.linalg.norm(linalg.lstsq(fitted * size, columns, cond=1e-9)[0], axis=1)
+    x = np.linalg.norm(scipy.linalg.lstsq(fitted * size, columns, cond=1e-9)[0], axis=1)
     top = np.argsort(-x)[:_MOST_NAMED]
     return tuple(str(names[k]) for k in top if x[k] >= _NAMED_FROM * x[top[0]])

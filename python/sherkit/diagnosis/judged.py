@@ -11,7 +11,7 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from ..data.noise import MAD
 from ..types import Bools, Floats
@@ -150,7 +150,7 @@ class Judged:
             by, own = mean[self.moved].mean(axis=0), mean[now].std(axis=0)
             squares += ((mean[self.moved] - by) ** 2).sum(axis=0)
             count += m + 2
-            if stats.chi2.sf(float(((by / np.maximum(own, self.floor)) ** 2).sum()), m) > _LEVEL / items:
+            if scipy.stats.chi2.sf(float(((by / np.maximum(own, self.floor)) ** 2).sum()), m) > _LEVEL / items:
                 return now, np.inf, np.inf
         squares = np.maximum(squares / items, self.floor**2)
         criterion = float(items * np.log(squares).sum() + count * np.log(items * m))
@@ -189,7 +189,7 @@ class Judged:
         columns = self._free_columns()
         gain = (columns.T @ tame) ** 2 / variance
         best = int(np.argmax(gain)) if len(gain) else -1
-        chance = stats.chi2.logsf(gain[best], 1) + np.log(len(gain)) if best >= 0 else np.inf
+        chance = scipy.stats.chi2.logsf(gain[best], 1) + np.log(len(gain)) if best >= 0 else np.inf
         stepped = self._step(tame.reshape(n, m), variance)
         if stepped is not None and stepped[0] < min(chance, np.log(_DESCRIBED)):
             self.has_step = True
@@ -229,7 +229,7 @@ class Judged:
         columns = np.zeros((n, m, m))
         for a in range(m):
             columns[cuts[best] :, a, a] = 1.0
-        return float(stats.chi2.logsf(gain[best], m) + np.log(len(cuts))), columns.reshape(n * m, m)
+        return float(scipy.stats.chi2.logsf(gain[best], m) + np.log(len(cuts))), columns.reshape(n * m, m)
 
     # -- judging -------------------------------------------------------------------------------------------
 
@@ -280,7 +280,7 @@ class Judged:
             freedom = float((1.0 - hat[believed]).sum(axis=0).clip(2.0).mean()) - 1.0
         variance = np.maximum(spread + each - usual, 0.5 * each)
         distance = (square / np.maximum(variance, self.floor**2)).sum(axis=1)
-        p = stats.f.sf(distance / m, m, max(freedom, 1.0))
+        p = scipy.stats.f.sf(distance / m, m, max(freedom, 1.0))
         order = np.argsort(p)
         below = np.flatnonzero(p[order] <= _LEVEL * np.arange(1, len(p) + 1) / len(p))
         out = np.zeros(len(p), dtype=bool)
@@ -298,7 +298,7 @@ class Judged:
         if len(steps) < 5:
             return np.zeros(m), np.zeros(n, dtype=bool)
         noise = np.maximum(MAD * np.median(np.abs(steps), axis=0) / np.sqrt(2.0), self.floor)
-        threshold = float(stats.norm.isf(0.5 * _LEVEL / (n * m)))
+        threshold = float(scipy.stats.norm.isf(0.5 * _LEVEL / (n * m)))
         count = np.bincount(group)
         starts = np.concatenate([[0], np.cumsum(count)[:-1]])
         far = np.zeros(n, dtype=bool)

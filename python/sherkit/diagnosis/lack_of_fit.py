@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special, stats
+import scipy
 
 from ..types import Floats, Ints
 from .fitted_run import FittedRun
@@ -79,14 +79,14 @@ def lack_of_fit(run: FittedRun, level: float) -> LackOfFit | None:
             cumulants += _cumulants(score, group, count)
     if not own:
         return None
-    p = float(stats.chi2.sf(statistic, freedom)) if freedom else _tail(statistic, cumulants)
+    p = float(scipy.stats.chi2.sf(statistic, freedom)) if freedom else _tail(statistic, cumulants)
     return LackOfFit(p, own, poses, p <= level and size > _COUNTS**2 * noise)
 
 
 def _scores(values: Floats) -> Floats:
     """Normal scores of signed ranks."""
-    rank = stats.rankdata(np.abs(values))
-    return np.sign(values) * special.ndtri(0.5 * (1.0 + rank / (len(values) + 1.0)))
+    rank = scipy.stats.rankdata(np.abs(values))
+    return np.sign(values) * scipy.special.ndtri(0.5 * (1.0 + rank / (len(values) + 1.0)))
 
 
 def _cumulants(score: Floats, group: Ints, count: Ints) -> Floats:
@@ -107,4 +107,4 @@ def _tail(statistic: float, cumulants: Floats) -> float:
     mean, variance, third = cumulants
     if variance <= 0:
         return 1.0
-    return float(stats.pearson3.sf(statistic, third / variance**1.5, mean, np.sqrt(variance)))
+    return float(scipy.stats.pearson3.sf(statistic, third / variance**1.5, mean, np.sqrt(variance)))

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from ..names import listed
 from ..types import Floats, Ints
@@ -158,7 +158,7 @@ class _Profile:
             scored = [(self.taken(k / TURN), k / TURN) for k in turns if k >= 2.0]
             return max(scored)[::-1]
         low = max(near - self.step, 0.5 * near)
-        found = optimize.minimize_scalar(
+        found = scipy.optimize.minimize_scalar(
             lambda f: -self.taken(f), bounds=(low, near + self.step), method="bounded",
             options={"xatol": 1e-3 * self.step},
         )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import optimize, special
+import scipy
 
 from .scan import deviate
 from .stage import Candidate, Stage
@@ -25,8 +25,10 @@ def noncentrality(threshold: float, rank: int, free: int) -> float:
     high = total * 0.999
     if excess(high) < 0:
         return float("inf")
-    gain = float(optimize.brentq(excess, 1e-9, high))
-    result = optimize.brentq(lambda nc: 1.0 - special.chndtr(gain, rank, nc) - POWER, 0.0, 4.0 * gain + 200.0)
+    gain = float(scipy.optimize.brentq(excess, 1e-9, high))
+    result = scipy.optimize.brentq(
+        lambda nc: 1.0 - scipy.special.chndtr(gain, rank, nc) - POWER, 0.0, 4.0 * gain + 200.0
+    )
     return float(result)
 
 

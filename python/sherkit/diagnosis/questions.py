@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from scipy import special
+import scipy
 
 from ..data.given import RunLike
 from ..errors import EffectError, FitError
@@ -219,7 +219,7 @@ def _candidate_reports(
     out = []
     for name, (score, error, candidate) in best.items():
         # kept above what a float can tell from zero: a p of zero would claim too much
-        p = min(1.0, max(len(best) * float(special.ndtr(-score)), _SMALLEST_P)) if np.isfinite(score) else 1.0
+        p = min(1.0, max(len(best) * float(scipy.special.ndtr(-score)), _SMALLEST_P)) if np.isfinite(score) else 1.0
         values, std, ok = _parameters(base, candidate, fits.get(name))
         parameters = tuple(
             {"name": q.name, "value": v, "std": s, "unit": q.unit}
@@ -291,6 +291,6 @@ def _axes_of(stage: Stage, shape: Shape) -> list[str]:
     by_axis = ((columns @ x).reshape(stage.scan.n, stage.scan.m) ** 2).sum(axis=0)
     noise = stage.plain.sum_of_squares / stage.plain.free
     count = max(len(shape.functions), len(shape.dense), len(shape.waves))
-    enough = noise * float(special.chdtri(count, _AXIS_LEVEL))
+    enough = noise * float(scipy.special.chdtri(count, _AXIS_LEVEL))
     axes = [stage.run.names[stage.axes[k]] for k in range(stage.scan.m) if by_axis[k] > enough]
     return axes or [stage.run.names[stage.axes[int(np.argmax(by_axis))]]]

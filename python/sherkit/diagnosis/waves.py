@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from ..types import Floats, Ints
 from .linearised import Linearised, Whitening
@@ -173,6 +173,6 @@ class FilteredWaves:
         for pattern, both in zip(self.waves._patterns, self.waves._of, strict=False):
             weight = np.concatenate([(pattern * here).sum(axis=1), (pattern[:-1] * before).sum(axis=1)])
             place = np.concatenate([group, group[1:]]), np.concatenate([rows, rows[:-1]])
-            of_group = sparse.csr_matrix((weight, place), shape=(groups, n))
+            of_group = scipy.sparse.csr_matrix((weight, place), shape=(groups, n))
             out += [(of_group @ wave).T for wave in both]
         return np.concatenate(out)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
+import scipy
 
 from .stage import Stage
 
@@ -32,7 +32,7 @@ def where(stage: Stage) -> tuple[Dependence, ...]:
         scores = [s for s, shape in zip(z.tolist(), stage.family.shapes, strict=True) if shape.depends_on == (name,)]
         if not scores:
             continue
-        p = min(1.0, len(scores) * float(special.ndtr(-max(scores))))
+        p = min(1.0, len(scores) * float(scipy.special.ndtr(-max(scores))))
         edges = np.unique(np.quantile(values, np.linspace(0, 1, _BINS + 1)))
         if len(edges) < 2:
             continue

@@ -15,7 +15,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy import special
+import scipy
 
 from ..model.effect import Effect
 from ..model.parameter import Parameter
@@ -144,7 +144,7 @@ def known_of(fit: Any, effect: Effect) -> Known | None:
         phi = inner @ (a.T @ weight @ theta)
         left = theta - a @ phi
         distance = float(left @ weight @ left)
-        p = float(special.chdtrc(len(theta) - len(phi), distance))
+        p = float(scipy.special.chdtrc(len(theta) - len(phi), distance))
         choice = 2.0 * np.log(sum(len(f.kinds) == len(form.kinds) for f in forms))
         scored.append((distance + len(phi) * price + choice, p, form, phi, np.sqrt(np.diag(inner))))
     single = np.sqrt(np.diag(c))

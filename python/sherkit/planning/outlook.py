@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import optimize, special
+import scipy
 
 from ..data import Measurements
 from ..errors import EffectError, FitError
@@ -183,20 +183,20 @@ class Planning:
     def _found(self, noncentrality: float, rank: int, free: int) -> float:
         if rank == 0 or free <= 0:
             return 0.0
-        threshold = float(special.fdtri(rank, free, 1.0 - self.level))
+        threshold = float(scipy.special.fdtri(rank, free, 1.0 - self.level))
         if noncentrality > _LARGEST_NC:
             return 1.0
-        below = float(special.ncfdtr(rank, free, noncentrality, threshold))
+        below = float(scipy.special.ncfdtr(rank, free, noncentrality, threshold))
         if not np.isfinite(below):
             # the series did not converge; with as many degrees of freedom, F is χ² over its own
-            below = float(special.chndtr(rank * threshold, rank, noncentrality))
+            below = float(scipy.special.chndtr(rank * threshold, rank, noncentrality))
         return 1.0 - below
 
     def _needed(self, rank: int, free: int) -> float:
         """The noncentrality with which the test succeeds in 80 of 100 cases."""
         if rank == 0 or free <= 0:
             return float("inf")
-        return float(optimize.brentq(lambda nc: self._found(nc, rank, free) - POWER, 1e-6, _LARGEST_NC))
+        return float(scipy.optimize.brentq(lambda nc: self._found(nc, rank, free) - POWER, 1e-6, _LARGEST_NC))
 
     @cached_property
     def outlooks(self) -> tuple[Outlook, ...]:

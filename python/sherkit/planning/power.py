@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import special
+import scipy
 
 from ..data import Measurements
 from ..data.columns import Layout
@@ -201,7 +201,7 @@ def _p_value(task: _Task, base: ChainModel, full: ChainModel, rows: Measurements
     free = len(rows) * m - fits[1].rank
     if more <= 0 or free <= 0:
         return 1.0
-    return float(special.fdtrc(more, free, max(sums[0] - sums[1], 0.0) / more / (sums[1] / free)))
+    return float(scipy.special.fdtrc(more, free, max(sums[0] - sums[1], 0.0) / more / (sums[1] / free)))
 
 
 # -- workers and files ---------------------------------------------------------------------------------------

@@ -14,8 +14,8 @@ from typing import Any
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from ..errors import SherkitError
 from ..types import Floats
@@ -165,8 +165,8 @@ def _refined(grey: NDArray[np.uint8], u: float, v: float) -> tuple[float, float,
     reach = _PATCH + 6
     row, column = round(v), round(u)
     part = grey[max(row - reach, 0) : row + reach + 1, max(column - reach, 0) : column + reach + 1]
-    smooth = ndimage.gaussian_filter(part.astype(float), 1.0, mode="nearest")
-    spline = ndimage.spline_filter(smooth, order=3)
+    smooth = scipy.ndimage.gaussian_filter(part.astype(float), 1.0, mode="nearest")
+    spline = scipy.ndimage.spline_filter(smooth, order=3)
     slope_v, slope_u = np.gradient(smooth)
     centre = np.array([v - max(row - reach, 0), u - max(column - reach, 0)])
     y, x = np.mgrid[-_PATCH : _PATCH + 1, -_PATCH : _PATCH + 1].astype(float)
@@ -176,7 +176,7 @@ def _refined(grey: NDArray[np.uint8], u: float, v: float) -> tuple[float, float,
 
     def at(image: Floats, places: Floats, filtered: bool) -> Floats:
         order, again = (3, False) if filtered else (1, True)
-        return np.asarray(ndimage.map_coordinates(image, places, order=order, prefilter=again, mode="nearest"))
+        return np.asarray(scipy.ndimage.map_coordinates(image, places, order=order, prefilter=again, mode="nearest"))
 
     normal, left = np.eye(2), np.zeros(len(weight))
     for _ in range(_MOST_STEPS):

@@ -14,7 +14,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from ...data import Measurements
 from ...data.columns import unit_in
@@ -322,7 +322,7 @@ def turned_frame(model: ModelWithEffects, data: Measurements, values: Floats, *,
         return None
     predicted = model.predict(data, values)[whole, :3]
     turn, middle = _registered(data.readings[whole, :3], predicted, mirrored=mirrored)
-    angle = Rotation.from_matrix(turn * (-1.0 if mirrored else 1.0)).inv().as_rotvec()
+    angle = scipy.spatial.transform.Rotation.from_matrix(turn * (-1.0 if mirrored else 1.0)).inv().as_rotvec()
     degrees = float(np.rad2deg(np.linalg.norm(angle)))
     axis = angle / max(float(np.linalg.norm(angle)), 1e-12)
     readings = data.readings.copy()
