@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..data import Measurements, read_measurements
+from ..data.files import write_whole
 from ..data.tables import PARQUET
 from ..errors import SherkitError
 
@@ -32,7 +33,7 @@ def read_so_far(run: Path) -> Measurements:
     content = run.read_bytes()
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder) / run.name
-        whole.write_bytes(whole_lines(content))
+        write_whole(whole, whole_lines(content))
         return read_as(whole, str(run))
 
 

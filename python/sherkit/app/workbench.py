@@ -22,6 +22,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ..data import Measurements, read_measurements
+from ..data.files import write_whole
 from ..diagnosis import Diagnosis
 from ..errors import EffectError, MeasurementError, SherkitError, SherkitWarning
 from ..model.effect import Effect
@@ -143,7 +144,7 @@ class Workbench:
             study = Study(load_robot(robot), data, effects=own)
             held = hold(folder)
             try:
-                (folder / SOURCES).write_text(json.dumps(begun_from(robot, run, follow=follow)), encoding="utf-8")
+                write_whole(folder / SOURCES, json.dumps(begun_from(robot, run, follow=follow)))
                 study.save(folder)
             except OSError as error:
                 raise SherkitError(f"{folder}: the study cannot be kept here: {error.strerror}") from None
@@ -291,7 +292,7 @@ class Workbench:
 
         def work(study: Study, _: Progress) -> None:
             path = self.folder / f"added_{len(study.history)}_{Path(name).name}"
-            path.write_bytes(content)
+            write_whole(path, content)
             try:
                 # the file that a person dropped, not the copy of it
                 study.extend(read_as(path, name))
@@ -313,7 +314,7 @@ class Workbench:
                 raise SherkitError("effects cannot be typed here: this page can be reached from other machines")
             path = self.folder / TYPED
             trial = self.folder / f"next.{TYPED}"
-            trial.write_text(source, encoding="utf-8")
+            write_whole(trial, source)
             known = dict(study.own)
             try:
                 effects = _loaded(trial)

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from ..data import read_measurements
+from ..data.files import write_whole
 from ..diagnosis import diagnose as run_diagnosis
 from ..diagnosis import template
 from ..errors import SherkitError
@@ -71,9 +72,7 @@ def diagnose(
     if report is not None and not as_json:
         output.say(f"\nthe report is in {report}")
     if destination is not None and found.signature is not None:
-        destination.write_text(
-            template(found.signature, found.fit.data.layout, file=str(destination)), encoding="utf-8"
-        )
+        write_whole(destination, template(found.signature, found.fit.data.layout, file=str(destination)))
         if not as_json:
             output.say(f"\na template of this effect is in {destination}")
     elif destination is not None and not as_json:

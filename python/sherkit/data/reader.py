@@ -17,7 +17,7 @@ from ..types import Ints
 from . import columns as c
 from .frames import clean
 from .rows import Measurements
-from .tables import PARQUET
+from .tables import PARQUET, read_parquet
 
 #: A file with a zero byte among this many is no text.
 _HEAD = 4096
@@ -35,11 +35,7 @@ def read_measurements(path: str | Path) -> Measurements:
     """
     path = checked(path)
     if path.suffix.lower() in PARQUET:
-        try:
-            frame = pl.read_parquet(path)
-        except pl.exceptions.PolarsError as error:
-            raise not_parquet(path, error) from None
-        return clean(frame, str(path), None, "row")
+        return clean(read_parquet(path), str(path), None, "row")
     frame, line = next(csv_blocks(path))
     return clean(frame, str(path), line, "line")
 
@@ -56,11 +52,6 @@ def checked(path: str | Path) -> Path:
             hint = f"sherkit export {path.name} -o run.csv makes a table of it"
             raise MeasurementError(f"{path}: is the run file of an experiment; {hint}")
     return path
-
-
-def not_parquet(path: Path, error: Exception) -> MeasurementError:
-    """What to say of a file that is called Parquet and is none."""
-    return MeasurementError(f"{path}: is not a Parquet file: {str(error).splitlines()[0]}")
 
 
 def csv_blocks(path: Path, most: int | None = None) -> Iterator[tuple[pl.DataFrame, Ints]]:

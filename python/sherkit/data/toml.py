@@ -144,6 +144,13 @@ class Table:
             raise self.fail(key, "a list of texts")
         return tuple(value)
 
+    def wholes(self, key: str) -> tuple[int, ...]:
+        """A list of whole numbers."""
+        value = self._get(key, "a list of whole numbers", None)
+        if not isinstance(value, list) or not all(isinstance(v, int) and not isinstance(v, bool) for v in value):
+            raise self.fail(key, "a list of whole numbers")
+        return tuple(value)
+
     def flag(self, key: str, default: bool) -> bool:
         """true or false."""
         value = self._get(key, "true or false", default)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import tomli_w
 
+from ..data.files import write_whole
 from ..data.toml import read_toml
 from ..errors import RobotError, SherkitWarning
 from .kinds import Robot, kind_of, robot_from_tables
@@ -32,8 +33,8 @@ def load_robot(path: str | os.PathLike[str]) -> Robot:
 
 
 def save_robot(robot: Robot, path: str | os.PathLike[str]) -> None:
-    """Writes a robot file that :func:`load_robot` reads."""
-    Path(path).write_text(tomli_w.dumps(robot.to_tables()), encoding="utf-8")
+    """Writes a robot file that :func:`load_robot` reads. Raises :class:`~sherkit.errors.NotWritten`."""
+    write_whole(path, tomli_w.dumps(robot.to_tables()))
 
 
 def robot_of(given: RobotLike) -> Robot:

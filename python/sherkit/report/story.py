@@ -23,6 +23,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 import sherkit._core as _core
 
 from ..calibrate import Result
+from ..data.files import write_whole
 from ..diagnosis import Diagnosis, sentence
 from ..errors import SherkitError
 from ..fit.forms import known
@@ -83,8 +84,8 @@ class Story:
 
 
 def write_report(story: Story, path: str | Path) -> None:
-    """Writes the report as one HTML file. Raises ``OSError`` where it cannot be written."""
-    Path(path).write_text(html(story), encoding="utf-8")
+    """Writes the report as one HTML file. Raises :class:`~sherkit.errors.NotWritten`."""
+    write_whole(path, html(story))
 
 
 def html(story: Story) -> str:

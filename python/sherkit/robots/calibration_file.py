@@ -12,6 +12,7 @@ import tomli_w
 
 import sherkit._core as _core
 
+from ..data.files import write_whole
 from ..data.toml import Table
 from ..errors import CalibrationError, SherkitError
 from ..model.kinds import Robot
@@ -26,7 +27,7 @@ def write(path: Path, settings: Mapping[str, Any], robot: Robot, parts: Mapping[
         "robot": robot.to_tables(),
         **parts,
     }
-    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    write_whole(path, tomli_w.dumps(tables))
 
 
 @contextmanager

@@ -22,6 +22,8 @@ import sherkit._core as _core
 
 from ...data import Measurements, from_frame
 from ...data.columns import POSE, REPEAT, TIME
+from ...data.files import is_output
+from ...data.tables import PARQUET, write_table
 from ...errors import ExperimentError
 from .bench import Point
 from .plan import Plan
@@ -279,18 +281,11 @@ def export_run(source: str | Path, destination: str | Path) -> int:
     Raises :class:`~sherkit.errors.ExperimentError`.
     """
     destination = Path(destination)
-    ending = destination.suffix.lower()
-    if ending not in (".csv", ".parquet", ".pq"):
+    if destination.suffix.lower() not in (".csv", *PARQUET) and not is_output(destination):
         raise ExperimentError(f"{destination}: expected a name that ends in .csv or .parquet")
     with RunFile.open(source) as run:
         frame = run.frame()
     if not len(frame):
         raise ExperimentError(f"{source}: holds no row yet")
-    # whole or not at all
-    fresh = destination.with_name(destination.name + ".new")
-    if ending == ".csv":
-        exported(frame).write_csv(fresh)
-    else:
-        exported(frame).write_parquet(fresh)
-    fresh.replace(destination)
+    write_table(exported(frame), destination)
     return len(frame)
