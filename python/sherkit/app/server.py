@@ -79,7 +79,8 @@ class PageServer:
                 {"/": application}, address=address, port=port, prefix=f"/{token}",
                 extra_patterns=[(f"/{name}", _Download, {**shared, "name": name}) for name, _ in _LINKS],
                 allow_websocket_origin=[f"{host}:{port}" for host in origins],
-                transforms=[_Locked], io_loop=IOLoop.current(), session_token_expiration=3600, websocket_max_message_size=200 * 2**20,
+                transforms=[_Locked], io_loop=IOLoop.current(), session_token_expiration=3600,
+                websocket_max_message_size=200 * 2**20,
             )  # fmt: skip
         except OSError as error:
             if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
@@ -104,8 +105,8 @@ class PageServer:
 
 
 class _Locked(OutputTransform):
-    """What a page cannot say of itself: it stands in no other page, is what it says it is, and tells nobody its address,
-    which is its key."""
+    """What a page cannot say of itself: it stands in no other page, is what it says it is, and tells nobody its
+    address, which is its key."""
 
     def transform_first_chunk(
         self, status_code: int, headers: HTTPHeaders, chunk: bytes, finishing: bool
