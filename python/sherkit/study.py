@@ -13,7 +13,7 @@ import polars as pl
 
 from .data import Measurements, from_frame
 from .data.columns import OUTLIER, POSE, REPEAT, Layout
-from .data.given import RunLike, run_of
+from .data.given import RunLike
 from .data.toml import Table
 from .diagnosis import Diagnosis, diagnose
 from .diagnosis.setting import setting_for
@@ -25,7 +25,7 @@ from .model.base import lacks
 from .model.chain import ChainModel
 from .model.effect import Effect, effects_by_name
 from .model.kinds import model_of, robot_from_table
-from .model.robot_file import RobotLike, robot_of
+from .model.robot_file import RobotLike, robot_of, run_for
 from .names import listed
 from .notebook import Shown
 from .robots.calibrated import Calibration, calibration_class
@@ -83,7 +83,7 @@ class Study(Shown):
         seed: int = 0,
     ) -> None:
         self.robot = robot_of(robot)
-        self.data = run_of(data)
+        self.data = run_for(robot, data)
         self.seed = seed
         self.loss = loss
         self.own: dict[str, Effect] = {}

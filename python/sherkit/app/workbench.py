@@ -23,11 +23,12 @@ import numpy as np
 
 from ..data import Measurements, read_measurements
 from ..data.files import write_whole
+from ..data.headers import Columns
 from ..diagnosis import Diagnosis
 from ..errors import EffectError, MeasurementError, SherkitError, SherkitWarning
 from ..model.effect import Effect
 from ..model.effect_file import load_effects
-from ..model.robot_file import load_robot
+from ..model.robot_file import columns_of, load_robot
 from ..names import listed
 from ..report.residuals import Residuals, residuals_of
 from ..study import Study, StudyStep
@@ -77,11 +78,12 @@ class Workbench:
 
     def __init__(
         self, study: Study, folder: Path, sources: Sequence[Path] = (), *, trusted: bool = True,
-        typed: Sequence[str] = (), lock: IO[str] | None = None,
+        typed: Sequence[str] = (), columns: Columns | None = None, lock: IO[str] | None = None,
     ) -> None:  # fmt: skip
         self.folder = folder
         self.trusted = trusted
         self.sources = list(sources)
+        self.columns = columns
         self._study = study
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="study")
         self._listeners: list[Callable[[str, Any], None]] = []
@@ -115,6 +117,7 @@ class Workbench:
         folder holds a study of other files or one that needs effects which are not given, and where another page has it
         open.
         """
+        columns = columns_of(robot)
         own = [e for path in files for e in load_effects(path)]
         again: list[Effect] = []
         sources = [robot, run, *files]
@@ -123,7 +126,7 @@ class Workbench:
         if (folder / "study.json").exists() and not fresh:
             # names what is wrong with the files before what is wrong between them and the folder
             load_robot(robot)
-            data = read_so_far(run) if follow else read_measurements(run)
+            data = read_so_far(run, columns) if follow else read_measurements(run, columns=columns)
             require_same(folder, robot, run, follow=follow)
             held = hold(folder)
             typed = folder / TYPED
@@ -140,7 +143,7 @@ class Workbench:
                     "give --fresh to begin anew there"
                 ) from error
         else:
-            data = read_so_far(run) if follow else read_measurements(run)
+            data = read_so_far(run, columns) if follow else read_measurements(run, columns=columns)
             study = Study(load_robot(robot), data, effects=own)
             held = hold(folder)
             try:
@@ -148,7 +151,7 @@ class Workbench:
                 study.save(folder)
             except OSError as error:
                 raise SherkitError(f"{folder}: the study cannot be kept here: {error.strerror}") from None
-        return cls(study, folder, sources, trusted=trusted, typed=[e.name for e in again], lock=held)
+        return cls(study, folder, sources, columns=columns, trusted=trusted, typed=[e.name for e in again], lock=held)
 
     def listen(self, listener: Callable[[str, Any], None]) -> Callable[[], None]:
         """Tells ``listener`` of ``moment``, ``progress``, ``error`` and ``warning``, as (kind, value).
@@ -295,7 +298,7 @@ class Workbench:
             write_whole(path, content)
             try:
                 # the file that a person dropped, not the copy of it
-                study.extend(read_as(path, name))
+                study.extend(read_as(path, name, self.columns))
             except BaseException:
                 path.unlink()
                 raise
@@ -358,7 +361,7 @@ class Workbench:
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # said when the run was opened
-                    data = read_so_far(run)
+                    data = read_so_far(run, self.columns)
                 fresh = self._new_rows(data)
             except BaseException as error:
                 self._say("error", _sentence(error))

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import click
 
-from ..data import read_measurements
 from ..data.files import write_whole
 from ..diagnosis import diagnose as run_diagnosis
 from ..diagnosis import template
@@ -17,7 +16,7 @@ from ..fit.identify import identify
 from ..model.effect import effects_by_name
 from ..model.effect_file import load_effects
 from ..model.kinds import model_of
-from ..model.robot_file import load_robot
+from ..model.robot_file import load_robot, run_for
 from ..robots.tool.model import ToolModel
 from ..robots.tool.runs import read_tool_run
 from ..robots.tool.tool import load_tool
@@ -36,7 +35,7 @@ from .tool import is_tool
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model already.")
 @click.option("--template", "destination", type=click.Path(path_type=Path), help="Write an effect of the shape found.")
 @click.option("--level", type=click.FloatRange(0.0005, 0.2), default=0.01, show_default=True, help="Of the test.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Rules folds and flips.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Rules folds and flips.")
 @report_option
 def diagnose(
     robot: Path, runs: tuple[Path, ...], as_json: bool, files: tuple[Path, ...], added: tuple[str, ...],
@@ -53,7 +52,7 @@ def diagnose(
     own = tuple(effect for path in files for effect in load_effects(path))
     with output.steps(12) as step:
         step(f"reading {runs[0]}")
-        data = reduce(joined, (read_measurements(run) for run in runs))
+        data = reduce(joined, (run_for(robot, run) for run in runs))
         step("identifying the model as it is")
         plain = model_of(nominal)
         fit = identify(replace(plain, effects=effects_by_name(plain.catalogue, added, own)), data)

@@ -56,7 +56,7 @@ class _Simulate(click.Command):
 @click.option("--experiment", type=click.Choice((*EXPERIMENTS, "free", "bench")), default="vessels", show_default=True,
               help="Flexible tool: one of the paper's, free (unbent), bench (known loads).")  # fmt: skip
 @click.option("--seconds", type=click.FloatRange(min=2), default=60.0, show_default=True, help="Flexible tool.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Draws the robot and the noise.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Draws the robot and the noise.")
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the planted errors here (TOML).")
 def simulate(
     robot: Path, destination: Path, poses: str, repeats: int, order: str, errors: float, seed: int,

@@ -14,6 +14,7 @@ from ..data.columns import POSE, REPEAT, TIME
 from ..data.files import write_whole
 from ..data.tables import read_table, write_table
 from ..errors import MeasurementError, SherkitError
+from ..names import listed
 from ..robots.spherical.columns import SPHERICAL_JOINTS
 from . import output
 
@@ -121,7 +122,7 @@ def _joints(path: Path) -> pl.DataFrame:
         frame = read_table(path)
         missing = [name for name in SPHERICAL_JOINTS if name not in frame.columns]
         if missing:
-            raise MeasurementError(f"{path}: column '{missing[0]}' is missing; it has {', '.join(frame.columns)}")
+            raise MeasurementError(f"{path}: column '{missing[0]}' is missing; it has {listed(frame.columns, 24)}")
         wanted = (TIME, POSE, REPEAT, *SPHERICAL_JOINTS, *(f"{name}_per_s" for name in SPHERICAL_JOINTS))
         kept = frame.select([pl.col(n).cast(pl.Float64) for n in wanted if n in frame.columns])
     except pl.exceptions.PolarsError as error:
