@@ -612,7 +612,7 @@ def test_wrong_parameters_are_named(tables: dict[str, Any], tmp_path: Path) -> N
         (b"", "is not a calibration"),
         (b"kind = 'delta'", "is not a calibration"),
         (b"[calibration", "is not valid TOML"),
-        (b"\xff\xfe", "is not valid TOML"),
+        (b"\xff\xfe", "is not a text file"),
         (b"calibration = 1", "is not a calibration"),
     ],
 )
@@ -628,7 +628,7 @@ def test_other_files_are_refused(content: bytes, words: str, tmp_path: Path) -> 
 def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
     """Catches an OSError that reaches the user."""
     for path in (tmp_path / "nothing.toml", tmp_path):
-        with pytest.raises(CalibrationError, match="cannot be read") as caught:
+        with pytest.raises(CalibrationError, match=r"there is no such calibration file|is a folder") as caught:
             DeltaCalibration.load(path)
         assert str(path) in str(caught.value)
 

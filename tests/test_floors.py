@@ -14,7 +14,7 @@ FLOORS = (
     ("model", "vision"),
     ("fit",),
     ("robots", "diagnosis"),
-    ("planning", "calibrate"),
+    ("planning", "calibrate", "study_file"),
     ("study",),
     ("report", "lab"),
     ("__init__",),

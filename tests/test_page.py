@@ -212,6 +212,28 @@ def test_the_hidden_effect_leads_and_a_click_adds_it(lab: Path) -> None:
         button(page, "✓ rail_lean").wait_for()
 
 
+def test_what_has_no_number_does_not_run(lab: Path) -> None:
+    """Catches a policy that is not there, lets a script run that is not the page's own, or lets it stand in another."""
+    with serving(lab, "--study", "policy.study") as served:
+        with pytest.raises(AssertionError), seen(served.url) as page:  # noqa: PT012
+            page.locator("#verdict").wait_for()
+            page.evaluate(
+                """() => {
+                    const made = document.createElement("script")
+                    made.textContent = "window.owned = 1"
+                    document.body.append(made)
+                    document.body.insertAdjacentHTML("beforeend", "<img src=x onerror='window.owned = 2'>")
+                }"""
+            )
+            page.wait_for_timeout(300)
+            owns = page.evaluate("window.owned")
+        assert owns is None
+        with urllib.request.urlopen(served.url, timeout=60) as answer:
+            assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
+            assert answer.headers["X-Content-Type-Options"] == "nosniff"
+            assert answer.headers["Referrer-Policy"] == "no-referrer"
+
+
 def test_an_effect_is_typed_tried_and_added(lab: Path) -> None:
     """Catches lines that do not become a button, and wrong lines that break the page or change the study."""
     with serving(lab, "--fresh") as app, seen(app.url, ends=True) as page:

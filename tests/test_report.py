@@ -222,6 +222,24 @@ def test_switches_move_the_pictures(demo: Path) -> None:
 
 
 @needs_browser
+def test_what_has_no_number_does_not_run(demo: Path, tmp_path: Path) -> None:
+    """Catches a policy that lets a script run which came in by a name, or one that is not there; see the others for one
+    that keeps Bokeh from drawing."""
+    text = (demo / "demo" / "report.html").read_text(encoding="utf-8")
+    owned = "<script>window.owned = 1</script><img src=x onerror='window.owned = 2'><a href='javascript:owned = 3'></a>"
+    (tmp_path / "owned.html").write_text(text.replace("<h2>1.", f"{owned}<h2>1.", 1), encoding="utf-8")
+    with pytest.raises(AssertionError), opened(tmp_path / "owned.html") as page:  # noqa: PT012
+        page.evaluate("document.querySelector('a[href^=javascript]').click()")
+        settled(page)
+        owns = page.evaluate("window.owned")
+    assert owns is None
+    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', text)
+    assert policy is not None
+    assert "default-src &#39;none&#39;" in policy[1]
+    assert text.index(policy[0]) < text.index("<script")
+
+
+@needs_browser
 def test_reads_without_javascript(demo: Path) -> None:
     """Catches a verdict, a figure or a table that only a script writes, and a page without any picture then."""
     with opened(demo / "demo" / "report.html", javascript=False) as page:

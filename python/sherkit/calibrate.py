@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .data import Measurements
-from .data.given import RunLike, run_of
+from .data.given import RunLike
 from .diagnosis.setting import setting_for
 from .errors import EffectError, FitError
 from .fit.hold_out import hold_out
@@ -17,7 +17,7 @@ from .fit.identify import identify
 from .model.base import lacks
 from .model.effect import Effect, named_effects
 from .model.kinds import catalogue_of, model_of
-from .model.robot_file import RobotLike, robot_of
+from .model.robot_file import RobotLike, robot_of, run_for
 from .names import listed
 from .robots.calibrated import Calibration, calibration_class
 from .robots.calibration_run import CalibrationRun
@@ -71,8 +71,8 @@ def calibrate(
     """
     if correction not in CORRECTIONS:
         raise FitError(f"correction: '{correction}' is not known; choose {', '.join(CORRECTIONS)}")
+    whole, local = run_for(robot, whole), None if local is None else run_for(robot, local)
     robot = robot_of(robot)
-    whole, local = run_of(whole), None if local is None else run_of(local)
     added = named_effects(catalogue_of(robot), effects)
     made = calibration_class(robot)
     made.require(robot)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from typing import Any
 
 
@@ -34,6 +35,20 @@ class CalibrationError(SherkitError):
     """A calibration file that cannot be loaded."""
 
 
+class NotWritten(SherkitError, OSError):
+    """A file that could not be written (no space, no right, no folder). What stood there before still does."""
+
+    def __init__(self, path: str | os.PathLike[str], error: OSError) -> None:
+        super().__init__(error.errno, error.strerror or str(error), os.fspath(path))
+
+    def __str__(self) -> str:
+        kept = "; the file that stands there is as it was" if os.path.isfile(self.filename) else ""
+        return f"{self.filename}: cannot be written: {self.strerror}{kept}"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.filename, OSError(self.errno, self.strerror))
+
+
 class ShapeError(SherkitError, ValueError):
     """An array of the wrong shape or a name that is not known."""
 
@@ -63,6 +78,9 @@ class OutOfReach(SherkitError):
         self.limb = limb
         self.miss_mm = miss_mm
         self.miss_rad = miss_rad
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self), self.limb, self.miss_mm, self.miss_rad)
 
 
 class NotSeen(SherkitError):

@@ -5,6 +5,9 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+#: Characters of a name that a sentence repeats.
+_LONGEST = 60
+
 
 def closest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
     """The known name that looks most like ``name``, where one is as alike as ``cutoff`` (0 to 1)."""
@@ -19,8 +22,8 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def listed(names: Iterable[object], most: int = 8) -> str:
-    """Names for a sentence, cut after ``most`` with a count of the rest."""
-    items = [str(n) for n in names]
+    """Names for a sentence, cut after ``most`` with a count of the rest; each cut where nobody would read on."""
+    items = [text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…" for text in map(str, names)]
     if len(items) > most:
         return ", ".join(items[:most]) + f" and {len(items) - most} more"
     return ", ".join(items)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,24 +13,26 @@ import polars as pl
 
 from .data import Measurements, from_frame
 from .data.columns import OUTLIER, POSE, REPEAT, Layout
-from .data.given import RunLike, run_of
+from .data.given import RunLike
+from .data.toml import Table
 from .diagnosis import Diagnosis, diagnose
 from .diagnosis.setting import setting_for
 from .errors import EffectError, MeasurementError, SherkitError, SherkitWarning
 from .fit.hold_out import hold_out
 from .fit.identify import Fit, identify
+from .fit.robust import LOSSES
 from .model.base import lacks
 from .model.chain import ChainModel
 from .model.effect import Effect, effects_by_name
-from .model.kinds import model_of, robot_from_tables
-from .model.robot_file import RobotLike, robot_of
+from .model.kinds import model_of, robot_from_table
+from .model.robot_file import RobotLike, robot_of, run_for
 from .names import listed
 from .notebook import Shown
 from .robots.calibrated import Calibration, calibration_class
 from .robots.calibration_run import CalibrationRun
+from .study_file import read_rows, read_state, write_study
 from .types import Ints
 
-_FORMAT = 2
 _FOLLOWED = "the run so far"
 
 
@@ -82,7 +83,7 @@ class Study(Shown):
         seed: int = 0,
     ) -> None:
         self.robot = robot_of(robot)
-        self.data = run_of(data)
+        self.data = run_for(robot, data)
         self.seed = seed
         self.loss = loss
         self.own: dict[str, Effect] = {}
@@ -268,15 +269,12 @@ class Study(Shown):
     # -- files -------------------------------------------------------------------------------------------
 
     def save(self, folder: str | Path) -> None:
-        """Writes robot, rows and steps into a folder that :meth:`load` reads back without loss."""
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
+        """Writes robot, rows and steps into a folder that :meth:`load` reads back without loss: all of it or nothing.
+
+        Raises :class:`~sherkit.errors.NotWritten`.
+        """
         state = {
-            "format": _FORMAT,
             "robot": self.robot.to_tables(),
-            "source": self.data.source,
-            "counted": self.data.counted,
-            "line": _packed(self.data.line),
             **_model_state(self.model),
             # rows are only ever added, and marked
             "undo": [
@@ -289,72 +287,78 @@ class Study(Shown):
                 {
                     "action": s.action,
                     "effects": list(s.effects),
-                    "training_rms": s.training_rms,
-                    "held_out_rms": s.held_out_rms,
-                    "parameters": s.parameters,
+                    "training_rms": _finite(s.training_rms),
+                    "held_out_rms": _finite(s.held_out_rms),
+                    "parameters": _finite(s.parameters),
                     "rows": s.rows,
                 }
                 for s in self.history
             ],
         }
-        # both are whole at every moment: a crash leaves the old ones or the new ones
-        self.data.save(folder / "next.rows.parquet")
-        (folder / "next.study.json").write_text(json.dumps(state, indent=2), encoding="utf-8")
-        for name in ("rows.parquet", "study.json"):
-            (folder / f"next.{name}").replace(folder / name)
+        write_study(Path(folder), state, self.data)
 
     @classmethod
     def load(cls, folder: str | Path, *, effects: Sequence[Effect] = ()) -> Study:
         """Reads a study, with what can be undone. User effects must be given again; no code is loaded from the folder.
 
-        Raises :class:`~sherkit.errors.EffectError` where one is missing, :class:`~sherkit.errors.SherkitError`.
+        Raises :class:`~sherkit.errors.EffectError` where one is missing, :class:`~sherkit.errors.SherkitError` naming
+        file and key for what is no study.
         """
         folder = Path(folder)
-        try:
-            state: dict[str, Any] = json.loads((folder / "study.json").read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise SherkitError(f"{folder}: holds no study that can be read: {error}") from None
-        if state.get("format") != _FORMAT:
-            raise SherkitError(f"{folder}: is not a study of this version (expected format {_FORMAT})")
-        robot = robot_from_tables(state["robot"], f"{folder} [robot]")
+        state = read_state(folder)
         study = cls.__new__(cls)
-        study.robot, study.seed, study.loss = robot, int(state["seed"]), str(state.get("loss", "linear"))
-        data = from_frame(pl.read_parquet(folder / "rows.parquet"), state["source"])
-        line = _unpacked(state.get("line", []))
-        # rows keep the numbers by which people know them
-        study.data = replace(data, line=line, counted=state["counted"]) if len(line) == len(data) else data
+        with state.table("robot") as r:
+            study.robot = robot_from_table(r)
+        study.seed, study.loss = state.whole("seed", least=0), state.text("loss", LOSSES)
+        study.data = read_rows(folder, state)
         study.own, study._undone, study._diagnosis = {}, [], None
         for effect in effects:
             study._register(effect)
         study.model = study._model_from(state)
-        for undone in state.get("undo", []):
-            rows = study.data.select(np.arange(int(undone["rows"])))
-            marked = np.zeros(len(rows), dtype=bool)
-            marked[undone["outliers"]] = True
+        for undone in state.tables("undo"):
+            before = study._data_from(undone)
             try:
-                study._undone.append((study._model_from(undone), replace(rows, outlier=marked)))
+                study._undone.append((study._model_from(undone), before))
             except EffectError:  # an effect of the user's that is no longer given: what lies before it is out of reach
                 study._undone.clear()
         study._fit = identify(study.model, study.data, loss=study.loss)
-        study.history = [
-            StudyStep(
-                action=s["action"],
-                effects=tuple(s["effects"]),
-                training_rms=s["training_rms"],
-                held_out_rms=s["held_out_rms"],
-                parameters=s["parameters"],
-                rows=s["rows"],
-                fit=study._fit_of(s["effects"], s["training_rms"]),
-                unit=study.data.layout.unit,
-            )
-            for s in state["history"]
-        ]
+        study.history = [study._step_from(s) for s in state.tables("history", optional=False)]
+        if not study.history:
+            raise state.fail("history", "at least one step")
+        state.finish()
         return study
 
-    def _model_from(self, state: Mapping[str, Any]) -> ChainModel:
-        plain = model_of(self.robot, state["free"])
-        effects = effects_by_name(plain.catalogue, state["effects"], tuple(self.own.values()))
-        return replace(plain, effects=effects, **{name: state[name] for name in plain.settings()})
+    def _model_from(self, state: Table) -> ChainModel:
+        plain = model_of(self.robot, state.texts("free"))
+        effects = effects_by_name(plain.catalogue, state.texts("effects"), tuple(self.own.values()))
+        settings: dict[str, Any] = {name: state.number(name) if state.has(name) else None for name in plain.settings()}
+        return replace(plain, effects=effects, **settings)
+
+    def _data_from(self, undone: Table) -> Measurements:
+        count = undone.whole("rows", least=1)
+        if count > len(self.data):
+            raise undone.fail("rows", f"no more than the {len(self.data)} rows of the study")
+        marked = np.zeros(count, dtype=bool)
+        for row in undone.wholes("outliers"):
+            if not 0 <= row < count:
+                raise undone.fail("outliers", f"rows from 0 to {count - 1}")
+            marked[row] = True
+        return replace(self.data.select(np.arange(count)), outlier=marked)
+
+    def _step_from(self, one: Table) -> StudyStep:
+        figures = {}
+        for key in ("training_rms", "held_out_rms", "parameters"):
+            with one.table(key) as t:
+                figures[key] = {name: t.number(name) for name in t.names()}
+        effects = one.texts("effects")
+        return StudyStep(
+            action=one.words("action"),
+            effects=effects,
+            rows=one.whole("rows", least=0),
+            fit=self._fit_of(effects, figures["training_rms"]),
+            unit=self.data.layout.unit,
+            **figures,
+        )
 
     def _fit_of(self, effects: Sequence[str], training_rms: dict[str, float]) -> Fit | None:
         """The fit of an earlier step, where the rows of today give what it left."""
@@ -379,22 +383,15 @@ class Study(Shown):
         return "\n".join(lines)
 
 
-def _packed(line: Ints) -> list[list[int]]:
-    """Numbers that mostly go up by one, as first and count of each stretch."""
-    starts = np.flatnonzero(np.diff(line, prepend=line[0] - 2) != 1)
-    counts = np.diff(np.append(starts, len(line)))
-    return [[int(line[start]), int(count)] for start, count in zip(starts, counts, strict=True)]
-
-
-def _unpacked(stretches: Sequence[Sequence[int]]) -> Ints:
-    return np.array([first + k for first, count in stretches for k in range(count)], dtype=np.int64)
+def _finite(figures: Mapping[str, float]) -> dict[str, float]:
+    return {name: value for name, value in figures.items() if np.isfinite(value)}
 
 
 def _model_state(model: ChainModel) -> dict[str, Any]:
     return {
         "free": list(model.free),
         "effects": [e.name for e in model.effects],
-        **model.settings(),
+        **{name: value for name, value in model.settings().items() if value is not None},
     }
 
 

@@ -10,6 +10,7 @@ from typing import IO, Any
 from ..data.tables import PARQUET
 from ..errors import SherkitError
 from ..model.kinds import KINDS
+from ..study_file import read_state
 from .growing import whole_lines
 
 TYPED = "typed_effects.py"
@@ -28,7 +29,7 @@ def hold(folder: Path) -> IO[str] | None:
         return None
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        held = (folder / _LOCK).open("w")
+        held = (folder / _LOCK).open("a")
     except OSError as error:
         raise SherkitError(f"{folder}: the study cannot be kept here: {error.strerror}") from None
     try:
@@ -82,9 +83,11 @@ def require_same(folder: Path, robot: Path, run: Path, *, follow: bool) -> None:
 
 def require_effects(folder: Path, known: set[str], typed: Path) -> None:
     """Refuses a study whose effects are not all there, and says where they may be."""
-    state = json.loads((folder / "study.json").read_text(encoding="utf-8"))
-    built_in = KINDS[state["robot"]["kind"]].model.catalogue
-    needed = {name for name in state["effects"] if name not in built_in} - known
+    state = read_state(folder)
+    with state.table("robot") as robot:
+        built_in = KINDS[robot.text("kind", tuple(KINDS))].model.catalogue
+        robot.pass_over(*robot.names())
+    needed = {name for name in state.texts("effects") if name not in built_in} - known
     if needed and typed.exists():
         raise SherkitError(
             f"{folder}: this study uses {', '.join(sorted(needed))}, typed into the page; read {typed} and give "

@@ -8,16 +8,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..data import Measurements, read_measurements
+from ..data.files import write_whole
+from ..data.headers import Columns
 from ..data.tables import PARQUET
 from ..errors import SherkitError
 
 
-def read_as(path: Path, name: str) -> Measurements:
+def read_as(path: Path, name: str, columns: Columns | None = None) -> Measurements:
     """Reads a file under another name: that is what errors and warnings are about."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         try:
-            data = read_measurements(path)
+            data = read_measurements(path, columns=columns)
         except SherkitError as error:
             raise type(error)(str(error).replace(str(path), name)) from None
     for one in said:
@@ -25,15 +27,15 @@ def read_as(path: Path, name: str) -> Measurements:
     return replace(data, source=name)
 
 
-def read_so_far(run: Path) -> Measurements:
+def read_so_far(run: Path, columns: Columns | None = None) -> Measurements:
     """The rows of a run that is being written: a last line that has no end may be half of one, or half a number."""
     if run.suffix.lower() in PARQUET or not run.is_file():
-        return read_measurements(run)
+        return read_measurements(run, columns=columns)
     content = run.read_bytes()
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder) / run.name
-        whole.write_bytes(whole_lines(content))
-        return read_as(whole, str(run))
+        write_whole(whole, whole_lines(content))
+        return read_as(whole, str(run), columns)
 
 
 def whole_lines(content: bytes) -> bytes:

@@ -23,6 +23,7 @@ from ..names import listed
 from ..report.error_history import ErrorHistory, ErrorOfStep, error_history
 from ..report.parameters import parameters
 from ..report.picture import Picture
+from ..report.policy import fresh_nonce, numbered, policy
 from ..report.residual_against import ResidualAgainst, residual_against
 from ..report.residual_against import note as against_note
 from ..report.residual_map import Change, residual_map
@@ -165,6 +166,8 @@ class StudyPage:
             root.name = name
             self.document.add_root(root)
         self.document.template = _TEMPLATE
+        nonce = fresh_nonce()
+        self.document.template_variables.update(nonce=nonce, policy=policy(nonce, served=True), numbered=numbered)
 
     def _typed_before(self) -> str:
         path = self.bench.typed_path

@@ -21,8 +21,9 @@ from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document
 from bokeh.server.server import Server
+from tornado.httputil import HTTPHeaders
 from tornado.ioloop import IOLoop
-from tornado.web import RequestHandler
+from tornado.web import OutputTransform, RequestHandler
 
 from ..errors import SherkitError
 from ..report.story import SourceFile, Story, html
@@ -78,7 +79,8 @@ class PageServer:
                 {"/": application}, address=address, port=port, prefix=f"/{token}",
                 extra_patterns=[(f"/{name}", _Download, {**shared, "name": name}) for name, _ in _LINKS],
                 allow_websocket_origin=[f"{host}:{port}" for host in origins],
-                io_loop=IOLoop.current(), session_token_expiration=3600, websocket_max_message_size=200 * 2**20,
+                transforms=[_Locked], io_loop=IOLoop.current(), session_token_expiration=3600,
+                websocket_max_message_size=200 * 2**20,
             )  # fmt: skip
         except OSError as error:
             if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
@@ -100,6 +102,21 @@ class PageServer:
         finally:
             self.server.stop()
             self.bench.close()
+
+
+class _Locked(OutputTransform):
+    """What a page cannot say of itself: it stands in no other page, is what it says it is, and tells nobody its
+    address, which is its key."""
+
+    def transform_first_chunk(
+        self, status_code: int, headers: HTTPHeaders, chunk: bytes, finishing: bool
+    ) -> tuple[int, HTTPHeaders, bytes]:
+        """Adds the headers to every answer."""
+        del finishing
+        headers["Content-Security-Policy"] = "frame-ancestors 'none'; object-src 'none'; base-uri 'none'"
+        headers["X-Content-Type-Options"] = "nosniff"
+        headers["Referrer-Policy"] = "no-referrer"
+        return status_code, headers, chunk
 
 
 def _free_port(address: str) -> int:

@@ -22,11 +22,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ..data import Measurements, read_measurements
+from ..data.files import write_whole
+from ..data.headers import Columns
 from ..diagnosis import Diagnosis
 from ..errors import EffectError, MeasurementError, SherkitError, SherkitWarning
 from ..model.effect import Effect
 from ..model.effect_file import load_effects
-from ..model.robot_file import load_robot
+from ..model.robot_file import columns_of, load_robot
 from ..names import listed
 from ..report.residuals import Residuals, residuals_of
 from ..study import Study, StudyStep
@@ -76,11 +78,12 @@ class Workbench:
 
     def __init__(
         self, study: Study, folder: Path, sources: Sequence[Path] = (), *, trusted: bool = True,
-        typed: Sequence[str] = (), lock: IO[str] | None = None,
+        typed: Sequence[str] = (), columns: Columns | None = None, lock: IO[str] | None = None,
     ) -> None:  # fmt: skip
         self.folder = folder
         self.trusted = trusted
         self.sources = list(sources)
+        self.columns = columns
         self._study = study
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="study")
         self._listeners: list[Callable[[str, Any], None]] = []
@@ -114,6 +117,7 @@ class Workbench:
         folder holds a study of other files or one that needs effects which are not given, and where another page has it
         open.
         """
+        columns = columns_of(robot)
         own = [e for path in files for e in load_effects(path)]
         again: list[Effect] = []
         sources = [robot, run, *files]
@@ -122,7 +126,7 @@ class Workbench:
         if (folder / "study.json").exists() and not fresh:
             # names what is wrong with the files before what is wrong between them and the folder
             load_robot(robot)
-            data = read_so_far(run) if follow else read_measurements(run)
+            data = read_so_far(run, columns) if follow else read_measurements(run, columns=columns)
             require_same(folder, robot, run, follow=follow)
             held = hold(folder)
             typed = folder / TYPED
@@ -139,15 +143,15 @@ class Workbench:
                     "give --fresh to begin anew there"
                 ) from error
         else:
-            data = read_so_far(run) if follow else read_measurements(run)
+            data = read_so_far(run, columns) if follow else read_measurements(run, columns=columns)
             study = Study(load_robot(robot), data, effects=own)
             held = hold(folder)
             try:
-                (folder / SOURCES).write_text(json.dumps(begun_from(robot, run, follow=follow)), encoding="utf-8")
+                write_whole(folder / SOURCES, json.dumps(begun_from(robot, run, follow=follow)))
                 study.save(folder)
             except OSError as error:
                 raise SherkitError(f"{folder}: the study cannot be kept here: {error.strerror}") from None
-        return cls(study, folder, sources, trusted=trusted, typed=[e.name for e in again], lock=held)
+        return cls(study, folder, sources, columns=columns, trusted=trusted, typed=[e.name for e in again], lock=held)
 
     def listen(self, listener: Callable[[str, Any], None]) -> Callable[[], None]:
         """Tells ``listener`` of ``moment``, ``progress``, ``error`` and ``warning``, as (kind, value).
@@ -291,10 +295,10 @@ class Workbench:
 
         def work(study: Study, _: Progress) -> None:
             path = self.folder / f"added_{len(study.history)}_{Path(name).name}"
-            path.write_bytes(content)
+            write_whole(path, content)
             try:
                 # the file that a person dropped, not the copy of it
-                study.extend(read_as(path, name))
+                study.extend(read_as(path, name, self.columns))
             except BaseException:
                 path.unlink()
                 raise
@@ -313,7 +317,7 @@ class Workbench:
                 raise SherkitError("effects cannot be typed here: this page can be reached from other machines")
             path = self.folder / TYPED
             trial = self.folder / f"next.{TYPED}"
-            trial.write_text(source, encoding="utf-8")
+            write_whole(trial, source)
             known = dict(study.own)
             try:
                 effects = _loaded(trial)
@@ -357,7 +361,7 @@ class Workbench:
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # said when the run was opened
-                    data = read_so_far(run)
+                    data = read_so_far(run, self.columns)
                 fresh = self._new_rows(data)
             except BaseException as error:
                 self._say("error", _sentence(error))

@@ -9,14 +9,14 @@ import numpy as np
 
 from ..calibrate import CORRECTIONS, to_json
 from ..calibrate import calibrate as run_calibration
-from ..data import Measurements, read_measurements
+from ..data import Measurements
 from ..diagnosis import diagnose
 from ..errors import MeasurementError
 from ..fit.robust import LOSSES
 from ..model.effect import effects_by_name
 from ..model.effect_file import load_effects
 from ..model.kinds import catalogue_of
-from ..model.robot_file import load_robot
+from ..model.robot_file import load_robot, run_for
 from ..study import Study
 from . import output, reporting, tables
 from .reporting import report_option
@@ -39,7 +39,9 @@ NOT_CONVERGED = 3
 @click.option("--linear", is_flag=True, help="The paper's single linear step instead of the nonlinear minimum.")
 @click.option("--correction", type=click.Choice(CORRECTIONS), default="auto", show_default=True)
 @click.option("--exclude", default="", help="Lines of RUN to leave out as outliers, separated by commas.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Rules the dealing of blocks to folds.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Rules the dealing of blocks to folds."
+)
 @report_option
 def calibrate(
     robot: Path,
@@ -68,8 +70,8 @@ def calibrate(
     own = [e for path in files for e in load_effects(path)]
     with output.steps(7) as step:
         step(f"reading {run}")
-        data = _without(read_measurements(run), exclude)
-        inner = read_measurements(local) if local else None
+        data = _without(run_for(robot, run), exclude)
+        inner = run_for(robot, local) if local else None
         result = run_calibration(
             nominal,
             data,

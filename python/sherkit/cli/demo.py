@@ -40,7 +40,7 @@ EXAMPLE = Delta(
 
 @click.command()
 @click.option("-o", "--output", "folder", type=click.Path(path_type=Path), default=Path("demo"), show_default=True)
-@click.option("--seed", type=int, default=6, show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=6, show_default=True)
 def demo(folder: Path, seed: int) -> None:
     """Simulate the paper's experiments, calibrate, find the effect that is missing, and add it."""
     folder.mkdir(parents=True, exist_ok=True)

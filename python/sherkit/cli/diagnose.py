@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from ..data import read_measurements
+from ..data.files import write_whole
 from ..diagnosis import diagnose as run_diagnosis
 from ..diagnosis import template
 from ..errors import SherkitError
@@ -16,7 +16,7 @@ from ..fit.identify import identify
 from ..model.effect import effects_by_name
 from ..model.effect_file import load_effects
 from ..model.kinds import model_of
-from ..model.robot_file import load_robot
+from ..model.robot_file import load_robot, run_for
 from ..robots.tool.model import ToolModel
 from ..robots.tool.runs import read_tool_run
 from ..robots.tool.tool import load_tool
@@ -35,7 +35,7 @@ from .tool import is_tool
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model already.")
 @click.option("--template", "destination", type=click.Path(path_type=Path), help="Write an effect of the shape found.")
 @click.option("--level", type=click.FloatRange(0.0005, 0.2), default=0.01, show_default=True, help="Of the test.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Rules folds and flips.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Rules folds and flips.")
 @report_option
 def diagnose(
     robot: Path, runs: tuple[Path, ...], as_json: bool, files: tuple[Path, ...], added: tuple[str, ...],
@@ -52,7 +52,7 @@ def diagnose(
     own = tuple(effect for path in files for effect in load_effects(path))
     with output.steps(12) as step:
         step(f"reading {runs[0]}")
-        data = reduce(joined, (read_measurements(run) for run in runs))
+        data = reduce(joined, (run_for(robot, run) for run in runs))
         step("identifying the model as it is")
         plain = model_of(nominal)
         fit = identify(replace(plain, effects=effects_by_name(plain.catalogue, added, own)), data)
@@ -71,9 +71,7 @@ def diagnose(
     if report is not None and not as_json:
         output.say(f"\nthe report is in {report}")
     if destination is not None and found.signature is not None:
-        destination.write_text(
-            template(found.signature, found.fit.data.layout, file=str(destination)), encoding="utf-8"
-        )
+        write_whole(destination, template(found.signature, found.fit.data.layout, file=str(destination)))
         if not as_json:
             output.say(f"\na template of this effect is in {destination}")
     elif destination is not None and not as_json:

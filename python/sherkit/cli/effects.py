@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from ..data.files import write_whole
 from ..errors import SherkitError
 from ..model.effect import Effect, effects_by_name
 from ..model.kinds import KINDS, Robot
@@ -51,7 +52,7 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
                 f"'{name}' is an effect of another kind ({holders[0]}); --picture draws on a {EXAMPLE.kind} alone"
             )
         drawn: Robot = EXAMPLE if nominal is None else nominal
-        picture.write_text(signature_map(catalogues[drawn.kind][name], drawn), encoding="utf-8")
+        write_whole(picture, signature_map(catalogues[drawn.kind][name], drawn))
         output.say(f"what {name} leaves on this robot is drawn in {picture}")
 
 

@@ -11,6 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from ..calibrate import calibrate
 from ..data import read_measurements
+from ..data.files import write_whole
 from ..diagnosis import Diagnosis
 from ..lab.experiment import Live, RunFile, RunProgress, export_run, load_experiment, run
 from ..lab.laboratory import RunningLaboratory, load_laboratory
@@ -125,8 +126,8 @@ def write_laboratory(folder: Path, time_scale: float = 1.0) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     tables = EXAMPLE.to_tables()
     tables["joints"] = {**tables.get("joints", {}), "limits_mm": list(_LIMITS_MM)}
-    (folder / "robot.toml").write_text(tomli_w.dumps(tables), encoding="utf-8")
-    (folder / "lab.toml").write_text(_LABORATORY.format(time_scale=time_scale), encoding="utf-8")
+    write_whole(folder / "robot.toml", tomli_w.dumps(tables))
+    write_whole(folder / "lab.toml", _LABORATORY.format(time_scale=time_scale))
     return folder / "lab.toml"
 
 
@@ -139,7 +140,7 @@ def _write_files(folder: Path, repeats: int, time_scale: float) -> None:
         text = _EXPERIMENT.format(
             what=what, name=name, plan=plan.format(repeats=repeats, check=check), settle=2.0 / time_scale
         )
-        (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+        write_whole(folder / f"{name}.toml", text)
 
 
 def _measured(folder: Path, name: str) -> float:

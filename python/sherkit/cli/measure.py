@@ -122,4 +122,4 @@ def _ended_by_signals() -> Iterator[None]:
 def export(run_file: Path, destination: Path) -> None:
     """Write the rows of RUN_FILE as CSV or Parquet; also while it is being measured."""
     rows = export_run(run_file, destination)
-    output.say(f"{rows} rows written to {destination}")
+    output.say(f"{rows} rows written to {destination}", destination)

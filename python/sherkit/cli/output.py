@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import click
@@ -15,6 +16,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
+
+from ..data.files import is_output
 
 #: Width of tables where the output is not a terminal.
 _WIDTH = 110
@@ -34,9 +37,9 @@ def warn(message: str) -> None:
     err.print(f"[bold yellow]warning:[/] {escape(message)}", soft_wrap=True)
 
 
-def say(message: str) -> None:
-    """Plain text to stdout: nothing in it is markup."""
-    out.print(escape(message), soft_wrap=True)
+def say(message: str, about: Path | None = None) -> None:
+    """Plain text to stdout, nothing in it is markup; to stderr where stdout is the very file that it is ``about``."""
+    (err if about is not None and is_output(about) else out).print(escape(message), soft_wrap=True)
 
 
 def print_json(value: Any) -> None:

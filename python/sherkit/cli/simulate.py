@@ -9,6 +9,7 @@ import click
 import tomli_w
 
 from ..data import Measurements
+from ..data.files import write_whole
 from ..errors import SherkitError
 from ..model.kinds import KINDS, Option, Robot, SeenInPictures, kind_of
 from ..model.robot_file import load_robot
@@ -55,7 +56,7 @@ class _Simulate(click.Command):
 @click.option("--experiment", type=click.Choice((*EXPERIMENTS, "free", "bench")), default="vessels", show_default=True,
               help="Flexible tool: one of the paper's, free (unbent), bench (known loads).")  # fmt: skip
 @click.option("--seconds", type=click.FloatRange(min=2), default=60.0, show_default=True, help="Flexible tool.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Draws the robot and the noise.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Draws the robot and the noise.")
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the planted errors here (TOML).")
 def simulate(
     robot: Path, destination: Path, poses: str, repeats: int, order: str, errors: float, seed: int,
@@ -68,10 +69,10 @@ def simulate(
     nominal = load_robot(robot)
     data, planted = _run(robot, nominal, poses, repeats, order, errors, seed, given)
     data.save(destination)
-    output.say(f"{len(data)} rows written to {destination}")
+    output.say(f"{len(data)} rows written to {destination}", destination)
     if truth is not None:
-        truth.write_text(tomli_w.dumps(planted), encoding="utf-8")
-        output.say(f"planted errors written to {truth}")
+        write_whole(truth, tomli_w.dumps(planted))
+        output.say(f"planted errors written to {truth}", destination)
 
 
 def _tool(path: Path, destination: Path, experiment: str, seconds: float, seed: int, given: dict[str, Any]) -> None:
@@ -83,14 +84,14 @@ def _tool(path: Path, destination: Path, experiment: str, seconds: float, seed: 
     if experiment == "bench":
         loads = virtual.bench(seed=seed)
         loads.save(destination)
-        output.say(f"{len(loads)} loads written to {destination}")
+        output.say(f"{len(loads)} loads written to {destination}", destination)
         return
     if experiment == "free":
         run = virtual.free_motion(seconds=seconds, seed=seed)
     else:
         run = virtual.run(experiment, seconds=seconds, seed=seed)
     run.save(destination)
-    output.say(f"{len(run)} rows and {len(run.camera_time_s)} pictures written to {destination}")
+    output.say(f"{len(run)} rows and {len(run.camera_time_s)} pictures written to {destination}", destination)
 
 
 def _run(

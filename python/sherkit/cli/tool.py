@@ -34,7 +34,7 @@ def is_tool(path: Path) -> bool:
     """Whether a TOML file is that of a flexible tool; what cannot be read is left to its reader."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig")).get("kind") == KIND
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+    except (OSError, ValueError, RecursionError):
         return False
 
 

@@ -11,8 +11,10 @@ import polars as pl
 import tomli_w
 
 from ..data.columns import POSE, REPEAT, TIME
+from ..data.files import write_whole
 from ..data.tables import read_table, write_table
 from ..errors import MeasurementError, SherkitError
+from ..names import listed
 from ..robots.spherical.columns import SPHERICAL_JOINTS
 from . import output
 
@@ -87,7 +89,7 @@ def markers(
     if joints is None:
         write_table(seen.with_columns(pl.Series("picture", names)), destination)
         missing = int(seen[WHY].is_not_null().sum())
-        output.say(f"{len(seen)} rows written to {destination}; {missing} without a marker")
+        output.say(f"{len(seen)} rows written to {destination}; {missing} without a marker", destination)
         return
     moved = _joints(joints)
     if timed:
@@ -96,7 +98,7 @@ def markers(
         )  # fmt: skip
     data = run_of({name: moved[name].to_numpy() for name in moved.columns}, seen, names)
     data.save(destination)
-    output.say(f"{len(data)} rows written to {destination}, of {len(seen)} pictures")
+    output.say(f"{len(data)} rows written to {destination}, of {len(seen)} pictures", destination)
 
 
 def _print(paper: Path, marker: str, size_mm: float, identity: int | None, *, asked: bool) -> None:
@@ -120,7 +122,7 @@ def _joints(path: Path) -> pl.DataFrame:
         frame = read_table(path)
         missing = [name for name in SPHERICAL_JOINTS if name not in frame.columns]
         if missing:
-            raise MeasurementError(f"{path}: column '{missing[0]}' is missing; it has {', '.join(frame.columns)}")
+            raise MeasurementError(f"{path}: column '{missing[0]}' is missing; it has {listed(frame.columns, 24)}")
         wanted = (TIME, POSE, REPEAT, *SPHERICAL_JOINTS, *(f"{name}_per_s" for name in SPHERICAL_JOINTS))
         kept = frame.select([pl.col(n).cast(pl.Float64) for n in wanted if n in frame.columns])
     except pl.exceptions.PolarsError as error:
@@ -175,7 +177,7 @@ def intrinsics(
             "centre_px": list(found.centre_px),
             "distortion": [*found.distortion, 0.0],
         }
-        destination.write_text(tomli_w.dumps({"camera": lens}), encoding="utf-8")
+        write_whole(destination, tomli_w.dumps({"camera": lens}))
         output.say(f"{destination}: the lens, for the table [camera] of a robot file; add where the camera stands")
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import MeasurementError
 from ..types import Ints
 from . import columns as c
+from .headers import Columns, proposal, refuse_unmapped, renamed
 from .rows import Measurements
 
 #: Beyond this, squares overflow and no reading was meant.
@@ -20,13 +21,14 @@ _LARGEST = 1e100
 _LARGEST_WHOLE = 2**53
 
 
-def from_frame(frame: Any, source: str = "frame") -> Measurements:
+def from_frame(frame: Any, source: str = "frame", *, columns: Columns | None = None) -> Measurements:
     """Measurements from a polars or pandas frame or a mapping of columns to sequences.
 
-    Null (polars) and NaN (pandas, NumPy) mean "not taken" in reading columns and are refused elsewhere.
-    Raises :class:`~sherkit.errors.MeasurementError` naming row (from 0) and column.
+    Null (polars) and NaN (pandas, NumPy) mean "not taken" in reading columns and are refused elsewhere. ``columns`` as
+    in :func:`~sherkit.data.read_measurements`. Raises
+    :class:`~sherkit.errors.MeasurementError` naming row (from 0) and column.
     """
-    return clean(to_polars(frame), source, None, "row")
+    return clean(to_polars(frame), source, None, "row", columns)
 
 
 def to_polars(frame: Any) -> pl.DataFrame:
@@ -63,24 +65,32 @@ def _series(name: str, values: Any) -> pl.Series:
     return pl.Series(name, cells, strict=False)
 
 
-def clean(frame: pl.DataFrame, source: str, line: Ints | None, counted: str) -> Measurements:
+def clean(
+    frame: pl.DataFrame, source: str, line: Ints | None, counted: str, columns: Columns | None = None
+) -> Measurements:
     """Checks cell by cell that a frame holds numbers where numbers belong, and builds the rows.
 
     ``line`` (n,) gives the place of each row for messages, a ``"line"`` or a ``"row"``; None counts from 0.
+    ``columns`` gives the names in the frame by ours.
     """
     c.check_unique([name.strip() for name in frame.columns], source)
     frame = frame.rename({name: name.strip() for name in frame.columns})
-    layout = c.check_columns(frame.columns, source)
+    frame, factors = renamed(frame, columns or {}, source)
+    try:
+        layout = c.check_columns(frame.columns, source)
+    except MeasurementError as error:
+        raise MeasurementError(f"{error}{proposal(frame.columns)}") from None
+    refuse_unmapped(frame.columns, layout, source)
     if frame.height == 0:
         raise MeasurementError(f"{source}: holds no row, only column names; expected measurements")
     line = np.arange(frame.height, dtype=np.int64) if line is None else line
     place = f"{source}: {counted}"
-    columns: dict[str, Any] = {}
+    made: dict[str, Any] = {}
     for name in frame.columns:
         column = frame[name]
         number = _numbers(column, name, place, line, layout)
-        columns[name] = _labels(column) if number is None else number
-    return Measurements.from_columns(columns, source, line, counted, layout)
+        made[name] = _labels(column) if number is None else number * factors.get(name, 1.0)
+    return Measurements.from_columns(made, source, line, counted, layout)
 
 
 def _labels(column: pl.Series) -> NDArray[Any]:

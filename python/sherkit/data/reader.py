@@ -15,33 +15,32 @@ import polars as pl
 from ..errors import MeasurementError
 from ..types import Ints
 from . import columns as c
+from .decimals import DecimalMark
 from .frames import clean
+from .headers import Columns
 from .rows import Measurements
-from .tables import PARQUET
+from .tables import PARQUET, read_parquet
 
 #: A file with a zero byte among this many is no text.
 _HEAD = 4096
-#: A cell with a decimal comma; other commas belong to labels.
-_DECIMAL_COMMA = r"^(\s*[+-]?\d*),(\d*(?:[eE][+-]?\d+)?\s*)$"
 #: How the files of `sherkit measure` begin (SQLite).
 _RUN_FILE = b"SQLite format 3"
 
 
-def read_measurements(path: str | Path) -> Measurements:
+def read_measurements(path: str | Path, *, columns: Columns | None = None) -> Measurements:
     """Reads a run. CSV may use comma, semicolon or tab (the last two with decimal comma); lines starting with
     ``#`` are notes, columns without a name are left out.
+
+    ``columns`` gives the names of the file by ours, ``{"q1_mm": "Enc1 [um]"}``; where a header states a unit, in
+    brackets or at its end, what it holds is converted, and that is said in a :class:`~sherkit.errors.SherkitWarning`.
 
     Raises :class:`~sherkit.errors.MeasurementError` naming file, line, column and what was expected.
     """
     path = checked(path)
     if path.suffix.lower() in PARQUET:
-        try:
-            frame = pl.read_parquet(path)
-        except pl.exceptions.PolarsError as error:
-            raise not_parquet(path, error) from None
-        return clean(frame, str(path), None, "row")
+        return clean(read_parquet(path), str(path), None, "row", columns)
     frame, line = next(csv_blocks(path))
-    return clean(frame, str(path), line, "line")
+    return clean(frame, str(path), line, "line", columns)
 
 
 def checked(path: str | Path) -> Path:
@@ -56,11 +55,6 @@ def checked(path: str | Path) -> Path:
             hint = f"sherkit export {path.name} -o run.csv makes a table of it"
             raise MeasurementError(f"{path}: is the run file of an experiment; {hint}")
     return path
-
-
-def not_parquet(path: Path, error: Exception) -> MeasurementError:
-    """What to say of a file that is called Parquet and is none."""
-    return MeasurementError(f"{path}: is not a Parquet file: {str(error).splitlines()[0]}")
 
 
 def csv_blocks(path: Path, most: int | None = None) -> Iterator[tuple[pl.DataFrame, Ints]]:
@@ -79,12 +73,12 @@ def csv_blocks(path: Path, most: int | None = None) -> Iterator[tuple[pl.DataFra
             separator = max(",;\t", key=header.count)
             names = [name.strip() for name in _cells(path, number, header, lines, separator)]
             c.check_unique([name for name in names if name], str(path))
-            found = False
+            found, mark = False, DecimalMark(path)
             while part := list(islice(lines, most)):
                 frame, line = _block(path, names, separator, part, lines)
                 if len(line):
                     found = True
-                    yield frame, line
+                    yield (frame if separator == "," else mark.with_points(frame, line)), line
             if not found:
                 yield _frame([], names, separator), np.zeros(0, dtype=np.int64)
     except UnicodeDecodeError:
@@ -141,10 +135,7 @@ def _frame(rows: str | list[list[str]], names: list[str], separator: str) -> pl.
         frame = pl.read_csv(text, separator=separator, schema=schema, has_header=False, quote_char=None)
     else:
         frame = pl.DataFrame(rows, schema=schema, orient="row")
-    frame = frame.select(pl.col(str(k)).alias(name) for k, name in enumerate(names) if name)
-    if separator != ",":
-        frame = frame.with_columns(pl.all().str.replace(_DECIMAL_COMMA, "$1.$2"))
-    return frame
+    return frame.select(pl.col(str(k)).alias(name) for k, name in enumerate(names) if name)
 
 
 def _not_text(path: Path) -> MeasurementError:

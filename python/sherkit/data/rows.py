@@ -19,6 +19,10 @@ from ..types import Bools, Floats, Ints
 from . import columns as c
 from .tables import write_table
 
+#: Joints of repeats differ by less than this part of what the joints of a run differ by.
+_SAME_POSE = 0.05
+#: So many of the poses, and no more, may hold a wild row.
+_FEW_POSES = 0.1
 #: Joint and position readings whose spreads differ by more than this are in different units.
 _UNIT_RATIO = 100.0
 
@@ -154,8 +158,39 @@ class Measurements:
                     f"{self.place(again)}: pose {self.pose[row]} repeat {self.repeat[row]} was given before "
                     f"({self.counted} {self.line[other]}); number repeats of a pose 1, 2, 3, …"
                 )
+        if self.pose is not None and self.layout.joints_tell_pose:
+            self._check_poses(self.pose)
         if self.layout.all_in_mm:
             self._warn_of_units()
+
+    def _check_poses(self, pose: Ints) -> None:
+        """Rows of one pose number are repeats, and their spread is noise: they may not stand at places far apart.
+
+        Refused where many do, since the noise would be another; said where few do, which may be wild rows.
+        """
+        whole = np.column_stack([self.joints, self.to_joints])
+        rows = np.flatnonzero(~self.outlier)
+        if not len(rows):
+            return
+        extent = float(np.ptp(self.joints[rows], axis=0).max())
+        order = rows[np.argsort(pose[rows], kind="stable")]
+        numbers, starts = np.unique(pose[order], return_index=True)
+        # rows that are no distances have no other end: NaN says nothing here
+        ends = np.fmax.reduceat(whole[order], starts), np.fmin.reduceat(whole[order], starts)
+        apart = np.nan_to_num(ends[0] - ends[1]).max(axis=1)
+        far = apart > _SAME_POSE * extent
+        if extent == 0 or not far.any():
+            return
+        worst = int(np.argmax(apart))
+        more = f", and {int(far.sum()) - 1} more poses do so" if far.sum() > 1 else ""
+        said = (
+            f"{self.place(rows[pose[rows] == numbers[worst]])}: pose {numbers[worst]} stands at places "
+            f"{apart[worst]:.3g} {c.unit_in(self.layout.joints[0])} apart{more}; rows with the same pose number are "
+            "taken as repeats, and their spread as noise: give each place its own number, or leave the column out"
+        )
+        if far.sum() > max(1, _FEW_POSES * len(numbers)) or len(numbers) == 1:
+            raise MeasurementError(said)
+        warnings.warn(said, SherkitWarning, stacklevel=2)
 
     def _check_distances(self) -> None:
         ends = np.isfinite(self.to_joints)

@@ -10,9 +10,9 @@ import numpy as np
 import polars as pl
 
 from .frames import clean
-from .reader import checked, csv_blocks, not_parquet
+from .reader import checked, csv_blocks
 from .rows import Measurements
-from .tables import PARQUET
+from .tables import PARQUET, parquet_errors, try_parquet
 
 BLOCK_ROWS = 100_000
 
@@ -41,12 +41,11 @@ def stream_measurements(path: str | Path, block_rows: int = BLOCK_ROWS) -> Measu
                 yield _undirected(clean(frame, str(path), line, "line"))
             return
         first = 0
-        try:
+        try_parquet(path)
+        with parquet_errors(path):
             for frame in pl.scan_parquet(path).collect_batches(chunk_size=block_rows, maintain_order=True):
                 yield _undirected(clean(frame, str(path), np.arange(first, first + frame.height), "row"))
                 first += frame.height
-        except pl.exceptions.PolarsError as error:
-            raise not_parquet(path, error) from None
 
     return MeasurementStream(blocks, str(path))
 

@@ -39,6 +39,10 @@ def read_toml(path: str | Path, what: str, error: type[SherkitError] = RobotErro
         raise error(f"{path}: is not a text file, expected a {what} TOML file") from None
     except tomllib.TOMLDecodeError as wrong:
         raise error(f"{path}: is not valid TOML: {wrong}") from None
+    except RecursionError:
+        raise error(f"{path}: is not valid TOML: lists in lists without end") from None
+    except ValueError:
+        raise error(f"{str(path)!r} is no name of a {what} file") from None
 
 
 class Table:
@@ -144,6 +148,13 @@ class Table:
             raise self.fail(key, "a list of texts")
         return tuple(value)
 
+    def wholes(self, key: str) -> tuple[int, ...]:
+        """A list of whole numbers."""
+        value = self._get(key, "a list of whole numbers", None)
+        if not isinstance(value, list) or not all(isinstance(v, int) and not isinstance(v, bool) for v in value):
+            raise self.fail(key, "a list of whole numbers")
+        return tuple(value)
+
     def flag(self, key: str, default: bool) -> bool:
         """true or false."""
         value = self._get(key, "true or false", default)
@@ -151,11 +162,14 @@ class Table:
             raise self.fail(key, "true or false")
         return value
 
-    def whole(self, key: str, default: int | None = None, *, least: int | None = None) -> int:
-        """A whole number, at least ``least``."""
+    def whole(self, key: str, default: int | None = None, *, least: int | None = None, most: int | None = None) -> int:
+        """A whole number, from ``least`` to ``most``."""
         kind = "a whole number" + (f" of at least {least}" if least is not None else "")
+        kind += f", at most {most}" if most is not None else ""
         value = self._get(key, kind, default)
-        if not isinstance(value, int) or isinstance(value, bool) or (least is not None and value < least):
+        if not isinstance(value, int) or isinstance(value, bool):
+            raise self.fail(key, kind)
+        if (least is not None and value < least) or (most is not None and value > most):
             raise self.fail(key, kind)
         return value
 
@@ -177,7 +191,7 @@ class Table:
             made = np.array(value, dtype=float)
         except (TypeError, ValueError, OverflowError):
             raise self.fail(key, kind) from None
-        if made.shape != shape or np.isnan(made).any() or (finite and not np.isfinite(made).all()):
+        if made.shape != shape or np.isnan(made).any() or (finite and not (np.abs(made) < _LARGEST).all()):
             raise self.fail(key, kind)
         return made
 

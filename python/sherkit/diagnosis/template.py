@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
+from keyword import iskeyword
 from typing import Any
 
-from ..data.columns import TIME, Layout, bare, unit_in
+from ..data.columns import Layout, bare, unit_in
+from ..errors import EffectError
 
 _HEAD = '''"""Written by `sherkit diagnose`: {sentence}
 
@@ -42,8 +45,12 @@ def template(
 ) -> str:
     """Python source of an effect that takes this shape on rows of this ``layout``. It runs as it is with ``--effects``.
 
-    An error of a joint is added to the joint, one of the point to the point, any other to the readings.
+    An error of a joint is added to the joint, one of the point to the point, any other to the readings. Names of
+    columns come from a file: in what is written they are literals and words in docstrings, never code. Raises
+    :class:`~sherkit.errors.EffectError` for a ``name`` that no function can have.
     """
+    if not name.isidentifier() or iskeyword(name):
+        raise EffectError(f"'{name}' cannot be the name of an effect; expected a name as of a Python function")
     joint = signature.get("joint")
     names, terms = _terms(signature, layout)
     # the point is pushed where its coordinates are what is read
@@ -51,18 +58,19 @@ def template(
         (layout.joints, "joints") if joint else (layout.coordinates, "body" if _is_point(layout) else "sensor")
     )
     targets = [layout.joints.index(joint)] if joint else [layout.names.index(axis) for axis in signature["axis"]]
-    parameters = []
+    parameters, called = [], {t: _suffix(k, columns, targets) for k, t in enumerate(targets)}
     for t in targets:
         unit = unit_in(columns[t]) or layout.unit
-        parameters += [f'"{n}_{bare(columns[t])}": ("{unit}", {_SIZES.get(unit, 1.0)})' for n in names]
-    lines = [_HEAD.format(sentence=sentence(signature), file=file), ""]
+        parameters += [f"{_text(f'{n}_{called[t]}')}: ({_text(unit)}, {_SIZES.get(unit, 1.0)})" for n in names]
+    said = _words(sentence(signature))
+    lines = [_HEAD.format(sentence=said, file=_words(file)), ""]
     needs = [n for n in signature["depends_on"] if n not in (*layout.joints, *layout.coordinates)]
-    needed = f", needs=({', '.join(repr(n) for n in needs)},)" if needs else ""
+    needed = f", needs=({', '.join(_text(n) for n in needs)},)" if needs else ""
     lines += [f'@sk.effect(at="{at}", parameters={{{", ".join(parameters)}}}{needed})', f"def {name}(rows, p):"]
-    lines += [f'    """{sentence(signature)}"""', *[f"    {line}" for line in _variables(signature, layout)]]
+    lines += [f'    """{said}"""', *[f"    {line}" for line in _variables(signature, layout)]]
     lines.append(f"    out = np.zeros((len(rows), {len(columns)}))")
     for t in targets:
-        total = " + ".join(f"p.{n}_{bare(columns[t])} * ({term})" for n, term in zip(names, terms, strict=True))
+        total = " + ".join(f"p.{n}_{called[t]} * ({term})" for n, term in zip(names, terms, strict=True))
         lines.append(f"    out[:, {t}] = {total}")
     return "\n".join([*lines, "    return out", ""])
 
@@ -77,9 +85,24 @@ def _column(name: str, layout: Layout) -> str:
         return f"rows.joints[:, {layout.joints.index(name)}]"
     if name in layout.coordinates:
         return f"rows.position[:, {layout.coordinates.index(name)}]"
-    if name == TIME:
-        return "rows.time"
-    return f"rows.{name}" if name.isidentifier() else f"rows[{name!r}]"
+    return f"rows[{_text(name)}]"
+
+
+def _text(name: str) -> str:
+    """A text as a literal, in ASCII: nothing in it ends the literal or the line."""
+    return ascii(name)
+
+
+def _words(text: str) -> str:
+    """A text for a docstring: nothing in it ends the docstring or hides what follows."""
+    plain = "".join(one if one.isprintable() else " " for one in text)
+    return plain.replace("\\", "\\\\").replace('"', '\\"')
+
+
+def _suffix(k: int, columns: Sequence[str], targets: Sequence[int]) -> str:
+    """What tells the parameters of the ``k``-th target from those of the others, as part of an identifier."""
+    made = [re.sub(r"\W", "_", bare(columns[t]), flags=re.ASCII) for t in targets]
+    return made[k] if made.count(made[k]) == 1 else f"{made[k]}_{k + 1}"
 
 
 def _variables(signature: Mapping[str, Any], layout: Layout) -> list[str]:
@@ -90,7 +113,7 @@ def _variables(signature: Mapping[str, Any], layout: Layout) -> list[str]:
             out.append(f"{letter} = {_column(name, layout)}")
         else:
             middle, half = signature["ranges"][name]
-            out.append(f"{letter} = ({_column(name, layout)} - {middle!r}) / {half!r}")
+            out.append(f"{letter} = ({_column(name, layout)} - {float(middle)!r}) / {float(half)!r}")
     return out
 
 
@@ -100,15 +123,15 @@ def _terms(signature: Mapping[str, Any], layout: Layout) -> tuple[list[str], lis
         orders = range(1, (signature["order"] or 1) + 1)
         return [f"order_{k}" for k in orders], [f"u**{k}" if k > 1 else "u" for k in orders]
     if shape == "periodic":
-        wave = f"2 * np.pi * u / {signature['period']!r}"
+        wave = f"2 * np.pi * u / {float(signature['period'])!r}"
         return ["sine", "cosine"], [f"np.sin({wave})", f"np.cos({wave})"]
     if shape == "step":
-        return ["step"], [f"(u >= {signature['at']!r}).astype(float)"]
+        return ["step"], [f"(u >= {float(signature['at'])!r}).astype(float)"]
     if shape == "hysteretic":
         if not signature.get("at"):
             joint = layout.joints.index(signature["depends_on"][0])
             return ["width"], [f"0.5 * rows.direction[:, {joint}]"]
-        return ["play"], [f"sk.diagnosis.play_operator(u, {signature['at']!r}) - u"]
+        return ["play"], [f"sk.diagnosis.play_operator(u, {float(signature['at'])!r}) - u"]
     if signature.get("joint"):
         return ["other", "other_squared", "product"], ["v", "v**2", "u * v"]
     return ["product"], ["u * v"]

@@ -19,7 +19,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..data import Measurements
-from ..data.given import RunLike, run_of
+from ..data.given import RunLike
 from ..data.noise import MAD, Noise, noise_of
 from ..errors import FitError
 from ..model.any import Model
@@ -27,7 +27,7 @@ from ..model.base import ModelWithEffects
 from ..model.effect import Effect, named_effects
 from ..model.kinds import model_of
 from ..model.parameter import Parameter
-from ..model.robot_file import RobotLike, load_robot
+from ..model.robot_file import RobotLike, load_robot, run_for
 from ..notebook import Shown
 from ..types import Floats
 from .directions import Direction, badly_observed, unobserved
@@ -215,7 +215,7 @@ def identify(
     :class:`~sherkit.errors.EffectError` for an effect that is not known.
     """
     given = load_robot(robot) if isinstance(robot, str | PathLike) else robot
-    model, data = extended_by(model_of(given, free), effects), run_of(data)
+    model, data = extended_by(model_of(given, free), effects), run_for(robot, data)
     if loss not in LOSSES:
         raise FitError(f"loss: '{loss}' is not known; choose {', '.join(LOSSES)}")
     noise = noise or noise_of(data)

@@ -7,15 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ..data.files import write_whole
 from ..errors import ExperimentError
 
 
 def write_ports(path: str | Path, ports: Mapping[str, Mapping[str, str]]) -> None:
     """Writes kind and address by name as JSON; the file is whole whenever another program looks at it."""
-    path = Path(path)
-    fresh = path.with_name(path.name + ".new")
-    fresh.write_text(json.dumps(ports, indent=2) + "\n", encoding="utf-8")
-    fresh.replace(path)
+    write_whole(path, json.dumps(ports, indent=2) + "\n")
 
 
 def read_ports(path: str | Path) -> dict[str, dict[str, Any]]:

@@ -25,6 +25,9 @@ from .batch import Batch
 from .chain import ChainModel
 from .effect import Effect
 
+#: What a plan may ask of a set of poses: more nobody measures, and no memory holds.
+MOST_PER_SIDE, MOST_IN_LINE = 300, 100_000
+
 
 @runtime_checkable
 class Robot(Protocol):

@@ -5,13 +5,20 @@ from __future__ import annotations
 import os
 import warnings
 from pathlib import Path
+from typing import Any
 
 import tomli_w
 
-from ..data.toml import read_toml
+from ..data import Measurements
+from ..data.files import write_whole
+from ..data.given import RunLike, run_of
+from ..data.headers import Columns
+from ..data.toml import Table, read_toml
 from ..errors import RobotError, SherkitWarning
 from .kinds import Robot, kind_of, robot_from_tables
 
+#: The table of a robot file that is about its runs, not about the robot.
+_COLUMNS = "columns"
 #: A robot, or the path of its file.
 RobotLike = Robot | str | os.PathLike[str]
 
@@ -23,7 +30,8 @@ def load_robot(path: str | os.PathLike[str]) -> Robot:
     :class:`~sherkit.errors.SherkitWarning` each, with what cannot be tried or is assumed without them.
     """
     tables = read_toml(Path(path), "robot")
-    robot = robot_from_tables(tables, str(path))
+    _columns_in(tables, path)
+    robot = robot_from_tables({key: value for key, value in tables.items() if key != _COLUMNS}, str(path))
     for asked in kind_of(robot).asks:
         if asked.key not in tables.get(asked.table, {}):
             # from one place, so that Python says it once, however often the file is read
@@ -31,9 +39,29 @@ def load_robot(path: str | os.PathLike[str]) -> Robot:
     return robot
 
 
+def run_for(robot: object, data: RunLike, columns: Columns | None = None) -> Measurements:
+    """A run of this robot: where both are files, under the names that the table ``[columns]`` of the robot's gives.
+
+    Raises as :func:`load_robot` and :func:`~sherkit.data.read_measurements`.
+    """
+    if columns is None and isinstance(robot, str | os.PathLike) and isinstance(data, str | os.PathLike):
+        columns = columns_of(robot)
+    return run_of(data, columns)
+
+
+def columns_of(path: str | os.PathLike[str]) -> Columns:
+    """The names of columns by ours that a robot file gives, for the runs of this robot: ``q1_mm = "Enc1 [mm]"``."""
+    return _columns_in(read_toml(Path(path), "robot"), path)
+
+
+def _columns_in(tables: dict[str, Any], path: str | os.PathLike[str]) -> Columns:
+    with Table(tables, str(path)).table(_COLUMNS, optional=True) as t:
+        return {name: t.words(name) for name in t.names()}
+
+
 def save_robot(robot: Robot, path: str | os.PathLike[str]) -> None:
-    """Writes a robot file that :func:`load_robot` reads."""
-    Path(path).write_text(tomli_w.dumps(robot.to_tables()), encoding="utf-8")
+    """Writes a robot file that :func:`load_robot` reads. Raises :class:`~sherkit.errors.NotWritten`."""
+    write_whole(path, tomli_w.dumps(robot.to_tables()))
 
 
 def robot_of(given: RobotLike) -> Robot:

@@ -24,6 +24,7 @@ import scipy
 
 from ..data import Measurements
 from ..data.columns import Layout
+from ..data.files import write_whole
 from ..data.noise import Noise
 from ..errors import ExperimentError, FitError, SherkitError
 from ..fit.identify import identify
@@ -263,7 +264,7 @@ def _kept(path: str | Path | None, key: str) -> Iterator[Callable[[Mapping[tuple
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     whole = text[: text.rfind("\n") + 1] or json.dumps({"study": key}) + "\n"
     if whole != text:
-        path.write_text(whole, encoding="utf-8")
+        write_whole(path, whole)
     with path.open("a", encoding="utf-8") as file:
 
         def keep(fresh: Mapping[tuple[int, int], float]) -> None:

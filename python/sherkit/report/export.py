@@ -14,6 +14,7 @@ from typing import Any
 from bokeh.embed import file_html
 from bokeh.resources import INLINE
 
+from ..data.files import write_whole
 from ..errors import SherkitError
 from .picture import Picture
 
@@ -53,11 +54,11 @@ def save_picture(picture: Picture[Any], path: str | Path, *, width_px: int = 110
     path = Path(path)
     kind = path.suffix.lower().lstrip(".")
     if kind == "html":
-        path.write_text(picture_html(picture), encoding="utf-8")
+        write_whole(path, picture_html(picture))
         return
     if kind not in ("png", "svg"):
         raise SherkitError(f"{path}: a picture is written as .html, .png or .svg")
-    path.write_bytes(_drawn(picture_html(picture), kind, width_px))
+    write_whole(path, _drawn(picture_html(picture), kind, width_px))
 
 
 def browser() -> str | None:
@@ -71,7 +72,7 @@ def _drawn(page: str, kind: str, width_px: int) -> bytes:
         raise SherkitError(f"a picture as {kind.upper()} needs a browser: none of {', '.join(BROWSERS)} was found")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "picture.html"
-        file.write_text(page.replace("</body>", _DRAW.replace("KIND", kind) + "</body>"), encoding="utf-8")
+        write_whole(file, page.replace("</body>", _DRAW.replace("KIND", kind) + "</body>"))
         command = [
             program, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder}/profile",
             f"--window-size={width_px},1000", "--virtual-time-budget=15000", "--dump-dom", file.as_uri(),

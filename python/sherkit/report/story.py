@@ -23,6 +23,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 import sherkit._core as _core
 
 from ..calibrate import Result
+from ..data.files import write_whole
 from ..diagnosis import Diagnosis, sentence
 from ..errors import SherkitError
 from ..fit.forms import known
@@ -37,6 +38,7 @@ from .error_history import error_history, error_history_of
 from .noise import noise_picture
 from .parameters import correlations, directions, parameters
 from .picture import Picture
+from .policy import fresh_nonce, numbered, policy
 from .residual_against import ResidualAgainst, residual_against
 from .residual_map import Change, planes_of, residual_map
 from .residuals import Residuals, residuals_of
@@ -83,13 +85,14 @@ class Story:
 
 
 def write_report(story: Story, path: str | Path) -> None:
-    """Writes the report as one HTML file. Raises ``OSError`` where it cannot be written."""
-    Path(path).write_text(html(story), encoding="utf-8")
+    """Writes the report as one HTML file. Raises :class:`~sherkit.errors.NotWritten`."""
+    write_whole(path, html(story))
 
 
 def html(story: Story) -> str:
     """The report as HTML. Every text from files is escaped."""
     pictures, swaps = _pictures(story)
+    nonce = fresh_nonce()
     script, places = components({name: one.root for name, one in pictures.items()}, wrap_script=True)
     resources = Resources(mode="inline", components=["bokeh"])
     environment = Environment(
@@ -114,8 +117,10 @@ def html(story: Story) -> str:
         signature=sentence(story.found.signature) if story.found.signature else None,
         notes={name: one.note for name, one in pictures.items()},
         places=places,
-        script=script,
-        bokeh=resources.render_js(),
+        nonce=nonce,
+        policy=policy(nonce),
+        script=numbered(script, nonce),
+        bokeh=numbered(resources.render_js(), nonce),
         swaps=_in_script(swaps) if swaps else None,
         variables=[(k, quantity(name)) for k, name in enumerate(swaps["variables"])] if swaps else [],
         titles=list(enumerate(swaps["titles"])) if swaps else [],

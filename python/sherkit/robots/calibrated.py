@@ -116,7 +116,7 @@ class Calibration(Shown, Accurate):
         if own is None:
             robot = tables.get("robot")
             found = robot.get("kind") if isinstance(robot, dict) else None
-            if found not in known:
+            if not isinstance(found, str) or found not in known:
                 raise CalibrationError(f"{path}: [robot] kind: expected one of {listed(known)}, found {found!r}")
             return known[found].load(path)
         with reading(path, tables) as table:

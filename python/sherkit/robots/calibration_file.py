@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +11,8 @@ import tomli_w
 
 import sherkit._core as _core
 
-from ..data.toml import Table
+from ..data.files import write_whole
+from ..data.toml import Table, read_toml
 from ..errors import CalibrationError, SherkitError
 from ..model.kinds import Robot
 
@@ -26,7 +26,7 @@ def write(path: Path, settings: Mapping[str, Any], robot: Robot, parts: Mapping[
         "robot": robot.to_tables(),
         **parts,
     }
-    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    write_whole(path, tomli_w.dumps(tables))
 
 
 @contextmanager
@@ -44,12 +44,7 @@ def tables_of(path: Path, kind: str | None = None) -> dict[str, Any]:
 
     Raises :class:`~sherkit.errors.CalibrationError`.
     """
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise CalibrationError(f"{path}: is not valid TOML: {error}") from None
+    tables = read_toml(path, "calibration", CalibrationError)
     settings = tables.get("calibration")
     if not isinstance(settings, dict) or settings.get("format") != FORMAT:
         raise CalibrationError(

@@ -16,6 +16,11 @@ from ..model.kinds import Robot, catalogue_of, kind_of, model_of
 from ..names import listed
 from ..types import Floats
 
+#: So many plausible sizes are no identified error any more.
+_ABSURD = 1e4
+#: Readings that are further off than this (mm, px, rad) say nothing.
+_LARGEST_RESIDUAL = 1e4
+
 
 @dataclass(frozen=True, eq=False)
 class Part:
@@ -97,11 +102,12 @@ class Part:
     def from_table(cls, table: Table, robot: Robot, coordinates: tuple[str, ...]) -> Self:
         """Back from :meth:`to_table`. Raises :class:`~sherkit.errors.CalibrationError` with the key."""
         unit, size = _unit(coordinates), len(coordinates)
-        names, values = [], []
+        names, values, told = [], [], []
         for p in table.tables("parameters", optional=False):
             names.append(p.words("name"))
             values.append(p.number("value"))
-            p.pass_over("std", "unit")  # they follow from covariance and model
+            # they follow from covariance and model, and must agree with them
+            told.append((p.words("unit"), p.number("std")))
         settings = {}
         known = model_of(robot).settings()
         if known:
@@ -131,7 +137,21 @@ class Part:
         if names != expected:
             wrong = next((f for f, e in zip(names, expected, strict=False) if f != e), "a missing one")
             raise table.refuse(f"parameters: expected {listed(expected, 30)}; '{wrong}' does not belong there")
+        made._check(table, robot, told)
         return made
+
+    def _check(self, table: Table, robot: Robot, told: list[tuple[str, float]]) -> None:
+        """Refuses numbers that no identification gave: in other units, or absurd beside what is plausible."""
+        known = np.sqrt(np.diag(self.covariance).clip(0.0))
+        for p, (unit, std), value, sigma in zip(self.model(robot).parameters, told, self.values, known, strict=True):
+            if unit != p.unit:
+                raise table.refuse(f"parameters: {p.name} is in {p.unit or 'no unit'}, found '{unit}'")
+            if abs(std - sigma) > 1e-3 * max(sigma, std):
+                raise table.refuse(f"parameters: {p.name}: std = {std:g}, by the covariance it is {sigma:g}")
+            if max(abs(value), sigma) > _ABSURD * p.size:
+                raise table.refuse(f"parameters: {p.name} = {value:g} ± {sigma:g} {p.unit}: no robot is so far off")
+        if np.diag(self.residual_covariance).max() > _LARGEST_RESIDUAL**2:
+            raise table.refuse("residual_covariance: larger than any robot")
 
     @classmethod
     def _own_fields(cls, table: Table, unit: str, size: int) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..data.files import write_whole
 from ..errors import SherkitError
 from .marker import DICTIONARIES, KINDS
 
@@ -37,9 +38,9 @@ def save_marker(path: str | Path, kind: str = "corner", *, size_mm: float, ident
         raise SherkitError(f"--size-mm: expected more than 0 and at most {_LARGEST_MM:g} mm, got {size_mm:g}")
     drawn, said = _drawn(kind, size_mm, identity)
     if path.suffix.lower() == ".pdf":
-        path.write_bytes(_pdf(drawn, size_mm, said))
+        write_whole(path, _pdf(drawn, size_mm, said))
     elif path.suffix.lower() == ".png":
-        path.write_bytes(_png(drawn, size_mm, said))
+        write_whole(path, _png(drawn, size_mm, said))
     else:
         raise SherkitError(f"{path}: expected a name that ends in .pdf or .png")
     return said

@@ -129,7 +129,7 @@ def load_experiment(
             made.inverse(made.middle).tolist(),
             repeats=p.whole("repeats", 1, least=1),
             order=p.text("order", ORDERS, "planes"),
-            seed=p.whole("seed", 0),
+            seed=p.whole("seed", 0, least=0),
             approach=p.positive(f"approach_{unit}"),
         )
         warm_up_s = p.number("warm_up_s", 0.0)

@@ -16,6 +16,8 @@ from ...types import Floats
 
 #: As listed, pass after pass; drawn anew for each pass; from the last to the first; to and fro, pass by pass.
 ORDERS = ("planes", "shuffled", "reversed", "alternating")
+#: A month of readings; a plan that is longer is a slip of the finger.
+_MOST_STEPS = 100_000
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,10 @@ def plan_of_poses(
         raise ExperimentError(f"order: '{order}' is not known; choose {listed(ORDERS)}")
     if repeats < 1:
         raise ExperimentError(f"repeats: expected at least 1, got {repeats}")
+    if len(places) * repeats > _MOST_STEPS:
+        raise ExperimentError(
+            f"the plan has {len(places)} poses, {repeats} times each; expected {_MOST_STEPS} steps at most"
+        )
     rng = np.random.default_rng(seed)
     steps: list[PlanStep] = []
     for one in range(repeats):

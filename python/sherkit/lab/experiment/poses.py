@@ -12,7 +12,7 @@ from ...data import Measurements
 from ...data.toml import Table
 from ...errors import ExperimentError
 from ...model.effect import effects_by_name
-from ...model.kinds import Kind, Robot, kind_of, model_of
+from ...model.kinds import MOST_IN_LINE, Kind, Robot, kind_of, model_of
 from ...names import listed
 from ...planning.poses import choose_poses
 from ...robots.files import load_calibration
@@ -60,7 +60,7 @@ def joints_of_plan(table: Table, folder: Path, robot: Robot, coordinates: Floats
 
 def _designed(table: Table, places: Floats, robot: Robot) -> Floats:
     """Those of a grid that observe the parameters best, in a random order; what the robot cannot reach is left out."""
-    count = table.whole("count", least=1)
+    count = table.whole("count", least=1, most=MOST_IN_LINE)
     model = model_of(robot)
     names = table.texts("effects", ())
     effects = effects_by_name(model.catalogue, names)
@@ -69,7 +69,7 @@ def _designed(table: Table, places: Floats, robot: Robot) -> Floats:
         raise table.fail("effects", f"effects that depend on the pose alone; {listed(needy)} needs more")
     reached = robot.inverse_batch(places)
     rows = Measurements.planned(reached.values[reached.reached], kind_of(robot).layout)
-    design = choose_poses(replace(model, effects=effects), rows, count, seed=table.whole("design_seed", 0))
+    design = choose_poses(replace(model, effects=effects), rows, count, seed=table.whole("design_seed", 0, least=0))
     return places[reached.reached][design.rows]
 
 

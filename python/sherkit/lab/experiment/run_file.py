@@ -11,7 +11,8 @@ import json
 import platform
 import sqlite3
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
@@ -22,6 +23,8 @@ import sherkit._core as _core
 
 from ...data import Measurements, from_frame
 from ...data.columns import POSE, REPEAT, TIME
+from ...data.files import is_output
+from ...data.tables import PARQUET, write_table
 from ...errors import ExperimentError
 from .bench import Point
 from .plan import Plan
@@ -114,11 +117,29 @@ class RunFile:
         if not path.is_file():
             raise ExperimentError(f"{path}: there is no such run file")
         made = cls(path, cls._connect(path))
-        found = made.about("format") if not made._is_bare() else ""
-        if found != str(_FORMAT):
+        try:
+            with made._sound():
+                found = made.about("format") if not made._is_bare() else ""
+                own = made._holds_nothing_else()
+            if found != str(_FORMAT) or not own:
+                raise ExperimentError(f"{path}: holds no run of this version (expected format {_FORMAT})")
+        except BaseException:
             made.close()
-            raise ExperimentError(f"{path}: holds no run of this version (expected format {_FORMAT})")
+            raise
         return made
+
+    def _holds_nothing_else(self) -> bool:
+        """Whether its tables are those of a run: a view or a trigger of somebody else's could run for ever."""
+        found = {str(sql) for (sql,) in self._db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
+        return found == {one.strip().rstrip(";") for one in _TABLES.split(";\n") if one.strip()}
+
+    @contextmanager
+    def _sound(self) -> Iterator[None]:
+        """What is wrong with the file, or with what is in it, as a sentence."""
+        try:
+            yield
+        except (sqlite3.Error, pl.exceptions.PolarsError, ValueError, TypeError, LookupError, OverflowError) as error:
+            raise ExperimentError(f"{self.path}: is damaged and cannot be read: {error}") from None
 
     @staticmethod
     def _connect(path: Path) -> sqlite3.Connection:
@@ -219,48 +240,55 @@ class RunFile:
 
     def about(self, key: str) -> str:
         """What the run holds of ``plan``, ``robot``, ``experiment`` …; "" where it holds nothing."""
-        found = self._db.execute("SELECT value FROM run WHERE key = ?", (key,)).fetchone()
+        with self._sound():
+            found = self._db.execute("SELECT value FROM run WHERE key = ?", (key,)).fetchone()
         return str(found[0]) if found is not None else ""
 
     @property
     def plan(self) -> Plan:
         """The plan that the run was begun with."""
-        return Plan.from_json(self.about("plan"))
+        with self._sound():
+            return Plan.from_json(self.about("plan"))
 
     def done(self) -> set[int]:
         """Numbers of the steps that are stored."""
-        return {int(row[0]) for row in self._db.execute("SELECT step FROM point")}
+        with self._sound():
+            return {int(row[0]) for row in self._db.execute("SELECT step FROM point")}
 
     def points(self) -> list[Point]:
         """Every stored point, in the order of the steps."""
         values: dict[int, dict[str, float]] = {}
-        for step, name, value in self._db.execute("SELECT step, name, value FROM reading ORDER BY step, place"):
-            values.setdefault(step, {})[name] = float("nan") if value is None else value
-        found = self._db.execute("SELECT step, pose, repeat, time_s FROM point ORDER BY step")
-        return [Point(pose, repeat, time_s, values.get(step, {})) for step, pose, repeat, time_s in found]
+        with self._sound():
+            for step, name, value in self._db.execute("SELECT step, name, value FROM reading ORDER BY step, place"):
+                values.setdefault(step, {})[name] = float("nan") if value is None else float(value)
+            found = self._db.execute("SELECT step, pose, repeat, time_s FROM point ORDER BY step")
+            return [Point(int(p), int(r), float(t), values.get(step, {})) for step, p, r, t in found]
 
     def diary(self) -> list[tuple[float, int | None, str]]:
         """When, at which step, what."""
-        return [(float(a), b, str(c)) for a, b, c in self._db.execute("SELECT at_s, step, what FROM diary")]
+        with self._sound():
+            return [(float(a), b, str(c)) for a, b, c in self._db.execute("SELECT at_s, step, what FROM diary")]
 
     def instruments(self) -> list[tuple[int, str, str, str, str]]:
         """Session, name, kind, identity and port of every instrument of every session."""
-        return list(self._db.execute("SELECT session, name, kind, identity, port FROM instrument"))
+        with self._sound():
+            return list(self._db.execute("SELECT session, name, kind, identity, port FROM instrument"))
 
     def frame(self) -> pl.DataFrame:
         """The rows in the order of their steps: step, time, pose, repeat, and a column for every value."""
-        points = self._db.execute("SELECT step, time_s, pose, repeat FROM point ORDER BY step").fetchall()
-        place = {row[0]: k for k, row in enumerate(points)}
-        columns: dict[str, list[float | None]] = {}
-        for step, name, value in self._db.execute("SELECT step, name, value FROM reading ORDER BY step, place"):
-            columns.setdefault(name, [None] * len(points))[place[step]] = value
-        head = {
-            "step": pl.Series([row[0] for row in points], dtype=pl.Int64),
-            TIME: pl.Series([row[1] for row in points], dtype=pl.Float64),
-            POSE: pl.Series([row[2] for row in points], dtype=pl.Int64),
-            REPEAT: pl.Series([row[3] for row in points], dtype=pl.Int64),
-        }
-        return pl.DataFrame({**head, **{n: pl.Series(v, dtype=pl.Float64) for n, v in columns.items()}})
+        with self._sound():
+            points = self._db.execute("SELECT step, time_s, pose, repeat FROM point ORDER BY step").fetchall()
+            place = {row[0]: k for k, row in enumerate(points)}
+            columns: dict[str, list[float | None]] = {}
+            for step, name, value in self._db.execute("SELECT step, name, value FROM reading ORDER BY step, place"):
+                columns.setdefault(str(name), [None] * len(points))[place[step]] = value
+            head = {
+                "step": pl.Series([row[0] for row in points], dtype=pl.Int64),
+                TIME: pl.Series([row[1] for row in points], dtype=pl.Float64),
+                POSE: pl.Series([row[2] for row in points], dtype=pl.Int64),
+                REPEAT: pl.Series([row[3] for row in points], dtype=pl.Int64),
+            }
+            return pl.DataFrame({**head, **{n: pl.Series(v, dtype=pl.Float64) for n, v in columns.items()}})
 
     def measurements(self) -> Measurements:
         """The rows as measurements, by time. Raises :class:`~sherkit.errors.MeasurementError` where there are none."""
@@ -279,18 +307,11 @@ def export_run(source: str | Path, destination: str | Path) -> int:
     Raises :class:`~sherkit.errors.ExperimentError`.
     """
     destination = Path(destination)
-    ending = destination.suffix.lower()
-    if ending not in (".csv", ".parquet", ".pq"):
+    if destination.suffix.lower() not in (".csv", *PARQUET) and not is_output(destination):
         raise ExperimentError(f"{destination}: expected a name that ends in .csv or .parquet")
     with RunFile.open(source) as run:
         frame = run.frame()
     if not len(frame):
         raise ExperimentError(f"{source}: holds no row yet")
-    # whole or not at all
-    fresh = destination.with_name(destination.name + ".new")
-    if ending == ".csv":
-        exported(frame).write_csv(fresh)
-    else:
-        exported(frame).write_parquet(fresh)
-    fresh.replace(destination)
+    write_table(exported(frame), destination)
     return len(frame)

@@ -63,7 +63,7 @@ def load_laboratory(path: str | Path) -> Laboratory:
     robot = load_robot(robot_path)
     kind = kind_of(robot)
     _ = robot.middle  # refuses a robot that would not know where to begin
-    seed = table.whole("seed", 0)
+    seed = table.whole("seed", 0, least=0)
     time_scale = table.number("time_scale", 1.0, positive=True)
     host = table.words("host", LOOPBACK)
     with table.table("hidden", optional=True) as h:
@@ -108,7 +108,7 @@ def _instrument(table: Table, robot: Robot) -> EmulatedInstrument:
     row = INSTRUMENTS[kind]
     name = table.words("name", kind)
     link = table.text("link", row.links, row.links[0])
-    port = table.whole("port", 0, least=0)
+    port = table.whole("port", 0, least=0, most=65535)
     settings: dict[str, Any] = {}
     if link != "http":
         settings["latency_s"] = table.number("latency_s", 0.0)

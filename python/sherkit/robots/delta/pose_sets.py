@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from ...data.toml import Table
+from ...model.kinds import MOST_IN_LINE, MOST_PER_SIDE
 from ...types import Floats
 from .paper import paper_local, paper_whole
 from .poses import grid
@@ -15,14 +16,14 @@ from .robot import Delta
 
 def _grid(robot: Delta, table: Table) -> Floats:
     del robot
-    half, per_side = table.number("half_width_mm", positive=True), table.whole("per_side", least=1)
+    half, per_side = table.number("half_width_mm", positive=True), table.whole("per_side", least=1, most=MOST_PER_SIDE)
     return grid(half, per_side, table.some_numbers("planes_mm", (0.0,)))
 
 
 def _line(robot: Delta, table: Table) -> Floats:
     del robot
     begin, end = table.numbers("from_mm", 3), table.numbers("to_mm", 3)
-    return np.linspace(begin, end, table.whole("count", 41, least=2))
+    return np.linspace(begin, end, table.whole("count", 41, least=2, most=MOST_IN_LINE))
 
 
 def _list(robot: Delta, table: Table) -> Floats:

@@ -12,6 +12,7 @@ import numpy as np
 import polars as pl
 
 from ...data import Measurements
+from ...data.files import write_whole
 from ...errors import MeasurementError, SherkitWarning
 from ...types import Floats
 from ...vision.marker import Seen, find_marker
@@ -61,7 +62,7 @@ def seen_run(
     def kept() -> Iterable[CameraPicture]:
         for number, picture in enumerate(pictures, start=1):
             if save_in is not None:
-                cv2.imwrite(str(save_in / f"picture_{number:04d}.png"), picture.grey)
+                write_whole(save_in / f"picture_{number:04d}.png", cv2.imencode(".png", picture.grey)[1].tobytes())
             yield picture
 
     frame = marker_rows(kept(), kind)

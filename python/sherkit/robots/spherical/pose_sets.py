@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from ...data.toml import Table
+from ...model.kinds import MOST_IN_LINE, MOST_PER_SIDE
 from ...types import Floats
 from .poses import sphere_patch
 from .robot import Spherical
@@ -14,13 +15,15 @@ from .straightness import LINES, targets
 
 
 def _patch(robot: Spherical, table: Table) -> Floats:
-    return sphere_patch(robot, table.whole("per_side", least=1), table.number("share", 1.0, positive=True))
+    return sphere_patch(
+        robot, table.whole("per_side", least=1, most=MOST_PER_SIDE), table.number("share", 1.0, positive=True)
+    )
 
 
 def _line(robot: Spherical, table: Table) -> Floats:
     # the straightness experiment
     line = LINES[table.text("line", tuple(LINES))]
-    return targets(robot.seen, robot.radius_mm, line, table.whole("count", 41, least=3))
+    return targets(robot.seen, robot.radius_mm, line, table.whole("count", 41, least=3, most=MOST_IN_LINE))
 
 
 def _list(robot: Spherical, table: Table) -> Floats:

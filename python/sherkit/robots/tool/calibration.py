@@ -18,6 +18,7 @@ import sherkit._core as _core
 from ...data.reader import checked
 from ...data.tables import read_table, write_table
 from ...errors import FitError, MeasurementError
+from ...names import listed
 from ...types import Floats
 from .columns import DEFLECTION, DEPTH, FIBRES, FORCE
 from .tool import FlexibleTool
@@ -56,7 +57,7 @@ def read_loads(path: str | Path) -> Loads:
         frame = read_table(path)
         missing = [name for name in (*FORCE, DEPTH, *FIBRES) if name not in frame.columns]
         if missing:
-            raise MeasurementError(f"{path}: column '{missing[0]}' is missing; it has {', '.join(frame.columns)}")
+            raise MeasurementError(f"{path}: column '{missing[0]}' is missing; it has {listed(frame.columns, 24)}")
         if DEFLECTION not in frame.columns:
             frame = frame.with_columns(pl.lit(None, dtype=pl.Float64).alias(DEFLECTION))
         numbers = frame.select(pl.col(*FORCE, DEPTH, *FIBRES, DEFLECTION).cast(pl.Float64))

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 import sherkit._core as _core
 
+from ...data.files import write_whole
 from ...data.toml import Table, read_toml
 from ...errors import RobotError
 from ...types import Floats
@@ -135,7 +136,7 @@ class FlexibleTool:
 
     def save(self, path: str | Path) -> None:
         """Writes a tool file that :func:`load_tool` reads."""
-        Path(path).write_text(tomli_w.dumps(self.to_tables()), encoding="utf-8")
+        write_whole(path, tomli_w.dumps(self.to_tables()))
 
     # -- the compiled parts ------------------------------------------------------------------------------
 

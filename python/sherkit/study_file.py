@@ -1,0 +1,94 @@
+"""The folder of a study: its steps as JSON, which name the file of its rows, whole or not there."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from .data import Measurements, from_frame
+from .data.files import write_whole
+from .data.tables import parquet_errors
+from .data.toml import Table
+from .errors import SherkitError
+from .types import Ints
+
+_FORMAT = 3
+_STATE = "study.json"
+
+
+def write_study(folder: Path, state: Mapping[str, Any], data: Measurements) -> None:
+    """Writes steps and rows. Raises :class:`~sherkit.errors.NotWritten`.
+
+    The rows are there, under a name that follows from what is in them, before the steps that name them: a crash at any
+    moment leaves the old study or the new one.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    held = io.BytesIO()
+    data.to_frame().write_parquet(held)
+    rows = _name_of(held.getvalue())
+    if not (folder / rows).exists():
+        write_whole(folder / rows, held.getvalue())
+    kept = {"source": data.source, "counted": data.counted, "line": _packed(data.line)}
+    text = json.dumps({"format": _FORMAT, "rows": rows, **kept, **state}, indent=2, allow_nan=False)
+    write_whole(folder / _STATE, text)
+    for old in folder.glob("rows-*.parquet"):
+        if old.name != rows:
+            old.unlink(missing_ok=True)
+
+
+def read_state(folder: Path) -> Table:
+    """The steps, key by key. Raises :class:`~sherkit.errors.SherkitError` where there are none of this version."""
+    path = folder / _STATE
+    try:
+        state = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise SherkitError(f"{folder}: holds no study that can be read: {error}") from None
+    if not isinstance(state, dict) or state.get("format") != _FORMAT:
+        raise SherkitError(f"{folder}: is not a study of this version (expected format {_FORMAT})")
+    table = Table(state, str(path), error=SherkitError)
+    table.pass_over("format")
+    return table
+
+
+def read_rows(folder: Path, state: Table) -> Measurements:
+    """The rows that the steps name. Raises :class:`~sherkit.errors.SherkitError` where they are not those written."""
+    name = state.words("rows")
+    try:
+        # only a name that this folder's own files have: nothing outside it is read
+        content = (folder / Path(name).name).read_bytes()
+    except (OSError, ValueError):
+        raise SherkitError(f"{folder}: its rows ({name}) are not there") from None
+    if _name_of(content) != name:
+        raise SherkitError(f"{folder / name}: is damaged: it is not what the study wrote")
+    with parquet_errors(folder / name):
+        frame = pl.read_parquet(io.BytesIO(content))
+    data = from_frame(frame, state.words("source", empty=True))
+    stretches = [(int(first), int(count)) for first, count in state.rows("line", 2)]
+    counted = state.text("counted", ("line", "row"))
+    if sum(count for _, count in stretches) != len(data) or min((count for _, count in stretches), default=1) < 1:
+        raise state.fail("line", f"first and count of stretches that make {len(data)} rows")
+    # rows keep the numbers by which people know them
+    return replace(data, line=_unpacked(stretches), counted=counted)
+
+
+def _name_of(rows: bytes) -> str:
+    return f"rows-{hashlib.sha256(rows).hexdigest()[:32]}.parquet"
+
+
+def _packed(line: Ints) -> list[list[int]]:
+    """Numbers that mostly go up by one, as first and count of each stretch."""
+    starts = np.flatnonzero(np.diff(line, prepend=line[0] - 2) != 1)
+    counts = np.diff(np.append(starts, len(line)))
+    return [[int(line[start]), int(count)] for start, count in zip(starts, counts, strict=True)]
+
+
+def _unpacked(stretches: list[tuple[int, int]]) -> Ints:
+    return np.concatenate([np.arange(count, dtype=np.int64) + first for first, count in stretches])
