@@ -2,7 +2,8 @@
 
 Write-ahead log and ``synchronous=FULL``: a point whose :meth:`RunFile.store` has returned survives the death of the
 program and of the machine. Each point is one transaction under its step's number, so that it is whole or absent, and
-there once. No text in it is ever run: plans and settings are JSON, robot and experiment TOML.
+there once. One runner at a time holds the run's lock. Rows that are in doubt are marked and kept. No text in it is ever
+run: plans and settings are JSON, robot and experiment TOML.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ import json
 import platform
 import sqlite3
 import time
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Self
 
@@ -21,14 +23,18 @@ import polars as pl
 import sherkit._core as _core
 
 from ...data import Measurements, from_frame
-from ...data.columns import POSE, REPEAT, TIME
-from ...errors import ExperimentError
-from .bench import Point
+from ...data.columns import OUTLIER, POSE, REPEAT, TIME
+from ...errors import ExperimentError, SherkitWarning
+from ..clock import now_s, wall_ahead_s
+from .lock import RunLock
 from .plan import Plan
+from .point import Point
 
 #: "Sher", in the file's header: what kind of database this is.
 _APPLICATION = 0x53686572
-_FORMAT = 1
+_FORMAT = 2
+#: Runs of an earlier version, which can be read and not gone on with.
+_READ = ("1", "2")
 _TABLES = """
 CREATE TABLE run (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 CREATE TABLE session (
@@ -40,16 +46,25 @@ CREATE TABLE instrument (
 ) STRICT;
 CREATE TABLE point (
     step INTEGER PRIMARY KEY, session INTEGER NOT NULL REFERENCES session, pose INTEGER NOT NULL,
-    repeat INTEGER NOT NULL, time_s REAL NOT NULL, UNIQUE (pose, repeat)
+    repeat INTEGER NOT NULL, time_s REAL NOT NULL, wall_s REAL NOT NULL, UNIQUE (pose, repeat)
 ) STRICT;
 CREATE TABLE reading (
     step INTEGER NOT NULL REFERENCES point, place INTEGER NOT NULL, name TEXT NOT NULL, value REAL,
     PRIMARY KEY (step, place), UNIQUE (step, name)
 ) STRICT, WITHOUT ROWID;
+CREATE TABLE doubt (step INTEGER PRIMARY KEY REFERENCES point, instrument TEXT NOT NULL, why TEXT NOT NULL) STRICT;
+CREATE TABLE former (
+    step INTEGER NOT NULL, session INTEGER NOT NULL, time_s REAL NOT NULL, instrument TEXT NOT NULL, why TEXT NOT NULL,
+    readings TEXT NOT NULL
+) STRICT;
 CREATE TABLE diary (at_s REAL NOT NULL, session INTEGER, step INTEGER, what TEXT NOT NULL) STRICT;
 """
 #: Of :meth:`RunFile.create`, what must be the same for a run to go on.
 _SAME = ("plan", "robot")
+#: What gives the numbers of each instrument their meaning, as JSON: the same, too, told apart by instrument and key.
+_MEANING = "meaning"
+#: The wall clock may be set by so much against the steady one before it is said, s.
+_CLOCK_SET_S = 1.0
 
 
 class RunFile:
@@ -61,6 +76,9 @@ class RunFile:
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path
         self._db = connection
+        self._lock: RunLock | None = None
+        self._wall_ahead_s = wall_ahead_s()
+        self._later_s = 0.0
         self.session = 0
 
     # --- making and opening
@@ -76,7 +94,8 @@ class RunFile:
         if not made._is_bare():
             made.close()
             raise ExperimentError(f"{path}: exists; go on with --resume, or give the run another name")
-        values = {"format": str(_FORMAT), "created_s": repr(time.time()), "plan": plan.to_json(), **about}
+        made._take_lock()
+        values = {"format": str(_FORMAT), "created_s": repr(now_s()), "plan": plan.to_json(), **about}
         with made._db:
             # one transaction: the file holds a whole run, or none
             made._db.execute("BEGIN IMMEDIATE")
@@ -89,7 +108,11 @@ class RunFile:
 
     @classmethod
     def resume(cls, path: str | Path, plan: Plan, about: Mapping[str, str]) -> Self:
-        """Opens the run to go on with it; begins it where there is none yet. Refuses one with another plan or robot."""
+        """Opens the run to go on with it; begins it where there is none yet.
+
+        Refuses one with another plan or robot, or in which an instrument's numbers meant something else (``about`` has
+        ``meaning`` as JSON: kind, columns and settings by instrument).
+        """
         path = Path(path)
         made = cls(path, cls._connect(path))
         bare = made._is_bare()
@@ -97,15 +120,50 @@ class RunFile:
         if bare:
             return cls.create(path, plan, about)
         made = cls.open(path)
-        given = {"plan": plan.to_json(), **about}
+        try:
+            made._take_lock()
+            made._require_same({"plan": plan.to_json(), **about})
+        except BaseException:
+            made.close()
+            raise
+        return made
+
+    def _take_lock(self) -> None:
+        try:
+            self._lock = RunLock(self.path)
+        except ExperimentError:
+            self.close()
+            raise
+
+    def _require_same(self, given: Mapping[str, str]) -> None:
+        if self.about("format") != str(_FORMAT):
+            raise ExperimentError(
+                f"{self.path}: was begun by an earlier version, which can be exported but not gone on"
+            )
         for key in _SAME:
-            if made.about(key) != given.get(key, ""):
-                made.close()
+            if self.about(key) != given.get(key, ""):
                 raise ExperimentError(
-                    f"{path}: was begun with another {key}; a run goes on only as it began. Give the changed "
+                    f"{self.path}: was begun with another {key}; a run goes on only as it began. Give the changed "
                     "experiment a run of its own"
                 )
-        return made
+        then, now = (json.loads(text or "{}") for text in (self.about(_MEANING), given.get(_MEANING, "")))
+        self._require_same_instruments(then, now)
+
+    def _require_same_instruments(self, then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+        """Compares tables of instruments by name; names what is another."""
+        told = f"{self.path}: a run goes on only as it began"
+        for name in sorted({*then, *now}):
+            if name not in then or name not in now:
+                raise ExperimentError(
+                    f"{told}, and it began with{'out' if name in now else ''} the instrument '{name}'"
+                )
+            for key in sorted({*then[name], *now[name]}):
+                old, new = then[name].get(key), now[name].get(key)
+                if old != new:
+                    raise ExperimentError(
+                        f"{told}, and its rows were taken with {name} {key} = {old}; now it is {new}. Set it back, or "
+                        "give the changed experiment a run of its own"
+                    )
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
@@ -115,7 +173,7 @@ class RunFile:
             raise ExperimentError(f"{path}: there is no such run file")
         made = cls(path, cls._connect(path))
         found = made.about("format") if not made._is_bare() else ""
-        if found != str(_FORMAT):
+        if found not in _READ:
             made.close()
             raise ExperimentError(f"{path}: holds no run of this version (expected format {_FORMAT})")
         return made
@@ -149,6 +207,8 @@ class RunFile:
     def close(self) -> None:
         """Gives the file back; twice does no harm."""
         self._db.close()
+        if self._lock is not None:
+            self._lock.release()
 
     def __enter__(self) -> Self:
         return self
@@ -159,7 +219,14 @@ class RunFile:
     # --- writing
 
     def begin(self, instruments: Mapping[str, Mapping[str, Any]]) -> int:
-        """A new session: the program was started. ``instruments`` are kind, identity, port and settings by name."""
+        """A new session: the program was started. ``instruments`` are kind, identity, port and settings by name.
+
+        Raises :class:`~sherkit.errors.ExperimentError` where an earlier session had another instrument under a name.
+        Where the wall clock was set back since the last row, rows go on after that one, and the diary says so.
+        """
+        if before := self._identities():
+            now = {name: {"kind": one["kind"], "identity": one["identity"]} for name, one in instruments.items()}
+            self._require_same_instruments(before, now)
         versions = {
             "sherkit": _core.__version__,
             "python": platform.python_version(),
@@ -170,7 +237,7 @@ class RunFile:
         with self._db:
             self._db.execute("BEGIN IMMEDIATE")
             cursor = self._db.execute(
-                "INSERT INTO session (began_s, versions) VALUES (?, ?)", (time.time(), json.dumps(versions))
+                "INSERT INTO session (began_s, versions) VALUES (?, ?)", (now_s(), json.dumps(versions))
             )
             self.session = int(cursor.lastrowid or 0)
             for name, one in instruments.items():
@@ -178,25 +245,48 @@ class RunFile:
                     "INSERT INTO instrument VALUES (?, ?, ?, ?, ?, ?)",
                     (self.session, name, one["kind"], one["identity"], one["port"], json.dumps(one["settings"])),
                 )
+        newest = self._db.execute("SELECT max(time_s) FROM point").fetchone()[0]
+        if newest is not None and newest > now_s():
+            self._later_s = newest + _CLOCK_SET_S - now_s()
+            self._say_clock(-self._later_s, "since the last row was taken", "right after that row")
         return self.session
+
+    def _identities(self) -> dict[str, dict[str, str]]:
+        """Kind and identity of the instruments of the last session."""
+        found = self._db.execute(
+            "SELECT name, kind, identity FROM instrument WHERE session = (SELECT max(session) FROM instrument)"
+        )
+        return {name: {"kind": kind, "identity": identity} for name, kind, identity in found}
+
+    def _say_clock(self, by_s: float, when: str, on: str) -> None:
+        way = "back" if by_s < 0 else "forward"
+        told = f"the clock of this computer was set {way} by {abs(by_s):.0f} s {when}; times of rows go on {on}"
+        self.note(told)
+        warnings.warn(f"{self.path}: {told}", SherkitWarning, stacklevel=3)
 
     def end(self, why: str) -> None:
         """The session's end, and what brought it about."""
         with self._db:
             self._db.execute(
-                "UPDATE session SET ended_s = ?, why = ? WHERE session = ?", (time.time(), why, self.session)
+                "UPDATE session SET ended_s = ?, why = ? WHERE session = ?", (self._now_s(), why, self.session)
             )
+
+    def _now_s(self) -> float:
+        return now_s() + self._later_s
 
     def note(self, what: str, step: int | None = None) -> None:
         """A line of the diary: a pause, an error."""
         with self._db:
-            self._db.execute("INSERT INTO diary VALUES (?, ?, ?, ?)", (time.time(), self.session, step, what))
+            self._db.execute("INSERT INTO diary VALUES (?, ?, ?, ?)", (self._now_s(), self.session, step, what))
 
     def store(self, step: int, point: Point) -> None:
-        """Stores a step's point, whole: it is on the disk when this returns.
+        """Stores a step's point, whole: it is on the disk when this returns. A row in doubt of that step is kept aside.
 
         Raises :class:`~sherkit.errors.ExperimentError` where the step is stored already.
         """
+        if abs(by_s := wall_ahead_s() - self._wall_ahead_s) > _CLOCK_SET_S:
+            self._wall_ahead_s += by_s
+            self._say_clock(by_s, "during the run", "by a clock that is not set")
         # SQLite has no NaN; an empty cell is NULL
         rows = [
             (step, place, name, None if value != value else float(value))
@@ -205,15 +295,40 @@ class RunFile:
         try:
             with self._db:
                 self._db.execute("BEGIN IMMEDIATE")
+                self._set_aside(step)
                 self._db.execute(
-                    "INSERT INTO point VALUES (?, ?, ?, ?, ?)",
-                    (step, self.session, point.pose, point.repeat, point.time_s),
+                    "INSERT INTO point VALUES (?, ?, ?, ?, ?, ?)",
+                    (step, self.session, point.pose, point.repeat, point.time_s + self._later_s, time.time()),
                 )
                 self._db.executemany("INSERT INTO reading VALUES (?, ?, ?, ?)", rows)
         except sqlite3.IntegrityError as error:
             raise ExperimentError(f"{self.path}: step {step} is stored already ({error})") from None
         except sqlite3.Error as error:
             raise ExperimentError(f"{self.path}: step {step} could not be stored: {error}") from None
+
+    def doubt(self, steps: Iterable[int], instrument: str, why: str) -> None:
+        """Marks the rows of these steps as in doubt: they are kept, exported as outliers, and taken again."""
+        with self._db:
+            self._db.executemany("INSERT OR REPLACE INTO doubt VALUES (?, ?, ?)", [(s, instrument, why) for s in steps])
+
+    def accept(self) -> int:
+        """Takes all marks away, since a person says that the rows are right; returns how many."""
+        with self._db:
+            count = self._db.execute("DELETE FROM doubt").rowcount
+        if count:
+            self.note(f"{count} rows in doubt were accepted")
+        return int(count)
+
+    def _set_aside(self, step: int) -> None:
+        found = self._db.execute(
+            "SELECT session, time_s, instrument, why FROM point JOIN doubt USING (step) WHERE step = ?", (step,)
+        ).fetchone()
+        if found is None:
+            return
+        values = self._db.execute("SELECT name, value FROM reading WHERE step = ? ORDER BY place", (step,)).fetchall()
+        self._db.execute("INSERT INTO former VALUES (?, ?, ?, ?, ?, ?)", (step, *found, json.dumps(dict(values))))
+        for table in ("doubt", "reading", "point"):
+            self._db.execute(f"DELETE FROM {table} WHERE step = ?", (step,))
 
     # --- reading
 
@@ -228,16 +343,43 @@ class RunFile:
         return Plan.from_json(self.about("plan"))
 
     def done(self) -> set[int]:
-        """Numbers of the steps that are stored."""
-        return {int(row[0]) for row in self._db.execute("SELECT step FROM point")}
+        """Numbers of the steps that are stored and not in doubt."""
+        return {int(row[0]) for row in self._db.execute("SELECT step FROM point")} - set(self.doubts())
+
+    @property
+    def reference(self) -> int | None:
+        """The mark of the axes' zero with which the last rows were taken; None before the first."""
+        return int(text) if (text := self.about("reference")) else None
+
+    @reference.setter
+    def reference(self, mark: int | None) -> None:
+        with self._db:
+            self._db.execute("INSERT OR REPLACE INTO run VALUES ('reference', ?)", ("" if mark is None else str(mark),))
+
+    def doubts(self) -> dict[int, tuple[str, str]]:
+        """Instrument and reason for each step whose row is in doubt."""
+        if self.about("format") == "1":
+            return {}
+        found = self._db.execute("SELECT step, instrument, why FROM doubt ORDER BY step")
+        return {int(step): (str(who), str(why)) for step, who, why in found}
+
+    def last(self) -> Point | None:
+        """The point that was stored last, in doubt or not."""
+        found = self._db.execute("SELECT step FROM point ORDER BY time_s DESC LIMIT 1").fetchone()
+        return None if found is None else self._stored("WHERE step = ?", (found[0],))[0]
 
     def points(self) -> list[Point]:
-        """Every stored point, in the order of the steps."""
-        values: dict[int, dict[str, float]] = {}
-        for step, name, value in self._db.execute("SELECT step, name, value FROM reading ORDER BY step, place"):
-            values.setdefault(step, {})[name] = float("nan") if value is None else value
-        found = self._db.execute("SELECT step, pose, repeat, time_s FROM point ORDER BY step")
-        return [Point(pose, repeat, time_s, values.get(step, {})) for step, pose, repeat, time_s in found]
+        """Every stored point that is not in doubt, in the order of the steps."""
+        return self._stored("WHERE step NOT IN (SELECT step FROM doubt)" if self.doubts() else "", ())
+
+    def _stored(self, where: str, values: tuple[int, ...]) -> list[Point]:
+        read: dict[int, dict[str, float]] = {}
+        for step, name, value in self._db.execute(
+            f"SELECT step, name, value FROM reading {where} ORDER BY step, place", values
+        ):
+            read.setdefault(step, {})[name] = float("nan") if value is None else value
+        found = self._db.execute(f"SELECT step, pose, repeat, time_s FROM point {where} ORDER BY step", values)
+        return [Point(pose, repeat, time_s, read.get(step, {})) for step, pose, repeat, time_s in found]
 
     def diary(self) -> list[tuple[float, int | None, str]]:
         """When, at which step, what."""
@@ -248,7 +390,10 @@ class RunFile:
         return list(self._db.execute("SELECT session, name, kind, identity, port FROM instrument"))
 
     def frame(self) -> pl.DataFrame:
-        """The rows in the order of their steps: step, time, pose, repeat, and a column for every value."""
+        """The rows in the order of their steps: step, time, pose, repeat, and a column for every value.
+
+        Where rows are in doubt, they have a 1 in the column ``outlier``: no fit uses them.
+        """
         points = self._db.execute("SELECT step, time_s, pose, repeat FROM point ORDER BY step").fetchall()
         place = {row[0]: k for k, row in enumerate(points)}
         columns: dict[str, list[float | None]] = {}
@@ -260,6 +405,8 @@ class RunFile:
             POSE: pl.Series([row[2] for row in points], dtype=pl.Int64),
             REPEAT: pl.Series([row[3] for row in points], dtype=pl.Int64),
         }
+        if doubts := self.doubts():
+            head[OUTLIER] = pl.Series([int(row[0] in doubts) for row in points], dtype=pl.Int64)
         return pl.DataFrame({**head, **{n: pl.Series(v, dtype=pl.Float64) for n, v in columns.items()}})
 
     def measurements(self) -> Measurements:
