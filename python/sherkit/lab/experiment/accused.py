@@ -73,23 +73,31 @@ def accuse(odd: Sequence[Seen], before: Sequence[Seen], layout: Layout) -> Accus
     if len(names) > 1:
         everything = list(range(len(names)))
         tried.append((_COST * len(odd) * len(names), tuple(names), _told(odd, before, everything)))
-    for j, joint in enumerate(layout.joints):
-        by = [s.by_joints[:, j] for s in odd]
-        weight = [np.linalg.solve(s.spread, g) for s, g in zip(odd, by, strict=True)]
-        miss = [np.nan_to_num(s.miss) for s in odd]
-        seen = sum(float(w @ g) for w, g in zip(weight, by, strict=True))
-        moved = sum(float(w @ m) for w, m in zip(weight, miss, strict=True)) / seen
+    motors = [(joint, np.eye(len(layout.joints))[j]) for j, joint in enumerate(layout.joints)]
+    # a zero that was set elsewhere moves all of them
+    motors.append(("all joints", np.ones(len(layout.joints))))
+    unit = layout.joints[0].rpartition("_")[2]
+    for what, way in motors:
+        by = [s.by_joints @ way for s in odd]
+        moved = _fitted(odd, by)
         cost = _COST + sum(s.squares(np.isfinite(s.read), s.miss - moved * g) for s, g in zip(odd, by, strict=True))
-        unit = joint.rpartition("_")[2]
-        tried.append(
-            (cost, (joint,), f"{joint} is not where its encoder says, as if that had slipped by {-moved:.3g} {unit}")
-        )
+        why = f"{what} stand where the encoders do not say, as if those had slipped by {-moved:.3g} {unit}"
+        if what in layout.joints:
+            why = f"{what} is not where its encoder says, as if that had slipped by {-moved:.3g} {unit}"
+        tried.append((cost, (what,) if what in layout.joints else layout.joints, why))
     tried.sort(key=lambda one: one[0])
     best = [one for one in tried if one[0] <= tried[0][0] + _TIE]
     # one sentence for each; what is said of a column is not said again of all of them
     chosen = [one for k, one in enumerate(best) if not any(set(b[1]) <= set(one[1]) for b in best[:k])]
     columns = tuple(dict.fromkeys(c for one in chosen for c in one[1]))
     return Accused(columns, "; or ".join(one[2] for one in chosen))
+
+
+def _fitted(odd: Sequence[Seen], by: Sequence[Floats]) -> float:
+    """By how much the joints would have to be elsewhere, along ``by`` of each row; generalised least squares."""
+    weights = [np.linalg.solve(s.spread, g) for s, g in zip(odd, by, strict=True)]
+    squares = sum(float(w @ g) for w, g in zip(weights, by, strict=True))
+    return sum(float(w @ np.nan_to_num(s.miss)) for w, s in zip(weights, odd, strict=True)) / squares
 
 
 def _told(odd: Sequence[Seen], before: Sequence[Seen], which: Sequence[int]) -> str:

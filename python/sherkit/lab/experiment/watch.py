@@ -18,7 +18,7 @@ import numpy as np
 
 from ...data import Measurements
 from ...data.columns import TIME
-from ...errors import FitError, SherkitWarning
+from ...errors import SherkitError, SherkitWarning
 from ...model.chain import ChainModel
 from ...model.kinds import Robot, kind_of, model_of
 from ...types import Floats
@@ -151,7 +151,7 @@ class Watch:
         try:
             predicted, by = (a[0] for a in self._predicted([point], self._values))
             by_joints = self._by_joints(point)
-        except FitError:
+        except SherkitError:
             return None
         (read,) = self._readings([point])
         spread = by @ self._covariance @ by.T + self._noise**2 * np.eye(len(read))
@@ -170,7 +170,7 @@ class Watch:
         try:
             with_it = self._least([*self._points, point])
             without = self._least(self._points) if self._points else 0.0
-        except (FitError, np.linalg.LinAlgError):
+        except (SherkitError, np.linalg.LinAlgError):
             return np.inf
         return float(np.sqrt(max(with_it - without, 0.0)))
 
@@ -210,7 +210,7 @@ class Watch:
         self._points.append(point)
         try:
             predicted, by = (a[0] for a in self._predicted([point], self._values))
-        except FitError:
+        except SherkitError:
             return
         miss = self._readings([point])[0] - predicted
         there = np.isfinite(miss)
@@ -228,7 +228,7 @@ class Watch:
             values, covariance, _, columns = self._step(self._points, self._values)
             readings = self._readings(self._points)
             left = (readings - self._predicted(self._points, values)[0])[np.isfinite(readings)]
-        except (FitError, np.linalg.LinAlgError):
+        except (SherkitError, np.linalg.LinAlgError):
             return
         fitted = float(np.trace(covariance @ columns.T @ columns)) / self._noise**2
         assumed = _NOISE_ROWS * len(self._read)
