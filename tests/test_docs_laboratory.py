@@ -57,7 +57,7 @@ def test_the_page_on_the_laboratory_runs(tmp_path, monkeypatch):
         if laboratory is not None:
             laboratory.send_signal(signal.SIGINT)
             laboratory.communicate(timeout=600)
-    assert ran == ["lab", "lab", "plan", "measure", "export", "calibrate", "measure"]
+    assert ran == ["lab", "lab", "plan", "home", "measure", "export", "calibrate", "measure"]
 
 
 def test_names_on_the_page_are_the_codes(tmp_path):

@@ -17,7 +17,17 @@ import time
 import numpy as np
 import pytest
 
-from sherkit.errors import Disconnected, Garbled, Halted, InstrumentError, OutOfRange, Refused, ShapeError, Timeout
+from sherkit.errors import (
+    Disconnected,
+    Garbled,
+    Halted,
+    InstrumentError,
+    NotReferenced,
+    OutOfRange,
+    Refused,
+    ShapeError,
+    Timeout,
+)
 from sherkit.lab.emulators import (
     CameraEmulator,
     Faults,
@@ -328,8 +338,10 @@ def test_galil_errors_name_code_and_bytes():
     """Catches a refusal without the controller's reason, or a sentence without instrument, port and bytes."""
     with emulated(World((0.0, 0.0, 5.0), time_scale=100.0)) as e, controller(e.address, name="rails") as g:
         g.disable()
-        with pytest.raises(Refused) as refused:
+        with pytest.raises(NotReferenced, match=r"the drive of A, q2, C is off\. Nothing was moved"):
             g.move({"A": 1.0})
+        with pytest.raises(Refused) as refused:
+            g.command("BGA")
         assert refused.value.code == 20
         assert "motor off" in refused.value.text
         sentence = str(refused.value)

@@ -150,6 +150,14 @@ class Halted(Refused):
     """A motion that ended before its target. ``code`` is the controller's stop code, ``text`` its meaning."""
 
 
+class NotReferenced(InstrumentError):
+    """Axes of which it is not proven where they stand: nothing was moved. ``sherkit home`` sets their reference."""
+
+
+class Implausible(InstrumentError):
+    """A reading that does not fit where the joints say the robot is, or the other way round."""
+
+
 class OutOfRange(InstrumentError):
     """No reading to be had here (beam lost, sensor saturated), or a target outside the soft limits."""
 

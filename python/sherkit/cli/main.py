@@ -16,6 +16,7 @@ from .calibrate import calibrate
 from .demo import demo
 from .diagnose import diagnose
 from .effects import effects
+from .home import home
 from .importing import import_group
 from .lab import lab
 from .measure import export, measure
@@ -39,6 +40,7 @@ cli.add_command(effects)
 cli.add_command(estimate)
 cli.add_command(register)
 cli.add_command(export)
+cli.add_command(home)
 cli.add_command(lab)
 cli.add_command(measure)
 cli.add_command(plan)

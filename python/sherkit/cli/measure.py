@@ -24,18 +24,25 @@ _POLITE = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(si
 @click.option("-o", "--output", "destination", type=click.Path(path_type=Path),
               help="The run file (SQLite); by default the one that the experiment names.")  # fmt: skip
 @click.option("--resume", is_flag=True, help="Go on with a run that was interrupted, at its first missing step.")
+@click.option("--accept", is_flag=True, help="With --resume: rows that were marked as in doubt are right.")
 @click.option("--live", "is_live", is_flag=True, help="Identify while the rows come in, and say when they are enough.")
 @click.option("--ports", type=click.Path(path_type=Path), help="Addresses by instrument, as 'sherkit lab' wrote them.")
-def measure(experiment: Path, destination: Path | None, resume: bool, is_live: bool, ports: Path | None) -> None:
+def measure(
+    experiment: Path, destination: Path | None, resume: bool, accept: bool, is_live: bool, ports: Path | None
+) -> None:
     """Run EXPERIMENT (TOML): drive to each pose, read the instruments, store.
 
-    Keys: p pauses after the present step and goes on, q ends after it. Ctrl-C stops the motors at once.
+    Nothing moves before the controller has proven where its axes are ('sherkit home'), and the run ends where sensors
+    and joints cannot both be right. Keys: p pauses after the present step and goes on, q ends after it. Ctrl-C stops
+    the motors at once.
     """
     chosen = load_experiment(experiment, ports)
     path = destination or chosen.run_path
     live = Live(chosen.robot, chosen.plan, chosen.goal, fitting=is_live)
     begin = RunFile.resume if resume else RunFile.create
     with begin(path, chosen.plan, chosen.about()) as file, _ended_by_signals():
+        if accept:
+            output.say(f"{file.accept()} rows that were in doubt are taken as right")
         if is_live:
             # what is in the file already counts
             for point in file.points():

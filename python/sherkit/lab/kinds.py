@@ -18,8 +18,9 @@ from ..data.toml import Table
 from ..errors import ExperimentError
 from ..model.kinds import Robot, kind_of
 from .instruments import Axis, Galil, Hyperion, Keyence, NetFT, Sm130, Snapshots, VideoCamera, fetch_scale
+from .instruments.axes import LETTERS
 from .instruments.base import Instrument
-from .instruments.galil_line import LETTERS
+from .instruments.galil_reference import ZEROED
 
 #: Defaults by the unit of the joints: speed per s, acceleration per s², how near a target counts as there.
 _MOTION = {"mm": (5.0, 50.0, 0.01), "rad": (0.5, 5.0, 2e-4)}
@@ -36,6 +37,12 @@ class InstrumentSettings:
     columns: tuple[str, ...]
     page: str = ""
 
+    def meaning(self) -> dict[str, Any]:
+        """What gives its numbers their meaning, for JSON: its kind, columns, and settings such as scale and zero."""
+        return {"kind": self.kind, "columns": list(self.columns)} | {
+            name: self.settings[name] for name in INSTRUMENTS[self.kind].meaning
+        }
+
 
 @dataclass(frozen=True)
 class InstrumentKind:
@@ -43,7 +50,8 @@ class InstrumentKind:
 
     ``settings`` reads its own keys of an experiment (table, robot, address), ``driver`` makes it of them. It ``moves``
     the joints, or else it is read: where the robot is in ``place_unit``, or something else where that is empty.
-    ``has_page`` for one that says on HTTP how to read it.
+    ``has_page`` for one that says on HTTP how to read it. ``meaning`` names those of its settings without which its
+    numbers would mean something else: a run goes on only with the same.
 
     ``emulator`` names the module and class that plays it in a laboratory, on a port of one of the ``links`` (the first
     unless another is named); ``emulated`` reads the emulator's keys of a laboratory (table, robot).
@@ -57,6 +65,7 @@ class InstrumentKind:
     moves: bool = False
     place_unit: str = ""
     has_page: bool = False
+    meaning: tuple[str, ...] = ()
 
     @property
     def is_serial(self) -> bool:
@@ -89,6 +98,7 @@ def _galil_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
     if per_unit == 0:
         raise table.fail(counts, "a number other than 0")
     speed, acceleration, within = _MOTION[unit]
+    home_at = f"home_at_{unit}"
     return {
         "counts_per_unit": per_unit,
         "zero_counts": list(table.numbers("zero_counts", joints, (0.0,) * joints)),
@@ -99,6 +109,8 @@ def _galil_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
         "poll_s": table.number("poll_s", 0.05, positive=True),
         "poll_timeout_s": table.number("poll_timeout_s", 0.5, positive=True),
         "stop_timeout_s": table.number("stop_timeout_s", 5.0, positive=True),
+        "home_at": list(table.numbers(home_at, joints)) if table.has(home_at) else None,
+        "home_speed": table.number(f"home_speed_{unit}_s", 0.2 * speed, positive=True),
     }
 
 
@@ -123,10 +135,15 @@ def _emulated_galil(table: Table, robot: Robot) -> dict[str, Any]:
         "lag_s": table.number("lag_s", 0.0),
         "noise_counts": table.number("noise_counts", 0.0),
         "chatty": table.number("chatty", 0.0),
+        # as one that was zeroed by somebody, or as after a power cut
+        "variables": {ZEROED: 1.0} if table.flag("zeroed", True) else {},
     }
+    joints = len(kind_of(robot).layout.joints)
+    if table.has(f"home_{unit}"):
+        settings["home"] = table.numbers(f"home_{unit}", joints)
     travel = table.heights(f"travel_{unit}")
     if travel is not None:
-        settings["travel"] = [travel] * len(kind_of(robot).layout.joints)
+        settings["travel"] = [travel] * joints
     return settings
 
 
@@ -237,16 +254,20 @@ _SERIAL = ("pty", "tcp")
 
 INSTRUMENTS: Mapping[str, InstrumentKind] = {
     "galil": InstrumentKind(
-        _galil_settings, _galil, "galil.GalilEmulator", _SERIAL, _emulated_galil, moves=True
+        _galil_settings, _galil, "galil.GalilEmulator", _SERIAL, _emulated_galil, moves=True,
+        meaning=("counts_per_unit", "zero_counts"),
     ),
     "keyence": InstrumentKind(
-        _keyence_settings, _keyence, "keyence.KeyenceEmulator", _SERIAL, _emulated_keyence, place_unit="mm"
+        _keyence_settings, _keyence, "keyence.KeyenceEmulator", _SERIAL, _emulated_keyence, place_unit="mm",
+        meaning=("outputs", "unit"),
     ),
     "sm130": InstrumentKind(
-        _grating_settings, _interrogator(Sm130), "micron_optics.Sm130Emulator", ("tcp",), _emulated_gratings
+        _grating_settings, _interrogator(Sm130), "micron_optics.Sm130Emulator", ("tcp",), _emulated_gratings,
+        meaning=("gratings",),
     ),
     "hyperion": InstrumentKind(
-        _grating_settings, _interrogator(Hyperion), "micron_optics.HyperionEmulator", ("tcp",), _emulated_gratings
+        _grating_settings, _interrogator(Hyperion), "micron_optics.HyperionEmulator", ("tcp",), _emulated_gratings,
+        meaning=("gratings",),
     ),
     "net_ft": InstrumentKind(
         lambda *_: {}, _net_ft, "ati.NetFtEmulator", ("udp",), _emulated_net_ft, has_page=True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .faults import Fault
@@ -44,6 +44,8 @@ class _Axis:
         self.target = round(counts)
         self.settings = dict(_SETTINGS)
         self.motor = True
+        #: HM was said: the next BG goes to the home switch
+        self.homing = False
         self.code = 1
         #: the switches: the way is free
         self.forward = True
@@ -55,11 +57,17 @@ class GalilEmulator(LineEmulator):
 
     ``travel`` (low, high) of each is where its limit switches sit; ``lag_s`` is how far, in the world's time, the
     motor runs behind its profile; ``noise_counts`` the encoder's standard deviation. ``echo`` is on at power-up on a
-    pseudo-terminal, as on a serial port. ``chatty`` is the probability of unsolicited text within an answer.
+    pseudo-terminal, as on a serial port. ``chatty`` is the probability of unsolicited text within an answer. ``home``
+    is where each home switch sits, for HM. ``variables`` are those of the controller's own programs; it begins as one
+    that was zeroed by somebody who noted that in one of them.
+
+    Without power (:meth:`switch_off`) the body stays where it is; counts, variables and settings are lost.
     """
 
     links = ("pty", "tcp")
     ending = b"\r"
+    #: Of the board, _BN.
+    serial_number = 4183
 
     def __init__(
         self,
@@ -71,9 +79,13 @@ class GalilEmulator(LineEmulator):
         lag_s: float = 0.0,
         noise_counts: float = 0.0,
         chatty: float = 0.0,
+        home: Sequence[float] | None = None,
+        variables: Mapping[str, float] | None = None,
         **line: Any,
     ) -> None:
         super().__init__(world, **line)
+        self.home = home
+        self.variables = {"zeroed": 1.0} if variables is None else dict(variables)
         n = len(world)
         scales = [counts_per_unit] * n if isinstance(counts_per_unit, int | float) else list(counts_per_unit)
         zeros = [zero_counts] * n if isinstance(zero_counts, int) else list(zero_counts)
@@ -113,6 +125,31 @@ class GalilEmulator(LineEmulator):
             return b""
         return bytes(b | 0x80 for b in _UNSOLICITED) if self.high_bit else _UNSOLICITED
 
+    def forget(self) -> None:
+        """Counts are 0 where the body stands, motors off, settings and variables as when it left the works."""
+        now = self.world.now_s()
+        for axis in self.axes.values():
+            stands = axis.motion.at(now - self.lag_s) - axis.zero_counts
+            axis.zero_counts = round(-stands)
+            axis.settings = dict(_SETTINGS)
+            axis.motor, axis.homing, axis.code, axis.target = False, False, 1, 0
+            # what is less than a count is lost, too
+            self._set_motion(axis, Braking(stands + axis.zero_counts, 0.0, 1.0, now))
+        self.variables.clear()
+        self.echo = self.link == "pty"
+        self.high_bit = True
+
+    def slip(self, joint: int, by: float) -> None:
+        """The encoder of a joint loses ``by``, mm or rad: from now on it says so much more than is true."""
+
+        def lose() -> None:
+            axis = self.axes[_LETTERS[joint]]
+            axis.zero_counts += round(by * axis.counts_per_unit)
+            self._set_motion(axis, Braking(axis.motion.at(self.world.now_s()) + round(by * axis.counts_per_unit),
+                                           0.0, 1.0, self.world.now_s()))  # fmt: skip
+
+        self._between(lose)
+
     # --- motion
 
     def tick(self) -> None:
@@ -126,6 +163,10 @@ class GalilEmulator(LineEmulator):
                 axis.target = round(axis.motion.end)
             elif not self._runs(axis, now):
                 axis.code = 1
+                if axis.homing:
+                    axis.homing, axis.code, axis.target = False, 10, 0
+                    axis.zero_counts -= round(axis.motion.at(now))
+                    self._set_motion(axis, Braking(0.0, 0.0, 1.0, now))
 
     def _ends(self, axis: _Axis) -> tuple[float, float]:
         if self.travel is None:
@@ -141,6 +182,7 @@ class GalilEmulator(LineEmulator):
             self._set_motion(axis, axis.motion.stopped(now))
             axis.target = round(axis.motion.end)
             axis.code = code
+            axis.homing = False
 
     def _hit_limit(self) -> None:
         now = self.world.now_s()
@@ -153,6 +195,8 @@ class GalilEmulator(LineEmulator):
         s = axis.settings
         profile = Profile(axis.motion.at(now), axis.target, s["SP"], s["AC"], s["DC"], now)
         low, high = self._ends(axis)
+        if axis.homing:
+            return profile
         if profile.end > profile.start and profile.end > (limit := min(high, s["FL"])):
             return CutShort(profile, profile.passes_s(limit))
         if profile.end < profile.start and profile.end < (limit := max(low, s["BL"])):
@@ -194,7 +238,10 @@ class GalilEmulator(LineEmulator):
             else:
                 self.high_bit = rest == "1"
             return None
-        if head in ("BG", "ST", "SH", "MO", "AB"):
+        if (assigned := re.fullmatch(r"([a-z][a-zA-Z0-9]{0,7})=(-?\d{1,10}(?:\.\d{1,4})?)", text)) is not None:
+            self.variables[assigned[1]] = float(assigned[2])
+            return None
+        if head in ("BG", "ST", "SH", "MO", "AB", "HM"):
             self._act(head, rest)
             return None
         if head in ("PA", "PR", "DP", *_SETTINGS):
@@ -208,6 +255,12 @@ class GalilEmulator(LineEmulator):
             raise _Error(1)
         chosen = [self.axes[c] for c in mask or self.axes]
         now = self.world.now_s()
+        if head == "HM":
+            if self.home is None or any(self._runs(a, now) for a in chosen):
+                raise _Error(1 if self.home is None else 7)
+            for axis in chosen:
+                axis.homing = True
+            return
         if head in ("ST", "AB"):
             for axis in chosen:
                 self._brake(axis, now, 4 if head == "ST" else 7)
@@ -220,6 +273,8 @@ class GalilEmulator(LineEmulator):
             return
         for axis in chosen:
             at = axis.motion.at(now)
+            if axis.homing:
+                axis.target = round(self.home[axis.joint] * axis.counts_per_unit + axis.zero_counts)  # type: ignore[index]
             if not axis.motor:
                 raise _Error(20)
             if self._runs(axis, now):
@@ -296,6 +351,10 @@ class GalilEmulator(LineEmulator):
                 m[2] in self.axes
             ):
                 value = float(self._operand(m[1], self.axes[m[2]]))
+            elif word == "_BN":
+                value = float(self.serial_number)
+            elif word in self.variables:
+                value = self.variables[word]
             else:
                 raise _Error(1)
             out.append(f" {value:.4f}")

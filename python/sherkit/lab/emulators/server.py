@@ -17,6 +17,7 @@ import time
 import tty
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Self
@@ -84,6 +85,9 @@ class Emulator(ABC):
         self._running = False
         self._thread: threading.Thread | None = None
         self._waker = socket.socketpair()
+        self._powered = True
+        #: what is to be done between two commands, by the emulator's own thread
+        self._errands: deque[tuple[Callable[[], None], threading.Event]] = deque()
         #: what went wrong in the emulator itself
         self.failure: Exception | None = None
 
@@ -99,6 +103,45 @@ class Emulator(ABC):
 
     def tick(self) -> None:  # noqa: B027 - most have nothing to do by themselves
         """Called often, for what happens by itself."""
+
+    def forget(self) -> None:  # noqa: B027 - most lose nothing that matters
+        """Called when the power goes: what was set and not burnt into memory is lost."""
+
+    def switch_off(self) -> None:
+        """Takes the power away: it answers nobody, whoever was connected is cut off, what was set is lost."""
+
+        def off() -> None:
+            if self._powered:
+                self._powered = False
+                self.forget()
+                for client in list(self._clients):
+                    if self.link == "tcp":
+                        self._leave(client)
+                    else:
+                        client.received.clear()
+                        client.outbox.clear()
+
+        self._between(off)
+
+    def switch_on(self) -> None:
+        """Gives the power back."""
+
+        def on() -> None:
+            self._powered = True
+
+        self._between(on)
+
+    def _between(self, task: Callable[[], None]) -> None:
+        """Has the task done between two commands, and returns when it is."""
+        if self._thread is None:
+            task()
+            return
+        done = threading.Event()
+        self._errands.append((task, done))
+        self._waker[1].send(b".")
+        while not done.wait(0.1):
+            if not self._thread.is_alive():
+                raise RuntimeError("the emulator has stopped") from self.failure
 
     def interjection(self) -> bytes:
         """Text that comes in the middle of an answer, "" for none."""
@@ -213,6 +256,10 @@ class Emulator(ABC):
                 self._from_listener()
             elif isinstance(source, Client) and source in self._clients:
                 self._from_client(source)
+        while self._errands:
+            task, done = self._errands.popleft()
+            task()
+            done.set()
         self.tick()
         for client in list(self._clients):
             self._send_due(client)
@@ -221,9 +268,14 @@ class Emulator(ABC):
         assert self._listener is not None
         if self.link == "udp":
             data, where = self._listener.recvfrom(1 << 16)
+            if not self._powered:
+                return
             self._datagram(data, where)
             return
         channel, _ = self._listener.accept()
+        if not self._powered:
+            channel.close()
+            return
         channel.setblocking(False)
         channel.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._clients.append(Client(channel))
@@ -244,6 +296,8 @@ class Emulator(ABC):
                 time.sleep(_TICK_S)
             else:
                 self._leave(client)
+            return
+        if not self._powered:
             return
         client.received += data
         if len(client.received) > _LONGEST_COMMAND:

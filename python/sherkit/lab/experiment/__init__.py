@@ -1,9 +1,10 @@
 """Experiments: a plan of steps, the bench that carries it out, and the run file that loses nothing."""
 
-from .bench import Bench, Point
+from .bench import Bench
 from .file import Experiment, load_experiment
 from .live import Goal, Live
 from .plan import Plan, PlanStep, plan_of_poses
+from .point import Point
 from .run_file import RunFile, export_run
 from .runner import Control, RunProgress, run
 

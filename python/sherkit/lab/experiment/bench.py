@@ -10,11 +10,14 @@ from typing import Any, Self
 
 import numpy as np
 
-from ...errors import ExperimentError, Garbled, OutOfRange
+from ...errors import ExperimentError, Garbled, Implausible, OutOfRange
 from ...model.kinds import Robot, kind_of
-from ..instruments import Galil
+from ..clock import now_s
+from ..instruments import AxisController
 from ..instruments.base import Instrument, Reading
 from .plan import PlanStep
+from .point import Point
+from .watch import Watch
 
 #: A reading that is to stand still is looked at again so soon, s.
 _STILL_POLL_S = 0.02
@@ -26,16 +29,6 @@ _UNITS = {
     ("mN", "N"): 1e-3,
     ("N", "mn"): 1e3,
 }
-
-
-@dataclass(frozen=True)
-class Point:
-    """What was read at a step: its pose and repeat, the host's time (s since 1970), and values by column name."""
-
-    pose: int
-    repeat: int
-    time_s: float
-    values: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -55,12 +48,17 @@ class Checks:
 
     Two successive readings of a sensor lie within ``agree_within`` (in its unit): protocols without a checksum cannot
     tell a damaged digit. The encoders before and after the sensors lie within ``moved_within``. Where sensors show the
-    robot's coordinates and ``plausible`` is given, each lies so near to where the drawing puts it.
+    robot's coordinates and ``plausible`` is given, each lies so near to where the drawing puts it. With ``watched``,
+    what the sensors say is held against what the joints say, row by row
+    (:class:`~sherkit.lab.experiment.watch.Watch`), in which a reading has a standard deviation of ``noise``, in the
+    unit of the coordinates, to begin with.
     """
 
     agree_within: float = 0.05
     moved_within: float = 0.002
     plausible: float | None = None
+    watched: bool = True
+    noise: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ class Bench:
     def __init__(
         self,
         robot: Robot,
-        motion: Galil,
+        motion: AxisController,
         sensors: Sequence[Sensor],
         *,
         settling: Settling | None = None,
@@ -121,7 +119,7 @@ class Bench:
         return self
 
     def connect(self) -> None:
-        """Opens all ports, stops what still moves, and switches the motors on, where they stand.
+        """Opens all ports, stops what still moves, and switches the motors on, where they stand: nothing else moves.
 
         Raises :class:`~sherkit.errors.InstrumentError`; nothing is then left open.
         """
@@ -164,6 +162,47 @@ class Bench:
             }
         return out
 
+    @property
+    def instruments(self) -> tuple[Instrument, ...]:
+        """Motors and sensors."""
+        return (self.motion, *(s.instrument for s in self.sensors))
+
+    def watch(self) -> Watch:
+        """What holds the sensors against the joints; it sees nothing where the checks say that nobody watches."""
+        return Watch(self.robot, self.owners if self.checks.watched else {}, self.checks.noise)
+
+    @property
+    def owners(self) -> dict[str, str]:
+        """Which instrument each column comes from, by name."""
+        joints = dict.fromkeys(kind_of(self.robot).layout.joints, self.motion.name)
+        return joints | {column: s.instrument.name for s in self.sensors for column in s.columns}
+
+    def prove(self, legs: Sequence[tuple[Sequence[float], Sequence[float]]]) -> int | None:
+        """Before anything moves: it is proven where the axes stand. Returns the mark of their zero.
+
+        ``legs`` are the ways (from, to) on one of which the joints have to be, each between its two ends; without any
+        they may be anywhere within their limits, if the controller says that it was zeroed. Raises
+        :class:`~sherkit.errors.NotReferenced`.
+        """
+        motion = self.motion
+        found = motion.require_reference(limits=False)
+        if not legs:
+            return found.mark
+        at, more = np.array(found.positions), motion.braking + 5.0 * motion.arrived_within
+        ends = np.array(legs)
+        on_way = ((at >= ends.min(axis=1) - more) & (at <= ends.max(axis=1) + more)).all(axis=1)
+        if not on_way.any():
+            shown = [", ".join(f"{q:.3f}" for q in place) for place in (at, ends[0, 0])]
+            raise motion.not_referenced(
+                f"its axes stand at {shown[0]} {motion.unit} by their encoders; they were last at {shown[1]}, and this "
+                "is not on the way from there to the next step either"
+            )
+        return found.mark
+
+    def look(self) -> Point:
+        """Reads everything where the robot stands; nothing moves. Raises as :meth:`measure`."""
+        return self._point(0, 0, None)
+
     def check(self, places: Sequence[Sequence[float]] | np.ndarray[Any, Any]) -> None:
         """Raises :class:`~sherkit.errors.OutOfRange` where one of the places (n, k) is outside the soft limits."""
         for place in places:
@@ -181,15 +220,25 @@ class Bench:
         for place in (*step.via, step.joints):
             self.drive(place)
         self._settle()
+        return self._point(step.pose, step.repeat, step)
+
+    def _point(self, pose: int, repeat: int, step: PlanStep | None) -> Point:
         before = self._joints()
         values: dict[str, float] = {}
         for sensor in self.sensors:
-            values |= sensor.named(sensor.instrument.read_confirmed(self.checks.agree_within))
+            reading = sensor.instrument.read_confirmed(self.checks.agree_within)
+            if not before.time_s <= reading.time_s <= now_s():
+                raise sensor.instrument.fail(
+                    Implausible,
+                    f"its reading was taken {now_s() - reading.time_s:+.3f} s ago by its time, and it was asked for "
+                    f"{now_s() - before.time_s:.3f} s ago; it is an old one, or its clock was set",
+                )
+            values |= sensor.named(reading)
         after = self._joints()
         self._check_still(step, before, after)
         values = {**dict(zip(kind_of(self.robot).layout.joints, after.values, strict=True)), **values}
         self._check_plausible(values)
-        return Point(step.pose, step.repeat, after.time_s, values)
+        return Point(pose, repeat, after.time_s, values)
 
     def _joints(self) -> Reading:
         return self.motion.read_confirmed(self.checks.moved_within)
@@ -216,10 +265,12 @@ class Bench:
                     )
                 time.sleep(_STILL_POLL_S)
 
-    def _check_still(self, step: PlanStep, before: Reading, after: Reading) -> None:
+    def _check_still(self, step: PlanStep | None, before: Reading, after: Reading) -> None:
         # the encoders' own resolution is no motion
         count = 1.5 / min(abs(a.counts_per_unit) for a in self.motion.axes)
-        for name, old, new, target in zip(after.names, before.values, after.values, step.joints, strict=True):
+        # where no row is taken, they were sent nowhere
+        targets = after.values if step is None else step.joints
+        for name, old, new, target in zip(after.names, before.values, after.values, targets, strict=True):
             if abs(new - old) > self.checks.moved_within + count:
                 raise self.motion.fail(
                     Garbled,

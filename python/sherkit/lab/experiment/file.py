@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +18,7 @@ from ...model.kinds import Robot, kind_of
 from ...model.robot_file import load_robot
 from ...names import listed
 from ...types import Floats
-from ..instruments import Galil
+from ..instruments import AxisController
 from ..kinds import INSTRUMENTS, InstrumentSettings
 from ..ports import read_ports
 from .bench import Bench, Checks, Sensor, Settling
@@ -81,7 +82,18 @@ class Experiment:
 
     def about(self) -> dict[str, str]:
         """What the run file holds of it, besides the plan."""
-        return {"robot": tomli_w.dumps(self.robot.to_tables()), "experiment": self.text, "source": self.source}
+        return {
+            "robot": tomli_w.dumps(self.robot.to_tables()),
+            "experiment": self.text,
+            "source": self.source,
+            "meaning": json.dumps({one.name: one.meaning() for one in self.instruments}),
+        }
+
+    def motion(self) -> AxisController:
+        """The motion controller, not yet connected. Raises :class:`~sherkit.errors.ExperimentError`."""
+        motion = INSTRUMENTS[self._motors.kind].driver(self._motors, self.robot)
+        assert isinstance(motion, AxisController), "a kind that moves has a driver of axes"
+        return motion
 
     def bench(self) -> Bench:
         """The instruments, not yet connected. Raises :class:`~sherkit.errors.ExperimentError`."""
@@ -90,10 +102,10 @@ class Experiment:
             if one is not self._motors:
                 driver = INSTRUMENTS[one.kind].driver(one, self.robot)
                 sensors.append(Sensor(driver, one.columns, dict(one.settings)))
-        motion = INSTRUMENTS[self._motors.kind].driver(self._motors, self.robot)
-        assert isinstance(motion, Galil), "the bench drives Galil controllers alone"
         noted = dict(self._motors.settings)
-        return Bench(self.robot, motion, sensors, settling=self.settling, checks=self.checks, motion_settings=noted)
+        return Bench(
+            self.robot, self.motion(), sensors, settling=self.settling, checks=self.checks, motion_settings=noted
+        )
 
 
 def load_experiment(
@@ -168,6 +180,8 @@ def _rules(table: Table, robot: Robot) -> tuple[Settling, Checks, Goal | None]:
             c.number(f"agree_within_{place}", _AGREE_WITHIN[place], positive=True),
             c.number(f"moved_within_{unit}", _MOVED_WITHIN[unit], positive=True),
             c.positive(f"plausible_{place}") if kind.shows_coordinates else None,
+            c.flag("watch", True),
+            c.number(f"noise_{place}", _AGREE_WITHIN[place], positive=True),
         )
     goal = None
     if table.has("goal"):

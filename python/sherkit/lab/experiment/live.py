@@ -14,8 +14,8 @@ from ...errors import FitError
 from ...fit.identify import Fit, identify
 from ...model.kinds import Robot, kind_of, model_of
 from ...types import Floats
-from .bench import Point
 from .plan import Plan
+from .point import Point
 
 #: A fit is taken anew when the rows have grown by this share: the work stays proportional to the rows.
 _GROWTH = 0.02

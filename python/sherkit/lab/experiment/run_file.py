@@ -2,7 +2,8 @@
 
 Write-ahead log and ``synchronous=FULL``: a point whose :meth:`RunFile.store` has returned survives the death of the
 program and of the machine. Each point is one transaction under its step's number, so that it is whole or absent, and
-there once. No text in it is ever run: plans and settings are JSON, robot and experiment TOML.
+there once. One runner at a time holds the run's lock. Rows that are in doubt are marked and kept. No text in it is ever
+run: plans and settings are JSON, robot and experiment TOML.
 """
 
 from __future__ import annotations
@@ -11,10 +12,11 @@ import json
 import platform
 import sqlite3
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from functools import wraps
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar, cast
 
 import numpy as np
 import polars as pl
@@ -22,16 +24,20 @@ import polars as pl
 import sherkit._core as _core
 
 from ...data import Measurements, from_frame
-from ...data.columns import POSE, REPEAT, TIME
+from ...data.columns import OUTLIER, POSE, REPEAT, TIME
 from ...data.files import is_output
 from ...data.tables import PARQUET, write_table
-from ...errors import ExperimentError
-from .bench import Point
+from ...errors import ExperimentError, SherkitWarning
+from ..clock import now_s, wall_ahead_s
+from .lock import RunLock
 from .plan import Plan
+from .point import Point
 
 #: "Sher", in the file's header: what kind of database this is.
 _APPLICATION = 0x53686572
-_FORMAT = 1
+_FORMAT = 2
+#: Runs of an earlier version, which can be read and not gone on with.
+_READ = ("1", "2")
 _TABLES = """
 CREATE TABLE run (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 CREATE TABLE session (
@@ -43,16 +49,41 @@ CREATE TABLE instrument (
 ) STRICT;
 CREATE TABLE point (
     step INTEGER PRIMARY KEY, session INTEGER NOT NULL REFERENCES session, pose INTEGER NOT NULL,
-    repeat INTEGER NOT NULL, time_s REAL NOT NULL, UNIQUE (pose, repeat)
+    repeat INTEGER NOT NULL, time_s REAL NOT NULL, wall_s REAL NOT NULL, UNIQUE (pose, repeat)
 ) STRICT;
 CREATE TABLE reading (
     step INTEGER NOT NULL REFERENCES point, place INTEGER NOT NULL, name TEXT NOT NULL, value REAL,
     PRIMARY KEY (step, place), UNIQUE (step, name)
 ) STRICT, WITHOUT ROWID;
+CREATE TABLE doubt (step INTEGER PRIMARY KEY REFERENCES point, instrument TEXT NOT NULL, why TEXT NOT NULL) STRICT;
+CREATE TABLE former (
+    step INTEGER NOT NULL, session INTEGER NOT NULL, time_s REAL NOT NULL, instrument TEXT NOT NULL, why TEXT NOT NULL,
+    readings TEXT NOT NULL
+) STRICT;
 CREATE TABLE diary (at_s REAL NOT NULL, session INTEGER, step INTEGER, what TEXT NOT NULL) STRICT;
 """
 #: Of :meth:`RunFile.create`, what must be the same for a run to go on.
 _SAME = ("plan", "robot")
+#: What gives the numbers of each instrument their meaning, as JSON: the same, too, told apart by instrument and key.
+_MEANING = "meaning"
+#: The wall clock may be set by so much against the steady one before it is said, s.
+_CLOCK_SET_S = 1.0
+
+
+_Method = TypeVar("_Method", bound=Callable[..., Any])
+
+
+def _reads(method: _Method) -> _Method:
+    """What is wrong with the file, or with what is in it, as a sentence."""
+
+    @wraps(method)
+    def sound(self: RunFile, *args: Any, **kwargs: Any) -> Any:
+        try:
+            return method(self, *args, **kwargs)
+        except (sqlite3.Error, pl.exceptions.PolarsError, ValueError, TypeError, LookupError, OverflowError) as error:
+            raise ExperimentError(f"{self.path}: is damaged and cannot be read: {error}") from None
+
+    return cast(_Method, sound)
 
 
 class RunFile:
@@ -64,6 +95,9 @@ class RunFile:
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path
         self._db = connection
+        self._lock: RunLock | None = None
+        self._wall_ahead_s = wall_ahead_s()
+        self._later_s = 0.0
         self.session = 0
 
     # --- making and opening
@@ -79,7 +113,8 @@ class RunFile:
         if not made._is_bare():
             made.close()
             raise ExperimentError(f"{path}: exists; go on with --resume, or give the run another name")
-        values = {"format": str(_FORMAT), "created_s": repr(time.time()), "plan": plan.to_json(), **about}
+        made._take_lock()
+        values = {"format": str(_FORMAT), "created_s": repr(now_s()), "plan": plan.to_json(), **about}
         with made._db:
             # one transaction: the file holds a whole run, or none
             made._db.execute("BEGIN IMMEDIATE")
@@ -92,7 +127,11 @@ class RunFile:
 
     @classmethod
     def resume(cls, path: str | Path, plan: Plan, about: Mapping[str, str]) -> Self:
-        """Opens the run to go on with it; begins it where there is none yet. Refuses one with another plan or robot."""
+        """Opens the run to go on with it; begins it where there is none yet.
+
+        Refuses one with another plan or robot, or in which an instrument's numbers meant something else (``about`` has
+        ``meaning`` as JSON: kind, columns and settings by instrument).
+        """
         path = Path(path)
         made = cls(path, cls._connect(path))
         bare = made._is_bare()
@@ -100,15 +139,50 @@ class RunFile:
         if bare:
             return cls.create(path, plan, about)
         made = cls.open(path)
-        given = {"plan": plan.to_json(), **about}
+        try:
+            made._take_lock()
+            made._require_same({"plan": plan.to_json(), **about})
+        except BaseException:
+            made.close()
+            raise
+        return made
+
+    def _take_lock(self) -> None:
+        try:
+            self._lock = RunLock(self.path)
+        except ExperimentError:
+            self.close()
+            raise
+
+    def _require_same(self, given: Mapping[str, str]) -> None:
+        if self.about("format") != str(_FORMAT):
+            raise ExperimentError(
+                f"{self.path}: was begun by an earlier version, which can be exported but not gone on"
+            )
         for key in _SAME:
-            if made.about(key) != given.get(key, ""):
-                made.close()
+            if self.about(key) != given.get(key, ""):
                 raise ExperimentError(
-                    f"{path}: was begun with another {key}; a run goes on only as it began. Give the changed "
+                    f"{self.path}: was begun with another {key}; a run goes on only as it began. Give the changed "
                     "experiment a run of its own"
                 )
-        return made
+        then, now = (json.loads(text or "{}") for text in (self.about(_MEANING), given.get(_MEANING, "")))
+        self._require_same_instruments(then, now)
+
+    def _require_same_instruments(self, then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+        """Compares tables of instruments by name; names what is another."""
+        told = f"{self.path}: a run goes on only as it began"
+        for name in sorted({*then, *now}):
+            if name not in then or name not in now:
+                raise ExperimentError(
+                    f"{told}, and it began with{'out' if name in now else ''} the instrument '{name}'"
+                )
+            for key in sorted({*then[name], *now[name]}):
+                old, new = then[name].get(key), now[name].get(key)
+                if old != new:
+                    raise ExperimentError(
+                        f"{told}, and its rows were taken with {name} {key} = {old}; now it is {new}. Set it back, or "
+                        "give the changed experiment a run of its own"
+                    )
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
@@ -118,28 +192,20 @@ class RunFile:
             raise ExperimentError(f"{path}: there is no such run file")
         made = cls(path, cls._connect(path))
         try:
-            with made._sound():
-                found = made.about("format") if not made._is_bare() else ""
-                own = made._holds_nothing_else()
-            if found != str(_FORMAT) or not own:
+            if made._is_bare() or not made._holds_nothing_else() or made.about("format") not in _READ:
                 raise ExperimentError(f"{path}: holds no run of this version (expected format {_FORMAT})")
         except BaseException:
             made.close()
             raise
         return made
 
+    @_reads
     def _holds_nothing_else(self) -> bool:
         """Whether its tables are those of a run: a view or a trigger of somebody else's could run for ever."""
         found = {str(sql) for (sql,) in self._db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
-        return found == {one.strip().rstrip(";") for one in _TABLES.split(";\n") if one.strip()}
-
-    @contextmanager
-    def _sound(self) -> Iterator[None]:
-        """What is wrong with the file, or with what is in it, as a sentence."""
-        try:
-            yield
-        except (sqlite3.Error, pl.exceptions.PolarsError, ValueError, TypeError, LookupError, OverflowError) as error:
-            raise ExperimentError(f"{self.path}: is damaged and cannot be read: {error}") from None
+        # runs of the first version had no wall clock in their points
+        known = _TABLES + _TABLES.replace("wall_s REAL NOT NULL, ", "")
+        return found <= {one.strip().rstrip(";") for one in known.split(";\n") if one.strip()}
 
     @staticmethod
     def _connect(path: Path) -> sqlite3.Connection:
@@ -163,6 +229,7 @@ class RunFile:
             raise ExperimentError(f"{path}: cannot be opened as a run file: {error}") from None
         return db
 
+    @_reads
     def _is_bare(self) -> bool:
         """Whether nothing is in it: a program died before the run was begun."""
         return not self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
@@ -170,6 +237,8 @@ class RunFile:
     def close(self) -> None:
         """Gives the file back; twice does no harm."""
         self._db.close()
+        if self._lock is not None:
+            self._lock.release()
 
     def __enter__(self) -> Self:
         return self
@@ -180,7 +249,14 @@ class RunFile:
     # --- writing
 
     def begin(self, instruments: Mapping[str, Mapping[str, Any]]) -> int:
-        """A new session: the program was started. ``instruments`` are kind, identity, port and settings by name."""
+        """A new session: the program was started. ``instruments`` are kind, identity, port and settings by name.
+
+        Raises :class:`~sherkit.errors.ExperimentError` where an earlier session had another instrument under a name.
+        Where the wall clock was set back since the last row, rows go on after that one, and the diary says so.
+        """
+        if before := self._identities():
+            now = {name: {"kind": one["kind"], "identity": one["identity"]} for name, one in instruments.items()}
+            self._require_same_instruments(before, now)
         versions = {
             "sherkit": _core.__version__,
             "python": platform.python_version(),
@@ -191,7 +267,7 @@ class RunFile:
         with self._db:
             self._db.execute("BEGIN IMMEDIATE")
             cursor = self._db.execute(
-                "INSERT INTO session (began_s, versions) VALUES (?, ?)", (time.time(), json.dumps(versions))
+                "INSERT INTO session (began_s, versions) VALUES (?, ?)", (now_s(), json.dumps(versions))
             )
             self.session = int(cursor.lastrowid or 0)
             for name, one in instruments.items():
@@ -199,25 +275,48 @@ class RunFile:
                     "INSERT INTO instrument VALUES (?, ?, ?, ?, ?, ?)",
                     (self.session, name, one["kind"], one["identity"], one["port"], json.dumps(one["settings"])),
                 )
+        newest = self._db.execute("SELECT max(time_s) FROM point").fetchone()[0]
+        if newest is not None and newest > now_s():
+            self._later_s = newest + _CLOCK_SET_S - now_s()
+            self._say_clock(-self._later_s, "since the last row was taken", "right after that row")
         return self.session
+
+    def _identities(self) -> dict[str, dict[str, str]]:
+        """Kind and identity of the instruments of the last session."""
+        found = self._db.execute(
+            "SELECT name, kind, identity FROM instrument WHERE session = (SELECT max(session) FROM instrument)"
+        )
+        return {name: {"kind": kind, "identity": identity} for name, kind, identity in found}
+
+    def _say_clock(self, by_s: float, when: str, on: str) -> None:
+        way = "back" if by_s < 0 else "forward"
+        told = f"the clock of this computer was set {way} by {abs(by_s):.0f} s {when}; times of rows go on {on}"
+        self.note(told)
+        warnings.warn(f"{self.path}: {told}", SherkitWarning, stacklevel=3)
 
     def end(self, why: str) -> None:
         """The session's end, and what brought it about."""
         with self._db:
             self._db.execute(
-                "UPDATE session SET ended_s = ?, why = ? WHERE session = ?", (time.time(), why, self.session)
+                "UPDATE session SET ended_s = ?, why = ? WHERE session = ?", (self._now_s(), why, self.session)
             )
+
+    def _now_s(self) -> float:
+        return now_s() + self._later_s
 
     def note(self, what: str, step: int | None = None) -> None:
         """A line of the diary: a pause, an error."""
         with self._db:
-            self._db.execute("INSERT INTO diary VALUES (?, ?, ?, ?)", (time.time(), self.session, step, what))
+            self._db.execute("INSERT INTO diary VALUES (?, ?, ?, ?)", (self._now_s(), self.session, step, what))
 
     def store(self, step: int, point: Point) -> None:
-        """Stores a step's point, whole: it is on the disk when this returns.
+        """Stores a step's point, whole: it is on the disk when this returns. A row in doubt of that step is kept aside.
 
         Raises :class:`~sherkit.errors.ExperimentError` where the step is stored already.
         """
+        if abs(by_s := wall_ahead_s() - self._wall_ahead_s) > _CLOCK_SET_S:
+            self._wall_ahead_s += by_s
+            self._say_clock(by_s, "during the run", "by a clock that is not set")
         # SQLite has no NaN; an empty cell is NULL
         rows = [
             (step, place, name, None if value != value else float(value))
@@ -226,9 +325,10 @@ class RunFile:
         try:
             with self._db:
                 self._db.execute("BEGIN IMMEDIATE")
+                self._set_aside(step)
                 self._db.execute(
-                    "INSERT INTO point VALUES (?, ?, ?, ?, ?)",
-                    (step, self.session, point.pose, point.repeat, point.time_s),
+                    "INSERT INTO point VALUES (?, ?, ?, ?, ?, ?)",
+                    (step, self.session, point.pose, point.repeat, point.time_s + self._later_s, time.time()),
                 )
                 self._db.executemany("INSERT INTO reading VALUES (?, ?, ?, ?)", rows)
         except sqlite3.IntegrityError as error:
@@ -236,59 +336,118 @@ class RunFile:
         except sqlite3.Error as error:
             raise ExperimentError(f"{self.path}: step {step} could not be stored: {error}") from None
 
+    def doubt(self, steps: Iterable[int], instrument: str, why: str) -> None:
+        """Marks the rows of these steps as in doubt: they are kept, exported as outliers, and taken again."""
+        with self._db:
+            self._db.executemany("INSERT OR REPLACE INTO doubt VALUES (?, ?, ?)", [(s, instrument, why) for s in steps])
+
+    def accept(self) -> int:
+        """Takes all marks away, since a person says that the rows are right; returns how many."""
+        with self._db:
+            count = self._db.execute("DELETE FROM doubt").rowcount
+        if count:
+            self.note(f"{count} rows in doubt were accepted")
+        return int(count)
+
+    def _set_aside(self, step: int) -> None:
+        found = self._db.execute(
+            "SELECT session, time_s, instrument, why FROM point JOIN doubt USING (step) WHERE step = ?", (step,)
+        ).fetchone()
+        if found is None:
+            return
+        values = self._db.execute("SELECT name, value FROM reading WHERE step = ? ORDER BY place", (step,)).fetchall()
+        self._db.execute("INSERT INTO former VALUES (?, ?, ?, ?, ?, ?)", (step, *found, json.dumps(dict(values))))
+        for table in ("doubt", "reading", "point"):
+            self._db.execute(f"DELETE FROM {table} WHERE step = ?", (step,))
+
     # --- reading
 
+    @_reads
     def about(self, key: str) -> str:
         """What the run holds of ``plan``, ``robot``, ``experiment`` …; "" where it holds nothing."""
-        with self._sound():
-            found = self._db.execute("SELECT value FROM run WHERE key = ?", (key,)).fetchone()
+        found = self._db.execute("SELECT value FROM run WHERE key = ?", (key,)).fetchone()
         return str(found[0]) if found is not None else ""
 
     @property
+    @_reads
     def plan(self) -> Plan:
         """The plan that the run was begun with."""
-        with self._sound():
-            return Plan.from_json(self.about("plan"))
+        return Plan.from_json(self.about("plan"))
 
+    @_reads
     def done(self) -> set[int]:
-        """Numbers of the steps that are stored."""
-        with self._sound():
-            return {int(row[0]) for row in self._db.execute("SELECT step FROM point")}
+        """Numbers of the steps that are stored and not in doubt."""
+        return {int(row[0]) for row in self._db.execute("SELECT step FROM point")} - set(self.doubts())
 
+    @property
+    @_reads
+    def reference(self) -> int | None:
+        """The mark of the axes' zero with which the last rows were taken; None before the first."""
+        return int(text) if (text := self.about("reference")) else None
+
+    @reference.setter
+    def reference(self, mark: int | None) -> None:
+        with self._db:
+            self._db.execute("INSERT OR REPLACE INTO run VALUES ('reference', ?)", ("" if mark is None else str(mark),))
+
+    @_reads
+    def doubts(self) -> dict[int, tuple[str, str]]:
+        """Instrument and reason for each step whose row is in doubt."""
+        if self.about("format") == "1":
+            return {}
+        found = self._db.execute("SELECT step, instrument, why FROM doubt ORDER BY step")
+        return {int(step): (str(who), str(why)) for step, who, why in found}
+
+    @_reads
+    def last(self) -> Point | None:
+        """The point that was stored last, in doubt or not."""
+        found = self._db.execute("SELECT step FROM point ORDER BY time_s DESC LIMIT 1").fetchone()
+        return None if found is None else self._stored("WHERE step = ?", (found[0],))[0]
+
+    @_reads
     def points(self) -> list[Point]:
-        """Every stored point, in the order of the steps."""
-        values: dict[int, dict[str, float]] = {}
-        with self._sound():
-            for step, name, value in self._db.execute("SELECT step, name, value FROM reading ORDER BY step, place"):
-                values.setdefault(step, {})[name] = float("nan") if value is None else float(value)
-            found = self._db.execute("SELECT step, pose, repeat, time_s FROM point ORDER BY step")
-            return [Point(int(p), int(r), float(t), values.get(step, {})) for step, p, r, t in found]
+        """Every stored point that is not in doubt, in the order of the steps."""
+        return self._stored("WHERE step NOT IN (SELECT step FROM doubt)" if self.doubts() else "", ())
 
+    def _stored(self, where: str, values: tuple[int, ...]) -> list[Point]:
+        read: dict[int, dict[str, float]] = {}
+        for step, name, value in self._db.execute(
+            f"SELECT step, name, value FROM reading {where} ORDER BY step, place", values
+        ):
+            read.setdefault(step, {})[name] = float("nan") if value is None else float(value)
+        found = self._db.execute(f"SELECT step, pose, repeat, time_s FROM point {where} ORDER BY step", values)
+        return [Point(int(p), int(r), float(t), read.get(step, {})) for step, p, r, t in found]
+
+    @_reads
     def diary(self) -> list[tuple[float, int | None, str]]:
         """When, at which step, what."""
-        with self._sound():
-            return [(float(a), b, str(c)) for a, b, c in self._db.execute("SELECT at_s, step, what FROM diary")]
+        return [(float(a), b, str(c)) for a, b, c in self._db.execute("SELECT at_s, step, what FROM diary")]
 
+    @_reads
     def instruments(self) -> list[tuple[int, str, str, str, str]]:
         """Session, name, kind, identity and port of every instrument of every session."""
-        with self._sound():
-            return list(self._db.execute("SELECT session, name, kind, identity, port FROM instrument"))
+        return list(self._db.execute("SELECT session, name, kind, identity, port FROM instrument"))
 
+    @_reads
     def frame(self) -> pl.DataFrame:
-        """The rows in the order of their steps: step, time, pose, repeat, and a column for every value."""
-        with self._sound():
-            points = self._db.execute("SELECT step, time_s, pose, repeat FROM point ORDER BY step").fetchall()
-            place = {row[0]: k for k, row in enumerate(points)}
-            columns: dict[str, list[float | None]] = {}
-            for step, name, value in self._db.execute("SELECT step, name, value FROM reading ORDER BY step, place"):
-                columns.setdefault(str(name), [None] * len(points))[place[step]] = value
-            head = {
-                "step": pl.Series([row[0] for row in points], dtype=pl.Int64),
-                TIME: pl.Series([row[1] for row in points], dtype=pl.Float64),
-                POSE: pl.Series([row[2] for row in points], dtype=pl.Int64),
-                REPEAT: pl.Series([row[3] for row in points], dtype=pl.Int64),
-            }
-            return pl.DataFrame({**head, **{n: pl.Series(v, dtype=pl.Float64) for n, v in columns.items()}})
+        """The rows in the order of their steps: step, time, pose, repeat, and a column for every value.
+
+        Where rows are in doubt, they have a 1 in the column ``outlier``: no fit uses them.
+        """
+        points = self._db.execute("SELECT step, time_s, pose, repeat FROM point ORDER BY step").fetchall()
+        place = {row[0]: k for k, row in enumerate(points)}
+        columns: dict[str, list[float | None]] = {}
+        for step, name, value in self._db.execute("SELECT step, name, value FROM reading ORDER BY step, place"):
+            columns.setdefault(str(name), [None] * len(points))[place[step]] = value
+        head = {
+            "step": pl.Series([row[0] for row in points], dtype=pl.Int64),
+            TIME: pl.Series([row[1] for row in points], dtype=pl.Float64),
+            POSE: pl.Series([row[2] for row in points], dtype=pl.Int64),
+            REPEAT: pl.Series([row[3] for row in points], dtype=pl.Int64),
+        }
+        if doubts := self.doubts():
+            head[OUTLIER] = pl.Series([int(row[0] in doubts) for row in points], dtype=pl.Int64)
+        return pl.DataFrame({**head, **{n: pl.Series(v, dtype=pl.Float64) for n, v in columns.items()}})
 
     def measurements(self) -> Measurements:
         """The rows as measurements, by time. Raises :class:`~sherkit.errors.MeasurementError` where there are none."""

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
-from ...errors import Disconnected, Garbled, SherkitError, Timeout
-from .bench import Bench, Point
+from ...errors import Disconnected, Garbled, Implausible, OutOfRange, SherkitError, Timeout
+from ...model.kinds import kind_of
+from .bench import Bench
 from .plan import Plan
+from .point import Point
 from .run_file import RunFile
+from .watch import Doubt, Watch
 
 #: Weight of the newest step in the estimate of the time that a step takes.
 _NEWEST = 0.1
@@ -80,9 +84,13 @@ def run(
     ``report`` hears of every step once its point is on the disk. ``warm_up_s`` drives through the plan for so long
     before the first of them, without reading. A step may take ``attempts``: what went wrong on a line (no answer, one
     that is not understood, a lost connection) may be better with new connections, while a limit switch or a lost beam
-    is not. After a pause and in a run that was interrupted, the first step is approached as the plan has it. Raises
-    :class:`~sherkit.errors.InstrumentError` where an instrument fails: the motors then stand, the file's diary says
-    why, and the run can be resumed.
+    is not. After a pause and in a run that was interrupted, the first step is approached as the plan has it.
+
+    Nothing moves before it is proven where the axes stand (:meth:`~sherkit.lab.experiment.Bench.prove`): in a run that
+    goes on, where the last row was taken, on the way from there to the next step, or where the plan begins. Each row is
+    held against those before (:class:`~sherkit.lab.experiment.watch.Watch`); where it cannot be, it is marked and the
+    run ends. Raises :class:`~sherkit.errors.InstrumentError` where an instrument fails: the motors then stand, the
+    file's diary says why, and the run can be resumed.
     """
     control = control or Control()
     bench.check(plan.places())
@@ -93,9 +101,13 @@ def run(
     file.begin(bench.identities())
     number = missing[0]
     why = "killed"
+    watch = bench.watch()
     try:
+        _prove(plan, bench, file, number, warm_up_s)
+        watch.learn(file.points())
+        _look(bench, watch)
         _warm_up(plan, bench, warm_up_s, control)
-        why = _take(plan, bench, file, missing, control, attempts, report)
+        why = _take(plan, bench, file, missing, control, attempts, report, watch)
     except BaseException as error:
         said = str(error) if isinstance(error, SherkitError) else type(error).__name__
         why = f"failed: {said}"
@@ -115,6 +127,7 @@ def _take(
     control: Control,
     attempts: int,
     report: Callable[[RunProgress], None] | None,
+    watch: Watch,
 ) -> str:
     total = len(plan)
     seconds = 0.0
@@ -131,6 +144,10 @@ def _take(
         point = _with_directions(_measured(plan, bench, file, number, number == last + 1, attempts), plan, number)
         file.store(number, point)
         last = number
+        if (doubt := watch.take(number, point)) is not None:
+            file.doubt(doubt.steps, doubt.instrument, doubt.why)
+            steps = ", ".join(map(str, doubt.steps))
+            raise _implausible(bench, doubt, f"; rows of the steps {steps} are marked, and are taken again by --resume")
         took = time.monotonic() - began
         seconds = took if not k else seconds + max(_NEWEST, 1.0 / (k + 1)) * (took - seconds)
         if report is not None:
@@ -153,7 +170,43 @@ def _measured(plan: Plan, bench: Bench, file: RunFile, number: int, follows: boo
             follows = False
             bench.close()
             bench.connect()
+            _prove(plan, bench, file, number, 0.0)
     raise AssertionError("unreachable")
+
+
+def _prove(plan: Plan, bench: Bench, file: RunFile, number: int, warm_up_s: float) -> None:
+    """Refuses to move where the axes do not stand where they can be, as far as the run's file tells."""
+    last = file.last()
+    legs: list[tuple[Sequence[float], Sequence[float]]] = []
+    if last is not None:
+        at = tuple(last.values[name] for name in kind_of(bench.robot).layout.joints)
+        way = (at, *plan.lead_in(number), *plan.steps[number].via, plan.steps[number].joints)
+        legs = [*pairwise(way), (plan.start, plan.start), (plan.start, way[1])]
+        if warm_up_s > 0:
+            legs += pairwise([plan.start, *(s.joints for s in plan), plan.start])
+    elif not bench.motion.reference().said:
+        # it cannot tell whether it was zeroed: then only where a person has brought it
+        legs = [(plan.start, plan.start)]
+    mark = bench.prove(legs)
+    if file.reference not in (None, mark):
+        file.note("the reference of the axes was set anew", number)
+    file.reference = mark
+
+
+def _look(bench: Bench, watch: Watch) -> None:
+    """Before anything moves: whether the sensors, where they see the robot, see it where the joints say."""
+    try:
+        seen = bench.look()
+    except (OutOfRange, Garbled):
+        # nothing is to be seen from here, or it still swings; each step will tell
+        return
+    if (doubt := watch.judge(seen)) is not None:
+        raise _implausible(bench, doubt, "; nothing was moved. Look at the instrument, or run 'sherkit home'")
+
+
+def _implausible(bench: Bench, doubt: Doubt, what: str) -> Implausible:
+    port = next((i.address for i in bench.instruments if i.name == doubt.instrument), "")
+    return Implausible(doubt.why + what, instrument=doubt.instrument, port=port)
 
 
 def _with_directions(point: Point, plan: Plan, number: int) -> Point:

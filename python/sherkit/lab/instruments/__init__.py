@@ -6,14 +6,16 @@ need pyserial (``pip install "sherkit[lab]"``).
 """
 
 from .ati import NetFT, Scale, fetch_scale
+from .axes import Axis, AxisController, Reference
 from .base import Identity, Instrument, Reading
 from .camera import Frame, Snapshots, VideoCamera
-from .galil import Axis, Galil
+from .galil import Galil
 from .keyence import Keyence
 from .micron_optics import Hyperion, Sm130
 
 __all__ = [
     "Axis",
+    "AxisController",
     "Frame",
     "Galil",
     "Hyperion",
@@ -22,6 +24,7 @@ __all__ = [
     "Keyence",
     "NetFT",
     "Reading",
+    "Reference",
     "Scale",
     "Sm130",
     "Snapshots",

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import struct
-import time
 import urllib.error
 import urllib.request
 import xml.etree.ElementTree as ET
@@ -16,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ...errors import Disconnected, Garbled, InstrumentError, OutOfRange, Timeout
+from ..clock import now_s
 from .base import Identity, Instrument, Reading
 from .transport import UdpPort, deadline_in
 
@@ -214,4 +214,4 @@ class NetFT(Instrument):
             "reordered": float(self.reordered),
         }
         values = tuple(c / p for c, p in zip(record.counts, per, strict=True))
-        return Reading(self.name, _NAMES, values, units, time_s or time.time(), details)
+        return Reading(self.name, _NAMES, values, units, time_s or now_s(), details)

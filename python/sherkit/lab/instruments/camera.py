@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import Disconnected, Garbled, InstrumentError, OutOfRange, Timeout
+from ..clock import now_s
 from .base import Identity, Instrument, Reading
 
 Picture = NDArray[np.uint8]
@@ -169,7 +170,7 @@ class VideoCamera(Instrument):
             ok, given = self._worker.call(lambda s: s.read(), end)
             picture = parse_frame(ok, given, self.size_px)
         assert picture is not None
-        return Frame(picture, time.time())
+        return Frame(picture, now_s())
 
     def _reopen(self) -> None:
         self._shut()

@@ -12,8 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from ...errors import Halted, InstrumentError
+from .axes import Axis
 from .base import Instrument, Reading
-from .galil import BY_COMMAND, Axis, Galil
+from .galil import BY_COMMAND, Galil
 from .keyence import Keyence
 
 Values = dict[str, dict[str, Any]]

@@ -9,12 +9,13 @@ import atexit
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 from ...errors import Disconnected, Garbled, Halted, InstrumentError, OutOfRange, Refused, Timeout
 from ...names import listed
-from .base import Identity, Reading
-from .galil_line import LARGEST_COUNT, LETTERS, GalilLine
+from .axes import Axis
+from .base import Reading
+from .galil_line import LARGEST_COUNT
+from .galil_reference import GalilReference
 from .transport import deadline_in
 
 #: Meanings of ``SC``.
@@ -39,48 +40,7 @@ BY_COMMAND = 4
 _SETTLE_POLL_S = 0.02
 
 
-@dataclass(frozen=True)
-class Axis:
-    """One motor: its ``letter`` A to H, encoder ``counts_per_unit`` (negative: counts the other way), soft limits.
-
-    A joint stands at ``(counts - zero_counts) / counts_per_unit``, in ``unit``: mm, or rad for one that turns. No
-    target outside ``limits`` (low, high), in the same unit, is ever sent. ``name`` is that of the joint, the letter if
-    left out.
-    """
-
-    letter: str
-    counts_per_unit: float
-    limits: tuple[float, float]
-    zero_counts: int = 0
-    name: str = ""
-    unit: str = "mm"
-
-    def __post_init__(self) -> None:
-        if self.letter not in LETTERS or len(self.letter) != 1:
-            raise InstrumentError(f"axis '{self.letter}': expected one letter of {LETTERS}")
-        if not (math.isfinite(self.counts_per_unit) and self.counts_per_unit != 0):
-            raise InstrumentError(
-                f"axis {self.letter}: counts_per_unit is {self.counts_per_unit}; expected a number not 0"
-            )
-        low, high = self.limits
-        if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise InstrumentError(f"axis {self.letter}: limits are {low}, {high}; expected low, then high")
-
-    @property
-    def label(self) -> str:
-        """What its values are called."""
-        return self.name or self.letter
-
-    def to_counts(self, position: float) -> int:
-        """Encoder counts at ``position``."""
-        return round(position * self.counts_per_unit) + self.zero_counts
-
-    def to_position(self, counts: float) -> float:
-        """Joint position, in its unit, at ``counts``."""
-        return (counts - self.zero_counts) / self.counts_per_unit
-
-
-class Galil(GalilLine):
+class Galil(GalilReference):
     """A motion controller with its axes. Connecting moves nothing and switches no motor on.
 
     Targets are bounded by each axis' soft limits here and, with ``controller_limits``, by ``FL`` and ``BL`` in the
@@ -90,7 +50,11 @@ class Galil(GalilLine):
     ``speed``, per s, and ``acceleration``, per s² (also the deceleration), hold for all axes. A move has arrived when
     the profile is over, its stop code is 1 and the encoder is within ``arrived_within``, for which it has
     ``settle_s``. ``poll_s`` is the pause between two looks at a motion, each of which must be answered in
-    ``poll_timeout_s``.
+    ``poll_timeout_s``. ``home_at`` says where the home switches are, one position for each axis, for :meth:`home` at
+    ``home_speed``.
+
+    Before each motion it is proven where the axes stand (:meth:`~sherkit.lab.instruments.axes.AxisController.
+    require_reference`): a controller that lost its power, or its zero, moves nothing.
     """
 
     kind = "Galil"
@@ -109,6 +73,8 @@ class Galil(GalilLine):
         poll_timeout_s: float = 0.5,
         stop_timeout_s: float = 5.0,
         controller_limits: bool = True,
+        home_at: Sequence[float] | None = None,
+        home_speed: float | None = None,
         timeout_s: float = 2.0,
         retries: int = 2,
         baud: int = 115200,
@@ -119,7 +85,7 @@ class Galil(GalilLine):
             raise InstrumentError(f"{self.name}: its axes are {listed(letters) or 'none'}; expected each letter once")
         if len({a.unit for a in axes}) != 1:
             raise InstrumentError(f"{self.name}: its axes have different units; give those a controller of their own")
-        for what, value in (("speed", speed), ("acceleration", acceleration)):
+        for what, value in (("speed", speed), ("acceleration", acceleration), ("home_speed", home_speed or speed)):
             if not (math.isfinite(value) and value > 0):
                 raise InstrumentError(f"{self.name}: {what} is {value}; expected a number above zero")
         self.axes = tuple(sorted(axes, key=lambda a: a.letter))
@@ -132,28 +98,23 @@ class Galil(GalilLine):
         self.poll_timeout_s = poll_timeout_s
         self.stop_timeout_s = stop_timeout_s
         self.controller_limits = controller_limits
+        if home_at is not None and len(home_at) != len(axes):
+            raise InstrumentError(f"{self.name}: home_at has {len(home_at)} positions; expected {len(axes)}")
+        for axis, place in zip(sorted(axes, key=lambda a: a.letter), home_at or (), strict=False):
+            if not axis.limits[0] <= place <= axis.limits[1]:
+                raise InstrumentError(
+                    f"{self.name}: the home switch of {axis.label} is at {place:g} {axis.unit}; expected "
+                    f"a place within its limits {axis.limits[0]:g} to {axis.limits[1]:g}"
+                )
+        self.home_at = None if home_at is None else tuple(float(q) for q in home_at)
+        self.home_speed = 0.2 * speed if home_speed is None else home_speed
+        self.left_at = {}
         self._prepared = False
         self._moving: set[str] = set()
         #: how often each axis was told to stop: a motion that sees it change was stopped by another thread
         self._stops = dict.fromkeys(letters, 0)
 
     # --- what every instrument does
-
-    def identify(self) -> Identity:
-        """Model and firmware, as the controller's answer to Ctrl-R Ctrl-V; "unknown" where it has none."""
-        try:
-            text = self._repeat(lambda: self.command("\x12\x16"))
-        except Refused:
-            text = ""
-        return Identity(self.kind, text.strip() or "unknown", self.address)
-
-    def read(self) -> Reading:
-        """Encoder positions of all axes, in their unit, in the order of their letters. Also while moving."""
-        return self._reading("_TP")
-
-    def read_commanded(self) -> Reading:
-        """Where the profiles of all axes are, in their unit (``RP``)."""
-        return self._reading("_RP")
 
     def close(self) -> None:
         """Stops what this program moves, and gives the port back. Raises as :meth:`stop`."""
@@ -177,6 +138,7 @@ class Galil(GalilLine):
 
     def disable(self) -> None:
         """Switches the motors off (``MO``). An axis that carries weight may fall."""
+        self.left_at = {}
         self._repeat(lambda: self._acknowledged(f"MO{self._letters()}"))
 
     def check(self, target: Mapping[str, float] | Sequence[float]) -> dict[str, float]:
@@ -213,10 +175,10 @@ class Galil(GalilLine):
     def move(self, target: Mapping[str, float] | Sequence[float]) -> Reading:
         """Moves the named axes (all, by a sequence) to ``target`` and returns where the encoders then are.
 
-        Raises :class:`~sherkit.errors.OutOfRange` before anything moves; :class:`~sherkit.errors.Halted` where the
-        motion ended elsewhere (limit switch, ``stop`` by another thread); other
-        :class:`~sherkit.errors.InstrumentError` where the line failed. After any of them the axes stand still, or the
-        sentence says that they may not.
+        Raises :class:`~sherkit.errors.OutOfRange` and :class:`~sherkit.errors.NotReferenced` before anything moves;
+        :class:`~sherkit.errors.Halted` where the motion ended elsewhere (limit switch, ``stop`` by another thread);
+        other :class:`~sherkit.errors.InstrumentError` where the line failed. After any of them the axes stand still, or
+        the sentence says that they may not.
         """
         targets = self.check(target)
         if not targets:
@@ -282,35 +244,8 @@ class Galil(GalilLine):
                 )
             time.sleep(min(self.poll_s, 0.05))
 
-    def _reading(self, operand: str) -> Reading:
-        def ask() -> Reading:
-            counts = self._operands([operand + a.letter for a in self.axes], self.timeout_s)
-            port = self._transport
-            return Reading(
-                self.name,
-                tuple(a.label for a in self.axes),
-                tuple(a.to_position(c) for a, c in zip(self.axes, counts, strict=True)),
-                (self.unit,) * len(self.axes),
-                port.arrived_s if port is not None else time.time(),
-                {f"counts_{a.letter}": float(c) for a, c in zip(self.axes, counts, strict=True)},
-            )
-
-        return self._repeat(ask)
-
-    def _running(self, letters: Sequence[str], timeout_s: float) -> list[bool]:
-        flags = self._operands([f"_BG{x}" for x in letters], timeout_s)
-        if not all(f in (0, 1) for f in flags):
-            asked = f"MG {','.join(f'_BG{x}' for x in letters)}"
-            raise self._garbled(
-                f"_BG of {listed(letters)} is {flags}; expected 0 or 1", asked, " ".join(map(str, flags))
-            )
-        return [f == 1 for f in flags]
-
     def _letters(self) -> str:
         return "".join(a.letter for a in self.axes)
-
-    def _axis(self, letter: str) -> Axis:
-        return next(a for a in self.axes if a.letter == letter)
 
     # --- the parts of a move
 
@@ -322,20 +257,17 @@ class Galil(GalilLine):
             return
         speeds: dict[str, int] = {}
         accelerations: dict[str, int] = {}
-        forward: dict[str, int] = {}
-        reverse: dict[str, int] = {}
         for a in self.axes:
             # even numbers and multiples of 1024 are what the controller has; never faster than asked for
             speeds[a.letter] = max(int(self.speed * abs(a.counts_per_unit)) // 2 * 2, 2)
             accelerations[a.letter] = max(int(self.acceleration * abs(a.counts_per_unit)) // 1024 * 1024, 1024)
-            ends = sorted(a.to_counts(v) for v in a.limits)
-            reverse[a.letter], forward[a.letter] = max(ends[0], -LARGEST_COUNT), min(ends[1], LARGEST_COUNT)
         self._set("SP", speeds)
         self._set("AC", accelerations)
         self._set("DC", accelerations)
         if self.controller_limits:
-            self._set("FL", forward)
-            self._set("BL", reverse)
+            ends = {a.letter: self._limits(a) for a in self.axes}
+            self._set("FL", {x: high for x, (_, high) in ends.items()})
+            self._set("BL", {x: low for x, (low, _) in ends.items()})
         self._prepared = True
 
     def _start(self, targets: Mapping[str, float]) -> dict[str, int]:
@@ -343,11 +275,13 @@ class Galil(GalilLine):
         with self._lock:
             if self._transport is None:
                 raise self.fail(Disconnected, "is not connected; call connect() first")
+            self.require_reference(limits=self._prepared and self.controller_limits)
             self._prepare()
             stops = dict(self._stops)
             # asked back before anything moves: a wrong digit must not become a motion
             self._set("PA", {x: self._axis(x).to_counts(v) for x, v in targets.items()})
             self._moving |= set(targets)
+            self.left_at = {x: at for x, at in self.left_at.items() if x not in targets}
             # not repeated: a second BG during motion would be refused
             self._acknowledged(f"BG{''.join(sorted(targets))}", self.poll_timeout_s)
             return stops
@@ -416,9 +350,11 @@ class Galil(GalilLine):
             if all(abs(m) <= self.arrived_within + 0.5 / abs(self._axis(x).counts_per_unit) for x, m in miss.items()):
                 self._moving -= set(targets)
                 # the axes stand: a second reading costs little, and tells a wrong digit from a position
-                return self.read_confirmed(
+                stands = self.read_confirmed(
                     max(self.arrived_within, 2.0 / min(abs(a.counts_per_unit) for a in self.axes))
                 )
+                self.left_at = {a.letter: at for a, at in zip(self.axes, stands.values, strict=True)}
+                return stands
             if time.monotonic() > end:
                 worst = max(miss, key=lambda x: abs(miss[x]))
                 axis = self._axis(worst)

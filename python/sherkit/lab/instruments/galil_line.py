@@ -11,10 +11,10 @@ import re
 from collections.abc import Mapping, Sequence
 
 from ...errors import Disconnected, Garbled, InstrumentError, Refused
+from .axes import LETTERS
 from .base import Instrument
 from .transport import deadline_in
 
-LETTERS = "ABCDEFGH"
 #: A line that the controller takes.
 _LONGEST_LINE = 80
 LARGEST_COUNT = (1 << 31) - 1

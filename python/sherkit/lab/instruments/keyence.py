@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 import re
-import time
 from collections.abc import Sequence
 
 from ...errors import Disconnected, Garbled, InstrumentError, OutOfRange, Refused, Timeout
+from ..clock import now_s
 from .base import Identity, Instrument, Reading
 from .transport import deadline_in
 
@@ -153,7 +153,7 @@ class Keyence(Instrument):
         else:
             every = self._checked("MA", None)
             texts = tuple(every[k - 1] for k in self.outputs)
-        return texts, self._transport.arrived_s if self._transport is not None else time.time()
+        return texts, self._transport.arrived_s if self._transport is not None else now_s()
 
     def _checked(self, command: str, count: int | None) -> tuple[str, ...]:
         fields = self._ask(command)

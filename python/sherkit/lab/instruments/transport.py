@@ -14,6 +14,7 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 from ...errors import Disconnected, Garbled, InstrumentError, Timeout
+from ..clock import now_s
 
 #: Bytes that may wait to be read before the stream counts as garbled.
 LARGEST_BUFFER = 1 << 20
@@ -119,7 +120,7 @@ class Transport(ABC):
         except OSError as error:
             raise self._gone(error) from None
         if piece:
-            self.arrived_s = time.time()
+            self.arrived_s = now_s()
         return piece
 
     def _take(self, count: int) -> bytes:

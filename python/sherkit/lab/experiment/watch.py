@@ -1,0 +1,251 @@
+"""While a run goes on: whether what the sensors say and what the joints say can both be true.
+
+The robot is not as drawn, and nobody knows yet how. So the drawing is taken with all errors and effects that its kind
+knows, each with its plausible size as a standard deviation (doubled): a linear Gaussian model, fitted anew as rows come
+(extended Kalman filter, with its rows linearised again from time to time; Bar-Shalom, Li and Kirubarajan, *Estimation
+with Applications to Tracking and Navigation*, ch. 10). It says for every row how far its readings may be from where the
+rows before put them. The first rows may be anywhere; a few rows later motions between poses are known far better than
+any place. What no such robot does, one of the instruments did.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...data import Measurements
+from ...data.columns import TIME
+from ...errors import SherkitError, SherkitWarning
+from ...model.chain import ChainModel
+from ...model.kinds import Robot, kind_of, model_of
+from ...types import Floats
+from .accused import Accused, Seen, accuse
+from .point import Point
+
+#: Plausible sizes are taken so many times larger: a robot may be worse than most.
+_WORSE = 2.0
+#: Covariates that every run has; effects that need others are left to the noise.
+_ALWAYS = frozenset({"direction", TIME})
+#: A row this many standard deviations away in all (norm of its whitened readings), or a few rows together.
+_ROW = 7.0
+_ROWS = 8.0
+_TOGETHER = 5
+#: A row further away than this is not fitted, and one of those concerned where the run pauses.
+_ODD = 4.0
+#: So many rows the assumed noise counts as, in its estimate.
+_NOISE_ROWS = 2.0
+#: All rows are linearised anew while they are so few, and whenever they have grown by this share.
+_FEW = 30
+_GROWTH = 0.1
+#: Steps of Gauss-Newton in which a model may bend to a row.
+_BENDS = 4
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Why a run pauses: the ``instrument`` that is to be looked at, ``why``, and the ``steps`` that may be wrong."""
+
+    instrument: str
+    why: str
+    steps: tuple[int, ...]
+
+
+class Watch:
+    """Takes rows in their order and says when one cannot be true.
+
+    ``owners`` name the instrument of each column, joints and coordinates; ``noise`` is the standard deviation of a
+    reading to begin with, in the unit of the coordinates. Columns that are not read are left out.
+    """
+
+    def __init__(self, robot: Robot, owners: Mapping[str, str], noise: float) -> None:
+        self.layout = kind_of(robot).layout
+        plain = model_of(robot)
+        base = {p.name for p in plain.base}
+        known = [e for e in plain.catalogue.values() if not base & {p.name for p in (*e.parameters, *e.qualified())}]
+        always = tuple(e for e in known if e.search is None and set(e.needs) <= _ALWAYS)
+        self.model = replace(plain, free=tuple(p.name for p in plain.base), effects=always)
+        self._steps = _stepping(plain, [e for e in known if e.search == TIME])
+        self._read = [k for k, name in enumerate(self.layout.coordinates) if name in owners]
+        self._owners = owners
+        self._prior = _WORSE * np.array([p.size for p in self.model.parameters])
+        self._assumed = self._noise = noise
+        self._values = np.zeros(len(self._prior))
+        self._covariance = np.diag(self._prior**2)
+        self._points: list[Point] = []
+        self._linearised = 0
+        self._recent: list[Seen] = []
+        self._first_s: float | None = None
+
+    def learn(self, points: Sequence[Point]) -> None:
+        """Takes in rows that are known to be right."""
+        self._points += points
+        for _ in range(_BENDS):
+            self._linearise()
+
+    def take(self, step: int, point: Point) -> Doubt | None:
+        """Judges the row, and takes it in where nothing speaks against it."""
+        if not self._read:
+            return None
+        seen = self._seen(step, point)
+        if seen is None:
+            motors = self._owners[self.layout.joints[0]]
+            return Doubt(motors, "its joints say a place where the robot cannot be", (step,))
+        self._recent = [*self._recent, seen][-_TOGETHER:]
+        together = np.sqrt(sum(s.distance**2 for s in self._recent))
+        if seen.distance > _ROW or together > _ROWS:
+            odd = [s for s in self._recent if s is seen or s.distance > _ODD]
+            found = accuse(odd, self._recent[: -len(odd)] if len(odd) < len(self._recent) else [], self.layout)
+            return self._doubt(found, odd)
+        if seen.distance <= _ODD:
+            self._include(point)
+            if len(self._points) <= max(_FEW, self._linearised * (1.0 + _GROWTH)):
+                if len(self._points) <= _FEW:
+                    self._linearise()
+            else:
+                self._linearise()
+        return None
+
+    def judge(self, point: Point) -> Doubt | None:
+        """The same for a robot that stands where no row is taken: nothing is taken in."""
+        if not self._read:
+            return None
+        seen = self._seen(-1, point)
+        if seen is None or seen.distance <= _ROW:
+            return None
+        return self._doubt(accuse([seen], [], self.layout), [seen])
+
+    # --- the parts of it
+
+    def _doubt(self, found: Accused, odd: Sequence[Seen]) -> Doubt:
+        steps = tuple(sorted(s.step for s in odd if s.step >= 0))
+        return Doubt(" or ".join(dict.fromkeys(self._owners[c] for c in found.columns)), found.why, steps)
+
+    def _row(self, points: Sequence[Point]) -> Measurements:
+        if self._first_s is None:
+            self._first_s = points[0].time_s
+        layout = self.layout
+        columns = {TIME: np.array([p.time_s - self._first_s for p in points])}
+        for name in layout.directions:
+            columns[name] = np.array([p.values.get(name, 1.0) for p in points])
+        joints = np.array([[p.values[name] for name in layout.joints] for p in points])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SherkitWarning)
+            return Measurements.planned(joints, layout, "the run so far", **columns)
+
+    def _readings(self, points: Sequence[Point]) -> Floats:
+        """The coordinates that are read (n, m); NaN where a cell is empty."""
+        names = [self.layout.coordinates[k] for k in self._read]
+        return np.array([[p.values.get(name, np.nan) for name in names] for p in points])
+
+    def _predicted(self, points: Sequence[Point], values: Floats) -> tuple[Floats, Floats]:
+        """Readings (n, m) and their derivatives (n, m, p) at these values."""
+        rows = self._row(points)
+        columns = self.model.derivatives(rows, values)[:, self._read]
+        return self.model.predict(rows, values)[:, self._read], columns
+
+    def _seen(self, step: int, point: Point) -> Seen | None:
+        """The row beside what the model makes of it; None where its joints cannot be."""
+        try:
+            predicted, by = (a[0] for a in self._predicted([point], self._values))
+            by_joints = self._by_joints(point)
+        except SherkitError:
+            return None
+        (read,) = self._readings([point])
+        spread = by @ self._covariance @ by.T + self._noise**2 * np.eye(len(read))
+        for model, sizes in self._steps:
+            more = model.derivatives(self._row([point]), np.zeros(len(model.parameters)))[0, self._read] * sizes
+            spread += more @ more.T
+        columns = [self.layout.coordinates[k] for k in self._read]
+        seen = Seen(step, columns, read, predicted, spread, by_joints)
+        if seen.distance <= _ODD:
+            return seen
+        return replace(seen, least=self._reconsidered(point))
+
+    def _reconsidered(self, point: Point) -> float:
+        """How far the row is from the others where the model may bend to it: the root of what the fit's sum of squares
+        grows by. Tells a robot far from its drawing, whose rows are no longer linear in its errors, from a fault."""
+        try:
+            with_it = self._least([*self._points, point])
+            without = self._least(self._points) if self._points else 0.0
+        except (SherkitError, np.linalg.LinAlgError):
+            return np.inf
+        return float(np.sqrt(max(with_it - without, 0.0)))
+
+    def _least(self, points: Sequence[Point]) -> float:
+        """The least sum of squares, of readings and plausible sizes, that a few steps of Gauss-Newton find."""
+        values, least = self._values, np.inf
+        for _ in range(_BENDS):
+            values, _, cost, _ = self._step(points, values)
+            least = min(least, cost)
+        return least
+
+    def _step(self, points: Sequence[Point], values: Floats) -> tuple[Floats, Floats, float, Floats]:
+        """A step of Gauss-Newton from ``values``: the next ones, their covariance, the sum of squares before the step,
+        and the derivatives of what is read (n, p)."""
+        readings = self._readings(points)
+        there = np.isfinite(readings)
+        predicted, by = self._predicted(points, values)
+        miss, columns = (readings - predicted)[there], by[there]
+        information = columns.T @ columns / self._noise**2 + np.diag(self._prior**-2.0)
+        covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        cost = float((miss @ miss) / self._noise**2 + ((values / self._prior) ** 2).sum())
+        pull = columns.T @ miss / self._noise**2 - values / self._prior**2
+        return values + covariance @ pull, covariance, cost, columns
+
+    def _by_joints(self, point: Point) -> Floats:
+        """Derivatives (m, k) of the readings by the joints."""
+        out = []
+        for name in self.layout.joints:
+            width = 1e-4
+            sides = [replace(point, values={**point.values, name: point.values[name] + s * width}) for s in (1.0, -1.0)]
+            high, low = self.model.predict(self._row(sides), self._values)[:, self._read]
+            out.append((high - low) / (2.0 * width))
+        return np.array(out).T
+
+    def _include(self, point: Point) -> None:
+        """One step of the filter."""
+        self._points.append(point)
+        try:
+            predicted, by = (a[0] for a in self._predicted([point], self._values))
+        except SherkitError:
+            return
+        miss = self._readings([point])[0] - predicted
+        there = np.isfinite(miss)
+        by, miss = by[there], miss[there]
+        spread = by @ self._covariance @ by.T + self._noise**2 * np.eye(len(miss))
+        gain = np.linalg.solve(spread, by @ self._covariance).T
+        self._values = self._values + gain @ miss
+        self._covariance = self._covariance - gain @ by @ self._covariance
+
+    def _linearise(self) -> None:
+        """Gauss-Newton over all rows about the present values, with the plausible sizes as a prior."""
+        if not self._points or not self._read:
+            return
+        try:
+            values, covariance, _, columns = self._step(self._points, self._values)
+            readings = self._readings(self._points)
+            left = (readings - self._predicted(self._points, values)[0])[np.isfinite(readings)]
+        except (SherkitError, np.linalg.LinAlgError):
+            return
+        fitted = float(np.trace(covariance @ columns.T @ columns)) / self._noise**2
+        assumed = _NOISE_ROWS * len(self._read)
+        free = max(len(left) - fitted, 0.0) + assumed
+        self._values, self._covariance = values, 0.5 * (covariance + covariance.T)
+        self._noise = float(np.sqrt((assumed * self._assumed**2 + left @ left) / free))
+        self._linearised = len(self._points)
+
+
+def _stepping(plain: ChainModel, effects: Sequence[object]) -> list[tuple[ChainModel, Floats]]:
+    """Each effect that begins at some moment, as a model in which it has begun, and its plausible sizes: where one may
+    begin at any row, every row may be that much elsewhere."""
+    out = []
+    for effect in effects:
+        made = plain.with_effect(effect, at=-1.0)  # type: ignore[arg-type]
+        own = made.owns(effect)  # type: ignore[arg-type]
+        sizes = np.zeros(len(made.parameters))
+        sizes[own] = [p.size for p in made.parameters[own]]
+        out.append((made, sizes))
+    return out
