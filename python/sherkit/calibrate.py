@@ -101,7 +101,7 @@ def calibrate(
 
     first = run(whole, "whole")
     second = run(local, "local") if local is not None else None
-    return Result(first, second, made.of(first, second))
+    return Result(first, second, made.from_runs(first, second))
 
 
 def to_json(result: Result) -> dict[str, Any]:

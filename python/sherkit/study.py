@@ -249,7 +249,7 @@ class Study(Shown):
         made.require(self.robot)
         held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss).residuals
         correction = made.correct(self.fit, seed=self.seed) if made.may_correct(self.fit) else None
-        return made.of(CalibrationRun(self.fit, held, correction, made.in_region(self.fit)))
+        return made.from_runs(CalibrationRun(self.fit, held, correction, made.in_region(self.fit)))
 
     def register(self, effect: Effect) -> None:
         """Makes a user's effect one that diagnosis tries and :meth:`add` knows by name; a newer one replaces it.

@@ -112,22 +112,34 @@ _NOISE = {
 
 
 def accuracy(calibration: Calibration) -> None:
-    """Predicted accuracy at the centre and at the rims, against what injection needs."""
+    """Predicted accuracy at the centre and at the rims, against what injection needs: what the poses show, what could
+    hide between them, and what to measure against that."""
     made = table(
         f"Predicted accuracy, 95 % (retinal injection needs {REQUIREMENT_UM:.0f} µm)",
         "at",
         *(name.rpartition("_")[0] + ", " + name.rpartition("_")[2] for name in calibration.coordinates),
-        "µm",
+        "within, µm",
+        "of it unseen",
+        "",
+        note="of it unseen: what effects of plausible size could do there that the poses of the run could not show.",
     )
+    narrowing: dict[str, str] = {}
     for name, place in calibration.places():
         cells = [f"{v:.4g}" for v in place]
         try:
-            radius = f"{1e3 * calibration.accuracy(place):.1f}"
-            note = "" if calibration.measured(place) else " (extrapolated: no pose was measured there)"
-            made.add_row(name, *cells, radius + note)
+            promise = calibration.promise(place)
+            note = "" if calibration.measured(place) else "extrapolated: no pose was measured there"
+            made.add_row(name, *cells, f"{1e3 * promise.total_mm:.1f}", f"{1e3 * promise.addition_mm:.1f}", note)
+            if promise.matters:
+                narrowing[promise.effect] = promise.advice
         except SherkitError as error:  # the rim may be beyond reach: say so in the table
-            made.add_row(name, *cells, str(error))
+            made.add_row(name, *cells, "", "", str(error))
     out.print(made)
+    for effect, advice in narrowing.items():
+        out.print(f"  unseen is mostly {effect}. {advice}")
+    untried = {name for part in calibration.parts_made for name in part.untried}
+    if untried:
+        out.print(f"  not counted, for want of a column in the run: {listed(sorted(untried), 20)}")
 
 
 def result(r: Result, *, demo: bool = False) -> None:

@@ -303,7 +303,9 @@ def _accuracy_lines(calibration: Calibration | None) -> list[tuple[str, str, str
     out = []
     for name, place in calibration.places():
         try:
-            text = f"{1e3 * calibration.accuracy(place):.1f} µm"
+            promise = calibration.promise(place)
+            text = f"{1e3 * promise.total_mm:.1f} µm, of it {1e3 * promise.addition_mm:.1f} unseen"
+            text += f": mostly {promise.effect}. {promise.advice}" if promise.matters else ""
             text += "" if calibration.measured(place) else " (extrapolated: no pose was measured there)"
         except SherkitError as error:
             text = str(error)

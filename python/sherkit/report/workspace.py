@@ -24,7 +24,8 @@ _PANEL = 240
 
 @dataclass(frozen=True, eq=False)
 class AccuracyMap:
-    """Predicted accuracy (95 %), µm, on planes: ``value_um`` (planes, ny, nx), NaN out of reach; ``measured`` likewise.
+    """Predicted accuracy (95 %), µm, on planes: ``value_um`` (planes, ny, nx), NaN out of reach, and ``unseen_um`` of
+    it, which the poses could not show; ``measured`` likewise.
 
     ``x`` (nx,) and ``y`` (ny,) are places in the units of ``labels``, ``titles`` those of the planes.
     """
@@ -34,6 +35,7 @@ class AccuracyMap:
     labels: tuple[str, str]
     titles: tuple[str, ...]
     value_um: Floats
+    unseen_um: Floats
     measured: NDArray[np.bool_]
     required_um: float
 
@@ -41,13 +43,15 @@ class AccuracyMap:
 def accuracy_of(calibration: Calibration, required_um: float) -> AccuracyMap:
     """The accuracy of a calibration over the workspace, or over what was measured."""
     planes = calibration.planes(_PER_SIDE)
-    value = np.full(len(planes.grid), np.nan)
-    value[planes.inside] = 1e3 * calibration.accuracy_batch(np.ascontiguousarray(planes.grid[planes.inside])).values
+    value, unseen = np.full((2, len(planes.grid)), np.nan)
+    promised = calibration.promises(np.ascontiguousarray(planes.grid[planes.inside]))
+    value[planes.inside], unseen[planes.inside] = 1e3 * promised.total_mm, 1e3 * promised.addition_mm
     measured = np.array([calibration.measured(point) for point in planes.grid])
     shape = (len(planes.titles), len(planes.y), len(planes.x))
     return AccuracyMap(
-        planes.x, planes.y, planes.labels, planes.titles, value.reshape(shape), measured.reshape(shape), required_um
-    )
+        planes.x, planes.y, planes.labels, planes.titles, value.reshape(shape), unseen.reshape(shape),
+        measured.reshape(shape), required_um,
+    )  # fmt: skip
 
 
 def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
@@ -77,14 +81,22 @@ def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
         )  # fmt: skip
         made.multi_line("xs", "ys", source=sources[f"outline_{k}"], line_color=REFUSED, line_width=3, line_cap="square")
         made.add_tools(
-            hover([cells], (state.labels[0], "$x{0.0}"), (state.labels[1], "$y{0.0}"), ("95 % within", "@um{0.0} µm"))
+            hover(
+                [cells],
+                (state.labels[0], "$x{0.0}"),
+                (state.labels[1], "$y{0.0}"),
+                ("95 % within", "@um{0.0} µm"),
+                ("of it unseen", "@unseen{0.0} µm"),
+            )
         )
         figures.append(made)
     colour_bar(figures[-1], mapper, "95 % within, µm")
     met = int((known <= state.required_um).sum())
+    hidden = state.unseen_um[np.isfinite(state.unseen_um)]
+    unseen = f" Of it up to {hidden.max():.1f} µm is what the poses could not show." if len(hidden) else ""
     note = (
         f"Radius around a commanded position within which 95 of 100 lie. Outlined: {state.required_um:g} µm or better "
-        f"({100 * met / max(len(known), 1):.0f} % of what can be reached). Hatched: no pose was measured there."
+        f"({100 * met / max(len(known), 1):.0f} % of what can be reached). Hatched: no pose was measured there.{unseen}"
     )
     return Picture("accuracy", stacked("accuracy", figures, columns=len(figures)), sources, _tables, note=note)
 
@@ -95,7 +107,9 @@ def _tables(state: AccuracyMap) -> Tables:
     for k in range(len(state.titles)):
         value = state.value_um[k]
         out[f"plane_{k}"] = {
-            "um": [value.astype(np.float32)], "x": [x0], "y": [y0], "dw": [dw], "dh": [dh],
+            "um": [value.astype(np.float32)],
+            "unseen": [state.unseen_um[k].astype(np.float32)],
+            "x": [x0], "y": [y0], "dw": [dw], "dh": [dh],
         }  # fmt: skip
         out[f"beyond_{k}"] = _runs(state.x, state.y, ~state.measured[k] & np.isfinite(value))
         out[f"outline_{k}"] = _outline(state.x, state.y, value <= state.required_um)

@@ -13,9 +13,14 @@ from ..model.batch import Batch
 from ..types import Bools, Floats
 from .deployed import Deployed
 from .part import Part
+from .promise import Hiding, Promise, Promises
+from .unshown import Unshown, at_rest, by_effect
+from .unshown_fit import Asked
 
 #: Accuracy that subretinal injection needs, µm (Xiao et al., ISMR 2022).
 REQUIREMENT_UM = 20.0
+#: Places at which a calibration is asked what it could not see.
+_ASKED = 80
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,26 +64,122 @@ class Accurate(Deployed):
         """How far one unit of the coordinates moves the tool, mm."""
         return 1.0
 
-    def accuracy(self, coordinates: ArrayLike) -> float:
+    def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:
+        """What coordinates miss (n, d, k), as :meth:`spread` counts them, where readings miss (n, m, k).
+
+        ``joints`` (n, j), and ``by_joints`` (n, m, j): readings by joints. By default coordinates are what is read.
+        """
+        del joints, by_joints
+        return missed[:, : len(self.coordinates)]
+
+    def accuracy(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> float:
         """Radius, mm, within which the robot is predicted to be of ``coordinates`` (k,) in 95 of 100 cases.
 
-        Parameter covariance carried to the place, plus the covariance of held-out residuals (noise and what the model
-        leaves). Where no pose was measured (:meth:`measured`) this is extrapolation and holds only as far as the model
-        does. The radius of a Gaussian by matching two moments of its squared length (Satterthwaite). Raises as
+        The whole of :meth:`promise`: what the poses of the run show, and what they could not have shown. Where no pose
+        was measured (:meth:`measured`) this is extrapolation and holds only as far as the model does. Raises as
         :meth:`inverse`.
         """
-        x = self._place(coordinates)
-        self.inverse(x)  # says why where it cannot be reached
-        return float(self.accuracy_batch(x[None, :]).require(self.called[0])[0])
+        return self.promise(coordinates, direction=direction).total_mm
 
-    def accuracy_batch(self, coordinates: ArrayLike) -> Batch:
+    def accuracy_batch(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> Batch:
         """:meth:`accuracy` at every one of ``coordinates`` (n, k): values (n,), mm; those out of reach are marked."""
+        made = self.promises(coordinates, direction=direction)
+        return Batch(made.total_mm, made.reached, made.why)
+
+    def promise(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> Promise:
+        """How far off the robot may be at ``coordinates`` (k,), and why. Arguments and errors as :meth:`inverse`."""
+        x = self._place(coordinates)
+        self.inverse(x, direction=direction)  # says why where it cannot be reached
+        return self.promises(x[None, :], direction=direction)[0]
+
+    def promises(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> Promises:
+        """:meth:`promise` at every one of ``coordinates`` (n, k), all reached in one ``direction`` (j,) if given.
+
+        The radius: parameter covariance carried to the place, plus the covariance of held-out residuals (noise and what
+        the model leaves), plus half of the lost motion that is in the model where no direction is given; that of a
+        Gaussian by matching two moments of its squared length (Satterthwaite). The addition: by how much that grows
+        with the covariance of what one effect of the catalogue at plausible size could do there and did not show at the
+        poses (:mod:`~sherkit.robots.unshown`): of all effects, the one that could do most.
+        """
         x = self._places(coordinates)
-        joints = self.inverse_batch(x)
-        out = np.full(len(x), np.nan)
-        rows = np.flatnonzero(joints.reached)
-        out[rows] = self.reach_mm * radius_95(self.spread(x[rows], np.ascontiguousarray(joints.values[rows])))
-        return Batch(out, joints.reached, joints.why)
+        values, reached = self.core.inverse_batch(x, self._now(None, direction))
+        inverse = Batch(values, reached)
+        rows = np.flatnonzero(inverse.reached)
+        joints = np.ascontiguousarray(inverse.values[rows])
+        radius, addition = np.full(len(x), np.nan), np.full(len(x), np.nan)
+        worst: list[Hiding | None] = [None] * len(x)
+        known = self.spread(x[rows], joints)
+        parts = [self.part_at(one) for one in x[rows]]
+        ruled = [(p, np.array([one is p for one in parts])) for p in {id(one): one for one in parts}.values()]
+        for part, here in ruled if direction is None else ():
+            known[here] += self._either_side(part, joints[here])
+        whole = known.copy()
+        for part, here in ruled:
+            found = self._beyond(part, x[rows[here]], joints[here])
+            if found:
+                chosen = [which for which, _ in found.values()]
+                spreads = np.array([spread for _, spread in found.values()])
+                most = np.trace(spreads, axis1=2, axis2=3).argmax(axis=0)
+                each = np.arange(len(most))
+                whole[here] += spreads[most, each]
+                for k, row in enumerate(rows[here]):
+                    one = chosen[most[k]][k]
+                    worst[row] = Hiding(one.called(part.model(self.robot)), one.places, one.left)
+        radius[rows] = self.reach_mm * radius_95(known)
+        addition[rows] = self.reach_mm * radius_95(whole) - radius[rows]
+        return Promises(radius, addition, tuple(worst), inverse.reached, inverse.why, self.coordinates)
+
+    def _either_side(self, part: Part, joints: Floats) -> Floats:
+        """Covariance (n, d, d) of not knowing from which side ``joints`` (n, j) are reached: of lost motion that is in
+        the model half the width, joint by joint."""
+        d, model = len(self.coordinates), part.model(self.robot)
+        out = np.zeros((len(joints), d, d))
+        for effect in model.effects:
+            if "direction" in effect.needs:
+                now = np.tile([*part.now[:2], *(1.0 for _ in part.now[2:])], (len(joints), 1))
+                own = model.owns(effect)
+                columns, by_joints, _ = at_rest(model, part.values, part.readings, joints, now)
+                off = self.carried(joints, by_joints, columns[:, :, own] * part.values[own])
+                out += off @ off.transpose(0, 2, 1)
+        return out
+
+    def _beyond(self, part: Part, x: Floats, joints: Floats) -> dict[str, tuple[list[Unshown], Floats]]:
+        """By effect what the poses could not show at each place: at which setting it is worst there, and its
+        covariance (n, d, d)."""
+        out: dict[str, tuple[list[Unshown], Floats]] = {}
+        model, functions = part.model(self.robot), part.functions(x)
+        for one in part.unshown:
+            effect = model.catalogue[one.effect]
+            # lost motion is asked for from both sides
+            sides = (1.0, -1.0) if "direction" in effect.needs else (0.0,)
+            spread = np.zeros((len(x), len(self.coordinates), len(self.coordinates)))
+            for side in sides:
+                now = np.tile([*part.now[:2], *(side for _ in part.now[2:])], (len(x), 1))
+                by_values, by, by_joints = by_effect(
+                    model, part.values, effect, one.setting, part.readings, joints, now
+                )
+                spread += one.beyond(self.carried(joints, by_joints, one.missed(by_values, by, functions))) / len(sides)
+            if one.effect not in out:
+                out[one.effect] = ([one] * len(x), spread)
+                continue
+            which, most = out[one.effect]
+            for k in np.flatnonzero(np.trace(spread - most, axis1=1, axis2=2) > 0):
+                which[k], most[k] = one, spread[k]
+        return out
+
+    def asked(self, part: Part) -> Asked:
+        """Where a part is asked how far off it could be: at random over the box that was measured, within reach."""
+        rng = np.random.default_rng(0)
+        x = rng.uniform(part.low, part.high, (_ASKED, len(part.low)))
+        inverse = self.inverse_batch(x)
+        within = inverse.reached.copy()
+        if self.robot.joint_limits is not None:
+            low, high = self.robot.joint_limits
+            within &= ((inverse.values >= low) & (inverse.values <= high)).all(axis=1)
+        x, joints = x[within], np.ascontiguousarray(inverse.values[within])
+        sides = rng.choice([-1.0, 1.0], joints.shape)
+        now = np.column_stack([np.tile(part.now[:2], (len(x), 1)), sides])
+        return Asked(x, joints, now, self.spread(x, joints), self.carried)
 
     def measured(self, coordinates: ArrayLike) -> bool:
         """Whether ``coordinates`` (k,) lie in the box in which poses were measured, give or take a tenth."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -22,6 +22,7 @@ from .accuracy import Accurate
 from .calibration_file import reading, tables_of, write
 from .calibration_run import CalibrationRun, Corrected
 from .part import Part
+from .unshown_search import Search
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,11 @@ class Calibration(Shown, Accurate):
     part: ClassVar[type[Part]] = Part
     parts: ClassVar[tuple[str, ...]] = ("whole",)
 
+    @property
+    def parts_made(self) -> tuple[Part, ...]:
+        """The parts that there are."""
+        return tuple(part for name in self.parts if (part := getattr(self, name)) is not None)
+
     def notes(self) -> Sequence[Note]:
         """What else there is to know about what is deployed."""
         return ()
@@ -60,6 +66,19 @@ class Calibration(Shown, Accurate):
     @abstractmethod
     def of(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> Self:
         """From a run over the workspace and, if given, one inside the region of interest."""
+
+    @classmethod
+    def from_runs(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> Self:
+        """:meth:`of` these runs, knowing what their poses could not show."""
+        made = cls.of(whole, local)
+        runs = dict(zip(cls.parts, (whole, local), strict=False))
+        parts = {}
+        for name, run in runs.items():
+            part = getattr(made, name)
+            if part is not None and run is not None:
+                search = Search(run, part, made.asked(part))
+                parts[name] = replace(part, unshown=search.found(), untried=search.untried)
+        return replace(made, **parts)
 
     @classmethod
     def require_region(cls, robot: Robot) -> None:

@@ -16,7 +16,8 @@ from ..data.toml import Table, read_toml
 from ..errors import CalibrationError, SherkitError
 from ..model.kinds import Robot
 
-FORMAT = 1
+#: 2: what the poses of a run could not show is written beside what they did; before, a promise left that out.
+FORMAT = 2
 
 
 def write(path: Path, settings: Mapping[str, Any], robot: Robot, parts: Mapping[str, dict[str, Any]]) -> None:
@@ -46,6 +47,11 @@ def tables_of(path: Path, kind: str | None = None) -> dict[str, Any]:
     """
     tables = read_toml(path, "calibration", CalibrationError)
     settings = tables.get("calibration")
+    if isinstance(settings, dict) and settings.get("format") in range(1, FORMAT):
+        raise CalibrationError(
+            f"{path}: was written by an earlier version ([calibration] format = {settings['format']}, expected "
+            f"{FORMAT}) and does not say what its poses could not show; calibrate again from the run"
+        )
     if not isinstance(settings, dict) or settings.get("format") != FORMAT:
         raise CalibrationError(
             f"{path}: is not a calibration of this version (expected [calibration] format = {FORMAT})"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -15,6 +15,7 @@ from ..model.effect import effects_by_name
 from ..model.kinds import Robot, catalogue_of, kind_of, model_of
 from ..names import listed
 from ..types import Floats
+from .unshown import Unshown
 
 #: So many plausible sizes are no identified error any more.
 _ABSURD = 1e4
@@ -31,7 +32,9 @@ class Part:
     each joint that stand for the covariates where the loop does not give its own: the end of the run, its mean
     temperature, the middle of the backlash. ``covariance`` (p, p) in the order of ``values``; ``residual_covariance``
     (k, k) of held-out readings about the model, noise included, in the unit of the coordinates. ``low`` and ``high``
-    (k,) are the corners of the box in which the run measured, as coordinates.
+    (k,) are the corners of the box in which the run measured, as coordinates. ``readings`` are the columns that
+    instruments showed; ``unshown`` is what the poses could not show, by effect, and ``untried`` are effects of which
+    nothing can be said: the run lacks a column that they need.
     """
 
     free: tuple[str, ...]
@@ -46,6 +49,9 @@ class Part:
     high: Floats
     made_from: str
     rows: int
+    readings: tuple[str, ...] = field(default=(), kw_only=True)
+    unshown: tuple[Unshown, ...] = field(default=(), kw_only=True)
+    untried: tuple[str, ...] = field(default=(), kw_only=True)
 
     @staticmethod
     def identified(fit: Fit) -> dict[str, Any]:
@@ -65,12 +71,22 @@ class Part:
             "values": fit.values[: len(model.indices)],
             "made_from": data.source,
             "rows": len(data),
+            "readings": data.layout.coordinates,
         }
 
     def model(self, robot: Robot) -> ChainModel:
         """The model that was identified."""
         chosen = effects_by_name(catalogue_of(robot), self.effects)
         return kind_of(robot).model(robot, self.free, chosen, **self.settings)
+
+    def functions(self, coordinates: Floats) -> Floats:
+        """Values (n, c) of the functions that a smooth correction is a sum of; it has none of them by default."""
+        return np.zeros((len(coordinates), 0))
+
+    @property
+    def corrects(self) -> bool:
+        """Whether there is a smooth correction."""
+        return self.functions(self.low[None, :]).shape[1] > 0
 
     def to_table(self, robot: Robot, coordinates: tuple[str, ...]) -> dict[str, Any]:
         """For TOML, without loss."""
@@ -92,6 +108,9 @@ class Part:
             **self._own_table(unit),
             f"low_{unit}": self.low.tolist(),
             f"high_{unit}": self.high.tolist(),
+            "readings": list(self.readings),
+            "untried": list(self.untried),
+            "unshown": [one.to_table() for one in self.unshown],
         }
 
     def _own_table(self, unit: str) -> dict[str, Any]:
@@ -131,6 +150,8 @@ class Part:
             high=high,
             made_from=table.words("made_from", empty=True),
             rows=table.whole("rows", least=0),
+            readings=table.texts("readings"),
+            untried=table.texts("untried"),
             **cls._own_fields(table, unit, size),
         )
         expected = [p.name for p in made.model(robot).parameters]
@@ -138,7 +159,12 @@ class Part:
             wrong = next((f for f, e in zip(names, expected, strict=False) if f != e), "a missing one")
             raise table.refuse(f"parameters: expected {listed(expected, 30)}; '{wrong}' does not belong there")
         made._check(table, robot, told)
-        return made
+        model = made.model(robot)
+        if made.readings not in [(), *(one.coordinates for one in model.layouts)]:
+            raise table.fail("readings", f"one of {listed(' '.join(one.coordinates) for one in model.layouts)}")
+        functions = made.functions(low[None, :]).shape[1]
+        unshown = (Unshown.from_table(one, model, functions, size) for one in table.tables("unshown"))
+        return replace(made, unshown=tuple(unshown))
 
     def _check(self, table: Table, robot: Robot, told: list[tuple[str, float]]) -> None:
         """Refuses numbers that no identification gave: in other units, or absurd beside what is plausible."""

@@ -69,13 +69,17 @@ class DeltaPart(Part):
         found = cast(DeltaCorrected | None, run.correction)
         return cls(
             **cls.identified(fit),
-            covariance=fit.covariance[:core, :core] * shrink,
+            covariance=(fit.covariance * shrink + fit.unobserved_covariance)[:core, :core],
             residual_covariance=left,
             low=where.min(axis=0),
             high=where.max(axis=0),
             uncorrected_covariance=before,
             correction=found.choice.correction if found is not None else None,
         )
+
+    def functions(self, coordinates: Floats) -> Floats:
+        """Those of the polynomial."""
+        return np.zeros((len(coordinates), 0)) if self.correction is None else self.correction.functions(coordinates)
 
     def _own_table(self, unit: str) -> dict[str, Any]:
         own: dict[str, Any] = {f"uncorrected_covariance_{unit}2": self.uncorrected_covariance.tolist()}

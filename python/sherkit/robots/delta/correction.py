@@ -8,7 +8,7 @@ protocol (one plane, a random 70/20/10 split) stands in ``paper.py``.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -74,6 +74,19 @@ class Correction:
     def __call__(self, positions_mm: Floats) -> Floats:
         """Correction (n, 3) at positions (n, 3), mm."""
         return self.core.evaluate(np.ascontiguousarray(positions_mm, dtype=float))[0]
+
+    def functions(self, positions_mm: Floats) -> Floats:
+        """What each of the k coefficients is multiplied with at positions (n, 3): (n, k)."""
+        positions = np.ascontiguousarray(positions_mm, dtype=float)
+        count = len(self.coefficients_mm)
+        out = np.empty((len(positions), count))
+        # the axes do not know each other, so that three coefficients are asked for at a time
+        for first in range(0, count, 3):
+            ones = np.zeros((count, 3))
+            here = min(3, count - first)
+            ones[np.arange(first, first + here), np.arange(here)] = 1.0
+            out[:, first : first + here] = replace(self, coefficients_mm=ones)(positions)[:, :here]
+        return out
 
     def derivative(self, positions_mm: Floats) -> Floats:
         """Derivative (n, 3, 3) of the correction by position."""

@@ -111,6 +111,12 @@ class SphericalCalibration(Calibration):
         across = np.stack([_across(by_values[:, :, k], angles) for k in range(by_values.shape[2])], axis=2)
         return across @ self.whole.covariance @ across.transpose(0, 2, 1) + self.whole.residual_covariance
 
+    def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:
+        """Through the joints to angles across the tool."""
+        angles, by_angles, _ = self._rows(joints)
+        turned = by_angles @ np.linalg.solve(by_joints, missed)
+        return np.stack([_across(turned[:, :, k], angles) for k in range(turned.shape[2])], axis=2)
+
     @property
     def reach_mm(self) -> float:
         """The identified radius: an angle across the tool moves its end by as much."""

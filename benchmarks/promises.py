@@ -1,0 +1,34 @@
+"""How often a promised accuracy holds: the table of docs/accuracy.md. Takes some minutes.
+
+python benchmarks/promises.py [robots per set-up] [words that the set-up's name holds]
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from promises import SET_UPS, kept
+
+
+def main(seeds: int = 8, words: str = "") -> None:
+    """Prints a row for each set-up."""
+    print("| set-up | radius, µm | addition, µm | miss (95 %), µm | held by the radius | held by both |")
+    print("| --- | ---: | ---: | ---: | ---: | ---: |")
+    for one in SET_UPS:
+        if words in one.name:
+            found = kept(one, range(seeds))
+            radius, addition = (1e3 * np.median(v) for v in (found.radius, found.addition))
+            off = 1e3 * np.quantile(found.off, 0.95)
+            print(
+                f"| {one.name} | {radius:.1f} | {addition:.1f} | {off:.1f} | {found.by_radius:.2f} | "
+                f"{found.whole:.2f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main(*(int(v) for v in sys.argv[1:2]), *sys.argv[2:3])

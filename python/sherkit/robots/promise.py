@@ -1,0 +1,105 @@
+"""What is promised of a place: the radius that the poses of the run show, and what they could not have shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import polars as pl
+
+from ..data.columns import bare, unit_in
+from ..types import Bools, Floats
+
+#: An addition of more than this part of the radius is worth a measurement.
+_MATTERS = 0.1
+
+
+@dataclass(frozen=True)
+class Promise:
+    """How far off a robot may be at a place, in 95 of 100 cases.
+
+    ``radius_mm`` holds for effects that the poses of the run can show; ``addition_mm`` is what effects of the catalogue
+    at plausible size could do there besides, unseen between the poses; ``effect`` is the one that does most of it and
+    ``advice`` the measurement that would narrow it, both empty where there is none.
+    """
+
+    radius_mm: float
+    addition_mm: float
+    effect: str = ""
+    advice: str = ""
+
+    @property
+    def total_mm(self) -> float:
+        """Both together: what is promised."""
+        return self.radius_mm + self.addition_mm
+
+    @property
+    def matters(self) -> bool:
+        """Whether the addition is worth a measurement: more than a tenth of the radius."""
+        return self.addition_mm > _MATTERS * self.radius_mm
+
+    def __str__(self) -> str:
+        within, shown = f"within {1e3 * self.total_mm:.1f} µm in 95 of 100 cases", f"{1e3 * self.radius_mm:.1f} µm"
+        if not self.effect:
+            return f"{within}; the poses leave no room for an effect between them"
+        text = f"{within}: {shown} by what the poses show, the rest by what they could not, mostly {self.effect}"
+        return f"{text}. {self.advice}" if self.matters else text
+
+
+@dataclass(frozen=True, eq=False)
+class Hiding:
+    """An effect that hides: its name with its period or moment, coordinates (r, d) at which readings would tell most of
+    it, and the part that they would leave."""
+
+    name: str
+    places: Floats
+    left: float
+
+
+@dataclass(frozen=True, eq=False)
+class Promises:
+    """:class:`Promise` of many places: ``radius_mm`` and ``addition_mm`` (n,), NaN where not ``reached`` (n,);
+    ``worst`` says what hides most at each."""
+
+    radius_mm: Floats
+    addition_mm: Floats
+    worst: tuple[Hiding | None, ...]
+    reached: Bools
+    why: tuple[str, ...]
+    coordinates: tuple[str, ...]
+
+    @property
+    def total_mm(self) -> Floats:
+        """Both together (n,): what is promised."""
+        return self.radius_mm + self.addition_mm
+
+    def __len__(self) -> int:
+        return len(self.radius_mm)
+
+    def __getitem__(self, row: int) -> Promise:
+        one = self.worst[row]
+        radius, addition = float(self.radius_mm[row]), float(self.addition_mm[row])
+        if one is None:
+            return Promise(radius, addition)
+        return Promise(radius, addition, one.name, self._advice(one))
+
+    def _advice(self, one: Hiding) -> str:
+        """Where to measure, and what it would bring."""
+        if not len(one.places):
+            return ""
+        names = ", ".join(bare(name) for name in self.coordinates)
+        unit = unit_in(self.coordinates[0])
+        at = "; ".join(", ".join(f"{v:.4g}" for v in place) for place in one.places)
+        return f"To narrow it, measure also at {names} = {at} {unit}: that would leave {100 * one.left:.0f} % of it."
+
+    def to_frame(self) -> pl.DataFrame:
+        """A polars frame: radius_mm, addition_mm, total_mm, effect, advice; what is out of reach is null."""
+        each = [self[k] for k in range(len(self))]
+        return pl.DataFrame(
+            {
+                "radius_mm": self.radius_mm,
+                "addition_mm": self.addition_mm,
+                "total_mm": self.total_mm,
+                "effect": [one.effect for one in each],
+                "advice": [one.advice for one in each],
+            }
+        ).with_columns(pl.col(pl.Float64).fill_nan(None))

@@ -1,0 +1,227 @@
+"""A fit and its correction as a linear function of the readings: what it takes of an effect, and what that leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..fit.identify import Fit
+from ..model.chain import ChainModel
+from ..model.effect import Effect
+from ..types import Floats, Ints
+from .part import Part
+from .unshown import Unshown, at_rest, by_effect, waves, with_effect
+
+#: Singular values below this part of the largest are directions that the poses do not observe; as in planning.
+_UNOBSERVED = 1e-7
+#: An effect alone explains the readings as well as a correction does, if it leaves at most this times its variance.
+_AS_WELL = 1.5
+
+#: What coordinates miss (n, d, k) where readings miss (n, m, k), from joints (n, j) and by_joints (n, m, j).
+Carry = Callable[[Floats, Floats, Floats], Floats]
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """Where a robot is asked how far off it could be: coordinates (q, d), joints (q, j), time, temperature and
+    directions (q, 2 + j), and the spread (q, d, d) that is known; ``carry`` turns readings into coordinates."""
+
+    coordinates: Floats
+    joints: Floats
+    now: Floats
+    spread: Floats
+    carry: Carry
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFit:
+    """A fit, the part that was made from it, where that is asked, and the rows (r,) of the run that count."""
+
+    fit: Fit
+    part: Part
+    asked: Asked
+    rows: Ints
+
+    @cached_property
+    def deployed(self) -> ChainModel:
+        """The model that is deployed."""
+        return self.part.model(self.fit.model.robot)
+
+    # -- derivatives ---------------------------------------------------------------------------------------
+
+    def columns(self, effect: Effect, setting: float | None) -> tuple[Floats, Floats]:
+        """Derivatives by an effect's parameters at the rows (r, m, k) and at the asked places (q, m, k)."""
+        if effect.is_periodic and setting is not None:
+            return self.wave(1.0 / setting)
+        fit, asked = self.fit, self.asked
+        model, values, own = with_effect(fit.model, fit.values, effect, setting)
+        at_rows = model.derivatives(fit.data, values)[self.rows][:, :, own]
+        readings = fit.data.layout.coordinates
+        there = by_effect(self.deployed, self.part.values, effect, setting, readings, asked.joints, asked.now)
+        return at_rows, there[1]
+
+    def wave(self, frequency: float) -> tuple[Floats, Floats]:
+        """The same of sine and cosine of each joint; of a distance as its first end alone has it."""
+        here = waves(self._by_joints, self.joints, 1.0 / frequency)
+        return here, waves(self._there[1], self.asked.joints, 1.0 / frequency)
+
+    @cached_property
+    def joints(self) -> Floats:
+        """Joints (r, j) of the rows."""
+        return np.ascontiguousarray(self.fit.data.joints[self.rows])
+
+    @cached_property
+    def _by_joints(self) -> Floats:
+        inputs = self.fit.model.linearised(self.fit.data, self.fit.values, ()).inputs
+        assert inputs is not None, "a chain has derivatives by its joints"
+        return np.ascontiguousarray(inputs[self.rows])
+
+    @cached_property
+    def _there(self) -> tuple[Floats, Floats]:
+        """At the asked places: by the deployed values (q, m, p), by the joints (q, m, j)."""
+        readings, asked = self.fit.data.layout.coordinates, self.asked
+        return at_rest(self.deployed, self.part.values, readings, asked.joints, asked.now)[:2]
+
+    @cached_property
+    def _by_values(self) -> Floats:
+        return np.asarray(self.fit.model.derivatives(self.fit.data, self.fit.values)[self.rows])
+
+    # -- what the identified values take -------------------------------------------------------------------
+
+    @cached_property
+    def _weights(self) -> Floats:
+        return np.where(self.fit.data.used, 1.0 / self.fit.noise.sigma, 0.0)[self.rows]
+
+    @cached_property
+    def _moved(self) -> tuple[Floats, Floats]:
+        """An orthonormal basis (N, s) of what the identified values move, and their change (p, s) along it."""
+        size = np.array([p.size for p in self.fit.parameters])
+        whole = (self._by_values * self._weights[:, :, None] * size).reshape(-1, len(size))
+        left, singular, right = np.linalg.svd(whole, full_matrices=False)
+        use = singular > _UNOBSERVED * singular[0]
+        return left[:, use], size[:, None] * (right[use].T / singular[use])
+
+    @cached_property
+    def _residual(self) -> Floats:
+        """What the fit leaves (N,), over the noise, before any correction."""
+        r = (np.where(self.fit.data.used, np.nan_to_num(self.fit.residuals), 0.0)[self.rows] * self._weights).ravel()
+        basis = self._moved[0]
+        return r - basis @ (basis.T @ r)
+
+    @cached_property
+    def _cells(self) -> Ints:
+        """A number (r, m) for each reading, equal for the same reading of repeats of a pose."""
+        m = self._weights.shape[1]
+        return self.fit.data.groups[self.rows][:, None] * m + np.arange(m)
+
+    # -- what a correction takes ---------------------------------------------------------------------------
+
+    @cached_property
+    def _full(self) -> Ints:
+        """Rows whose coordinates were all read: those that a correction is fitted to."""
+        return np.flatnonzero((self._weights[:, : self.fit.data.coordinates] > 0).all(axis=1))
+
+    @cached_property
+    def _functions(self) -> tuple[Floats, Floats, Floats]:
+        """A correction's functions at full rows (f, c), an orthonormal basis (f, c) of them, and what gives the
+        coefficients from the parts along it (c, c)."""
+        d = self.asked.coordinates.shape[1]
+        at = self.part.functions(np.ascontiguousarray(self.fit.predicted[self.rows[self._full], :d]))
+        if not at.shape[1]:
+            return at, at, np.zeros((0, 0))
+        basis, upper = np.linalg.qr(at)
+        return at, basis, np.linalg.pinv(upper)
+
+    @cached_property
+    def _functions_there(self) -> Floats:
+        return self.part.functions(self.asked.coordinates)
+
+    @cached_property
+    def _corrected(self) -> tuple[Floats, float] | None:
+        """What a correction leaves (f d,), over the noise, and its variance; None without one."""
+        basis, d = self._functions[1], self.asked.coordinates.shape[1]
+        if not basis.shape[1]:
+            return None
+        weights = self._weights[self._full, :d]
+        r = self._residual.reshape(self._weights.shape)[self._full, :d] / weights
+        r = ((r - basis @ (basis.T @ r)) * weights).ravel()
+        free = len(r) - self._moved[0].shape[1] - d * basis.shape[1]
+        return (r, float(r @ r) / free) if free > 0 else None
+
+    # -- one effect ----------------------------------------------------------------------------------------
+
+    def assess(self, effect: Effect, setting: float | None, rows: Floats, places: Floats) -> tuple[Unshown, Floats]:
+        """What the poses leave open of an effect with these columns, without advice; and what coordinates miss at the
+        asked places (q, d, k)."""
+        k, d = rows.shape[2], self.asked.coordinates.shape[1]
+        basis, change = self._moved
+        whole = (rows * self._weights[:, :, None]).reshape(-1, k)
+        take = basis.T @ whole
+        absorbed = change @ take
+        size = np.array([p.size for p in effect.parameters])
+        left = (rows[self._full] - self._by_values[self._full] @ absorbed)[:, : self.fit.data.coordinates]
+        corrected = np.zeros((0, d, k))
+        kept = whole - basis @ take
+        moment, noise = self._known(kept, self._residual, self._cells.ravel(), basis.shape[1], size)
+        if self._functions[1].shape[1]:
+            functions = self._functions[1]
+            flat = left.reshape(len(left), -1)
+            along = functions.T @ flat
+            corrected = (self._functions[2] @ along).reshape(-1, d, k)
+            left = (flat - functions @ along).reshape(left.shape)
+            if self._corrected is not None and noise > _AS_WELL * self._corrected[1]:
+                # it cannot stand for what the correction took: it could only be there besides
+                kept = (left * self._weights[self._full, :d, None]).reshape(-1, k)
+                cells, used = self._cells[self._full, :d].ravel(), basis.shape[1] + functions.shape[1] * d
+                moment, _ = self._known(kept, self._corrected[0], cells, used, size)
+        by_joints = self._by_joints[self._full][:, : left.shape[1]]
+        shown = self.asked.carry(self.joints[self._full], by_joints, left)
+        seen = np.tensordot(shown @ moment, shown, ([0, 2], [0, 2])) / max(len(shown), 1)
+        made = Unshown(
+            effect.name, setting, absorbed[: len(self.part.values)], corrected, moment, seen, np.zeros((0, d)), 1.0
+        )
+        missed = made.missed(self._there[0], places, self._functions_there)
+        return made, self.asked.carry(self.asked.joints, self._there[1], missed)
+
+    def least_seen(self, rows: Floats) -> float:
+        """Of columns (r, m, k) in like units, how much the poses show of the combination of which they show least."""
+        whole = (rows * self._weights[:, :, None]).reshape(-1, rows.shape[2])
+        take = self._moved[0].T @ whole
+        return float(np.sqrt(np.linalg.eigvalsh(whole.T @ whole - take.T @ take)[0].clip(0.0)))
+
+    def taken(self, rows: Floats) -> float:
+        """How much columns (r, m, k) take of the squares that the fit leaves."""
+        kept = (rows * self._weights[:, :, None]).reshape(-1, rows.shape[2])
+        kept = kept - self._moved[0] @ (self._moved[0].T @ kept)
+        along = kept.T @ self._residual
+        return float(along @ np.linalg.pinv(kept.T @ kept, hermitian=True) @ along)
+
+    def _known(self, kept: Floats, residual: Floats, cells: Ints, used: int, size: Floats) -> tuple[Floats, float]:
+        """Second moment (k, k) of an effect's parameters of plausible ``size`` (k,), and the variance that it leaves.
+
+        ``kept`` (N, k) are its columns without what is taken of them, ``residual`` (N,) likewise, ``used`` directions
+        are taken. Errors that all repeats of a pose share count once for the pose.
+        """
+        prior, scaled = np.diag(size**2), kept * size
+        normal, along = scaled.T @ scaled, scaled.T @ residual
+        rest = residual - scaled @ (np.linalg.pinv(normal, hermitian=True) @ along)
+        squares = float(rest @ rest)
+        free = int(np.count_nonzero(residual)) - used - len(size)
+        if free <= 0 or squares <= 0.0:
+            return prior, np.inf
+        shared = max(float((np.bincount(cells, rest) ** 2).sum()) / squares, 1.0)
+        noise = squares / free
+        covariance = np.linalg.inv(np.eye(len(size)) + normal / (noise * shared))
+        mean = covariance @ along / (noise * shared)
+        return (covariance + np.outer(mean, mean)) * np.outer(size, size), noise
+
+
+def rows_of(fit: Fit, *, one_each: bool) -> Ints:
+    """Rows of which anything is used; of each pose only the first where asked for."""
+    rows = np.flatnonzero(fit.data.used.any(axis=1))
+    if one_each:
+        rows = rows[~fit.data.is_distance[rows]]
+    return np.sort(rows[np.unique(fit.data.groups[rows], return_index=True)[1]]) if one_each else rows
