@@ -138,11 +138,23 @@ def test_the_contact_is_in_balance() -> None:
 def test_a_run_is_lossless(tmp_path: Path) -> None:
     """Catches rows of the robot and of the camera that are mixed up, and wavelengths that are filled in."""
     run = VirtualTool(TOOL, lost=0.1).run("phantom", seconds=3.0)
+    run = replace(run, fibre_time_s=run.time_s - 0.01)
     for name in ("run.csv", "run.parquet"):
         run.save(tmp_path / name)
         again = read_tool_run(tmp_path / name)
-        for field in ("time_s", "position_mm", "turn_rad", "wavelengths_nm", "camera_time_s", "camera_mm", "depth_mm"):
+        for field in ("time_s", "position_mm", "turn_rad", "wavelengths_nm", "camera_time_s", "camera_mm", "depth_mm",
+                      "fibre_time_s"):  # fmt: skip
             np.testing.assert_array_equal(getattr(again, field), getattr(run, field))
+
+
+def test_a_reading_that_stands_in_two_rows_is_one() -> None:
+    """Catches a slow interrogator's last value taken for a new one, and a stamp that a file loses or lacks."""
+    run = VirtualTool(TOOL).run("phantom", seconds=2.0)
+    held = replace(run, fibre_time_s=np.floor(run.time_s * 50.0) / 50.0 - 0.1)
+    assert held.present.sum() == pytest.approx(len(run) / 4, abs=2)
+    unsaid = frame().with_columns(fbg_time_s=pl.Series([0.0, None, *[0.1] * 4]))
+    with pytest.raises(MeasurementError, match="row 2, column 'fbg_time_s': expected when its wavelengths were taken"):
+        tool_run_of(unsaid)
 
 
 def frame(rows: int = 6) -> pl.DataFrame:
