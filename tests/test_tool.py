@@ -16,9 +16,11 @@ import tomli_w
 from click.testing import CliRunner
 from hypothesis import given, settings
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
+from second_tool import CONDITIONS
 from sherkit.cli.main import cli
 from sherkit.errors import FitError, MeasurementError, RobotError, ShapeError
 from sherkit.robots.tool.alignment import align, at_times
@@ -27,11 +29,13 @@ from sherkit.robots.tool.columns import FIBRES
 from sherkit.robots.tool.effects import TOOL_CATALOGUE
 from sherkit.robots.tool.filters import Estimate, consistency, estimate, status_in_words
 from sherkit.robots.tool.judge import judge
+from sherkit.robots.tool.known import knowledge, known
 from sherkit.robots.tool.model import ToolModel
 from sherkit.robots.tool.registration import register
 from sherkit.robots.tool.runs import ToolRun, read_tool_run, tool_run_of
 from sherkit.robots.tool.tool import NOISES, FlexibleTool, load_tool, rotation_of
 from sherkit.robots.tool.virtual import EXPERIMENTS, VirtualTool
+from tool_honesty import honest, run_of, tool_of
 
 Floats = NDArray[np.float64]
 
@@ -138,11 +142,23 @@ def test_the_contact_is_in_balance() -> None:
 def test_a_run_is_lossless(tmp_path: Path) -> None:
     """Catches rows of the robot and of the camera that are mixed up, and wavelengths that are filled in."""
     run = VirtualTool(TOOL, lost=0.1).run("phantom", seconds=3.0)
+    run = replace(run, fibre_time_s=run.time_s - 0.01)
     for name in ("run.csv", "run.parquet"):
         run.save(tmp_path / name)
         again = read_tool_run(tmp_path / name)
-        for field in ("time_s", "position_mm", "turn_rad", "wavelengths_nm", "camera_time_s", "camera_mm", "depth_mm"):
+        for field in ("time_s", "position_mm", "turn_rad", "wavelengths_nm", "camera_time_s", "camera_mm", "depth_mm",
+                      "fibre_time_s"):  # fmt: skip
             np.testing.assert_array_equal(getattr(again, field), getattr(run, field))
+
+
+def test_a_reading_that_stands_in_two_rows_is_one() -> None:
+    """Catches a slow interrogator's last value taken for a new one, and a stamp that a file loses or lacks."""
+    run = VirtualTool(TOOL).run("phantom", seconds=2.0)
+    held = replace(run, fibre_time_s=np.floor(run.time_s * 50.0) / 50.0 - 0.1)
+    assert held.present.sum() == pytest.approx(len(run) / 4, abs=2)
+    unsaid = frame().with_columns(fbg_time_s=pl.Series([0.0, None, *[0.1] * 4]))
+    with pytest.raises(MeasurementError, match="row 2, column 'fbg_time_s': expected when its wavelengths were taken"):
+        tool_run_of(unsaid)
 
 
 def frame(rows: int = 6) -> pl.DataFrame:
@@ -225,8 +241,8 @@ def test_nis_tells_right_noise_from_wrong(estimates: dict[tuple[str, str], list[
     The noise of the gratings and the random walk of the hole are known here, so the ratio is 1; seeds 0 and 1.
     """
     for name in ("phantom", "vessels"):
-        for known, wrong in zip(estimates[name, "propagated"], estimates[name, "ebrahimi_2020"], strict=True):
-            assert known.depth.consistency.verdict == "consistent", known.depth.consistency
+        for right, wrong in zip(estimates[name, "propagated"], estimates[name, "ebrahimi_2020"], strict=True):
+            assert right.depth.consistency.verdict == "consistent", right.depth.consistency
             assert wrong.depth.consistency.verdict == "overconfident"
     # a contact that jumps along the shaft is no random walk, and the filter says so
     assert estimates["bends", "propagated"][0].depth.consistency.verdict == "overconfident"
@@ -302,6 +318,52 @@ def test_the_band_of_the_mean_nis() -> None:
     assert consistency(600.0, 300).verdict == "overconfident"
     assert consistency(150.0, 300).verdict == "too careful"
     assert consistency(0.0, 0).verdict == "unknown"
+
+
+def draws(rng: np.random.Generator, memory: float, k: int) -> Floats:
+    """Errors (12000, k) of variance 1 that remember the one before."""
+    own = np.sqrt(1 - memory**2) * rng.standard_normal((13_000, k))
+    return np.asarray(lfilter([1.0], [1.0, -memory], own, axis=0)[1000:])
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.99])
+def test_knowledge_tells_true_deviations_from_wrong(memory: float) -> None:
+    """Catches a band for errors that are taken as independent, and deviations 1.5 times off that nobody sees: 40 draws.
+
+    At 99 % three of 40 wrongly accused would come by chance once in 130.
+    """
+    rng = np.random.default_rng(8)
+    for stated, says in ((1.0, "consistent"), (1.5, "too careful"), (1 / 1.5, "overconfident")):
+        spread = np.broadcast_to(stated**2 * np.eye(3), (12_000, 3, 3))
+        told = [knowledge(draws(rng, memory, 3), spread).verdict for _ in range(40)]
+        assert told.count(says) >= 38, (stated, told)
+
+
+@pytest.mark.parametrize("bias", [0.3, 1.0, 1.6, 2.5, 10.0])
+def test_a_bias_is_never_too_careful(bias: float) -> None:
+    """Catches the verdict that innovations gave: *too careful* where 95 % intervals cover 70 %, or less."""
+    rng = np.random.default_rng(4)
+    off = 0.2 * rng.standard_normal((4000, 1)) + bias
+    told = knowledge(off, np.ones((4000, 1, 1)))
+    assert told.coverage < 0.95 or told.verdict in ("consistent", "too careful")
+    assert told.coverage >= 0.95 or told.verdict != "too careful"
+    if bias > 4:
+        assert told.verdict == "overconfident"
+        assert told.largest > 9.0
+    assert knowledge(off[:10], np.ones((10, 1, 1))).verdict == "unknown"
+
+
+def test_what_innovations_cannot_see_is_said() -> None:
+    """Catches a table without the truth: gains 0.3 % off, on the second simulator; the innovations look well."""
+    world = replace(CONDITIONS["gains"], gain_error=0.006)
+    recorded = world.run("phantom", seconds=40.0, seed=1)
+    e = estimate(tool_of(world, 1), run_of(recorded))
+    told = {(k.quantity, k.signal, k.condition): k for k in known(e)}
+    depth = told["depth", "filter", "whole run"]
+    assert depth.verdict == "overconfident"
+    # the same by the simulator's own measure, without the first second
+    assert depth.coverage == pytest.approx(honest(e, recorded)["depth"].coverage, abs=0.03)
+    assert told["tip", "filter", "whole run"].of_truth > 0.8
 
 
 # -- known loads ---------------------------------------------------------------------------------------------------
@@ -556,6 +618,7 @@ def test_story_from_the_command_line(tmp_path: Path) -> None:
     made = sherkit("estimate", tmp_path / "registered.toml", tmp_path / "run.csv", *files)
     assert made.exit_code == 0, made.output
     assert "Error of the depth" in made.output
+    assert "95 % cover" in made.output
     assert "NIS / expected" in made.output
     out = pl.read_csv(tmp_path / "out.csv")
     assert len(out) == 6001

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +19,7 @@ from ..robots.tool.calibration import read_loads
 from ..robots.tool.filters import Estimate, Track, status_in_words
 from ..robots.tool.filters import estimate as run_filters
 from ..robots.tool.judge import Judgement, judge
+from ..robots.tool.known import Knowledge, known
 from ..robots.tool.runs import read_tool_run, summary
 from ..robots.tool.tool import KIND, NOISES, load_tool
 from . import output, reporting
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 #: The force below which the paper trusts no depth, drawn for orientation.
 _THRESHOLD_MN = 50.0
+#: Beyond this share of the variance a truth says more about the camera than about the tip.
+_COARSE = 0.8
 
 
 def is_tool(path: Path) -> bool:
@@ -59,7 +62,7 @@ def estimate(
         made = made.with_noise(noise)
     recorded = read_tool_run(run)
     result = run_filters(made, recorded)
-    judged = judge(result)
+    judged, truths = judge(result), known(result)
     if destination is not None:
         write_table(_frame(result), destination)
     if picture is not None:
@@ -68,7 +71,7 @@ def estimate(
 
         save_picture(estimate_picture(drawn(result)), picture)
     if as_json:
-        output.print_json(_json(result, judged))
+        output.print_json(_json(result, judged, truths))
         return
     sizes = summary(recorded)
     output.say(
@@ -79,7 +82,7 @@ def estimate(
         _print_errors(j)
     if not judged:
         output.say("neither depth_mm nor a camera is in this run: nothing to judge by")
-    _print_consistency(result)
+    _print_consistency(result, truths)
     if destination is not None:
         output.say(f"estimates written to {destination}")
     if picture is not None:
@@ -98,23 +101,52 @@ def _print_errors(j: Judgement) -> None:
     output.out.print(table)
 
 
-def _print_consistency(e: Estimate) -> None:
-    table = output.table("Does the filter know its own errors?", "", "NIS / expected", "99 % band", "verdict")
+def _print_consistency(e: Estimate, truths: list[Knowledge]) -> None:
+    if truths:
+        coarse = any(k.of_truth > _COARSE for k in truths)
+        table = output.table(
+            "Does the filter know its own errors?", "", "rows", "95 % cover", "NEES", "99 % band", "largest / σ",
+            "verdict",
+            note="NEES per degree of freedom is 1 where deviations are true"
+            + (f"; more than {100 * _COARSE:.0f} % of the tip's is the camera's own std_mm" if coarse else ""),
+        )  # fmt: skip
+        for k in truths:
+            if k.signal == "filter" or k.condition == "whole run":
+                name = f"{k.quantity}, {k.signal}, {k.condition}"
+                cells = (f"{k.coverage:.3f}", f"{k.nees:.2f}", f"{k.low:.2f} to {k.high:.2f}", f"{k.largest:.1f}")
+                table.add_row(name, str(k.rows), *cells, _of_truth(k))
+        output.out.print(table)
+    table = output.table(
+        "Innovations: are measurements as far from predictions as stated?", "", "NIS / expected", "99 % band",
+        "verdict",
+        note="a bias moves both and does not show here",
+    )  # fmt: skip
     for name, track in _tracks(e).items():
         c = track.consistency
         band = f"{c.low:.3f} to {c.high:.3f}" if np.isfinite(c.ratio) else "–"
-        table.add_row(name, f"{c.ratio:.3f}" if np.isfinite(c.ratio) else "–", band, c.verdict)
+        table.add_row(name, f"{c.ratio:.3f}" if np.isfinite(c.ratio) else "–", band, _of_innovations(track))
     output.out.print(table)
     told = {name: n for name, n in status_in_words(e.depth).items() if n and name != "updated"}
     if told:
         output.say("depth was only predicted on rows " + ", ".join(f"{name}: {n}" for name, n in told.items()))
 
 
+def _of_truth(k: Knowledge) -> str:
+    """The verdict; where the truth is the coarser of both, an error beyond what is stated may as well be its own."""
+    return "overconfident, or the camera" if k.verdict == "overconfident" and k.of_truth > _COARSE else k.verdict
+
+
+def _of_innovations(track: Track) -> str:
+    """What innovations may say: they never know that a filter is too careful, since they see no bias."""
+    verdict = track.consistency.verdict
+    return "smaller than stated" if verdict == "too careful" else verdict
+
+
 def _tracks(e: Estimate) -> dict[str, Track]:
     return {"depth": e.depth, "tip": e.tip, "both together": e.together}
 
 
-def _json(e: Estimate, judged: list[Judgement]) -> dict[str, object]:
+def _json(e: Estimate, judged: list[Judgement], truths: list[Knowledge]) -> dict[str, object]:
     def number(v: float) -> float | None:
         return float(v) if np.isfinite(v) else None
 
@@ -134,10 +166,11 @@ def _json(e: Estimate, judged: list[Judgement]) -> dict[str, object]:
         "consistency": {
             name: {
                 "ratio": number(t.consistency.ratio), "low": number(t.consistency.low),
-                "high": number(t.consistency.high), "verdict": t.consistency.verdict,
+                "high": number(t.consistency.high), "verdict": _of_innovations(t),
             }
             for name, t in _tracks(e).items()
         },
+        "knowledge": [{**asdict(k), "verdict": k.verdict} for k in truths],
         "status": status_in_words(e.depth),
     }  # fmt: skip
 

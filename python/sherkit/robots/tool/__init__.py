@@ -5,6 +5,7 @@ from .calibration import Loads, ToolCalibration, calibrate_tool, read_loads
 from .effects import TOOL_CATALOGUE
 from .filters import Estimate, estimate
 from .judge import judge
+from .known import known
 from .model import ToolModel
 from .registration import Registration, register
 from .runs import ToolRun, read_tool_run, tool_run_of
@@ -25,6 +26,7 @@ __all__ = [
     "calibrate_tool",
     "estimate",
     "judge",
+    "known",
     "load_tool",
     "read_loads",
     "read_tool_run",

@@ -16,7 +16,7 @@ from ...data.tables import read_table, write_table
 from ...errors import MeasurementError
 from ...names import closest, listed
 from ...types import Bools, Floats
-from .columns import CAMERA, DEPTH, FIBRES, KNOWN, POSITION, TURN
+from .columns import CAMERA, DEPTH, FIBRE_TIME, FIBRES, KNOWN, POSITION, TURN
 from .tool import rotation_of
 
 _LEAST = 3
@@ -28,7 +28,8 @@ class ToolRun:
     rotation vector, tool to base; z along the shaft to the tip), ``wavelengths_nm`` (n, 9; NaN where none came).
 
     Rows of the camera, in its own frame and by its own clock: ``camera_time_s`` (m,), ``camera_mm`` (m, 3).
-    ``depth_mm`` (n,) is the insertion depth from elsewhere, to judge by, NaN or None where unknown.
+    ``depth_mm`` (n,) is the insertion depth from elsewhere, to judge by, NaN or None where unknown. ``fibre_time_s``
+    (n,) is when the interrogator took the row's wavelengths, by the robot's clock; None where it does not say.
     """
 
     time_s: Floats
@@ -39,6 +40,7 @@ class ToolRun:
     camera_mm: Floats
     depth_mm: Floats | None = None
     source: str = "run"
+    fibre_time_s: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -66,9 +68,20 @@ class ToolRun:
         return np.asarray(np.einsum("ni,ni->n", self.velocities_mm_s, self.rotations[:, :, 2]))
 
     @cached_property
+    def fibre_times_s(self) -> Floats:
+        """When the wavelengths of each row (n,) were taken: as stamped, or the row's own time."""
+        if self.fibre_time_s is None:
+            return self.time_s
+        return np.where(np.isfinite(self.fibre_time_s), self.fibre_time_s, self.time_s)
+
+    @cached_property
     def present(self) -> Bools:
-        """Rows (n,) with nine finite wavelengths."""
-        return np.asarray(np.isfinite(self.wavelengths_nm).all(axis=1))
+        """Rows (n,) with all wavelengths of sections I and II, and no reading that an earlier row has already."""
+        whole = np.isfinite(self.wavelengths_nm[:, :6]).all(axis=1)
+        if self.fibre_time_s is None:
+            return np.asarray(whole)
+        before = np.maximum.accumulate(np.where(whole, self.fibre_times_s, -np.inf))
+        return np.asarray(whole & (self.fibre_times_s > np.concatenate([[-np.inf], before[:-1]])))
 
     def without_fibres(self, rows: Bools) -> ToolRun:
         """The same run with these wavelengths lost."""
@@ -84,6 +97,7 @@ class ToolRun:
                 **dict(zip(POSITION, self.position_mm.T, strict=True)),
                 **dict(zip(TURN, self.turn_rad.T, strict=True)),
                 **dict(zip(FIBRES, self.wavelengths_nm.T, strict=True)),
+                **({} if self.fibre_time_s is None else {FIBRE_TIME: self.fibre_time_s}),
                 **({} if self.depth_mm is None else {DEPTH: self.depth_mm}),
             }
         )
@@ -150,6 +164,10 @@ def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
         if len(back):
             row = int(np.flatnonzero(rows)[back[0] + 1])
             raise MeasurementError(f"{source}: row {row + 1}: the time of {who} does not grow")
+    stamps = columns.get(FIBRE_TIME)
+    if stamps is not None:
+        lacking = robot & np.isfinite(waves).any(axis=1) & ~np.isfinite(stamps)
+        _refuse(lacking, f"{source}: row {{}}, column '{FIBRE_TIME}': expected when its wavelengths were taken, s")
     depth = columns.get(DEPTH)
     return ToolRun(
         time_s=time[robot],
@@ -160,6 +178,7 @@ def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
         camera_mm=camera_all[camera],
         depth_mm=None if depth is None or not np.isfinite(depth[robot]).any() else depth[robot],
         source=source,
+        fibre_time_s=None if stamps is None else stamps[robot],
     )
 
 

@@ -1,0 +1,148 @@
+"""Does a filter know its own errors? Its deviations against a truth: coverage, NEES, and what that means.
+
+Normalised innovations cannot see a bias: gains, references or a clock that are a little off move measurement and
+estimate together. Where the truth is known, errors themselves are judged. Errors of neighbouring rows are alike, so the
+band of the mean NEES is that of as many independent ones as their correlation leaves (sum of squared autocorrelations,
+about zero, not about their mean: a bias that lasts is one error). Sources: Bar-Shalom, Li, Kirubarajan 2001, 5.4
+(NEES); Bartlett 1946 (correlated errors).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from ...types import Bools, Floats
+from .alignment import at_times
+from .filters import NIS_LEVEL, Estimate
+
+#: What intervals are stated to cover.
+STATED = 0.95
+#: A coverage of less is not called consistent, however few the independent errors are.
+_LEAST_COVERAGE = 0.90
+_LEAST_ROWS = 20
+#: A deviation of less is no claim that anybody checks, mm.
+_FINEST_MM = 1e-3
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """How true the stated deviations of one estimate are, on ``rows`` of a run under a condition.
+
+    ``coverage`` of what is stated to be 95 %; ``nees`` per degree of freedom, 1 where honest, with the 99 % band of as
+    many independent errors as there are; ``largest`` error of a coordinate in its deviations. ``of_truth`` is the share
+    of the variance that is the truth's own (the camera's noise).
+    """
+
+    quantity: str
+    signal: str
+    truth: str
+    condition: str
+    rows: int
+    coverage: float
+    nees: float
+    low: float
+    high: float
+    largest: float
+    of_truth: float
+    least_coverage: float
+
+    @property
+    def verdict(self) -> str:
+        """``consistent``, ``overconfident``, ``too careful``; ``unknown`` where the run is too short to say.
+
+        Never *too careful* where fewer than 95 % of the truths lie inside.
+        """
+        if self.rows < _LEAST_ROWS:
+            return "unknown"
+        if self.nees > self.high or self.coverage < self.least_coverage:
+            return "overconfident"
+        if self.coverage < _LEAST_COVERAGE:
+            return "unknown"
+        return "too careful" if self.nees < self.low and self.coverage >= STATED else "consistent"
+
+
+def known(e: Estimate) -> list[Knowledge]:
+    """Depth where the run has ``depth_mm``, tip where a camera saw it; over the run, with and without a force."""
+    run, tool = e.run, e.tool
+    told = np.isfinite(e.fibre_depth_mm)
+    out: list[Knowledge] = []
+    if run.depth_mm is not None:
+        there = np.isfinite(run.depth_mm)
+        depths = {
+            "filter": (e.depth.value, e.depth.covariance),
+            "filter of both": (e.together.value[:, :1], e.together.covariance[:, :1, :1]),
+            "smoother": e.smooth_depth,
+        }
+        for signal, (value, covariance) in depths.items():
+            off = (value[:, 0] - run.depth_mm)[there, None]
+            out += _by_condition("depth", signal, "depth_mm", off, covariance[there], 0.0, told[there])
+    moment = run.camera_time_s - tool.camera_delay_s
+    seen = (moment >= run.time_s[0]) & (moment <= run.time_s[-1])
+    if seen.any():
+        moment, truth = moment[seen], tool.in_base(run.camera_mm[seen])
+        row = np.searchsorted(run.time_s, moment, side="right") - 1
+        tips = {
+            "filter": (e.tip.value, e.tip.covariance),
+            "filter of both": (e.together.value[:, 1:], e.together.covariance[:, 1:, 1:]),
+            "smoother": (e.smooth_together[0][:, 1:], e.smooth_together[1][:, 1:, 1:]),
+        }
+        for signal, (value, covariance) in tips.items():
+            off = at_times(run.time_s, value, moment) - truth
+            own = tool.camera_std_mm**2 / 3.0
+            out += _by_condition("tip", signal, "camera", off, covariance[row], own, told[row])
+    return out
+
+
+def _by_condition(
+    quantity: str, signal: str, truth: str, off: Floats, covariance: Floats, of_truth: float, told: Bools
+) -> list[Knowledge]:
+    conditions = {"whole run": np.ones(len(off), dtype=bool), "with a force": told, "without a force": ~told}
+    return [
+        knowledge(off[rows], covariance[rows], of_truth, quantity=quantity, signal=signal, truth=truth, condition=name)
+        for name, rows in conditions.items()
+        if rows.sum() >= _LEAST_ROWS
+    ]
+
+
+def knowledge(
+    off: Floats, covariance: Floats, of_truth: float = 0.0, *, quantity: str = "depth", signal: str = "filter",
+    truth: str = "truth", condition: str = "whole run",
+) -> Knowledge:  # fmt: skip
+    """From errors (n, k), mm, with stated covariances (n, k, k), mm², against a truth with its own variance, mm².
+
+    Rows whose estimate or covariance is no number cover nothing, and are left out of the NEES.
+    """
+    rows, k = off.shape
+    usable = np.isfinite(off).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
+    off, spread = off[usable], covariance[usable] + (of_truth + _FINEST_MM**2) * np.eye(k)
+    whitened = np.linalg.solve(np.linalg.cholesky(spread), off[..., None])[..., 0]
+    squared = (whitened**2).sum(axis=1)
+    nees = float(squared.mean() / k)
+    independent = _independent(whitened)
+    some = max(int(independent), 1)
+    low, high = stats.chi2.ppf([(1 - NIS_LEVEL) / 2, (1 + NIS_LEVEL) / 2], independent * k) / (independent * k)
+    own = of_truth * k / np.einsum("nii->n", spread)
+    inside = int((squared <= stats.chi2.ppf(STATED, k)).sum())
+    return Knowledge(
+        quantity=quantity, signal=signal, truth=truth, condition=condition, rows=rows, coverage=inside / rows,
+        nees=nees, low=float(low), high=float(high),
+        largest=float((np.abs(off) / np.sqrt(np.einsum("nii->ni", spread))).max()), of_truth=float(np.median(own)),
+        least_coverage=float(stats.binom.ppf((1 - NIS_LEVEL) / 2, some, STATED) / some),
+    )  # fmt: skip
+
+
+def _independent(whitened: Floats) -> float:
+    """How many independent errors (n, k) are worth, for the mean of their squares: n / (1 + 2 Σ ρ²)."""
+    n = len(whitened)
+    power = float((whitened**2).sum())
+    if power == 0.0:
+        return float(n)
+    size = 1 << (2 * n - 1).bit_length()
+    spectrum = np.abs(np.fft.rfft(whitened, size, axis=0)) ** 2
+    correlation = np.fft.irfft(spectrum.sum(axis=1), size)[:n] / power
+    # beyond the first crossing of zero there is nothing but noise
+    end = int(np.argmax(correlation <= 0)) or n
+    return float(max(n / (1.0 + 2.0 * (correlation[1:end] ** 2).sum()), 1.0))

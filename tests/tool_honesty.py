@@ -1,0 +1,99 @@
+"""How honest the tool's estimates are on the second simulator: coverage of depth and tip by condition.
+
+python tests/tool_honesty.py [--seeds 4] [--faults] [CONDITION ...]
+"""
+
+from __future__ import annotations
+
+import argparse
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import polars as pl
+import tomli_w
+
+from second_tool import CONDITIONS, FAULTS, Honesty, Recorded, World, honesty, pooled, write_csv
+from sherkit.errors import SherkitWarning
+from sherkit.robots.tool.calibration import Loads, read_loads
+from sherkit.robots.tool.filters import Estimate, estimate
+from sherkit.robots.tool.runs import ToolRun, tool_run_of
+from sherkit.robots.tool.tool import FlexibleTool, load_tool
+
+
+def run_of(recorded: Recorded, source: str = "run") -> ToolRun:
+    """What the reader makes of a recorded run."""
+    frame = pl.DataFrame(recorded.columns())
+    return tool_run_of(frame.with_columns(pl.col(pl.Float64).fill_nan(None)), source)
+
+
+def tool_of(world: World, seed: int = 0) -> FlexibleTool:
+    """The tool as its file says, without what a calibration would know of its own deviations."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "tool.toml"
+        path.write_text(tomli_w.dumps(world.file(seed)), encoding="utf-8")
+        return load_tool(path)
+
+
+def loads_of(world: World, seed: int = 0, **bench: float) -> Loads:
+    """A bench of known loads."""
+    with TemporaryDirectory() as folder:
+        write_csv(world.bench(seed=seed, **bench), Path(folder) / "bench.csv")  # type: ignore[arg-type]
+        return read_loads(Path(folder) / "bench.csv")
+
+
+def honest(e: Estimate, truth: Recorded) -> dict[str, Honesty]:
+    """Of every estimate whose truth is known: depth and tip, filtered and smoothed. The first second is the start's."""
+    on = truth.time_s >= 1.0
+    told: dict[str, Honesty] = {}
+    tips = {"tip": (e.tip.value, e.tip.covariance),
+            "tip of both": (e.together.value[:, 1:], e.together.covariance[:, 1:, 1:]),
+            "tip smoothed": (e.smooth_together[0][:, 1:], e.smooth_together[1][:, 1:, 1:])}  # fmt: skip
+    depths = {"depth": (e.depth.value, e.depth.covariance),
+              "depth of both": (e.together.value[:, :1], e.together.covariance[:, :1, :1]),
+              "depth smoothed": e.smooth_depth}  # fmt: skip
+    if truth.depth_mm is not None:
+        for name, (value, covariance) in depths.items():
+            told[name] = honesty(value[on], covariance[on], truth.depth_mm[on])
+    for name, (value, covariance) in tips.items():
+        told[name] = honesty(value[on], covariance[on], truth.tip_mm[on])
+    return told
+
+
+def measured(
+    world: World, seeds: int, experiment: str = "phantom", seconds: float = 60.0,
+    made: Callable[[World, int], FlexibleTool] = tool_of,
+) -> dict[str, Honesty]:  # fmt: skip
+    """Pooled over seeds."""
+    every: dict[str, list[Honesty]] = {}
+    for seed in range(seeds):
+        truth = world.run(experiment, seconds=seconds, seed=seed)
+        for name, one in honest(estimate(made(world, seed), run_of(truth)), truth).items():
+            every.setdefault(name, []).append(one)
+    return {name: pooled(some) for name, some in every.items()}
+
+
+def main() -> None:
+    """Prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
+    parser.add_argument("conditions", nargs="*")
+    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--faults", action="store_true")
+    parser.add_argument("--experiment", default="phantom")
+    asked = parser.parse_args()
+    worlds = FAULTS if asked.faults else CONDITIONS
+    warnings.simplefilter("ignore", SherkitWarning)
+    names = ("depth", "depth smoothed", "tip", "tip of both")
+    print(f"{'':<18}" + "".join(f"{n + ': 95 %, NEES, max':>30}{'>5':>8}{'mm':>8}" for n in names))
+    for name in asked.conditions or worlds:
+        told = measured(worlds[name], asked.seeds, asked.experiment)
+        cells = [
+            f"{h.coverage:>14.3f}{h.nees:>8.2f}{h.largest:>8.1f}{h.beyond_5:>8}{h.mean_error_mm:>8.3f}"
+            for h in (told[n] for n in names if n in told)
+        ]
+        print(f"{name:<18}" + "".join(cells), flush=True)
+
+
+if __name__ == "__main__":
+    main()
