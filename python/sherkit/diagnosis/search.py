@@ -337,8 +337,13 @@ def as_near(leading: Sequence[Explanation], every: Sequence[Explanation]) -> lis
     of the test tells it from no other."""
     if not leading:
         return []
-    limit = min(schwarz(e.stage.plain, 0) for e in leading) + _CLEARLY
-    return [*leading, *(e for e in every if e not in leading and schwarz(e.stage.plain, 0) < limit)]
+
+    def scores(e: Explanation) -> Floats:
+        """By the fit alone, and with a price on each number."""
+        return np.array([schwarz(e.stage.plain, 0), bic(e.stage.plain, e.candidates)])
+
+    limit = np.min([scores(e) for e in leading], axis=0) + _CLEARLY
+    return [*leading, *(e for e in every if e not in leading and (scores(e) < limit).any())]
 
 
 def bic(given: ConditionalScan, members: Sequence[Candidate]) -> float:

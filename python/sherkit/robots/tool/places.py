@@ -1,8 +1,8 @@
 """Where a tool brings its tip: wavelengths to force and smoothed depth, these to a bend, the bend to the base.
 
 Eqs. 1, 2, 8 and 9 of Ebrahimi et al. 2020. Depth over the whole run is what least squares have of all moments, the
-robot's motion and the hole's wander at once. Unlike that of the loop's filter it has no threshold below which a force is
-none: the moment at section II says M F = |F|² (l - d), and what that tells of d fades with |F|². So the tip is a smooth
+robot's motion and the hole's wander at once. Unlike that of the loop's filter it has no threshold below which a force
+robot's motion and the hole's wander at once. It has no threshold below which a force is
 function of gains, references and lengths, and what is fitted to it converges.
 """
 
@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solveh_banded
+from scipy.signal import savgol_filter
 
 from ...types import Floats
-from .alignment import at_times
 from .runs import ToolRun
 from .tool import FlexibleTool, rotation_of
 
@@ -56,7 +56,7 @@ class Places:
     @cached_property
     def turn(self) -> Floats:
         """Tool to base (k, 3, 3)."""
-        return rotation_of(at_times(self.run.time_s, self.run.turn_rad, self.moments_s))
+        return rotation_of(_between(self.run.time_s, self.run.turn_rad, self.moments_s))
 
     @cached_property
     def changing(self) -> Floats:
@@ -94,13 +94,13 @@ class Places:
         if not there.all():
             here = np.flatnonzero(there)
             force = np.column_stack([np.interp(run.time_s, run.time_s[here], force[here, k]) for k in range(2)])
-        return Felt(force, depth)
+        return Felt(_calm(run.time_s, force), depth)
 
     def tip(self, tool: FlexibleTool, felt: Felt, moments_s: Floats | None = None) -> Floats:
         """The tip (k, 3) of another tool, under another force, or at other moments."""
         run, moments = self.run, self.moments_s if moments_s is None else moments_s
         force, depth, turn, place = (
-            at_times(run.time_s, v, moments) for v in (felt.force_mn, felt.depth_mm, run.turn_rad, run.position_mm)
+            _between(run.time_s, v, moments) for v in (felt.force_mn, felt.depth_mm, run.turn_rad, run.position_mm)
         )
         poses = np.hstack([rotation_of(turn).reshape(-1, 9), place])
         return tool.beam.tip_batch(*(np.ascontiguousarray(v) for v in (force, depth, poses)))
@@ -120,6 +120,28 @@ def _direction(time_s: Floats, force_mn: Floats) -> Floats:
     noise = np.median(np.linalg.norm(np.diff(force_mn, axis=0), axis=1)) / np.sqrt(2 * half)
     size = np.linalg.norm(moved, axis=1)
     return np.asarray(moved / np.sqrt(size**2 + (3.0 * noise) ** 2 + 1e-12)[:, None])
+
+
+def _calm(time_s: Floats, force_mn: Floats) -> Floats:
+    """Forces (n, 2) without most of their noise: a local parabola. A picture lies between rows, and a delay that is
+    fitted would else choose rows whose noise suits it."""
+    rows = 2 * round(_SMOOTHING_S / float(np.median(np.diff(time_s))) / 2) + 1
+    return np.asarray(savgol_filter(force_mn, rows, 2, axis=0)) if 3 < rows <= len(time_s) else force_mn
+
+
+def _between(time_s: Floats, values: Floats, moments_s: Floats) -> Floats:
+    """Values (n,) or (n, k) at moments (m,), by cubic pieces whose slopes have no jump (Catmull and Rom 1974)."""
+    after = np.clip(np.searchsorted(time_s, moments_s, side="right"), 1, len(time_s) - 1)
+    rows = np.clip(after[:, None] + np.arange(-2, 2), 0, len(time_s) - 1)
+    t, v = time_s[rows], values[rows]
+    step = (t[:, 2] - t[:, 1]).reshape(-1, *[1] * (values.ndim - 1))
+    share = ((moments_s - t[:, 1]) / (t[:, 2] - t[:, 1])).reshape(step.shape)
+    slopes = [step * (v[:, k + 1] - v[:, k - 1]) / (t[:, k + 1] - t[:, k - 1]).reshape(step.shape) for k in (1, 2)]
+    rest = 1.0 - share
+    return np.asarray(
+        (1.0 + 2.0 * share) * rest**2 * v[:, 1] + share**2 * (3.0 - 2.0 * share) * v[:, 2]
+        + share * rest * (rest * slopes[0] - share * slopes[1])
+    )  # fmt: skip
 
 
 def _own_gains(tool: FlexibleTool, section: int) -> Floats:
