@@ -1,8 +1,8 @@
 """Where a tool brings its tip: wavelengths to force and smoothed depth, these to a bend, the bend to the base.
 
 Eqs. 1, 2, 8 and 9 of Ebrahimi et al. 2020. Depth over the whole run is what least squares have of all moments, the
-robot's motion and the hole's wander at once. Unlike that of the loop's filter it has no threshold below which a force
-robot's motion and the hole's wander at once. It has no threshold below which a force is
+robot's motion and the hole's wander at once. Unlike the loop's filter it knows no threshold below which a force is
+none: the moment at section II says M F = |F|² (l - d), and what that tells of d fades with |F|². So the tip is a smooth
 function of gains, references and lengths, and what is fitted to it converges.
 """
 
