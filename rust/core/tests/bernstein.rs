@@ -10,6 +10,7 @@ use sherkit_core::delta::correction::{
     Correction, Domain, MAX_ORDER, apply_axis, axis_scratch_len, basis, basis_derivative,
     coefficients_len, project_axis, push,
 };
+use sherkit_core::delta::moments::{Moments, moments_len, solve_len};
 use sherkit_core::fit::{Stack, back_substitute, stack_len};
 
 const WIDTH: usize = MAX_ORDER + 1;
@@ -224,6 +225,40 @@ proptest! {
                 let x = inside(&mut random, &domain);
                 prop_assert!((correction.at(&x).0 - polynomial.at(&domain, &x)).amax() < 1e-8 * size);
             }
+        }
+    }
+
+    /// Moments that are not those of the rows: fitted by them or by rotations, noise must give the same polynomial, all
+    /// points at once, in two heaps, and with some added and taken away again.
+    #[test]
+    fn moments_and_rotations_give_the_same_polynomial(seed in any::<u64>(), orders in orders(4), extra in 0..40_usize) {
+        let mut random = Random(seed);
+        let domain = domain();
+        let points: Vec<_> = (0..6 * coefficients_len(orders) + extra)
+            .map(|_| (inside(&mut random, &domain), Vector3::from_fn(|_, _| random.unit())))
+            .collect();
+        let (by_rows, _) = fit(orders, &domain, &points);
+        let empty = || Moments::new(orders, domain, vec![f64::NAN; moments_len(orders)]).unwrap();
+        let of = |points: &[(Vector3<f64>, Vector3<f64>)]| {
+            let (x, y): (Vec<[f64; 3]>, Vec<[f64; 3]>) =
+                points.iter().map(|(x, y)| (<[f64; 3]>::from(*x), <[f64; 3]>::from(*y))).unzip();
+            let mut sums = empty();
+            sums.push(&x, &y);
+            sums
+        };
+        let half = points.len() / 2;
+        let mut two = of(&points[..half]);
+        two.absorb(&of(&points[half..]), 1.0).unwrap();
+        let mut back = of(&points);
+        let others = of(&points[..half]);
+        back.absorb(&others, 1.0).unwrap();
+        back.absorb(&others, -1.0).unwrap();
+        for sums in [of(&points), two, back] {
+            let mut coefficients = vec![[f64::NAN; 3]; coefficients_len(orders)];
+            let weakest = sums.solve(&mut coefficients, &mut vec![f64::NAN; solve_len(orders)]).unwrap();
+            let size = by_rows.iter().flatten().fold(1.0, |s: f64, c| s.max(c.abs()));
+            // what rounding leaves grows with the square of how badly the points tell
+            prop_assert!(difference(&coefficients, &by_rows) < 1e-12 * size / (weakest * weakest).max(1e-6));
         }
     }
 

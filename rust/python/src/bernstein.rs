@@ -11,10 +11,11 @@ use sherkit_core::delta::correction::{
     Correction, Domain, MAX_ORDER, apply_axis, axis_scratch_len, basis, coefficients_len,
     project_axis, push,
 };
+use sherkit_core::delta::moments::{Moments, moments_len, solve_len};
 use sherkit_core::fit::{Stack, back_substitute, stack_len};
 
-/// Design elements below which a second thread costs more than it brings.
-const WORTH_A_THREAD: usize = 200_000;
+/// Weakest pivot of the normal equations from which on they are as good as orthogonal rotations, to ten digits.
+const WELL_DETERMINED: f64 = 0.02;
 
 /// A fitted tensor product with its box and fade.
 #[pyclass(frozen, from_py_object, module = "sherkit._core")]
@@ -113,7 +114,7 @@ pub fn bernstein_basis<'py>(
     shaped(py, numbers, [t.len(), order + 1])
 }
 
-/// Coefficients `(k, 3)` by one QR solve over scattered points, and how well the points determine them.
+/// Coefficients `(k, 3)` by least squares over scattered points, and how well the points determine them.
 #[pyfunction]
 pub fn bernstein_fit<'py>(
     py: Python<'py>,
@@ -141,36 +142,26 @@ pub fn bernstein_fit<'py>(
         ));
     }
     let n = coefficients_len(orders);
-    let fold = |x: &[[f64; 3]], y: &[[f64; 3]]| {
-        let mut stack = Stack::new(n, 3, vec![0.0; stack_len(n, 3)])?;
-        for (x, y) in x.iter().zip(y) {
-            push(
-                &mut stack,
-                orders,
-                &domain,
-                &Vector3::from(*x),
-                &Vector3::from(*y),
-            );
-        }
-        Ok(stack)
-    };
-    let mut stack = if x.len() * n < WORTH_A_THREAD {
-        fold(x, y)
-    } else {
-        let half = x.len() / 2;
-        std::thread::scope(|scope| {
-            let other = scope.spawn(|| fold(&x[half..], &y[half..]));
-            let mut stack = fold(&x[..half], &y[..half])?;
-            match other.join() {
-                Ok(other) => stack.absorb(other?.triangle(), x.len() - half),
-                Err(_) => return fold(x, y),
+    let (solution, weakest) = py
+        .detach(|| {
+            let mut coefficients = vec![[0.0; 3]; n];
+            let mut moments = Moments::new(orders, domain, vec![0.0; moments_len(orders)])?;
+            moments.push(x, y);
+            if let Ok(weakest) = moments.solve(&mut coefficients, &mut vec![0.0; solve_len(orders)])
+                && weakest > WELL_DETERMINED
+            {
+                return Ok((coefficients.into_flattened(), weakest));
             }
-            Ok(stack)
+            let mut stack = Stack::new(n, 3, vec![0.0; stack_len(n, 3)])?;
+            for (x, y) in x.iter().zip(y) {
+                let (x, y) = (Vector3::from(*x), Vector3::from(*y));
+                push(&mut stack, orders, &domain, &x, &y);
+            }
+            let mut solution = vec![0.0; n * 3];
+            let weakest = back_substitute(stack.triangle(), n, 3, &mut solution);
+            Ok((solution, weakest))
         })
-    }
-    .map_err(to_python)?;
-    let mut solution = vec![0.0; n * 3];
-    let weakest = back_substitute(stack.triangle(), n, 3, &mut solution);
+        .map_err(to_python)?;
     Ok((shaped(py, solution, [n, 3])?, weakest))
 }
 

@@ -66,7 +66,11 @@ pub struct Domain {
 
 impl Domain {
     /// Coordinates in the box, held at its border, 0 to 1; and how fast they move with position.
-    fn normalised(&self, position: &Vector3<f64>, orders: [usize; 3]) -> ([f64; 3], [f64; 3]) {
+    pub(super) fn normalised(
+        &self,
+        position: &Vector3<f64>,
+        orders: [usize; 3],
+    ) -> ([f64; 3], [f64; 3]) {
         let mut t = [0.0; 3];
         let mut rate = [0.0; 3];
         for k in 0..3 {

@@ -9,6 +9,7 @@ mod effects;
 mod geometry;
 mod kinematics;
 mod model;
+pub mod moments;
 mod nominal;
 mod six_rods;
 mod structure;
