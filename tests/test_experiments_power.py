@@ -201,14 +201,14 @@ def test_homing_that_fails_stops_and_leaves_no_zero(lab, tmp_path):
             assert motion.reference().mark is not None
 
 
-def test_a_controller_that_cannot_say_is_held_to_where_it_has_to_stand():
+def test_a_controller_that_cannot_say_is_held_to_where_it_has_to_stand(tmp_path):
     """Catches a driver without a word for "zeroed" that is believed anywhere within its limits."""
     robot = robot_from_tables(ROBOT, "test")
     start = robot.inverse([0.0, 0.0, 0.0])
     plan = plan_of_poses(robot.inverse_batch(np.eye(3)).require("pose"), start)
     for stands, moves in ((start, True), (start + 5.0, False)):
         bench = dummy_bench(robot, lambda q: robot.forward(q), stands, said=False)
-        with bench, RunFile.create(":memory:", plan, {}) as file:
+        with bench, RunFile.create(tmp_path / f"{moves}.sqlite", plan, {}) as file:
             if moves:
                 assert run(plan, bench, file) == "complete"
             else:

@@ -230,7 +230,7 @@ def test_no_false_stop_in_two_hundred_clean_runs(tmp_path):
 @pytest.mark.slow
 def test_twenty_kinds_of_faults_are_found_in_time(tmp_path):
     """Catches a kind of fault that is found late, never, or with another instrument accused."""
-    runs = 20
+    runs = 10
     found, named, poses = Counter(), Counter(), []
     for name in FAULTS:
         for seed in range(runs):

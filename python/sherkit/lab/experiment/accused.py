@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,14 +22,14 @@ _SAME = 0.1
 @dataclass(frozen=True, eq=False)
 class Seen:
     """A row beside its prediction: ``read`` and ``predicted`` (m,), covariance ``spread`` (m, m) of their difference,
-    derivatives ``by_joints`` (m, k). ``least`` is how far it is at least, by a model that may bend to it."""
+    ``by_joints`` gives derivatives (m, k). ``least`` is how far it is at least, by a model that may bend to it."""
 
     step: int
     columns: Sequence[str]
     read: Floats
     predicted: Floats
     spread: Floats
-    by_joints: Floats
+    by_joints: Callable[[], Floats]
     least: float = np.inf
 
     @cached_property
@@ -77,8 +77,9 @@ def accuse(odd: Sequence[Seen], before: Sequence[Seen], layout: Layout) -> Accus
     # a zero that was set elsewhere moves all of them
     motors.append(("all joints", np.ones(len(layout.joints))))
     unit = layout.joints[0].rpartition("_")[2]
+    by_joints = [s.by_joints() for s in odd]
     for what, way in motors:
-        by = [s.by_joints @ way for s in odd]
+        by = [one @ way for one in by_joints]
         moved = _fitted(odd, by)
         cost = _COST + sum(s.squares(np.isfinite(s.read), s.miss - moved * g) for s, g in zip(odd, by, strict=True))
         why = f"{what} stand where the encoders do not say, as if those had slipped by {-moved:.3g} {unit}"
@@ -97,7 +98,8 @@ def _fitted(odd: Sequence[Seen], by: Sequence[Floats]) -> float:
     """By how much the joints would have to be elsewhere, along ``by`` of each row; generalised least squares."""
     weights = [np.linalg.solve(s.spread, g) for s, g in zip(odd, by, strict=True)]
     squares = sum(float(w @ g) for w, g in zip(weights, by, strict=True))
-    return sum(float(w @ np.nan_to_num(s.miss)) for w, s in zip(weights, odd, strict=True)) / squares
+    moved = sum(float(w @ np.nan_to_num(s.miss)) for w, s in zip(weights, odd, strict=True))
+    return moved / squares if squares > 0 else 0.0
 
 
 def _told(odd: Sequence[Seen], before: Sequence[Seen], which: Sequence[int]) -> str:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -101,10 +102,7 @@ class Watch:
             return self._doubt(found, odd)
         if seen.distance <= _ODD:
             self._include(point)
-            if len(self._points) <= max(_FEW, self._linearised * (1.0 + _GROWTH)):
-                if len(self._points) <= _FEW:
-                    self._linearise()
-            else:
+            if len(self._points) <= _FEW or len(self._points) > self._linearised * (1.0 + _GROWTH):
                 self._linearise()
         return None
 
@@ -150,7 +148,6 @@ class Watch:
         """The row beside what the model makes of it; None where its joints cannot be."""
         try:
             predicted, by = (a[0] for a in self._predicted([point], self._values))
-            by_joints = self._by_joints(point)
         except SherkitError:
             return None
         (read,) = self._readings([point])
@@ -159,10 +156,8 @@ class Watch:
             more = model.derivatives(self._row([point]), np.zeros(len(model.parameters)))[0, self._read] * sizes
             spread += more @ more.T
         columns = [self.layout.coordinates[k] for k in self._read]
-        seen = Seen(step, columns, read, predicted, spread, by_joints)
-        if seen.distance <= _ODD:
-            return seen
-        return replace(seen, least=self._reconsidered(point))
+        seen = Seen(step, columns, read, predicted, spread, partial(self._by_joints, point, self._values))
+        return seen if seen.distance <= _ODD else replace(seen, least=self._reconsidered(point))
 
     def _reconsidered(self, point: Point) -> float:
         """How far the row is from the others where the model may bend to it: the root of what the fit's sum of squares
@@ -195,13 +190,17 @@ class Watch:
         pull = columns.T @ miss / self._noise**2 - values / self._prior**2
         return values + covariance @ pull, covariance, cost, columns
 
-    def _by_joints(self, point: Point) -> Floats:
-        """Derivatives (m, k) of the readings by the joints."""
+    def _by_joints(self, point: Point, values: Floats) -> Floats:
+        """Derivatives (m, k) of the readings by the joints, at these values."""
         out = []
         for name in self.layout.joints:
             width = 1e-4
             sides = [replace(point, values={**point.values, name: point.values[name] + s * width}) for s in (1.0, -1.0)]
-            high, low = self.model.predict(self._row(sides), self._values)[:, self._read]
+            try:
+                high, low = self.model.predict(self._row(sides), values)[:, self._read]
+            except SherkitError:
+                # at the very edge of what the robot reaches
+                high = low = np.zeros(len(self._read))
             out.append((high - low) / (2.0 * width))
         return np.array(out).T
 
