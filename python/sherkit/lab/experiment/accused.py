@@ -112,21 +112,22 @@ def _told(odd: Sequence[Seen], before: Sequence[Seen], which: Sequence[int]) -> 
         f"{c} is {r:.3f} {unit} where the joints put it at {p:.3f} ± {np.sqrt(newest.spread[k, k]):.2g} {unit}"
         for c, r, p, k in zip(columns, read, expected, which, strict=True)
     )
+    near = _SAME * np.abs(expected).max()
     last = odd[-2] if len(odd) > 1 else before[-1] if before else None
-    if last is None:
-        return said
-    motion = np.abs(expected - last.predicted[which]).max() * _SAME
-    if np.abs(read - last.read[which]).max() < motion:
-        return f"{said}: it has not changed since step {last.step}, while the robot moved"
-    if np.abs(read - last.predicted[which]).max() < motion:
-        return f"{said}: as it should have been at step {last.step}, before the robot moved"
-    if np.abs(read + expected).max() < _SAME * np.abs(expected).max():
-        return f"{said}: as if its sign were turned"
-    if len(which) > 1 and _is_permuted(read, expected):
-        return f"{said}: as if columns were swapped"
-    return said
+    alike = []
+    if last is not None:
+        motion = _SAME * np.abs(expected - last.predicted[which]).max()
+        if np.abs(read - last.read[which]).max() < motion:
+            alike.append(f"it has not changed since step {last.step}, while the robot moved")
+        elif np.abs(read - last.predicted[which]).max() < motion:
+            alike.append(f"as it should have been at step {last.step}, before the robot moved")
+    if np.abs(read + expected).max() < near:
+        alike.append("as if its sign were turned")
+    if len(which) > 1 and _is_permuted(read, expected, near):
+        alike.append("as if columns were swapped")
+    return f"{said}: {', or '.join(alike)}" if alike else said
 
 
-def _is_permuted(read: Floats, expected: Floats) -> bool:
-    near = np.abs(read[:, None] - expected[None, :]) < _SAME * np.abs(expected).max()
+def _is_permuted(read: Floats, expected: Floats, within: float) -> bool:
+    near = np.abs(read[:, None] - expected[None, :]) < within
     return bool(near.any(axis=1).all() and near.any(axis=0).all())
