@@ -65,14 +65,17 @@ def accuse(odd: Sequence[Seen], before: Sequence[Seen], layout: Layout) -> Accus
     names = list(newest.columns)
     there = np.isfinite(newest.read)
     tried: list[tuple[float, tuple[str, ...], str]] = []
-    for k, name in enumerate(names):
-        kept = there.copy()
-        kept[k] = False
-        cost = sum(s.squares(kept & np.isfinite(s.read)) for s in odd) + _COST * len(odd)
-        tried.append((cost, (name,), _told(odd, before, [k])))
+    groups = [[k] for k in range(len(names))]
     if len(names) > 1:
-        everything = list(range(len(names)))
-        tried.append((_COST * len(odd) * len(names), tuple(names), _told(odd, before, everything)))
+        groups.append(list(range(len(names))))
+    for which in groups:
+        kept = there.copy()
+        kept[which] = False
+        told, alike = _told(odd, before, which)
+        # readings that may be anything are many free numbers; a look that has a name is one
+        free = 1 if alike else len(odd) * len(which)
+        cost = sum(s.squares(kept & np.isfinite(s.read)) for s in odd) + _COST * free
+        tried.append((cost, tuple(names[k] for k in which), told))
     motors = [(joint, np.eye(len(layout.joints))[j]) for j, joint in enumerate(layout.joints)]
     # a zero that was set elsewhere moves all of them
     motors.append(("all joints", np.ones(len(layout.joints))))
@@ -102,8 +105,8 @@ def _fitted(odd: Sequence[Seen], by: Sequence[Floats]) -> float:
     return moved / squares if squares > 0 else 0.0
 
 
-def _told(odd: Sequence[Seen], before: Sequence[Seen], which: Sequence[int]) -> str:
-    """What these columns look like, in words."""
+def _told(odd: Sequence[Seen], before: Sequence[Seen], which: Sequence[int]) -> tuple[str, bool]:
+    """What these columns look like, in words, and whether that look has a name: frozen, late, mirrored, swapped."""
     newest = odd[-1]
     columns = [newest.columns[k] for k in which]
     unit = columns[0].rpartition("_")[2]
@@ -125,7 +128,7 @@ def _told(odd: Sequence[Seen], before: Sequence[Seen], which: Sequence[int]) -> 
         alike.append("as if its sign were turned")
     if len(which) > 1 and _is_permuted(read, expected, near):
         alike.append("as if columns were swapped")
-    return f"{said}: {', or '.join(alike)}" if alike else said
+    return (f"{said}: {', or '.join(alike)}", True) if alike else (said, False)
 
 
 def _is_permuted(read: Floats, expected: Floats, within: float) -> bool:

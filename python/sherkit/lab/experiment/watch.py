@@ -22,6 +22,7 @@ from ...data.columns import TIME
 from ...errors import SherkitError, SherkitWarning
 from ...model.chain import ChainModel
 from ...model.kinds import Robot, kind_of, model_of
+from ...names import listed
 from ...types import Floats
 from .accused import Accused, Seen, accuse
 from .point import Point
@@ -36,11 +37,16 @@ _ROWS = 8.0
 _TOGETHER = 5
 #: A row further away than this is not fitted, and one of those concerned where the run pauses.
 _ODD = 4.0
-#: So many rows the assumed noise counts as, in its estimate.
+#: So many rows the assumed noise counts as, in its estimate; and what no effect leaves, in times the assumed noise: a
+#: sensor that was wrong from the first row on must not pass for noise.
 _NOISE_ROWS = 2.0
+_LOUDEST = 5.0
 #: All rows are linearised anew while they are so few, and whenever they have grown by this share.
 _FEW = 30
 _GROWTH = 0.1
+#: A column that is the same in so many rows is held, where the drawing says that it moved by so many times the noise.
+_STILL = 4
+_MOVED = 20.0
 #: Steps of Gauss-Newton in which a model may bend to a row, and how often one of them is halved.
 _BENDS = 4
 _HALVINGS = 5
@@ -84,6 +90,7 @@ class Watch:
         self._covariance = np.diag(self._prior**2)
         self._linearised = 0
         self._recent: list[Seen] = []
+        self._newest: list[tuple[int, Point]] = []
         self._first_s: float | None = None
 
     def learn(self, points: Sequence[Point]) -> None:
@@ -98,6 +105,11 @@ class Watch:
         """Judges the row, and takes it in where nothing speaks against it."""
         if not self._read:
             return None
+        if not np.isfinite(self._readings([point])).any():
+            return None
+        self._newest = [*self._newest, (step, point)][-_STILL:]
+        if (held := self._held()) is not None:
+            return held
         seen = self._seen(step, point)
         if seen is None:
             motors = self._owners[self.layout.joints[0]]
@@ -126,6 +138,20 @@ class Watch:
     def _doubt(self, found: Accused, odd: Sequence[Seen]) -> Doubt:
         steps = tuple(sorted(s.step for s in odd if s.step >= 0))
         return Doubt(" or ".join(dict.fromkeys(self._owners[c] for c in found.columns)), found.why, steps)
+
+    def _held(self) -> Doubt | None:
+        """A column whose last digit stands still while the robot moves, by the drawing: no fit is to explain that."""
+        steps, points = [s for s, _ in self._newest], [p for _, p in self._newest]
+        drawing = np.zeros_like(self._values)
+        if len(points) < _STILL or not np.isfinite(self._cost(points, drawing)):
+            return None
+        moved = np.ptp(self._predicted(points, drawing)[0], axis=0)
+        held = (np.ptp(self._readings(points), axis=0) == 0.0) & (moved > _MOVED * self._assumed)
+        if not held.any():
+            return None
+        columns = [self.layout.coordinates[k] for k, h in zip(self._read, held, strict=True) if h]
+        why = f"{listed(columns)} did not change in the last digit since step {steps[0]}, while the robot moved"
+        return Doubt(" or ".join(dict.fromkeys(self._owners[c] for c in columns)), why, tuple(steps))
 
     def _row(self, points: Sequence[Point]) -> Measurements:
         if self._first_s is None:
@@ -257,7 +283,8 @@ class Watch:
         assumed = _NOISE_ROWS * len(self._read)
         free = max(len(left) - fitted, 0.0) + assumed
         self._values, self._covariance = values, 0.5 * (covariance + covariance.T)
-        self._noise = float(np.sqrt((assumed * self._assumed**2 + left @ left) / free))
+        estimated = float(np.sqrt((assumed * self._assumed**2 + left @ left) / free))
+        self._noise = min(estimated, _LOUDEST * self._assumed)
         self._linearised = len(self._points)
 
 
