@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import sqlite3
 import threading
 import time
 from collections import Counter
@@ -13,7 +14,7 @@ import pytest
 from dummies import dummy_bench
 from laboratories import ROBOT, experiment, laboratory
 from sherkit.cli.main import main
-from sherkit.errors import ExperimentError, InstrumentError, NotReferenced, SherkitError, SherkitWarning
+from sherkit.errors import ExperimentError, Implausible, InstrumentError, NotReferenced, SherkitError, SherkitWarning
 from sherkit.lab import clock
 from sherkit.lab.experiment import Control, RunFile, load_experiment, plan_of_poses, run
 from sherkit.lab.instruments import Galil
@@ -201,20 +202,67 @@ def test_homing_that_fails_stops_and_leaves_no_zero(lab, tmp_path):
             assert motion.reference().mark is not None
 
 
-def test_a_controller_that_cannot_say_is_held_to_where_it_has_to_stand():
+def test_a_controller_that_cannot_say_is_held_to_where_it_has_to_stand(tmp_path):
     """Catches a driver without a word for "zeroed" that is believed anywhere within its limits."""
     robot = robot_from_tables(ROBOT, "test")
     start = robot.inverse([0.0, 0.0, 0.0])
     plan = plan_of_poses(robot.inverse_batch(np.eye(3)).require("pose"), start)
     for stands, moves in ((start, True), (start + 5.0, False)):
         bench = dummy_bench(robot, lambda q: robot.forward(q), stands, said=False)
-        with bench, RunFile.create(":memory:", plan, {}) as file:
+        with bench, RunFile.create(tmp_path / f"{moves}.sqlite", plan, {}) as file:
             if moves:
                 assert run(plan, bench, file) == "complete"
             else:
                 with pytest.raises(NotReferenced, match="not on the way"):
                     run(plan, bench, file)
                 assert bench.motion.moves == 0
+
+
+def test_an_encoder_that_slips_while_it_stands_is_seen_before_the_next_motion(lab, tmp_path):
+    """Catches 2 mm that go through to "complete", within every limit and plausible by the drawing."""
+    chosen = load_experiment(tmp_path / "experiment.toml")
+    with RunFile.create(chosen.run_path, chosen.plan, chosen.about()) as file, chosen.bench() as bench:
+        with pytest.raises(NotReferenced, match=r"q2 stands at .* by its encoder; it was left at"):
+            run(chosen.plan, bench, file, report=lambda now: lab.emulators["rails"].slip(1, 2.0))
+        assert file.done() == {0}
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("frozen", "has not changed since step"),
+        ("mirrored", "as if its sign were turned"),
+        ("slipped", "q2_mm is not where"),
+    ],
+)
+def test_what_fails_at_a_real_port_is_told_by_its_name(lab, tmp_path, name, said):
+    """Catches a laser or an encoder at fault that no check of a single instrument can see."""
+    experiment(tmp_path, check={"plausible_mm": 20.0, "agree_within_mm": 0.001}, plan={"repeats": 2})
+    chosen = load_experiment(tmp_path / "experiment.toml")
+    position = lab.bench.position
+    frozen = []
+
+    def at_fault(joints, time_s):
+        true = position(joints, time_s).copy()
+        frozen.append(true[1])
+        true[1] = frozen[0] if name == "frozen" else -true[1]
+        return true
+
+    def report(now):
+        if now.step == 12 and name == "slipped":
+            lab.emulators["rails"].slip(1, 2.0)
+            # it slipped on the way, where nobody could see it
+            bench.motion.left_at = {}
+        elif now.step == 12:
+            lab.bench.position = at_fault
+
+    with RunFile.create(chosen.run_path, chosen.plan, chosen.about()) as file, chosen.bench() as bench:
+        with pytest.raises(Implausible, match=said) as told:
+            run(chosen.plan, bench, file, report=report)
+        assert told.value.instrument == ("rails" if name == "slipped" else "lasers")
+        assert told.value.port
+        assert 12 < max(file.doubts()) <= 15
+        assert said in file.diary()[-1][2]
 
 
 # -- the run file --------------------------------------------------------------------------------------------
@@ -229,6 +277,20 @@ def test_a_run_has_one_runner(lab, tmp_path):
         # who only reads may
         RunFile.open(chosen.run_path).close()
     RunFile.resume(chosen.run_path, chosen.plan, chosen.about()).close()
+
+
+def test_a_run_of_an_earlier_version_is_read_and_not_gone_on_with(lab, tmp_path):
+    """Catches a run without marks and wall clock that is taken for one of today, or that can no longer be exported."""
+    chosen = load_experiment(tmp_path / "experiment.toml")
+    interrupted(chosen)
+    with sqlite3.connect(chosen.run_path) as old:
+        old.execute("UPDATE run SET value = '1' WHERE key = 'format'")
+        old.execute("DROP TABLE doubt")
+    old.close()
+    with RunFile.open(chosen.run_path) as file:
+        assert len(file.points()) == len(file.frame()) == 6
+    with pytest.raises(ExperimentError, match="earlier version; it can be exported"):
+        RunFile.resume(chosen.run_path, chosen.plan, chosen.about())
 
 
 @pytest.mark.parametrize(

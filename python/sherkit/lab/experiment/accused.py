@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,14 +22,14 @@ _SAME = 0.1
 @dataclass(frozen=True, eq=False)
 class Seen:
     """A row beside its prediction: ``read`` and ``predicted`` (m,), covariance ``spread`` (m, m) of their difference,
-    derivatives ``by_joints`` (m, k). ``least`` is how far it is at least, by a model that may bend to it."""
+    ``by_joints`` gives derivatives (m, k). ``least`` is how far it is at least, by a model that may bend to it."""
 
     step: int
     columns: Sequence[str]
     read: Floats
     predicted: Floats
     spread: Floats
-    by_joints: Floats
+    by_joints: Callable[[], Floats]
     least: float = np.inf
 
     @cached_property
@@ -65,20 +65,24 @@ def accuse(odd: Sequence[Seen], before: Sequence[Seen], layout: Layout) -> Accus
     names = list(newest.columns)
     there = np.isfinite(newest.read)
     tried: list[tuple[float, tuple[str, ...], str]] = []
-    for k, name in enumerate(names):
-        kept = there.copy()
-        kept[k] = False
-        cost = sum(s.squares(kept & np.isfinite(s.read)) for s in odd) + _COST * len(odd)
-        tried.append((cost, (name,), _told(odd, before, [k])))
+    groups = [[k] for k in range(len(names))]
     if len(names) > 1:
-        everything = list(range(len(names)))
-        tried.append((_COST * len(odd) * len(names), tuple(names), _told(odd, before, everything)))
+        groups.append(list(range(len(names))))
+    for which in groups:
+        kept = there.copy()
+        kept[which] = False
+        told, alike = _told(odd, before, which)
+        # readings that may be anything are many free numbers; a look that has a name is one
+        free = 1 if alike else len(odd) * len(which)
+        cost = sum(s.squares(kept & np.isfinite(s.read)) for s in odd) + _COST * free
+        tried.append((cost, tuple(names[k] for k in which), told))
     motors = [(joint, np.eye(len(layout.joints))[j]) for j, joint in enumerate(layout.joints)]
     # a zero that was set elsewhere moves all of them
     motors.append(("all joints", np.ones(len(layout.joints))))
     unit = layout.joints[0].rpartition("_")[2]
+    by_joints = [s.by_joints() for s in odd]
     for what, way in motors:
-        by = [s.by_joints @ way for s in odd]
+        by = [one @ way for one in by_joints]
         moved = _fitted(odd, by)
         cost = _COST + sum(s.squares(np.isfinite(s.read), s.miss - moved * g) for s, g in zip(odd, by, strict=True))
         why = f"{what} stand where the encoders do not say, as if those had slipped by {-moved:.3g} {unit}"
@@ -97,11 +101,12 @@ def _fitted(odd: Sequence[Seen], by: Sequence[Floats]) -> float:
     """By how much the joints would have to be elsewhere, along ``by`` of each row; generalised least squares."""
     weights = [np.linalg.solve(s.spread, g) for s, g in zip(odd, by, strict=True)]
     squares = sum(float(w @ g) for w, g in zip(weights, by, strict=True))
-    return sum(float(w @ np.nan_to_num(s.miss)) for w, s in zip(weights, odd, strict=True)) / squares
+    moved = sum(float(w @ np.nan_to_num(s.miss)) for w, s in zip(weights, odd, strict=True))
+    return moved / squares if squares > 0 else 0.0
 
 
-def _told(odd: Sequence[Seen], before: Sequence[Seen], which: Sequence[int]) -> str:
-    """What these columns look like, in words."""
+def _told(odd: Sequence[Seen], before: Sequence[Seen], which: Sequence[int]) -> tuple[str, bool]:
+    """What these columns look like, in words, and whether that look has a name: frozen, late, mirrored, swapped."""
     newest = odd[-1]
     columns = [newest.columns[k] for k in which]
     unit = columns[0].rpartition("_")[2]
@@ -110,21 +115,22 @@ def _told(odd: Sequence[Seen], before: Sequence[Seen], which: Sequence[int]) -> 
         f"{c} is {r:.3f} {unit} where the joints put it at {p:.3f} ± {np.sqrt(newest.spread[k, k]):.2g} {unit}"
         for c, r, p, k in zip(columns, read, expected, which, strict=True)
     )
+    near = _SAME * np.abs(expected).max()
     last = odd[-2] if len(odd) > 1 else before[-1] if before else None
-    if last is None:
-        return said
-    motion = np.abs(expected - last.predicted[which]).max() * _SAME
-    if np.abs(read - last.read[which]).max() < motion:
-        return f"{said}: it has not changed since step {last.step}, while the robot moved"
-    if np.abs(read - last.predicted[which]).max() < motion:
-        return f"{said}: as it should have been at step {last.step}, before the robot moved"
-    if np.abs(read + expected).max() < _SAME * np.abs(expected).max():
-        return f"{said}: as if its sign were turned"
-    if len(which) > 1 and _is_permuted(read, expected):
-        return f"{said}: as if columns were swapped"
-    return said
+    alike = []
+    if last is not None:
+        motion = _SAME * np.abs(expected - last.predicted[which]).max()
+        if np.abs(read - last.read[which]).max() < motion:
+            alike.append(f"it has not changed since step {last.step}, while the robot moved")
+        elif np.abs(read - last.predicted[which]).max() < motion:
+            alike.append(f"as it should have been at step {last.step}, before the robot moved")
+    if np.abs(read + expected).max() < near:
+        alike.append("as if its sign were turned")
+    if len(which) > 1 and _is_permuted(read, expected, near):
+        alike.append("as if columns were swapped")
+    return (f"{said}: {', or '.join(alike)}", True) if alike else (said, False)
 
 
-def _is_permuted(read: Floats, expected: Floats) -> bool:
-    near = np.abs(read[:, None] - expected[None, :]) < _SAME * np.abs(expected).max()
+def _is_permuted(read: Floats, expected: Floats, within: float) -> bool:
+    near = np.abs(read[:, None] - expected[None, :]) < within
     return bool(near.any(axis=1).all() and near.any(axis=0).all())

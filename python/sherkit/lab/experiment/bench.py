@@ -14,7 +14,7 @@ from ...errors import ExperimentError, Garbled, Implausible, OutOfRange
 from ...model.kinds import Robot, kind_of
 from ..clock import now_s
 from ..instruments import AxisController
-from ..instruments.base import Instrument, Reading
+from ..instruments.base import Identity, Instrument, Reading
 from .plan import PlanStep
 from .point import Point
 from .watch import Watch
@@ -88,6 +88,17 @@ class Sensor:
         return out
 
 
+def _identified(one: Instrument, attempts: int = 4) -> Identity:
+    """What it says of itself twice in a row: a word that the line has damaged is no other instrument."""
+    before = one.identify()
+    for _ in range(attempts):
+        now = one.identify()
+        if now == before:
+            return now
+        before = now
+    raise one.fail(Garbled, f"says each time something else of itself; at last '{before.text}'")
+
+
 class Bench:
     """Motors and sensors. ``with`` connects them, and on any way out stops what moves and closes them.
 
@@ -153,7 +164,7 @@ class Bench:
             (self.motion, self.motion_settings),
             *((s.instrument, s.settings) for s in self.sensors),
         ]:
-            found = one.identify()
+            found = _identified(one)
             out[one.name] = {
                 "kind": found.kind,
                 "identity": found.text,

@@ -156,9 +156,7 @@ class RunFile:
 
     def _require_same(self, given: Mapping[str, str]) -> None:
         if self.about("format") != str(_FORMAT):
-            raise ExperimentError(
-                f"{self.path}: was begun by an earlier version, which can be exported but not gone on"
-            )
+            raise ExperimentError(f"{self.path}: was begun by an earlier version; it can be exported, not gone on with")
         for key in _SAME:
             if self.about(key) != given.get(key, ""):
                 raise ExperimentError(

@@ -13,6 +13,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from ...data.columns import TIME
 from ...errors import SherkitError, SherkitWarning
 from ...model.chain import ChainModel
 from ...model.kinds import Robot, kind_of, model_of
+from ...names import listed
 from ...types import Floats
 from .accused import Accused, Seen, accuse
 from .point import Point
@@ -35,13 +37,19 @@ _ROWS = 8.0
 _TOGETHER = 5
 #: A row further away than this is not fitted, and one of those concerned where the run pauses.
 _ODD = 4.0
-#: So many rows the assumed noise counts as, in its estimate.
+#: So many rows the assumed noise counts as, in its estimate; and what no effect leaves, in times the assumed noise: a
+#: sensor that was wrong from the first row on must not pass for noise.
 _NOISE_ROWS = 2.0
+_LOUDEST = 5.0
 #: All rows are linearised anew while they are so few, and whenever they have grown by this share.
 _FEW = 30
 _GROWTH = 0.1
-#: Steps of Gauss-Newton in which a model may bend to a row.
+#: A column that is the same in so many rows is held, where the drawing says that it moved by so many times the noise.
+_STILL = 4
+_MOVED = 20.0
+#: Steps of Gauss-Newton in which a model may bend to a row, and how often one of them is halved.
 _BENDS = 4
+_HALVINGS = 5
 
 
 @dataclass(frozen=True)
@@ -57,30 +65,38 @@ class Watch:
     """Takes rows in their order and says when one cannot be true.
 
     ``owners`` name the instrument of each column, joints and coordinates; ``noise`` is the standard deviation of a
-    reading to begin with, in the unit of the coordinates. Columns that are not read are left out.
+    reading to begin with, in the unit of the coordinates. Columns that are not read are left out; where there are none,
+    or the kind has no model, nothing is judged.
     """
 
     def __init__(self, robot: Robot, owners: Mapping[str, str], noise: float) -> None:
         self.layout = kind_of(robot).layout
+        self._points: list[Point] = []
         plain = model_of(robot)
+        self._read = [k for k, name in enumerate(self.layout.coordinates) if name in owners]
+        if not isinstance(plain, ChainModel):
+            # a kind without a chain has no sizes of errors from which anything could be judged
+            self._read = []
+            return
         base = {p.name for p in plain.base}
         known = [e for e in plain.catalogue.values() if not base & {p.name for p in (*e.parameters, *e.qualified())}]
         always = tuple(e for e in known if e.search is None and set(e.needs) <= _ALWAYS)
         self.model = replace(plain, free=tuple(p.name for p in plain.base), effects=always)
         self._steps = _stepping(plain, [e for e in known if e.search == TIME])
-        self._read = [k for k, name in enumerate(self.layout.coordinates) if name in owners]
         self._owners = owners
         self._prior = _WORSE * np.array([p.size for p in self.model.parameters])
         self._assumed = self._noise = noise
         self._values = np.zeros(len(self._prior))
         self._covariance = np.diag(self._prior**2)
-        self._points: list[Point] = []
         self._linearised = 0
         self._recent: list[Seen] = []
+        self._newest: list[tuple[int, Point]] = []
         self._first_s: float | None = None
 
     def learn(self, points: Sequence[Point]) -> None:
         """Takes in rows that are known to be right."""
+        if not self._read:
+            return
         self._points += points
         for _ in range(_BENDS):
             self._linearise()
@@ -89,6 +105,11 @@ class Watch:
         """Judges the row, and takes it in where nothing speaks against it."""
         if not self._read:
             return None
+        if not np.isfinite(self._readings([point])).any():
+            return None
+        self._newest = [*self._newest, (step, point)][-_STILL:]
+        if (held := self._held()) is not None:
+            return held
         seen = self._seen(step, point)
         if seen is None:
             motors = self._owners[self.layout.joints[0]]
@@ -101,11 +122,6 @@ class Watch:
             return self._doubt(found, odd)
         if seen.distance <= _ODD:
             self._include(point)
-            if len(self._points) <= max(_FEW, self._linearised * (1.0 + _GROWTH)):
-                if len(self._points) <= _FEW:
-                    self._linearise()
-            else:
-                self._linearise()
         return None
 
     def judge(self, point: Point) -> Doubt | None:
@@ -122,6 +138,20 @@ class Watch:
     def _doubt(self, found: Accused, odd: Sequence[Seen]) -> Doubt:
         steps = tuple(sorted(s.step for s in odd if s.step >= 0))
         return Doubt(" or ".join(dict.fromkeys(self._owners[c] for c in found.columns)), found.why, steps)
+
+    def _held(self) -> Doubt | None:
+        """A column whose last digit stands still while the robot moves, by the drawing: no fit is to explain that."""
+        steps, points = [s for s, _ in self._newest], [p for _, p in self._newest]
+        drawing = np.zeros_like(self._values)
+        if len(points) < _STILL or not np.isfinite(self._cost(points, drawing)):
+            return None
+        moved = np.ptp(self._predicted(points, drawing)[0], axis=0)
+        held = (np.ptp(self._readings(points), axis=0) == 0.0) & (moved > _MOVED * self._assumed)
+        if not held.any():
+            return None
+        columns = [self.layout.coordinates[k] for k, h in zip(self._read, held, strict=True) if h]
+        why = f"{listed(columns)} did not change in the last digit since step {steps[0]}, while the robot moved"
+        return Doubt(" or ".join(dict.fromkeys(self._owners[c] for c in columns)), why, tuple(steps))
 
     def _row(self, points: Sequence[Point]) -> Measurements:
         if self._first_s is None:
@@ -147,67 +177,89 @@ class Watch:
         return self.model.predict(rows, values)[:, self._read], columns
 
     def _seen(self, step: int, point: Point) -> Seen | None:
-        """The row beside what the model makes of it; None where its joints cannot be."""
-        try:
-            predicted, by = (a[0] for a in self._predicted([point], self._values))
-            by_joints = self._by_joints(point)
-        except SherkitError:
-            return None
+        """The row beside what the model makes of it, or the drawing where the model cannot be at these joints; None
+        where neither can."""
+        values, covariance = self._values, self._covariance
+        if not np.isfinite(self._cost([point], values)):
+            values, covariance = np.zeros_like(values), np.diag(self._prior**2)
+            if not np.isfinite(self._cost([point], values)):
+                return None
+        predicted, by = (a[0] for a in self._predicted([point], values))
         (read,) = self._readings([point])
-        spread = by @ self._covariance @ by.T + self._noise**2 * np.eye(len(read))
+        spread = by @ covariance @ by.T + self._noise**2 * np.eye(len(read))
         for model, sizes in self._steps:
             more = model.derivatives(self._row([point]), np.zeros(len(model.parameters)))[0, self._read] * sizes
             spread += more @ more.T
         columns = [self.layout.coordinates[k] for k in self._read]
-        seen = Seen(step, columns, read, predicted, spread, by_joints)
-        if seen.distance <= _ODD:
-            return seen
-        return replace(seen, least=self._reconsidered(point))
+        seen = Seen(step, columns, read, predicted, spread, partial(self._by_joints, point, values))
+        return seen if seen.distance <= _ODD else replace(seen, least=self._reconsidered(point))
 
     def _reconsidered(self, point: Point) -> float:
         """How far the row is from the others where the model may bend to it: the root of what the fit's sum of squares
         grows by. Tells a robot far from its drawing, whose rows are no longer linear in its errors, from a fault."""
-        try:
-            with_it = self._least([*self._points, point])
-            without = self._least(self._points) if self._points else 0.0
-        except (SherkitError, np.linalg.LinAlgError):
-            return np.inf
-        return float(np.sqrt(max(with_it - without, 0.0)))
+        without = self._least(self._points) if self._points else 0.0
+        return float(np.sqrt(max(self._least([*self._points, point]) - without, 0.0)))
 
     def _least(self, points: Sequence[Point]) -> float:
         """The least sum of squares, of readings and plausible sizes, that a few steps of Gauss-Newton find."""
-        values, least = self._values, np.inf
+        values = self._start(points)
+        if values is None:
+            return np.inf
         for _ in range(_BENDS):
-            values, _, cost, _ = self._step(points, values)
-            least = min(least, cost)
-        return least
+            values = self._step(points, values)[0]
+        return self._cost(points, values)
 
-    def _step(self, points: Sequence[Point], values: Floats) -> tuple[Floats, Floats, float, Floats]:
-        """A step of Gauss-Newton from ``values``: the next ones, their covariance, the sum of squares before the step,
-        and the derivatives of what is read (n, p)."""
+    def _start(self, points: Sequence[Point]) -> Floats | None:
+        """The present values, or the drawing where those cannot be at these joints; None where neither can."""
+        tried = (self._values, np.zeros_like(self._values))
+        return next((values for values in tried if np.isfinite(self._cost(points, values))), None)
+
+    def _cost(self, points: Sequence[Point], values: Floats) -> float:
+        """The sum of squares, of readings and plausible sizes; infinite where no such robot can be at these joints."""
+        try:
+            predicted = self.model.predict(self._row(points), values)[:, self._read]
+        except SherkitError:
+            return np.inf
+        miss = (self._readings(points) - predicted) / self._noise
+        return float(np.nansum(miss**2) + ((values / self._prior) ** 2).sum())
+
+    def _step(self, points: Sequence[Point], values: Floats) -> tuple[Floats, Floats, Floats]:
+        """A step of Gauss-Newton from ``values``, shorter where it would climb: the next values, their covariance, and
+        the derivatives of what is read (n, p)."""
         readings = self._readings(points)
         there = np.isfinite(readings)
         predicted, by = self._predicted(points, values)
         miss, columns = (readings - predicted)[there], by[there]
         information = columns.T @ columns / self._noise**2 + np.diag(self._prior**-2.0)
         covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        step = covariance @ (columns.T @ miss / self._noise**2 - values / self._prior**2)
         cost = float((miss @ miss) / self._noise**2 + ((values / self._prior) ** 2).sum())
-        pull = columns.T @ miss / self._noise**2 - values / self._prior**2
-        return values + covariance @ pull, covariance, cost, columns
+        for _ in range(_HALVINGS):
+            if self._cost(points, values + step) <= cost:
+                return values + step, covariance, columns
+            step = 0.5 * step
+        return values, covariance, columns
 
-    def _by_joints(self, point: Point) -> Floats:
-        """Derivatives (m, k) of the readings by the joints."""
+    def _by_joints(self, point: Point, values: Floats) -> Floats:
+        """Derivatives (m, k) of the readings by the joints, at these values."""
         out = []
         for name in self.layout.joints:
             width = 1e-4
             sides = [replace(point, values={**point.values, name: point.values[name] + s * width}) for s in (1.0, -1.0)]
-            high, low = self.model.predict(self._row(sides), self._values)[:, self._read]
+            try:
+                high, low = self.model.predict(self._row(sides), values)[:, self._read]
+            except SherkitError:
+                # at the very edge of what the robot reaches
+                high = low = np.zeros(len(self._read))
             out.append((high - low) / (2.0 * width))
         return np.array(out).T
 
     def _include(self, point: Point) -> None:
-        """One step of the filter."""
+        """Takes the row in: by a fit of all rows while they are few or have grown, by a step of the filter between."""
         self._points.append(point)
+        if len(self._points) <= _FEW or len(self._points) > self._linearised * (1.0 + _GROWTH):
+            self._linearise()
+            return
         try:
             predicted, by = (a[0] for a in self._predicted([point], self._values))
         except SherkitError:
@@ -222,19 +274,17 @@ class Watch:
 
     def _linearise(self) -> None:
         """Gauss-Newton over all rows about the present values, with the plausible sizes as a prior."""
-        if not self._points or not self._read:
+        if not self._points or (start := self._start(self._points)) is None:
             return
-        try:
-            values, covariance, _, columns = self._step(self._points, self._values)
-            readings = self._readings(self._points)
-            left = (readings - self._predicted(self._points, values)[0])[np.isfinite(readings)]
-        except (SherkitError, np.linalg.LinAlgError):
-            return
+        values, covariance, columns = self._step(self._points, start)
+        readings = self._readings(self._points)
+        left = (readings - self.model.predict(self._row(self._points), values)[:, self._read])[np.isfinite(readings)]
         fitted = float(np.trace(covariance @ columns.T @ columns)) / self._noise**2
         assumed = _NOISE_ROWS * len(self._read)
         free = max(len(left) - fitted, 0.0) + assumed
         self._values, self._covariance = values, 0.5 * (covariance + covariance.T)
-        self._noise = float(np.sqrt((assumed * self._assumed**2 + left @ left) / free))
+        estimated = float(np.sqrt((assumed * self._assumed**2 + left @ left) / free))
+        self._noise = min(estimated, _LOUDEST * self._assumed)
         self._linearised = len(self._points)
 
 

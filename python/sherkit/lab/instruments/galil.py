@@ -353,7 +353,9 @@ class Galil(GalilReference):
                 stands = self.read_confirmed(
                     max(self.arrived_within, 2.0 / min(abs(a.counts_per_unit) for a in self.axes))
                 )
-                self.left_at = {a.letter: at for a, at in zip(self.axes, stands.values, strict=True)}
+                at = dict(zip((a.letter for a in self.axes), stands.values, strict=True))
+                # those that another thread moves are elsewhere in a moment
+                self.left_at = {x: q for x, q in at.items() if x not in self._moving}
                 return stands
             if time.monotonic() > end:
                 worst = max(miss, key=lambda x: abs(miss[x]))

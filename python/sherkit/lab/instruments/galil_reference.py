@@ -95,6 +95,8 @@ class GalilReference(GalilLine, AxisController):
         mask = "".join(letters)
         self._prepared = False
         self.left_at = {}
+        # HM itself sets a zero at its end: should this program die before it has set the right one, there is none
+        self._repeat(lambda: self._acknowledged(f"{ZEROED}=0"))
         self._set("FL", dict.fromkeys(letters, LARGEST_COUNT))
         self._set("BL", dict.fromkeys(letters, -LARGEST_COUNT - 1))
         for setting, value, step in (("SP", self.home_speed, 2), ("AC", self.acceleration, 1024),
