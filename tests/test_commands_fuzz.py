@@ -7,6 +7,8 @@ import io
 import json
 import os
 import random
+import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -118,9 +120,12 @@ def campaign(folder: Path, count: int, seed: str) -> dict[str, int]:
                 wrong.setdefault(f"code {code} and no sentence", line)
             if "--json" in line and code == 0 and out.strip():
                 constants: list[str] = []
-                json.loads(out, parse_constant=constants.append)
+                try:
+                    json.loads(out, parse_constant=constants.append)
+                except ValueError:
+                    constants.append(f"{out[:40]!r}")
                 if constants:
-                    wrong.setdefault(f"{constants[0]} in JSON", line)
+                    wrong.setdefault(f"{constants[0]} for JSON", line)
             for path, content in whole.items():
                 if not path.exists() or path.read_bytes() != content:
                     path.write_bytes(content)  # a line may name a whole file as its output
@@ -148,3 +153,19 @@ def test_a_hang_would_be_seen() -> None:
     """Catches a watch that watches nothing."""
     with pytest.raises(Hung), at_most(0.05):
         time.sleep(60.0)
+
+
+def test_ctrl_c_while_it_loads_is_a_sentence(tmp_path: Path) -> None:
+    """Catches a traceback through half of the imports, where somebody typed the wrong thing and stops it at once."""
+    script = tmp_path / "sherkit"
+    script.write_text("from sherkit.cli import main\nmain()\n")
+    for _ in range(5):
+        process = subprocess.Popen([sys.executable, str(script), "effects"], stdout=subprocess.PIPE,
+                                   stderr=subprocess.PIPE, text=True)  # fmt: skip
+        maps = Path(f"/proc/{process.pid}/maps")
+        # NumPy is loaded after the handler is set, and long before the last of the imports
+        while process.poll() is None and "_multiarray_umath" not in maps.read_text():
+            time.sleep(0.002)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=600)
+        assert (process.returncode, err) == (130, "error: interrupted\n")

@@ -10,6 +10,7 @@ import click
 import sherkit._core as _core
 
 from ..errors import SherkitError
+from ..starting import loaded
 from . import output
 from .app import app
 from .calibrate import calibrate
@@ -50,6 +51,7 @@ cli.add_command(markers)
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs a command; errors become one sentence and an exit code."""
+    loaded()
     try:
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_, **__: output.warn(str(message))
@@ -58,7 +60,7 @@ def main(arguments: list[str] | None = None) -> None:
     except SherkitError as error:
         output.fail(str(error))
         sys.exit(1)
-    except click.exceptions.Abort:
+    except (click.exceptions.Abort, KeyboardInterrupt):
         output.fail("interrupted")
         sys.exit(130)
     except click.ClickException as error:
