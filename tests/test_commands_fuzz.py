@@ -32,7 +32,7 @@ _ENDLESS = {
     "demo": ["-x"],
 }
 #: So long may honest work on small files take, s; what is damaged is said sooner.
-_WORK_S = 12 * HANGS_S
+_WORK_S = 60 * HANGS_S
 
 
 def commands() -> dict[str, click.Command]:
@@ -51,7 +51,7 @@ def typed(name: str, command: click.Command, files: list[str], rng: random.Rando
         if isinstance(parameter, click.Argument):
             count = rng.choice((1, 1, 1, 2)) if parameter.nargs == -1 else rng.choice((1,) * 9 + (0,))
             line += [rng.choice(files) for _ in range(count)]
-        elif rng.random() < 0.25:
+        elif not parameter.is_eager and rng.random() < 0.25:
             option: Any = parameter
             line += [rng.choice(option.opts)]
             if not option.is_flag:

@@ -21,6 +21,7 @@ from .importing import import_group
 from .lab import lab
 from .measure import export, measure
 from .plan import plan
+from .schema import schema
 from .simulate import simulate
 from .tool import estimate, register
 from .vision import intrinsics, markers
@@ -43,6 +44,7 @@ cli.add_command(export)
 cli.add_command(lab)
 cli.add_command(measure)
 cli.add_command(plan)
+cli.add_command(schema)
 cli.add_command(simulate)
 cli.add_command(import_group)
 cli.add_command(intrinsics)
