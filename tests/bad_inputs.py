@@ -102,7 +102,7 @@ def _sigma(text: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _poses(*repeats: str) -> str:
+def _poses() -> str:
     """The good file with one pose number, and repeats of it."""
     lines = GOOD.splitlines()
     lines[2:] = [",".join(["1", str(k), *row.split(",")[2:]]) for k, row in enumerate(lines[2:], start=1)]

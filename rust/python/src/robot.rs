@@ -444,6 +444,7 @@ macro_rules! model_class {
 
             /// Adds a block of rows to the solver at its trial. `values` holds the parameters that are not free.
             /// Returns the rows that cannot be computed there.
+            #[allow(clippy::too_many_arguments, reason = "one argument for each part of the problem")]
             fn accumulate(
                 &self,
                 py: Python<'_>,
