@@ -136,7 +136,7 @@ BAD = (
     Bad(
         "one pose number for all rows",
         ("pose 1 stands at places", "mm apart", "as repeats"),
-        _poses("1", "2", "3", "4"),
+        _poses(),
     ),
     Bad(
         "a thousand, or a one?",
