@@ -102,8 +102,16 @@ def _sigma(text: str) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _poses() -> str:
+    """The good file with one pose number, and repeats of it."""
+    lines = GOOD.splitlines()
+    lines[2:] = [",".join(["1", str(k), *row.split(",")[2:]]) for k, row in enumerate(lines[2:], start=1)]
+    return "\n".join(lines) + "\n"
+
+
 BAD = (
     Bad("a reading in micrometres", ("'x_um'", "millimetres", "'x_mm'"), GOOD.replace("x_mm", "x_um")),
+    Bad("a unit in the header", ("'x [um]'", '[columns] x_mm = "x [um]"'), GOOD.replace("x_mm", "x [um]")),
     Bad("a joint in metres", ("'q1_mm' is missing", "'q1_m'", "millimetres"), GOOD.replace("q1_mm", "q1_m")),
     Bad("a misspelt column", ("'q2_mm' is missing", "'q2mm' meant"), GOOD.replace("q2_mm", "q2mm")),
     Bad(
@@ -125,6 +133,16 @@ BAD = (
     Bad("no reading in a row", ("line 4", "no reading was taken"), _line(4, "1,2,128.923,128.923,128.923,,,")),
     Bad("a pose number that is none", ("line 5, column 'pose'", "2.5 is not a whole number"), _cell(5, "pose", "2.5")),
     Bad("a pose and repeat twice", ("line 4", "pose 1 repeat 1", "line 3"), _cell(4, "repeat", "1")),
+    Bad(
+        "one pose number for all rows",
+        ("pose 1 stands at places", "mm apart", "as repeats"),
+        _poses(),
+    ),
+    Bad(
+        "a thousand, or a one?",
+        ("line 5, column 'x_mm': '1,957'", "decimal mark of this file is the point"),
+        _cell(5, "x_mm", "@").replace(",", ";").replace("@", "1,957"),
+    ),
     Bad("negative noise", ("line 5, column 'sigma_x_mm'", "-0.005", "greater than zero"), _sigma("-0.005")),
     Bad("half a distance", ("line 3", "all of to_q1_mm, to_q2_mm, to_q3_mm"), _DISTANCES.replace("130.071", "")),
     Bad(

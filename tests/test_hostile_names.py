@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import ast
+import json
+import re
+import warnings
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import sherkit as sk
 from hostile import HOSTILE, names
+from sherkit.cli.demo import EXAMPLE
 from sherkit.data.columns import Layout, bare
 from sherkit.diagnosis import template
+from test_commands_fuzz import run
+from test_fuzz import lines_run
 
 _SHAPES = ("smooth", "periodic", "step", "hysteretic", "interaction")
 
@@ -78,6 +86,7 @@ def test_a_template_of_a_hostile_column_runs(name: str) -> None:
     layout = Layout(("turn",), ("shown",), "mm", 1.0)
     signature = {
         "depends_on": [name], "shape": "smooth", "axis": ["shown"], "order": 1, "share_explained": 0.5,
+        "period": None,
         "ranges": {name: (0.0, 1.0)},
     }  # fmt: skip
     space: dict[str, Any] = {}
@@ -100,3 +109,34 @@ def test_an_effect_has_the_name_of_a_function(name: str) -> None:
     signature |= {"period": 1.0}
     with pytest.raises(sk.errors.EffectError, match="cannot be the name of an effect"):
         template(signature, Layout(("t",), ("x",), "mm", 1.0), name)
+
+
+def test_a_run_with_hostile_columns_is_diagnosed_and_reported(tmp_path: Path) -> None:
+    """Catches a name that is markup in the terminal, an element in the report, or code in the template that is run."""
+    rng = np.random.default_rng(0)
+    data = lines_run().to_frame()
+    hostile = [n for n in HOSTILE if n.strip() == n and n and "\x00" not in n and not n.startswith("#")]
+    chosen = [*hostile[:12], "[/]", "[red]", "[link=x]", "\x1b[31m", "</script><script>alert(1)</script>"]
+    frame = data.with_columns(pl.Series(n, rng.normal(size=len(data))) for n in dict.fromkeys(chosen))
+    # what is left goes with one of them: it is named, and becomes a template
+    worst = chosen[0]
+    frame = frame.with_columns(pl.col(a) + 0.2 * pl.col(worst) for a in ("x_mm", "y_mm", "z_mm"))
+    frame.write_csv(tmp_path / "run.csv")
+    sk.save_robot(EXAMPLE, tmp_path / "robot.toml")
+    told = [str(tmp_path / n) for n in ("robot.toml", "run.csv")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        code, out, err = run(["diagnose", *told, "--template", str(tmp_path / "t.py"),
+                              "--report", str(tmp_path / "r.html")])  # fmt: skip
+    assert code == 0, err
+    assert "Traceback" not in err
+    assert worst[:20] in out
+    ast.parse((tmp_path / "t.py").read_text())
+    assert f"rows[{worst!r}]" in (tmp_path / "t.py").read_text()
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    elements = re.sub(r"<script\b.*?</script>", "", page, flags=re.DOTALL)
+    assert "<script>alert" not in elements
+    assert re.findall(r"<script(?! nonce=| type=\"application/json\")", page.split("</head>")[1]) == []
+    code, out, err = run(["diagnose", *told, "--json", "--effects", str(tmp_path / "t.py")])
+    assert code == 0, err
+    assert json.loads(out)

@@ -8,6 +8,7 @@ What a person does stands here; what belongs to one robot or to one step stands 
 from importlib import import_module as _import_module
 from typing import Any as _Any
 
+from . import starting as _starting  # noqa: F401  # isort: skip
 from . import data, diagnosis, errors, fit, lab, model, planning
 from ._core import __version__
 from .calibrate import calibrate

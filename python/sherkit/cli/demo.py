@@ -14,6 +14,7 @@ from ..data import read_measurements
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
 from ..model.robot_file import save_robot
+from ..robots import delta
 from ..robots.calibrated import Calibration
 from ..robots.delta import paper
 from ..robots.delta.paper import paper_local, paper_whole
@@ -22,20 +23,7 @@ from ..robots.delta.virtual import VirtualDelta
 from ..study import Study
 from . import diagnosis_tables, output, reporting, tables
 
-#: A described example, not the paper's robot: no nominal dimension of that one is printed.
-EXAMPLE = Delta(
-    base_radius_mm=(90.0, 90.0, 90.0),
-    base_angle_deg=(90.0, 210.0, 330.0),
-    platform_radius_mm=(30.0, 30.0, 30.0),
-    platform_angle_deg=(90.0, 210.0, 330.0),
-    rod_length_mm=(120.0, 120.0, 120.0),
-    rod_spacing_mm=40.0,
-    target_offset_mm=(0.0, 0.0, -25.0),
-    pole_pitch_mm=2.0,
-    workspace_radius_mm=30.0,
-    workspace_z_mm=(-22.0, 22.0),
-    region_half_width_mm=10.0,
-)
+EXAMPLE: Delta = delta.KIND.example
 
 
 @click.command()

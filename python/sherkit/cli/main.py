@@ -10,6 +10,7 @@ import click
 import sherkit._core as _core
 
 from ..errors import SherkitError
+from ..starting import loaded
 from . import output
 from .app import app
 from .calibrate import calibrate
@@ -21,6 +22,7 @@ from .importing import import_group
 from .lab import lab
 from .measure import export, measure
 from .plan import plan
+from .schema import schema
 from .simulate import simulate
 from .tool import estimate, register
 from .tool_story import tool_story
@@ -45,6 +47,7 @@ cli.add_command(home)
 cli.add_command(lab)
 cli.add_command(measure)
 cli.add_command(plan)
+cli.add_command(schema)
 cli.add_command(simulate)
 cli.add_command(tool_story)
 cli.add_command(import_group)
@@ -54,6 +57,7 @@ cli.add_command(markers)
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs a command; errors become one sentence and an exit code."""
+    loaded()
     try:
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_, **__: output.warn(str(message))
@@ -62,7 +66,7 @@ def main(arguments: list[str] | None = None) -> None:
     except SherkitError as error:
         output.fail(str(error))
         sys.exit(1)
-    except click.exceptions.Abort:
+    except (click.exceptions.Abort, KeyboardInterrupt):
         output.fail("interrupted")
         sys.exit(130)
     except click.ClickException as error:

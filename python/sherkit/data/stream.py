@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,20 +35,20 @@ def stream_measurements(path: str | Path, block_rows: int = BLOCK_ROWS) -> Measu
     :class:`~sherkit.errors.MeasurementError`, most of it once the blocks are read.
     """
     path = checked(path)
+    return MeasurementStream(partial(_blocks, path, block_rows), str(path))
 
-    def blocks() -> Iterator[Measurements]:
-        if path.suffix.lower() not in PARQUET:
-            for frame, line in csv_blocks(path, block_rows):
-                yield _undirected(clean(frame, str(path), line, "line"))
-            return
-        first = 0
-        try_parquet(path)
-        with parquet_errors(path):
-            for frame in pl.scan_parquet(path).collect_batches(chunk_size=block_rows, maintain_order=True):
-                yield _undirected(clean(frame, str(path), np.arange(first, first + frame.height), "row"))
-                first += frame.height
 
-    return MeasurementStream(blocks, str(path))
+def _blocks(path: Path, block_rows: int) -> Iterator[Measurements]:
+    if path.suffix.lower() not in PARQUET:
+        for frame, line in csv_blocks(path, block_rows):
+            yield _undirected(clean(frame, str(path), line, "line"))
+        return
+    first = 0
+    try_parquet(path)
+    with parquet_errors(path):
+        for frame in pl.scan_parquet(path).collect_batches(chunk_size=block_rows, maintain_order=True):
+            yield _undirected(clean(frame, str(path), np.arange(first, first + frame.height), "row"))
+            first += frame.height
 
 
 def _undirected(block: Measurements) -> Measurements:

@@ -16,6 +16,8 @@ from ..errors import MeasurementError
 from .files import write_whole
 
 PARQUET = (".parquet", ".pq")
+#: The first and the last bytes of every Parquet file.
+_MAGIC = b"PAR1"
 #: Larger files are not read twice; their damage is said where it does not end the program.
 _TRIED_BYTES = 100 * 2**20
 #: What a trial may take: a damaged file can name any size.
@@ -56,6 +58,11 @@ def try_parquet(path: Path) -> None:
 
     Raises :class:`~sherkit.errors.MeasurementError`.
     """
+    with path.open("rb") as file:
+        head = file.read(4)
+        file.seek(max(0, path.stat().st_size - 4))
+        if head != _MAGIC or file.read(4) != _MAGIC:
+            raise not_parquet(path, "it does not begin and end as one")
     if not sys.executable or path.stat().st_size > _TRIED_BYTES:
         return
     source = _TRIAL.format(path=json.dumps([p for p in sys.path if p]), file=json.dumps(str(path.resolve())))

@@ -6,7 +6,7 @@ Robot files are read with it, calibrations, and the files of laboratories and ex
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,52 @@ def read_toml(path: str | Path, what: str, error: type[SherkitError] = RobotErro
         raise error(f"{str(path)!r} is no name of a {what} file") from None
 
 
+#: A JSON schema, as far as editors need one.
+Schema = dict[str, Any]
+_NUMBER: Schema = {"type": "number"}
+_POSITIVE: Schema = {"type": "number", "exclusiveMinimum": 0}
+#: The tables that are being watched, see :func:`watched`.
+_WATCHED: list[Table] | None = None
+
+
+def _list(items: Schema, count: int | None = None) -> Schema:
+    return {"type": "array", "items": items} | ({} if count is None else {"minItems": count, "maxItems": count})
+
+
+def merged(schemas: Sequence[Schema], *, one_table: bool = False) -> Schema:
+    """One schema of tables that were asked for different things: what any may have, what all must; what any must
+    where it is ``one_table`` that several asked."""
+    first, *others = schemas
+    out = dict(first)
+    for other in others:
+        if "properties" in out and "properties" in other:
+            known, more = out["properties"], other["properties"]
+            out["properties"] = known | {k: merged([known[k], v]) if k in known else v for k, v in more.items()}
+            before, now = set(out.get("required", ())), set(other.get("required", ()))
+            needed = before | now if one_table else before & now
+            out.pop("required", None)
+            out |= {"required": sorted(needed)} if needed else {}
+        elif "items" in out and "items" in other:
+            out["items"] = merged([out["items"], other["items"]])
+        elif "enum" in out and "enum" in other:
+            out["enum"] = list(dict.fromkeys([*out["enum"], *other["enum"]]))
+        elif other.get("properties") or other.get("items"):
+            out = dict(other)
+    return out
+
+
+@contextmanager
+def watched() -> Iterator[list[Table]]:
+    """The tables of the files that are read meanwhile, to see what is asked of them. What they lack is answered with
+    something of the kind that was asked for, so that readers go on."""
+    global _WATCHED
+    _WATCHED = []
+    try:
+        yield _WATCHED
+    finally:
+        _WATCHED = None
+
+
 class Table:
     """A TOML table that remembers which of its keys were asked for.
 
@@ -59,6 +105,12 @@ class Table:
         self._path = path
         self._error = error
         self._known: set[str] = set()
+        #: What was asked for: schemas by key, and the keys that must be there.
+        self._asked: dict[str, Schema] = {}
+        self._inner: dict[str, list[Table]] = {}
+        self._needed: set[str] = set()
+        if not path and _WATCHED is not None:
+            _WATCHED.append(self)
 
     def _name(self, key: str) -> str:
         return f"[{self._path}] {key}" if self._path else key
@@ -73,12 +125,34 @@ class Table:
         """The error for numbers that do not fit together, in words."""
         return self._error(f"{self._where}: [{self._path}] {what}")
 
-    def _get(self, key: str, expected: str, default: Any) -> Any:
+    @property
+    def where(self) -> str:
+        """The file that it stands in."""
+        return self._where
+
+    def schema(self) -> Schema:
+        """What was asked of this table so far, as JSON schema."""
+        known = {key: self._asked.get(key, {}) for key in sorted(self._known)}
+        for key, tables in self._inner.items():
+            inside = merged([one.schema() for one in tables])
+            known[key] = {"type": "array", "items": inside} if known[key].get("type") == "array" else inside
+        made: Schema = {"type": "object", "properties": known, "additionalProperties": False}
+        return made | ({"required": sorted(self._needed)} if self._needed else {})
+
+    def _ask(self, key: str, expected: str, schema: Schema) -> None:
         self._known.add(key)
+        self._asked[key] = {"description": expected, **schema}
+
+    def _get(self, key: str, expected: str, default: Any, schema: Schema, sample: Any = None) -> Any:
+        self._ask(key, expected, schema)
+        if default is None:
+            self._needed.add(key)
         if key not in self._values:
-            if default is None:
-                raise self._missing(key, expected)
-            return default
+            if default is not None:
+                return default
+            if sample is not None and _WATCHED is not None:
+                return sample
+            raise self._missing(key, expected)
         return self._values[key]
 
     def _missing(self, key: str, expected: str) -> SherkitError:
@@ -90,20 +164,22 @@ class Table:
     @contextmanager
     def table(self, key: str, *, optional: bool = False) -> Iterator[Table]:
         """A sub-table; on leaving it, unknown keys are refused."""
-        values = self._get(key, "a table", {} if optional else None)
+        values = self._get(key, "a table", {} if optional else None, {}, {})
         if not isinstance(values, Mapping):
             raise self.fail(key, f"a table [{key}]")
         inner = Table(values, self._where, f"{self._path}.{key}" if self._path else key, self._error)
+        self._inner[key] = [inner]
         yield inner
         inner.finish()
 
     def tables(self, key: str, *, optional: bool = True) -> Iterator[Table]:
         """The tables of a list ``[[key]]``, none where it is not given; past each, its unknown keys are refused."""
-        values = self._get(key, "a list of tables", [] if optional else None)
+        values = self._get(key, "a list of tables", [] if optional else None, {"type": "array"})
         if not isinstance(values, list) or not all(isinstance(v, Mapping) for v in values):
             raise self.fail(key, f"tables [[{key}]]")
         for k, one in enumerate(values, 1):
             inner = Table(one, self._where, f"{self._path}.{key} {k}" if self._path else f"{key} {k}", self._error)
+            self._inner.setdefault(key, []).append(inner)
             yield inner
             inner.finish()
 
@@ -129,35 +205,35 @@ class Table:
     def text(self, key: str, allowed: tuple[str, ...], default: str | None = None) -> str:
         """One of the allowed words."""
         expected = "one of " + ", ".join(f"'{a}'" for a in allowed)
-        value = self._get(key, expected, default)
+        value = self._get(key, expected, default, {"enum": list(allowed)}, allowed[0] if allowed else None)
         if value not in allowed:
             raise self.fail(key, expected)
         return str(value)
 
     def words(self, key: str, default: str | None = None, *, empty: bool = False) -> str:
         """Any text that is not empty unless it may be; where it is left out, ``default``, which may be empty."""
-        value = self._get(key, "a text", default)
+        value = self._get(key, "a text", default, {"type": "string"}, "x")
         if not isinstance(value, str) or (not value and not empty and key in self._values):
             raise self.fail(key, "a text")
         return value
 
     def texts(self, key: str, default: tuple[str, ...] | None = None) -> tuple[str, ...]:
         """A list of texts."""
-        value = self._get(key, "a list of texts", default)
+        value = self._get(key, "a list of texts", default, _list({"type": "string"}), ["x"])
         if not isinstance(value, list | tuple) or not all(isinstance(v, str) for v in value):
             raise self.fail(key, "a list of texts")
         return tuple(value)
 
     def wholes(self, key: str) -> tuple[int, ...]:
         """A list of whole numbers."""
-        value = self._get(key, "a list of whole numbers", None)
+        value = self._get(key, "a list of whole numbers", None, _list({"type": "integer"}), [1])
         if not isinstance(value, list) or not all(isinstance(v, int) and not isinstance(v, bool) for v in value):
             raise self.fail(key, "a list of whole numbers")
         return tuple(value)
 
     def flag(self, key: str, default: bool) -> bool:
         """true or false."""
-        value = self._get(key, "true or false", default)
+        value = self._get(key, "true or false", default, {"type": "boolean"})
         if not isinstance(value, bool):
             raise self.fail(key, "true or false")
         return value
@@ -166,7 +242,9 @@ class Table:
         """A whole number, from ``least`` to ``most``."""
         kind = "a whole number" + (f" of at least {least}" if least is not None else "")
         kind += f", at most {most}" if most is not None else ""
-        value = self._get(key, kind, default)
+        limits = {"minimum": least, "maximum": most}
+        schema = {"type": "integer", **{name: v for name, v in limits.items() if v is not None}}
+        value = self._get(key, kind, default, schema, max(least or 0, 3))
         if not isinstance(value, int) or isinstance(value, bool):
             raise self.fail(key, kind)
         if (least is not None and value < least) or (most is not None and value > most):
@@ -176,7 +254,7 @@ class Table:
     def rows(self, key: str, width: int) -> tuple[tuple[float, ...], ...]:
         """A list of lists of ``width`` finite numbers."""
         kind = f"a list of lists of {width} numbers"
-        value = self._get(key, kind, None)
+        value = self._get(key, kind, None, _list(_list(_NUMBER, width)), [[1.0] * width])
         if not isinstance(value, list) or not all(
             isinstance(row, list) and len(row) == width and all(_is_number(v) for v in row) for row in value
         ):
@@ -186,7 +264,10 @@ class Table:
     def array(self, key: str, *shape: int, finite: bool = True) -> Floats:
         """Numbers of a given shape; none is NaN, and where ``finite`` none has no end."""
         kind = f"{'finite ' if finite else ''}numbers of shape {shape}"
-        value = self._get(key, kind, None)
+        schema = _NUMBER
+        for count in reversed(shape):
+            schema = _list(schema, count)
+        value = self._get(key, kind, None, schema)
         try:
             made = np.array(value, dtype=float)
         except (TypeError, ValueError, OverflowError):
@@ -204,7 +285,7 @@ class Table:
 
     def some_numbers(self, key: str, default: tuple[float, ...] | None = None) -> tuple[float, ...]:
         """A list of finite numbers of any length, at least one."""
-        value = self._get(key, "a list of numbers", default)
+        value = self._get(key, "a list of numbers", default, _list(_NUMBER), [1.0])
         if not isinstance(value, list | tuple) or not value or not all(_is_number(v) for v in value):
             raise self.fail(key, "a list of numbers")
         return tuple(float(v) for v in value)
@@ -212,28 +293,30 @@ class Table:
     def number(self, key: str, default: float | None = None, *, positive: bool = False) -> float:
         """A finite number."""
         kind = "a positive number" if positive else "a number"
-        value = self._get(key, kind, default)
+        value = self._get(key, kind, default, _POSITIVE if positive else _NUMBER, 1.0)
         if not _is_number(value) or (positive and value <= 0):
             raise self.fail(key, kind)
         return float(value)
 
     def heights(self, key: str) -> tuple[float, float] | None:
         """Two numbers, the lower first, or None where the key is not given."""
-        self._known.add(key)
+        self._ask(key, "two numbers, the lower first", _list(_NUMBER, 2))
         if key not in self._values:
             return None
-        low, high = self.numbers(key, 2)
+        low, high = self.numbers(key, 2, (0.0, 0.0))
         if not low < high:
             raise self.fail(key, "two numbers, the lower first")
         return (low, high)
 
     def positive(self, key: str, *, or_zero: bool = False) -> float | None:
         """A positive number, or None where the key is not given; ``or_zero``: 0 says that there is none."""
-        self._known.add(key)
+        zero = {"type": "number", "minimum": 0}
+        expected = "a positive number" + (", or 0 for none" if or_zero else "")
+        self._ask(key, expected, zero if or_zero else _POSITIVE)
         if key not in self._values:
             return None
         if not or_zero:
-            return self.number(key, positive=True)
+            return self.number(key, 1.0, positive=True)
         value = self._values[key]
         if not _is_number(value) or value < 0:
             raise self.fail(key, "a positive number, or 0 for none")
@@ -244,7 +327,8 @@ class Table:
     ) -> tuple[float, ...]:
         """A list of finite numbers of a given length."""
         kind = f"{count} {'positive ' if positive else ''}numbers"
-        value = self._get(key, kind, default)
+        schema = _list(_POSITIVE if positive else _NUMBER, count)
+        value = self._get(key, kind, default, schema, [1.0 + k for k in range(count)])
         if (
             not isinstance(value, list | tuple)
             or len(value) != count

@@ -13,6 +13,7 @@ import numpy as np
 from ..data import Measurements
 from ..data.columns import Layout
 from ..errors import EffectError, ShapeError
+from ..saved import Saved
 from ..types import Floats
 from .effect import Effect, check_user_effect
 from .parameter import Parameter
@@ -45,7 +46,7 @@ class Reachable:
     rows: Measurements
 
 
-class ModelWithEffects(ABC):
+class ModelWithEffects(Saved, ABC):
     """A model of a machine, and the effects in it.
 
     Its parameters are its own, then those of its built-in effects, then those of the user's. Subclasses are frozen

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
+import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -56,6 +59,19 @@ class Effect:
     search: str | None = None
     function: Function | None = field(default=None, repr=False)
     derivative: Callable[[Any, SimpleNamespace], Any] | None = field(default=None, repr=False)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A user's effect is found again by its name in its file, as Python finds functions; others by their fields."""
+        made = {one.name: getattr(self, one.name) for one in fields(self)}
+        if self.function is None:
+            return _made, (made,)
+        module, name = self.function.__module__, self.function.__qualname__
+        there = sys.modules.get(module)
+        own = getattr(there, name, None)
+        if not isinstance(own, Effect) or own.function is not self.function:
+            return _made, (made,)
+        others = {key: value for key, value in made.items() if value is not getattr(own, key)}
+        return _found, (module, getattr(there, "__file__", None), name, others)
 
     @property
     def is_periodic(self) -> bool:
@@ -120,6 +136,25 @@ class Effect:
                 at.append(self.evaluate(rows, moved, axes))
             out[:, :, k] = (at[0] - 8 * at[1] + 8 * at[2] - at[3]) / (12 * h)
         return out
+
+
+def _made(values: dict[str, Any]) -> Effect:
+    return Effect(**values)
+
+
+def _found(module: str, file: str | None, name: str, others: dict[str, Any]) -> Effect:
+    """The effect of this name in a module, which is loaded from its file where it cannot be imported."""
+    there = sys.modules.get(module)
+    if there is None:
+        try:
+            there = importlib.import_module(module)
+        except ImportError:
+            spec = None if file is None else importlib.util.spec_from_file_location(module, file)
+            if spec is None or spec.loader is None:
+                raise
+            there = sys.modules[module] = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(there)
+    return replace(getattr(there, name), **others)
 
 
 def catalogue_of_core(table: Sequence[Mapping[str, Any]], sentences: Mapping[str, Sentences]) -> dict[str, Effect]:

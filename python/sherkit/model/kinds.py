@@ -173,7 +173,8 @@ class Kind:
     a part of it. ``signature`` gives the places (n, 3) that an effect is drawn at and what is left of it there (n, 3),
     mm; None where it is not drawn. ``called`` is what people call it, such as "the linear delta". ``choices`` are the
     words from which keys of its table ``[geometry]`` choose; its attributes have the same names.
-    ``asks`` are the settings of its file that are asked for where they are left out.
+    ``asks`` are the settings of its file that are asked for where they are left out. ``example`` is a robot of this
+    kind, whole, to show what its files hold; ``spelt`` are other ways to write tables of its file.
     """
 
     name: str
@@ -190,6 +191,8 @@ class Kind:
     called: str = ""
     choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     asks: tuple[Asked, ...] = ()
+    example: Any = None
+    spelt: tuple[Mapping[str, Mapping[str, Any]], ...] = ()
 
     @property
     def title(self) -> str:

@@ -10,12 +10,13 @@ from numpy.typing import ArrayLike
 
 from ..model.batch import Batch, matrix, vector
 from ..model.kinds import Robot
+from ..saved import Saved
 from ..types import Bools, Floats
 from .part import Part
 
 
 @dataclass(frozen=True, eq=False)
-class Deployed(ABC):
+class Deployed(Saved, ABC):
     """A robot with ``whole``, what was identified over its workspace.
 
     Coordinates are those of :attr:`coordinates`, joint readings those of the robot. Covariates of the control loop

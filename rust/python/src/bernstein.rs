@@ -66,16 +66,18 @@ impl Bernstein {
         py: Python<'py>,
         positions: PyReadonlyArray2<'_, f64>,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>)> {
-        let positions = rows::<3, _>("positions", &positions)?;
+        let positions = rows::<3, _>("positions", &positions)?.to_vec();
         let n = positions.len();
         let correction = self.view()?;
         let mut values = Vec::with_capacity(n * 3);
         let mut derivatives = Vec::with_capacity(n * 9);
-        for x in positions {
-            let (value, derivative) = correction.at(&Vector3::from(*x));
-            values.extend_from_slice(value.as_slice());
-            derivatives.extend_from_slice(derivative.transpose().as_slice());
-        }
+        py.detach(|| {
+            for x in &positions {
+                let (value, derivative) = correction.at(&Vector3::from(*x));
+                values.extend_from_slice(value.as_slice());
+                derivatives.extend_from_slice(derivative.transpose().as_slice());
+            }
+        });
         Ok((
             shaped(py, values, [n, 3])?,
             shaped(py, derivatives, [n, 3, 3])?,
@@ -106,11 +108,9 @@ pub fn bernstein_basis<'py>(
     if order > MAX_ORDER {
         return Err(shape("order", &format!("at most {MAX_ORDER}"), &[order]));
     }
-    let t = t.as_slice()?;
-    let numbers = t
-        .iter()
-        .flat_map(|t| basis(order, *t).into_iter().take(order + 1))
-        .collect();
+    let t = t.as_slice()?.to_vec();
+    let of = |t: &f64| basis(order, *t).into_iter().take(order + 1);
+    let numbers = py.detach(|| t.iter().flat_map(of).collect());
     shaped(py, numbers, [t.len(), order + 1])
 }
 
@@ -132,8 +132,8 @@ pub fn bernstein_fit<'py>(
         ));
     }
     let domain = domain(&low, &high, 1.0)?;
-    let x = rows::<3, _>("positions", &positions)?;
-    let y = rows::<3, _>("targets", &targets)?;
+    let x = rows::<3, _>("positions", &positions)?.to_vec();
+    let y = rows::<3, _>("targets", &targets)?.to_vec();
     if x.len() != y.len() {
         return Err(shape(
             "targets",
@@ -146,14 +146,14 @@ pub fn bernstein_fit<'py>(
         .detach(|| {
             let mut coefficients = vec![[0.0; 3]; n];
             let mut moments = Moments::new(orders, domain, vec![0.0; moments_len(orders)])?;
-            moments.push(x, y);
+            moments.push(&x, &y);
             if let Ok(weakest) = moments.solve(&mut coefficients, &mut vec![0.0; solve_len(orders)])
                 && weakest > WELL_DETERMINED
             {
                 return Ok((coefficients.into_flattened(), weakest));
             }
             let mut stack = Stack::new(n, 3, vec![0.0; stack_len(n, 3)])?;
-            for (x, y) in x.iter().zip(y) {
+            for (x, y) in x.iter().zip(&y) {
                 let (x, y) = (Vector3::from(*x), Vector3::from(*y));
                 push(&mut stack, orders, &domain, &x, &y);
             }
@@ -178,23 +178,31 @@ pub fn bernstein_fit_grid<'py>(
     ),
     values: PyReadonlyArray4<'_, f64>,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let axes = [axes.0.as_slice()?, axes.1.as_slice()?, axes.2.as_slice()?];
+    let axes = [
+        axes.0.as_slice()?.to_vec(),
+        axes.1.as_slice()?.to_vec(),
+        axes.2.as_slice()?.to_vec(),
+    ];
     let expected = [axes[0].len(), axes[1].len(), axes[2].len(), 3];
     if values.shape() != expected {
         return Err(shape("values", &format!("{expected:?}"), values.shape()));
     }
     let mut current = values.as_slice()?.to_vec();
     let mut dims = expected;
-    for k in 0..3 {
-        let (points, n) = (axes[k].len(), orders[k] + 1);
-        let mut projector = vec![0.0; n * points];
-        let mut scratch = vec![0.0; axis_scratch_len(points, orders[k])];
-        project_axis(orders[k], axes[k], &mut projector, &mut scratch).map_err(to_python)?;
-        let inner = dims[k + 1..].iter().product();
-        dims[k] = n;
-        let mut next = vec![0.0; dims.iter().product()];
-        apply_axis(&projector, points, n, inner, &current, &mut next);
-        current = next;
-    }
+    py.detach(|| {
+        for k in 0..3 {
+            let (points, n) = (axes[k].len(), orders[k] + 1);
+            let mut projector = vec![0.0; n * points];
+            let mut scratch = vec![0.0; axis_scratch_len(points, orders[k])];
+            project_axis(orders[k], &axes[k], &mut projector, &mut scratch)?;
+            let inner = dims[k + 1..].iter().product();
+            dims[k] = n;
+            let mut next = vec![0.0; dims.iter().product()];
+            apply_axis(&projector, points, n, inner, &current, &mut next);
+            current = next;
+        }
+        Ok(())
+    })
+    .map_err(to_python)?;
     shaped(py, current, [coefficients_len(orders), 3])
 }

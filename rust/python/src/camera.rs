@@ -87,8 +87,8 @@ impl Camera {
         py: Python<'py>,
         points: PyReadonlyArray2<'_, f64>,
     ) -> PyResult<Marked<'py, PyArray2<f64>>> {
-        let points = rows::<3, _>("points", &points)?;
-        let (found, seen) = in_lanes(points, Project(&self.0));
+        let points = rows::<3, _>("points", &points)?.to_vec();
+        let (found, seen) = py.detach(|| in_lanes(&points, Project(&self.0)));
         marked(py, found, seen, 2)
     }
 
@@ -99,23 +99,25 @@ impl Camera {
         py: Python<'py>,
         points: PyReadonlyArray2<'_, f64>,
     ) -> PyResult<Derivatives<'py>> {
-        let points = rows::<3, _>("points", &points)?;
+        let points = rows::<3, _>("points", &points)?.to_vec();
         let n = points.len();
         let mut out = [3, 6, 4, 5].map(|width| vec![f64::NAN; n * 2 * width]);
         let mut seen = vec![false; n];
-        for (i, point) in points.iter().enumerate() {
-            let point = Vector3::from(*point);
-            let Ok(found) = self.0.projection(&point) else {
-                continue;
-            };
-            seen[i] = true;
-            let (by_point, by_pose) = (self.0.by_point(&found), self.0.by_pose(&found, &point));
-            let [a, b, c, d] = &mut out;
-            a[i * 6..][..6].copy_from_slice(by_point.transpose().as_slice());
-            b[i * 12..][..12].copy_from_slice(by_pose.transpose().as_slice());
-            c[i * 8..][..8].copy_from_slice(found.by_intrinsics.transpose().as_slice());
-            d[i * 10..][..10].copy_from_slice(found.by_distortion.transpose().as_slice());
-        }
+        py.detach(|| {
+            for (i, point) in points.iter().enumerate() {
+                let point = Vector3::from(*point);
+                let Ok(found) = self.0.projection(&point) else {
+                    continue;
+                };
+                seen[i] = true;
+                let (by_point, by_pose) = (self.0.by_point(&found), self.0.by_pose(&found, &point));
+                let [a, b, c, d] = &mut out;
+                a[i * 6..][..6].copy_from_slice(by_point.transpose().as_slice());
+                b[i * 12..][..12].copy_from_slice(by_pose.transpose().as_slice());
+                c[i * 8..][..8].copy_from_slice(found.by_intrinsics.transpose().as_slice());
+                d[i * 10..][..10].copy_from_slice(found.by_distortion.transpose().as_slice());
+            }
+        });
         let [a, b, c, d] = out;
         Ok((
             shaped(py, a, [n, 2, 3])?,
@@ -201,16 +203,18 @@ impl Camera {
 fn each<'py, const N: usize>(
     py: Python<'py>,
     pixels: &PyReadonlyArray2<'_, f64>,
-    of: impl Fn(&Vector2<f64>) -> Result<[f64; N]>,
+    of: impl Fn(&Vector2<f64>) -> Result<[f64; N]> + Sync,
 ) -> PyResult<Marked<'py, PyArray2<f64>>> {
-    let pixels = rows::<2, _>("pixels", pixels)?;
+    let pixels = rows::<2, _>("pixels", pixels)?.to_vec();
     let mut out = vec![f64::NAN; pixels.len() * N];
     let mut seen = vec![false; pixels.len()];
-    for ((pixel, out), ok) in pixels.iter().zip(out.as_chunks_mut::<N>().0).zip(&mut seen) {
-        if let Ok(found) = of(&Vector2::from(*pixel)) {
-            *out = found;
-            *ok = true;
+    py.detach(|| {
+        for ((pixel, out), ok) in pixels.iter().zip(out.as_chunks_mut::<N>().0).zip(&mut seen) {
+            if let Ok(found) = of(&Vector2::from(*pixel)) {
+                *out = found;
+                *ok = true;
+            }
         }
-    }
+    });
     marked(py, out, seen, N)
 }

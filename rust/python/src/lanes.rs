@@ -16,8 +16,7 @@ pub trait LaneMap<const I: usize, const O: usize>: Copy + Sync + Send {
 /// Poses below which a second thread costs more than it brings.
 const WORTH_A_THREAD: usize = 50_000;
 
-/// Runs the lanes, on all cores where there are many poses; what cannot be computed is NaN and `false`. The
-/// interpreter lock is held, so that nobody writes the input meanwhile.
+/// Runs the lanes, on all cores where there are many poses; what cannot be computed is NaN and `false`.
 pub fn in_lanes<const I: usize, const O: usize, M: LaneMap<I, O>>(
     input: &[[f64; I]],
     map: M,

@@ -184,20 +184,25 @@ pub fn chain<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize>(
 pub fn each<'py, Q, const N: usize>(
     py: Python<'py>,
     rows: &[Q],
-    of: impl Fn(&Q) -> Result<SVector<f64, N>>,
-) -> PyResult<Marked<'py, PyArray2<f64>>> {
+    of: impl Fn(&Q) -> Result<SVector<f64, N>> + Sync,
+) -> PyResult<Marked<'py, PyArray2<f64>>>
+where
+    Q: Sync,
+{
     let mut out = vec![f64::NAN; rows.len() * N];
     let mut reached = vec![false; rows.len()];
-    for ((row, out), ok) in rows
-        .iter()
-        .zip(out.as_chunks_mut::<N>().0)
-        .zip(&mut reached)
-    {
-        if let Ok(value) = of(row) {
-            *out = value.into();
-            *ok = true;
+    py.detach(|| {
+        for ((row, out), ok) in rows
+            .iter()
+            .zip(out.as_chunks_mut::<N>().0)
+            .zip(&mut reached)
+        {
+            if let Ok(value) = of(row) {
+                *out = value.into();
+                *ok = true;
+            }
         }
-    }
+    });
     marked(py, out, reached, N)
 }
 
@@ -207,24 +212,29 @@ pub fn predict<'py, R: Robot<J, M, P>, const J: usize, const M: usize, const P: 
     model: &R,
     values: &PyReadonlyArray1<'_, f64>,
     block: &Block<'_>,
-) -> PyResult<Marked<'py, PyArray2<f64>>> {
+) -> PyResult<Marked<'py, PyArray2<f64>>>
+where
+    Chain<R, J, M, P>: Sync,
+{
     let chain = chain(model, values)?;
     let (rows, width) = (own_rows::<R, J, M, P>(block)?, columns::<R, J, M, P>());
     let mut out = vec![0.0; rows.len() * width];
     let mut reached = vec![false; rows.len()];
-    for ((row, out), ok) in rows
-        .iter()
-        .zip(out.chunks_exact_mut(width))
-        .zip(&mut reached)
-    {
-        if let Ok(value) = chain.row_value(row) {
-            let (at, count) = place::<J, M>(row);
-            out[at..at + count].copy_from_slice(&value.as_slice()[..count]);
-            *ok = true;
-        } else {
-            out.fill(f64::NAN);
+    py.detach(|| {
+        for ((row, out), ok) in rows
+            .iter()
+            .zip(out.chunks_exact_mut(width))
+            .zip(&mut reached)
+        {
+            if let Ok(value) = chain.row_value(row) {
+                let (at, count) = place::<J, M>(row);
+                out[at..at + count].copy_from_slice(&value.as_slice()[..count]);
+                *ok = true;
+            } else {
+                out.fill(f64::NAN);
+            }
         }
-    }
+    });
     marked(py, out, reached, width)
 }
 
@@ -236,7 +246,10 @@ pub fn derivatives<'py, R: Robot<J, M, P>, const J: usize, const M: usize, const
     values: &PyReadonlyArray1<'_, f64>,
     block: &Block<'_>,
     free: &[usize],
-) -> PyResult<Derivatives<'py>> {
+) -> PyResult<Derivatives<'py>>
+where
+    Chain<R, J, M, P>: Sync,
+{
     check_free::<P>(free)?;
     let chain = chain(model, values)?;
     let (rows, width) = (own_rows::<R, J, M, P>(block)?, columns::<R, J, M, P>());
@@ -246,30 +259,32 @@ pub fn derivatives<'py, R: Robot<J, M, P>, const J: usize, const M: usize, const
     let mut by_joints = vec![0.0; lines * J];
     let mut by_body = vec![0.0; lines * 3];
     let mut reached = vec![false; n];
-    let mut p = Prediction::new();
-    for (i, row) in rows.iter().enumerate() {
-        if chain.row_predict_into(row, wanted, &mut p).is_err() {
-            by_parameters[i * width * free.len()..][..width * free.len()].fill(f64::NAN);
-            by_joints[i * width * J..][..width * J].fill(f64::NAN);
-            by_body[i * width * 3..][..width * 3].fill(f64::NAN);
-            continue;
+    py.detach(|| {
+        let mut p = Prediction::new();
+        for (i, row) in rows.iter().enumerate() {
+            if chain.row_predict_into(row, wanted, &mut p).is_err() {
+                by_parameters[i * width * free.len()..][..width * free.len()].fill(f64::NAN);
+                by_joints[i * width * J..][..width * J].fill(f64::NAN);
+                by_body[i * width * 3..][..width * 3].fill(f64::NAN);
+                continue;
+            }
+            reached[i] = true;
+            let (at, count) = place::<J, M>(row);
+            for axis in 0..count {
+                let line = i * width + at + axis;
+                let out = &mut by_parameters[line * free.len()..][..free.len()];
+                for (o, &column) in out.iter_mut().zip(free) {
+                    *o = p.by_parameters[(axis, column)];
+                }
+                for k in 0..J {
+                    by_joints[line * J + k] = p.by_joints[(axis, k)];
+                }
+                for k in 0..3 {
+                    by_body[line * 3 + k] = p.by_body[(axis, k)];
+                }
+            }
         }
-        reached[i] = true;
-        let (at, count) = place::<J, M>(row);
-        for axis in 0..count {
-            let line = i * width + at + axis;
-            let out = &mut by_parameters[line * free.len()..][..free.len()];
-            for (o, &column) in out.iter_mut().zip(free) {
-                *o = p.by_parameters[(axis, column)];
-            }
-            for k in 0..J {
-                by_joints[line * J + k] = p.by_joints[(axis, k)];
-            }
-            for k in 0..3 {
-                by_body[line * 3 + k] = p.by_body[(axis, k)];
-            }
-        }
-    }
+    });
     Ok((
         shaped(py, by_parameters, [n, width, free.len()])?,
         shaped(py, by_joints, [n, width, J])?,
@@ -429,8 +444,10 @@ macro_rules! model_class {
 
             /// Adds a block of rows to the solver at its trial. `values` holds the parameters that are not free.
             /// Returns the rows that cannot be computed there.
+            #[allow(clippy::too_many_arguments, reason = "one argument for each part of the problem")]
             fn accumulate(
                 &self,
+                py: Python<'_>,
                 solver: &mut Solver,
                 values: PyReadonlyArray1<'_, f64>,
                 free: Vec<usize>,
@@ -440,7 +457,7 @@ macro_rules! model_class {
             ) -> PyResult<Vec<usize>> {
                 let taken = (&readings, &weights);
                 let problem = Problem::new(&self.0, solver, &values, free, &block, taken)?;
-                Ok(problem.readings(solver))
+                Ok(py.detach(|| problem.readings(solver)))
             }
 
             /// Iterates to the minimum over rows in memory. Returns how it ended and the rows that cannot be computed
@@ -498,7 +515,9 @@ pub fn many<'py, const N: usize, const O: usize>(
     array: &PyReadonlyArray2<'_, f64>,
     map: impl LaneMap<N, O>,
 ) -> PyResult<Marked<'py, PyArray2<f64>>> {
-    let (found, reached) = in_lanes(rows::<N, _>(name, array)?, map);
+    // others may write to the array meanwhile
+    let from = rows::<N, _>(name, array)?.to_vec();
+    let (found, reached) = py.detach(|| in_lanes(&from, map));
     marked(py, found, reached, O)
 }
 
@@ -507,19 +526,21 @@ pub fn both<'py, const N: usize, const R: usize, const A: usize, const B: usize>
     py: Python<'py>,
     name: &str,
     array: &PyReadonlyArray2<'_, f64>,
-    of: impl Fn(&SVector<f64, N>) -> Option<(SMatrix<f64, R, A>, SMatrix<f64, R, B>)>,
+    of: impl Fn(&SVector<f64, N>) -> Option<(SMatrix<f64, R, A>, SMatrix<f64, R, B>)> + Sync,
 ) -> PyResult<Both<'py>> {
-    let vectors = rows::<N, _>(name, array)?;
+    let vectors = rows::<N, _>(name, array)?.to_vec();
     let n = vectors.len();
     let (mut first, mut second) = (Rows::new(n, R, A), Rows::new(n, R, B));
     let mut reached = vec![false; n];
-    for (i, vector) in vectors.iter().enumerate() {
-        if let Some((a, b)) = of(&SVector::from(*vector)) {
-            first.put(i, &a);
-            second.put(i, &b);
-            reached[i] = true;
+    py.detach(|| {
+        for (i, vector) in vectors.iter().enumerate() {
+            if let Some((a, b)) = of(&SVector::from(*vector)) {
+                first.put(i, &a);
+                second.put(i, &b);
+                reached[i] = true;
+            }
         }
-    }
+    });
     Ok((
         first.matrices(py)?,
         second.matrices(py)?,
@@ -548,7 +569,7 @@ pub fn now<const J: usize>(numbers: &[f64]) -> PyResult<Covariates<J>> {
 /// A calibrated robot of as many coordinates as joints.
 pub trait Calibrated<const N: usize> {
     /// What computes.
-    type Core<'a>
+    type Core<'a>: Sync
     where
         Self: 'a;
     /// The core's robot.
@@ -592,16 +613,18 @@ pub fn forward_batch<'py, T: Calibrated<N>, const N: usize>(
     covariates: &[f64],
 ) -> PyResult<WithDerivative<'py>> {
     let (core, now) = (robot.core()?, now(covariates)?);
-    let q = rows::<N, _>("joints", joints)?;
+    let q = rows::<N, _>("joints", joints)?.to_vec();
     let (mut places, mut by_joints) = (Rows::new(q.len(), N, 1), Rows::new(q.len(), N, N));
     let mut reached = vec![false; q.len()];
-    for (i, q) in q.iter().enumerate() {
-        if let Ok((x, j)) = T::forward_at(&core, &SVector::from(*q), &now) {
-            places.put(i, &x);
-            by_joints.put(i, &j);
-            reached[i] = true;
+    py.detach(|| {
+        for (i, q) in q.iter().enumerate() {
+            if let Ok((x, j)) = T::forward_at(&core, &SVector::from(*q), &now) {
+                places.put(i, &x);
+                by_joints.put(i, &j);
+                reached[i] = true;
+            }
         }
-    }
+    });
     Ok((
         places.vectors(py)?,
         by_joints.matrices(py)?,
@@ -660,8 +683,8 @@ macro_rules! calibrated_class {
                 covariates: Vec<f64>,
             ) -> PyResult<Marked<'py, PyArray2<f64>>> {
                 let (core, now) = (self.core()?, now(&covariates)?);
-                let places = rows::<$n, _>(stringify!($places), &$places)?;
-                each(py, places, |x| Self::inverse_at(&core, &(*x).into(), &now))
+                let places = rows::<$n, _>(stringify!($places), &$places)?.to_vec();
+                each(py, &places, |x| Self::inverse_at(&core, &(*x).into(), &now))
             }
 
             $($own)*

@@ -265,15 +265,17 @@ model_class!(SphericalModel, Model, spherical, {
         let mut by_parameters = Rows::new(rows.len(), 3, free.len());
         let mut by_joints = Rows::new(rows.len(), 3, 2);
         let mut reached = vec![false; rows.len()];
-        for (i, row) in rows.iter().enumerate() {
-            let Ok(centre) = chain.centre(&row.joints, &row.covariates) else {
-                continue;
-            };
-            reached[i] = true;
-            out.put(i, &centre.value);
-            by_joints.put(i, &centre.by_joints);
-            by_parameters.put_columns(i, &centre.by_parameters, &free);
-        }
+        py.detach(|| {
+            for (i, row) in rows.iter().enumerate() {
+                let Ok(centre) = chain.centre(&row.joints, &row.covariates) else {
+                    continue;
+                };
+                reached[i] = true;
+                out.put(i, &centre.value);
+                by_joints.put(i, &centre.by_joints);
+                by_parameters.put_columns(i, &centre.by_parameters, &free);
+            }
+        });
         Ok((
             out.vectors(py)?,
             by_parameters.matrices(py)?,
@@ -299,14 +301,16 @@ model_class!(SphericalModel, Model, spherical, {
         let mut out = Rows::new(rows.len(), 2, 1);
         let mut by_parameters = Rows::new(rows.len(), 2, free.len());
         let mut reached = vec![false; rows.len()];
-        for (i, (row, reading)) in rows.iter().zip(&readings).enumerate() {
-            let Ok(found) = chain.inverse_residual(row, &Vector2::from(*reading)) else {
-                continue;
-            };
-            reached[i] = true;
-            out.put(i, &found.value);
-            by_parameters.put_columns(i, &found.by_parameters, &free);
-        }
+        py.detach(|| {
+            for (i, (row, reading)) in rows.iter().zip(&readings).enumerate() {
+                let Ok(found) = chain.inverse_residual(row, &Vector2::from(*reading)) else {
+                    continue;
+                };
+                reached[i] = true;
+                out.put(i, &found.value);
+                by_parameters.put_columns(i, &found.by_parameters, &free);
+            }
+        });
         Ok((
             out.vectors(py)?,
             by_parameters.matrices(py)?,
@@ -416,17 +420,19 @@ calibrated_class!(SphericalCalibrated, 2, angles, angles, {
     ) -> PyResult<WithDerivative<'py>> {
         check_free::<PARAMETERS>(&free)?;
         let (now, wanted) = (now(&covariates)?, Wanted::of(CATALOGUE, &free));
-        let q = rows::<2, _>("joints", &joints)?;
+        let q = rows::<2, _>("joints", &joints)?.to_vec();
         let mut out = Rows::new(q.len(), 2, 1);
         let mut by_parameters = Rows::new(q.len(), 2, free.len());
         let mut reached = vec![false; q.len()];
-        for (i, q) in q.iter().enumerate() {
-            if let Ok(found) = self.robot.predict(&Vector2::from(*q), &now, wanted) {
-                reached[i] = true;
-                out.put(i, &found.value);
-                by_parameters.put_columns(i, &found.by_parameters, &free);
+        py.detach(|| {
+            for (i, q) in q.iter().enumerate() {
+                if let Ok(found) = self.robot.predict(&Vector2::from(*q), &now, wanted) {
+                    reached[i] = true;
+                    out.put(i, &found.value);
+                    by_parameters.put_columns(i, &found.by_parameters, &free);
+                }
             }
-        }
+        });
         Ok((
             out.vectors(py)?,
             by_parameters.matrices(py)?,

@@ -166,10 +166,10 @@ impl ToolSensor {
         py: Python<'py>,
         wavelengths_nm: PyReadonlyArray2<'_, f64>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let w = rows::<WAVELENGTHS, _>("wavelengths_nm", &wavelengths_nm)?;
+        let w = rows::<WAVELENGTHS, _>("wavelengths_nm", &wavelengths_nm)?.to_vec();
         let depth = |reading: Reading| self.0.depth_by_lengths(&reading);
         let of = |row| self.0.read(&sections(row)).map_or([f64::NAN; 2], depth);
-        let out: Vec<f64> = w.iter().flat_map(of).collect();
+        let out: Vec<f64> = py.detach(|| w.iter().flat_map(of).collect());
         shaped(py, out, [w.len(), 2])
     }
 }
@@ -214,12 +214,12 @@ impl ToolBeam {
         py: Python<'py>,
         depths_mm: PyReadonlyArray1<'_, f64>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let depths = depths_mm.as_slice()?;
+        let depths = depths_mm.as_slice()?.to_vec();
         let of = |d: &f64| {
             let c = self.0.compliance(*d);
             [c.value, c.by_depth, c.by_length, c.by_stiffness]
         };
-        let out: Vec<f64> = depths.iter().flat_map(of).collect();
+        let out: Vec<f64> = py.detach(|| depths.iter().flat_map(of).collect());
         shaped(py, out, [depths.len(), 4])
     }
 
@@ -229,8 +229,9 @@ impl ToolBeam {
         py: Python<'py>,
         depths_mm: PyReadonlyArray1<'_, f64>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let depths = depths_mm.as_slice()?.iter();
-        let out = depths.map(|d| self.0.contact_compliance(*d)).collect();
+        let depths = depths_mm.as_slice()?.to_vec();
+        let of = |d: &f64| self.0.contact_compliance(*d);
+        let out = py.detach(|| depths.iter().map(of).collect());
         Ok(PyArray1::from_vec(py, out))
     }
 
@@ -242,17 +243,19 @@ impl ToolBeam {
         forces_mn: PyReadonlyArray2<'_, f64>,
         depths_mm: PyReadonlyArray1<'_, f64>,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>)> {
-        let forces = rows::<2, _>("forces_mn", &forces_mn)?;
-        let depths = same_length("depths_mm", &depths_mm, forces.len())?;
+        let forces = rows::<2, _>("forces_mn", &forces_mn)?.to_vec();
+        let depths = same_length("depths_mm", &depths_mm, forces.len())?.to_vec();
         let n = forces.len();
         let mut out = Vec::with_capacity(n * 3);
         let mut by = Vec::with_capacity(n * 10);
-        for (f, d) in forces.iter().zip(depths) {
-            let f = Vector2::from(*f);
-            out.extend_from_slice(self.0.deflection(&f, *d).as_slice());
-            let derivatives = self.0.deflection_derivatives(&f, *d);
-            by.extend_from_slice(derivatives.transpose().as_slice());
-        }
+        py.detach(|| {
+            for (f, d) in forces.iter().zip(&depths) {
+                let f = Vector2::from(*f);
+                out.extend_from_slice(self.0.deflection(&f, *d).as_slice());
+                let derivatives = self.0.deflection_derivatives(&f, *d);
+                by.extend_from_slice(derivatives.transpose().as_slice());
+            }
+        });
         Ok((shaped(py, out, [n, 3])?, shaped(py, by, [n, 2, 5])?))
     }
 
@@ -264,14 +267,16 @@ impl ToolBeam {
         depths_mm: PyReadonlyArray1<'_, f64>,
         poses: PyReadonlyArray2<'_, f64>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let forces = rows::<2, _>("forces_mn", &forces_mn)?;
-        let depths = same_length("depths_mm", &depths_mm, forces.len())?;
-        let poses = rows_like::<POSE>("poses", &poses, forces.len())?;
+        let forces = rows::<2, _>("forces_mn", &forces_mn)?.to_vec();
+        let depths = same_length("depths_mm", &depths_mm, forces.len())?.to_vec();
+        let poses = rows_like::<POSE>("poses", &poses, forces.len())?.to_vec();
         let mut out = Vec::with_capacity(forces.len() * 3);
-        for ((f, d), pose) in forces.iter().zip(depths).zip(poses) {
-            let tip = self.0.tip(&Vector2::from(*f), *d, &pose_of(pose));
-            out.extend_from_slice(tip.as_slice());
-        }
+        py.detach(|| {
+            for ((f, d), pose) in forces.iter().zip(&depths).zip(&poses) {
+                let tip = self.0.tip(&Vector2::from(*f), *d, &pose_of(pose));
+                out.extend_from_slice(tip.as_slice());
+            }
+        });
         shaped(py, out, [forces.len(), 3])
     }
 
@@ -281,19 +286,21 @@ impl ToolBeam {
         py: Python<'py>,
         measurements: PyReadonlyArray2<'_, f64>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        let measured = rows::<MEASUREMENT, _>("measurements", &measurements)?;
+        let measured = rows::<MEASUREMENT, _>("measurements", &measurements)?.to_vec();
         let mut out = Vec::with_capacity(measured.len() * 4);
-        for m in measured.iter().map(measurement_of) {
-            let [[xx, xy], [yx, yy]] = m.force_covariance;
-            let p = self.0.deflection_covariance(
-                &Vector2::from(m.force),
-                m.depth,
-                &Matrix2::new(xx, xy, yx, yy),
-                m.depth_variance,
-                &Vector2::from(m.depth_with_force),
-            );
-            out.extend_from_slice(p.transpose().as_slice());
-        }
+        py.detach(|| {
+            for m in measured.iter().map(measurement_of) {
+                let [[xx, xy], [yx, yy]] = m.force_covariance;
+                let p = self.0.deflection_covariance(
+                    &Vector2::from(m.force),
+                    m.depth,
+                    &Matrix2::new(xx, xy, yx, yy),
+                    m.depth_variance,
+                    &Vector2::from(m.depth_with_force),
+                );
+                out.extend_from_slice(p.transpose().as_slice());
+            }
+        });
         shaped(py, out, [measured.len(), 2, 2])
     }
 }

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ...errors import ExperimentError
 from .faults import Faults
 from .page import WebPage
 from .server import LOOPBACK
@@ -91,8 +92,10 @@ class NetworkCamera(WebPage):
         noise_grey: float = 0.0,
     ) -> None:
         del link, seed, noise_grey
-        import cv2
-
+        try:
+            import cv2
+        except ImportError:
+            raise ExperimentError('an emulated camera needs OpenCV: pip install "sherkit[vision]"') from None
         camera = CameraEmulator(world, faults=faults)
         self.faults = camera.faults
         lock = threading.Lock()

@@ -14,10 +14,25 @@ from .robot import ASSEMBLY_MODES, Delta
 from .signature import signature
 from .virtual import VirtualDelta
 
+#: A described example, not the paper's robot: no nominal dimension of that one is printed.
+_EXAMPLE = Delta(
+    base_radius_mm=(90.0, 90.0, 90.0),
+    base_angle_deg=(90.0, 210.0, 330.0),
+    platform_radius_mm=(30.0, 30.0, 30.0),
+    platform_angle_deg=(90.0, 210.0, 330.0),
+    rod_length_mm=(120.0, 120.0, 120.0),
+    rod_spacing_mm=40.0,
+    target_offset_mm=(0.0, 0.0, -25.0),
+    pole_pitch_mm=2.0,
+    workspace_radius_mm=30.0,
+    workspace_z_mm=(-22.0, 22.0),
+    region_half_width_mm=10.0,
+)
+
 KIND = Kind(
     "delta", Delta, DeltaModel, (DELTA,), DeltaCalibration, VirtualDelta,
     coordinates=DELTA.coordinates, poses=POSES, grid="grid", areas=AREAS, signature=signature,
-    called="the linear delta", choices={"assembly_mode": ASSEMBLY_MODES},
+    called="the linear delta", choices={"assembly_mode": ASSEMBLY_MODES}, example=_EXAMPLE,
     asks=(
         Asked(
             "geometry", "rod_spacing_mm",

@@ -21,6 +21,7 @@ from ...data.toml import Table
 from ...errors import FitError, ShapeError
 from ...fit.hold_out import spatial_blocks
 from ...fit.identify import Fit
+from ...saved import Saved
 from ...types import Floats
 
 Orders = tuple[int, int, int]
@@ -35,7 +36,7 @@ _FADE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Correction:
+class Correction(Saved):
     """A fitted correction in mm over the box ``low_mm`` to ``high_mm`` (x, y, z; infinite for no variable).
 
     ``orders`` gives the order in x, y, z; zero means that the correction does not depend on that coordinate.

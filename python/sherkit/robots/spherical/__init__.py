@@ -1,5 +1,8 @@
 """The spherical robot, seen by a camera."""
 
+import math
+from typing import Any
+
 from ...model.kinds import Asked, Kind
 from .calibration import SphericalCalibration
 from .camera import CameraView
@@ -15,10 +18,18 @@ from .robot import ASSEMBLY_MODES, WORKING_MODES, Spherical
 from .straightness import straightness, straightness_by
 from .virtual import VirtualSpherical
 
+_PLACED: dict[str, Any] = {"phi_deg": 90.0, "gamma_deg": 45.0, "distance_mm": 446.2}
+_LENS: dict[str, Any] = {"size_px": (1280, 640), "focal_px": (710.0, 710.0)}
+_EXAMPLE = Spherical(
+    45.0, 45.0, 200.0, joint_limits_deg=(-180.0, 270.0), phi_deg=(60.0, 120.0), gamma_deg=(25.0, 65.0),
+    camera=CameraView.facing(0.5 * math.pi, 0.25 * math.pi, _PLACED["distance_mm"], **_LENS),
+)  # fmt: skip
+
 KIND = Kind(
     "spherical", Spherical, SphericalModel, (SPHERICAL_PIXELS, SPHERICAL_ANGLES), SphericalCalibration,
     VirtualSpherical, coordinates=SPHERICAL_ANGLES.coordinates, poses=POSES, areas=AREAS,
-    called="the spherical robot and its camera",
+    called="the spherical robot and its camera", example=_EXAMPLE,
+    spelt=({"camera": {**_LENS, **_PLACED}},),
     choices={"assembly_mode": ASSEMBLY_MODES, "working_mode": WORKING_MODES},
     asks=(
         Asked(

@@ -11,6 +11,7 @@ import numpy as np
 import sherkit._core as _core
 
 from ...data.toml import Table
+from ...saved import Saved
 from ...types import Floats
 
 Pair = tuple[float, float]
@@ -18,7 +19,7 @@ Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class CameraView:
+class CameraView(Saved):
     """A calibrated camera and where it stands: x_camera = R(``rotation_rad``) x + ``translation_mm``, as in OpenCV.
 
     ``distortion`` holds k1, k2, p1, p2, k3 (Brown and Conrady). Pixels, mm, rad.

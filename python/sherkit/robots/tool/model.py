@@ -19,6 +19,7 @@ from ...errors import FitError, MeasurementError, RobotError
 from ...model.effect import Effect
 from ...model.parameter import Parameter
 from ...model.rows import Rows
+from ...saved import Saved
 from ...types import Floats
 from .alignment import at_times
 from .effects import TOOL_CATALOGUE, ToolEffect
@@ -35,7 +36,7 @@ _FARTHEST = 15.0
 
 
 @dataclass(frozen=True, eq=False)
-class ToolModel:
+class ToolModel(Saved):
     """Places of the tip as the camera should see them, in the robot's base (k, 3), mm, at its pictures.
 
     Fitted without any effect is the camera's offset alone. ``candidates`` are the effects of the tool on this run.

@@ -22,6 +22,7 @@ import sherkit._core as _core
 from ...data.files import write_whole
 from ...data.toml import Table, read_toml
 from ...errors import RobotError
+from ...saved import Saved
 from ...types import Floats
 
 Triple = tuple[float, float, float]
@@ -39,7 +40,7 @@ def even_gains(shift_nm_per_moment: float = _SHIFT_NM_PER_MOMENT, turn_rad: floa
 
 
 @dataclass(frozen=True)
-class FlexibleTool:
+class FlexibleTool(Saved):
     """The tool as calibrated, and how the filters are to treat it.
 
     ``length_mm`` is the free length h, ``stiffness_mn_mm2`` the bending stiffness EI, ``distances_mm`` from the tip to
