@@ -508,7 +508,7 @@ _NAN, _INF = float("nan"), float("inf")
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("calibration.format", 2),
+        ("calibration.format", 3),
         ("calibration.format", "1"),
         ("robot.kind", "hexapod"),
         ("robot.geometry", 3),

@@ -30,7 +30,17 @@ from sherkit.robots.delta.virtual import TABLE_II_SIZES
 SHERKIT = str(Path(sys.executable).with_name("sherkit"))
 COMMANDS = {
     "": ["calibrate", "demo", "import", "simulate"],
-    "calibrate": ["--local", "--json", "--loss", "--free", "--priors", "--linear", "--correction", "--exclude"],
+    "calibrate": [
+        "--local",
+        "--json",
+        "--loss",
+        "--free",
+        "--priors",
+        "--linear",
+        "--correction",
+        "--exclude",
+        "--without-outliers",
+    ],
     "demo": ["--seed", "--output"],
     "simulate": ["--poses", "--repeats", "--noise-um", "--truth", "--output", "--order"],
     "import klipper": ["--output", "CONFIG"],

@@ -190,14 +190,23 @@ def test_a_scatter_from_pose_to_pose_is_unexplained_with_its_size() -> None:
     d = honest(answer)
     assert d.verdict == "unexplained"
     assert "0.4" in repr(d).splitlines()[0]
+    # and the ways to declare it, where it is known
+    assert "columns pose_sigma_u_px, pose_sigma_v_px, or marker_sigma_px under [camera] in the robot file" in d.headline
 
 
-def test_a_scatter_that_was_declared_is_adequate() -> None:
+@pytest.mark.parametrize("where", ["run", "robot file"])
+def test_a_scatter_that_was_declared_is_adequate(where: str) -> None:
     """Catches a user who has said what the marker's error is and hears of it for ever: it belongs to the noise."""
     world = worlds.spherical_scatter(1)
     n = len(world.columns["pose"])
-    declared = {f"pose_sigma_{name}": np.full(n, 4 * NOISE_PX) for name in ("u_px", "v_px")}
-    d = honest(replace(world, columns=world.columns | declared).ask())
+    if where == "run":
+        declared = {f"pose_sigma_{name}": np.full(n, 4 * NOISE_PX) for name in ("u_px", "v_px")}
+        world = replace(world, columns=world.columns | declared)
+    else:
+        camera = world.settings["camera"] | {"marker_sigma_px": 4 * NOISE_PX}
+        world = replace(world, settings=world.settings | {"camera": camera})
+        assert world.robot.to_tables()["camera"]["marker_sigma_px"] == 4 * NOISE_PX
+    d = honest(world.ask())
     assert d.verdict == "adequate"
     noise = noise_of(d)
     assert noise is not None

@@ -6,6 +6,7 @@ Robots and runs of seed 0 where nothing else is said. Rates of poses that are wr
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ import pytest
 import sherkit as sk
 import worlds
 from second_simulator.plans import Order
+from sherkit.cli import main
+from sherkit.diagnosis.outliers import gross_errors_marked
 from worlds import Floats
 
 
@@ -112,3 +115,41 @@ def test_wrong_rows_are_named_by_pose_and_by_line() -> None:
     assert d.fit.data.outlier.sum() == 10
     assert d.base.data.outlier.sum() == 10
     assert d.steps[0].held_out_rms < 1.2 * worlds.NOISE_UM
+
+
+def knocked() -> tuple[worlds.World, Floats, Floats]:
+    """A run without repeats in which five rows are off by fifty times the noise; and which."""
+    world = worlds.delta_world(2, repeats=1)
+    rows = np.array([7, 30, 31, 90, 150])
+    return world, rows, pushed(world, rows, 50.0 * worlds.NOISE_UM)
+
+
+def test_a_study_marks_what_its_diagnosis_lists() -> None:
+    """Catches rows that a person must copy by hand, and a mark that nothing says anything of."""
+    world, rows, add = knocked()
+    study = sk.Study(world.robot, rows_of(world, add))
+    step = study.mark_outliers()
+    assert np.flatnonzero(study.data.outlier).tolist() == rows.tolist()
+    assert step.action == "5 rows marked as outliers"
+    assert step.held_out < 0.5 * study.history[0].held_out
+    with pytest.raises(sk.errors.MeasurementError, match="lists no rows as gross errors"):
+        study.mark_outliers()
+    study.undo()
+    assert not study.data.outlier.any()
+
+
+def test_a_calibration_leaves_them_out_where_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches an option that marks other rows than the diagnosis lists, or marks in silence."""
+    world, rows, add = knocked()
+    data = rows_of(world, add)
+    data.save(tmp_path / "run.csv")
+    worlds.write_robot_toml(tmp_path / "robot.toml", world.settings)
+    with pytest.raises(SystemExit) as end:
+        main(["calibrate", str(tmp_path / "robot.toml"), str(tmp_path / "run.csv"), "--without-outliers",
+              "--correction", "none"])  # fmt: skip
+    assert end.value.code == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"marked as outliers and not fitted: lines {', '.join(str(r + 2) for r in rows)}" in said
+    # joints swapped: every row looks wrong, and none is marked
+    swapped = data.to_frame().rename({"q1_mm": "q2_mm", "q2_mm": "q1_mm"})
+    assert not gross_errors_marked(sk.identify(world.robot, sk.from_frame(swapped))).outlier.any()

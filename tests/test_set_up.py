@@ -215,3 +215,15 @@ def test_a_mistake_beside_large_physics_ends_in_a_sentence() -> None:
     answer = replace(world, columns=columns).ask()
     assert answer.verdict == "unexplained"
     assert answer.says(("x_mm",), ("y_mm",), ("swap", "interchang", "mirror"))
+
+
+@pytest.mark.parametrize(("seed", "lean_mrad"), [(0, 1.0), (1, 5.0), (0, 20.0)])
+def test_swapped_columns_are_said_as_such_on_leaning_rails(seed: int, lean_mrad: float) -> None:
+    """Catches "a mirrored frame" where two columns are swapped: a frame that may turn a little takes some of the lean,
+    which a swap cannot, and on a symmetric robot fits better for that."""
+    lean = 1e-3 * lean_mrad * np.random.default_rng([seed, 9]).normal(size=6)
+    world = worlds.delta_world(seed, effects={"rail_lean": lean})
+    swapped = {"x_mm": world.columns["y_mm"], "y_mm": world.columns["x_mm"]}
+    said = told(replace(world, columns=world.columns | swapped))
+    assert "x_mm and y_mm look swapped" in said[0].sentence
+    assert "mirrored" not in said[0].sentence

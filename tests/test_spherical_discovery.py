@@ -280,7 +280,7 @@ def test_a_delay_needs_the_velocity_and_says_so() -> None:
 def test_the_right_effect_is_named_in_98_of_100(ratio: float, where: str) -> None:
     """Catches any weakness of the search that shows on some draws only, and sizes that do not fit the cause.
 
-    20 seeds of each of 12 effects: the true effect leads or is tied in 98 %, "explained" without it in 1 % at most,
+    20 seeds of each effect: the true effect leads or is tied in 98 %, "explained" without it in 1 % at most,
     and no single effect in less than 98 %, each with a binomial allowance of 1 in 1,000; held-out errors are at the
     noise.
     """
@@ -304,12 +304,11 @@ def test_the_right_effect_is_named_in_98_of_100(ratio: float, where: str) -> Non
 
 @pytest.mark.slow
 def test_pairs_are_named_in_95_of_100() -> None:
-    """Catches pairs of which one effect hides the other. All 66 pairs, three seeds of each, a ratio of 2.
+    """Catches pairs of which one effect hides the other. All pairs, three seeds of each, a ratio of 2.
 
     At least 95 % both named, of all and of those that can be known for two; for some, the second simulator says that
     one effect alone explains what both do but for less than can be seen (``enough_alone``): then that one or both are
-    named in 98 %. Binomial allowances of 1 in 1,000. Measured: 185 of all 198, which is 93 % and passes by the
-    allowance; 12 runs can be known for one, and all 12 are named so or as both; of the other 186, both in 183.
+    named in 98 %. Binomial allowances of 1 in 1,000.
     """
     both, right = {True: 0, False: 0}, 0
     runs: Counter[bool] = Counter()

@@ -78,6 +78,7 @@ def test_errors_are_sentences_and_change_nothing(bench: Workbench, tmp_path: Pat
     bench.toggle("no_such_effect")
     bench.undo()
     bench.mark_outliers([10_000])
+    bench.mark_suspects()
     bench.add_measurements("bad.csv", b"q1_mm,q2_mm,q3_mm,x_mm\n1,2,3,four\n")
     bench.type_effect("raise SystemExit(3)")
     bench.type_effect(
@@ -85,12 +86,13 @@ def test_errors_are_sentences_and_change_nothing(bench: Workbench, tmp_path: Pat
     )
     settled(bench)
     errors = [value for kind, value in told if kind == "error"]
-    assert len(errors) == 6, errors
+    assert len(errors) == 7, errors
     assert "no_such_effect" in errors[0]
     assert "nothing to undo" in errors[1]
     assert "there is no row 10000" in errors[2]
-    assert errors[3].startswith("bad.csv: line 2")
-    assert "SystemExit" in errors[4]
+    assert "lists no rows as gross errors" in errors[3]
+    assert errors[4].startswith("bad.csv: line 2")
+    assert "SystemExit" in errors[5]
     assert bench.moment.effects == ()
     assert len(bench.moment.history) == 1
     assert not list((tmp_path / "study").glob("added*"))

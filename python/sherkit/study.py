@@ -202,11 +202,16 @@ class Study(Shown):
         """
         return self._change(self.model, joined(self.data, more), f"{len(more)} rows joined")
 
-    def mark_outliers(self, rows: Sequence[int]) -> StudyStep:
-        """Marks rows (by number from 0) as outliers: kept, listed, not fitted.
+    def mark_outliers(self, rows: Sequence[int] | Ints | None = None) -> StudyStep:
+        """Marks rows (by number from 0) as outliers: kept, listed, not fitted; left out, those that the diagnosis
+        lists as gross errors (:attr:`~sherkit.Diagnosis.outliers`).
 
-        Raises :class:`~sherkit.errors.MeasurementError` for a row that is not there.
+        Raises :class:`~sherkit.errors.MeasurementError` for a row that is not there, or where none is listed.
         """
+        if rows is None:
+            rows = self.diagnose().outliers
+            if not len(rows):
+                raise MeasurementError(f"{self.data.source}: the diagnosis lists no rows as gross errors")
         absent = [r for r in rows if not 0 <= r < len(self.data)]
         if absent:
             raise MeasurementError(

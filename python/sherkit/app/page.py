@@ -19,6 +19,7 @@ from jinja2 import Environment, PackageLoader
 from tornado.ioloop import IOLoop
 
 from ..diagnosis import sentence, template
+from ..diagnosis.outliers import sentences
 from ..names import listed
 from ..report.error_history import ErrorHistory, ErrorOfStep, error_history
 from ..report.parameters import parameters
@@ -140,6 +141,8 @@ class StudyPage:
         self.selection = Div(name="selection", width=_MIDDLE, **text)
         self.mark = Button(stylesheets=[_TYPE], label="Mark as outliers", name="mark", disabled=True, width=180)
         self.mark.on_click(self._mark)
+        self.suspects = Button(stylesheets=[_TYPE], label=_SUSPECTS, name="suspects", disabled=True, width=220)
+        self.suspects.on_click(lambda: self._do(self.bench.mark_suspects))
         self.typed_rows = TextInput(stylesheets=[_TYPE],
             name="typed_rows", width=360
         )  # fmt: skip
@@ -158,7 +161,7 @@ class StudyPage:
             "choices": row(self.before, self.after, self.variable),
             "map": self.map_place,
             "against": self.against_place,
-            "rows": column(row(self.typed_rows, self.mark, align="end"), self.selection),
+            "rows": column(row(self.typed_rows, self.mark, self.suspects, align="end"), self.selection),
             "fall": self.fall_place,
             "parameters": self.parameters_place,
         }
@@ -242,12 +245,16 @@ class StudyPage:
         title = f"<b>{escape(moment.data.source)}</b>: {len(moment.data)} rows"
         if moment.data.outlier.any():
             title += f", {int(moment.data.outlier.sum())} marked"
+        suspected = 0 if found is None else len(found.outliers)
+        self.suspects.disabled = not suspected
+        self.suspects.label = f"Mark the {suspected} suspected" if suspected else _SUSPECTS
         if found is None:
             self.headline.text = title
             return
+        wrong = "".join(f"<br>{escape(said)}" for said in sentences(moment.data, found.outliers))
         shape = f"<br>left over: {escape(sentence(found.signature))}" if found.signature is not None else ""
         ties = "".join(f"<br>these rows cannot tell {escape(' from '.join(tie))}" for tie in found.ties)
-        self.headline.text = f'{title}<br><span id="verdict">{escape(found.headline)}</span>{ties}{shape}'
+        self.headline.text = f'{title}<br><span id="verdict">{escape(found.headline)}</span>{wrong}{ties}{shape}'
 
     def _draw_effects(self, moment: Moment) -> None:
         """A button for every effect: those in the model, then by what each would bring."""
@@ -505,6 +512,7 @@ class StudyPage:
         )
 
 
+_SUSPECTS = "No rows are suspected"
 _GONE = (
     "<b>The server of this page does not answer; the study is saved. Reload the page, or start sherkit app again.</b>"
 )

@@ -285,6 +285,10 @@ class Workbench:
         """Takes the last change back."""
         return self.change("undoing", lambda study, _: study.undo())
 
+    def mark_suspects(self) -> Future[None]:
+        """Marks the rows that the diagnosis lists as gross errors."""
+        return self.change("marking the suspected rows", lambda study, _: study.mark_outliers())
+
     def mark_outliers(self, rows: Sequence[int]) -> Future[None]:
         """Marks rows (from 0) as outliers."""
         count = f"{len(rows)} row{'s' if len(rows) != 1 else ''}"

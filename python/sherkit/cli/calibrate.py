@@ -11,7 +11,9 @@ from ..calibrate import CORRECTIONS, to_json
 from ..calibrate import calibrate as run_calibration
 from ..data import Measurements
 from ..diagnosis import diagnose
+from ..diagnosis.outliers import gross_errors_marked
 from ..errors import MeasurementError
+from ..fit.identify import identify
 from ..fit.robust import LOSSES
 from ..model.effect import effects_by_name
 from ..model.effect_file import load_effects
@@ -40,6 +42,7 @@ NOT_CONVERGED = 3
 @click.option("--linear", is_flag=True, help="The paper's single linear step instead of the nonlinear minimum.")
 @click.option("--correction", type=click.Choice(CORRECTIONS), default="auto", show_default=True)
 @click.option("--exclude", default="", help="Lines of RUN to leave out as outliers, separated by commas.")
+@click.option("--without-outliers", is_flag=True, help="Leave out the rows that a diagnosis lists as gross errors too.")
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Rules the dealing of blocks to folds."
 )
@@ -58,6 +61,7 @@ def calibrate(
     linear: bool,
     correction: str,
     exclude: str,
+    without_outliers: bool,
     seed: int,
     report: Path | None,
 ) -> int:
@@ -74,12 +78,19 @@ def calibrate(
         step(f"reading {run}")
         data = _without(run_for(robot, run), exclude)
         inner = run_for(robot, local) if local else None
+        names = [name.strip() for name in free.split(",") if name.strip()]
+        chosen = effects_by_name(catalogue_of(nominal), added, own)
+        if without_outliers:
+            step("looking for gross errors")
+            # what needs a setting that is searched for is among the effects that are tried, not in this fit
+            inside = [e for e in chosen if e.search is None]
+            data = gross_errors_marked(identify(nominal, data, free=names, effects=inside), own)
         result = run_calibration(
             nominal,
             data,
             inner,
-            free=[name.strip() for name in free.split(",") if name.strip()],
-            effects=effects_by_name(catalogue_of(nominal), added, own),
+            free=names,
+            effects=chosen,
             loss=loss,
             priors=priors,
             linear=linear,

@@ -12,6 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..data import Measurements
+from ..fit.identify import Fit
+from ..fit.set_up import set_up_mistakes
 from ..model.effect import Effect
 from ..names import listed
 from ..types import Bools, Floats, Ints
@@ -45,6 +47,15 @@ def without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[FittedR
         wild = again
         run = first.without(wild) if len(wild) else first
     return run, wild
+
+
+def gross_errors_marked(fit: Fit, effects: Sequence[Effect] = ()) -> Measurements:
+    """The rows of a fit with those marked that a diagnosis lists as gross errors; ``effects`` are tried beside the
+    catalogue. Beside a mistake of the set-up every row may look wrong, and none is marked."""
+    if set_up_mistakes(fit.model, fit.data, fit.values):
+        return fit.data
+    run = FittedRun(fit)
+    return fit.data.mark_outliers(without_outliers(run, (*run.catalogue, *effects))[1])
 
 
 def gross_errors(run: FittedRun, effects: Sequence[Effect], rows: Ints) -> Ints:

@@ -215,7 +215,8 @@ def identify(
     :class:`~sherkit.errors.EffectError` for an effect that is not known.
     """
     given = load_robot(robot) if isinstance(robot, str | PathLike) else robot
-    model, data = extended_by(model_of(given, free), effects), run_for(robot, data)
+    model = extended_by(model_of(given, free), effects)
+    data = model.as_declared(run_for(robot, data))
     if loss not in LOSSES:
         raise FitError(f"loss: '{loss}' is not known; choose {', '.join(LOSSES)}")
     noise = noise or noise_of(data)

@@ -60,6 +60,8 @@ class ModelWithEffects(Saved, ABC):
     within: ClassVar[frozenset[str]] = frozenset()
     #: Where a robot's file gives the period of its encoders; empty where it has no place for it.
     period_in_file: ClassVar[str] = ""
+    #: Where a robot's file declares an error of the readings that repeats of a pose share; empty as above.
+    pose_sigma_in_file: ClassVar[str] = ""
 
     # -- what a model says -------------------------------------------------------------------------------
 
@@ -125,6 +127,11 @@ class ModelWithEffects(Saved, ABC):
         counted from its other end."""
         del data
         return {}
+
+    def as_declared(self, data: Measurements) -> Measurements:
+        """The rows with the errors of each pose that the machine's file declares, where they declare none themselves;
+        as they are, unless a machine has such a file."""
+        return data
 
     def readable(self, data: Measurements) -> tuple[Layout, ...]:
         """Runs that the model can predict: what was read, and what else could be."""

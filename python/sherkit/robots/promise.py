@@ -11,6 +11,8 @@ from ..types import Bools, Floats
 
 #: An addition of more than this part of the radius is worth a measurement.
 _MATTERS = 0.1
+#: Digits of what a person is asked to drive to, by unit.
+_DIGITS = {"mm": 1, "rad": 3}
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,8 @@ class Promises:
             return ""
         names = ", ".join(bare(name) for name in self.coordinates)
         unit = unit_in(self.coordinates[0])
-        at = "; ".join(", ".join(f"{v:.4g}" for v in place) for place in one.places)
+        digits = _DIGITS.get(unit, 3)
+        at = "; ".join(", ".join(f"{v:.{digits}f}" for v in place) for place in one.places)
         return f"To narrow it, measure also at {names} = {at} {unit}: that would leave {100 * one.left:.0f} % of it."
 
     def to_frame(self) -> pl.DataFrame:

@@ -91,7 +91,9 @@ class Search:
         while before > 0.0 and len(chosen) < _ADVISED and left > _LEFT:
             there = missed @ moment
             inverse = np.linalg.inv(there @ missed.transpose(0, 2, 1) + noise)
-            best = int(np.argmax(np.trace(inverse @ (there @ over @ there.transpose(0, 2, 1)), axis1=1, axis2=2)))
+            gains = np.trace(inverse @ (there @ over @ there.transpose(0, 2, 1)), axis1=1, axis2=2)
+            gains[chosen] = -np.inf  # twice at one place would tell of the noise there
+            best = int(np.argmax(gains))
             chosen.append(best)
             moment = moment - there[best].T @ inverse[best] @ there[best]
             left = float(np.sqrt(max(np.trace(over @ moment), 0.0) / before))

@@ -29,6 +29,8 @@ _LEAST_SPREAD = 0.02
 _MOVED = 15.0
 #: More mistakes than this at once are not looked for.
 _MOST_MISTAKES = 3
+#: Of how far readings lie from their middle, the part by which two frames may differ and be said as one: 3°.
+_NEARLY = 0.05
 #: How often a turned frame is registered anew to what the model predicts.
 _TURNS = 4
 #: So many set-ups that look best at first are fitted to their end.
@@ -142,10 +144,30 @@ def _much_better(
             better.append((one, found))
     best = min((found.misfit + one.farther for one, found in better), default=np.inf)
     as_good = [(one, found) for one, found in better if found.misfit < best + _AS_GOOD]
-    if any(one.model is model and one.data.joints is data.joints and not one.farther for one, _ in as_good):
+    columns = [pair for pair in better if _is_columns(pair[0], model, data)]
+    # a frame may turn a little beside, to take what is left of something else: rails that lean, beams that are askew
+    as_good += [
+        pair
+        for pair in columns
+        if pair not in as_good and any(_is_nearly(pair[0], one) for one, _ in as_good if one.farther)
+    ]
+    if any(pair in as_good for pair in columns):
         # a turn by which axes come to lie on axes is said by their columns
         as_good = [(one, found) for one, found in as_good if not one.farther]
     return sorted(as_good, key=lambda pair: pair[1].misfit + pair[0].farther)
+
+
+def _is_columns(one: SetUp, model: ModelWithEffects, data: Measurements) -> bool:
+    """Whether a set-up changes columns of readings alone."""
+    return one.model is model and one.data.joints is data.joints and not one.farther
+
+
+def _is_nearly(one: SetUp, frame: SetUp) -> bool:
+    """Whether a set-up puts the readings where a turned frame has them, but for a shift and a small angle."""
+    use = one.data.used.all(axis=1) if one.data.layout.distance is None else one.data.used[:, :-1].all(axis=1)
+    a, b = (each.data.readings[use, : each.data.coordinates] for each in (one, frame))
+    a, b = a - np.median(a, axis=0), b - np.median(b, axis=0)
+    return bool(len(a) and np.median(np.linalg.norm(a - b, axis=1)) < _NEARLY * np.median(np.linalg.norm(b, axis=1)))
 
 
 def _turned(

@@ -22,7 +22,9 @@ Triple = tuple[float, float, float]
 class CameraView(Saved):
     """A calibrated camera and where it stands: x_camera = R(``rotation_rad``) x + ``translation_mm``, as in OpenCV.
 
-    ``distortion`` holds k1, k2, p1, p2, k3 (Brown and Conrady). Pixels, mm, rad.
+    ``distortion`` holds k1, k2, p1, p2, k3 (Brown and Conrady). Pixels, mm, rad. ``marker_sigma_px`` is the standard
+    deviation of where a marker is found, along u and v, by which poses differ and repeats of one do not: its edges fall
+    on the pixels another way at every pose. None where it is not declared.
     """
 
     size_px: tuple[int, int]
@@ -31,18 +33,23 @@ class CameraView(Saved):
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     rotation_rad: Triple = (0.0, 0.0, 0.0)
     translation_mm: Triple = (0.0, 0.0, 0.0)
+    marker_sigma_px: float | None = None
 
     @classmethod
     def facing(
         cls, phi_rad: float, gamma_rad: float, distance_mm: float, *, size_px: tuple[int, int], focal_px: Pair,
         centre_px: Pair | None = None, distortion: tuple[float, float, float, float, float] = (0.0,) * 5,
+        marker_sigma_px: float | None = None,
     ) -> CameraView:  # fmt: skip
         """A camera at (φ, γ), ``distance_mm`` from the centre of the sphere, that looks at it; γ grows downwards."""
         centre = centre_px or ((size_px[0] - 1) / 2.0, (size_px[1] - 1) / 2.0)
         inner = np.array([*focal_px, *centre])
         made = _core.Camera.facing(phi_rad, gamma_rad, distance_mm, inner)
         turn, shift = made[9:12].tolist(), made[12:15].tolist()
-        return cls(size_px, focal_px, centre, distortion, (turn[0], turn[1], turn[2]), (shift[0], shift[1], shift[2]))
+        return cls(
+            size_px, focal_px, centre, distortion, (turn[0], turn[1], turn[2]), (shift[0], shift[1], shift[2]),
+            marker_sigma_px,
+        )  # fmt: skip
 
     @property
     def parameters(self) -> Floats:
@@ -65,6 +72,7 @@ class CameraView(Saved):
             "focal_px": table.numbers("focal_px", 2, positive=True),
             "centre_px": table.numbers("centre_px", 2, ((size[0] - 1) / 2.0, (size[1] - 1) / 2.0)),
             "distortion": table.numbers("distortion", 5, (0.0,) * 5),
+            "marker_sigma_px": table.positive("marker_sigma_px"),
         }
         if table.has("distance_mm"):
             distance = table.number("distance_mm", positive=True)
@@ -85,4 +93,5 @@ class CameraView(Saved):
             "distortion": list(self.distortion),
             "rotation_rad": list(self.rotation_rad),
             "translation_mm": list(self.translation_mm),
+            **({} if self.marker_sigma_px is None else {"marker_sigma_px": self.marker_sigma_px}),
         }

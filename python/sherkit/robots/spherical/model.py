@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -47,6 +47,7 @@ class SphericalModel(ChainModel):
     layouts: ClassVar = (SPHERICAL_PIXELS, SPHERICAL_ANGLES)
     table: ClassVar = _core.SphericalModel.CATALOGUE
     targets: ClassVar = SPHERICAL_ANGLES.coordinates
+    pose_sigma_in_file: ClassVar = "marker_sigma_px under [camera]"
 
     def lever_mm(self, name: str) -> float:
         """Angles move what stands on the sphere."""
@@ -89,6 +90,14 @@ class SphericalModel(ChainModel):
             return self.pointing
         _ = self.robot.seen
         return self.core
+
+    def as_declared(self, data: Measurements) -> Measurements:
+        """With the error of a marker's place in the picture that repeats share, where the robot file has it."""
+        sigma = None if self.robot.camera is None else self.robot.camera.marker_sigma_px
+        if sigma is None or data.layout != SPHERICAL_PIXELS:
+            return data
+        missing = data.taken & ~(data.pose_sigma > 0)
+        return replace(data, pose_sigma=np.where(missing, sigma, data.pose_sigma)) if missing.any() else data
 
     def ranges(self, data: Measurements) -> dict[str, tuple[float, float]]:
         """The first and the last pixel of the picture."""
