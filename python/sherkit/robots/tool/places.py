@@ -21,6 +21,8 @@ from .tool import FlexibleTool, rotation_of
 
 #: The direction in which a force changes is taken over this time, s.
 _SMOOTHING_S = 0.1
+#: Deviations of noise from which on a force changes.
+_MOVES = 3.0
 #: Deviations of the force from which on it tells the depth; noise alone would put the contact between the sections.
 _TELLS = 5.0
 #: The hole strays by this at least, mm²/s: what does not stray at all is no least-squares problem.
@@ -29,10 +31,12 @@ _LEAST_WANDER_MM2_S = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Felt:
-    """What the gratings say at the rows of the robot: ``force_mn`` (n, 2) in the tool's frame, ``depth_mm`` (n,)."""
+    """What the gratings say at the rows of the robot: ``force_mn`` (n, 2) in the tool's frame, ``depth_mm`` (n,);
+    ``noisy_mn`` (n, 2) is the force as it was read."""
 
     force_mn: Floats
     depth_mm: Floats
+    noisy_mn: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +64,9 @@ class Places:
 
     @cached_property
     def changing(self) -> Floats:
-        """The way (n, 2) in which the force changes, of length one in motion and less where it rests."""
-        return _direction(self.run.time_s, self.felt.force_mn)
+        """The way (n, 2) in which the force changes, of length one; between two motions it goes over from one to the
+        other."""
+        return _direction(self.run.time_s, self.felt.force_mn, self.felt.noisy_mn)
 
     def feel(self, tool: FlexibleTool, wavelengths_nm: Floats | None = None) -> Felt:
         """Force and smoothed depth as another tool, or from other wavelengths (n, 9); lost ones are bridged."""
@@ -94,7 +99,7 @@ class Places:
         if not there.all():
             here = np.flatnonzero(there)
             force = np.column_stack([np.interp(run.time_s, run.time_s[here], force[here, k]) for k in range(2)])
-        return Felt(_calm(run.time_s, force), depth)
+        return Felt(_calm(run.time_s, force), depth, force)
 
     def tip(self, tool: FlexibleTool, felt: Felt, moments_s: Floats | None = None) -> Floats:
         """The tip (k, 3) of another tool, under another force, or at other moments."""
@@ -106,7 +111,7 @@ class Places:
         return tool.beam.tip_batch(*(np.ascontiguousarray(v) for v in (force, depth, poses)))
 
 
-def _direction(time_s: Floats, force_mn: Floats) -> Floats:
+def _direction(time_s: Floats, force_mn: Floats, noisy_mn: Floats) -> Floats:
     step = float(np.median(np.diff(time_s)))
     half = max(1, round(_SMOOTHING_S / step / 2))
     total = np.cumsum(np.vstack([np.zeros((1, 2)), force_mn]), axis=0)
@@ -117,9 +122,15 @@ def _direction(time_s: Floats, force_mn: Floats) -> Floats:
     before = (total[here] - total[behind]) / np.maximum(here - behind, 1)[:, None]
     before[behind == here] = force_mn[behind == here]
     moved = later - before
-    noise = np.median(np.linalg.norm(np.diff(force_mn, axis=0), axis=1)) / np.sqrt(2 * half)
     size = np.linalg.norm(moved, axis=1)
-    return np.asarray(moved / np.sqrt(size**2 + (3.0 * noise) ** 2 + 1e-12)[:, None])
+    # the scatter that noise alone gives such a difference, from what neighbouring rows differ by
+    scatter = np.median(np.linalg.norm(np.diff(noisy_mn, axis=0), axis=1)) / np.sqrt(half)
+    moving = np.flatnonzero(size > _MOVES * scatter)
+    if not len(moving):
+        return np.zeros_like(force_mn)
+    way = moved[moving] / size[moving, None]
+    # at rest the true force goes from one side of the play to the other, unseen
+    return np.column_stack([np.interp(time_s, time_s[moving], way[:, k]) for k in range(2)])
 
 
 def _calm(time_s: Floats, force_mn: Floats) -> Floats:
