@@ -15,10 +15,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from numpy.typing import NDArray
 
 from sherkit import _core
+from sherkit.cli.main import cli
 from sherkit.errors import NotFinite, OutOfReach
+from sherkit.robots.tool.c_header import c_header
+from sherkit.robots.tool.filters import estimate
+from sherkit.robots.tool.tool import FlexibleTool
+from sherkit.robots.tool.virtual import VirtualTool
 
 Floats = NDArray[np.float64]
 
@@ -232,6 +238,25 @@ def test_the_loop_runs_and_logs(archive: Path, tmp_path: Path) -> None:
     lines = (tmp_path / "log.csv").read_text(encoding="utf-8").splitlines()
     assert len(lines) == 2001
     assert lines[0].startswith("time_s,force_mN,depth_true_mm,depth_mm")
+
+
+def test_a_recorded_run_is_replayed(archive: Path, tmp_path: Path) -> None:
+    """Catches a tool whose numbers are lost on the way to C, and an example that no longer does what Python does."""
+    there = FlexibleTool(noise_nm=1.1e-3, start_depth_mm=1 / 3, per_second_mm2=(0.004, 1.0))
+    there.save(tmp_path / "tool.toml")
+    recorded = VirtualTool(there, lost=0.05).run("vessels", seconds=5.0)
+    recorded.save(tmp_path / "run.csv")
+    arguments = ["export", "c", str(tmp_path / "tool.toml"), "-o", str(tmp_path / "tool.h")]
+    assert CliRunner().invoke(cli, arguments).exit_code == 0
+    program = built(archive, "examples/replay/replay.c", tmp_path, "-I", str(tmp_path))
+    table = np.genfromtxt(run(program, tmp_path / "run.csv").splitlines(), delimiter=",", names=True)
+    e = estimate(there, recorded)
+    np.testing.assert_allclose(table["depth_mm"], e.depth.value[:, 0], atol=1e-9)
+    np.testing.assert_allclose(table["depth_variance"], e.depth.covariance[:, 0, 0], rtol=1e-9)
+    for k, axis in enumerate("xyz"):
+        np.testing.assert_allclose(table[f"tip_{axis}_mm"], e.tip.value[:, k], atol=1e-9)
+    stepped = c_header(there.with_noise("ebrahimi_2020_of_force"))
+    assert "SHERKIT_NOISE_SWITCHED_OF_FORCE" in stepped
 
 
 def test_the_bare_program_needs_nothing_else(archive: Path) -> None:

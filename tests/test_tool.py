@@ -20,10 +20,11 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
-from second_tool import CONDITIONS
+from second_tool import CONDITIONS, write_csv
 from sherkit.cli.main import cli
 from sherkit.errors import FitError, MeasurementError, RobotError, ShapeError
 from sherkit.robots.tool.alignment import align, at_times
+from sherkit.robots.tool.applied import applied
 from sherkit.robots.tool.calibration import calibrate_tool, read_loads
 from sherkit.robots.tool.columns import FIBRES
 from sherkit.robots.tool.effects import TOOL_CATALOGUE
@@ -31,8 +32,10 @@ from sherkit.robots.tool.filters import Estimate, consistency, estimate, status_
 from sherkit.robots.tool.judge import judge
 from sherkit.robots.tool.known import knowledge, known
 from sherkit.robots.tool.model import ToolModel
+from sherkit.robots.tool.places import Places
 from sherkit.robots.tool.registration import register
 from sherkit.robots.tool.runs import ToolRun, read_tool_run, tool_run_of
+from sherkit.robots.tool.tare import tare
 from sherkit.robots.tool.tool import NOISES, FlexibleTool, ToolDoubt, load_tool, rotation_of
 from sherkit.robots.tool.virtual import EXPERIMENTS, VirtualTool
 from tool_honesty import honest, run_of, tool_of
@@ -548,10 +551,44 @@ def test_effects_are_found_by_name(name: str) -> None:
 
 
 def test_nothing_is_found_where_nothing_is() -> None:
-    """Catches an alarm without cause; seeds 2 to 4, level 1 % (of the seeds 0 to 23 seed 1 alone has p < 1 %)."""
-    for seed in range(2, 5):
+    """Catches an alarm without cause; seeds 2 and 3, level 1 % (of the seeds 0 to 23 seed 1 alone has p < 1 %)."""
+    for seed in (2, 3):
         d = diagnosed(None, seed)
         assert (d.verdict, d.effects) == ("adequate", ())
+
+
+def test_wrong_pictures_are_listed() -> None:
+    """Catches a diagnosis that a marker taken for another ends in a traceback, or that takes it for physics."""
+    run = planted(None, 3).run("vessels", seconds=20.0, seed=3)
+    wild = run.camera_mm.copy()
+    wild[[50, 120, 200]] += [[3.0, 0.0, 0.0], [0.0, -5.0, 0.0], [1.0, 2.0, 20.0]]
+    model = ToolModel(FlexibleTool(), replace(run, camera_mm=wild))
+    d = sk.diagnose(sk.identify(model, model.readings))
+    first = int(np.argmax(model.pictures))
+    assert d.outliers.tolist() == [50 - first, 120 - first, 200 - first]
+    assert (d.verdict, d.effects) == ("adequate", ())
+    assert len(d.to_json()["outliers"]) == 3
+
+
+@pytest.mark.parametrize("name", ["fbg_bias", "fbg_temperature"])
+def test_a_crept_grating_is_fitted(name: str) -> None:
+    """Catches places of the tip that jump as a force falls under a threshold: no fit of them converges; 50 pm."""
+    there = planted(name, 0, 5.0)
+    model = ToolModel(there.tool, there.run("vessels", seconds=20.0, seed=0))
+    fit = sk.identify(model, model.readings, effects=[e for e in model.candidates if e.name == name])
+    assert fit.converged
+    assert np.sqrt(np.mean(fit.residuals**2)) == pytest.approx(NOISE_MM, rel=0.06)
+
+
+def test_the_depth_of_a_run_is_as_good_as_the_smoothers() -> None:
+    """Catches a depth without threshold that strays: against the truth, beside the filter's smoother; seeds 0, 1."""
+    for seed in range(2):
+        run = VirtualTool(KNOWING).run("phantom", seconds=30.0, seed=seed)
+        assert run.depth_mm is not None
+        depth = Places(KNOWING, run, run.time_s[:1]).felt.depth_mm
+        smooth = estimate(KNOWING, run).smooth_depth[0][:, 0]
+        off, other = (float(np.sqrt(np.mean((d - run.depth_mm) ** 2))) for d in (depth, smooth))
+        assert off < 1.3 * other + 0.01
 
 
 def test_values_are_those_that_were_planted() -> None:
@@ -636,6 +673,60 @@ def test_story_from_the_command_line(tmp_path: Path) -> None:
     assert "camera_delay" in {*diagnosis["effects"], *(name for tie in diagnosis["ties"] for name in tie)}
 
 
+def test_three_tables_make_a_tool(tmp_path: Path) -> None:
+    """Catches a step of the story that is left out: clock and creep that no file says; second simulator."""
+    world = replace(CONDITIONS["matched"], camera_delay_s=0.02)
+    crept = world.gratings.rest_nm + np.array([0.008, -0.003, -0.005, *[0.0] * 6])
+    later = replace(world, camera_delay_s=0.05, gratings=replace(world.gratings, rest_nm=crept))
+    write_csv(world.bench(), tmp_path / "bench.csv")
+    write_csv(later.run("vessels", seconds=20.0, seed=1).columns(), tmp_path / "run.csv")
+    write_csv(replace(later, camera_delay_s=0.02).run("free", seconds=10.0).columns(), tmp_path / "free.csv")
+    tables = [tmp_path / f"{name}.csv" for name in ("bench", "free", "run")]
+    made = sherkit("tool", *tables, "-o", tmp_path / "made.toml", "--report", tmp_path / "made.html", "--json")
+    assert made.exit_code == 0, made.output
+    told = json.loads(made.stdout)
+    assert told["written"] == ["camera_delay"]
+    assert told["errors_mm"]["after"]["tip"]["filter"] < 0.8 * told["errors_mm"]["before"]["tip"]["filter"]
+    assert told["errors_mm"]["after"]["depth"]["filter"] < 0.15
+    tool = load_tool(tmp_path / "made.toml")
+    assert tool.to_tables() == told["tool"]
+    assert tool.camera_delay_s == pytest.approx(0.05, abs=2e-3)
+    # what is common to three fibres is no force, and no tare
+    off = (np.array(tool.reference_nm) - crept)[:6].reshape(2, 3)
+    assert np.abs(off - off.mean(axis=1, keepdims=True)).max() < 2e-4
+    assert "earns its place" in (tmp_path / "made.html").read_text()
+
+
+def test_what_was_named_is_written() -> None:
+    """Catches a value that is written with the wrong sign or about another point: the next run leaves no more."""
+    for name in ("tool_stiffness", "fbg_gain", "fbg_bias", "registration", "camera_delay", "shaft_bend"):
+        there = planted(name, 2)
+        model = ToolModel(there.tool, there.run("vessels", seconds=12.0, seed=2))
+        fit = sk.identify(model, model.readings, effects=[e for e in model.candidates if e.name == name])
+        told = applied(model, fit)
+        again = ToolModel(told.tool, model.run)
+        left = sk.identify(again, again.readings)
+        if name == "shaft_bend":
+            assert (told.written, told.kept_out) == ((), ("shaft_bend",))
+            continue
+        assert told.written == (name,)
+        assert np.mean(left.residuals**2) == pytest.approx(np.mean(fit.residuals**2), rel=5e-3)
+        assert np.abs(left.values).max() < 0.005
+
+
+def test_a_tare_needs_an_untouched_tool() -> None:
+    """Catches references that are taken while something presses, and a tare of a run without a free second."""
+    there = planted("fbg_bias", 2)
+    made = tare(FlexibleTool(), there.free_motion(seconds=5.0), untouched=True)
+    shift = np.array(there.bias_nm).reshape(2, 3)
+    np.testing.assert_allclose(made.shift_nm[:6].reshape(2, 3), shift - shift.mean(axis=1, keepdims=True), atol=2e-4)
+    with pytest.raises(MeasurementError, match="something touched the tool"):
+        tare(FlexibleTool(), there.run("vessels", seconds=10.0), untouched=True)
+    pressed = there.run("vessels", seconds=10.0)
+    never = replace(pressed, wavelengths_nm=pressed.wavelengths_nm + 0.05 * np.array([1, -1, 0, -1, 1, 0, 0, 0, 0]))
+    assert tare(FlexibleTool(), never).tool == FlexibleTool()
+
+
 def test_the_papers_experiments_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
     """Catches an example that stops working, or whose figures fall behind the paper's; two seeds."""
     told = runpy.run_path(str(Path(__file__).parents[1] / "examples" / "flexible_tool.py"))["main"](2)
@@ -654,6 +745,7 @@ def test_the_papers_experiments_are_printed(capsys: pytest.CaptureFixture[str]) 
 def test_wrong_words_are_refused(tmp_path: Path) -> None:
     """Catches a tool that is taken for a robot, and a robot's option that is taken for a tool's."""
     TOOL.save(tmp_path / "tool.toml")
+    (tmp_path / "robot.toml").write_text("")
     for arguments, says in (
         (
             ("simulate", tmp_path / "tool.toml", "-o", tmp_path / "x.csv", "--noise-px", "1"),
@@ -662,7 +754,15 @@ def test_wrong_words_are_refused(tmp_path: Path) -> None:
         (("simulate", tmp_path / "tool.toml", "-o", tmp_path / "x.csv", "--seconds", "1"), "--seconds"),
         (("estimate", tmp_path / "none.toml", tmp_path / "x.csv"), "there is no such tool file"),
         (("estimate", tmp_path / "tool.toml", tmp_path / "x.csv"), "there is no such file"),
-        (("diagnose", tmp_path / "tool.toml", "a.csv", "--report", "x.html"), "--report: is not for a flexible tool"),
+        (
+            ("calibrate", tmp_path / "tool.toml", "a.csv", "--effect", "nonsense"),
+            "--effect: is not for the known loads",
+        ),
+        (("calibrate", tmp_path / "tool.toml", "a.csv", "--report", "x.html"), "--report: is not for the known loads"),
+        (("diagnose", tmp_path / "robot.toml", "a.csv", "-o", "x.toml"), "--output: is for a flexible tool"),
+        (("export", "d", tmp_path / "tool.toml", "-o", "x.h"), "or c and the file of a flexible tool"),
+        (("tool", "bench.csv", "free.csv", "-o", "x.toml"), "Missing argument 'RUN'"),
+        (("tool", tmp_path / "none.csv", "free.csv", "run.csv", "-o", "x.toml"), "there is no such file"),
         (("diagnose", tmp_path / "tool.toml", "a.csv", "b.csv"), "one at a time"),
     ):
         refused = sherkit(*arguments)

@@ -19,6 +19,7 @@ from ..model.kinds import catalogue_of
 from ..model.robot_file import load_robot
 from ..study import Study
 from . import output, reporting, tables
+from .output import refuse_given
 from .reporting import report_option
 from .tool import calibrate_tool, is_tool
 
@@ -60,6 +61,7 @@ def calibrate(
 ) -> int:
     """Identify ROBOT (TOML) from the measurements RUN (CSV or Parquet), or a flexible tool from known loads."""
     if is_tool(robot):
+        refuse_given("robot", "run", "destination", why="is not for the known loads of a flexible tool")
         calibrate_tool(robot, run, destination)
         return 0
     if report is not None:

@@ -9,14 +9,16 @@ from pathlib import Path
 import click
 
 from ..data import read_measurements
+from ..diagnosis import Diagnosis, template
 from ..diagnosis import diagnose as run_diagnosis
-from ..diagnosis import template
 from ..errors import SherkitError
 from ..fit.identify import identify
 from ..model.effect import effects_by_name
 from ..model.effect_file import load_effects
 from ..model.kinds import model_of
 from ..model.robot_file import load_robot
+from ..robots.tool.applied import applied
+from ..robots.tool.filters import estimate as estimate_tool
 from ..robots.tool.model import ToolModel
 from ..robots.tool.runs import read_tool_run
 from ..robots.tool.tool import load_tool
@@ -24,7 +26,7 @@ from ..study import Study, joined
 from . import output, reporting
 from .diagnosis_tables import diagnosis as print_diagnosis
 from .reporting import report_option
-from .tool import is_tool
+from .tool import is_tool, say_applied, write_tool_report
 
 
 @click.command()
@@ -33,21 +35,25 @@ from .tool import is_tool
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 @click.option("--effects", "files", type=click.Path(path_type=Path), multiple=True, help="Python file of your effects.")
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model already.")
+@click.option("-o", "--output", "written", type=click.Path(path_type=Path),
+              help="Of a flexible tool: write it with the effects of --effect and those that were named.")  # fmt: skip
 @click.option("--template", "destination", type=click.Path(path_type=Path), help="Write an effect of the shape found.")
 @click.option("--level", type=click.FloatRange(0.0005, 0.2), default=0.01, show_default=True, help="Of the test.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Rules folds and flips.")
 @report_option
 def diagnose(
     robot: Path, runs: tuple[Path, ...], as_json: bool, files: tuple[Path, ...], added: tuple[str, ...],
-    destination: Path | None, level: float, seed: int, report: Path | None,
+    written: Path | None, destination: Path | None, level: float, seed: int, report: Path | None,
 ) -> None:  # fmt: skip
     """Say what ROBOT (TOML) is missing on the measurements RUN (CSV or Parquet), joined with MORE measured later."""
     if report is not None:
         reporting.require_view()
     if is_tool(robot):
-        _tool(robot, runs, as_json=as_json, added=added, files=files, level=level, seed=seed,
-              refused={"--template": destination, "--report": report})  # fmt: skip
+        _tool(robot, runs, as_json=as_json, added=added, files=files, level=level, seed=seed, written=written,
+              destination=destination, report=report)  # fmt: skip
         return
+    if written is not None:
+        raise SherkitError("--output: is for a flexible tool; sherkit calibrate --effect NAME -o writes a calibration")
     nominal = load_robot(robot)
     own = tuple(effect for path in files for effect in load_effects(path))
     with output.steps(12) as step:
@@ -70,6 +76,11 @@ def diagnose(
         print_diagnosis(found)
     if report is not None and not as_json:
         output.say(f"\nthe report is in {report}")
+    _write_template(found, destination, as_json=as_json)
+
+
+def _write_template(found: Diagnosis, destination: Path | None, *, as_json: bool) -> None:
+    """An effect of the shape that was found, as a file to edit."""
     if destination is not None and found.signature is not None:
         destination.write_text(
             template(found.signature, found.fit.data.layout, file=str(destination)), encoding="utf-8"
@@ -82,12 +93,9 @@ def diagnose(
 
 def _tool(
     path: Path, runs: tuple[Path, ...], *, as_json: bool, added: tuple[str, ...], files: tuple[Path, ...], level: float,
-    seed: int, refused: dict[str, Path | None],
+    seed: int, written: Path | None, destination: Path | None, report: Path | None,
 ) -> None:  # fmt: skip
     """A run of a flexible tool against its camera."""
-    for option, given in refused.items():
-        if given is not None:
-            raise SherkitError(f"{option}: is not for a flexible tool; sherkit estimate --report draws its runs")
     if len(runs) > 1:
         raise SherkitError(f"{runs[1]}: runs of a flexible tool are diagnosed one at a time")
     own = tuple(effect for file in files for effect in load_effects(file))
@@ -98,7 +106,20 @@ def _tool(
         candidates = {e.name: e for e in model.candidates}
         fit = identify(model, model.readings, effects=effects_by_name(candidates, added, own))
         found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)
+    told = applied(model, found.fit)
+    if report is not None:
+        title = f"What is {path.stem} missing on {runs[0].name}?"
+        write_tool_report(report, title, found, estimate_tool(told.tool, model.run), told)
+    if written is not None:
+        told.tool.save(written)
     if as_json:
         output.print_json(found.to_json())
     else:
         print_diagnosis(found)
+        if written is not None:
+            output.say("")
+            say_applied(told)
+            output.say(f"   the tool is in {written}")
+        if report is not None:
+            output.say(f"\nthe report is in {report}")
+    _write_template(found, destination, as_json=as_json)

@@ -22,6 +22,7 @@ from .measure import export, measure
 from .plan import plan
 from .simulate import simulate
 from .tool import estimate, register
+from .tool_story import tool_story
 from .vision import intrinsics, markers
 
 
@@ -43,6 +44,7 @@ cli.add_command(lab)
 cli.add_command(measure)
 cli.add_command(plan)
 cli.add_command(simulate)
+cli.add_command(tool_story)
 cli.add_command(import_group)
 cli.add_command(intrinsics)
 cli.add_command(markers)

@@ -13,6 +13,8 @@ import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from ..lab.experiment import Control, Experiment, Live, RunFile, RunProgress, export_run, load_experiment, run
+from ..robots.tool.c_header import c_header
+from ..robots.tool.tool import load_tool
 from . import keys, output
 
 #: Signals by which another program, or a closing terminal, asks for an end; not every system has both.
@@ -117,9 +119,21 @@ def _ended_by_signals() -> Iterator[None]:
 
 
 @click.command()
-@click.argument("run_file", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), required=True, help="CSV or Parquet.")
-def export(run_file: Path, destination: Path) -> None:
-    """Write the rows of RUN_FILE as CSV or Parquet; also while it is being measured."""
-    rows = export_run(run_file, destination)
-    output.say(f"{rows} rows written to {destination}")
+@click.argument("what", nargs=-1, required=True, metavar="RUN_FILE | c TOOL")
+@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), required=True,
+              help="CSV or Parquet of a run; a C header of a tool.")  # fmt: skip
+def export(what: tuple[str, ...], destination: Path) -> None:
+    """Write the rows of RUN_FILE as CSV or Parquet, also while it is being measured; with c, a flexible TOOL as a C
+    header for the control loop."""
+    if len(what) == 1:
+        rows = export_run(Path(what[0]), destination)
+        output.say(f"{rows} rows written to {destination}")
+        return
+    if len(what) != 2 or what[0] != "c":
+        raise click.UsageError("expected the file of a run, or c and the file of a flexible tool")
+    header = c_header(load_tool(what[1]), Path(what[1]).name)
+    destination.write_text(header, encoding="utf-8")
+    output.say(
+        f"{destination} written; a loop includes it and links libsherkit.a, which cargo build --profile control "
+        "-p sherkit-c makes. No CMake is needed: rust/c/examples/replay replays a CSV file with it"
+    )

@@ -11,10 +11,13 @@ from contextlib import contextmanager
 from typing import Any
 
 import click
+from click.core import ParameterSource
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
+
+from ..errors import SherkitError
 
 #: Width of tables where the output is not a terminal.
 _WIDTH = 110
@@ -57,6 +60,16 @@ def command_line() -> str:
     """The command as it was typed, to make a report again."""
     typed = click.get_current_context().find_root().obj
     return shlex.join(["sherkit", *(sys.argv[1:] if typed is None else typed)])
+
+
+def refuse_given(*taken: str, why: str) -> None:
+    """Refuses every option that was typed but those ``taken``. Raises :class:`~sherkit.errors.SherkitError`."""
+    context = click.get_current_context()
+    for option in context.command.params:
+        if option.name in taken or option.name is None:
+            continue
+        if context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE:
+            raise SherkitError(f"{option.opts[0]}: {why}")
 
 
 @contextmanager

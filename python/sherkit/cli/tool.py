@@ -12,16 +12,20 @@ import numpy as np
 import polars as pl
 
 from ..data.tables import write_table
+from ..diagnosis import Diagnosis
 from ..errors import MeasurementError
-from ..robots.tool.alignment import align
+from ..names import listed
+from ..robots.tool.alignment import Aligned, align
+from ..robots.tool.applied import Applied
+from ..robots.tool.calibration import ToolCalibration, read_loads
 from ..robots.tool.calibration import calibrate_tool as run_calibration
-from ..robots.tool.calibration import read_loads
+from ..robots.tool.effects import TOOL_CATALOGUE
 from ..robots.tool.filters import Estimate, Track, status_in_words
 from ..robots.tool.filters import estimate as run_filters
 from ..robots.tool.judge import Judgement, judge
 from ..robots.tool.known import Knowledge, known
-from ..robots.tool.runs import read_tool_run, summary
-from ..robots.tool.tool import KIND, NOISES, load_tool
+from ..robots.tool.runs import ToolRun, read_tool_run, summary
+from ..robots.tool.tool import KIND, NOISES, FlexibleTool, load_tool
 from . import output, reporting
 
 if TYPE_CHECKING:
@@ -82,7 +86,8 @@ def estimate(
         _print_errors(j)
     if not judged:
         output.say("neither depth_mm nor a camera is in this run: nothing to judge by")
-    _print_consistency(result, truths)
+    print_knowledge(truths)
+    _print_consistency(result)
     if destination is not None:
         output.say(f"estimates written to {destination}")
     if picture is not None:
@@ -101,7 +106,8 @@ def _print_errors(j: Judgement) -> None:
     output.out.print(table)
 
 
-def _print_consistency(e: Estimate, truths: list[Knowledge]) -> None:
+def print_knowledge(truths: list[Knowledge]) -> None:
+    """Whether stated deviations are true, where a truth is known."""
     if truths:
         coarse = any(k.of_truth > _COARSE for k in truths)
         table = output.table(
@@ -116,6 +122,9 @@ def _print_consistency(e: Estimate, truths: list[Knowledge]) -> None:
                 cells = (f"{k.coverage:.3f}", f"{k.nees:.2f}", f"{k.low:.2f} to {k.high:.2f}", f"{k.largest:.1f}")
                 table.add_row(name, str(k.rows), *cells, _of_truth(k))
         output.out.print(table)
+
+
+def _print_consistency(e: Estimate) -> None:
     table = output.table(
         "Innovations: are measurements as far from predictions as stated?", "", "NIS / expected", "99 % band",
         "verdict",
@@ -146,10 +155,12 @@ def _tracks(e: Estimate) -> dict[str, Track]:
     return {"depth": e.depth, "tip": e.tip, "both together": e.together}
 
 
-def _json(e: Estimate, judged: list[Judgement], truths: list[Knowledge]) -> dict[str, object]:
-    def number(v: float) -> float | None:
-        return float(v) if np.isfinite(v) else None
+def number(v: float) -> float | None:
+    """For JSON, which has no NaN."""
+    return float(v) if np.isfinite(v) else None
 
+
+def _json(e: Estimate, judged: list[Judgement], truths: list[Knowledge]) -> dict[str, object]:
     return {
         "noise": e.tool.noise,
         "run": {k: number(v) for k, v in summary(e.run).items()},
@@ -215,6 +226,14 @@ def drawn(e: Estimate) -> Drawn:
 def calibrate_tool(tool: Path, loads: Path, destination: Path | None) -> None:
     """Gains, stiffness and length from a bench of known loads, printed and written."""
     result = run_calibration(load_tool(tool), read_loads(loads))
+    print_calibration(result)
+    if destination is not None:
+        result.tool.save(destination)
+        output.say(f"calibrated tool written to {destination}")
+
+
+def print_calibration(result: ToolCalibration) -> None:
+    """What the loads say."""
     table = output.table(
         "Gratings", "", "fibre 1", "fibre 2", "fibre 3", "left, mN mm",
         note=f"{result.loaded} loads, {result.unloaded} rows without; noise of a wavelength "
@@ -235,9 +254,6 @@ def calibrate_tool(tool: Path, loads: Path, destination: Path | None) -> None:
         output.out.print(shaft)
     else:
         output.say("no deflections (deflection_mm): stiffness and length stay as they are")
-    if destination is not None:
-        result.tool.save(destination)
-        output.say(f"calibrated tool written to {destination}")
 
 
 @click.command()
@@ -249,11 +265,55 @@ def register(tool: Path, run: Path, destination: Path | None, longest_delay_s: f
     """Frame and clock of the camera from RUN, in which the unbent TOOL was led around freely."""
     made = load_tool(tool)
     recorded = read_tool_run(run)
-    if not len(recorded.camera_time_s):
-        raise MeasurementError(f"{run}: holds no place of the camera (camera_x_mm, camera_y_mm, camera_z_mm)")
+    require_camera(recorded)
     found = align(
         recorded.time_s, recorded.position_mm, recorded.camera_time_s, recorded.camera_mm, longest_s=longest_delay_s
     )
+    print_alignment(found)
+    if destination is not None:
+        registered(made, found).save(destination)
+        output.say(f"tool with this camera written to {destination}")
+
+
+def require_camera(run: ToolRun) -> None:
+    """Raises :class:`~sherkit.errors.MeasurementError` for a run that no camera saw."""
+    if not len(run.camera_time_s):
+        raise MeasurementError(f"{run.source}: holds no place of the camera (camera_x_mm, camera_y_mm, camera_z_mm)")
+
+
+def registered(tool: FlexibleTool, found: Aligned) -> FlexibleTool:
+    """The tool with the camera's frame and clock as found."""
+    turn, shift = found.registration.rotation_rad.tolist(), found.registration.translation_mm.tolist()
+    return replace(
+        tool, camera_rotation_rad=tuple(turn), camera_translation_mm=tuple(shift), camera_delay_s=found.delay_s
+    )
+
+
+def say_applied(told: Applied) -> None:
+    """What was written into a tool file, and what has no place there."""
+    for sentence in sentences_of(told):
+        output.say(f"   {sentence}")
+
+
+def sentences_of(told: Applied) -> list[str]:
+    """What was written into a tool file, and what has no place there."""
+    written = listed((*told.written, "the camera's offset"))
+    own = {name: f" {TOOL_CATALOGUE[name].workshop}" for name in told.kept_out if name in TOOL_CATALOGUE}
+    return [
+        f"written into the tool: {written}",
+        *(f"{name} has no key in a tool file.{own.get(name, '')}" for name in told.kept_out),
+    ]
+
+
+def write_tool_report(path: Path, title: str, found: Diagnosis, e: Estimate, told: Applied) -> None:
+    """The story of a run as one HTML file."""
+    from ..report.tool import write_tool_report as write  # Bokeh takes a second to load
+
+    write(path, title, found, drawn(e), sentences_of(told), command=output.command_line())
+
+
+def print_alignment(found: Aligned) -> None:
+    """Frame and clock of the camera."""
     r = found.registration
     std = np.sqrt(np.diag(r.covariance).clip(0.0))
     table = output.table(
@@ -266,12 +326,3 @@ def register(tool: Path, run: Path, destination: Path | None, longest_delay_s: f
         table.add_row(f"shift {axis}, mm", f"{r.translation_mm[k]:+.3f}", f"{std[3 + k]:.1g}")
     table.add_row("delay, s", f"{found.delay_s:+.4f}", f"{found.delay_std_s:.1g}")
     output.out.print(table)
-    if destination is not None:
-        turn, shift = r.rotation_rad.tolist(), r.translation_mm.tolist()
-        replace(
-            made,
-            camera_rotation_rad=(turn[0], turn[1], turn[2]),
-            camera_translation_mm=(shift[0], shift[1], shift[2]),
-            camera_delay_s=found.delay_s,
-        ).save(destination)
-        output.say(f"tool with this camera written to {destination}")

@@ -115,7 +115,7 @@ class Search:
         p = self.left(stage.plain)
         found = SearchResult([stage], p_first=p, p_left=p)
         while p <= self.level and len(found.added) + len(found.signature) < _MOST_STEPS:
-            explanations, nearest = self.explanations(stage)
+            explanations, singles, nearest = self.explanations(stage)
             shape = self.simpler_shape(stage, explanations)
             if explanations and shape is None:
                 lead, *others = explanations
@@ -132,6 +132,10 @@ class Search:
                 added: tuple[Candidate, ...] = (best,)
                 if nearest is not None and self.beats(nearest, after, best):
                     after, added = self.stage(nearest.stage.run, stage.nuisance), nearest.candidates
+                elif not found.added:
+                    # what it leaves, whatever stands in its place leaves too
+                    same = [e for e in singles if e.names == (best.name,)]
+                    found.alternatives, found.replaced = as_near(same, singles)[1:], (best.name,)
                 found.added += added
                 stage = after
                 found.stages.append(stage)
@@ -217,18 +221,19 @@ class Search:
         best = max(fine, key=taken)
         return replace(shape, period=float(1.0 / best))
 
-    def explanations(self, stage: Stage) -> tuple[list[Explanation], Explanation | None]:
-        """Sets of effects that explain what is left: singles, or else pairs; the leading one first. Where none does,
-        the pair that comes nearest: by the level of the test, chance refuses the right one now and then."""
+    def explanations(self, stage: Stage) -> tuple[list[Explanation], list[Explanation], Explanation | None]:
+        """Sets of effects that explain what is left: singles, or else pairs; the leading one first. All singles that
+        were refitted. Where none explains, the pair that comes nearest: by the level of the test, chance refuses the
+        right one now and then."""
         candidates = self.strongest_settings(stage)
         singles = self._refitted(stage, [(c,) for c in candidates], _MOST_REFITS)
         if explaining := [e for e in singles if e.p_left > self.level]:
-            return explaining, None
+            return as_near(explaining, singles), singles, None
         both = [pair for pair in combinations(candidates, 2) if pair[0].name != pair[1].name]
         pairs = self._refitted(stage, both, _MOST_PAIRS)
         if explaining := [e for e in pairs if e.p_left > self.level]:
-            return explaining, None
-        return [], next(filter(plausible, pairs), None)
+            return as_near(explaining, pairs), singles, None
+        return [], singles, next(filter(plausible, pairs), None)
 
     def beats(self, pair: Explanation, after: Stage, single: Candidate) -> bool:
         """Whether a pair that leaves something is still clearly better than a single one with whatever, shape or
@@ -255,6 +260,8 @@ class Search:
             try:
                 run = refit(stage.run, members)
             except SherkitError:
+                continue
+            if stage.run.fit.converged and not run.fit.converged:
                 continue
             # most of what does not explain leaves something that shows without the shapes that cost time
             after = self.stage(run, stage.nuisance, thorough=False)
@@ -323,6 +330,20 @@ class Search:
 def refit(run: FittedRun, candidates: Sequence[Candidate]) -> FittedRun:
     """The full fit with these candidates, at the settings they were found with."""
     return run.refit([c.addition for c in candidates])
+
+
+def as_near(leading: Sequence[Explanation], every: Sequence[Explanation]) -> list[Explanation]:
+    """The leading sets, and behind them all that come as near the data: what chance lets one of them leave at the level
+    of the test tells it from no other."""
+    if not leading:
+        return []
+
+    def scores(e: Explanation) -> Floats:
+        """By the fit alone, and with a price on each number."""
+        return np.array([schwarz(e.stage.plain, 0), bic(e.stage.plain, e.candidates)])
+
+    limit = np.min([scores(e) for e in leading], axis=0) + _CLEARLY
+    return [*leading, *(e for e in every if e not in leading and (scores(e) < limit).any())]
 
 
 def bic(given: ConditionalScan, members: Sequence[Candidate]) -> float:

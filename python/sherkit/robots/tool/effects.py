@@ -16,17 +16,21 @@ from ...model.effect import Effect
 from ...model.parameter import Parameter
 from ...types import Floats
 from .places import Places
-from .tool import rotation_of
+from .tool import FlexibleTool, rotation_of
 
 #: Where the tip is (k, 3), mm, robot's base, with parameters of these values.
 TipWith = Callable[[Places, Floats], Floats]
+#: The tool whose file says an effect of these values.
+ToolWith = Callable[[FlexibleTool, Floats], FlexibleTool]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ToolEffect(Effect):
-    """An effect of the tool: ``places`` says where the tip is with it."""
+    """An effect of the tool: ``places`` says where the tip is with it, ``tool`` what its file says then; None where a
+    tool file has no key for it. The frame of the camera is the model's to turn."""
 
     places: TipWith = field(repr=False)
+    tool: ToolWith | None = field(default=None, repr=False)
 
 
 TOOL_CATALOGUE: dict[str, ToolEffect] = {}
@@ -35,20 +39,45 @@ TOOL_CATALOGUE: dict[str, ToolEffect] = {}
 _PATTERNS = np.array([[1.0, -1.0, 0.0], [0.5, 0.5, -1.0]])
 
 
+def _stiffer(tool: FlexibleTool, values: Floats) -> FlexibleTool:
+    return replace(tool, stiffness_mn_mm2=tool.stiffness_mn_mm2 * (1.0 + float(values[0])))
+
+
+def _longer(tool: FlexibleTool, values: Floats) -> FlexibleTool:
+    return replace(tool, length_mm=tool.length_mm + float(values[0]))
+
+
+def _stronger(tool: FlexibleTool, values: Floats) -> FlexibleTool:
+    """A section that answers more strongly needs a smaller gain."""
+    gains = np.array(tool.gains) / (1.0 + values)[:, None, None]
+    return replace(tool, gains=gains.tolist())
+
+
+def _crept(tool: FlexibleTool, values: Floats) -> FlexibleTool:
+    shift = np.concatenate([_of_fibres(values)[0], np.zeros(3)])
+    return replace(tool, reference_nm=tuple((np.array(tool.reference_nm) + shift).tolist()))
+
+
+def _of_fibres(values: Floats) -> Floats:
+    """Shifts (1, 6) of the fibres of sections I and II, two numbers a section."""
+    return np.asarray((values.reshape(2, 2) @ _PATTERNS).reshape(1, 6))
+
+
 def _p(name: str, unit: str, size: float) -> Parameter:
     return Parameter(name, name, unit, size)
 
 
 def _effect(
-    link: str, *parameters: Parameter, physics: str, residuals: str, workshop: str
+    link: str, *parameters: Parameter, physics: str, residuals: str, workshop: str, tool: ToolWith | None = None
 ) -> Callable[[TipWith], TipWith]:
     """Enters a function, by its name, in the catalogue."""
 
     def enter(places: TipWith) -> TipWith:
         name = places.__name__
         TOOL_CATALOGUE[name] = ToolEffect(
-            name, link, parameters, physics=physics, residuals=residuals, workshop=workshop, places=places
-        )
+            name, link, parameters, physics=physics, residuals=residuals, workshop=workshop, places=places,
+            tool=tool,
+        )  # fmt: skip
         return places
 
     return enter
@@ -60,10 +89,10 @@ def _effect(
     physics="The shaft is stiffer or softer than calibrated: every bend has another size.",
     residuals="Along the force, in proportion to it, more the less deep the tool is.",
     workshop="Load the shaft at a known place and measure the bend; identify EI again.",
+    tool=_stiffer,
 )
 def tool_stiffness(at: Places, values: Floats) -> Floats:
-    stiffness = at.tool.stiffness_mn_mm2 * (1.0 + values[0])
-    return at.tip(replace(at.tool, stiffness_mn_mm2=stiffness), at.felt)
+    return at.tip(_stiffer(at.tool, values), at.felt)
 
 
 @_effect(
@@ -72,9 +101,10 @@ def tool_stiffness(at: Places, values: Floats) -> Floats:
     physics="The shaft is clamped elsewhere than drawn: the free length h is another.",
     residuals="Along the force, growing with depth otherwise than those of a stiffness.",
     workshop="Measure from the clamp to the tip.",
+    tool=_longer,
 )
 def tool_length(at: Places, values: Floats) -> Floats:
-    return at.tip(replace(at.tool, length_mm=at.tool.length_mm + values[0]), at.felt)
+    return at.tip(_longer(at.tool, values), at.felt)
 
 
 @_effect(
@@ -96,11 +126,10 @@ def shaft_bend(at: Places, values: Floats) -> Floats:
     physics="The gratings of a section answer more or less strongly than calibrated.",
     residuals="Along the force; force and depth are both off.",
     workshop="Calibrate K_I and K_II again with known forces at known places.",
+    tool=_stronger,
 )
 def fbg_gain(at: Places, values: Floats) -> Floats:
-    # a section that answers more strongly needs a smaller gain
-    gains = np.array(at.tool.gains) / (1.0 + values)[:, None, None]
-    stronger = replace(at.tool, gains=gains.tolist())
+    stronger = _stronger(at.tool, values)
     return at.tip(stronger, at.feel(stronger))
 
 
@@ -110,6 +139,7 @@ def fbg_gain(at: Places, values: Floats) -> Floats:
     physics="Wavelengths of the unloaded tool have crept: a force is felt where there is none.",
     residuals="Constant in the tool's frame where the tool is free, and a wrong depth where forces are small.",
     workshop="Read the unloaded tool before each run and take that as reference_nm.",
+    tool=_crept,
 )
 def fbg_bias(at: Places, values: Floats) -> Floats:
     return _shifted(at, _of_fibres(values))
@@ -159,14 +189,10 @@ def registration(at: Places, values: Floats) -> Floats:
     physics="The camera's clock is later or earlier than its setting says.",
     residuals="In proportion to the velocity of the tip.",
     workshop="Let both clocks see one sharp motion; set delay_s.",
+    tool=lambda tool, values: replace(tool, camera_delay_s=tool.camera_delay_s + float(values[0])),
 )
 def camera_delay(at: Places, values: Floats) -> Floats:
     return at.tip(at.tool, at.felt, at.moments_s - values[0])
-
-
-def _of_fibres(values: Floats) -> Floats:
-    """Shifts (1, 6) of the fibres of sections I and II, two numbers a section."""
-    return np.asarray((values.reshape(2, 2) @ _PATTERNS).reshape(1, 6))
 
 
 def _shifted(at: Places, shift_nm: Floats) -> Floats:

@@ -1,6 +1,9 @@
 """Where a tool brings its tip: wavelengths to force and smoothed depth, these to a bend, the bend to the base.
 
-Eqs. 1, 2, 8 and 9 of Ebrahimi et al. 2020, by the same sensing, filter and beam that a control loop runs.
+Eqs. 1, 2, 8 and 9 of Ebrahimi et al. 2020. Depth over the whole run is what least squares have of all moments, the
+robot's motion and the hole's wander at once. Unlike the loop's filter it knows no threshold below which a force is
+none: the moment at section II says M F = |F|² (l - d), and what that tells of d fades with |F|². So the tip is a smooth
+function of gains, references and lengths, and what is fitted to it converges.
 """
 
 from __future__ import annotations
@@ -9,15 +12,19 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solveh_banded
+from scipy.signal import savgol_filter
 
-from ..._core import DepthFilter
 from ...types import Floats
-from .alignment import at_times
 from .runs import ToolRun
 from .tool import FlexibleTool, rotation_of
 
 #: The direction in which a force changes is taken over this time, s.
 _SMOOTHING_S = 0.1
+#: Deviations of the force from which on it tells the depth; noise alone would put the contact between the sections.
+_TELLS = 5.0
+#: The hole strays by this at least, mm²/s: what does not stray at all is no least-squares problem.
+_LEAST_WANDER_MM2_S = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +56,7 @@ class Places:
     @cached_property
     def turn(self) -> Floats:
         """Tool to base (k, 3, 3)."""
-        return rotation_of(at_times(self.run.time_s, self.run.turn_rad, self.moments_s))
+        return rotation_of(_between(self.run.time_s, self.run.turn_rad, self.moments_s))
 
     @cached_property
     def changing(self) -> Floats:
@@ -58,22 +65,42 @@ class Places:
 
     def feel(self, tool: FlexibleTool, wavelengths_nm: Floats | None = None) -> Felt:
         """Force and smoothed depth as another tool, or from other wavelengths (n, 9); lost ones are bridged."""
-        run = self.run
-        waves = run.wavelengths_nm if wavelengths_nm is None else wavelengths_nm
-        measured = tool.sensor.measure_batch(run.time_s, np.ascontiguousarray(waves))[0]
-        start = DepthFilter(tool.start_depth_mm, tool.start_std_mm**2, float(run.time_s[0]), tool.filter_noise)
-        depth, _ = start.smooth(run.time_s, np.ascontiguousarray(run.insertion_mm_s), measured, run.present)
-        force = measured[:, 1:3]
-        if not run.present.all():
-            here = np.flatnonzero(run.present)
+        waves = self.run.wavelengths_nm if wavelengths_nm is None else wavelengths_nm
+        lower, upper = (_moments(tool, waves, section) for section in range(2))
+        return self._felt(tool, lower, upper, self._around_mm)
+
+    @cached_property
+    def _around_mm(self) -> Floats:
+        """About where the contact is (n,): what the variance of a depth is taken at, whatever the effect."""
+        lower, upper = (_moments(self.tool, self.run.wavelengths_nm, section) for section in range(2))
+        middle = np.full(len(self.run), 0.5 * self.tool.distances_mm[0])
+        return self._felt(self.tool, lower, upper, middle).depth_mm
+
+    def _felt(self, tool: FlexibleTool, lower: Floats, upper: Floats, around_mm: Floats) -> Felt:
+        """From the moments (n, 2) at sections I and II, NaN where they were lost."""
+        run, (near, far) = self.run, tool.distances_mm
+        there = run.present
+        force = (upper - lower) / (far - near)
+        noise = [tool.noise_nm**2 * float((_own_gains(tool, s) ** 2).sum()) / 2.0 for s in range(2)]
+        # the moments' share in the depth, by Eq. 2 to first order
+        share = (far - around_mm) / (far - near)
+        variance = noise[1] * (1.0 - share) ** 2 + noise[0] * share**2
+        squared = (force**2).sum(axis=1)
+        least = _TELLS**2 * 2.0 * (noise[0] + noise[1]) / (far - near) ** 2
+        tells = np.where(there, (squared / (squared + least)) ** 2 / (variance + tool.floor_mm2[0] * squared), 0.0)
+        weight = np.where(there, tells * squared, 0.0)
+        seen = np.where(there, tells * (far * squared - (upper * force).sum(axis=1)), 0.0)
+        depth = _smoothed(tool, run, weight, seen)
+        if not there.all():
+            here = np.flatnonzero(there)
             force = np.column_stack([np.interp(run.time_s, run.time_s[here], force[here, k]) for k in range(2)])
-        return Felt(force, depth[:, 0])
+        return Felt(_calm(run.time_s, force), depth)
 
     def tip(self, tool: FlexibleTool, felt: Felt, moments_s: Floats | None = None) -> Floats:
         """The tip (k, 3) of another tool, under another force, or at other moments."""
         run, moments = self.run, self.moments_s if moments_s is None else moments_s
         force, depth, turn, place = (
-            at_times(run.time_s, v, moments) for v in (felt.force_mn, felt.depth_mm, run.turn_rad, run.position_mm)
+            _between(run.time_s, v, moments) for v in (felt.force_mn, felt.depth_mm, run.turn_rad, run.position_mm)
         )
         poses = np.hstack([rotation_of(turn).reshape(-1, 9), place])
         return tool.beam.tip_batch(*(np.ascontiguousarray(v) for v in (force, depth, poses)))
@@ -93,3 +120,54 @@ def _direction(time_s: Floats, force_mn: Floats) -> Floats:
     noise = np.median(np.linalg.norm(np.diff(force_mn, axis=0), axis=1)) / np.sqrt(2 * half)
     size = np.linalg.norm(moved, axis=1)
     return np.asarray(moved / np.sqrt(size**2 + (3.0 * noise) ** 2 + 1e-12)[:, None])
+
+
+def _calm(time_s: Floats, force_mn: Floats) -> Floats:
+    """Forces (n, 2) without most of their noise: a local parabola. A picture lies between rows, and a delay that is
+    fitted would else choose rows whose noise suits it."""
+    rows = 2 * round(_SMOOTHING_S / float(np.median(np.diff(time_s))) / 2) + 1
+    return np.asarray(savgol_filter(force_mn, rows, 2, axis=0)) if 3 < rows <= len(time_s) else force_mn
+
+
+def _between(time_s: Floats, values: Floats, moments_s: Floats) -> Floats:
+    """Values (n,) or (n, k) at moments (m,), by cubic pieces whose slopes have no jump (Catmull and Rom 1974)."""
+    after = np.clip(np.searchsorted(time_s, moments_s, side="right"), 1, len(time_s) - 1)
+    rows = np.clip(after[:, None] + np.arange(-2, 2), 0, len(time_s) - 1)
+    t, v = time_s[rows], values[rows]
+    step = (t[:, 2] - t[:, 1]).reshape(-1, *[1] * (values.ndim - 1))
+    share = ((moments_s - t[:, 1]) / (t[:, 2] - t[:, 1])).reshape(step.shape)
+    slopes = [step * (v[:, k + 1] - v[:, k - 1]) / (t[:, k + 1] - t[:, k - 1]).reshape(step.shape) for k in (1, 2)]
+    rest = 1.0 - share
+    return np.asarray(
+        (1.0 + 2.0 * share) * rest**2 * v[:, 1] + share**2 * (3.0 - 2.0 * share) * v[:, 2]
+        + share * rest * (rest * slopes[0] - share * slopes[1])
+    )  # fmt: skip
+
+
+def _own_gains(tool: FlexibleTool, section: int) -> Floats:
+    """Gains (2, 3) that ignore what the three fibres have in common."""
+    gains = np.array(tool.gains[section])
+    return gains - gains.mean(axis=1, keepdims=True)
+
+
+def _moments(tool: FlexibleTool, wavelengths_nm: Floats, section: int) -> Floats:
+    """Bending moments (n, 2), mN·mm (Eq. 1)."""
+    fibres = slice(3 * section, 3 * section + 3)
+    return np.asarray((wavelengths_nm[:, fibres] - np.array(tool.reference_nm)[fibres]) @ _own_gains(tool, section).T)
+
+
+def _smoothed(tool: FlexibleTool, run: ToolRun, weight: Floats, seen: Floats) -> Floats:
+    """Depth (n,), mm: least squares over measurements ``seen`` / ``weight``, each with a variance of 1 / ``weight``,
+    and over steps that follow the robot along the shaft but for a random walk: a tridiagonal system."""
+    step = np.diff(run.time_s)
+    tie = 1.0 / (max(tool.per_second_mm2[0], _LEAST_WANDER_MM2_S) * step)
+    led = run.insertion_mm_s[1:] * step
+    start = 1.0 / tool.start_std_mm**2
+    diagonal, right = weight.copy(), seen.copy()
+    diagonal[0] += start
+    right[0] += start * tool.start_depth_mm
+    diagonal[1:] += tie
+    diagonal[:-1] += tie
+    right[1:] += tie * led
+    right[:-1] -= tie * led
+    return np.asarray(solveh_banded(np.vstack([diagonal, np.append(-tie, 0.0)]), right, lower=True))

@@ -1,0 +1,159 @@
+"""``sherkit tool``: from three tables to a tool file, in one command."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from ..diagnosis import Diagnosis
+from ..diagnosis import diagnose as run_diagnosis
+from ..errors import MeasurementError
+from ..fit.identify import identify
+from ..robots.tool.alignment import Aligned, align
+from ..robots.tool.applied import Applied, applied
+from ..robots.tool.calibration import ToolCalibration, read_loads
+from ..robots.tool.calibration import calibrate_tool as run_calibration
+from ..robots.tool.filters import Estimate
+from ..robots.tool.filters import estimate as run_filters
+from ..robots.tool.judge import judge
+from ..robots.tool.known import known
+from ..robots.tool.model import ToolModel
+from ..robots.tool.runs import ToolRun, read_tool_run
+from ..robots.tool.tare import Tare, tare
+from ..robots.tool.tool import FlexibleTool, load_tool
+from . import output, reporting
+from .tool import (
+    number,
+    print_alignment,
+    print_calibration,
+    print_knowledge,
+    registered,
+    require_camera,
+    say_applied,
+    write_tool_report,
+)
+
+
+@click.command("tool")
+@click.argument("bench", type=click.Path(path_type=Path))
+@click.argument("free", type=click.Path(path_type=Path))
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), required=True, help="The tool file.")
+@click.option("--drawing", type=click.Path(path_type=Path),
+              help="A tool file with what no table tells, as where sections are; default: the paper's.")  # fmt: skip
+@click.option("--longest-delay-s", type=click.FloatRange(min=0, min_open=True), default=0.5, show_default=True)
+@reporting.report_option
+@click.option("--seed", type=int, default=0, show_default=True, help="Rules folds and flips of the diagnosis.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
+def tool_story(
+    bench: Path, free: Path, run: Path, destination: Path, drawing: Path | None, longest_delay_s: float,
+    report: Path | None, seed: int, as_json: bool,
+) -> None:  # fmt: skip
+    """Make a tool file of known loads (BENCH), a free motion (FREE) and a RUN, and say what RUN is still missing."""
+    if report is not None:
+        reporting.require_view()
+    with output.steps(16) as step:
+        step("reading")
+        loads, led, recorded = read_loads(bench), read_tool_run(free), read_tool_run(run)
+        require_camera(led)
+        require_camera(recorded)
+        step("gains, stiffness and length")
+        calibration = run_calibration(load_tool(drawing) if drawing else FlexibleTool(), loads)
+        step("the camera's frame and clock")
+        found = align(led.time_s, led.position_mm, led.camera_time_s, led.camera_mm, longest_s=longest_delay_s)
+        step("unloaded seconds")
+        tares = _tared(registered(calibration.tool, found), led, recorded)
+        made = tares[-1].tool
+        step("depth and tip")
+        before = run_filters(made, recorded)
+        step("what is missing")
+        model = ToolModel(made, recorded)
+        diagnosis = run_diagnosis(identify(model, model.readings), seed=seed, step=step)
+        told = applied(model, diagnosis.fit)
+        after = run_filters(told.tool, recorded)
+    told.tool.save(destination)
+    if report is not None:
+        write_tool_report(report, f"{destination.stem}, from {run.name}", diagnosis, after, told)
+    if as_json:
+        output.print_json(_json(calibration, found, tares, diagnosis, told, before, after))
+        return
+    _say("1. Known loads", bench)
+    print_calibration(calibration)
+    _say("2. The camera, from a free motion", free)
+    print_alignment(found)
+    _say("3. The unloaded tool", run)
+    for one, source in zip(tares, (free, run), strict=False):
+        output.say(
+            f"   {one.seconds:.1f} s of {source.name} were unloaded: references moved by "
+            f"{1e3 * np.abs(one.shift_nm).max():.2f} pm at most"
+        )
+    _say("4. What is missing?", run)
+    output.say(f"   Verdict: {diagnosis.headline}")
+    for tie in diagnosis.ties:
+        output.say(f"   this run cannot tell {' from '.join(tie)}")
+    for note in diagnosis.notes:
+        output.say(f"   {note}")
+    say_applied(told)
+    _say("5. Depth and tip", run)
+    _print_errors(before, after)
+    print_knowledge(known(after))
+    output.say(f"\nthe tool is in {destination}; estimate the next run with\n  sherkit estimate {destination} {run}")
+    if report is not None:
+        output.say(f"the report is in {report}")
+
+
+def _tared(tool: FlexibleTool, led: ToolRun, recorded: ToolRun) -> list[Tare]:
+    """References of the untouched tool, then of the unloaded seconds of the run, which are nearer to it in time."""
+    tares = []
+    if led.present.any():
+        tares.append(tare(tool, led, untouched=True))
+        tool = tares[-1].tool
+    return [*tares, tare(tool, recorded)]
+
+
+def _say(heading: str, path: Path) -> None:
+    output.out.print(f"\n[bold]{heading}[/]  ({path.name})")
+
+
+def _errors(e: Estimate) -> dict[str, dict[str, float]]:
+    """Mean errors, mm, by quantity and signal."""
+    return {j.quantity: {x.signal: x.total for x in j.errors} for j in judge(e)}
+
+
+def _print_errors(before: Estimate, after: Estimate) -> None:
+    first, last = _errors(before), _errors(after)
+    if not last:
+        raise MeasurementError(f"{after.run.source}: neither depth_mm nor a camera to judge by")
+    table = output.table("Mean error, mm", "", "before", "with what was named")
+    for quantity, signals in last.items():
+        for signal, value in signals.items():
+            table.add_row(f"{quantity}, {signal}", f"{first[quantity][signal]:.3f}", f"{value:.3f}")
+    output.out.print(table)
+
+
+def _json(
+    calibration: ToolCalibration, found: Aligned, tares: list[Tare], diagnosis: Diagnosis, told: Applied,
+    before: Estimate, after: Estimate,
+) -> dict[str, Any]:  # fmt: skip
+    errors = {
+        name: {q: {s: number(v) for s, v in one.items()} for q, one in _errors(e).items()}
+        for name, e in (("before", before), ("after", after))
+    }
+    return {
+        "calibration": {
+            "loads": calibration.loaded, "unloaded": calibration.unloaded, "rms_mn_mm": calibration.rms_mn_mm.tolist(),
+            "stiffness_mn_mm2": calibration.stiffness_mn_mm2, "length_mm": calibration.length_mm,
+        },
+        "camera": {"delay_s": found.delay_s, "delay_std_s": found.delay_std_s, "rms_mm": found.rms_mm},
+        "tare": [{"seconds": one.seconds, "shift_nm": one.shift_nm.tolist()} for one in tares],
+        "diagnosis": diagnosis.to_json(),
+        "written": list(told.written),
+        "kept_out": list(told.kept_out),
+        "errors_mm": errors,
+        "knowledge": [{**asdict(k), "verdict": k.verdict} for k in known(after)],
+        "tool": told.tool.to_tables(),
+    }  # fmt: skip
