@@ -102,9 +102,15 @@ def tool_rows(n: int = 3000) -> Floats:
     random = np.random.default_rng(3)
     times = 0.005 * np.arange(1, n + 1)
     stamps = np.where(random.random(n) < 0.02, times - 0.02, times)
+    stamps[n // 2 :] = times[n // 2 :] - 0.1  # a slow interrogator
     bend = 0.04 * np.maximum(0.0, np.sin(3.0 * times))[:, None] * np.array([1.0, -0.4, -0.6, 1.3, -0.5, -0.8, 0, 0, 0])
     wavelengths = np.linspace(1530, 1560, 9) + bend + 2e-4 * random.normal(size=(n, 9))
     wavelengths[random.random(n) < 0.02] = np.nan
+    # damaged: one grating lost, one stuck, two peaks swapped, a wild reading
+    wavelengths[random.random((n, 9)) < 0.003] = np.nan
+    wavelengths[400:600, 1] = wavelengths[400, 1]
+    wavelengths[900:1100, [3, 4]] = wavelengths[900:1100, [4, 3]]
+    wavelengths[np.arange(1200, 1300, 7), 5] += 0.5
     velocities = random.normal(size=(n, 3))
     velocities[random.random(n) < 0.01] = np.inf
     c, s = np.cos(0.3 * times), np.sin(0.3 * times)
@@ -146,6 +152,17 @@ def from_python(rows: Floats, noise: _core.FilterNoise) -> Floats:
     for filter_, given in filters:
         means, covariances, status, nis, degrees = filter_.filter(times, *given, measured, present)
         columns += [means, covariances.reshape(n, -1), np.stack([nis, degrees, status], axis=1)]
+    covariance = np.zeros((2, 2, 3, 3))
+    covariance[:, :] = np.diag([100.0, 200.0, 300.0])
+    whole = _core.ToolFilter(
+        GAINS, covariance, DISTANCES, REFERENCE, 2e-4, _core.ToolBeam(60.0, 3.39e6 / 3.0, True), np.diag([0.01, 1e6]),
+        (1e-4, 0.02, 0.02, 0.02), 0.05, 0.01, (8.0, 4.0, 0.0), poses[0],
+    )  # fmt: skip
+    told = whole.run(times, poses, stamps, wavelengths, present)
+    columns += [told["state"], told["covariance"].reshape(n, -1), told["force_mn"]]
+    columns += [np.stack([told[k] for k in ("force_variance", "misfit", "faulty", "status")], axis=1)]
+    assert all((told["status"] & flag).any() for flag in (1, 2, 4, 8, 16))
+    assert (told["faulty"] > 0).any()
     names = ("steps", "updated", "missing", "late", "not_finite", "no_force", "no_motion", "clock")
     last = filters[-1][0].statistics()
     counts = [last[k] for k in (*names, "nis_count", "nis_degrees", "nis_sum")]
