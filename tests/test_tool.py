@@ -669,13 +669,15 @@ def test_story_from_the_command_line(tmp_path: Path) -> None:
     assert tip["filter"]["t0"] < 0.4 * tip["kinematics"]["t0"]
     late = tmp_path / "late.toml"
     replace(TOOL, camera_delay_s=TOOL.camera_delay_s + 0.05).save(late)
-    diagnosis = json.loads(sherkit("diagnose", late, tmp_path / "run.csv", "--json").stdout)
+    short = ("--experiment", "vessels", "--seconds", "12")
+    assert sherkit("simulate", there, "-o", tmp_path / "short.csv", *short).exit_code == 0
+    diagnosis = json.loads(sherkit("diagnose", late, tmp_path / "short.csv", "--json").stdout)
     assert "camera_delay" in {*diagnosis["effects"], *(name for tie in diagnosis["ties"] for name in tie)}
 
 
 def test_three_tables_make_a_tool(tmp_path: Path) -> None:
     """Catches a step of the story that is left out: clock and creep that no file says; second simulator."""
-    world = replace(CONDITIONS["matched"], camera_delay_s=0.02)
+    world = replace(CONDITIONS["exact_rod"], camera_delay_s=0.02)
     crept = world.gratings.rest_nm + np.array([0.008, -0.003, -0.005, *[0.0] * 6])
     later = replace(world, camera_delay_s=0.05, gratings=replace(world.gratings, rest_nm=crept))
     write_csv(world.bench(), tmp_path / "bench.csv")
@@ -687,7 +689,7 @@ def test_three_tables_make_a_tool(tmp_path: Path) -> None:
     told = json.loads(made.stdout)
     assert told["written"] == ["camera_delay"]
     assert told["errors_mm"]["after"]["tip"]["filter"] < 0.8 * told["errors_mm"]["before"]["tip"]["filter"]
-    assert told["errors_mm"]["after"]["depth"]["filter"] < 0.15
+    assert told["errors_mm"]["after"]["depth"]["filter"] < 0.25
     tool = load_tool(tmp_path / "made.toml")
     assert tool.to_tables() == told["tool"]
     assert tool.camera_delay_s == pytest.approx(0.05, abs=2e-3)
