@@ -42,7 +42,9 @@ impl ToolFilter {
         };
         let shape = self.rod.shape(size, depth);
         let waited = (s.time_s - s.force_s).min(PACE_UP_TO_S);
-        let stray = self.pace * waited * waited;
+        let moved = (s.pose.translation - self.state.pose.translation).norm();
+        let edge = s.edge(moved, self.clearance_mm);
+        let stray = self.pace * waited * waited + edge;
         let beside = self.beside_the_force(&s, stray, size, depth, &shape);
         let bent = way * shape.across;
         let mut force_variance = s.force_noise + stray + s.by_depth * s.by_depth * s.variance;
