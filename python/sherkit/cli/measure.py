@@ -131,7 +131,12 @@ def export(what: tuple[str, ...], destination: Path) -> None:
         return
     if len(what) != 2 or what[0] != "c":
         raise click.UsageError("expected the file of a run, or c and the file of a flexible tool")
-    header = c_header(load_tool(what[1]), Path(what[1]).name)
+    made = load_tool(what[1])
+    if made.noise != "propagated":
+        output.warn(
+            f"{what[1]}: noise '{made.noise}' is for comparisons; the loop in C runs the filter of 'propagated'"
+        )
+    header = c_header(made, Path(what[1]).name)
     destination.write_text(header, encoding="utf-8")
     output.say(
         f"{destination} written; a loop includes it and links libsherkit.a, which cargo build --profile control "

@@ -73,6 +73,8 @@ class VirtualTool:
         bent = self._tip(true, force, depth) + np.array([*self.shaft_bend_mm, 0.0])
         tip = position + np.einsum("nij,nj->ni", rotation_of(turn), bent)
         waves = self._wavelengths(true, force, depth, t, rng)
+        if true.fibre_delay_s:
+            waves = np.column_stack([np.interp(t - true.fibre_delay_s, t, w) for w in waves.T])
         if self.lost > 0:
             waves[rng.random(len(t)) < self.lost] = np.nan
         camera_t, camera = self._seen(true, t, tip, rng)

@@ -76,17 +76,10 @@ int main(int count, char **arguments) {
         return 1;
     }
 
-    sherkit_sensor sensor;
-    sherkit_depth_filter depth;
-    sherkit_tip_filter tip;
-    const sherkit_noise noise = tool_noise();
-    double before[COLUMNS];
+    static sherkit_tool_filter filter;
+    double last = -INFINITY;
     int begun = 0;
-    if (sherkit_sensor_init(&sensor, &tool_gratings) != SHERKIT_OK) {
-        fprintf(stderr, "replay: tool.h holds no tool\n");
-        return 1;
-    }
-    printf("time_s,depth_mm,depth_variance,tip_x_mm,tip_y_mm,tip_z_mm,status\n");
+    printf("time_s,depth_mm,depth_variance,tip_x_mm,tip_y_mm,tip_z_mm,faulty,status\n");
     while (fgets(line, sizeof line, file) != NULL) {
         double row[COLUMNS];
         for (int k = 0; k < COLUMNS; k++) {
@@ -103,39 +96,29 @@ int main(int count, char **arguments) {
             continue; /* a row of the camera */
         }
         const sherkit_pose pose = pose_of(row + PLACE, row + TURN);
-        double velocity[3] = { 0.0, 0.0, 0.0 }, along = 0.0;
         if (!begun) {
-            begun = sherkit_depth_filter_init(&depth, tool_start_depth_mm, tool_start_variance_mm2, row[TIME], &noise)
-                        == SHERKIT_OK
-                    && sherkit_tip_filter_init(&tip, &tool_beam, &pose, tool_start_variance_mm2, row[TIME], &noise)
-                           == SHERKIT_OK;
+            begun = sherkit_tool_filter_init(&filter, &tool_settings, tool_start_depth_mm, tool_start_variance_mm2, &pose,
+                                             row[TIME])
+                    == SHERKIT_OK;
             if (!begun) {
-                fprintf(stderr, "replay: the filters do not begin\n");
+                fprintf(stderr, "replay: tool.h holds no tool\n");
                 return 1;
             }
-        } else {
-            for (int i = 0; i < 3; i++) {
-                velocity[i] = (row[PLACE + i] - before[PLACE + i]) / (row[TIME] - before[TIME]);
-                along += velocity[i] * pose.rotation[i][2];
-            }
         }
-        memcpy(before, row, sizeof before);
-        /* without wavelengths nothing was measured */
-        int there = 1;
-        for (int i = 0; i < 6; i++) {
-            there = there && isfinite(row[FIBRES + i]);
+        /* without any wavelength nothing was read; a reading that stands in two rows is one */
+        const double stamp = (isfinite(row[STAMP]) ? row[STAMP] : row[TIME]) - tool_fibre_delay_s;
+        int there = 0;
+        for (int i = 0; i < 9; i++) {
+            there = there || isfinite(row[FIBRES + i]);
         }
-        sherkit_measurement measured;
-        const double stamp = isfinite(row[STAMP]) ? row[STAMP] : row[TIME];
-        if (there && sherkit_sensor_read(&sensor, stamp, row + FIBRES, &measured) != SHERKIT_OK) {
-            there = 0;
+        there = there && stamp > last;
+        if (there) {
+            last = stamp;
         }
-        sherkit_depth_estimate d;
-        sherkit_tip_estimate t;
-        sherkit_depth_filter_step(&depth, row[TIME], along, there ? &measured : NULL, &d);
-        sherkit_tip_filter_step(&tip, row[TIME], velocity, &pose, d.depth_mm, d.variance, there ? &measured : NULL, &t);
-        printf("%.17g,%.17g,%.17g,%.17g,%.17g,%.17g,%u\n", d.time_s, d.depth_mm, d.variance, t.tip_mm[0], t.tip_mm[1],
-               t.tip_mm[2], (unsigned)(d.status | t.status));
+        sherkit_tool_estimate now;
+        sherkit_tool_filter_step(&filter, row[TIME], &pose, stamp, there ? row + FIBRES : NULL, &now);
+        printf("%.17g,%.17g,%.17g,%.17g,%.17g,%.17g,%u,%u\n", now.time_s, now.depth_mm, now.covariance[0][0],
+               now.tip_mm[0], now.tip_mm[1], now.tip_mm[2], (unsigned)now.faulty, (unsigned)now.status);
     }
     fclose(file);
     return 0;
