@@ -142,7 +142,7 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
         length, stiffness = (both[0], float(std[0])), (both[1], float(std[1]))
         slope = slope or _core.tool_fit_slope(tool.length_mm, np.ascontiguousarray(size[measured]), at, bent)
         made = replace(made, length_mm=both[0], stiffness_mn_mm2=both[1], doubt=replace(
-            made.doubt, beam=nested(covariance)))  # type: ignore[arg-type] # fmt: skip
+            made.doubt, beam=nested(covariance)))  # fmt: skip
     count = int(unloaded.sum())
     doubt = replace(
         made.doubt,
