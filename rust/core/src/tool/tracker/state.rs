@@ -108,6 +108,6 @@ impl State {
 /// Length beyond the hole that stands at `along` on the unbent axis.
 #[inline]
 pub(super) fn depth_of(rod: &Rod, along: f64, force: f64) -> f64 {
-    let first = along - rod.shape(force, along).contact_short;
-    along - rod.shape(force, first).contact_short
+    let first = along - rod.contact_short(force, along);
+    along - rod.contact_short(force, first)
 }
