@@ -715,6 +715,22 @@ def test_what_was_named_is_written() -> None:
         assert np.abs(left.values).max() < 0.03
 
 
+@pytest.mark.parametrize("ms", [50, 200])
+def test_a_late_interrogator_that_does_not_say_so_is_found(ms: int) -> None:
+    """Catches a delay with the wrong sign, or one that is named and not used: depth on the second simulator, seed 1."""
+    world = CONDITIONS[f"unsaid_{ms}"]
+    recorded = world.run("vessels", seconds=30.0, seed=1)
+    tool, run = tool_of(world, 1), run_of(recorded)
+    model = ToolModel(tool, run)
+    fit = sk.identify(model, model.readings, effects=[e for e in model.candidates if e.name == "fibre_delay"])
+    told = applied(model, fit)
+    assert told.written == ("fibre_delay",)
+    assert told.tool.fibre_delay_s == pytest.approx(1e-3 * ms, abs=5e-3)
+    before, after = (honest(estimate(t, run), recorded)["depth"] for t in (tool, told.tool))
+    assert after.mean_error_mm < 0.6 * before.mean_error_mm
+    assert after.coverage > 0.85 > before.coverage
+
+
 def test_a_tare_needs_an_untouched_tool() -> None:
     """Catches references that are taken while something presses, and a tare of a run without a free second."""
     there = planted("fbg_bias", 2)
