@@ -151,6 +151,7 @@ impl ToolFilter {
                     nis.last,
                     self.0.per_second_mm2(),
                     noise,
+                    self.0.pace(),
                 ];
                 for (column, x) in columns.iter_mut().zip(row) {
                     column.push(x);
@@ -168,7 +169,14 @@ impl ToolFilter {
         )?;
         out.set_item::<_, Bound<'py, PyArray2<f64>>>("force_mn", shaped(py, force, [n, 2])?)?;
         out.set_item::<_, Bound<'py, PyArray2<f64>>>("tied", shaped(py, tied, [n, width])?)?;
-        let names = ["force_variance", "misfit", "nis", "per_second_mm2", "noise"];
+        let names = [
+            "force_variance",
+            "misfit",
+            "nis",
+            "per_second_mm2",
+            "noise",
+            "pace",
+        ];
         for (name, column) in names.iter().zip(columns) {
             out.set_item(name, PyArray1::from_vec(py, column))?;
         }

@@ -27,7 +27,7 @@ from ...data.tables import read_table, write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
 from ...types import Floats
 from .columns import DEFLECTION, DEPTH, FIBRES, FORCE
-from .tool import FlexibleTool
+from .tool import FlexibleTool, nested
 
 #: Forces of less than this are none, mN.
 _NO_FORCE_MN = 1e-9
@@ -132,7 +132,7 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
     # gains hang on the beam by what an elastica adds to a moment, and the beam on the gains by the force felt
     for _ in range(_ROUNDS):
         gains = _gains(made, shifts, force, size, depth)
-        made = replace(made, gains=gains.value.tolist())
+        made = replace(made, gains=nested(gains.value))
         if int(measured.sum()) < _LEAST_LOADED:
             break
         felt = gains.felt(made, shifts, force, size, depth)[measured]
@@ -142,11 +142,11 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
         length, stiffness = (both[0], float(std[0])), (both[1], float(std[1]))
         slope = slope or _core.tool_fit_slope(tool.length_mm, np.ascontiguousarray(size[measured]), at, bent)
         made = replace(made, length_mm=both[0], stiffness_mn_mm2=both[1], doubt=replace(
-            made.doubt, beam=tuple(tuple(row) for row in covariance.tolist())))  # type: ignore[arg-type] # fmt: skip
+            made.doubt, beam=nested(covariance)))  # fmt: skip
     count = int(unloaded.sum())
     doubt = replace(
         made.doubt,
-        gains=gains.covariance.tolist(),
+        gains=nested(gains.covariance),
         reference_nm=made.noise_nm / float(np.sqrt(count)) if count >= _LEAST_UNLOADED else made.doubt.reference_nm,
     )
     made = replace(made, doubt=doubt)

@@ -272,6 +272,11 @@ def load_tool(path: str | Path) -> FlexibleTool:
     return made
 
 
+def nested(values: Floats) -> Any:
+    """An array as tuples of tuples, as a tool keeps it."""
+    return tuple(nested(row) for row in values) if values.ndim > 1 else tuple(values.tolist())
+
+
 def rotation_of(vectors_rad: Sequence[float] | Floats) -> Floats:
     """Rotation matrices (n, 3, 3) of rotation vectors (n, 3)."""
     return np.asarray(Rotation.from_rotvec(np.atleast_2d(np.asarray(vectors_rad, dtype=float))).as_matrix())

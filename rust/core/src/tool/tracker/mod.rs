@@ -166,6 +166,7 @@ impl ToolFilter {
             off: Vector2::zeros(),
             along: depth_mm,
             gives: 0.0,
+            free: true,
             rest: Vector2::zeros(),
             variance,
             tied: [0.0; UNKNOWNS],
@@ -372,6 +373,12 @@ impl ToolFilter {
     #[must_use]
     pub fn time_s(&self) -> f64 {
         self.poses.now().time_s
+    }
+
+    /// Mean square pace at which the force strays from what the motion of the tool makes of it, (mN/s)².
+    #[must_use]
+    pub fn pace(&self) -> f64 {
+        self.pace
     }
 
     /// Process noise of the depth at present, mm²/s.

@@ -201,17 +201,19 @@ impl ToolFilter {
                 0.0
             };
             let renewed = self.keep_pace(next, across);
+            next.free = !touched;
             if touched {
                 next.gives = across / size + self.hole_gives();
                 next.off = next.force * ((self.clearance_mm + next.gives * size) / size);
-                next.rest = Vector2::zeros();
             } else if next.gives > 0.0 {
                 // where nothing pushes, the hole is around the shaft
                 let far = next.off.norm();
                 if far > self.clearance_mm {
                     next.off *= self.clearance_mm / far;
                 }
-                next.rest = next.force;
+            }
+            if next.gives > 0.0 {
+                next.rest = next.force - next.pushed(self.clearance_mm);
             }
             if renewed {
                 self.paced = *next;

@@ -15,6 +15,8 @@ pub(super) struct State {
     pub(super) along: f64,
     /// What shaft and hole give way for a force, mm/mN; zero before the first touch.
     pub(super) gives: f64,
+    /// Whether the last reading felt nothing of the hole, so that it may stand anywhere within its clearance.
+    pub(super) free: bool,
     /// What was felt beyond what the hole pushes.
     pub(super) rest: Vector2<f64>,
     /// Noise of `l`, and how it hangs on the unknowns.
@@ -52,11 +54,33 @@ impl State {
     pub(super) fn pushed(&self, clearance_mm: f64) -> Vector2<f64> {
         let far = self.off.norm();
         let pressed = far - clearance_mm;
-        if pressed > 0.0 {
+        // a shaft that has left the eye leans on nothing
+        if pressed > 0.0 && self.along > 0.0 {
             self.off * (pressed / (far * self.gives))
         } else {
             Vector2::zeros()
         }
+    }
+
+    /// Variance of the force's components by not knowing on which side of its edge the hole stands, since it was read:
+    /// the hole may stand anywhere around a free shaft, and a tip near the hole may have left it.
+    pub(super) fn edge(&self, moved_mm: f64, clearance_mm: f64) -> f64 {
+        let mut variance = 0.0;
+        if self.gives > 0.0 && moved_mm > 0.0 {
+            if self.free {
+                let least = moved_mm.min(2.0 * clearance_mm) / self.gives;
+                variance += least * least / 4.0;
+            }
+            let mut deviation = self.variance;
+            for t in &self.tied {
+                deviation += t * t;
+            }
+            if self.along * self.along < 9.0 * deviation || self.along < 0.0 {
+                variance +=
+                    self.force.norm_squared() + moved_mm * moved_mm / (self.gives * self.gives);
+            }
+        }
+        variance
     }
 
     /// The force where the hole stands now.
@@ -84,6 +108,6 @@ impl State {
 /// Length beyond the hole that stands at `along` on the unbent axis.
 #[inline]
 pub(super) fn depth_of(rod: &Rod, along: f64, force: f64) -> f64 {
-    let first = along - rod.shape(force, along).contact_short;
-    along - rod.shape(force, first).contact_short
+    let first = along - rod.contact_short(force, along);
+    along - rod.contact_short(force, first)
 }

@@ -7,7 +7,7 @@ use super::state::State;
 use super::unknowns::{Tied, UNKNOWNS};
 use crate::numbers::rigid::Rigid;
 use crate::tool::rod::{Bending, Shape};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// Where depth and tip are.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,7 +42,9 @@ impl ToolFilter {
         };
         let shape = self.rod.shape(size, depth);
         let waited = (s.time_s - s.force_s).min(PACE_UP_TO_S);
-        let stray = self.pace * waited * waited;
+        let moved = (s.pose.translation - self.state.pose.translation).norm();
+        let edge = s.edge(moved, self.clearance_mm);
+        let stray = self.pace * waited * waited + edge;
         let beside = self.beside_the_force(&s, stray, size, depth, &shape);
         let bent = way * shape.across;
         let mut force_variance = s.force_noise + stray + s.by_depth * s.by_depth * s.variance;
@@ -92,6 +94,28 @@ impl ToolFilter {
             -(shorter * s.by_depth + shorter_by_depth),
         ];
         let mut covariance = [[0.0; 4]; 4];
+        // every unknown moves the four by its shares of depth, force along and force across: three rows, and what these
+        // have in common
+        let [along, across] = &s.force_tied;
+        let rows = [
+            on_depth,
+            [0.0, by_force, 0.0, -shorter],
+            [0.0, 0.0, by_force, 0.0],
+        ];
+        let of = [&s.tied, along, across];
+        for a in 0..3 {
+            for b in 0..=a {
+                let shared = dot(of[a], of[b]);
+                for i in 0..4 {
+                    for j in 0..=i {
+                        covariance[i][j] += rows[a][i] * rows[b][j] * shared;
+                        if a != b {
+                            covariance[i][j] += rows[b][i] * rows[a][j] * shared;
+                        }
+                    }
+                }
+            }
+        }
         let mut add = |row: [f64; 4], weight: f64| {
             for i in 0..4 {
                 for j in 0..=i {
@@ -99,17 +123,6 @@ impl ToolFilter {
                 }
             }
         };
-        let [along, across] = &s.force_tied;
-        for k in 0..UNKNOWNS {
-            let t = s.tied[k];
-            let row = [
-                t,
-                on_depth[1] * t + by_force * along[k],
-                by_force * across[k],
-                on_depth[3] * t - shorter * along[k],
-            ];
-            add(row, 1.0);
-        }
         add(on_depth, s.variance);
         add([0.0, by_force, 0.0, -shorter], s.force_noise);
         add([contact, by_force, 0.0, -shorter], stray);
@@ -139,30 +152,30 @@ impl ToolFilter {
     }
 }
 
+fn dot(a: &Tied, b: &Tied) -> f64 {
+    let mut sum = 0.0;
+    for k in 0..UNKNOWNS {
+        sum += a[k] * b[k];
+    }
+    sum
+}
+
 /// A lower triangle, depth and the tip along and across a way and along the shaft, in the base frame.
 fn in_base(lower: &[[f64; 4]; 4], way: &Vector2<f64>, pose: &Rigid) -> [[f64; 4]; 4] {
-    let full = |i: usize, j: usize| if i > j { lower[i][j] } else { lower[j][i] };
     let axes = &pose.rotation;
     let lead = |v: &Vector2<f64>| axes.column(0) * v.x + axes.column(1) * v.y;
-    let to = [lead(way), lead(&cross(way)), axes.column(2).into_owned()];
+    let to = Matrix3::from_columns(&[lead(way), lead(&cross(way)), axes.column(2).into_owned()]);
+    let [_, [p, a, _, _], [q, b, c, _], [r, d, e, f]] = *lower;
+    let tip = to * Matrix3::new(a, b, d, b, c, e, d, e, f) * to.transpose();
+    let with_depth = to * Vector3::new(p, q, r);
     let mut out = [[0.0; 4]; 4];
     out[0][0] = lower[0][0];
     for i in 0..3 {
-        let mut with_depth = 0.0;
-        for a in 0..3 {
-            with_depth += to[a][i] * full(0, a + 1);
-        }
-        out[0][i + 1] = with_depth;
-        out[i + 1][0] = with_depth;
+        out[0][i + 1] = with_depth[i];
+        out[i + 1][0] = with_depth[i];
         for j in 0..=i {
-            let mut sum = 0.0;
-            for a in 0..3 {
-                for b in 0..3 {
-                    sum += to[a][i] * full(a + 1, b + 1) * to[b][j];
-                }
-            }
-            out[i + 1][j + 1] = sum;
-            out[j + 1][i + 1] = sum;
+            out[i + 1][j + 1] = tip[(i, j)];
+            out[j + 1][i + 1] = tip[(i, j)];
         }
         out[i + 1][i + 1] = out[i + 1][i + 1].max(0.0);
     }
