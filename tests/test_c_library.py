@@ -15,10 +15,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from numpy.typing import NDArray
 
 from sherkit import _core
+from sherkit.cli.main import cli
 from sherkit.errors import NotFinite, OutOfReach
+from sherkit.robots.tool.filters import estimate
+from sherkit.robots.tool.tool import FlexibleTool, ToolDoubt
+from sherkit.robots.tool.virtual import VirtualTool
 
 Floats = NDArray[np.float64]
 
@@ -96,9 +101,15 @@ def tool_rows(n: int = 3000) -> Floats:
     random = np.random.default_rng(3)
     times = 0.005 * np.arange(1, n + 1)
     stamps = np.where(random.random(n) < 0.02, times - 0.02, times)
+    stamps[n // 2 :] = times[n // 2 :] - 0.1  # a slow interrogator
     bend = 0.04 * np.maximum(0.0, np.sin(3.0 * times))[:, None] * np.array([1.0, -0.4, -0.6, 1.3, -0.5, -0.8, 0, 0, 0])
     wavelengths = np.linspace(1530, 1560, 9) + bend + 2e-4 * random.normal(size=(n, 9))
     wavelengths[random.random(n) < 0.02] = np.nan
+    # damaged: one grating lost, one stuck, two peaks swapped, a wild reading
+    wavelengths[random.random((n, 9)) < 0.003] = np.nan
+    wavelengths[400:600, 1] = wavelengths[400, 1]
+    wavelengths[900:1100, [3, 4]] = wavelengths[900:1100, [4, 3]]
+    wavelengths[np.arange(1200, 1300, 7), 5] += 0.5
     velocities = random.normal(size=(n, 3))
     velocities[random.random(n) < 0.01] = np.inf
     c, s = np.cos(0.3 * times), np.sin(0.3 * times)
@@ -140,6 +151,17 @@ def from_python(rows: Floats, noise: _core.FilterNoise) -> Floats:
     for filter_, given in filters:
         means, covariances, status, nis, degrees = filter_.filter(times, *given, measured, present)
         columns += [means, covariances.reshape(n, -1), np.stack([nis, degrees, status], axis=1)]
+    covariance = np.zeros((2, 2, 3, 3))
+    covariance[:, :] = np.diag([100.0, 200.0, 300.0])
+    whole = _core.ToolFilter(
+        GAINS, covariance, DISTANCES, REFERENCE, 2e-4, _core.ToolBeam(60.0, 3.39e6 / 3.0, True), np.diag([0.01, 1e6]),
+        (1e-4, 0.02, 0.02, 0.02), 0.05, 0.01, (8.0, 4.0, 0.0), poses[0],
+    )  # fmt: skip
+    told = whole.run(times, poses, stamps, wavelengths, present)
+    columns += [told["state"], told["covariance"].reshape(n, -1), told["force_mn"]]
+    columns += [np.stack([told[k] for k in ("force_variance", "misfit", "faulty", "status")], axis=1)]
+    assert all((told["status"] & flag).any() for flag in (1, 2, 4, 8, 16))
+    assert (told["faulty"] > 0).any()
     names = ("steps", "updated", "missing", "late", "not_finite", "no_force", "no_motion", "clock")
     last = filters[-1][0].statistics()
     counts = [last[k] for k in (*names, "nis_count", "nis_degrees", "nis_sum")]
@@ -215,6 +237,27 @@ def test_the_loop_runs_and_logs(archive: Path, tmp_path: Path) -> None:
     lines = (tmp_path / "log.csv").read_text(encoding="utf-8").splitlines()
     assert len(lines) == 2001
     assert lines[0].startswith("time_s,force_mN,depth_true_mm,depth_mm")
+
+
+def test_a_recorded_run_is_replayed(archive: Path, tmp_path: Path) -> None:
+    """Catches a tool whose numbers are lost on the way to C, and an example that no longer does what Python does."""
+    doubt = ToolDoubt(reference_nm=2e-4, warmth=0.02, beam=((1e-3, 20.0), (20.0, 1e6)), distance_mm=0.05)
+    there = FlexibleTool(
+        noise_nm=1.1e-3, start_depth_mm=1 / 3, per_second_mm2=(0.004, 1.0), fibre_delay_s=0.02, doubt=doubt
+    )
+    there.save(tmp_path / "tool.toml")
+    recorded = VirtualTool(there, lost=0.05).run("vessels", seconds=5.0)
+    recorded.save(tmp_path / "run.csv")
+    arguments = ["export", "c", str(tmp_path / "tool.toml"), "-o", str(tmp_path / "tool.h")]
+    assert CliRunner().invoke(cli, arguments).exit_code == 0
+    program = built(archive, "examples/replay/replay.c", tmp_path, "-I", str(tmp_path))
+    table = np.genfromtxt(run(program, tmp_path / "run.csv").splitlines(), delimiter=",", names=True)
+    e = estimate(there, recorded)
+    np.testing.assert_allclose(table["depth_mm"], e.depth.value[:, 0], atol=1e-9)
+    np.testing.assert_allclose(table["depth_variance"], e.depth.covariance[:, 0, 0], rtol=1e-9)
+    np.testing.assert_array_equal(table["status"], e.together.status)
+    for k, axis in enumerate("xyz"):
+        np.testing.assert_allclose(table[f"tip_{axis}_mm"], e.tip.value[:, k], atol=1e-9)
 
 
 def test_the_bare_program_needs_nothing_else(archive: Path) -> None:

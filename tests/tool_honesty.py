@@ -8,9 +8,11 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 import polars as pl
 import tomli_w
 
@@ -19,7 +21,7 @@ from sherkit.errors import SherkitWarning
 from sherkit.robots.tool.calibration import Loads, read_loads
 from sherkit.robots.tool.filters import Estimate, estimate
 from sherkit.robots.tool.runs import ToolRun, tool_run_of
-from sherkit.robots.tool.tool import FlexibleTool, load_tool
+from sherkit.robots.tool.tool import FlexibleTool, ToolDoubt, load_tool
 
 
 def run_of(recorded: Recorded, source: str = "run") -> ToolRun:
@@ -29,11 +31,15 @@ def run_of(recorded: Recorded, source: str = "run") -> ToolRun:
 
 
 def tool_of(world: World, seed: int = 0) -> FlexibleTool:
-    """The tool as its file says, without what a calibration would know of its own deviations."""
+    """The tool as its file says, with the world's own bending and the doubt by which its file was drawn."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "tool.toml"
         path.write_text(tomli_w.dumps(world.file(seed)), encoding="utf-8")
-        return load_tool(path)
+        tool = load_tool(path)
+    gains = np.array(tool.gains)
+    spread = (world.gain_error * gains)[..., None] * (world.gain_error * gains)[..., None, :] * np.eye(3)
+    doubt = ToolDoubt(gains=spread.tolist(), reference_nm=world.reference_error_nm)
+    return replace(tool, bending="exact" if world.rod.exact else "small", doubt=doubt)
 
 
 def loads_of(world: World, seed: int = 0, **bench: float) -> Loads:

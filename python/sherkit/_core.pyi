@@ -54,6 +54,7 @@ STATUS_NOT_FINITE: int
 STATUS_NO_FORCE: int
 STATUS_NO_MOTION: int
 STATUS_CLOCK: int
+STATUS_GATED: int
 
 @final
 class DeltaKinematics:
@@ -294,7 +295,14 @@ class ToolSensor:
     (mm·mN).
     """
 
-    def __new__(cls, gains: _Floats, distances_mm: _Floats, reference_nm: _Floats, noise_nm: float) -> ToolSensor: ...
+    def __new__(
+        cls,
+        gains: _Floats,
+        distances_mm: _Floats,
+        reference_nm: _Floats,
+        noise_nm: float,
+        beam: ToolBeam | None = None,
+    ) -> ToolSensor: ...
     def measure(self, time_s: float, wavelengths_nm: _Floats) -> _Floats:
         """A measurement (11,) from wavelengths (9,)."""
 
@@ -311,15 +319,24 @@ class ToolSensor:
 
 @final
 class ToolBeam:
-    """The shaft as a cantilever (Eq. 9): free length in mm, bending stiffness EI in mN·mm²."""
+    """The shaft as a cantilever (Eq. 9): free length in mm, bending stiffness EI in mN·mm².
 
-    def __new__(cls, length_mm: float, stiffness: float) -> ToolBeam: ...
+    Where ``exact``, ``tip_batch``, ``loads_batch`` and what is made of it bend as an elastica.
+    """
+
+    def __new__(cls, length_mm: float, stiffness: float, exact: bool = False) -> ToolBeam: ...
     @staticmethod
     def ebrahimi_2020() -> ToolBeam: ...
     @property
     def length_mm(self) -> float: ...
     @property
     def stiffness(self) -> float: ...
+    @property
+    def exact(self) -> bool: ...
+    def loads_batch(self, lateral_mn: _Floats, depths_mm: _Floats, distances_mm: tuple[float, float]) -> _Floats:
+        """Of loads with this part across the clamp's axis (n,): the moment over it at two distances from the tip, and
+        the deflection at the contact, mm (n, 3)."""
+
     def compliance_batch(self, depths_mm: _Floats) -> _Floats:
         """Tip deflection per force, mm/mN, and its derivatives by depth, length and stiffness (n, 4)."""
 
@@ -475,7 +492,59 @@ class DepthTipFilter(_WithTip):
     @property
     def depth_mm(self) -> float: ...
 
-def tool_fit_gain(distance_mm: float, shifts_nm: _Floats, forces_mn: _Floats, depths_mm: _Floats) -> dict[str, Any]:
+@final
+class ToolFilter:
+    """Depth and tip from wavelengths and poses, with a deviation that owns to what the calibration does not know.
+
+    ``gains`` (2, 2, 3), mN·mm/nm, and their covariance by rows (2, 2, 3, 3); ``doubts``: deviations of a reference
+    (nm), of the fibres' answer to warmth (relative), of clearance (mm) and sections (mm); ``start``: depth
+    (mm), its variance (mm²), time (s).
+    """
+
+    def __new__(
+        cls,
+        gains: _Floats,
+        gain_covariance: _Floats,
+        distances_mm: _Floats,
+        reference_nm: _Floats,
+        noise_nm: float,
+        beam: ToolBeam,
+        beam_covariance: _Floats,
+        doubts: tuple[float, float, float, float],
+        clearance_mm: float,
+        per_second_mm2: float,
+        start: tuple[float, float, float],
+        pose: _Floats,
+    ) -> ToolFilter: ...
+    def step(
+        self, time_s: float, pose: _Floats, stamp_s: float | None = None, wavelengths_nm: _Floats | None = None
+    ) -> int:
+        """One step to a time and a pose (12,); a reading (9,) may bear a stamp up to 0.3 s back. The status."""
+
+    def run(
+        self, times_s: _Floats, poses: _Floats, stamps_s: _Floats, wavelengths_nm: _Floats, present: _Bools
+    ) -> dict[str, Any]:
+        """As many steps as there are times; by name ``state`` (n, 4), ``covariance`` (n, 4, 4), ``force_mn`` (n, 2),
+        and (n,) ``force_variance``, ``misfit``, ``nis``, ``degrees``, ``per_second_mm2``, ``faulty``, ``status``; for
+        smoothing ``noise`` (n,) and ``tied`` (n, k)."""
+
+    @property
+    def depth_mm(self) -> float: ...
+    @property
+    def tip_mm(self) -> _Floats: ...
+    @property
+    def covariance(self) -> _Floats: ...
+    @property
+    def misfit(self) -> float: ...
+    @property
+    def faulty(self) -> int: ...
+    @property
+    def time_s(self) -> float: ...
+    def copy(self) -> ToolFilter: ...
+
+def tool_fit_gain(
+    distance_mm: float, shifts_nm: _Floats, forces_mn: _Floats, depths_mm: _Floats, noise_nm: float = 0.0
+) -> dict[str, Any]:
     """Gains K (2, 3) of a section from wavelengths less those of the unloaded tool (n, 3), forces (n, 2), depths (n,).
 
     Keys: gain, residual_covariance (2, 2), unit_covariance (3, 3), weakest, used (n,): rows that are finite.

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import click
 
+from ..errors import SherkitError
 from . import output, reporting
+from .tool import is_tool
 
 
 @click.command()
@@ -27,6 +29,10 @@ def app(
 ) -> None:  # fmt: skip
     """Open ROBOT (TOML) and the measurements RUN (CSV or Parquet) as a page: add effects, and watch the error fall."""
     reporting.require_view()
+    if is_tool(robot):
+        raise SherkitError(
+            f"{robot}: the page shows robots; a flexible tool's story is sherkit tool … --report story.html"
+        )
     from ..app.server import PageServer, is_loopback  # Bokeh takes a second to load
     from ..app.workbench import Workbench
 

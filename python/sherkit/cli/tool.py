@@ -135,6 +135,8 @@ def _print_consistency(e: Estimate) -> None:
         band = f"{c.low:.3f} to {c.high:.3f}" if np.isfinite(c.ratio) else "–"
         table.add_row(name, f"{c.ratio:.3f}" if np.isfinite(c.ratio) else "–", band, _of_innovations(track))
     output.out.print(table)
+    for fault in e.faults:
+        output.warn(f"{e.run.source}: {fault}")
     told = {name: n for name, n in status_in_words(e.depth).items() if n and name != "updated"}
     if told:
         output.say("depth was only predicted on rows " + ", ".join(f"{name}: {n}" for name, n in told.items()))
@@ -183,6 +185,7 @@ def _json(e: Estimate, judged: list[Judgement], truths: list[Knowledge]) -> dict
         },
         "knowledge": [{**asdict(k), "verdict": k.verdict} for k in truths],
         "status": status_in_words(e.depth),
+        "faults": [{**asdict(f), "sentence": str(f)} for f in e.faults],
     }  # fmt: skip
 
 
@@ -203,6 +206,18 @@ def _frame(e: Estimate) -> pl.DataFrame:
         "smooth_depth_mm": smooth[:, 0],
         "smooth_depth_std_mm": np.sqrt(spread[:, 0, 0].clip(0.0)),
         **{f"smooth_tip_{a}_mm": smooth[:, k + 1] for k, a in enumerate(axes)},
+        **{f"smooth_tip_{a}_std_mm": np.sqrt(spread[:, k + 1, k + 1].clip(0.0)) for k, a in enumerate(axes)},
+        "joint_depth_mm": e.together.value[:, 0],
+        **{f"joint_tip_{a}_mm": e.together.value[:, k + 1] for k, a in enumerate(axes)},
+        **{
+            f"covariance_{m}_{n}_mm2": e.together.covariance[:, i, k]
+            for i, m in enumerate(("depth", *axes))
+            for k, n in enumerate(("depth", *axes))
+            if i <= k
+        },
+        "misfit": e.misfit,
+        "gated": e.gated,
+        "faulty": e.faulty,
         "status": e.depth.status | e.tip.status,
         "nis_depth": e.depth.nis,
         "nis_tip": e.tip.nis,

@@ -71,6 +71,9 @@
 // The step's time is not finite or lies before the state's: nothing was done at all.
 #define SHERKIT_STATUS_CLOCK 64
 
+// The measurement contradicts the state or itself, and was not used.
+#define SHERKIT_STATUS_GATED 128
+
 // One of the SHERKIT codes: SHERKIT_OK, or why not.
 typedef int32_t sherkit_result;
 
@@ -167,6 +170,8 @@ typedef struct sherkit_statistics {
     uint64_t no_motion;
     // Steps refused for their time.
     uint64_t clock;
+    // Measurements that were refused.
+    uint64_t gated;
     // Updates that the sum is over.
     uint64_t nis_count;
     // Their degrees of freedom.
@@ -268,6 +273,59 @@ typedef struct sherkit_spherical_covariates {
     // Direction of the last motion of each joint: 1, -1 or 0.
     double direction[2];
 } sherkit_spherical_covariates;
+
+// The filter of a tool. Its content is nobody's business.
+typedef struct sherkit_tool_filter {
+    uint64_t words[2048];
+} sherkit_tool_filter;
+
+// A calibrated tool, and what its calibration does not know. A doubt of zero is certainty.
+typedef struct sherkit_tool {
+    // The gratings.
+    struct sherkit_sensor_calibration sensor;
+    // The shaft.
+    struct sherkit_beam beam;
+    // 1: it bends as an elastica; 0: as a cantilever by small angles.
+    uint32_t exact;
+    // Covariance of each row of K_I and K_II, (mN mm/nm)^2.
+    double gain_covariance[2][2][3][3];
+    // Standard deviation of a reference wavelength, nm.
+    double reference_doubt_nm;
+    // How unlike fibres answer to warmth: standard deviation over the mean answer.
+    double warmth_doubt;
+    // Covariance of length (mm) and stiffness (mN mm^2).
+    double beam_covariance[2][2];
+    // Standard deviation of where the sections stand, mm.
+    double distance_doubt_mm;
+    // Radius by which the hole is wider than the shaft, and its standard deviation, mm.
+    double clearance_mm;
+    // See above.
+    double clearance_doubt_mm;
+    // How fast the hole strays along the shaft at least, mm^2/s.
+    double per_second_mm2;
+} sherkit_tool;
+
+// Depth and tip after a step.
+typedef struct sherkit_tool_estimate {
+    // Time of the estimate, s.
+    double time_s;
+    // Insertion depth: length of shaft inside the eye, mm.
+    double depth_mm;
+    // The tip in the base frame, mm.
+    double tip_mm[3];
+    // Covariance of depth and tip, mm^2.
+    double covariance[4][4];
+    // Force of the hole across the shaft, tool frame, mN.
+    double force_mn[2];
+    // Variance of each of its components, mN^2.
+    double force_variance;
+    // Square of what the moments of the last reading say across the force over its variance: about 1.
+    double misfit;
+    // Gratings that were not believed in the last reading: bit 3 section + fibre.
+    uint32_t faulty;
+    // What the step did.
+    sherkit_status status;
+} sherkit_tool_estimate;
 
 #ifdef __cplusplus
 extern "C" {
@@ -402,6 +460,29 @@ sherkit_result sherkit_spherical_inverse(const struct sherkit_spherical *robot,
                                          const double *angles,
                                          const struct sherkit_spherical_covariates *covariates,
                                          double *joints);
+
+// Starts at a depth (mm) with a variance (mm^2), with the tool at a pose, at a time (s). Where it fails the filter is
+// not initialised.
+sherkit_result sherkit_tool_filter_init(struct sherkit_tool_filter *filter,
+                                        const struct sherkit_tool *tool,
+                                        double depth_mm,
+                                        double variance,
+                                        const struct sherkit_pose *pose,
+                                        double time_s);
+
+// One step to a time (s) with the tool at a pose, and a reading: nine wavelengths (nm; three fibres at each of the
+// sections I, II, III; null where there is none) with the time that they were taken at, which may lie up to 0.3 s back.
+// What could not be used is said by the estimate's status, not by the code.
+sherkit_result sherkit_tool_filter_step(struct sherkit_tool_filter *filter,
+                                        double time_s,
+                                        const struct sherkit_pose *pose,
+                                        double stamp_s,
+                                        const double *wavelengths_nm,
+                                        struct sherkit_tool_estimate *estimate);
+
+// How often what happened since the filter was initialised.
+sherkit_result sherkit_tool_filter_statistics(const struct sherkit_tool_filter *filter,
+                                              struct sherkit_statistics *statistics);
 
 #ifdef __cplusplus
 }  // extern "C"

@@ -26,6 +26,7 @@ mod sensing;
 mod spherical;
 mod status;
 mod storage;
+mod tool;
 
 use core::panic::PanicInfo;
 

@@ -22,6 +22,19 @@ pub struct sherkit_sensor_calibration {
     pub noise_nm: f64,
 }
 
+impl sherkit_sensor_calibration {
+    /// The core's calibration.
+    pub fn calibration(&self) -> Calibration {
+        let gain = |[[a, b, c], [d, e, f]]: [[f64; 3]; 2]| Matrix2x3::new(a, b, c, d, e, f);
+        Calibration {
+            gains: self.gains.map(gain),
+            distances_mm: self.distances_mm,
+            reference_nm: self.reference_nm,
+            noise_nm: self.noise_nm,
+        }
+    }
+}
+
 /// The fibres of a calibrated tool. Its content is nobody's business.
 #[repr(C)]
 pub struct sherkit_sensor {
@@ -117,13 +130,7 @@ pub unsafe extern "C" fn sherkit_sensor_init(
     let made = || {
         // SAFETY: pointers are null or valid.
         let c = unsafe { given(calibration)? };
-        let gain = |[[a, b, c], [d, e, f]]: [[f64; 3]; 2]| Matrix2x3::new(a, b, c, d, e, f);
-        coded(Sensor::new(Calibration {
-            gains: c.gains.map(gain),
-            distances_mm: c.distances_mm,
-            reference_nm: c.reference_nm,
-            noise_nm: c.noise_nm,
-        }))
+        coded(Sensor::new(c.calibration()))
     };
     // SAFETY: as above.
     answer(unsafe { init(sensor, made) })

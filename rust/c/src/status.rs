@@ -1,6 +1,7 @@
 //! What the steps of a filter did, as flags and as counts.
 
 use sherkit_core::tool::filters::track::Track;
+use sherkit_core::tool::filters::{Consistency, Counts};
 
 /// What a step did with what it was given: a sum of these flags. Without SHERKIT_STATUS_UPDATED it only predicted.
 pub type sherkit_status = u32;
@@ -19,6 +20,8 @@ pub const SHERKIT_STATUS_NO_FORCE: u32 = 16;
 pub const SHERKIT_STATUS_NO_MOTION: u32 = 32;
 /// The step's time is not finite or lies before the state's: nothing was done at all.
 pub const SHERKIT_STATUS_CLOCK: u32 = 64;
+/// The measurement contradicts the state or itself, and was not used.
+pub const SHERKIT_STATUS_GATED: u32 = 128;
 
 const _: () = {
     use sherkit_core::tool::filters::Status;
@@ -29,6 +32,7 @@ const _: () = {
     assert!(SHERKIT_STATUS_NO_FORCE == Status::NO_FORCE.0 as u32);
     assert!(SHERKIT_STATUS_NO_MOTION == Status::NO_MOTION.0 as u32);
     assert!(SHERKIT_STATUS_CLOCK == Status::CLOCK.0 as u32);
+    assert!(SHERKIT_STATUS_GATED == Status::GATED.0 as u32);
 };
 
 /// How often what happened, and the innovation statistics (NIS). nis_sum over nis_degrees is 1 where the noise is
@@ -52,6 +56,8 @@ pub struct sherkit_statistics {
     pub no_motion: u64,
     /// Steps refused for their time.
     pub clock: u64,
+    /// Measurements that were refused.
+    pub gated: u64,
     /// Updates that the sum is over.
     pub nis_count: u64,
     /// Their degrees of freedom.
@@ -63,7 +69,11 @@ pub struct sherkit_statistics {
 impl sherkit_statistics {
     /// Those of a state.
     pub fn of<const N: usize>(track: &Track<N>) -> Self {
-        let (counts, nis) = (track.counts(), track.consistency());
+        Self::from(track.counts(), track.consistency())
+    }
+
+    /// Of counts and innovations.
+    pub fn from(counts: &Counts, nis: &Consistency) -> Self {
         Self {
             steps: counts.steps,
             updated: counts.updated,
@@ -73,6 +83,7 @@ impl sherkit_statistics {
             no_force: counts.no_force,
             no_motion: counts.no_motion,
             clock: counts.clock,
+            gated: counts.gated,
             nis_count: nis.count,
             nis_degrees: nis.degrees,
             nis_sum: nis.sum,

@@ -96,6 +96,7 @@ static void run_tool(size_t rows)
     static sherkit_depth_filter depth;
     static sherkit_tip_filter tip;
     static sherkit_depth_tip_filter joint;
+    static sherkit_tool_filter whole;
     const sherkit_beam beam = sherkit_beam_ebrahimi_2020();
     sherkit_sensor_calibration calibration;
     double numbers[24], n[11];
@@ -113,6 +114,22 @@ static void run_tool(size_t rows)
                            {n[8], n[9]},
                            n[10]};
     need(sherkit_sensor_init(&sensor, &calibration) == SHERKIT_OK, "the sensor");
+    sherkit_tool tool = {0};
+    tool.sensor = calibration;
+    tool.beam = beam;
+    tool.exact = 1;
+    for (int s = 0; s < 2; s++)
+        for (int a = 0; a < 2; a++)
+            for (int k = 0; k < 3; k++)
+                tool.gain_covariance[s][a][k][k] = 100.0 * (k + 1);
+    tool.reference_doubt_nm = 1e-4;
+    tool.warmth_doubt = 0.02;
+    tool.beam_covariance[0][0] = 0.01;
+    tool.beam_covariance[1][1] = 1e6;
+    tool.distance_doubt_mm = 0.02;
+    tool.clearance_mm = 0.05;
+    tool.clearance_doubt_mm = 0.02;
+    tool.per_second_mm2 = 0.01;
     for (size_t i = 0; i < rows; i++) {
         double row[29];
         sherkit_measurement measured;
@@ -128,6 +145,7 @@ static void run_tool(size_t rows)
             need(sherkit_tip_filter_init(&tip, &beam, &pose, 1.0, 0.0, &noise) == SHERKIT_OK, "the tip filter");
             need(sherkit_depth_tip_filter_init(&joint, &beam, 8.0, &pose, 4.0, 1.0, 0.0, &noise) == SHERKIT_OK,
                  "the joint filter");
+            need(sherkit_tool_filter_init(&whole, &tool, 8.0, 4.0, &pose, 0.0) == SHERKIT_OK, "the tool's filter");
         }
         sherkit_result read = sherkit_sensor_read(&sensor, row[1], row + 3, &measured);
         need(read == SHERKIT_OK || read == SHERKIT_NOT_FINITE, "the reading");
@@ -158,6 +176,17 @@ static void run_tool(size_t rows)
         put_one(c.nis);
         put_one(c.nis_degrees);
         put_one(c.status);
+        sherkit_tool_estimate d;
+        need(sherkit_tool_filter_step(&whole, row[0], &pose, row[1], row[2] != 0.0 ? row + 3 : NULL, &d) == SHERKIT_OK,
+             "a step of the tool");
+        put_one(d.depth_mm);
+        put(d.tip_mm, 3);
+        put(&d.covariance[0][0], 16);
+        put(d.force_mn, 2);
+        put_one(d.force_variance);
+        put_one(d.misfit);
+        put_one(d.faulty);
+        put_one(d.status);
     }
     sherkit_statistics s;
     need(sherkit_depth_tip_filter_statistics(&joint, &s) == SHERKIT_OK, "the statistics");

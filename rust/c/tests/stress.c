@@ -29,10 +29,12 @@ FENCED(sherkit_sensor, sensor);
 FENCED(sherkit_depth_filter, depth);
 FENCED(sherkit_tip_filter, tip);
 FENCED(sherkit_depth_tip_filter, joint);
+FENCED(sherkit_tool_filter, whole);
 FENCED(sherkit_measurement, measured);
 FENCED(sherkit_depth_estimate, of_depth);
 FENCED(sherkit_tip_estimate, of_tip);
 FENCED(sherkit_depth_tip_estimate, of_joint);
+FENCED(sherkit_tool_estimate, of_whole);
 
 static unsigned long long step;
 
@@ -107,7 +109,7 @@ static void check_estimate(const double *mean, const double *covariance, int n, 
             need(covariance[i * n + j] == covariance[j * n + i], "a covariance is not symmetric");
     }
     need(isfinite(nis) && nis >= 0.0, "the NIS is none");
-    need(status != 0 && status < 128, "a step without a status");
+    need(status != 0 && status < 256, "a step without a status");
     need((status & SHERKIT_STATUS_UPDATED) || nis == 0.0, "a NIS without an update");
 }
 
@@ -122,6 +124,20 @@ static double turn(sherkit_pose *pose)
     if (once_in(300))
         pose->rotation[draw() % 3][draw() % 3] = spoilt(NAN);
     return a;
+}
+
+static const sherkit_sensor_calibration calibration = {
+    {{{8e3, -4e3, -4e3}, {500.0, 6.5e3, -7e3}}, {{9e3, -4.4e3, -4.6e3}, {-300.0, 7e3, -6.7e3}}},
+    {28.0, 34.0},
+    {{1530.0, 1535.0, 1540.0}, {1545.0, 1550.0, 1555.0}, {1560.0, 1565.0, 1570.0}},
+    2e-4};
+
+static int possible(const sherkit_pose *pose)
+{
+    for (int k = 0; k < 3; k++)
+        if (!(fabs(pose->translation_mm[k]) < 1e5) || !finite(pose->rotation[k], 3))
+            return 0;
+    return 1;
 }
 
 static void start(const sherkit_beam *beam, double time_s)
@@ -143,6 +159,19 @@ static void start(const sherkit_beam *beam, double time_s)
     need(sherkit_tip_filter_init(&tip.it, beam, &pose, 1.0, time_s, &noise) == SHERKIT_OK, "the tip filter");
     need(sherkit_depth_tip_filter_init(&joint.it, beam, 8.0, &pose, 4.0, 1.0, time_s, &noise) == SHERKIT_OK,
          "the joint filter");
+    sherkit_tool tool = {0};
+    tool.sensor = calibration;
+    tool.beam = *beam;
+    tool.exact = once_in(2);
+    tool.reference_doubt_nm = once_in(2) ? 0.0 : 2e-4;
+    tool.warmth_doubt = once_in(2) ? 0.0 : 0.02;
+    tool.clearance_mm = 0.05;
+    tool.per_second_mm2 = once_in(4) ? 0.0 : 0.01;
+    do
+        turn(&pose);
+    while (!possible(&pose));
+    need(sherkit_tool_filter_init(&whole.it, &tool, 8.0, once_in(4) ? 0.0 : 4.0, &pose, time_s) == SHERKIT_OK,
+         "the tool's filter");
 }
 
 static void kinematics(void)
@@ -217,16 +246,13 @@ int main(int argc, char **argv)
     FENCE_IN(depth);
     FENCE_IN(tip);
     FENCE_IN(joint);
+    FENCE_IN(whole);
+    FENCE_IN(of_whole);
     FENCE_IN(measured);
     FENCE_IN(of_depth);
     FENCE_IN(of_tip);
     FENCE_IN(of_joint);
     const sherkit_beam beam = sherkit_beam_ebrahimi_2020();
-    const sherkit_sensor_calibration calibration = {
-        {{{8e3, -4e3, -4e3}, {500.0, 6.5e3, -7e3}}, {{9e3, -4.4e3, -4.6e3}, {-300.0, 7e3, -6.7e3}}},
-        {28.0, 34.0},
-        {{1530.0, 1535.0, 1540.0}, {1545.0, 1550.0, 1555.0}, {1560.0, 1565.0, 1570.0}},
-        2e-4};
     refusals(&beam);
     need(sherkit_delta_init(&delta.it, example_delta, sizeof example_delta / sizeof(double)) == SHERKIT_OK, "delta");
     need(sherkit_spherical_init(&spherical.it, example_spherical, sizeof example_spherical / sizeof(double)) ==
@@ -270,6 +296,12 @@ int main(int argc, char **argv)
         const double *at = of_joint.it.tip_mm;
         const double both[4] = {of_joint.it.depth_mm, at[0], at[1], at[2]};
         check_estimate(both, &of_joint.it.covariance[0][0], 4, of_joint.it.nis, of_joint.it.status);
+        need(sherkit_tool_filter_step(&whole.it, now, &pose, stamp, once_in(10) ? NULL : w, &of_whole.it) == SHERKIT_OK,
+             "a step of the tool");
+        const double *tool_tip = of_whole.it.tip_mm;
+        const double all[4] = {of_whole.it.depth_mm, tool_tip[0], tool_tip[1], tool_tip[2]};
+        check_estimate(all, &of_whole.it.covariance[0][0], 4, 0.0, of_whole.it.status);
+        need(of_whole.it.misfit >= 0.0 && isfinite(of_whole.it.force_variance), "a misfit or a force that is none");
         updates += (of_joint.it.status & SHERKIT_STATUS_UPDATED) != 0;
         if (step % 4 == 0) {
             kinematics();
@@ -278,6 +310,8 @@ int main(int argc, char **argv)
         CHECK(depth);
         CHECK(tip);
         CHECK(joint);
+        CHECK(whole);
+        CHECK(of_whole);
         CHECK(measured);
         CHECK(of_depth);
         CHECK(of_tip);

@@ -9,7 +9,9 @@ use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::beam::Beam;
 use sherkit_core::tool::filters::noise::Variances;
 use sherkit_core::tool::filters::{DepthFilter, DepthTipFilter, Measurement, Noise, TipFilter};
+use sherkit_core::tool::rod::{Bending, Rod};
 use sherkit_core::tool::sensing::{Calibration, Sensor};
+use sherkit_core::tool::tracker::{Doubt, ToolFilter, Trusted};
 use std::hint::black_box;
 use std::time::Instant;
 
@@ -70,6 +72,40 @@ fn main() {
             black_box(sensor.read(black_box(&wavelengths[k % BATCH]))).ok();
         })
     });
+    let doubt = Doubt {
+        reference_nm: 1e-4,
+        warmth: 0.02,
+        ..Doubt::default()
+    };
+    let trusted = Trusted {
+        calibration,
+        rod: Rod {
+            beam,
+            bending: Bending::Exact,
+        },
+        doubt,
+        clearance_mm: 0.05,
+        per_second_mm2: 0.01,
+    };
+    for (name, late) in [("in time", 0.0), ("late", 0.1)] {
+        let mut whole = ToolFilter::new(&trusted, 5.0, 1.0, &tool, 0.0).expect("a filter");
+        println!("tool  {name:11} {:5.1} ns", {
+            median(|k| {
+                let time = (k + 1) as f64 * dt;
+                let w = black_box(&wavelengths[k % BATCH]);
+                black_box(whole.step(time, black_box(&tool), Some((time - late, w))));
+            })
+        });
+        println!("tool  {name:11} {:5.1} ns with what it tells", {
+            let mut whole = ToolFilter::new(&trusted, 5.0, 1.0, &tool, 0.0).expect("a filter");
+            median(|k| {
+                let time = (k + 1) as f64 * dt;
+                let w = black_box(&wavelengths[k % BATCH]);
+                black_box(whole.step(time, black_box(&tool), Some((time - late, w))));
+                black_box(whole.told());
+            })
+        });
+    }
     let noises = [
         ("paper", Noise::ebrahimi_2020()),
         ("propagated", Noise::propagated([0.5, 2.0], floor)),

@@ -24,7 +24,9 @@ use sherkit_core::tool::filters::noise::Variances;
 use sherkit_core::tool::filters::{
     DepthFilter, DepthTipFilter, Measurement, Noise, TipFilter, smooth,
 };
+use sherkit_core::tool::rod::{Bending, Rod};
 use sherkit_core::tool::sensing::{Calibration, Sensor};
+use sherkit_core::tool::tracker::{Doubt, ToolFilter, Trusted};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::hint::black_box;
@@ -243,6 +245,17 @@ fn the_flexible_tool_allocates_nothing() {
         let mut depth = DepthFilter::new(5.0, 1.0, 0.0, noise).unwrap();
         let mut tip = TipFilter::new(beam, &tool, 0.5, 0.0, noise).unwrap();
         let mut joint = DepthTipFilter::new(beam, 5.0, &tool, [1.0, 0.5], 0.0, noise).unwrap();
+        let trusted = Trusted {
+            calibration,
+            rod: Rod {
+                beam,
+                bending: Bending::Exact,
+            },
+            doubt: Doubt::default(),
+            clearance_mm: 0.05,
+            per_second_mm2: 0.01,
+        };
+        let mut whole = ToolFilter::new(&trusted, 5.0, 1.0, &tool, 0.0).unwrap();
         let still = Vector3::zeros();
         for k in 1..=500 {
             let time = 0.005 * f64::from(k);
@@ -252,6 +265,11 @@ fn the_flexible_tool_allocates_nothing() {
             if k % 10 == 0 {
                 w[0][0] = f64::NAN;
             }
+            if k > 300 {
+                w[1][2] += 0.3;
+            }
+            black_box(whole.step(time, &tool, Some((time - 0.1, &w))));
+            black_box(whole.told());
             let m = sensor.read(&w).ok();
             let m = m.map(|r| Measurement::from_reading(time, &r));
             black_box(depth.step(time, 1.0, m.as_ref()));
@@ -290,7 +308,7 @@ fn the_flexible_tool_allocates_nothing() {
         for method in [Method::Quaternion, Method::SingularValues] {
             black_box(moments.solve(method)).unwrap();
         }
-        black_box(gains.solve()).unwrap();
+        black_box(gains.solve(1e-4)).unwrap();
         black_box(slope.solve(true)).unwrap();
         black_box(fit_beam(&bends, &beam)).unwrap();
     });

@@ -278,7 +278,7 @@ proptest! {
                 let shift = std::array::from_fn(|k| w[section][k] - c.reference_nm[section][k]);
                 fit.push(&shift, &[f.x, f.y], depth).unwrap();
             }
-            let found = fit.solve().unwrap();
+            let found = fit.solve(0.0).unwrap();
             prop_assume!(found.weakest > 1e-2);
             let g = c.gains[section];
             let expected = g - g * Matrix3::repeat(1.0 / 3.0);
@@ -401,7 +401,7 @@ fn calibrations_scatter_as_they_say() {
                 place: Place::Contact,
             });
         }
-        let found = fit.solve().unwrap();
+        let found = fit.solve(0.0).unwrap();
         let g = c.gains[0];
         let miss = found.gain - (g - g * Matrix3::repeat(1.0 / 3.0));
         normalised += miss[(0, 0)].powi(2) / (found.unit_covariance.m11 * noise * noise);
@@ -459,7 +459,7 @@ fn nonsense_is_refused() {
         Err(Error::NotFinite { index: 4 })
     );
     assert_eq!(
-        fit.solve().err(),
+        fit.solve(0.0).err(),
         Some(Error::TooFew {
             needed: 3,
             found: 0
@@ -470,7 +470,7 @@ fn nonsense_is_refused() {
         let f = f64::from(i);
         fit.push(&[f, -f, 0.0], &[f, 0.5 * f], 3.0).unwrap();
     }
-    assert_eq!(fit.solve().err(), Some(Error::Singular));
+    assert_eq!(fit.solve(0.0).err(), Some(Error::Singular));
     let mut slope = SlopeFit::new(60.0).unwrap();
     assert!(slope.push(f64::NAN, 1.0, 1.0).is_err() && slope.solve(false).is_err());
     slope.push(0.0, 1.0, 0.0).unwrap();

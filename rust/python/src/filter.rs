@@ -281,6 +281,7 @@ fn statistics<'py, const N: usize>(
         ("no_force", counts.no_force),
         ("no_motion", counts.no_motion),
         ("clock", counts.clock),
+        ("gated", counts.gated),
         ("nis_count", nis.count),
         ("nis_degrees", nis.degrees),
         ("nis_last_degrees", nis.last_degrees),
@@ -464,7 +465,7 @@ filter_class! {
 }
 
 /// Names and values of the status flags.
-pub const STATUS: [(&str, u8); 7] = [
+pub const STATUS: [(&str, u8); 8] = [
     ("STATUS_UPDATED", Status::UPDATED.0),
     ("STATUS_MISSING", Status::MISSING.0),
     ("STATUS_LATE", Status::LATE.0),
@@ -472,4 +473,5 @@ pub const STATUS: [(&str, u8); 7] = [
     ("STATUS_NO_FORCE", Status::NO_FORCE.0),
     ("STATUS_NO_MOTION", Status::NO_MOTION.0),
     ("STATUS_CLOCK", Status::CLOCK.0),
+    ("STATUS_GATED", Status::GATED.0),
 ];

@@ -14,6 +14,7 @@ mod solver;
 mod spherical;
 mod tool;
 mod tool_calibration;
+mod tool_filter;
 
 use pyo3::prelude::*;
 
@@ -36,6 +37,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<filter::DepthFilter>()?;
     m.add_class::<filter::TipFilter>()?;
     m.add_class::<filter::DepthTipFilter>()?;
+    m.add_class::<tool_filter::ToolFilter>()?;
     for (name, flag) in filter::STATUS {
         m.add(name, flag)?;
     }

@@ -11,10 +11,11 @@ use pyo3::prelude::*;
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::beam::Beam;
 use sherkit_core::tool::filters::Measurement;
+use sherkit_core::tool::rod::{Bending, Rod};
 use sherkit_core::tool::sensing::{Calibration, Depth, Reading, Sensor};
 
 /// Wavelengths of a row: three fibres at each of the sections I, II, III.
-const WAVELENGTHS: usize = 9;
+pub const WAVELENGTHS: usize = 9;
 /// Numbers of a measurement: time, force (2), its covariance (4), depth, its variance, covariance with the force (2).
 pub const MEASUREMENT: usize = 11;
 /// Numbers of a pose: the rotation's rows, then the shift.
@@ -29,7 +30,7 @@ enum Code {
 }
 
 /// Sections from a row.
-fn sections(row: &[f64; WAVELENGTHS]) -> [[f64; 3]; 3] {
+pub fn sections(row: &[f64; WAVELENGTHS]) -> [[f64; 3]; 3] {
     let [a, b, c, d, e, f, g, h, i] = *row;
     [[a, b, c], [d, e, f], [g, h, i]]
 }
@@ -64,7 +65,21 @@ fn numbers_of(m: &Measurement) -> [f64; MEASUREMENT] {
 
 /// A calibrated tool: nine wavelengths in, moments, force and depth with their uncertainty out.
 #[pyclass(frozen, module = "sherkit._core")]
-pub struct ToolSensor(Sensor);
+pub struct ToolSensor(Sensor, Option<Rod>);
+
+impl ToolSensor {
+    /// A measurement of a reading; of a rod that bends as an elastica, where one is given.
+    fn measured(&self, time_s: f64, reading: &Reading) -> Measurement {
+        let mut m = Measurement::from_reading(time_s, reading);
+        let size = reading.force.norm();
+        if let (Some(rod), true) = (self.1, m.depth_variance.is_finite() && size > 0.0) {
+            let (force, depth) = rod.exactly(size, m.depth, self.0.calibration().distances_mm);
+            m.force = m.force.map(|f| f * (force / size));
+            m.depth = depth;
+        }
+        m
+    }
+}
 
 type Readings<'py> = (
     Bound<'py, PyArray2<f64>>,
@@ -79,11 +94,13 @@ impl ToolSensor {
     /// `gains` `(2, 2, 3)`: `K_I`, `K_II` (mN·mm/nm); `distances_mm` from the tip to sections I and II;
     /// `reference_nm` `(9,)` of the unloaded tool.
     #[new]
+    #[pyo3(signature = (gains, distances_mm, reference_nm, noise_nm, beam=None))]
     fn new(
         gains: PyReadonlyArray3<'_, f64>,
         distances_mm: PyReadonlyArray1<'_, f64>,
         reference_nm: PyReadonlyArray1<'_, f64>,
         noise_nm: f64,
+        beam: Option<&ToolBeam>,
     ) -> PyResult<Self> {
         if gains.shape() != [2, 2, 3] {
             return Err(crate::errors::shape("gains", "(2, 2, 3)", gains.shape()));
@@ -98,7 +115,7 @@ impl ToolSensor {
             reference_nm: sections(&fixed("reference_nm", &reference_nm)?),
             noise_nm,
         })
-        .map(Self)
+        .map(|sensor| Self(sensor, beam.map(ToolBeam::rod)))
         .map_err(to_python)
     }
 
@@ -111,7 +128,7 @@ impl ToolSensor {
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let row = fixed("wavelengths_nm", &wavelengths_nm)?;
         let reading = self.0.read(&sections(&row)).map_err(to_python)?;
-        let measured = Measurement::from_reading(time_s, &reading);
+        let measured = self.measured(time_s, &reading);
         Ok(PyArray1::from_slice(py, &numbers_of(&measured)))
     }
 
@@ -138,7 +155,7 @@ impl ToolSensor {
                 let Ok(reading) = self.0.read(&sections(&w[i])) else {
                     continue;
                 };
-                let m = Measurement::from_reading(times[i], &reading);
+                let m = self.measured(times[i], &reading);
                 measured[i * MEASUREMENT..][..MEASUREMENT].copy_from_slice(&numbers_of(&m));
                 moments[i * 4..][..2].copy_from_slice(reading.moments[0].as_slice());
                 moments[i * 4 + 2..][..2].copy_from_slice(reading.moments[1].as_slice());
@@ -176,36 +193,79 @@ impl ToolSensor {
 
 /// The shaft as a cantilever.
 #[pyclass(frozen, module = "sherkit._core")]
-pub struct ToolBeam(Beam);
+pub struct ToolBeam(Rod);
 
 impl ToolBeam {
     /// The core's beam.
     pub fn beam(&self) -> Beam {
+        self.0.beam
+    }
+
+    /// The core's rod.
+    pub fn rod(&self) -> Rod {
         self.0
     }
 }
 
 #[pymethods]
 impl ToolBeam {
-    /// Free length (mm) and bending stiffness `EI` (mN·mm²).
+    /// Free length (mm), bending stiffness `EI` (mN·mm²), and whether it bends as an elastica: `tip_batch`, `loads_batch`
+    /// and what is made of it do, all else is the paper's cantilever.
     #[new]
-    fn new(length_mm: f64, stiffness: f64) -> PyResult<Self> {
-        Beam::new(length_mm, stiffness).map(Self).map_err(to_python)
+    #[pyo3(signature = (length_mm, stiffness, exact=false))]
+    fn new(length_mm: f64, stiffness: f64, exact: bool) -> PyResult<Self> {
+        let beam = Beam::new(length_mm, stiffness).map_err(to_python)?;
+        let bending = if exact {
+            Bending::Exact
+        } else {
+            Bending::Small
+        };
+        Ok(Self(Rod { beam, bending }))
     }
 
     #[staticmethod]
     fn ebrahimi_2020() -> Self {
-        Self(Beam::ebrahimi_2020())
+        let (beam, bending) = (Beam::ebrahimi_2020(), Bending::Small);
+        Self(Rod { beam, bending })
+    }
+
+    #[getter]
+    fn exact(&self) -> bool {
+        self.0.bending == Bending::Exact
+    }
+
+    /// Loads of a bench, whose cell has the part of the force (mN) `(n,)` across the clamp's axis, at depths `(n,)`: the
+    /// moment over that part at each of two distances from the tip, and the deflection at the contact, mm `(n, 3)`.
+    fn loads_batch<'py>(
+        &self,
+        py: Python<'py>,
+        lateral_mn: PyReadonlyArray1<'_, f64>,
+        depths_mm: PyReadonlyArray1<'_, f64>,
+        distances_mm: [f64; 2],
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let lateral = lateral_mn.as_slice()?;
+        let depths = same_length("depths_mm", &depths_mm, lateral.len())?;
+        let mut out = Vec::with_capacity(3 * lateral.len());
+        for (f, d) in lateral.iter().zip(depths) {
+            let force = self.0.force_of_lateral(*f, *d);
+            let raised = if *f > 0.0 { force / f } else { 1.0 };
+            for l in distances_mm {
+                let arm = (l - d).max(0.0);
+                out.push(raised * arm * self.0.moment_share(force, arm));
+            }
+            out.push(self.0.shape(force, *d).contact_across);
+        }
+        shaped(py, out, [lateral.len(), 3])
     }
 
     #[getter]
     fn length_mm(&self) -> f64 {
-        self.0.length_mm()
+        self.0.beam.length_mm()
     }
 
     #[getter]
     fn stiffness(&self) -> f64 {
-        self.0.stiffness()
+        self.0.beam.stiffness()
     }
 
     /// Tip deflection per force (mm/mN) at depths `(n,)`, and its derivatives by depth, length and stiffness `(n, 4)`.
@@ -216,7 +276,7 @@ impl ToolBeam {
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let depths = depths_mm.as_slice()?.to_vec();
         let of = |d: &f64| {
-            let c = self.0.compliance(*d);
+            let c = self.0.beam.compliance(*d);
             [c.value, c.by_depth, c.by_length, c.by_stiffness]
         };
         let out: Vec<f64> = py.detach(|| depths.iter().flat_map(of).collect());
@@ -230,7 +290,7 @@ impl ToolBeam {
         depths_mm: PyReadonlyArray1<'_, f64>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let depths = depths_mm.as_slice()?.to_vec();
-        let of = |d: &f64| self.0.contact_compliance(*d);
+        let of = |d: &f64| self.0.beam.contact_compliance(*d);
         let out = py.detach(|| depths.iter().map(of).collect());
         Ok(PyArray1::from_vec(py, out))
     }
@@ -251,8 +311,8 @@ impl ToolBeam {
         py.detach(|| {
             for (f, d) in forces.iter().zip(&depths) {
                 let f = Vector2::from(*f);
-                out.extend_from_slice(self.0.deflection(&f, *d).as_slice());
-                let derivatives = self.0.deflection_derivatives(&f, *d);
+                out.extend_from_slice(self.0.beam.deflection(&f, *d).as_slice());
+                let derivatives = self.0.beam.deflection_derivatives(&f, *d);
                 by.extend_from_slice(derivatives.transpose().as_slice());
             }
         });
@@ -291,7 +351,7 @@ impl ToolBeam {
         py.detach(|| {
             for m in measured.iter().map(measurement_of) {
                 let [[xx, xy], [yx, yy]] = m.force_covariance;
-                let p = self.0.deflection_covariance(
+                let p = self.0.beam.deflection_covariance(
                     &Vector2::from(m.force),
                     m.depth,
                     &Matrix2::new(xx, xy, yx, yy),

@@ -32,14 +32,16 @@ fn taken(pushed: sherkit_core::Result<()>) -> PyResult<bool> {
 }
 
 /// Gains `K` of the section at `distance_mm` from the tip, from wavelengths less those of the unloaded tool `(n, 3)`,
-/// forces `(n, 2)` and depths `(n,)`.
+/// forces `(n, 2)` and depths `(n,)`; what a noise of the wavelengths (nm) flattens the gains by is taken back.
 #[pyfunction]
+#[pyo3(signature = (distance_mm, shifts_nm, forces_mn, depths_mm, noise_nm=0.0))]
 pub fn tool_fit_gain<'py>(
     py: Python<'py>,
     distance_mm: f64,
     shifts_nm: PyReadonlyArray2<'_, f64>,
     forces_mn: PyReadonlyArray2<'_, f64>,
     depths_mm: PyReadonlyArray1<'_, f64>,
+    noise_nm: f64,
 ) -> PyResult<Bound<'py, PyDict>> {
     let shifts = rows::<3, _>("shifts_nm", &shifts_nm)?;
     let forces = rows_like::<2>("forces_mn", &forces_mn, shifts.len())?;
@@ -49,7 +51,7 @@ pub fn tool_fit_gain<'py>(
     for ((s, f), d) in shifts.iter().zip(forces).zip(depths) {
         used.push(taken(fit.push(s, f, *d))?);
     }
-    let found = fit.solve().map_err(to_python)?;
+    let found = fit.solve(noise_nm).map_err(to_python)?;
     let out = PyDict::new(py);
     out.set_item("gain", matrix(py, &found.gain)?)?;
     let residual = matrix(py, &found.residual_covariance)?;

@@ -11,8 +11,13 @@ from scipy import optimize
 from ...errors import FitError, ShapeError
 from ...types import Floats
 from .registration import Registration, register
+from .runs import ToolRun
+from .tool import FlexibleTool
 
 _LEAST = 8
+#: No interrogator is later, s, and a delay less well known is none.
+_LONGEST_FIBRES_S = 0.28
+_WORST_DELAY_S = 0.02
 
 
 def at_times(time_s: ArrayLike, values: ArrayLike, moments_s: ArrayLike) -> Floats:
@@ -93,3 +98,47 @@ def align(
     return Aligned(
         registration, delay, float(np.sqrt(2 * variance / curvature)), float(np.sqrt(left(delay) / (3 * len(at))))
     )
+
+
+@dataclass(frozen=True)
+class FibreDelay:
+    """How much later the fibres' clock stands than the robot's, s, and its standard deviation."""
+
+    delay_s: float
+    std_s: float
+
+
+def fibre_delay(tool: FlexibleTool, run: ToolRun, *, longest_s: float = _LONGEST_FIBRES_S) -> FibreDelay:
+    """The delay of the interrogator from a run in which the shaft leant on the hole.
+
+    Where the shaft leans, its motion makes the force: the right delay is the one with which the force that the motion
+    makes is the one that is felt (least mean square of the difference over 0.1 s). Its deviation follows from the
+    curvature, one independent value every 0.1 s. Raises :class:`~sherkit.errors.FitError` where the run tells no delay
+    between 0 and ``longest_s``: nothing leant, or nothing moved.
+    """
+    waves = np.ascontiguousarray(run.wavelengths_nm)
+    reading = np.ascontiguousarray(np.isfinite(waves).any(axis=1))
+
+    def left(delay: float) -> float:
+        stamps = np.ascontiguousarray(run.fibre_times_s - delay)
+        told = tool.tracker(float(run.time_s[0]), run.poses[0]).run(run.time_s, run.poses, stamps, waves, reading)
+        return float(told["pace"].mean())
+
+    grid = np.arange(0.0, longest_s + 1e-9, 0.01)
+    squares = np.array([left(d) for d in grid])
+    best = int(np.argmin(squares))
+    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    found = optimize.minimize_scalar(left, bounds=(low, high), method="bounded", options={"xatol": 1e-4})
+    delay, least = float(found.x), float(found.fun)
+    # over a step on which the forces differ by more than they are known
+    step = 2.0 * float(grid[1] - grid[0])
+    sides = [left(max(delay + s, 0.0)) for s in (-step, step)]
+    curvature = (sides[0] + sides[1] - 2.0 * least) / step**2
+    count = max(2.0 * float(run.time_s[-1] - run.time_s[0]) / 0.1, 1.0)
+    std = float(np.sqrt(2.0 * least / (count * curvature))) if curvature > 0 else float("inf")
+    if best == len(grid) - 1 or not std < _WORST_DELAY_S:
+        raise FitError(
+            f"{run.source}: the force does not tell the fibres' delay between 0 and {longest_s:g} s; let the shaft "
+            "lean on the hole and move"
+        )
+    return FibreDelay(delay, std)

@@ -153,7 +153,7 @@ def fbg_bias(at: Places, values: Floats) -> Floats:
     workshop="Warm the unloaded tool and watch the moments; wait until it is warm before the run.",
 )
 def fbg_temperature(at: Places, values: Floats) -> Floats:
-    common = (at.run.wavelengths_nm - np.array(at.tool.reference_nm)).reshape(-1, 3, 3).mean(axis=2)
+    common = (at.waves_nm - np.array(at.tool.reference_nm)).reshape(-1, 3, 3).mean(axis=2)
     return _shifted(at, np.repeat(common[:, :2], 3, axis=1) * _of_fibres(values))
 
 
@@ -195,8 +195,20 @@ def camera_delay(at: Places, values: Floats) -> Floats:
     return at.tip(at.tool, at.felt, at.moments_s - values[0])
 
 
+@_effect(
+    "sensor",
+    _p("delay", "s", 0.02),
+    physics="The interrogator is later than its setting says: a force is felt after it was there.",
+    residuals="Along the force, in proportion to how fast it changes.",
+    workshop="Let robot and interrogator see one sharp touch; set [gratings] delay_s, or write fbg_time_s.",
+    tool=lambda tool, values: replace(tool, fibre_delay_s=tool.fibre_delay_s + float(values[0])),
+)
+def fibre_delay(at: Places, values: Floats) -> Floats:
+    return at.tip(at.tool, at.feel(at.tool, at.waves_later(float(values[0]))))
+
+
 def _shifted(at: Places, shift_nm: Floats) -> Floats:
     """The tip where the wavelengths of sections I and II hold a shift (n, 6) or (1, 6) that is no force."""
-    waves = at.run.wavelengths_nm.copy()
+    waves = at.waves_nm.copy()
     waves[:, :6] -= shift_nm
     return at.tip(at.tool, at.feel(at.tool, waves))

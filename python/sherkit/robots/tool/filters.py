@@ -7,6 +7,7 @@ same numbers to the last bit.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,8 @@ from scipy import stats
 import sherkit._core as _core
 
 from ...errors import MeasurementError
-from ...types import Floats
+from ...types import Bools, Floats
+from .gratings import Fault, check_unit, faults_of
 from .runs import ToolRun
 from .tool import FlexibleTool
 
@@ -23,6 +25,8 @@ from .tool import FlexibleTool
 _FORCE, _DEPTH, _DEPTH_VARIANCE = slice(1, 3), 7, 8
 #: Two-sided band for the mean NIS.
 NIS_LEVEL = 0.99
+#: Deviation of a depth of which nothing is known.
+_UNKNOWN_MM = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +87,14 @@ def consistency(total: float, degrees: int) -> Consistency:
 class Estimate:
     """A run with everything that was estimated on it. All arrays have the rows of ``run``.
 
-    ``force_mn`` (n, 2), ``fibre_depth_mm`` (n,) and its ``fibre_depth_std_mm`` are the gratings alone (Eqs. 1, 2), NaN
-    or infinite without force; ``held_depth_mm`` (n,) repeats the last depth of a force, as a display would.
-    ``depth`` and ``tip`` are the filters of Eq. 8 and 14, ``together`` the one state (depth, tip), ``smooth_depth`` and
-    ``smooth_together`` the same from all measurements of the run: values and covariances.
+    ``measurements`` are the gratings alone (Eqs. 1, 2): ``force_mn`` (n, 2), ``fibre_depth_mm`` (n,) with
+    ``fibre_depth_std_mm``, NaN or infinite without force; ``held_depth_mm`` (n,) repeats the last depth of a force, as
+    a display would. ``together`` is what a loop runs (:class:`sherkit._core.ToolFilter`): depth and tip, with the
+    calibration's doubt in the deviations. ``depth`` and ``tip`` are its parts, or, where the tool asks for the paper's
+    noise, the filters of Eqs. 8 and 14. ``smooth_depth`` and ``smooth_together`` are values and covariances from all
+    measurements of the run. ``misfit`` (n,) is about 1 where the moments agree; ``faulty`` (n,) has a bit for each
+    grating that was not believed, ``faulty_sections`` (n, 3) says where, ``gated`` (n,) whose reading was not used, and
+    ``faults`` names them.
     """
 
     tool: FlexibleTool
@@ -98,6 +106,33 @@ class Estimate:
     together: Track
     smooth_depth: tuple[Floats, Floats]
     smooth_together: tuple[Floats, Floats]
+    faulty: NDArray[np.uint16]
+
+    @property
+    def faulty_sections(self) -> Bools:
+        """Sections I, II, III (n, 3) in which a grating was not believed."""
+        return np.asarray((self.faulty[:, None] >> np.array([0, 3, 6])) & 0b111 > 0)
+
+    @property
+    def gated(self) -> Bools:
+        """Rows (n,) whose reading contradicted the state or itself, and was not used."""
+        return np.asarray(self.together.status & _core.STATUS_GATED > 0)
+
+    @cached_property
+    def faults(self) -> tuple[Fault, ...]:
+        """Gratings that were left out for a while, and what they did."""
+        run = self.run
+        return faults_of(run.time_s, run.wavelengths_nm, np.array(self.tool.reference_nm), self.faulty)
+
+    @property
+    def depth_std_mm(self) -> Floats:
+        """Standard deviation of the depth (n,)."""
+        return self.depth.std[:, 0]
+
+    @property
+    def smooth_depth_std_mm(self) -> Floats:
+        """Standard deviation of the smoothed depth (n,)."""
+        return np.sqrt(self.smooth_depth[1][:, 0, 0])
 
     @property
     def force_mn(self) -> Floats:
@@ -135,31 +170,97 @@ class Estimate:
 
 
 def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
-    """Runs sensing, the filters and the smoothers over a recorded run.
+    """Runs sensing, the filters and the smoother over a recorded run.
 
+    A reading is used at the time it was taken: its stamp where the run has one, less the delay of the fibres.
     Rows without wavelengths are predicted over. Raises :class:`~sherkit.errors.MeasurementError` for a run in which no
-    row has wavelengths.
+    row has wavelengths, or whose wavelengths are in another unit.
     """
-    if not run.present.any():
-        raise MeasurementError(f"{run.source}: no row has wavelengths; there is nothing to estimate from")
     waves = np.ascontiguousarray(run.wavelengths_nm)
-    measured, _, misfit, _, _ = tool.sensor.measure_batch(run.time_s, waves)
-    there = np.ascontiguousarray(run.present)
-    noise, start = tool.filter_noise, float(run.time_s[0])
-    variance = tool.start_std_mm**2
-    times, along = run.time_s, np.ascontiguousarray(run.insertion_mm_s)
-    moved = np.ascontiguousarray(run.velocities_mm_s)
+    reading = _readings(run)
+    if not reading.any():
+        raise MeasurementError(f"{run.source}: no row has wavelengths; there is nothing to estimate from")
+    check_unit(waves, np.array(tool.reference_nm), run.source)
+    stamps = np.ascontiguousarray(run.fibre_times_s - tool.fibre_delay_s)
+    measured = tool.sensor.measure_batch(stamps, waves)[0]
+    told = tool.tracker(float(run.time_s[0]), run.poses[0]).run(run.time_s, run.poses, stamps, waves, reading)
+    together = Track(told["state"], told["covariance"], told["status"], told["nis"], told["degrees"])
+    smooth = smoothed(tool, run, stamps, reading)
+    if tool.noise == "propagated":
+        depth = Track(together.value[:, :1], together.covariance[:, :1, :1], *_fared(together))
+        tip = Track(together.value[:, 1:], together.covariance[:, 1:, 1:], *_fared(together))
+    else:
+        depth, tip = _as_printed(tool, run, measured)
+    smooth_depth = smooth[0][:, :1], smooth[1][:, :1, :1]
+    return Estimate(tool, run, measured, told["misfit"], depth, tip, together, smooth_depth, smooth, told["faulty"])
 
+
+def _fared(track: Track) -> tuple[NDArray[np.uint8], Floats, NDArray[np.uint8]]:
+    return track.status, track.nis, track.degrees
+
+
+def _readings(run: ToolRun) -> Bools:
+    """Rows (n,) with a wavelength, and no reading that an earlier row has already."""
+    some = np.isfinite(run.wavelengths_nm).any(axis=1)
+    if run.fibre_time_s is None:
+        return np.asarray(some)
+    before = np.maximum.accumulate(np.where(some, run.fibre_times_s, -np.inf))
+    return np.asarray(some & (run.fibre_times_s > np.concatenate([[-np.inf], before[:-1]])))
+
+
+def _as_printed(tool: FlexibleTool, run: ToolRun, measured: Floats) -> tuple[Track, Track]:
+    """The filters of Eqs. 8 and 14, whose measurement is of the row that it came in."""
+    there = np.ascontiguousarray(run.present)
+    measured = measured.copy()
+    measured[:, 0] = run.time_s
+    noise, start, variance = tool.filter_noise, float(run.time_s[0]), tool.start_std_mm**2
+    along, moved = np.ascontiguousarray(run.insertion_mm_s), np.ascontiguousarray(run.velocities_mm_s)
     depth_filter = _core.DepthFilter(tool.start_depth_mm, variance, start, noise)
-    smooth_depth = depth_filter.smooth(times, along, measured, there)
-    depth = Track(*depth_filter.filter(times, along, measured, there))
+    depth = Track(*depth_filter.filter(run.time_s, along, measured, there))
     depths = np.ascontiguousarray(np.column_stack([depth.value[:, 0], depth.covariance[:, 0, 0]]))
     tip_filter = _core.TipFilter(tool.beam, run.poses[0], variance, start, noise)
-    tip = Track(*tip_filter.filter(times, moved, run.poses, depths, measured, there))
-    joint = _core.DepthTipFilter(tool.beam, tool.start_depth_mm, run.poses[0], (variance, variance), start, noise)
-    smooth_together = joint.smooth(times, moved, run.poses, measured, there)
-    together = Track(*joint.filter(times, moved, run.poses, measured, there))
-    return Estimate(tool, run, measured, misfit, depth, tip, together, smooth_depth, smooth_together)
+    return depth, Track(*tip_filter.filter(run.time_s, moved, run.poses, depths, measured, there))
+
+
+def smoothed(tool: FlexibleTool, run: ToolRun, stamps_s: Floats, reading: Bools) -> tuple[Floats, Floats]:
+    """Depth and tip (n, 4) from all measurements of the run, and their covariance (n, 4, 4).
+
+    The filter runs forwards and, over the run turned round, backwards; both depths are weighted so that the variance is
+    least, where what both owe to the calibration is one error (Fraser and Potter 1969; Schmidt 1966 for the latter).
+    """
+    ahead = _ordered(run.time_s, run.poses, stamps_s, run.wavelengths_nm, reading)
+    back = _ordered(-run.time_s[::-1], run.poses[::-1], -stamps_s[::-1], run.wavelengths_nm[::-1], reading[::-1])
+    first = tool.tracker(float(ahead[0][0]), ahead[1][0]).run(*ahead)
+    end = float(first["state"][-1, 0])
+    turned = tool.tracker(float(back[0][0]), back[1][0], depth_mm=end, std_mm=_UNKNOWN_MM).run(*back)
+    here, there = first["noise"], turned["noise"][::-1]
+    a, b = first["tied"], turned["tied"][::-1]
+    alike = np.einsum("nk,nk->n", a, b)
+    own, other = here + (a**2).sum(axis=1) - alike, there + (b**2).sum(axis=1) - alike
+    share = (other / (own + other).clip(np.finfo(float).tiny)).clip(0.0, 1.0)
+    tied = share[:, None] * a + (1.0 - share)[:, None] * b
+    moved = (1.0 - share) * (turned["state"][::-1, 0] - first["state"][:, 0])
+    variance = share**2 * here + (1.0 - share) ** 2 * there + (tied**2).sum(axis=1)
+    # the tip follows as it hangs on the depth
+    spread = first["covariance"]
+    gain = spread[:, :, 0] / spread[:, :1, 0].clip(np.finfo(float).tiny)
+    less = spread[:, 0, 0] - variance
+    covariance = spread - less[:, None, None] * gain[:, :, None] * gain[:, None, :]
+    return first["state"] + gain * moved[:, None], covariance
+
+
+def _ordered(
+    times_s: Floats, poses: Floats, stamps_s: Floats, waves: Floats, reading: Bools
+) -> tuple[Floats, Floats, Floats, Floats, Bools]:
+    """The run with each reading at the first row not before its stamp."""
+    rows = np.flatnonzero(reading)
+    rows = rows[np.argsort(stamps_s[rows], kind="stable")]
+    place = np.searchsorted(times_s, stamps_s[rows])
+    inside = (place < len(times_s)) & (stamps_s[rows] >= times_s[0])
+    rows, place = rows[inside], place[inside]
+    at, taken, there = times_s.copy(), np.full_like(waves, np.nan), np.zeros(len(times_s), dtype=bool)
+    at[place], taken[place], there[place] = stamps_s[rows], waves[rows], True
+    return tuple(np.ascontiguousarray(v) for v in (times_s, poses, at, taken, there))  # type: ignore[return-value]
 
 
 def status_in_words(track: Track) -> dict[str, int]:
@@ -172,5 +273,6 @@ def status_in_words(track: Track) -> dict[str, int]:
         "without a force that tells the depth": _core.STATUS_NO_FORCE,
         "without a motion": _core.STATUS_NO_MOTION,
         "with a clock that does not run": _core.STATUS_CLOCK,
+        "with a reading that was refused": _core.STATUS_GATED,
     }
     return {name: int(((track.status & flag) > 0).sum()) for name, flag in flags.items()}

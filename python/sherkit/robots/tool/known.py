@@ -65,15 +65,19 @@ class Knowledge:
 
 
 def known(e: Estimate) -> list[Knowledge]:
-    """Depth where the run has ``depth_mm``, tip where a camera saw it; over the run, with and without a force."""
+    """Depth where the run has ``depth_mm``, tip where a camera saw it; over the run, with and without a force.
+
+    The filter of both stands beside the others where these are not its parts.
+    """
     run, tool = e.run, e.tool
+    apart = tool.noise != "propagated"
     told = np.isfinite(e.fibre_depth_mm)
     out: list[Knowledge] = []
     if run.depth_mm is not None:
         there = np.isfinite(run.depth_mm)
         depths = {
             "filter": (e.depth.value, e.depth.covariance),
-            "filter of both": (e.together.value[:, :1], e.together.covariance[:, :1, :1]),
+            **({"filter of both": (e.together.value[:, :1], e.together.covariance[:, :1, :1])} if apart else {}),
             "smoother": e.smooth_depth,
         }
         for signal, (value, covariance) in depths.items():
@@ -86,7 +90,7 @@ def known(e: Estimate) -> list[Knowledge]:
         row = np.searchsorted(run.time_s, moment, side="right") - 1
         tips = {
             "filter": (e.tip.value, e.tip.covariance),
-            "filter of both": (e.together.value[:, 1:], e.together.covariance[:, 1:, 1:]),
+            **({"filter of both": (e.together.value[:, 1:], e.together.covariance[:, 1:, 1:])} if apart else {}),
             "smoother": (e.smooth_together[0][:, 1:], e.smooth_together[1][:, 1:, 1:]),
         }
         for signal, (value, covariance) in tips.items():

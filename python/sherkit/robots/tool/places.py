@@ -21,6 +21,10 @@ from .tool import FlexibleTool, rotation_of
 
 #: The direction in which a force changes is taken over this time, s.
 _SMOOTHING_S = 0.1
+#: Readings further apart than this have nothing between them, s.
+_BRIDGED_S = 0.2
+#: Deviations of noise from which on a force changes.
+_MOVES = 3.0
 #: Deviations of the force from which on it tells the depth; noise alone would put the contact between the sections.
 _TELLS = 5.0
 #: The hole strays by this at least, mm²/s: what does not stray at all is no least-squares problem.
@@ -29,10 +33,12 @@ _LEAST_WANDER_MM2_S = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Felt:
-    """What the gratings say at the rows of the robot: ``force_mn`` (n, 2) in the tool's frame, ``depth_mm`` (n,)."""
+    """What the gratings say at the rows of the robot: ``force_mn`` (n, 2) in the tool's frame, ``depth_mm`` (n,);
+    ``noisy_mn`` (n, 2) is the force as it was read."""
 
     force_mn: Floats
     depth_mm: Floats
+    noisy_mn: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,26 +66,60 @@ class Places:
 
     @cached_property
     def changing(self) -> Floats:
-        """The way (n, 2) in which the force changes, of length one in motion and less where it rests."""
-        return _direction(self.run.time_s, self.felt.force_mn)
+        """The way (n, 2) in which the force changes, of length one; between two motions it goes over from one to the
+        other."""
+        return _direction(self.run.time_s, self.felt.force_mn, self.felt.noisy_mn)
 
     def feel(self, tool: FlexibleTool, wavelengths_nm: Floats | None = None) -> Felt:
         """Force and smoothed depth as another tool, or from other wavelengths (n, 9); lost ones are bridged."""
-        waves = self.run.wavelengths_nm if wavelengths_nm is None else wavelengths_nm
-        lower, upper = (_moments(tool, waves, section) for section in range(2))
-        return self._felt(tool, lower, upper, self._around_mm)
+        return self._felt(tool, self.waves_nm if wavelengths_nm is None else wavelengths_nm, self._around)
 
     @cached_property
-    def _around_mm(self) -> Floats:
-        """About where the contact is (n,): what the variance of a depth is taken at, whatever the effect."""
-        lower, upper = (_moments(self.tool, self.run.wavelengths_nm, section) for section in range(2))
-        middle = np.full(len(self.run), 0.5 * self.tool.distances_mm[0])
-        return self._felt(self.tool, lower, upper, middle).depth_mm
+    def waves_nm(self) -> Floats:
+        """Wavelengths (n, 9) as they were at the rows of the robot, NaN where none tells: late ones put back."""
+        return self.waves_later(0.0)
 
-    def _felt(self, tool: FlexibleTool, lower: Floats, upper: Floats, around_mm: Floats) -> Felt:
-        """From the moments (n, 2) at sections I and II, NaN where they were lost."""
+    def waves_later(self, delay_s: float) -> Floats:
+        """The same where the fibres are later than the file says."""
+        run = self.run
+        taken = run.fibre_times_s - self.tool.fibre_delay_s - delay_s
+        if np.array_equal(taken, run.time_s):
+            return np.where(run.present[:, None], run.wavelengths_nm, np.nan)
+        here = np.flatnonzero(run.present)
+        here = here[np.argsort(taken[here], kind="stable")]
+        at, waves = taken[here], run.wavelengths_nm[here]
+        out = np.column_stack([np.interp(run.time_s, at, w, left=np.nan, right=np.nan) for w in waves.T])
+        # between two readings that are far apart nothing is known
+        after = np.clip(np.searchsorted(at, run.time_s), 1, len(at) - 1)
+        out[at[after] - at[after - 1] > _BRIDGED_S] = np.nan
+        return out
+
+    @cached_property
+    def _around(self) -> tuple[Floats, Floats]:
+        """About where the contact is (n,), mm, and how the depth goes with the robot (n - 1,), mm a row: what the
+        variances and the steps of a depth are taken at, whatever the effect."""
+        run, tool = self.run, self.tool
+        led = run.insertion_mm_s[1:] * np.diff(run.time_s)
+        felt = self._felt(tool, self.waves_nm, (np.full(len(run), 0.5 * tool.distances_mm[0]), led))
+        size = np.linalg.norm(felt.force_mn, axis=1)
+        arc = (tool.length_mm - felt.depth_mm).clip(0.0)
+        bend = size * arc**2 / tool.stiffness_mn_mm2
+        # the hole stands aside of the unbent shaft by the bend and its own width; the shaft that turns sweeps over that
+        aside = felt.force_mn * (bend * arc / 3.0 + tool.clearance_mm)[:, None] / np.where(size > 0, size, 1.0)[:, None]
+        hole = np.einsum("nij,nj->ni", run.rotations[:, :, :2], aside)
+        swept = np.einsum("ni,ni->n", (hole[1:] + hole[:-1]) / 2.0, np.diff(run.rotations[:, :, 2], axis=0))
+        # a bent shaft is longer than its way along the axis
+        longer = arc * bend**2 / 15.0 if tool.bending == "exact" else np.zeros(len(run))
+        middle = (run.rotations[1:, :, 2] + run.rotations[:-1, :, 2]) / 2.0
+        along = np.einsum("ni,ni->n", np.diff(run.position_mm, axis=0), middle)
+        return felt.depth_mm, along - swept - np.diff(longer)
+
+    def _felt(self, tool: FlexibleTool, waves_nm: Floats, around: tuple[Floats, Floats]) -> Felt:
+        """From wavelengths (n, 9), NaN where they were lost."""
         run, (near, far) = self.run, tool.distances_mm
-        there = run.present
+        lower, upper = (_moments(tool, waves_nm, section) for section in range(2))
+        there = np.isfinite(lower).all(axis=1) & np.isfinite(upper).all(axis=1)
+        around_mm, led = around
         force = (upper - lower) / (far - near)
         noise = [tool.noise_nm**2 * float((_own_gains(tool, s) ** 2).sum()) / 2.0 for s in range(2)]
         # the moments' share in the depth, by Eq. 2 to first order
@@ -90,11 +130,11 @@ class Places:
         tells = np.where(there, (squared / (squared + least)) ** 2 / (variance + tool.floor_mm2[0] * squared), 0.0)
         weight = np.where(there, tells * squared, 0.0)
         seen = np.where(there, tells * (far * squared - (upper * force).sum(axis=1)), 0.0)
-        depth = _smoothed(tool, run, weight, seen)
+        depth = _smoothed(tool, run, weight, seen, led)
         if not there.all():
             here = np.flatnonzero(there)
             force = np.column_stack([np.interp(run.time_s, run.time_s[here], force[here, k]) for k in range(2)])
-        return Felt(_calm(run.time_s, force), depth)
+        return Felt(_calm(run.time_s, force), depth, force)
 
     def tip(self, tool: FlexibleTool, felt: Felt, moments_s: Floats | None = None) -> Floats:
         """The tip (k, 3) of another tool, under another force, or at other moments."""
@@ -106,7 +146,7 @@ class Places:
         return tool.beam.tip_batch(*(np.ascontiguousarray(v) for v in (force, depth, poses)))
 
 
-def _direction(time_s: Floats, force_mn: Floats) -> Floats:
+def _direction(time_s: Floats, force_mn: Floats, noisy_mn: Floats) -> Floats:
     step = float(np.median(np.diff(time_s)))
     half = max(1, round(_SMOOTHING_S / step / 2))
     total = np.cumsum(np.vstack([np.zeros((1, 2)), force_mn]), axis=0)
@@ -117,9 +157,15 @@ def _direction(time_s: Floats, force_mn: Floats) -> Floats:
     before = (total[here] - total[behind]) / np.maximum(here - behind, 1)[:, None]
     before[behind == here] = force_mn[behind == here]
     moved = later - before
-    noise = np.median(np.linalg.norm(np.diff(force_mn, axis=0), axis=1)) / np.sqrt(2 * half)
     size = np.linalg.norm(moved, axis=1)
-    return np.asarray(moved / np.sqrt(size**2 + (3.0 * noise) ** 2 + 1e-12)[:, None])
+    # the scatter that noise alone gives such a difference, from what neighbouring rows differ by
+    scatter = np.median(np.linalg.norm(np.diff(noisy_mn, axis=0), axis=1)) / np.sqrt(half)
+    moving = np.flatnonzero(size > _MOVES * scatter)
+    if not len(moving):
+        return np.zeros_like(force_mn)
+    way = moved[moving] / size[moving, None]
+    # at rest the true force goes from one side of the play to the other, unseen
+    return np.column_stack([np.interp(time_s, time_s[moving], way[:, k]) for k in range(2)])
 
 
 def _calm(time_s: Floats, force_mn: Floats) -> Floats:
@@ -156,12 +202,11 @@ def _moments(tool: FlexibleTool, wavelengths_nm: Floats, section: int) -> Floats
     return np.asarray((wavelengths_nm[:, fibres] - np.array(tool.reference_nm)[fibres]) @ _own_gains(tool, section).T)
 
 
-def _smoothed(tool: FlexibleTool, run: ToolRun, weight: Floats, seen: Floats) -> Floats:
+def _smoothed(tool: FlexibleTool, run: ToolRun, weight: Floats, seen: Floats, led: Floats) -> Floats:
     """Depth (n,), mm: least squares over measurements ``seen`` / ``weight``, each with a variance of 1 / ``weight``,
-    and over steps that follow the robot along the shaft but for a random walk: a tridiagonal system."""
+    and over steps that are what the robot ``led`` (n - 1,) but for a random walk: a tridiagonal system."""
     step = np.diff(run.time_s)
     tie = 1.0 / (max(tool.per_second_mm2[0], _LEAST_WANDER_MM2_S) * step)
-    led = run.insertion_mm_s[1:] * step
     start = 1.0 / tool.start_std_mm**2
     diagonal, right = weight.copy(), seen.copy()
     diagonal[0] += start

@@ -29,6 +29,7 @@ Triple = tuple[float, float, float]
 
 KIND = "flexible_tool"
 NOISES = ("propagated", "ebrahimi_2020", "ebrahimi_2020_of_force")
+BENDINGS = ("exact", "small")
 #: Fibres stand at 120° around the shaft; a moment of 1 mN·mm shifts the wavelength opposite to it by this, nm.
 _SHIFT_NM_PER_MOMENT = 2.1e-4
 
@@ -40,6 +41,55 @@ def even_gains(shift_nm_per_moment: float = _SHIFT_NM_PER_MOMENT, turn_rad: floa
 
 
 @dataclass(frozen=True)
+class ToolDoubt:
+    """What a calibration does not know; :func:`~sherkit.robots.tool.calibrate_tool` writes it into the tool file.
+
+    ``gains`` (2, 2, 3, 3) is the covariance of each row of K_I and K_II, (mN·mm/nm)², ``reference_nm`` the deviation of
+    a reference wavelength, ``warmth`` how unlike the fibres answer to warmth (deviation over the mean answer),
+    ``beam`` (2, 2) the covariance of length (mm) and stiffness (mN·mm²), ``distance_mm`` the deviation of where the
+    sections stand. Nothing of it is white noise: the filters never average it away (Schmidt 1966).
+    """
+
+    gains: tuple[tuple[tuple[Triple, ...], ...], ...] = tuple(
+        tuple(tuple((0.0, 0.0, 0.0) for _ in range(3)) for _ in range(2)) for _ in range(2)
+    )
+    reference_nm: float = 0.0
+    warmth: float = 0.02
+    beam: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
+    distance_mm: float = 0.0
+
+    @classmethod
+    def from_table(cls, table: Table) -> ToolDoubt:
+        """Reads ``[doubt]``; what is not said is known, but for the fibres' warmth."""
+        d = cls()
+        zero = tuple(0.0 for _ in range(9))
+
+        def square(name: str) -> tuple[Triple, ...]:
+            v = table.numbers(name, 9, zero)
+            return (v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8])
+
+        beam = table.numbers("beam", 4, (0.0,) * 4)
+        return cls(
+            gains=tuple(tuple(square(f"gain_{s}_{a}") for a in ("x", "y")) for s in ("I", "II")),
+            reference_nm=table.number("reference_nm", d.reference_nm),
+            warmth=table.number("warmth", d.warmth),
+            beam=((beam[0], beam[1]), (beam[2], beam[3])),
+            distance_mm=table.number("distance_mm", d.distance_mm),
+        )
+
+    def to_table(self) -> dict[str, Any]:
+        """What :meth:`from_table` reads, without loss."""
+        named = {f"gain_{s}_{a}": self.gains[i][j] for i, s in enumerate(("I", "II")) for j, a in enumerate(("x", "y"))}
+        return {
+            **{name: [x for row in matrix for x in row] for name, matrix in named.items()},
+            "reference_nm": self.reference_nm,
+            "warmth": self.warmth,
+            "beam": [x for row in self.beam for x in row],
+            "distance_mm": self.distance_mm,
+        }
+
+
+@dataclass(frozen=True)
 class FlexibleTool(Saved):
     """The tool as calibrated, and how the filters are to treat it.
 
@@ -47,8 +97,12 @@ class FlexibleTool(Saved):
     the sections I and II, ``gains`` (2, 2, 3) K_I and K_II in mN·mm/nm, ``reference_nm`` (9,) the wavelengths of the
     unloaded tool (sections I, II, III, three fibres each), ``noise_nm`` the standard deviation of one. ``camera_*``
     take the camera's frame to the base: x_base = R(``camera_rotation_rad``) x_camera + ``camera_translation_mm``; its
-    clock stands ``camera_delay_s`` later than the robot's. ``noise`` names what the filters trust: ``"propagated"``
-    follows the force with ``floor_mm2`` and ``per_second_mm2`` (depth, tip), the others are the paper's.
+    clock stands ``camera_delay_s`` later than the robot's, and that of the fibres ``fibre_delay_s``. ``bending`` is
+    ``"exact"``, an elastica, or ``"small"``, the paper's cantilever, which is off by 0.03 mm and more above 150 mN.
+    ``clearance_mm`` is how much wider than the shaft the hole is (radius). ``noise`` names what the filters trust:
+    ``"propagated"`` follows the force and the calibration's ``doubt``, with ``per_second_mm2`` (depth, tip; the depth's
+    is the least, faster motion of the eye is learnt) and, for the filters of Eqs. 8 and 14, ``floor_mm2``; the others
+    are the paper's.
     """
 
     length_mm: float = 60.0
@@ -69,9 +123,16 @@ class FlexibleTool(Saved):
     floor_mm2: tuple[float, float] = (0.01, 0.002)
     start_depth_mm: float = 0.0
     start_std_mm: float = 0.5
+    bending: str = "exact"
+    fibre_delay_s: float = 0.0
+    clearance_mm: float = 0.05
+    clearance_std_mm: float = 0.02
+    doubt: ToolDoubt = ToolDoubt()
 
     def __post_init__(self) -> None:
         _ = self.beam, self.sensor, self.filter_noise  # refuses numbers that are no tool
+        if self.bending not in BENDINGS:
+            raise RobotError(f"bending: '{self.bending}' is not known; choose {', '.join(BENDINGS)}")
 
     # -- files -------------------------------------------------------------------------------------------
 
@@ -83,6 +144,7 @@ class FlexibleTool(Saved):
         with table.table("shaft") as s:
             values["length_mm"] = s.number("length_mm", positive=True)
             values["stiffness_mn_mm2"] = s.number("stiffness_mn_mm2", positive=True)
+            values["bending"] = s.text("bending", BENDINGS, d.bending)
         with table.table("gratings") as g:
             values["distances_mm"] = g.numbers("distances_mm", 2, positive=True)
             if not values["distances_mm"][0] < values["distances_mm"][1] < values["length_mm"]:
@@ -92,6 +154,7 @@ class FlexibleTool(Saved):
             )
             values["reference_nm"] = g.numbers("reference_nm", 9, positive=True)
             values["noise_nm"] = g.number("noise_nm", positive=True)
+            values["fibre_delay_s"] = g.number("delay_s", d.fibre_delay_s)
         with table.table("camera", optional=True) as c:
             values["camera_rotation_rad"] = c.numbers("rotation_rad", 3, d.camera_rotation_rad)
             values["camera_translation_mm"] = c.numbers("translation_mm", 3, d.camera_translation_mm)
@@ -103,13 +166,17 @@ class FlexibleTool(Saved):
             values["floor_mm2"] = f.numbers("floor_mm2", 2, d.floor_mm2)
             values["start_depth_mm"] = f.number("start_depth_mm", d.start_depth_mm)
             values["start_std_mm"] = f.number("start_std_mm", d.start_std_mm, positive=True)
+            values["clearance_mm"] = f.number("clearance_mm", d.clearance_mm)
+            values["clearance_std_mm"] = f.number("clearance_std_mm", d.clearance_std_mm)
+        with table.table("doubt", optional=True) as known:
+            values["doubt"] = ToolDoubt.from_table(known)
         return cls(**values)
 
     def to_tables(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
         return {
             "kind": KIND,
-            "shaft": {"length_mm": self.length_mm, "stiffness_mn_mm2": self.stiffness_mn_mm2},
+            "shaft": {"length_mm": self.length_mm, "stiffness_mn_mm2": self.stiffness_mn_mm2, "bending": self.bending},
             "gratings": {
                 "distances_mm": list(self.distances_mm),
                 **{
@@ -119,6 +186,7 @@ class FlexibleTool(Saved):
                 },
                 "reference_nm": list(self.reference_nm),
                 "noise_nm": self.noise_nm,
+                "delay_s": self.fibre_delay_s,
             },
             "camera": {
                 "rotation_rad": list(self.camera_rotation_rad),
@@ -132,7 +200,10 @@ class FlexibleTool(Saved):
                 "floor_mm2": list(self.floor_mm2),
                 "start_depth_mm": self.start_depth_mm,
                 "start_std_mm": self.start_std_mm,
+                "clearance_mm": self.clearance_mm,
+                "clearance_std_mm": self.clearance_std_mm,
             },
+            "doubt": self.doubt.to_table(),
         }
 
     def save(self, path: str | Path) -> None:
@@ -144,14 +215,31 @@ class FlexibleTool(Saved):
     @cached_property
     def beam(self) -> _core.ToolBeam:
         """The shaft (Eq. 9)."""
-        return _core.ToolBeam(self.length_mm, self.stiffness_mn_mm2)
+        return _core.ToolBeam(self.length_mm, self.stiffness_mn_mm2, self.bending == "exact")
 
     @cached_property
     def sensor(self) -> _core.ToolSensor:
         """The gratings (Eqs. 1 and 2)."""
         return _core.ToolSensor(
-            np.array(self.gains, dtype=float), np.array(self.distances_mm), np.array(self.reference_nm), self.noise_nm
+            np.array(self.gains, dtype=float),
+            np.array(self.distances_mm),
+            np.array(self.reference_nm),
+            self.noise_nm,
+            self.beam,
         )
+
+    def tracker(self, time_s: float, pose: Floats, *, depth_mm: float | None = None, std_mm: float | None = None,
+                ) -> _core.ToolFilter:  # fmt: skip
+        """The filter that a control loop runs, started at a time and a pose (12,); depth as in the file if left out."""
+        depth = self.start_depth_mm if depth_mm is None else depth_mm
+        std = self.start_std_mm if std_mm is None else std_mm
+        doubts = (self.doubt.reference_nm, self.doubt.warmth, self.clearance_std_mm, self.doubt.distance_mm)
+        return _core.ToolFilter(
+            np.array(self.gains, dtype=float), np.array(self.doubt.gains, dtype=float), np.array(self.distances_mm),
+            np.array(self.reference_nm), self.noise_nm, self.beam,
+            np.array(self.doubt.beam, dtype=float), doubts, self.clearance_mm, self.per_second_mm2[0],
+            (depth, std**2, time_s), np.ascontiguousarray(pose),
+        )  # fmt: skip
 
     @cached_property
     def filter_noise(self) -> _core.FilterNoise:
@@ -184,6 +272,11 @@ def load_tool(path: str | Path) -> FlexibleTool:
     made = FlexibleTool.from_table(table)
     table.finish()
     return made
+
+
+def nested(values: Floats) -> Any:
+    """An array as tuples of tuples, as a tool keeps it."""
+    return tuple(nested(row) for row in values) if values.ndim > 1 else tuple(values.tolist())
 
 
 def rotation_of(vectors_rad: Sequence[float] | Floats) -> Floats:

@@ -69,9 +69,12 @@ class VirtualTool:
         position, turn, depth, offset, clearance = make(t, rng)
         true = self.true or self.tool
         force = self._force(true, depth, offset, clearance)
+        depth = depth - _shortening(true, np.linalg.norm(force, axis=1), true.length_mm - depth)
         bent = self._tip(true, force, depth) + np.array([*self.shaft_bend_mm, 0.0])
         tip = position + np.einsum("nij,nj->ni", rotation_of(turn), bent)
         waves = self._wavelengths(true, force, depth, t, rng)
+        if true.fibre_delay_s:
+            waves = np.column_stack([np.interp(t - true.fibre_delay_s, t, w) for w in waves.T])
         if self.lost > 0:
             waves[rng.random(len(t)) < self.lost] = np.nan
         camera_t, camera = self._seen(true, t, tip, rng)
@@ -100,8 +103,14 @@ class VirtualTool:
         size = np.concatenate([rng.uniform(20.0, 250.0, loads), np.zeros(unloaded)])
         way = rng.uniform(0.0, 2 * np.pi, len(size))
         force = size[:, None] * np.column_stack([np.cos(way), np.sin(way)])
-        waves = self._wavelengths(true, force, depth, np.zeros(len(size)), rng)
-        bent = size * (true.length_mm - depth) ** 3 / (3.0 * true.stiffness_mn_mm2)
+        a = true.length_mm - depth
+        # the load cell has the part across the clamp's axis; the edge pushes across the bent rod
+        pushed = size
+        for _ in range(8):
+            pushed = size / np.cos(_angle(true, pushed, a))
+        along = pushed / np.where(size > 0, size, 1.0)
+        waves = self._wavelengths(true, force * along[:, None], depth, np.zeros(len(size)), rng)
+        bent = pushed * _softness(true, pushed, a)
         return Loads(force, depth, waves, bent + deflection_std_mm * rng.standard_normal(len(size)), "simulated loads")
 
     def pressed(self, offset_mm: Floats, depth_mm: Floats, clearance_mm: float) -> tuple[Floats, Floats]:
@@ -109,6 +118,7 @@ class VirtualTool:
         unbent shaft, ``depth_mm`` (n,) from the tip. Without noise and at the reference's warmth."""
         true = self.true or self.tool
         force = self._force(true, depth_mm, offset_mm, clearance_mm)
+        depth_mm = depth_mm - _shortening(true, np.linalg.norm(force, axis=1), true.length_mm - depth_mm)
         still = replace(self, noise_nm=0.0)
         return force, still._wavelengths(true, force, depth_mm, np.zeros(len(force)), np.random.default_rng(0))
 
@@ -122,11 +132,7 @@ class VirtualTool:
         # pauses in which the shaft stands free in its hole
         sway *= np.clip(1.6 * np.sin(2 * np.pi * t / (span / 7.3)) + 0.35, 0.0, 1.0)[:, None]
         turn = np.column_stack([_smooth(t, rng, 0.08), _smooth(t, rng, 0.08), _smooth(t, rng, 0.02)])
-        depth = (led + self._wander(t, rng, led > 1.0)).clip(0.0)
-        axis = rotation_of(turn)
-        position = axis[:, :, 2] * led[:, None] + np.einsum("nij,nj->ni", axis[:, :, :2], -sway)
-        # the depth that the robot sees along the turning shaft is what it did, and the hole strays on its own
-        position = _led_along(t, axis, position, np.gradient(led, t))
+        position, depth, sway = _about(t, turn, led, sway, self._wander(t, rng, led > 1.0))
         return position, turn, depth, sway, 0.05
 
     def _bends(self, t: Floats, rng: np.random.Generator) -> tuple[Floats, Floats, Floats, Floats, float]:
@@ -159,10 +165,7 @@ class VirtualTool:
         inside = (19.0 + _smooth(t, rng, 2.0)) * _ease(t / (0.12 * span))
         lean = np.column_stack([_smooth(t, rng, 3.5), _smooth(t, rng, 3.5)]) * _ease(t / (0.15 * span))[:, None]
         turn = np.column_stack([_smooth(t, rng, 0.12), _smooth(t, rng, 0.12), _smooth(t, rng, 0.03)])
-        axis = rotation_of(turn)
-        position = np.column_stack([_smooth(t, rng, 5.0), _smooth(t, rng, 5.0), np.zeros(len(t))])
-        position = _led_along(t, axis, position, np.gradient(inside, t))
-        depth = (inside + self._wander(t, rng, inside > 1.0)).clip(0.0)
+        position, depth, lean = _about(t, turn, inside, lean, self._wander(t, rng, inside > 1.0))
         return position, turn, depth, lean, 2.2
 
     def _wander(self, t: Floats, rng: np.random.Generator, there: NDArray[np.bool_]) -> Floats:
@@ -174,20 +177,28 @@ class VirtualTool:
 
     def _force(self, true: FlexibleTool, depth: Floats, offset: Floats, clearance: float) -> Floats:
         """Sclera force (n, 2), mN, tool frame."""
-        a = true.length_mm - depth
         size = np.linalg.norm(offset, axis=1)
         pressed = (size - clearance).clip(0.0) * (depth > 0)
-        force = pressed / (1.0 / self.hole_mn_mm + a**3 / (3.0 * true.stiffness_mn_mm2))
+        force = np.zeros(len(depth))
+        for _ in range(12 if true.bending == "exact" else 1):
+            a = true.length_mm - depth + _shortening(true, force, true.length_mm - depth)
+            force = pressed / (np.cos(_angle(true, force, a)) / self.hole_mn_mm + _softness(true, force, a))
         way = offset / np.where(size > 0, size, 1.0)[:, None]
         return np.asarray(force[:, None] * way)
 
     @staticmethod
     def _tip(true: FlexibleTool, force: Floats, depth: Floats) -> Floats:
-        """Where the bent tip is (n, 3), mm, tool frame: deflection at the contact and its slope carried to the tip."""
-        a = true.length_mm - depth
-        at_contact = force * (a**3 / (3.0 * true.stiffness_mn_mm2))[:, None]
-        slope = force * (a**2 / (2.0 * true.stiffness_mn_mm2))[:, None]
-        return np.column_stack([at_contact + slope * depth[:, None], np.zeros(len(depth))])
+        """Where the bent tip is (n, 3), mm, tool frame: the contact and the straight rest beyond it, which points along
+        the angle there."""
+        a, size = true.length_mm - depth, np.linalg.norm(force, axis=1)
+        angle = _angle(true, size, a)
+        way = force / np.where(size > 0, size, 1.0)[:, None]
+        if true.bending == "small":
+            return np.column_stack([way * (size * _softness(true, size, a) + angle * depth)[:, None], 0.0 * size])
+        across = size * _softness(true, size, a) + depth * np.sin(angle)
+        # here the rod is as long as it is: what the bend takes is counted on the arc
+        taken = a * _bent(true, size, a) ** 2 / 15.0 + depth * (1.0 - np.cos(angle))
+        return np.column_stack([way * across[:, None], -taken])
 
     def _wavelengths(
         self, true: FlexibleTool, force: Floats, depth: Floats, t: Floats, rng: np.random.Generator
@@ -199,7 +210,7 @@ class VirtualTool:
         force = self._felt(force)
         for section in range(2):
             lever = (true.distances_mm[section] - depth).clip(0.0)
-            moment = force * lever[:, None]
+            moment = force * (lever * (1.0 - _bent(true, np.linalg.norm(force, axis=1), lever) ** 2 / 40.0))[:, None]
             # the shifts without a common part that this moment makes: the inverse of the calibration on that plane
             shifts = np.linalg.pinv(np.array(true.gains[section]))
             shifts -= shifts.mean(axis=0)
@@ -257,10 +268,39 @@ def _between(t: Floats, low: float, high: float) -> Floats:
     return np.clip((share - low) / (high - low), 0.0, 1.0)
 
 
-def _led_along(t: Floats, axis: Floats, across: Floats, speed: Floats) -> Floats:
-    """Places (n, 3) whose motion along the shaft is ``speed`` (n,), and otherwise that of ``across`` (n, 3)."""
-    moved = np.diff(across, axis=0, prepend=across[:1])
-    shaft = axis[:, :, 2]
-    own = np.einsum("ni,ni->n", moved, shaft)
-    step = speed * np.diff(t, prepend=t[0])
-    return np.asarray(across[0] + np.cumsum(moved + (step - own)[:, None] * shaft, axis=0))
+def _about(
+    t: Floats, turn: Floats, inside: Floats, lean: Floats, wander: Floats
+) -> tuple[Floats, Floats, Floats]:  # fmt: skip
+    """Places (n, 3) of a tool that turns about a hole, which stands in the base's origin and wanders along z (n,): and
+    the depth (n,) that has come of it, and how far off the unbent shaft the hole is (n, 2)."""
+    turned = rotation_of(turn)
+    planned = np.column_stack([lean, -inside])
+    seen = planned + turned[:, 2, :] * wander[:, None]
+    return -np.einsum("nij,nj->ni", turned, planned), (-seen[:, 2]).clip(0.0), seen[:, :2]
+
+
+# -- the bent rod, by the first terms of its series beyond the cantilever (Antman, Nonlinear Problems of Elasticity,
+# -- IV.3; 0.1 % of the bend is left at 300 mN): nothing of it is left where the tool's bending is "small"
+
+
+def _bent(true: FlexibleTool, force: Floats, arc: Floats) -> Floats:
+    """F a² / EI (n,), twice the angle."""
+    return np.asarray(force * arc**2 / true.stiffness_mn_mm2) * (true.bending == "exact")
+
+
+def _softness(true: FlexibleTool, force: Floats, arc: Floats) -> Floats:
+    """Deflection at the contact per force (n,), mm/mN."""
+    return np.asarray(arc**3 / (3.0 * true.stiffness_mn_mm2) * (1.0 - 11.0 / 280.0 * _bent(true, force, arc) ** 2))
+
+
+def _angle(true: FlexibleTool, force: Floats, arc: Floats) -> Floats:
+    """Angle at the contact (n,), rad."""
+    return np.asarray(force * arc**2 / (2.0 * true.stiffness_mn_mm2) * (1.0 - _bent(true, force, arc) ** 2 / 120.0))
+
+
+def _shortening(true: FlexibleTool, force: Floats, along: Floats) -> Floats:
+    """How much longer than ``along`` (n,) the rod is from the clamp to the contact, mm."""
+    arc = along
+    for _ in range(4):
+        arc = along + arc * _bent(true, force, arc) ** 2 / 15.0
+    return np.asarray(arc - along)

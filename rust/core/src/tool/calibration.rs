@@ -94,11 +94,13 @@ impl GainFit {
         self.stack.rows()
     }
 
-    /// The gains of least squared residuals in the moments.
+    /// The gains of least squared residuals in the moments, with what wavelengths of this noise (nm) flatten them by
+    /// taken back: the normal matrix is less by a row's noise for each row (Fuller, *Measurement Error Models*, 2.2).
     ///
     /// # Errors
-    /// [`Error::TooFew`] below three rows; [`Error::Singular`] where all forces point one way.
-    pub fn solve(&mut self) -> Result<Gain> {
+    /// [`Error::TooFew`] below three rows; [`Error::Singular`] where all forces point one way, or where the noise is
+    /// all that the wavelengths show.
+    pub fn solve(&mut self, noise_nm: f64) -> Result<Gain> {
         let rows = self.stack.rows();
         if rows < 3 {
             return Err(Error::TooFew {
@@ -116,7 +118,13 @@ impl GainFit {
         let r = Matrix2::new(triangle[0], triangle[1], 0.0, triangle[5]);
         let inverse = r.try_inverse().ok_or(Error::Singular)?;
         let s = differences();
-        let by_differences = Matrix2::new(solution[0], solution[2], solution[1], solution[3]);
+        let plain = Matrix2::new(solution[0], solution[2], solution[1], solution[3]);
+        let normal = r.transpose() * r;
+        let less = normal - Matrix2::identity() * (noise_nm * noise_nm * rows as f64);
+        if !(less.m11 > 0.0 && less.determinant() > 0.0) {
+            return Err(Error::Singular);
+        }
+        let by_differences = plain * normal * less.try_inverse().ok_or(Error::Singular)?;
         Ok(Gain {
             gain: by_differences * s.transpose(),
             residual_covariance: t.transpose() * t / (rows - 2) as f64,

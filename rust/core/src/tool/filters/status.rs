@@ -22,6 +22,8 @@ impl Status {
     pub const NO_MOTION: Self = Self(1 << 5);
     /// The step's time is not finite or lies before the state's: nothing was done at all.
     pub const CLOCK: Self = Self(1 << 6);
+    /// The measurement contradicts the state or itself, and was not used.
+    pub const GATED: Self = Self(1 << 7);
 
     /// Whether all flags of `other` are set.
     #[must_use]
@@ -63,6 +65,8 @@ pub struct Counts {
     pub no_motion: u64,
     /// [`Status::CLOCK`].
     pub clock: u64,
+    /// [`Status::GATED`].
+    pub gated: u64,
 }
 
 impl Counts {
@@ -78,6 +82,7 @@ impl Counts {
             (&mut self.no_force, Status::NO_FORCE),
             (&mut self.no_motion, Status::NO_MOTION),
             (&mut self.clock, Status::CLOCK),
+            (&mut self.gated, Status::GATED),
         ] {
             *count = count.wrapping_add(u64::from(status.has(flag)));
         }

@@ -1,0 +1,67 @@
+"""A tool for a control loop in C: its numbers as constants of the library's own types (rust/c/include/sherkit.h)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .tool import FlexibleTool
+
+
+def c_header(tool: FlexibleTool, source: str = "tool.toml") -> str:
+    """The text of a C header with what :func:`sherkit_tool_filter_init` asks for; every number without loss.
+
+    ``tool_settings`` are gratings, shaft and what the calibration does not know, ``tool_start_depth_mm`` and its
+    variance how the filter begins, ``tool_fibre_delay_s`` is to be taken off the time of each reading.
+    """
+    doubt = tool.doubt
+    fields = {
+        "sensor": "{ "
+        + ", ".join(
+            (
+                f".gains = {_braced(tool.gains)}",
+                f".distances_mm = {_braced(tool.distances_mm)}",
+                f".reference_nm = {_braced(np.array(tool.reference_nm).reshape(3, 3))}",
+                f".noise_nm = {_number(tool.noise_nm)}",
+            )
+        )
+        + " }",
+        "beam": f"{{ {_number(tool.length_mm)}, {_number(tool.stiffness_mn_mm2)} }}",
+        "exact": str(int(tool.bending == "exact")),
+        "gain_covariance": _braced(doubt.gains),
+        "reference_doubt_nm": _number(doubt.reference_nm),
+        "warmth_doubt": _number(doubt.warmth),
+        "beam_covariance": _braced(doubt.beam),
+        "distance_doubt_mm": _number(doubt.distance_mm),
+        "clearance_mm": _number(tool.clearance_mm),
+        "clearance_doubt_mm": _number(tool.clearance_std_mm),
+        "per_second_mm2": _number(tool.per_second_mm2[0]),
+    }
+    lines = [
+        f"/* The flexible tool of {source}, written by `sherkit export c`. Lengths mm, forces mN, wavelengths nm. */",
+        "#ifndef TOOL_H",
+        "#define TOOL_H",
+        "",
+        '#include "sherkit.h"',
+        "",
+        "static const sherkit_tool tool_settings = {",
+        *(f"    .{name} = {value}," for name, value in fields.items()),
+        "};",
+        f"static const double tool_start_depth_mm = {_number(tool.start_depth_mm)};",
+        f"static const double tool_start_variance_mm2 = {_number(tool.start_std_mm**2)};",
+        f"static const double tool_fibre_delay_s = {_number(tool.fibre_delay_s)};",
+        "",
+        "#endif",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _number(value: float) -> str:
+    return repr(float(value))
+
+
+def _braced(values: ArrayLike) -> str:
+    array = np.asarray(values, dtype=float)
+    inside = (_number(v) for v in array) if array.ndim == 1 else (_braced(row) for row in array)
+    return "{ " + ", ".join(inside) + " }"

@@ -1,0 +1,324 @@
+//! The filter of a calibrated tool: Schmidt's equations, the rod, late readings, faults.
+
+use nalgebra::{Matrix2x3, Matrix3, Rotation3, Vector2, Vector3};
+use sherkit_core::numbers::rigid::Rigid;
+use sherkit_core::tool::beam::Beam;
+use sherkit_core::tool::filters::Status;
+use sherkit_core::tool::rod::{Bending, Rod};
+use sherkit_core::tool::sensing::Calibration;
+use sherkit_core::tool::tracker::{Doubt, ToolFilter, Trusted};
+
+const DISTANCES: [f64; 2] = [40.0, 50.0];
+
+fn trusted(bending: Bending) -> Trusted {
+    let side = |k: usize| std::f64::consts::TAU * k as f64 / 3.0;
+    let gain = Matrix2x3::from_fn(|i, k| {
+        let (sine, cosine) = side(k).sin_cos();
+        3200.0 * if i == 0 { cosine } else { sine }
+    });
+    Trusted {
+        calibration: Calibration {
+            gains: [gain; 2],
+            distances_mm: DISTANCES,
+            reference_nm: [
+                [1530.0, 1531.0, 1532.0],
+                [1545.0, 1546.0, 1547.0],
+                [1560.0; 3],
+            ],
+            noise_nm: 1e-3,
+        },
+        rod: Rod {
+            beam: Beam::ebrahimi_2020(),
+            bending,
+        },
+        doubt: Doubt::default(),
+        clearance_mm: 0.05,
+        per_second_mm2: 0.004,
+    }
+}
+
+/// Wavelengths of a force at a depth, all warmed.
+fn wavelengths(t: &Trusted, force: &Vector2<f64>, depth: f64, warm: f64) -> [[f64; 3]; 3] {
+    let mut w = t.calibration.reference_nm;
+    for i in 0..2 {
+        let arm = DISTANCES[i] - depth;
+        let moment = force * arm * t.rod.moment_share(force.norm(), arm);
+        let k = t.calibration.gains[i];
+        let shift = k.transpose() * (k * k.transpose()).try_inverse().unwrap() * moment;
+        for j in 0..3 {
+            w[i][j] += shift[j];
+        }
+    }
+    w.map(|s| s.map(|x| x + warm))
+}
+
+/// Noise of one deviation, the same in every run.
+struct Noise(u64);
+
+impl Noise {
+    fn next(&mut self) -> f64 {
+        let mut sum = -6.0;
+        for _ in 0..12 {
+            self.0 = self
+                .0
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            sum += (self.0 >> 11) as f64 / (1u64 << 53) as f64;
+        }
+        sum
+    }
+}
+
+fn spoil(w: &mut [[f64; 3]; 3], noise: &mut Noise) {
+    for x in w.as_flattened_mut() {
+        *x += 1e-3 * noise.next();
+    }
+}
+
+/// Catches a series that is not the elastica's: against its equation, integrated by small steps.
+#[test]
+fn the_rod_is_the_elastica() {
+    let rod = trusted(Bending::Exact).rod;
+    let (length, stiffness) = (rod.beam.length_mm(), rod.beam.stiffness());
+    for (force, depth) in [
+        (20.0, 3.0),
+        (100.0, 10.0),
+        (150.0, 0.0),
+        (250.0, 22.0),
+        (400.0, 5.0),
+    ] {
+        let arc = length - depth;
+        // angle against the contact's direction, its rate, place along and across that direction
+        let slope = |y: [f64; 4]| [y[1], force / stiffness * y[0].cos(), y[0].cos(), y[0].sin()];
+        let mut y = [0.0; 4];
+        let steps = 2000;
+        let h = arc / f64::from(steps);
+        for _ in 0..steps {
+            let at = |k: [f64; 4], s: f64| std::array::from_fn(|i| y[i] + s * h * k[i]);
+            let a = slope(y);
+            let b = slope(at(a, 0.5));
+            let c = slope(at(b, 0.5));
+            let d = slope(at(c, 1.0));
+            y = std::array::from_fn(|i| y[i] + h / 6.0 * (a[i] + 2.0 * b[i] + 2.0 * c[i] + d[i]));
+        }
+        let [angle, rate, x, z] = y;
+        let (along, across) = (
+            x * angle.cos() + z * angle.sin(),
+            x * angle.sin() - z * angle.cos(),
+        );
+        let shape = rod.shape(force, depth);
+        assert!((shape.contact_across - across).abs() < 1e-7);
+        assert!((shape.contact_short - (arc - along)).abs() < 1e-7);
+        assert!((shape.across - (across + depth * angle.sin())).abs() < 1e-7);
+        assert!((shape.short - (length - along - depth * angle.cos())).abs() < 1e-7);
+        assert!((force * arc * rod.moment_share(force, arc) - stiffness * rate).abs() < 1e-4);
+        // the few per cent
+        let bend = shape.contact_across;
+        let about = 0.6 * bend * bend / arc + depth * angle * angle / 2.0;
+        assert!(
+            (shape.short / about - 1.0).abs() < 0.08,
+            "{}",
+            shape.short / about
+        );
+        let lateral = force * angle.cos();
+        assert!((rod.force_of_lateral(lateral, depth) - force).abs() < 1e-3 * force);
+        let (f, d) = {
+            let m = DISTANCES.map(|l| force * (l - depth) * rod.moment_share(force, l - depth));
+            let f = (m[1] - m[0]) / (DISTANCES[1] - DISTANCES[0]);
+            rod.exactly(f, DISTANCES[1] - m[1] / f, DISTANCES)
+        };
+        assert!(
+            (f / force - 1.0).abs() < 1e-3 && (d - depth).abs() < 0.02,
+            "{f} {d}"
+        );
+    }
+}
+
+/// Catches a depth that forgets the turn about the hole: the tool turns by 0.2 rad while its shaft, bent 3 mm, slides
+/// through a hole that stands still; the fibres are lost meanwhile.
+#[test]
+fn a_turn_about_the_hole_changes_the_depth() {
+    let t = trusted(Bending::Small);
+    let (force, depth) = (Vector2::new(100.0, 0.0), 12.0);
+    let bend = t.rod.shape(100.0, depth).contact_across + t.clearance_mm;
+    let start = Rigid::identity();
+    let mut filter = ToolFilter::new(&t, depth, 0.25, &start, 0.0).unwrap();
+    let mut noise = Noise(5);
+    for k in 1..=2000 {
+        let mut w = wavelengths(&t, &force, depth, 0.0);
+        spoil(&mut w, &mut noise);
+        let time = 0.005 * f64::from(k);
+        assert!(
+            filter
+                .step(time, &start, Some((time, &w)))
+                .has(Status::UPDATED)
+        );
+    }
+    let before = filter.told();
+    let hole = Vector3::new(bend, 0.0, -depth);
+    let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), 0.2);
+    let pose = Rigid {
+        rotation: *turn.matrix(),
+        translation: Vector3::new(3.0, 0.0, 1.0),
+    };
+    filter.step(10.01, &pose, None);
+    let expected = -pose.apply_inverse(&hole).z;
+    let told = filter.told();
+    assert!((before.depth_mm - depth).abs() < 0.1);
+    assert!((told.depth_mm - expected - (before.depth_mm - depth)).abs() < 0.02);
+    // what the paper's Eq. 8 would say
+    let without = depth + (pose.translation - start.translation).dot(&pose.rotation.column(2));
+    assert!((without - expected).abs() > 0.3);
+}
+
+/// Catches a deviation that a doubt of the gains does not keep from shrinking, and one that is not Schmidt's.
+#[test]
+fn what_is_not_known_is_not_averaged_away() {
+    let mut t = trusted(Bending::Small);
+    let run = |t: &Trusted, readings: i32| {
+        let (force, depth) = (Vector2::new(80.0, 30.0), 10.0);
+        let mut filter = ToolFilter::new(t, depth, 4.0, &Rigid::identity(), 0.0).unwrap();
+        let mut noise = Noise(1);
+        for k in 1..=readings {
+            let mut w = wavelengths(t, &force, depth, 0.0);
+            spoil(&mut w, &mut noise);
+            let time = 0.005 * f64::from(k);
+            filter.step(time, &Rigid::identity(), Some((time, &w)));
+        }
+        filter.told().covariance[0][0]
+    };
+    t.per_second_mm2 = 0.0;
+    let (short, long) = (run(&t, 100), run(&t, 4000));
+    assert!(long < short / 20.0);
+    t.doubt.gains = [[Matrix3::from_diagonal_element(100.0); 2]; 2];
+    let (short, long) = (run(&t, 100), run(&t, 4000));
+    assert!(long > 0.5 * short);
+    // of one reading far better than the prior: the depth's own derivatives by the gains
+    let (force, arms) = (Vector2::new(80.0_f64, 30.0), [30.0, 40.0]);
+    let mut variance = 0.0;
+    for i in 0..2 {
+        let w = wavelengths(&t, &force, 10.0, 0.0)[i];
+        let s: f64 = (0..3)
+            .map(|j| (w[j] - t.calibration.reference_nm[i][j]).powi(2))
+            .sum();
+        let by_moment = arms[1 - i] / (force.norm() * 10.0);
+        variance += by_moment * by_moment * 100.0 * s;
+    }
+    assert!((long / variance - 1.0).abs() < 0.1, "{long} {variance}");
+}
+
+/// Catches a late reading that is taken for one of now: the tool goes in at 5 mm/s, all readings are 0.2 s old.
+#[test]
+fn late_readings_belong_where_they_were_taken() {
+    let t = trusted(Bending::Exact);
+    let along = |time: f64| 4.0 + 5.0 * time.min(3.0);
+    let pose = |time: f64| Rigid {
+        rotation: Matrix3::identity(),
+        translation: Vector3::new(0.0, 0.0, along(time)),
+    };
+    let force = Vector2::new(90.0, 0.0);
+    // the hole stands at the base's origin, along the shaft
+    let depth = |time: f64| {
+        let mut d = along(time);
+        for _ in 0..20 {
+            d = along(time) - t.rod.shape(90.0, d).contact_short;
+        }
+        d
+    };
+    let mut filter = ToolFilter::new(&t, along(0.0), 1.0, &pose(0.0), 0.0).unwrap();
+    let mut noise = Noise(9);
+    let mut late = 0;
+    for k in 1..=600 {
+        let time = 0.005 * f64::from(k);
+        let stamp = time - 0.2;
+        let mut w = wavelengths(&t, &force, depth(stamp.max(0.0)), 0.0);
+        spoil(&mut w, &mut noise);
+        let status = filter.step(time, &pose(time), Some((stamp, &w)));
+        late += i32::from(status.has(Status::LATE));
+        if k > 200 {
+            let told = filter.told();
+            let off = (told.depth_mm - depth(time)).abs();
+            assert!(
+                off < 4.0 * told.covariance[0][0].sqrt() + 0.01,
+                "{k}: {off}"
+            );
+        }
+    }
+    // before the start there was nothing, and one stamp is used once
+    assert_eq!(late, 39);
+    let w = wavelengths(&t, &force, depth(2.8), 0.0);
+    assert!(
+        filter
+            .step(3.005, &pose(3.005), Some((2.8, &w)))
+            .has(Status::LATE)
+    );
+}
+
+/// Catches a fault that goes unseen, takes its neighbours along, or is held against a grating for good.
+#[test]
+fn one_grating_that_lies_is_left_out() {
+    let t = trusted(Bending::Exact);
+    let faults: [(u16, fn(i32, &mut [[f64; 3]; 3])); 5] = [
+        (1 << 1, |_, w| w[0][1] = f64::NAN),
+        (1 << 3, |_, w| w[1][0] += 0.4),
+        (1 << 2, |_, w| w[0][2] = 0.0),
+        (0b11 << 4, |_, w| w[1].swap(1, 2)),
+        (1 << 4, |_, w| w[1][1] = 1546.1),
+    ];
+    for (expected, fault) in faults {
+        let depth = 12.0;
+        let mut filter = ToolFilter::new(&t, depth, 0.25, &Rigid::identity(), 0.0).unwrap();
+        let mut noise = Noise(3);
+        let mut worst: f64 = 0.0;
+        for k in 1..=3000 {
+            let time = 0.005 * f64::from(k);
+            let size = 100.0 + 40.0 * (1.5 * time).sin();
+            let mut w = wavelengths(
+                &t,
+                &Vector2::new(size, 0.3 * size),
+                depth,
+                0.01 * (0.2 * time).sin(),
+            );
+            spoil(&mut w, &mut noise);
+            if (1000..2000).contains(&k) {
+                fault(k, &mut w);
+            }
+            filter.step(time, &Rigid::identity(), Some((time, &w)));
+            let told = filter.told();
+            if k > 10 {
+                // the hole stands still in the base, so that what the bend takes changes the depth: by 0.1 mm
+                worst = worst.max((told.depth_mm - depth).abs());
+            }
+            if k == 1900 {
+                assert_eq!(filter.look().faulty, expected, "{expected:09b}");
+            }
+        }
+        assert!(worst < 1.0, "{expected:09b}: {worst}");
+        assert_eq!(filter.look().faulty, 0, "{expected:09b}");
+    }
+}
+
+/// Catches numbers that mean nothing taken for a tool, and a clock that runs back.
+#[test]
+fn what_makes_no_sense_is_refused() {
+    let t = trusted(Bending::Exact);
+    let here = Rigid::identity();
+    assert!(ToolFilter::new(&t, f64::NAN, 1.0, &here, 0.0).is_err());
+    assert!(ToolFilter::new(&t, 0.0, -1.0, &here, 0.0).is_err());
+    let mut wrong = t;
+    wrong.doubt.warmth = -1.0;
+    assert!(ToolFilter::new(&wrong, 0.0, 1.0, &here, 0.0).is_err());
+    let mut filter = ToolFilter::new(&t, 5.0, 1.0, &here, 0.0).unwrap();
+    assert_eq!(filter.step(-1.0, &here, None), Status::CLOCK);
+    let nowhere = Rigid {
+        translation: Vector3::new(f64::NAN, 0.0, 0.0),
+        ..here
+    };
+    assert!(filter.step(0.1, &nowhere, None).has(Status::NO_MOTION));
+    assert!(
+        filter
+            .step(0.2, &here, Some((0.2, &[[f64::NAN; 3]; 3])))
+            .has(Status::NOT_FINITE)
+    );
+    assert!(filter.told().covariance[0][0].is_finite());
+}
