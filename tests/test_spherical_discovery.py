@@ -353,7 +353,7 @@ def test_a_template_of_an_unknown_shape_runs_on_pixels(tmp_path: Path) -> None:
     assert d.signature["depends_on"] == ["humidity_pct"]
     path = tmp_path / "my_effects.py"
     path.write_text(template(d.signature, data.layout, "unknown_effect", path.name), encoding="utf-8")
-    assert '"px"' in path.read_text(encoding="utf-8")
+    assert "'px'" in path.read_text(encoding="utf-8")
     (effect,) = load_effects(path)
     again = sk.diagnose(sk.identify(ROBOT, data), effects=(effect,))
     assert again.verdict == "explained"
