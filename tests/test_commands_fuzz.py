@@ -74,19 +74,13 @@ def value_of(kind: click.ParamType, files: list[str], rng: random.Random) -> str
 
 def run(line: list[str]) -> tuple[int, str, str]:
     """Exit code and what was printed."""
-    from sherkit.cli import output
-
     out, err = io.StringIO(), io.StringIO()
     code = 0
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        before = output.out.file, output.err.file
-        output.out.file, output.err.file = out, err
         try:
             main(line)
         except SystemExit as ended:
             code = ended.code if isinstance(ended.code, int) else 1
-        finally:
-            output.out.file, output.err.file = before
     return code, out.getvalue(), err.getvalue()
 
 

@@ -233,7 +233,8 @@ def runs(draw: st.DrawFn) -> Measurements:
     if draw(st.booleans()):
         columns["time_s"] = column(NUMBERS)
     if draw(st.booleans()):
-        columns["pose"] = column(st.integers(-(2**53), 2**53)).astype(np.int64)
+        # one number stands for one place
+        columns["pose"] = np.array(draw(st.lists(st.integers(-(2**53), 2**53), min_size=n, max_size=n, unique=True)))
         columns["repeat"] = np.arange(1, n + 1)
     if draw(st.booleans()):
         columns["outlier"] = column(st.booleans()).astype(float)
@@ -468,8 +469,8 @@ def test_equal_joint_readings_are_repeats() -> None:
         assert data.repeatability is not None
         assert data.repeatability.degrees_of_freedom == {"x_mm": 3}
         assert data.select(np.array([6, 4, 0])).groups.tolist() == [0, 1, 0]
-    numbered = from_frame(columns | {"pose": [1, 1, 2, 2, 3, 3, 4]})
-    assert numbered.groups.tolist() == [0, 0, 1, 1, 2, 2, 3]
+    numbered = from_frame(columns | {"pose": [1, 2, 3, 2, 4, 5, 1]})
+    assert numbered.groups.tolist() == [0, 1, 2, 1, 3, 4, 0]
 
 
 def test_repeats_of_distances_agree_at_both_ends() -> None:

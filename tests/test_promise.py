@@ -58,7 +58,7 @@ def blind() -> DeltaCalibration:
 @pytest.mark.parametrize(
     "name",
     ["delta, 2 mm ripple, 6.7 mm grid", "delta, 5 mm ripple, joints 5 mm apart",
-     "spherical, 72 waves per turn, joints 10° apart"],
+     "spherical, 36 waves per turn, joints 10° apart"],
 )  # fmt: skip
 def test_what_the_poses_could_not_show_is_promised(name: str) -> None:
     """Catches a promise by the residuals alone: the ripple is in none of them, and everywhere between the poses."""

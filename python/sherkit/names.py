@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Iterable
 
 #: Characters of a name that a sentence repeats.
-_LONGEST = 60
+_LONGEST = 200
 
 
 def closest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:

@@ -11,6 +11,7 @@ from bokeh.layouts import column
 from bokeh.models import Div
 from bokeh.resources import INLINE
 
+from ..data.files import write_whole
 from ..diagnosis import Diagnosis
 from .estimate import EstimateOverTime, estimate_picture
 from .notebook import pictures_of
@@ -35,4 +36,4 @@ def write_tool_report(
     pictures = [estimate_picture(estimate), *pictures_of(found)]
     page = column(Div(text="".join(lines), sizing_mode="stretch_width"), *(p.root for p in pictures),
                   sizing_mode="stretch_width")  # fmt: skip
-    Path(path).write_text(file_html(page, INLINE, title), encoding="utf-8")
+    write_whole(Path(path), file_html(page, INLINE, title))
