@@ -12,6 +12,7 @@ from textwrap import fill
 from typing import Any
 
 import numpy as np
+import polars as pl
 
 import sherkit as sk
 from sherkit.report.export import save_picture
@@ -20,6 +21,8 @@ HERE = Path(__file__).parent
 FOLDER, OUT, PAGE = Path("demo"), HERE / "pictures" / "gallery", HERE / "gallery.md"
 _WIDTH_PX = 960
 _COLOURS = 160
+#: Of a reading of the virtual robot.
+_NOISE_MM = 0.005
 #: Letters in a line of the page.
 _LINE = 118
 
@@ -55,8 +58,8 @@ ITEMS = [
          'change = Change(residuals_of(before), residuals_of(study.fit), "as it came", "with rail_lean")\n'
          "residual_map(change, width_px=700)"),
     Item("residual_map_plane", "… of one plane and 20 rows",
-         "Each pose was read once, so the noise is unknown and there is no circle. Arrows as long as these after the "
-         "effect was added may be nothing but noise.",
+         "Each pose was read once; the noise, 5 µm, stands in columns of the file, so that there is a circle without "
+         "repeats.",
          'change = Change(residuals_of(before), residuals_of(study.fit), "as it came", "with rail_lean")\n'
          "residual_map(change, width_px=700)",
          "plane"),
@@ -213,9 +216,10 @@ def prepared(setup: str) -> dict[str, Any]:
 
 
 def one_plane(robot: sk.delta.Delta) -> sk.Measurements:
-    """20 poses at one height, each read once."""
+    """20 poses at one height, each read once; the noise is declared."""
     place = np.random.default_rng(3).uniform(-20, 20, (20, 2))
-    return _virtual(robot).measure(np.column_stack([place, np.zeros(20)]), repeats=1, seed=6)
+    rows = _virtual(robot).measure(np.column_stack([place, np.zeros(20)]), repeats=1, seed=6).to_frame()
+    return sk.from_frame(rows.with_columns(**{f"sigma_{axis}_mm": pl.lit(_NOISE_MM) for axis in "xyz"}))
 
 
 def many(robot: sk.delta.Delta) -> sk.Measurements:
@@ -225,7 +229,7 @@ def many(robot: sk.delta.Delta) -> sk.Measurements:
 
 def _virtual(robot: sk.delta.Delta) -> sk.delta.VirtualDelta:
     """The virtual robot of the demo."""
-    return sk.delta.VirtualDelta.draw(robot, 6, rail_lean_rad=8e-3, noise_mm=0.005)
+    return sk.delta.VirtualDelta.draw(robot, 6, rail_lean_rad=8e-3, noise_mm=_NOISE_MM)
 
 
 def _tool() -> dict[str, Any]:
