@@ -48,6 +48,8 @@ class Bad:
     content: str | bytes | None
     folder: bool = False
     warns: bool = False
+    #: It names all rows concerned, of which a block of a stream holds some.
+    names_all: bool = False
 
     def write(self, folder: Path) -> Path:
         """Makes the file in ``folder``; returns its path."""
@@ -137,6 +139,7 @@ BAD = (
         "one pose number for all rows",
         ("pose 1 stands at places", "mm apart", "as repeats"),
         _poses(),
+        names_all=True,
     ),
     Bad(
         "a thousand, or a one?",

@@ -280,7 +280,10 @@ def test_streams_refuse_the_same_files_with_the_same_words(bad: Bad, tmp_path: P
     path = bad.write(tmp_path)
     with pytest.raises(MeasurementError) as refused:
         list(stream_measurements(path, block_rows=2).blocks())
-    assert str(refused.value) == bad.message(path)
+    if bad.names_all:
+        assert all(part in str(refused.value) for part in bad.says)
+    else:
+        assert str(refused.value) == bad.message(path)
 
 
 @pytest.mark.parametrize(
