@@ -12,6 +12,7 @@ _Bytes = NDArray[np.uint8]
 
 __all__ = [
     "STATUS_CLOCK",
+    "STATUS_GATED",
     "STATUS_LATE",
     "STATUS_MISSING",
     "STATUS_NOT_FINITE",
@@ -32,6 +33,7 @@ __all__ = [
     "SphericalModel",
     "TipFilter",
     "ToolBeam",
+    "ToolFilter",
     "ToolSensor",
     "__version__",
     "bernstein_basis",

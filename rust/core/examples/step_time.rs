@@ -36,6 +36,45 @@ fn median(mut step: impl FnMut(usize)) -> f64 {
     times[BATCHES / 2]
 }
 
+/// The filter that takes wavelengths and poses.
+fn whole_filter(calibration: Calibration, beam: Beam, wavelengths: &[[[f64; 3]; 3]]) {
+    let (dt, tool) = (0.005, Rigid::identity());
+    let doubt = Doubt {
+        reference_nm: 1e-4,
+        warmth: 0.02,
+        ..Doubt::default()
+    };
+    let trusted = Trusted {
+        calibration,
+        rod: Rod {
+            beam,
+            bending: Bending::Exact,
+        },
+        doubt,
+        clearance_mm: 0.05,
+        per_second_mm2: 0.01,
+    };
+    for (name, late) in [("in time", 0.0), ("late", 0.1)] {
+        let mut whole = ToolFilter::new(&trusted, 5.0, 1.0, &tool, 0.0).expect("a filter");
+        println!("tool  {name:11} {:5.1} ns", {
+            median(|k| {
+                let time = (k + 1) as f64 * dt;
+                let w = black_box(&wavelengths[k % BATCH]);
+                black_box(whole.step(time, black_box(&tool), Some((time - late, w))));
+            })
+        });
+        println!("tool  {name:11} {:5.1} ns with what it tells", {
+            let mut whole = ToolFilter::new(&trusted, 5.0, 1.0, &tool, 0.0).expect("a filter");
+            median(|k| {
+                let time = (k + 1) as f64 * dt;
+                let w = black_box(&wavelengths[k % BATCH]);
+                black_box(whole.step(time, black_box(&tool), Some((time - late, w))));
+                black_box(whole.told());
+            })
+        });
+    }
+}
+
 fn main() {
     let calibration = Calibration {
         gains: [Matrix2x3::new(4e4, -2e4, -2e4, 0.0, 3.5e4, -3.5e4); 2],
@@ -72,40 +111,7 @@ fn main() {
             black_box(sensor.read(black_box(&wavelengths[k % BATCH]))).ok();
         })
     });
-    let doubt = Doubt {
-        reference_nm: 1e-4,
-        warmth: 0.02,
-        ..Doubt::default()
-    };
-    let trusted = Trusted {
-        calibration,
-        rod: Rod {
-            beam,
-            bending: Bending::Exact,
-        },
-        doubt,
-        clearance_mm: 0.05,
-        per_second_mm2: 0.01,
-    };
-    for (name, late) in [("in time", 0.0), ("late", 0.1)] {
-        let mut whole = ToolFilter::new(&trusted, 5.0, 1.0, &tool, 0.0).expect("a filter");
-        println!("tool  {name:11} {:5.1} ns", {
-            median(|k| {
-                let time = (k + 1) as f64 * dt;
-                let w = black_box(&wavelengths[k % BATCH]);
-                black_box(whole.step(time, black_box(&tool), Some((time - late, w))));
-            })
-        });
-        println!("tool  {name:11} {:5.1} ns with what it tells", {
-            let mut whole = ToolFilter::new(&trusted, 5.0, 1.0, &tool, 0.0).expect("a filter");
-            median(|k| {
-                let time = (k + 1) as f64 * dt;
-                let w = black_box(&wavelengths[k % BATCH]);
-                black_box(whole.step(time, black_box(&tool), Some((time - late, w))));
-                black_box(whole.told());
-            })
-        });
-    }
+    whole_filter(calibration, beam, &wavelengths);
     let noises = [
         ("paper", Noise::ebrahimi_2020()),
         ("propagated", Noise::propagated([0.5, 2.0], floor)),

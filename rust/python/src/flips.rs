@@ -29,39 +29,40 @@ pub fn largest_under_flips<'py>(
     let ends = same_length("ends", &ends, ends.shape()[0])?;
     let class_of = same_length("class_of", &class_of, ends.len())?;
     let codes = same_length("codes", &codes, poses)?;
-    let within = |values: &[i64], limit: usize| {
+    let below = |values: &[i64], limit: usize| -> PyResult<Vec<usize>> {
         values
             .iter()
-            .all(|v| usize::try_from(*v).is_ok_and(|v| v < limit))
+            .map(|v| {
+                usize::try_from(*v)
+                    .ok()
+                    .filter(|v| *v < limit)
+                    .ok_or_else(wrong)
+            })
+            .collect()
     };
-    if !flips.is_power_of_two()
-        || !within(codes, flips)
-        || !within(class_of, classes)
-        || !within(ends, count + 1)
-        || !ends.is_sorted()
-    {
-        return Err(PyValueError::new_err(
-            "flips must be a power of two, with codes below it; ends must rise to the number of rows, with a class each",
-        ));
+    let ends = below(ends, count + 1)?;
+    let class_of = below(class_of, classes)?;
+    let codes = below(codes, flips)?;
+    if !flips.is_power_of_two() || !ends.is_sorted() {
+        return Err(wrong());
     }
     let best = py.detach(|| {
         let mut best = vec![0.0_f64; classes * flips];
         let (mut signed, mut total) = (vec![0.0; flips], vec![0.0; flips]);
         let mut first = 0;
-        for (end, class) in ends.iter().zip(class_of) {
-            let end = *end as usize;
+        for (&end, class) in ends.iter().zip(class_of) {
             total.fill(0.0);
             for row in numbers[first * poses..end * poses].chunks_exact(poses.max(1)) {
                 signed.fill(0.0);
                 for (code, value) in codes.iter().zip(row) {
-                    signed[*code as usize] += value;
+                    signed[*code] += value;
                 }
                 walsh_hadamard(&mut signed);
                 for (t, s) in total.iter_mut().zip(&signed) {
                     *t += s * s;
                 }
             }
-            let of_class = &mut best[*class as usize * flips..][..flips];
+            let of_class = &mut best[class * flips..][..flips];
             for (b, t) in of_class.iter_mut().zip(&total) {
                 *b = b.max(*t);
             }
@@ -70,4 +71,10 @@ pub fn largest_under_flips<'py>(
         best
     });
     shaped(py, best, [classes, flips])
+}
+
+fn wrong() -> PyErr {
+    PyValueError::new_err(
+        "flips must be a power of two, with codes below it; ends must rise to the number of rows, with a class each",
+    )
 }
