@@ -807,6 +807,7 @@ def test_wrong_words_are_refused(tmp_path: Path) -> None:
         (("export", "d", tmp_path / "tool.toml", "-o", "x.h"), "or c and the file of a flexible tool"),
         (("tool", "bench.csv", "free.csv", "-o", "x.toml"), "Missing argument 'RUN'"),
         (("tool", tmp_path / "none.csv", "free.csv", "run.csv", "-o", "x.toml"), "there is no such file"),
+        (("tool", "bench.csv", "free.csv", "run.csv", "-o", "x.toml", "--seed", "-1"), "-1 is not in the range"),
         (("diagnose", tmp_path / "tool.toml", "a.csv", "b.csv"), "one at a time"),
     ):
         refused = sherkit(*arguments)
