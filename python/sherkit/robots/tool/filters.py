@@ -1,7 +1,7 @@
 """Depth and tip over a recorded run: by kinematics, by the gratings alone, filtered, filtered together, smoothed.
 
-Everything runs in the core; what a loop does step by step (:class:`sherkit._core.TipFilter` and the others) gives the
-same numbers to the last bit.
+Everything runs in the core; what a loop does step by step (:class:`sherkit._core.ToolFilter`) gives the same numbers to
+the last bit.
 """
 
 from __future__ import annotations
