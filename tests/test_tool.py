@@ -88,6 +88,9 @@ def test_tool_file_is_lossless(tmp_path: Path) -> None:
         ("gratings", "reference_nm", [1550.0] * 8, "[gratings] reference_nm: expected 9"),
         ("filter", "noise", "guessed", "'propagated'"),
         ("camera", "std_mm", 0.0, "[camera] std_mm"),
+        ("filter", "clearance_mm", -0.1, "[filter] clearance_mm: expected a number, at least 0"),
+        ("filter", "per_second_mm2", [-1.0, 1.0], "[filter] per_second_mm2: expected 2 numbers, none below zero"),
+        ("doubt", "warmth", -0.02, "[doubt] warmth: expected a number, at least 0"),
     ],
 )
 def test_a_bad_tool_file_is_refused(table: str, key: str, value: Any, says: str, tmp_path: Path) -> None:
