@@ -358,12 +358,6 @@ impl ToolFilter {
         self.look
     }
 
-    /// Gratings that are held to be bad until they are in order for a while.
-    #[must_use]
-    pub fn bad(&self) -> Set {
-        self.bad
-    }
-
     /// How often what happened.
     #[must_use]
     pub fn counts(&self) -> &Counts {
