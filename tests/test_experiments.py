@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import sqlite3
 import threading
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -13,7 +16,8 @@ import tomli_w
 
 from laboratories import ROBOT, experiment, laboratory
 from sherkit import load_robot, read_measurements
-from sherkit.errors import ExperimentError, Halted, InstrumentError, MeasurementError, OutOfRange
+from sherkit.errors import ExperimentError, Halted, InstrumentError, MeasurementError, OutOfRange, SherkitWarning
+from sherkit.lab import clock
 from sherkit.lab.experiment import (
     Control,
     Goal,
@@ -24,6 +28,7 @@ from sherkit.lab.experiment import (
     RunFile,
     export_run,
     load_experiment,
+    lock,
     plan_of_poses,
     run,
 )
@@ -148,6 +153,48 @@ def test_a_step_is_stored_once_and_whole(tmp_path):
             file.store(1, point(1))
         assert file.done() == {0}
         assert file.points()[0].values["x_mm"] == 1.1
+
+
+def test_a_full_disk_is_a_sentence(tmp_path):
+    """Catches a traceback of SQLite from what is not a row: a session, the diary, a mark, a reference."""
+    with RunFile.create(tmp_path / "a.sqlite", PLAN, ABOUT) as file:
+        file.begin({})
+        file.store(0, point(1))
+        file._db.execute(f"PRAGMA max_page_count = {file._db.execute('PRAGMA page_count').fetchone()[0]}")
+        much = "x" * 100_000
+        for write in (
+            lambda: file.note(much),
+            lambda: file.doubt([0], "beam", much),
+            lambda: file.end(much),
+            lambda: file.begin({"rails": {"kind": much, "identity": "x", "port": "", "settings": {}}}),
+        ):
+            with pytest.raises(ExperimentError, match=r"a\.sqlite: cannot be written: .*full"):
+                write()
+        assert file.done() == {0}
+
+
+def test_a_run_keeps_its_own_time(tmp_path, monkeypatch):
+    """Catches rows that are judged at another time than they are stored with, after the clock was set back."""
+    with RunFile.create(tmp_path / "a.sqlite", PLAN, ABOUT) as file:
+        file.begin({})
+        file.store(0, replace(point(1), time_s=clock.now_s()))
+    monkeypatch.setattr(clock, "_WALL_S", clock._WALL_S - 3600.0)
+    with RunFile.resume(tmp_path / "a.sqlite", PLAN, ABOUT) as file:
+        with pytest.warns(SherkitWarning, match="set back by 360"):
+            file.begin({})
+        now = file.store(1, replace(point(2), time_s=clock.now_s()))
+        assert [p.time_s for p in file.points()][1] == now.time_s > file.points()[0].time_s
+
+
+def test_a_disk_that_cannot_lock_is_not_another_runner(tmp_path, monkeypatch):
+    """Catches a person who is sent to look for a program that is not there: some network disks have no locks."""
+
+    def none(_):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(lock, "_take", none)
+    with pytest.raises(ExperimentError, match=r"a\.sqlite\.lock: cannot be locked: No locks available"):
+        RunFile.create(tmp_path / "a.sqlite", PLAN, ABOUT)
 
 
 def test_the_run_file_is_as_safe_as_it_says(tmp_path):

@@ -11,6 +11,7 @@ import pytest
 
 import sherkit as sk
 from laboratories import ROBOT
+from sherkit.data import stream_measurements
 from sherkit.errors import MeasurementError, RobotError, SherkitWarning
 from test_fuzz import lines_run, toml
 
@@ -154,6 +155,13 @@ def test_decimal_commas_that_the_file_proves_are_read(
     """Catches a caution that refuses what can be read in one way alone."""
     data = sk.read_measurements(table(tmp_path / "run.tsv", cells, separator, others))
     np.testing.assert_allclose(data.covariates["payload"], values)
+
+
+def test_a_point_after_blocks_of_decimal_commas_is_refused(tmp_path: Path) -> None:
+    """Catches a stream whose later blocks may write 2.500 for what its first blocks write 2500."""
+    stream = stream_measurements(table(tmp_path / "run.csv", ["1,5", "2,5", "2.500"], ";", "1"), block_rows=2)
+    with pytest.raises(MeasurementError, match=r"line 4, column 'payload': '2\.500': .* is the comma \('1,5'\)"):
+        list(stream.blocks())
 
 
 # -- poses ---------------------------------------------------------------------------------------------------

@@ -462,6 +462,8 @@ def test_galil_refuses_what_is_no_setting():
         Galil("x", [AXES[0], AXES[0]])
     with pytest.raises(InstrumentError):
         Galil("x", AXES, speed=0.0)
+    with pytest.raises(InstrumentError, match="home_speed is 0"):
+        Galil("x", AXES, home_speed=0.0)
     with pytest.raises(InstrumentError, match="single command"):
         Galil("x", AXES).command("BGA;PAA=9")
 

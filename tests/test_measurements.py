@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 import re
 import warnings
 from collections.abc import Callable
@@ -343,6 +344,25 @@ def test_parquet_is_checked_as_well(tmp_path: Path) -> None:
     ):
         with pytest.raises(MeasurementError, match=r"run\.parquet: row 3, column 'x_mm': inf"):
             found(tmp_path / "run.parquet")
+
+
+def test_a_table_is_read_under_any_name(plain: Measurements, tmp_path: Path) -> None:
+    """Catches a Parquet file called damaged for letters in its name that are no ASCII."""
+    plain.save(tmp_path / "\U0001f916 'Läufe' {1}.parquet")
+    assert len(read_measurements(tmp_path / "\U0001f916 'Läufe' {1}.parquet")) == len(plain)
+
+
+@pytest.mark.skipif(not Path("/dev/fd").exists(), reason="this system has no names for pipes")
+def test_a_table_is_read_from_a_pipe(tmp_path: Path) -> None:
+    """Catches a look at the first bytes that takes them out of a pipe: ``sherkit calibrate <(zcat run.csv.gz)``."""
+    whole = read_measurements(write(tmp_path, GOOD))
+    out, into = os.pipe()
+    os.write(into, GOOD.encode() if isinstance(GOOD, str) else GOOD)
+    os.close(into)
+    try:
+        np.testing.assert_array_equal(read_measurements(f"/dev/fd/{out}").joints, whole.joints)
+    finally:
+        os.close(out)
 
 
 @pytest.mark.parametrize(

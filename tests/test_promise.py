@@ -147,6 +147,11 @@ def test_words_and_frame_say_the_same(blind: DeltaCalibration) -> None:
     assert one.advice in str(one)
 
 
+def test_a_place_out_of_reach_is_promised_nothing(blind: DeltaCalibration) -> None:
+    """Catches a sentence with no number in it for one of many places."""
+    assert str(blind.promises([[500.0, 0.0, 0.0]])[0]) == "out of reach"
+
+
 def test_lost_motion_counts_where_the_side_is_not_given() -> None:
     """Catches a promise for the middle of the backlash, where the robot never is: it stops half a width beside it."""
     made = calibrated(run_at(box(80)(1), {"backlash": [0.04, 0.04, 0.04]})[0], effects=["backlash"])

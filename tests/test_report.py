@@ -12,6 +12,7 @@ import sys
 from collections.abc import Sequence
 from html import unescape
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,9 @@ from browsing import needs_browser, opened, settled, source
 from sherkit import save_robot
 from sherkit.cli import main
 from sherkit.model.effect import effects_by_name
+from sherkit.report.estimate import EstimateOverTime
 from sherkit.report.style import number
+from sherkit.report.tool import write_tool_report
 from sherkit.robots.delta import CATALOGUE
 from sherkit.robots.delta.poses import grid
 from strategies import EXAMPLE
@@ -237,6 +240,23 @@ def test_what_has_no_number_does_not_run(demo: Path, tmp_path: Path) -> None:
     assert policy is not None
     assert "default-src &#39;none&#39;" in policy[1]
     assert text.index(policy[0]) < text.index("<script")
+
+
+@needs_browser
+def test_the_report_of_a_tool_has_the_same_policy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Catches a page of its own making: without a policy, or with one under which Bokeh draws nothing."""
+    monkeypatch.setattr("sherkit.report.tool.pictures_of", lambda _: [])
+    found: Any = SimpleNamespace(headline="<img src=x onerror='owned = 1'>", ties=[], claims=[], notes=[])
+    t = np.linspace(0.0, 1.0, 50)
+    drawn = EstimateOverTime(
+        time_s=t, estimate=t, std=0.1 * t, name="insertion depth", unit="mm", others={}, force_mN=t, threshold_mN=50.0
+    )
+    write_tool_report(tmp_path / "tool.html", "a </title> tool", found, drawn)
+    text = (tmp_path / "tool.html").read_text(encoding="utf-8")
+    assert text.index("Content-Security-Policy") < text.index("<script")
+    with opened(tmp_path / "tool.html") as page:
+        assert page.evaluate("Bokeh.documents.length") == 1
+        assert page.evaluate("window.owned") is None
 
 
 @needs_browser

@@ -231,6 +231,8 @@ def test_a_folder_that_is_no_study_says_so(leaning: sk.Measurements, tmp_path: P
     study.save(tmp_path)
     with pytest.raises(sk.errors.EffectError, match="wave"):
         sk.Study.load(tmp_path)
+    with pytest.raises(sk.errors.NotWritten, match=r"study\.json: cannot be written: File exists"):
+        study.save(tmp_path / "study.json")
 
 
 def test_a_calibration_deploys_the_effects() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import runpy
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
+import sherkit._core as _core
 from second_tool import CONDITIONS, write_csv
 from sherkit.cli.main import cli
 from sherkit.errors import FitError, MeasurementError, RobotError, ShapeError
@@ -86,6 +88,9 @@ def test_tool_file_is_lossless(tmp_path: Path) -> None:
         ("gratings", "reference_nm", [1550.0] * 8, "[gratings] reference_nm: expected 9"),
         ("filter", "noise", "guessed", "'propagated'"),
         ("camera", "std_mm", 0.0, "[camera] std_mm"),
+        ("filter", "clearance_mm", -0.1, "[filter] clearance_mm: expected a number, at least 0"),
+        ("filter", "per_second_mm2", [-1.0, 1.0], "[filter] per_second_mm2: expected 2 numbers, none below zero"),
+        ("doubt", "warmth", -0.02, "[doubt] warmth: expected a number, at least 0"),
     ],
 )
 def test_a_bad_tool_file_is_refused(table: str, key: str, value: Any, says: str, tmp_path: Path) -> None:
@@ -746,6 +751,28 @@ def test_a_tare_needs_an_untouched_tool() -> None:
     assert tare(FlexibleTool(), never).tool == FlexibleTool()
 
 
+def test_a_fibre_that_shows_nothing_leaves_its_section_untared() -> None:
+    """Catches a warning of NumPy, or no number among the references, where one fibre of the witness is dead."""
+    run = VirtualTool(FlexibleTool()).free_motion(seconds=5.0)
+    run.wavelengths_nm[:, 7] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made = tare(FlexibleTool(), run, untouched=True)
+    assert (made.shift_nm[6:] == 0).all()
+    assert (made.shift_nm[:6] != 0).all()
+
+
+def test_no_reading_counts_twice_in_the_smoother() -> None:
+    """Catches a reading that the runs forwards and backwards both hold: where the eye strays fast, every reading
+    stands alone, and nothing makes the smoothed depth better than it."""
+    tool = replace(KNOWING, per_second_mm2=(1e4, 1.0))
+    e = estimate(tool, VirtualTool(KNOWING).run("vessels", seed=0, seconds=5.0))
+    told = np.isfinite(e.fibre_depth_mm) & (e.depth.status & _core.STATUS_UPDATED > 0)
+    told[0] = told[-1] = False
+    ratio = e.smooth_depth_std_mm[told] / e.depth_std_mm[told]
+    assert np.median(ratio) > 0.9
+
+
 def test_the_papers_experiments_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
     """Catches an example that stops working, or whose figures fall behind the paper's; two seeds."""
     told = runpy.run_path(str(Path(__file__).parents[1] / "examples" / "flexible_tool.py"))["main"](2)
@@ -783,6 +810,7 @@ def test_wrong_words_are_refused(tmp_path: Path) -> None:
         (("export", "d", tmp_path / "tool.toml", "-o", "x.h"), "or c and the file of a flexible tool"),
         (("tool", "bench.csv", "free.csv", "-o", "x.toml"), "Missing argument 'RUN'"),
         (("tool", tmp_path / "none.csv", "free.csv", "run.csv", "-o", "x.toml"), "there is no such file"),
+        (("tool", "bench.csv", "free.csv", "run.csv", "-o", "x.toml", "--seed", "-1"), "-1 is not in the range"),
         (("diagnose", tmp_path / "tool.toml", "a.csv", "b.csv"), "one at a time"),
     ):
         refused = sherkit(*arguments)

@@ -17,7 +17,7 @@ from .data import Measurements, from_frame
 from .data.files import write_whole
 from .data.tables import parquet_errors
 from .data.toml import Table
-from .errors import SherkitError
+from .errors import NotWritten, SherkitError
 from .types import Ints
 
 _FORMAT = 3
@@ -30,7 +30,10 @@ def write_study(folder: Path, state: Mapping[str, Any], data: Measurements) -> N
     The rows are there, under a name that follows from what is in them, before the steps that name them: a crash at any
     moment leaves the old study or the new one.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise NotWritten(folder, error) from None
     held = io.BytesIO()
     data.to_frame().write_parquet(held)
     rows = _name_of(held.getvalue())

@@ -47,7 +47,9 @@ from .tool import (
               help="A tool file with what no table tells, as where sections are; default: the paper's.")  # fmt: skip
 @click.option("--longest-delay-s", type=click.FloatRange(min=0, min_open=True), default=0.5, show_default=True)
 @reporting.report_option
-@click.option("--seed", type=int, default=0, show_default=True, help="Rules folds and flips of the diagnosis.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Rules folds and flips of the diagnosis."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 def tool_story(
     bench: Path, free: Path, run: Path, destination: Path, drawing: Path | None, longest_delay_s: float,

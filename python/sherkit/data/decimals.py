@@ -37,12 +37,16 @@ class DecimalMark:
     def with_points(self, frame: pl.DataFrame, line: Ints) -> pl.DataFrame:
         """The cells with points for decimal commas. Raises :class:`~sherkit.errors.MeasurementError` at the first that
         can be read in two ways."""
+        # of the blocks before this one, which have been read with it
+        before = self._comma
         commas = {name: frame[name].str.contains(_COMMA) for name in frame.columns}
         doubtful = {name: frame[name].str.contains(_MAYBE_THOUSANDS) for name in frame.columns}
         for name in frame.columns:
             column = frame[name]
             if not self._point and (points := column.str.contains(_POINT)).any():
                 self._point = str(column.filter(points)[0])
+                if before:
+                    self._refuse(name, column, points, line, f"the decimal mark of this file is the comma ('{before}')")
             if (sure := commas[name] & ~doubtful[name]).any():
                 self._proven.add(name)
                 self._comma = self._comma or str(column.filter(sure)[0])

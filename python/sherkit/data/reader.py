@@ -50,10 +50,16 @@ def checked(path: str | Path) -> Path:
         raise MeasurementError(f"{path}: is a folder, expected a CSV or Parquet file")
     if not path.exists():
         raise MeasurementError(f"{path}: there is no such file")
-    with path.open("rb") as file:
-        if file.read(len(_RUN_FILE)) == _RUN_FILE:
-            hint = f"sherkit export {path.name} -o run.csv makes a table of it"
-            raise MeasurementError(f"{path}: is the run file of an experiment; {hint}")
+    if not path.is_file():
+        return path  # of a pipe nothing can be read twice
+    try:
+        with path.open("rb") as file:
+            head = file.read(len(_RUN_FILE))
+    except OSError as error:
+        raise MeasurementError(f"{path}: cannot be read: {error.strerror}") from None
+    if head == _RUN_FILE:
+        hint = f"sherkit export {path.name} -o run.csv makes a table of it"
+        raise MeasurementError(f"{path}: is the run file of an experiment; {hint}")
     return path
 
 

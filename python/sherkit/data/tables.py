@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -65,7 +64,7 @@ def try_parquet(path: Path) -> None:
             raise not_parquet(path, "it does not begin and end as one")
     if not sys.executable or path.stat().st_size > _TRIED_BYTES:
         return
-    source = _TRIAL.format(path=json.dumps([p for p in sys.path if p]), file=json.dumps(str(path.resolve())))
+    source = _TRIAL.format(path=ascii([p for p in sys.path if p]), file=ascii(str(path.resolve())))
     try:
         done = subprocess.run(
             [sys.executable, "-I", "-c", source], capture_output=True, text=True, errors="replace", timeout=_TRIAL_S,

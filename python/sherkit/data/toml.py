@@ -290,11 +290,16 @@ class Table:
             raise self.fail(key, "a list of numbers")
         return tuple(float(v) for v in value)
 
-    def number(self, key: str, default: float | None = None, *, positive: bool = False) -> float:
-        """A finite number."""
-        kind = "a positive number" if positive else "a number"
-        value = self._get(key, kind, default, _POSITIVE if positive else _NUMBER, 1.0)
-        if not _is_number(value) or (positive and value <= 0):
+    def number(
+        self, key: str, default: float | None = None, *, positive: bool = False, least: float | None = None
+    ) -> float:
+        """A finite number, at least ``least``."""
+        kind = ("a positive number" if positive else "a number") + (
+            f", at least {least:g}" if least is not None else ""
+        )
+        schema = (_POSITIVE if positive else _NUMBER) | ({} if least is None else {"minimum": least})
+        value = self._get(key, kind, default, schema, 1.0)
+        if not _is_number(value) or (positive and value <= 0) or (least is not None and value < least):
             raise self.fail(key, kind)
         return float(value)
 

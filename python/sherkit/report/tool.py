@@ -15,14 +15,25 @@ from ..data.files import write_whole
 from ..diagnosis import Diagnosis
 from .estimate import EstimateOverTime, estimate_picture
 from .notebook import pictures_of
+from .policy import fresh_nonce, numbered, policy
+
+#: Bokeh's own page with a policy.
+_PAGE = """
+{% block preamble %}<meta http-equiv="Content-Security-Policy" content="{{ policy }}">{% endblock %}
+{% block js_resources %}{{ numbered(bokeh_js, nonce) | safe }}{% endblock %}
+{% block inner_body %}
+{{ self.contents() }}
+{{ numbered(plot_script, nonce) | safe }}
+{% endblock %}
+"""
 
 
 def write_tool_report(
     path: str | Path, title: str, found: Diagnosis, estimate: EstimateOverTime, said: Sequence[str] = (), *,
     command: str = "",
 ) -> None:  # fmt: skip
-    """Writes it; it opens without a network. ``said`` are sentences that a command adds. Raises ``OSError`` where the
-    file cannot be written."""
+    """Writes it; it opens without a network. ``said`` are sentences that a command adds. Raises
+    :class:`~sherkit.errors.NotWritten`."""
     lines = [
         f"<h1>{escape(title)}</h1>",
         f"<p><b>{escape(found.headline)}</b></p>",
@@ -36,4 +47,6 @@ def write_tool_report(
     pictures = [estimate_picture(estimate), *pictures_of(found)]
     page = column(Div(text="".join(lines), sizing_mode="stretch_width"), *(p.root for p in pictures),
                   sizing_mode="stretch_width")  # fmt: skip
-    write_whole(Path(path), file_html(page, INLINE, title))
+    nonce = fresh_nonce()
+    known = {"nonce": nonce, "policy": policy(nonce), "numbered": numbered}
+    write_whole(path, file_html(page, INLINE, title, template=_PAGE, template_variables=known))

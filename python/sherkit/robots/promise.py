@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import polars as pl
@@ -21,7 +22,7 @@ class Promise:
 
     ``radius_mm`` holds for effects that the poses of the run can show; ``addition_mm`` is what effects of the catalogue
     at plausible size could do there besides, unseen between the poses; ``effect`` is the one that does most of it and
-    ``advice`` the measurement that would narrow it, both empty where there is none.
+    ``advice`` the measurement that would narrow it, both empty where there is none. NaN for a place out of reach.
     """
 
     radius_mm: float
@@ -40,6 +41,8 @@ class Promise:
         return self.addition_mm > _MATTERS * self.radius_mm
 
     def __str__(self) -> str:
+        if math.isnan(self.radius_mm):
+            return "out of reach"
         within, shown = f"within {1e3 * self.total_mm:.1f} µm in 95 of 100 cases", f"{1e3 * self.radius_mm:.1f} µm"
         if not self.effect:
             return f"{within}; the poses leave no room for an effect between them"

@@ -254,6 +254,40 @@ fn late_readings_belong_where_they_were_taken() {
     );
 }
 
+/// Catches one wild stamp after which the filter takes every reading for a late one, and goes on without sensing.
+#[test]
+fn a_wild_stamp_costs_no_reading_after_it() {
+    let t = trusted(Bending::Exact);
+    let pose = Rigid {
+        rotation: Matrix3::identity(),
+        translation: Vector3::new(0.0, 0.0, 8.0),
+    };
+    let mut filter = ToolFilter::new(&t, 8.0, 1.0, &pose, 0.0).unwrap();
+    let w = wavelengths(&t, &Vector2::new(90.0, 0.0), 8.0, 0.0);
+    assert!(
+        filter
+            .step(0.005, &pose, Some((1e9, &w)))
+            .has(Status::UPDATED)
+    );
+    let w = wavelengths(&t, &Vector2::new(90.1, 0.0), 8.0, 0.0);
+    assert!(
+        filter
+            .step(0.010, &pose, Some((0.010, &w)))
+            .has(Status::UPDATED)
+    );
+    // of a clock that is a little ahead one stamp is used once
+    assert!(
+        filter
+            .step(0.015, &pose, Some((0.115, &w)))
+            .has(Status::UPDATED)
+    );
+    assert!(
+        filter
+            .step(0.020, &pose, Some((0.115, &w)))
+            .has(Status::LATE)
+    );
+}
+
 /// Catches a fault that goes unseen, takes its neighbours along, or is held against a grating for good.
 #[test]
 fn one_grating_that_lies_is_left_out() {

@@ -29,7 +29,13 @@ class RunLock:
             raise ExperimentError(f"{self.path}: cannot be written: {error.strerror}") from None
         try:
             _take(self._file)
-        except OSError:
+        except OSError as error:
+            if not isinstance(error, BlockingIOError | PermissionError):
+                os.close(self._file)
+                self._file = -1
+                raise ExperimentError(
+                    f"{self.path}: cannot be locked: {error.strerror}; put the run file on a disk of this computer"
+                ) from None
             who = os.read(self._file, 64).decode("ascii", "replace").strip()
             os.close(self._file)
             self._file = -1

@@ -13,7 +13,9 @@ import platform
 import sqlite3
 import time
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from functools import wraps
 from pathlib import Path
 from typing import Any, Self, TypeVar, cast
@@ -115,14 +117,18 @@ class RunFile:
             raise ExperimentError(f"{path}: exists; go on with --resume, or give the run another name")
         made._take_lock()
         values = {"format": str(_FORMAT), "created_s": repr(now_s()), "plan": plan.to_json(), **about}
-        with made._db:
-            # one transaction: the file holds a whole run, or none
-            made._db.execute("BEGIN IMMEDIATE")
-            for statement in _TABLES.split(";\n"):
-                if statement.strip():
-                    made._db.execute(statement)
-            made._db.executemany("INSERT INTO run VALUES (?, ?)", values.items())
-            made._db.execute(f"PRAGMA application_id = {_APPLICATION}")
+        try:
+            with made._writing():
+                # one transaction: the file holds a whole run, or none
+                made._db.execute("BEGIN IMMEDIATE")
+                for statement in _TABLES.split(";\n"):
+                    if statement.strip():
+                        made._db.execute(statement)
+                made._db.executemany("INSERT INTO run VALUES (?, ?)", values.items())
+                made._db.execute(f"PRAGMA application_id = {_APPLICATION}")
+        except BaseException:
+            made.close()
+            raise
         return made
 
     @classmethod
@@ -246,6 +252,15 @@ class RunFile:
 
     # --- writing
 
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """A transaction; what hinders it (no space, no right) as a sentence."""
+        try:
+            with self._db:
+                yield
+        except sqlite3.Error as error:
+            raise ExperimentError(f"{self.path}: cannot be written: {error}") from None
+
     def begin(self, instruments: Mapping[str, Mapping[str, Any]]) -> int:
         """A new session: the program was started. ``instruments`` are kind, identity, port and settings by name.
 
@@ -262,7 +277,7 @@ class RunFile:
             "sqlite": sqlite3.sqlite_version,
             "system": platform.platform(),
         }
-        with self._db:
+        with self._writing():
             self._db.execute("BEGIN IMMEDIATE")
             cursor = self._db.execute(
                 "INSERT INTO session (began_s, versions) VALUES (?, ?)", (now_s(), json.dumps(versions))
@@ -279,6 +294,7 @@ class RunFile:
             self._say_clock(-self._later_s, "since the last row was taken", "right after that row")
         return self.session
 
+    @_reads
     def _identities(self) -> dict[str, dict[str, str]]:
         """Kind and identity of the instruments of the last session."""
         found = self._db.execute(
@@ -294,7 +310,7 @@ class RunFile:
 
     def end(self, why: str) -> None:
         """The session's end, and what brought it about."""
-        with self._db:
+        with self._writing():
             self._db.execute(
                 "UPDATE session SET ended_s = ?, why = ? WHERE session = ?", (self._now_s(), why, self.session)
             )
@@ -304,17 +320,24 @@ class RunFile:
 
     def note(self, what: str, step: int | None = None) -> None:
         """A line of the diary: a pause, an error."""
-        with self._db:
+        with self._writing():
             self._db.execute("INSERT INTO diary VALUES (?, ?, ?, ?)", (self._now_s(), self.session, step, what))
 
-    def store(self, step: int, point: Point) -> None:
+    def dated(self, point: Point) -> Point:
+        """The point by the time of the run, which goes on where the clock of this computer was set back."""
+        return replace(point, time_s=point.time_s + self._later_s)
+
+    def store(self, step: int, point: Point) -> Point:
         """Stores a step's point, whole: it is on the disk when this returns. A row in doubt of that step is kept aside.
+
+        Returns the point as it is stored (:meth:`dated`).
 
         Raises :class:`~sherkit.errors.ExperimentError` where the step is stored already.
         """
         if abs(by_s := wall_ahead_s() - self._wall_ahead_s) > _CLOCK_SET_S:
             self._wall_ahead_s += by_s
             self._say_clock(by_s, "during the run", "by a clock that is not set")
+        point = self.dated(point)
         # SQLite has no NaN; an empty cell is NULL
         rows = [
             (step, place, name, None if value != value else float(value))
@@ -326,22 +349,23 @@ class RunFile:
                 self._set_aside(step)
                 self._db.execute(
                     "INSERT INTO point VALUES (?, ?, ?, ?, ?, ?)",
-                    (step, self.session, point.pose, point.repeat, point.time_s + self._later_s, time.time()),
+                    (step, self.session, point.pose, point.repeat, point.time_s, time.time()),
                 )
                 self._db.executemany("INSERT INTO reading VALUES (?, ?, ?, ?)", rows)
         except sqlite3.IntegrityError as error:
             raise ExperimentError(f"{self.path}: step {step} is stored already ({error})") from None
         except sqlite3.Error as error:
             raise ExperimentError(f"{self.path}: step {step} could not be stored: {error}") from None
+        return point
 
     def doubt(self, steps: Iterable[int], instrument: str, why: str) -> None:
         """Marks the rows of these steps as in doubt: they are kept, exported as outliers, and taken again."""
-        with self._db:
+        with self._writing():
             self._db.executemany("INSERT OR REPLACE INTO doubt VALUES (?, ?, ?)", [(s, instrument, why) for s in steps])
 
     def accept(self) -> int:
         """Takes all marks away, since a person says that the rows are right; returns how many."""
-        with self._db:
+        with self._writing():
             count = self._db.execute("DELETE FROM doubt").rowcount
         if count:
             self.note(f"{count} rows in doubt were accepted")
@@ -385,7 +409,7 @@ class RunFile:
 
     @reference.setter
     def reference(self, mark: int | None) -> None:
-        with self._db:
+        with self._writing():
             self._db.execute("INSERT OR REPLACE INTO run VALUES ('reference', ?)", ("" if mark is None else str(mark),))
 
     @_reads

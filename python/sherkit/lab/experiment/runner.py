@@ -105,7 +105,7 @@ def run(
     try:
         _prove(plan, bench, file, number, warm_up_s)
         watch.learn(file.points())
-        _look(bench, watch)
+        _look(bench, file, watch)
         _warm_up(plan, bench, warm_up_s, control)
         why = _take(plan, bench, file, missing, control, attempts, report, watch)
     except BaseException as error:
@@ -142,7 +142,7 @@ def _take(
             return "ended"
         began = time.monotonic()
         point = _with_directions(_measured(plan, bench, file, number, number == last + 1, attempts), plan, number)
-        file.store(number, point)
+        point = file.store(number, point)
         last = number
         if (doubt := watch.take(number, point)) is not None:
             file.doubt(doubt.steps, doubt.instrument, doubt.why)
@@ -193,14 +193,14 @@ def _prove(plan: Plan, bench: Bench, file: RunFile, number: int, warm_up_s: floa
     file.reference = mark
 
 
-def _look(bench: Bench, watch: Watch) -> None:
+def _look(bench: Bench, file: RunFile, watch: Watch) -> None:
     """Before anything moves: whether the sensors, where they see the robot, see it where the joints say."""
     try:
         seen = bench.look()
     except (OutOfRange, Garbled):
         # nothing is to be seen from here, or it still swings; each step will tell
         return
-    if (doubt := watch.judge(seen)) is not None:
+    if (doubt := watch.judge(file.dated(seen))) is not None:
         raise _implausible(bench, doubt, "; nothing was moved. Look at the instrument, or run 'sherkit home'")
 
 

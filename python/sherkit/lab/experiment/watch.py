@@ -21,6 +21,7 @@ from ...data import Measurements
 from ...data.columns import TIME
 from ...errors import SherkitError, SherkitWarning
 from ...model.chain import ChainModel
+from ...model.effect import Effect
 from ...model.kinds import Robot, kind_of, model_of
 from ...names import listed
 from ...types import Floats
@@ -288,13 +289,13 @@ class Watch:
         self._linearised = len(self._points)
 
 
-def _stepping(plain: ChainModel, effects: Sequence[object]) -> list[tuple[ChainModel, Floats]]:
+def _stepping(plain: ChainModel, effects: Sequence[Effect]) -> list[tuple[ChainModel, Floats]]:
     """Each effect that begins at some moment, as a model in which it has begun, and its plausible sizes: where one may
     begin at any row, every row may be that much elsewhere."""
     out = []
     for effect in effects:
-        made = plain.with_effect(effect, at=-1.0)  # type: ignore[arg-type]
-        own = made.owns(effect)  # type: ignore[arg-type]
+        made = plain.with_effect(effect, at=-1.0)
+        own = made.owns(effect)
         sizes = np.zeros(len(made.parameters))
         sizes[own] = [p.size for p in made.parameters[own]]
         out.append((made, sizes))

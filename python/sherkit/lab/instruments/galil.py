@@ -85,7 +85,8 @@ class Galil(GalilReference):
             raise InstrumentError(f"{self.name}: its axes are {listed(letters) or 'none'}; expected each letter once")
         if len({a.unit for a in axes}) != 1:
             raise InstrumentError(f"{self.name}: its axes have different units; give those a controller of their own")
-        for what, value in (("speed", speed), ("acceleration", acceleration), ("home_speed", home_speed or speed)):
+        self.home_speed = 0.2 * speed if home_speed is None else home_speed
+        for what, value in (("speed", speed), ("acceleration", acceleration), ("home_speed", self.home_speed)):
             if not (math.isfinite(value) and value > 0):
                 raise InstrumentError(f"{self.name}: {what} is {value}; expected a number above zero")
         self.axes = tuple(sorted(axes, key=lambda a: a.letter))
@@ -107,7 +108,6 @@ class Galil(GalilReference):
                     f"a place within its limits {axis.limits[0]:g} to {axis.limits[1]:g}"
                 )
         self.home_at = None if home_at is None else tuple(float(q) for q in home_at)
-        self.home_speed = 0.2 * speed if home_speed is None else home_speed
         self.left_at = {}
         self._prepared = False
         self._moving: set[str] = set()

@@ -1,13 +1,14 @@
 """Depth and tip over a recorded run: by kinematics, by the gratings alone, filtered, filtered together, smoothed.
 
-Everything runs in the core; what a loop does step by step (:class:`sherkit._core.TipFilter` and the others) gives the
-same numbers to the last bit.
+Everything runs in the core; what a loop does step by step (:class:`sherkit._core.ToolFilter`) gives the same numbers to
+the last bit.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -227,9 +228,12 @@ def smoothed(tool: FlexibleTool, run: ToolRun, stamps_s: Floats, reading: Bools)
 
     The filter runs forwards and, over the run turned round, backwards; both depths are weighted so that the variance is
     least, where what both owe to the calibration is one error (Fraser and Potter 1969; Schmidt 1966 for the latter).
+    At a row the one knows the readings up to its time and the other those after it: none counts twice.
     """
-    ahead = _ordered(run.time_s, run.poses, stamps_s, run.wavelengths_nm, reading)
-    back = _ordered(-run.time_s[::-1], run.poses[::-1], -stamps_s[::-1], run.wavelengths_nm[::-1], reading[::-1])
+    ahead = _ordered(run.time_s, run.poses, stamps_s, run.wavelengths_nm, reading, "left")
+    back = _ordered(
+        -run.time_s[::-1], run.poses[::-1], -stamps_s[::-1], run.wavelengths_nm[::-1], reading[::-1], "right"
+    )
     first = tool.tracker(float(ahead[0][0]), ahead[1][0]).run(*ahead)
     end = float(first["state"][-1, 0])
     turned = tool.tracker(float(back[0][0]), back[1][0], depth_mm=end, std_mm=_UNKNOWN_MM).run(*back)
@@ -250,12 +254,12 @@ def smoothed(tool: FlexibleTool, run: ToolRun, stamps_s: Floats, reading: Bools)
 
 
 def _ordered(
-    times_s: Floats, poses: Floats, stamps_s: Floats, waves: Floats, reading: Bools
+    times_s: Floats, poses: Floats, stamps_s: Floats, waves: Floats, reading: Bools, side: Literal["left", "right"]
 ) -> tuple[Floats, Floats, Floats, Floats, Bools]:
-    """The run with each reading at the first row not before its stamp."""
+    """The run with each reading at the first row not before its stamp (``left``), or after it (``right``)."""
     rows = np.flatnonzero(reading)
     rows = rows[np.argsort(stamps_s[rows], kind="stable")]
-    place = np.searchsorted(times_s, stamps_s[rows])
+    place = np.searchsorted(times_s, stamps_s[rows], side=side)
     inside = (place < len(times_s)) & (stamps_s[rows] >= times_s[0])
     rows, place = rows[inside], place[inside]
     at, taken, there = times_s.copy(), np.full_like(waves, np.nan), np.zeros(len(times_s), dtype=bool)

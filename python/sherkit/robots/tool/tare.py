@@ -44,8 +44,8 @@ def tare(tool: FlexibleTool, run: ToolRun, *, untouched: bool = False) -> Tare:
     shift = run.wavelengths_nm[rows] - np.array(tool.reference_nm)
     sections = shift.reshape(-1, 3, 3)
     own = (sections - sections.mean(axis=2, keepdims=True)).reshape(-1, 9)
-    moved = np.nanmean(own, axis=0)
-    moved = np.where(np.isfinite(moved), moved, 0.0)
+    # a fibre that shows nothing leaves its section as it is
+    moved = np.nansum(own, axis=0) / np.isfinite(own).sum(axis=0).clip(1)
     made = replace(tool, reference_nm=tuple((np.array(tool.reference_nm) + moved).tolist()))
     if untouched:
         force, std = _forces(made, run)

@@ -71,10 +71,10 @@ class ToolDoubt:
         beam = table.numbers("beam", 4, (0.0,) * 4)
         return cls(
             gains=tuple(tuple(square(f"gain_{s}_{a}") for a in ("x", "y")) for s in ("I", "II")),
-            reference_nm=table.number("reference_nm", d.reference_nm),
-            warmth=table.number("warmth", d.warmth),
+            reference_nm=table.number("reference_nm", d.reference_nm, least=0.0),
+            warmth=table.number("warmth", d.warmth, least=0.0),
             beam=((beam[0], beam[1]), (beam[2], beam[3])),
-            distance_mm=table.number("distance_mm", d.distance_mm),
+            distance_mm=table.number("distance_mm", d.distance_mm, least=0.0),
         )
 
     def to_table(self) -> dict[str, Any]:
@@ -164,10 +164,13 @@ class FlexibleTool(Saved):
             values["noise"] = f.text("noise", NOISES, d.noise)
             values["per_second_mm2"] = f.numbers("per_second_mm2", 2, d.per_second_mm2)
             values["floor_mm2"] = f.numbers("floor_mm2", 2, d.floor_mm2)
+            for name in ("per_second_mm2", "floor_mm2"):
+                if min(values[name]) < 0:
+                    raise f.fail(name, "2 numbers, none below zero")
             values["start_depth_mm"] = f.number("start_depth_mm", d.start_depth_mm)
             values["start_std_mm"] = f.number("start_std_mm", d.start_std_mm, positive=True)
-            values["clearance_mm"] = f.number("clearance_mm", d.clearance_mm)
-            values["clearance_std_mm"] = f.number("clearance_std_mm", d.clearance_std_mm)
+            values["clearance_mm"] = f.number("clearance_mm", d.clearance_mm, least=0.0)
+            values["clearance_std_mm"] = f.number("clearance_std_mm", d.clearance_std_mm, least=0.0)
         with table.table("doubt", optional=True) as known:
             values["doubt"] = ToolDoubt.from_table(known)
         return cls(**values)

@@ -47,6 +47,8 @@ use unknowns::{CLEARANCE, Unknowns};
 const KEPT_EVERY: [u16; 2] = [16, 256];
 /// A force is not extrapolated further, s.
 const PACE_UP_TO_S: f64 = 2.0;
+/// A stamp further ahead of the present than this is a wild number and no clock, s.
+const AHEAD_S: f64 = 0.3;
 /// A step is no longer than this, s, and no robot stands further away, mm.
 const LONGEST_S: f64 = 1e6;
 const FARTHEST_MM: f64 = 1e6;
@@ -259,7 +261,12 @@ impl ToolFilter {
         let Some(pose) = self.poses.at(at) else {
             return Status::LATE;
         };
-        self.used_s = stamp_s;
+        // a single wild stamp must not make all that follow late
+        self.used_s = if stamp_s < now + AHEAD_S {
+            stamp_s
+        } else {
+            now
+        };
         let elapsed = at - self.state.time_s;
         let mut next = self.carried(&self.state, at, &pose);
         self.drift.pass(elapsed);
@@ -349,12 +356,6 @@ impl ToolFilter {
     #[must_use]
     pub fn look(&self) -> Look {
         self.look
-    }
-
-    /// Gratings that are held to be bad until they are in order for a while.
-    #[must_use]
-    pub fn bad(&self) -> Set {
-        self.bad
     }
 
     /// How often what happened.
