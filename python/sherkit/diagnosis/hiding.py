@@ -39,8 +39,7 @@ def hides_in(stage: Stage) -> dict[str, tuple[str, ...]]:
 def _columns(stage: Stage, candidate: Candidate) -> Floats:
     """Columns (n·m, k) of a candidate in the order of the rows, in plausible sizes where it has its own."""
     taken = stage.scan.take(candidate.columns)
-    rows = np.empty_like(taken).reshape(stage.scan.n, stage.scan.m, -1)
-    rows[np.argsort(stage.view.group, kind="stable")] = taken.reshape(rows.shape)
+    rows: Floats = stage.scan.in_time(taken.reshape(stage.scan.n, stage.scan.m, -1))
     scale = 1.0 if candidate.columns.functions else np.array([p.size for p in candidate.effect.parameters])
     return rows.reshape(taken.shape) * scale
 

@@ -134,7 +134,6 @@ class _Profile:
 
     def __init__(self, stage: Stage) -> None:
         self.stage = stage
-        self.order = np.argsort(stage.view.group, kind="stable")
         self.whole = rings(stage.view)
         grid = np.sort(frequencies(stage.view))
         self.span = max(float(np.ptp(v)) for v in stage.view.inputs.values())
@@ -143,7 +142,7 @@ class _Profile:
     def taken(self, frequency: float) -> float:
         """Sum of squares that it takes."""
         stage = self.stage
-        columns = stage.filtered(waves_of(stage.view, frequency))[self.order]
+        columns = stage.filtered(waves_of(stage.view, frequency))[stage.scan.order]
         flat = columns.reshape(stage.scan.n * stage.scan.m, -1)
         for basis in (stage.scan.basis, stage.plain.added):
             flat = flat - basis @ (basis.T @ flat)

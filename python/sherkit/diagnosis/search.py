@@ -200,7 +200,6 @@ class Search:
         spacing = 1.0 / (OVERSAMPLING * float(np.ptp(values)))
         pattern = stage.view.patterns[shape.pattern] if shape.pattern else None
         axes = range(stage.scan.m) if shape.axis is None else (shape.axis,)
-        order = np.argsort(stage.view.group, kind="stable")
 
         def taken(frequency: float) -> float:
             columns = []
@@ -211,7 +210,9 @@ class Search:
                     centred = (w - w.mean())[:, None]
                     for a in axes:
                         columns.append(np.where(np.arange(stage.scan.m) == a, centred, 0.0))
-            stacked = stage.filtered(np.stack(columns, axis=2))[order].reshape(stage.scan.n * stage.scan.m, -1)
+            stacked = stage.filtered(np.stack(columns, axis=2))[stage.scan.order].reshape(
+                stage.scan.n * stage.scan.m, -1
+            )
             given = stage.scan.condition(np.concatenate([stage.nuisance_columns, stacked], axis=1))
             return -given.sum_of_squares
 
