@@ -7,12 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
 import sherkit as sk
 import worlds
 from sherkit.diagnosis.fitted_run import FittedRun
 from sherkit.diagnosis.waves import frequencies
+from strategies import EXAMPLE
 from worlds import NOISE_UM, World, settings_without
 
 NO_PITCH = settings_without("pole_pitch_mm")
@@ -149,3 +151,21 @@ def test_a_ring_of_unknown_period_is_refused_or_searched() -> None:
     assert 2 * np.pi / study.model.period_rad == pytest.approx(24, rel=1e-12)
     made = study.calibration()
     assert made.whole.settings["period_rad"] == study.model.period_rad
+
+
+@pytest.mark.parametrize("pitch_mm", [1.0, 2.0, 5.0])
+def test_no_ripple_of_metres_where_joints_stand_at_its_multiples(pitch_mm: float) -> None:
+    """Catches a period chosen beside the one that these poses cannot see, where an amplitude of metres does what a
+    slow error does; and a calibration that deploys what is not plausible in silence."""
+    robot = replace(EXAMPLE, pole_pitch_mm=pitch_mm)
+    joints = pitch_mm * np.round(robot.inverse_batch(worlds.GRID)[0] / pitch_mm)
+    slow_mm = 0.2 * np.sin(joints / 37.0)
+    noise_mm = 0.005 * np.random.default_rng(3).normal(size=joints.shape)
+    rows = np.column_stack([joints, robot.forward_batch(joints)[0] + slow_mm + noise_mm])
+    data = sk.from_frame(pl.DataFrame(rows, schema=["q1_mm", "q2_mm", "q3_mm", "x_mm", "y_mm", "z_mm"]))
+    with pytest.warns(sk.SherkitWarning, match=r"encoder_cyclic.*where 0\.005 is usual"):
+        found = sk.calibrate(robot, data, effects=["encoder_cyclic"], correction="none")
+    fit = found.whole.fit
+    ripple = [abs(v) for v, p in zip(fit.values, fit.parameters, strict=True) if "encoder_cyclic" in p.name]
+    assert fit.converged
+    assert max(ripple) < 1.0

@@ -11,6 +11,7 @@ import numpy as np
 from .data import Measurements
 from .data.given import RunLike
 from .diagnosis.setting import setting_for
+from .diagnosis.sizes import refuse_absurd
 from .errors import EffectError, FitError
 from .fit.hold_out import hold_out
 from .fit.identify import identify
@@ -91,6 +92,7 @@ def calibrate(
             at = setting_for(identify(model, data), effect) if effect.search else None
             model = model.with_effect(effect, at=at)
         fit = identify(model, data, loss=loss, priors=priors, linear=linear)
+        refuse_absurd(fit, [effect.name for effect in added])
         step(f"holding out blocks of the {name} run")
         held = hold_out(fit.model, data, seed=seed, loss=loss).residuals
         corrected = None

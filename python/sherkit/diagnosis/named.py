@@ -13,8 +13,9 @@ from ..types import Floats, Ints
 from .answers import StepReport
 from .earned import Earned, earned, held_out_rms
 from .fitted_run import FittedRun
-from .search import ABSURD, Search, SearchResult, refit, sizes_of
+from .search import Search, SearchResult, refit
 from .setting import on_all_rows
+from .sizes import ABSURD, sizes_of
 from .stage import Candidate
 
 #: Other periods that compete with the one that was found.

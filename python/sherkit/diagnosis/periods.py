@@ -25,6 +25,8 @@ _CLEARLY = 10.0
 _NEAR_PEAK = 0.6
 #: Aliases that are named.
 _MOST_ALIASES = 6
+#: Part of a wave's sum of squares that the fitted parameters must leave for it to be seen.
+_SEEN = 0.01
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,11 @@ def _peaks(gains: Floats, least: float) -> Ints:
 
 
 class _Profile:
-    """What a wave on all inputs takes of a stage's residual, given what is fitted, at any frequency."""
+    """What a wave on all inputs takes of a stage's residual, given what is fitted, at any frequency.
+
+    Beside a frequency at which these poses cannot see a wave (joints that stand at its multiples), one of metres takes
+    what a straight line would. What the fitted parameters leave of a wave but for so little does not count as one.
+    """
 
     def __init__(self, stage: Stage) -> None:
         self.stage = stage
@@ -144,11 +150,15 @@ class _Profile:
         stage = self.stage
         columns = stage.filtered(waves_of(stage.view, frequency))[stage.scan.order]
         flat = columns.reshape(stage.scan.n * stage.scan.m, -1)
+        # sine and cosine of an input share a scale: where it stands at multiples of a period, there is no sine
+        pairs = (flat**2).sum(axis=0).reshape(-1, 2).mean(axis=1)
+        flat = flat / np.sqrt(np.maximum(np.repeat(pairs, 2), np.finfo(float).tiny))
         for basis in (stage.scan.basis, stage.plain.added):
             flat = flat - basis @ (basis.T @ flat)
-        along = flat.T @ stage.plain.residual
-        solved = np.linalg.lstsq(flat.T @ flat, along, rcond=1e-8)[0]
-        return float(along @ solved)
+        left, directions = np.linalg.eigh(flat.T @ flat)
+        seen = left > _SEEN
+        along = (directions[:, seen].T @ (flat.T @ stage.plain.residual)) / np.sqrt(left[seen])
+        return float(along @ along)
 
     def peak(self, near: float) -> tuple[float, float]:
         """The frequency at which it takes most, and how much, about one of the grid."""

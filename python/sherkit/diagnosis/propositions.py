@@ -15,7 +15,7 @@ from .fitted_run import FittedRun
 from .lack_of_fit import LackOfFit
 from .named import Named
 from .one_unknown import OneUnknown
-from .search import ABSURD, PLAUSIBLE, sizes_of
+from .sizes import ABSURD, largest, sizes_of
 
 #: Held-out error over noise up to which what is left is as small as the noise.
 PRAISE = 1.25
@@ -118,24 +118,6 @@ def _plausible(final: FittedRun, used: str) -> Claim:
         "plausible", tested, used, f"the largest is {told}", holds=bool(sizes[worst] <= ABSURD),
         fails=f"{told}: that is absurd",
     )  # fmt: skip
-
-
-def largest(run: FittedRun, k: int) -> str:
-    """A parameter by its number, beside what is usual."""
-    p = run.fit.parameters[k]
-    value = f"{p.name} = {run.fit.values[k]:.3g} ± {run.fit.std_from_readings[k]:.1g} {p.unit}".rstrip()
-    return f"{value} where {p.size:.3g} is usual"
-
-
-def implausible(final: FittedRun, names: Sequence[str]) -> str | None:
-    """The named effect whose size is far beyond what is plausible, as a sentence; None where there is none."""
-    sizes = sizes_of(final)
-    for effect in final.model.effects:
-        place = final.owns(effect)
-        if effect.name in names and sizes[place].max() > PLAUSIBLE:
-            k = place.start + int(np.argmax(sizes[place]))
-            return f"{largest(final, k)}: look for another cause, or for why it is so large"
-    return None
 
 
 def _gross(final: FittedRun, wild: Ints) -> Claim:

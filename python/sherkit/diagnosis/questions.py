@@ -28,10 +28,11 @@ from .next_poses import Proposal
 from .one_unknown import OneUnknown, one_unknown
 from .outliers import sentences, without_outliers
 from .power import smallest_found
-from .propositions import claims_of, implausible
+from .propositions import claims_of
 from .search import SearchResult, is_plausible
 from .setting import periods_shown
 from .shapes import Shape
+from .sizes import implausible
 from .stage import Candidate, Stage, columns_of, stage_of
 from .where import neighbour_correlation, where
 

@@ -23,11 +23,10 @@ from .fitted_run import FittedRun
 from .periods import period_of
 from .scan import FLIPS, ConditionalScan
 from .shapes import Shape, wave
+from .sizes import PLAUSIBLE, sizes_of
 from .stage import Candidate, Stage, columns_of, stage_of
 from .waves import OVERSAMPLING, Waves
 
-#: Plausible sizes up to which a parameter is plausible, and those from which on it is absurd and nothing is believed.
-PLAUSIBLE, ABSURD = 5.0, 500.0
 #: A set that explains must take at least this part of what the best candidate takes.
 _TAKES = 0.85
 #: Deviates beyond which no flip is needed to know that something is left.
@@ -368,10 +367,3 @@ def plausible(explanation: Explanation) -> bool:
 def is_plausible(run: FittedRun, effect: Effect) -> bool:
     """Whether no parameter of an effect is far beyond its plausible size."""
     return bool((sizes_of(run)[run.owns(effect)] <= PLAUSIBLE).all())
-
-
-def sizes_of(run: FittedRun) -> Floats:
-    """How many plausible sizes each parameter (p,) is at least, give or take two deviations."""
-    fit = run.fit
-    size = np.array([p.size for p in fit.parameters])
-    return np.maximum(np.abs(fit.values) - 2 * fit.std_from_readings, 0.0) / size

@@ -1,0 +1,56 @@
+"""How large fitted parameters are beside what is plausible."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..errors import FitError, SherkitWarning
+from ..fit.identify import Fit
+from ..types import Floats
+from .fitted_run import FittedRun
+
+#: Plausible sizes up to which a parameter is plausible, and those from which on it is absurd and nothing is believed.
+PLAUSIBLE, ABSURD = 5.0, 500.0
+
+
+def sizes_of(run: FittedRun) -> Floats:
+    """How many plausible sizes each parameter (p,) is at least, give or take two deviations."""
+    fit = run.fit
+    size = np.array([p.size for p in fit.parameters])
+    return np.maximum(np.abs(fit.values) - 2 * fit.std_from_readings, 0.0) / size
+
+
+def largest(run: FittedRun, k: int) -> str:
+    """A parameter by its number, beside what is usual."""
+    p = run.fit.parameters[k]
+    value = f"{p.name} = {run.fit.values[k]:.3g} ± {run.fit.std_from_readings[k]:.1g} {p.unit}".rstrip()
+    return f"{value} where {p.size:.3g} is usual"
+
+
+def refuse_absurd(fit: Fit, names: Sequence[str]) -> None:
+    """Refuses a fit in which one of the named effects is absurdly large, and warns where it is not plausible.
+
+    Raises :class:`~sherkit.errors.FitError`.
+    """
+    run = FittedRun(fit)
+    told = implausible(run, names)
+    if told is None:
+        return
+    sizes = sizes_of(run)
+    if any(sizes[run.owns(e)].max() > ABSURD for e in fit.model.effects if e.name in names):
+        raise FitError(f"{fit.data.source}: {told}; nothing that such a fit says can be believed")
+    warnings.warn(f"{fit.data.source}: {told}", SherkitWarning, stacklevel=3)
+
+
+def implausible(final: FittedRun, names: Sequence[str]) -> str | None:
+    """The named effect whose size is far beyond what is plausible, as a sentence; None where there is none."""
+    sizes = sizes_of(final)
+    for effect in final.model.effects:
+        place = final.owns(effect)
+        if effect.name in names and sizes[place].max() > PLAUSIBLE:
+            k = place.start + int(np.argmax(sizes[place]))
+            return f"{largest(final, k)}: look for another cause, or for why it is so large"
+    return None
