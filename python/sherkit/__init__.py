@@ -21,12 +21,14 @@ from .model.robot_file import load_robot, save_robot
 from .notebook import Shown as _Shown
 from .robots import delta, spherical, tool
 from .robots.files import load_calibration
+from .robots.machine import Machine
 from .study import Study
 
 __all__ = [
-    "Effect", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__", "calibrate", "data", "delta",
-    "diagnose", "diagnosis", "effect", "errors", "fit", "from_frame", "identify", "lab", "load_calibration",
-    "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "spherical", "tool",
+    "Effect", "Machine", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__", "calibrate",
+    "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "from_frame", "identify", "lab",
+    "load_calibration", "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "spherical",
+    "tool",
 ]  # fmt: skip
 
 

@@ -28,9 +28,10 @@ from ..diagnosis import Diagnosis
 from ..errors import EffectError, MeasurementError, SherkitError, SherkitWarning
 from ..model.effect import Effect
 from ..model.effect_file import load_effects
-from ..model.robot_file import columns_of, load_robot
+from ..model.robot_file import columns_of
 from ..names import listed
 from ..report.residuals import Residuals, residuals_of
+from ..robots.machine.file import is_machine, robot_at
 from ..study import Study, StudyStep
 from .folder import SOURCES, TYPED, begun_from, hold, require_effects, require_same
 from .growing import read_as, read_so_far
@@ -117,15 +118,14 @@ class Workbench:
         folder holds a study of other files or one that needs effects which are not given, and where another page has it
         open.
         """
-        columns = columns_of(robot)
+        nominal, _ = robot_at(robot)
+        columns = {} if is_machine(robot) else columns_of(robot)
         own = [e for path in files for e in load_effects(path)]
         again: list[Effect] = []
         sources = [robot, run, *files]
         if folder.exists() and not folder.is_dir():
             raise SherkitError(f"{folder}: is a file, expected the folder of a study; give --study with another name")
         if (folder / "study.json").exists() and not fresh:
-            # names what is wrong with the files before what is wrong between them and the folder
-            load_robot(robot)
             data = read_so_far(run, columns) if follow else read_measurements(run, columns=columns)
             require_same(folder, robot, run, follow=follow)
             held = hold(folder)
@@ -144,7 +144,7 @@ class Workbench:
                 ) from error
         else:
             data = read_so_far(run, columns) if follow else read_measurements(run, columns=columns)
-            study = Study(load_robot(robot), data, effects=own)
+            study = Study(nominal, data, effects=own)
             held = hold(folder)
             try:
                 write_whole(folder / SOURCES, json.dumps(begun_from(robot, run, follow=follow)))

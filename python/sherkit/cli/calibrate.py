@@ -18,7 +18,8 @@ from ..fit.robust import LOSSES
 from ..model.effect import effects_by_name
 from ..model.effect_file import load_effects
 from ..model.kinds import catalogue_of
-from ..model.robot_file import load_robot, run_for
+from ..model.robot_file import run_for
+from ..robots.machine.file import robot_at
 from ..study import Study
 from . import output, reporting, tables
 from .output import refuse_given
@@ -65,19 +66,22 @@ def calibrate(
     seed: int,
     report: Path | None,
 ) -> int:
-    """Identify ROBOT (TOML) from the measurements RUN (CSV or Parquet), or a flexible tool from known loads."""
+    """Identify ROBOT (TOML) from the measurements RUN (CSV or Parquet), or a flexible tool from known loads.
+
+    ROBOT may be the Python file of a machine, which is run.
+    """
     if is_tool(robot):
         refuse_given("robot", "run", "destination", why="is not for the known loads of a flexible tool")
         calibrate_tool(robot, run, destination)
         return 0
     if report is not None:
         reporting.require_view()
-    nominal = load_robot(robot)
+    nominal, for_runs = robot_at(robot)
     own = [e for path in files for e in load_effects(path)]
     with output.steps(7) as step:
         step(f"reading {run}")
-        data = _without(run_for(robot, run), exclude)
-        inner = run_for(robot, local) if local else None
+        data = _without(run_for(for_runs, run), exclude)
+        inner = run_for(for_runs, local) if local else None
         names = [name.strip() for name in free.split(",") if name.strip()]
         chosen = effects_by_name(catalogue_of(nominal), added, own)
         if without_outliers:

@@ -16,7 +16,8 @@ from ..fit.identify import identify
 from ..model.effect import effects_by_name
 from ..model.effect_file import load_effects
 from ..model.kinds import model_of
-from ..model.robot_file import load_robot, run_for
+from ..model.robot_file import run_for
+from ..robots.machine.file import robot_at
 from ..robots.tool.applied import applied
 from ..robots.tool.filters import estimate as estimate_tool
 from ..robots.tool.model import ToolModel
@@ -45,7 +46,10 @@ def diagnose(
     robot: Path, runs: tuple[Path, ...], as_json: bool, files: tuple[Path, ...], added: tuple[str, ...],
     written: Path | None, destination: Path | None, level: float, seed: int, report: Path | None,
 ) -> None:  # fmt: skip
-    """Say what ROBOT (TOML) is missing on the measurements RUN (CSV or Parquet), joined with MORE measured later."""
+    """Say what ROBOT (TOML) is missing on the measurements RUN (CSV or Parquet), joined with MORE measured later.
+
+    ROBOT may be the Python file of a machine, which is run.
+    """
     if report is not None:
         reporting.require_view()
     if is_tool(robot):
@@ -54,11 +58,11 @@ def diagnose(
         return
     if written is not None:
         raise SherkitError("--output: is for a flexible tool; sherkit calibrate --effect NAME -o writes a calibration")
-    nominal = load_robot(robot)
+    nominal, for_runs = robot_at(robot)
     own = tuple(effect for path in files for effect in load_effects(path))
     with output.steps(12) as step:
         step(f"reading {runs[0]}")
-        data = reduce(joined, (run_for(robot, run) for run in runs))
+        data = reduce(joined, (run_for(for_runs, run) for run in runs))
         step("identifying the model as it is")
         plain = model_of(nominal)
         fit = identify(replace(plain, effects=effects_by_name(plain.catalogue, added, own)), data)

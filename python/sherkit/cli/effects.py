@@ -10,8 +10,8 @@ from ..data.files import write_whole
 from ..errors import SherkitError
 from ..model.effect import Effect, effects_by_name
 from ..model.kinds import KINDS, Robot
-from ..model.robot_file import load_robot
 from ..report.signature import signature_map
+from ..robots.machine.file import robot_at
 from ..robots.tool.effects import TOOL_CATALOGUE
 from ..robots.tool.tool import KIND
 from . import output
@@ -27,10 +27,11 @@ _OF_TOOL = "the flexible tool and its camera"
 @click.option("--picture", type=click.Path(path_type=Path), help="Draw what the effect leaves on this robot (SVG).")
 def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
     """List the physical effects that can be found and added; with NAME, show one."""
-    catalogues = {name: kind.model.catalogue for name, kind in KINDS.items()} | {KIND: TOOL_CATALOGUE}
     nominal = None
     if robot is not None:
-        nominal = None if is_tool(robot) else load_robot(robot)
+        nominal = None if is_tool(robot) else robot_at(robot)[0]
+    catalogues = {name: kind.model.catalogue for name, kind in KINDS.items()} | {KIND: TOOL_CATALOGUE}
+    if robot is not None:
         kind = KIND if nominal is None else nominal.kind
         catalogues = {kind: catalogues[kind]}
     if name is None:

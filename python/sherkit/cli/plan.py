@@ -13,10 +13,10 @@ from ..data import Measurements
 from ..errors import SherkitError
 from ..lab.experiment import Experiment, load_experiment
 from ..model.kinds import Robot, kind_of, model_of
-from ..model.robot_file import load_robot
 from ..names import listed
 from ..planning.outlook import LEVEL, POWER, Outlook, Planning, planning_of
 from ..planning.power import Found, Sought, study_power
+from ..robots.machine.file import robot_at
 from . import output
 from .output import out, table
 
@@ -42,7 +42,7 @@ def plan(
     runs: int | None, keep: Path | None, workers: int | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Say what EXPERIMENT (TOML) could find on ROBOT (TOML), and how well it would know the parameters."""
-    nominal = load_robot(robot)
+    nominal, _ = robot_at(robot)
     noise = _noise(robot, nominal, {"µm": noise_um, "px": noise_px})
     chosen = load_experiment(experiment, robot=robot, offline=True)
     rows = rows_of(chosen)

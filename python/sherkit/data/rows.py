@@ -126,6 +126,15 @@ class Measurements:
         data._check()
         return data
 
+    def read_as(self, layout: c.Layout) -> Measurements:
+        """The same rows for a machine with these columns, where they have other ones in common with another kind of
+        robot; as they are where they lack some."""
+        frame = self.to_frame()
+        if layout == self.layout or not {*layout.joints, *layout.readings} <= set(frame.columns):
+            return self
+        values = {name: frame[name].to_numpy() for name in frame.columns}
+        return Measurements.from_columns(values, self.source, self.line, self.counted, layout)
+
     @classmethod
     def planned(cls, joints: Floats, layout: c.Layout, source: str = "plan", **columns: Floats) -> Measurements:
         """Rows at these joint readings (n, k) whose readings are still to come; they count as taken, and as zero.

@@ -239,14 +239,28 @@ def robot_from_tables(values: dict[str, object], where: str) -> Robot:
 
 
 def kind_of(robot: Robot) -> Kind:
-    """What the robot's kind brings. Raises :class:`~sherkit.errors.RobotError` for a kind that nobody made known."""
+    """What the robot's kind brings, or a machine of the user's by itself (``brings``).
+
+    Raises :class:`~sherkit.errors.RobotError` for a kind that nobody made known.
+    """
+    own = getattr(robot, "brings", None)
+    if isinstance(own, Kind):
+        return own
     if robot.kind not in KINDS:
         raise RobotError(f"{robot.kind} robots are not known; there are {listed(KINDS)}")
     return KINDS[robot.kind]
 
 
 def robot_from_table(table: Table) -> Robot:
-    """Reads a robot from a table that may stand in another file."""
+    """Reads a robot from a table that may stand in another file.
+
+    A machine of the user's is never made from a file, which would run code: it must be there.
+    """
+    if table.has("machine") and table.words("kind") not in KINDS:
+        raise table.refuse(
+            f"is of the machine '{table.words('kind')}', which is not known here: import the Python file that makes it "
+            "first (no file of data runs code)"
+        )
     robot: Robot = KINDS[table.text("kind", tuple(KINDS))].robot.from_table(table)
     return robot
 
@@ -269,7 +283,7 @@ def model_of(model: Robot | Model | ModelWithEffects, free: Sequence[str] = ()) 
         return replace(model, free=tuple(free))
     kind = getattr(model, "kind", None)
     if isinstance(kind, str) and kind in KINDS:
-        return KINDS[kind].model(model, tuple(free))
+        return kind_of(model).model(model, tuple(free))  # type: ignore[arg-type]
     if isinstance(model, Model):
         return model_of(Extended(model), free)
     raise FitError(

@@ -46,7 +46,9 @@ def run_for(robot: object, data: RunLike, columns: Columns | None = None) -> Mea
     """
     if columns is None and isinstance(robot, str | os.PathLike) and isinstance(data, str | os.PathLike):
         columns = columns_of(robot)
-    return run_of(data, columns)
+    run = run_of(data, columns)
+    own = getattr(robot, "brings", None)
+    return run if own is None else run.read_as(own.layout)
 
 
 def columns_of(path: str | os.PathLike[str]) -> Columns:

@@ -126,7 +126,7 @@ class Part:
             names.append(p.words("name"))
             values.append(p.number("value"))
             # they follow from covariance and model, and must agree with them
-            told.append((p.words("unit"), p.number("std")))
+            told.append((p.words("unit", empty=True), p.number("std")))
         settings = {}
         known = model_of(robot).settings()
         if known:

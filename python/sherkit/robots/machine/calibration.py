@@ -1,0 +1,161 @@
+"""A calibrated machine: what it shows for its joints, how to bring it to a reading, and how far off it may be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+
+from ...data.columns import bare, unit_in
+from ...data.toml import Table
+from ...errors import NotConverged, OutOfReach
+from ...model.chain import Block
+from ...types import Bools, Floats
+from ..accuracy import Planes
+from ..calibrated import Calibration
+from ..calibration_run import CalibrationRun
+from ..part import Part
+from .core import MachineCore
+from .described import Described
+from .inverse import settled, starts
+
+#: Effects of the instrument: where the machine goes, they are not.
+_OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "instrument_turned")
+
+
+@dataclass(frozen=True, eq=False)
+class MachineCalibrated:
+    """The model of a control loop: the chain at ``values``, within the ``box`` (k, 2) of its joints."""
+
+    chain: MachineCore
+    values: Floats
+    box: Floats
+
+    def block(self, joints: Floats, now: list[float]) -> Block:
+        """Rows that all have the covariates of this moment, at rest."""
+        known = np.concatenate([now, np.zeros(joints.shape[1])])
+        return joints, None, np.tile(known, (len(joints), 1)), None
+
+    def forward_batch(self, joints: Floats, now: list[float]) -> tuple[Floats, Floats, Bools]:
+        """Readings (n, m), their derivatives by the joints (n, m, k), and which rows could be computed."""
+        block = self.block(joints, now)
+        values, reached = self.chain.predict(self.values, block)
+        return values, self.chain.derivatives(self.values, block, [])[1], reached
+
+    def forward(self, joints: Floats, now: list[float]) -> tuple[Floats, Floats]:
+        """The same of one pose. Raises :class:`~sherkit.errors.OutOfReach`."""
+        values, by_joints, reached = self.forward_batch(joints[None, :], now)
+        if not reached[0]:
+            raise OutOfReach("the model's function gives no number for these joints", 0, float("nan"))
+        return values[0], by_joints[0]
+
+    def inverse(self, readings: Floats, now: list[float]) -> Floats:
+        """Joints for readings (m,). Raises :class:`~sherkit.errors.NotConverged`."""
+        joints, reached = self.inverse_batch(readings[None, :], now)
+        if not reached[0]:
+            raise NotConverged("the machine shows this nowhere within the ranges of its joints")
+        return joints[0]
+
+    def inverse_batch(self, readings: Floats, now: list[float]) -> tuple[Floats, Bools]:
+        """Joints of rows (n, m); those that cannot be reached are marked."""
+
+        def shown(joints: Floats) -> Floats:
+            return self.chain.predict(self.values, self.block(joints, now))[0]
+
+        def forward(joints: Floats) -> tuple[Floats, Floats]:
+            return self.forward_batch(joints, now)[:2]
+
+        return settled(forward, readings, starts(shown, readings, self.box), self.box)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MachineCalibration(Calibration):
+    """A calibrated machine. Its coordinates are its readings, without the errors of the instrument itself.
+
+    ``box`` (k, 2) is where its joints went, or may go.
+    """
+
+    called = ("readings", "readings")
+
+    robot: Described
+    whole: Part
+    box: tuple[tuple[float, ...], ...]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Its class is made again with the machine."""
+        return _again, (self.robot, self.whole, self.box)
+
+    @classmethod
+    def of(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> Self:
+        """From a run; there is no local one."""
+        del local
+        fit, held_out = whole.fit, whole.deployed(whole.held_out)
+        data, count = fit.data, len(fit.model.indices)
+        use = data.taken.all(axis=1) & ~data.outlier
+        went = data.joints[~data.outlier]
+        low, high = went.min(axis=0), went.max(axis=0)
+        if hasattr(fit.model.robot.joints, "keys"):  # ranges were given
+            low, high = np.minimum(low, fit.model.robot.box[:, 0]), np.maximum(high, fit.model.robot.box[:, 1])
+        left = held_out[use]
+        part = Part(
+            **Part.identified(fit),
+            covariance=(fit.covariance + fit.unobserved_covariance)[:count, :count],
+            residual_covariance=left.T @ left / max(int(use.sum()), 1),
+            low=np.zeros(len(cls.coordinates)),
+            high=np.zeros(len(cls.coordinates)),
+        )
+        made = cls(fit.model.robot, part, tuple(zip(low.tolist(), high.tolist(), strict=True)))
+        shown = made._rows(went)[0]
+        return replace(made, whole=replace(part, low=np.nanmin(shown, axis=0), high=np.nanmax(shown, axis=0)))
+
+    @cached_property
+    def core(self) -> MachineCalibrated:
+        """The model of the control loop."""
+        model = self.whole.model(self.robot)
+        names = [p.name.partition(".")[0] for p in model.core_parameters]
+        ours = np.array([name not in _OF_INSTRUMENT for name in names])
+        values = np.where(ours, model.full(self.whole.values), 0.0)
+        return MachineCalibrated(model.core, values, np.array(self.box))
+
+    def spread(self, coordinates: Floats, joints: Floats) -> Floats:
+        """Covariance (n, m, m), squared units of the readings."""
+        del coordinates
+        indices, block = self.whole.model(self.robot).indices, self.core.block(joints, self._now())
+        columns = self.core.chain.derivatives(self.core.values, block, indices)[0]
+        return columns @ self.whole.covariance @ columns.transpose(0, 2, 1) + self.whole.residual_covariance
+
+    def places(self) -> list[tuple[str, Floats]]:
+        """The middle of the run and what its joints' corners show."""
+        low, high = np.array(self.box).T
+        joints = np.stack([0.5 * (low + high), low, high])
+        shown = self._rows(joints)[0]
+        names = ("middle of its joints", "joints at their lower ends", "joints at their upper ends")
+        return [(name, place) for name, place in zip(names, shown, strict=True) if np.isfinite(place).all()]
+
+    def planes(self, per_side: int) -> Planes:
+        """Its first two readings over where the run went, the others as in the middle of the run."""
+        low, high = self.whole.low, self.whole.high
+        middle = 0.5 * (low + high)
+        names = [f"{bare(name)}, {unit_in(name)}" for name in self.coordinates]
+        x = np.linspace(low[0], high[0], per_side)
+        y = np.linspace(low[1], high[1], per_side) if len(low) > 1 else np.zeros(1)
+        grid = np.tile(middle, (len(x) * len(y), 1))
+        grid[:, 0] = np.tile(x, len(y))
+        if len(low) > 1:
+            grid[:, 1] = np.repeat(y, len(x))
+        inside = self.inverse_batch(grid).reached
+        return Planes(x, y, (names[0], names[1] if len(low) > 1 else ""), ("middle of the run",), grid, inside)
+
+    def _settings(self) -> dict[str, Any]:
+        return {"box": [list(one) for one in self.box]}
+
+    @classmethod
+    def _settings_from(cls, table: Table) -> dict[str, Any]:
+        return {"box": table.rows("box", 2)}
+
+
+def _again(robot: Any, whole: Part, box: tuple[tuple[float, ...], ...]) -> MachineCalibration:
+    made: MachineCalibration = robot.brings.calibration(robot, whole, box)
+    return made

@@ -1,0 +1,193 @@
+"""What is known of a machine that its owner describes: a function, columns with units and ranges, parameters."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...data.columns import TEMPERATURE, TIME, Layout, unit_in
+from ...data.toml import Table
+from ...errors import NotConverged, RobotError
+from ...model.batch import Batch, matrix, vector
+from ...model.parameter import Parameter
+from ...names import listed
+from ...saved import Saved
+from ...types import Floats
+from .core import not_in
+from .effects import Generic, generic_effects
+from .function import Derivative, Forward, UserFunction
+from .inverse import settled, starts
+
+#: Where joints range whose limits nobody gives, by unit: so far from zero on both sides.
+_RANGE = {"mm": 100.0, "um": 1e5, "m": 0.1, "rad": 1.0, "mrad": 1e3, "deg": 60.0}
+#: Units in which people read errors, and how many make one of the readings'.
+_SHOWN = {"mm": ("µm", 1e3), "m": ("µm", 1e6), "um": ("µm", 1.0), "rad": ("mrad", 1e3), "deg": ("mdeg", 1e3)}
+_RESERVED = (TIME, TEMPERATURE, "pose", "repeat", "outlier")
+
+#: Names, or names with the range over which a joint goes.
+Joints = Sequence[str] | Mapping[str, tuple[float, float]]
+#: Names with unit and plausible size.
+Parameters = Mapping[str, tuple[str, float]]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Described(Saved):
+    """A machine as a function of its joints and parameters, with their names; see :class:`sherkit.Machine`."""
+
+    function: Forward
+    joints: Joints
+    readings: Sequence[str]
+    parameters: Parameters
+    derivative: Derivative | None = None
+    name: str = ""
+    kind: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        if not callable(self.function):
+            raise RobotError("forward: expected a function of joints and parameters")
+        object.__setattr__(self, "name", self.name or _called(self.function))
+        object.__setattr__(self, "kind", self.name)
+        for what, names in (("joints", self.joint_names), ("readings", tuple(self.readings))):
+            if isinstance(self.joints, str) or isinstance(self.readings, str) or not names:
+                raise RobotError(f"{what}: expected a tuple of column names, got {getattr(self, what)!r}")
+        doubled = [*self.joint_names, *self.readings]
+        if wrong := [n for n in doubled if doubled.count(n) > 1 or n in _RESERVED]:
+            raise RobotError(f"the column '{wrong[0]}' is named twice, or has a meaning of its own")
+        if wrong := [n for n in doubled if not unit_in(n)]:
+            raise RobotError(f"the column '{wrong[0]}' names no unit: expected an end such as _mm, _rad, _deg or _px")
+        units = {unit_in(name) for name in self.readings}
+        if len(units) > 1:
+            raise RobotError(f"readings: expected one unit for all, got {listed(sorted(units))}")
+        for parameter, told in self.parameters.items():
+            if not parameter.isidentifier() or not isinstance(told, tuple) or len(told) != 2 or not told[1] > 0:
+                raise RobotError(
+                    f"parameter '{parameter}': expected a name for Python code, with unit and plausible size"
+                )
+        if (self.box[:, 0] >= self.box[:, 1]).any() or not np.isfinite(self.box).all():
+            raise RobotError(f"joints: expected a range with its lower end first for each, got {self.joints}")
+
+    # -- what is known of it -------------------------------------------------------------------------------
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Columns of the joints."""
+        return tuple(self.joints)
+
+    @cached_property
+    def box(self) -> Floats:
+        """Where each joint may stand (k, 2), in its unit."""
+        if isinstance(self.joints, Mapping):
+            return np.array([tuple(map(float, one)) for one in self.joints.values()])
+        return np.array([(-1.0, 1.0)] * len(self.joints)) * [[_RANGE.get(unit_in(n), 1.0)] for n in self.joints]
+
+    @cached_property
+    def layout(self) -> Layout:
+        """The columns of its runs."""
+        unit = unit_in(self.readings[0])
+        shown, per_unit = _SHOWN.get(unit, (unit, 1.0))
+        velocities = tuple(f"{name}_per_s" for name in self.joint_names)
+        return Layout(self.joint_names, tuple(self.readings), shown, per_unit, velocities=velocities)
+
+    @cached_property
+    def effects(self) -> tuple[Generic, ...]:
+        """What every machine can have, for these joints and readings, but for what its function has already."""
+        every = generic_effects(self.joint_names, tuple(self.readings), np.ptp(self.box, axis=1).tolist())
+        return not_in(self.asked, every)
+
+    @cached_property
+    def own(self) -> tuple[Parameter, ...]:
+        """The parameters of the function."""
+        return tuple(Parameter(name, name, unit, float(size)) for name, (unit, size) in self.parameters.items())
+
+    @cached_property
+    def asked(self) -> UserFunction:
+        """Its function, asked with care."""
+        return UserFunction(
+            self.name, self.function, self.derivative, self.joint_names, tuple(self.readings), self.own, self.box
+        )
+
+    # -- as a robot ------------------------------------------------------------------------------------------
+
+    @property
+    def joint_unit(self) -> str:
+        """Unit of the first joint."""
+        return unit_in(self.joint_names[0])
+
+    @property
+    def joint_limits(self) -> tuple[float, float] | None:
+        """Each joint has its own (:attr:`box`)."""
+        return None
+
+    @property
+    def middle(self) -> tuple[float, ...]:
+        """Readings in the middle of its joints."""
+        return tuple(self.forward(self.box.mean(axis=1)).tolist())
+
+    def forward(self, joints: ArrayLike) -> Floats:
+        """Readings (m,) of the machine as drawn for joints (k,). Raises :class:`~sherkit.errors.FitError`."""
+        q = vector(joints, "joint readings", len(self.joint_names))
+        return self.asked(q[None, :], np.zeros(len(self.own)))[0]
+
+    def inverse(self, readings: ArrayLike) -> Floats:
+        """Joints (k,) at which the machine as drawn shows these readings (m,), within their ranges.
+
+        Raises :class:`~sherkit.errors.NotConverged`.
+        """
+        made = self.inverse_batch(np.atleast_2d(vector(readings, "readings", len(self.readings))))
+        if not made.reached[0]:
+            raise NotConverged("the machine shows this nowhere within the ranges of its joints")
+        return made.values[0]
+
+    def inverse_batch(self, readings: ArrayLike) -> Batch:
+        """:meth:`inverse` of rows (n, m); those that cannot be reached are marked."""
+        x = matrix(readings, "readings", len(self.readings))
+        zero = np.zeros(len(self.own))
+
+        def forward(joints: Floats) -> tuple[Floats, Floats]:
+            return self.asked(joints, zero), self.asked.derivatives(joints, zero, ())[0]
+
+        joints, reached = settled(forward, x, starts(lambda q: self.asked(q, zero), x, self.box), self.box)
+        told = "shown nowhere within the ranges of the joints"
+        return Batch(joints, reached, tuple(f"row {row}: {told}" for row in np.flatnonzero(~reached)[:3]))
+
+    # -- files -----------------------------------------------------------------------------------------------
+
+    def to_tables(self) -> dict[str, Any]:
+        """What a file says of it: its name, columns and parameters. No code is kept in files, nor run from them."""
+        return {
+            "kind": self.kind,
+            "machine": {
+                "joints": list(self.joint_names), "readings": list(self.readings), "parameters": list(self.parameters),
+            },
+        }  # fmt: skip
+
+    def from_table(self, table: Table) -> Self:
+        """This machine, where the file is of it. Raises :class:`~sherkit.errors.RobotError` where it was another."""
+        with table.table("machine") as m:
+            mine = {"joints": self.joint_names, "readings": self.readings, "parameters": self.parameters}
+            for key, now in ((key, tuple(names)) for key, names in mine.items()):
+                if (then := m.texts(key)) != now:
+                    raise m.fail(
+                        key, f"those of the machine '{self.name}' as it is now, {listed(now)}, not {listed(then)}"
+                    )
+        return self
+
+    def __repr__(self) -> str:
+        return f"Machine({self.name}: {listed(self.joint_names)} → {listed(self.readings)})"
+
+
+def _called(function: Forward) -> str:
+    """The file in which a function stands, or its own name."""
+    try:
+        stem = Path(inspect.getfile(function)).stem
+    except TypeError:
+        stem = ""
+    own = getattr(function, "__name__", "machine")
+    return stem if stem.isidentifier() else own.strip("<>") or "machine"

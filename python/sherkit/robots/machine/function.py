@@ -1,0 +1,141 @@
+"""A user's function of joints and parameters, asked with care: its shapes, its derivatives, what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import FitError, SherkitError
+from ...model.parameter import Parameter
+from ...types import Floats
+from .derivative import AGREE, Steps, steps_for
+
+#: (joints (n, k), parameters by name) → readings (n, m).
+Forward = Callable[[Any, SimpleNamespace], Any]
+#: The same → derivatives (n, m, p) by the parameters.
+Derivative = Callable[[Any, SimpleNamespace], Any]
+
+#: Rows on which derivatives are tried, and the seed by which they are drawn.
+_ROWS, _SEED = 32, 7
+
+
+@dataclass(frozen=True, eq=False)
+class UserFunction:
+    """Readings (n, m) of a machine for its joints (n, k) and values (p,) of its ``parameters``.
+
+    ``box`` (k, 2) is where the joints may stand: derivatives are tried there, once.
+    """
+
+    name: str
+    forward: Forward
+    derivative: Derivative | None
+    joints: tuple[str, ...]
+    readings: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    box: Floats = field(repr=False)
+
+    def __call__(self, joints: NDArray[Any], values: NDArray[Any]) -> Floats:
+        """Readings (n, m), NaN where the function has none. Raises :class:`~sherkit.errors.FitError`."""
+        return np.asarray(self._asked(joints, values), dtype=float)
+
+    def derivatives(self, joints: Floats, values: Floats, wanted: Sequence[int]) -> tuple[Floats, Floats]:
+        """Derivatives (n, m, k) by the joints and (n, m, len(wanted)) by these parameters. Raises as a call."""
+        k = len(self.joints)
+        at = np.column_stack([joints, np.tile(values, (len(joints), 1))])
+        by_joints = self._steps.columns(self._beside, at, range(k))
+        if not wanted:
+            return by_joints, np.zeros((len(joints), len(self.readings), 0))
+        if self.derivative is None:
+            return by_joints, self._steps.columns(self._beside, at, [k + one for one in wanted])
+        return by_joints, self._given(joints, values)[:, :, list(wanted)]
+
+    # -- how it is asked ---------------------------------------------------------------------------------
+
+    def _asked(self, joints: NDArray[Any], values: NDArray[Any]) -> NDArray[Any]:
+        """The function for rows (n, k) with values (p,), or (n, p) where each row has its own."""
+        columns = values.T if values.ndim == 2 else values
+        p = SimpleNamespace(**{one.name: column for one, column in zip(self.parameters, columns, strict=True)})
+        try:
+            with np.errstate(all="ignore"):
+                out = np.asarray(self.forward(joints, p))
+        except SherkitError:
+            raise
+        except Exception as error:
+            if np.iscomplexobj(joints):
+                raise
+            raise FitError(f"the model's function '{self.name}' failed: {type(error).__name__}: {error}") from error
+        expected = (len(joints), len(self.readings))
+        if out.shape != expected:
+            raise FitError(
+                f"the model's function '{self.name}' gives an array of shape {out.shape} for {len(joints)} rows; "
+                f"expected {expected}: a column for each of {', '.join(self.readings)}"
+            )
+        if out.dtype.kind not in "fciu":
+            raise FitError(f"the model's function '{self.name}' gives {out.dtype} and no numbers")
+        return out
+
+    def _beside(self, at: NDArray[Any]) -> NDArray[Any]:
+        """The function of joints and parameters side by side (n, k + p)."""
+        k = len(self.joints)
+        # most functions want one number for a parameter: they get it, since rows differ in none but by a joint
+        return self._asked(at[:, :k], at[0, k:] if len(at) else np.zeros(len(self.parameters)))
+
+    @cached_property
+    def somewhere(self) -> Floats:
+        """Joints (n, k) at random within their box."""
+        low, high = self.box.T
+        return np.asarray(low + (high - low) * np.random.default_rng(_SEED).uniform(size=(_ROWS, len(low))))
+
+    @cached_property
+    def _steps(self) -> Steps:
+        """How each input is stepped, tried at joints within their box and the drawing's parameters."""
+        low, high = self.box.T
+        joints = self.somewhere
+        at = np.column_stack([joints, np.zeros((_ROWS, len(self.parameters)))])
+        sizes = np.concatenate([1e-2 * (high - low), [one.size for one in self.parameters]])
+        names = [*self.joints, *(one.name for one in self.parameters)]
+        steps = steps_for(self._beside, at, sizes, names)
+        if self.derivative is not None and self.parameters:
+            self._check_given(joints, at, steps)
+        return steps
+
+    # -- a derivative that the user gives ------------------------------------------------------------------
+
+    def _given(self, joints: Floats, values: Floats) -> Floats:
+        assert self.derivative is not None
+        p = SimpleNamespace(**dict(zip((one.name for one in self.parameters), values.tolist(), strict=True)))
+        try:
+            out = np.asarray(self.derivative(joints, p), dtype=float)
+        except Exception as error:
+            raise FitError(f"the derivative of '{self.name}' failed: {type(error).__name__}: {error}") from error
+        expected = (len(joints), len(self.readings), len(self.parameters))
+        if out.shape != expected:
+            raise FitError(f"the derivative of '{self.name}': expected an array of shape {expected}, got {out.shape}")
+        return out
+
+    def _check_given(self, joints: Floats, at: Floats, steps: Steps) -> None:
+        """Refuses a derivative that is not that of the function."""
+        k = len(self.joints)
+        numeric = steps.columns(self._beside, at, range(k, at.shape[1]))
+        given = self._given(joints, at[0, k:])
+        known = np.isfinite(numeric).all(axis=(1, 2))
+        for j, one in enumerate(self.parameters):
+            scale = max(float(np.abs(numeric[known, :, j]).max(initial=0.0)), np.finfo(float).tiny)
+            off = np.where(known, np.abs(given[:, :, j] - numeric[:, :, j]).max(axis=1), 0.0)
+            row = int(np.argmax(off))
+            if not off[row] <= 1e3 * AGREE * scale:
+                where = ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.joints, joints[row], strict=True))
+                raise FitError(
+                    f"the derivative of '{self.name}' by {one.name} is not that of the function: at {where} it gives "
+                    f"{_told(given[row, :, j])}, differences {_told(numeric[row, :, j])}"
+                )
+
+
+def _told(values: Floats) -> str:
+    return f"({', '.join(f'{v:.6g}' for v in values)})"

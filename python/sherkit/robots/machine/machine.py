@@ -1,0 +1,48 @@
+"""Any machine: one function of joints and parameters, and their names. The rest is as for a built-in robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from ...errors import RobotError
+from ...model.kinds import KINDS, Kind, register
+from .described import Described
+from .kind import kind_for
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Machine(Described):
+    """A machine that its owner describes by one function, with the standing of a built-in robot.
+
+    ``function(joints, p)`` gives the readings (n, m) for joint readings (n, k), p holding the parameters by name
+    (``p.squareness``), all zero for the machine as drawn. ``joints`` and ``readings`` name the columns of its runs,
+    with units at their ends (``x_axis_mm``, ``theta_rad``); readings share one unit. ``joints`` may map names to the
+    range over which each goes: where not, ±100 mm or ±1 rad are taken. ``parameters`` map names to unit and plausible
+    size. ``derivative(joints, p)``, if given, is that of the readings by the parameters (n, m, p); left out, complex
+    steps are taken where the function allows them, else differences. ``name`` is what the machine is called, by default
+    the file in which the function stands.
+
+    Errors of joints, readings, time and temperature (:mod:`~sherkit.robots.machine.effects`) need not be described: a
+    diagnosis tries them by itself.
+
+    Raises :class:`~sherkit.errors.RobotError` for names and units that do not fit together.
+
+        machine = sk.Machine(
+            forward, joints=("x_axis_mm", "y_axis_mm"), readings=("x_mm", "y_mm"),
+            parameters={"squareness": ("rad", 1e-3)},
+        )
+        study = sk.Study(machine, "run.csv")
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        known = KINDS.get(self.kind)
+        if known is not None and not isinstance(known.robot, Described):
+            raise RobotError(f"'{self.name}' is the name of a built-in kind of robot: give the machine another name")
+        register(self.brings)
+
+    @cached_property
+    def brings(self) -> Kind:
+        """What it brings, as a kind of robot of its own; files and runs of it are known from now on."""
+        return kind_for(self)

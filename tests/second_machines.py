@@ -1,0 +1,112 @@
+"""Machines with hidden errors, written apart from the examples and from the package: frames are matrices, every error
+is a motion of its own, and runs come as files of columns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def turn(axis: int, angle: float) -> Floats:
+    """A rotation as a 4 × 4 matrix."""
+    i, j = [k for k in range(3) if k != axis]
+    if axis == 1:
+        i, j = j, i
+    out = np.eye(4)
+    out[i, i] = out[j, j] = np.cos(angle)
+    out[j, i], out[i, j] = np.sin(angle), -np.sin(angle)
+    return out
+
+
+def shift(x: float, y: float, z: float) -> Floats:
+    """A translation as a 4 × 4 matrix."""
+    out = np.eye(4)
+    out[:3, 3] = x, y, z
+    return out
+
+
+@dataclass
+class Hidden:
+    """What is wrong with a machine, by the names of what does it."""
+
+    sizes: Mapping[str, float] = field(default_factory=dict)
+
+    def __getattr__(self, name: str) -> float:
+        return float(self.sizes.get(name, 0.0))
+
+
+def gantry(q: Floats, came: Floats, time_h: float, warm: float, h: Hidden) -> Floats:
+    """Three rails, the second on the first and the third on the second; they lean by squarenesses."""
+    x, y, z = q + 0.5 * h.play_mm * came
+    x = x + h.ripple_mm * np.sin(2 * np.pi * x / (h.sizes.get("ripple_period_mm", 7.3)) + 0.4)
+    y = y * (1 + h.pitch)
+    frame = shift(x, 0, 0) @ turn(2, -4e-4 - h.square_xy) @ shift(0, y, 0) @ turn(0, h.square_yz) @ shift(0, 0, z)
+    point = frame[:3, 3] * (1 + h.growth * warm)
+    point[2] -= 2e-4 * point[0] + h.droop * (point[0] ** 2 + point[1] ** 2)
+    return point + np.array([0.0, h.drift_mm_h * time_h, 0.0])
+
+
+def scara(q: Floats, came: Floats, time_h: float, warm: float, h: Hidden) -> Floats:
+    """Two arms and a quill; the base, seen by the tracker, is turned and shifted."""
+    first, second, quill = q + 0.5 * np.array([h.play_rad, h.play_rad, 0.0]) * came
+    first = first + h.ring_rad * np.sin(first + 0.7)
+    second = second + 0.006 + h.belt * q[0] + h.oval_rad * np.cos(2 * second)
+    reach = shift(250.4, 0, 0) @ turn(2, second) @ shift(199.7, 0, 0)
+    frame = turn(2, 0.03) @ turn(2, first) @ reach @ turn(0, h.quill_lean) @ shift(0, 0, -quill)
+    point = frame[:3, 3]
+    point[2] -= h.droop * (point[0] ** 2 + point[1] ** 2)
+    point = point * (1 + h.growth * warm)
+    return point + np.array([3.0, -4.0, 5.0]) + np.array([0.0, h.drift_mm_h * time_h, 0.0])
+
+
+def pan_tilt(q: Floats, came: Floats, time_h: float, warm: float, h: Hidden) -> Floats:
+    """A mark on the wall through a pinhole; the head turns beneath it."""
+    del warm
+    pan = q[0] + h.ring_rad * np.sin(q[0]) + 0.5 * h.play_rad * came[0]
+    tilt = q[1] + 0.004 + h.scale * q[1]
+    looked = turn(0, tilt) @ turn(1, -pan) @ np.array([0.21, -0.11, 4.0, 1.0])
+    u, v = 1512 * looked[0] / looked[2], 1512 * looked[1] / looked[2]
+    return np.array([960 + u + h.drift_px_h * time_h, 540 + v])
+
+
+#: By name: the machine, the columns of its joints and where they go, those of its readings, and the noise.
+MACHINES: dict[str, tuple[Callable[..., Floats], dict[str, tuple[float, float]], tuple[str, ...], float]] = {
+    "gantry": (
+        gantry, {f"{a}_axis_mm": (0.0, end) for a, end in zip("xyz", (400.0, 300.0, 200.0), strict=True)},
+        ("x_mm", "y_mm", "z_mm"), 0.005,
+    ),
+    "scara": (
+        scara, {"shoulder_rad": (-1.5, 1.5), "elbow_rad": (0.4, 2.2), "quill_mm": (5.0, 145.0)},
+        ("x_mm", "y_mm", "z_mm"), 0.01,
+    ),
+    "pan_tilt": (pan_tilt, {"pan_rad": (-0.38, 0.48), "tilt_rad": (-0.24, 0.19)}, ("u_px", "v_px"), 0.1),
+}  # fmt: skip
+
+
+def run_of(
+    name: str, seed: int, sizes: Mapping[str, float] | None = None, *, poses: int = 150, repeats: int = 2
+) -> pl.DataFrame:
+    """A run of ``poses`` at random, ``repeats`` times in another order each time, ten seconds a row."""
+    true, joints, readings, noise = MACHINES[name]
+    rng = np.random.default_rng(seed)
+    low, high = np.array(list(joints.values())).T
+    places = rng.uniform(low, high, (poses, len(low)))
+    pose = np.concatenate([rng.permutation(poses) for _ in range(repeats)])
+    q = places[pose]
+    time_s = 10.0 * np.arange(len(q))
+    came = np.sign(np.diff(q, axis=0, prepend=low[None, :]))
+    warmth = 20 + 2.0 * np.sin(2 * np.pi * time_s / time_s[-1] * 0.8)
+    hidden = Hidden(sizes or {})
+    seen = np.array([true(*row, hidden) for row in zip(q, came, time_s / 3600, warmth - 20, strict=True)])
+    seen += noise * rng.normal(size=seen.shape)
+    return pl.DataFrame(
+        {"time_s": time_s, "pose": pose + 1, "temperature_c": warmth}
+        | dict(zip(joints, q.T, strict=True))
+        | dict(zip(readings, seen.T, strict=True))
+    )
