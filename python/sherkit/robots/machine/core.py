@@ -122,7 +122,7 @@ class MachineCore:
         values = values.copy()
         values[list(free)] = solver.trial
         predicted, reached = self.predict(values, block)
-        used = (weights > 0).any(axis=1)
+        used = np.asarray((weights > 0).any(axis=1))
         missing = [int(k) for k in np.flatnonzero(used & ~reached)]
         if missing:
             return missing
