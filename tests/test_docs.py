@@ -28,7 +28,7 @@ from sherkit.diagnosis import Diagnosis
 from test_klipper import SAVED, TRUE, config
 
 HERE = Path(__file__).parents[1]
-STORIES = ("docs/tutorial.md", "docs/spherical.md", "docs/tool.md")
+STORIES = ("docs/tutorial.md", "docs/spherical.md", "docs/tool.md", "docs/machine.md")
 REFERENCE = ("docs/files.md", "docs/json.md", "docs/page.md", "docs/calibration.md", "docs/study.md", "docs/models.md",
              "docs/accuracy.md")  # fmt: skip
 DOCS = (
