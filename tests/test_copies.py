@@ -22,11 +22,13 @@ import pytest
 import sherkit as sk
 import sherkit.errors as errors
 from laboratories import SPHERICAL, experiment, laboratory
+from second_machines import run_of
 from sherkit.cli.demo import EXAMPLE
 from sherkit.data.noise import noise_of
 from sherkit.lab.ports import write_ports
 from sherkit.model.effect_file import load_effects
 from sherkit.model.kinds import Robot, robot_from_tables
+from sherkit.robots.machine.file import load_machine
 from test_fuzz import lines_run
 
 PUBLIC = (sk, sk.data, sk.delta, sk.spherical, sk.tool, sk.fit, sk.model, sk.planning, sk.diagnosis, sk.lab)
@@ -92,6 +94,8 @@ def values(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
     write_ports(folder / "ports.json", {n: {"kind": "x", "address": "tcp://127.0.0.1:1"} for n in ("rails", "lasers")})
     laboratory(folder)
     plan = sk.lab.plan_of_poses(data.joints, (1.0, 2.0, 3.0))
+    gantry = load_machine(Path(__file__).parents[1] / "examples" / "machines" / "gantry.py")
+    of_gantry = sk.Study(gantry, run_of("gantry", 1, poses=40))
     made = [
         sk.lab.Live(EXAMPLE, plan), sk.model.Extended(Leaning()), plan, effect,
         *plain.catalogue.values(), *fit.parameters, data, stream, data.repeatability, study, fit,
@@ -105,7 +109,7 @@ def values(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
         sk.tool.calibrate_tool(tool, loads), sk.tool.ToolModel(tool, run),
         sk.tool.align(free.time_s, free.position_mm, free.camera_time_s, free.camera_mm).registration,
         planning, planning.outlooks, sk.planning.choose_poses(plain, data, 6), sk.planning.Sought("rail_lean", {}),
-        sk.lab.Goal(10.0),         sk.lab.load_experiment(experiment(folder)),
+        gantry, of_gantry.model, of_gantry.calibration(), sk.lab.Goal(10.0), sk.lab.load_experiment(experiment(folder)),
         sk.lab.load_laboratory(folder / "lab.toml"), sk.calibrate(EXAMPLE, data),
         sk.fit.Mistake("x"), sk.delta.fit_polynomial(data.readings[:, :3], data.readings[:, :3], (1, 1, 1)),
         sk.spherical.remote_centre(sk.identify(sph, looked, effects=["axis_offset"])),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 from ...errors import RobotError
 from ...model.kinds import KINDS, Kind, register
@@ -42,7 +43,20 @@ class Machine(Described):
             raise RobotError(f"'{self.name}' is the name of a built-in kind of robot: give the machine another name")
         register(self.brings)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy is this machine where it is known already, so that what was made for it fits."""
+        return _known, tuple(getattr(self, one.name) for one in fields(self) if one.init)
+
     @cached_property
     def brings(self) -> Kind:
         """What it brings, as a kind of robot of its own; files and runs of it are known from now on."""
         return kind_for(self)
+
+
+def _known(*described: Any) -> Machine:
+    held = KINDS.get(described[-1])
+    if held is not None and isinstance(held.robot, Machine):
+        same = tuple(getattr(held.robot, one.name) for one in fields(held.robot) if one.init)
+        if same == described:
+            return held.robot
+    return Machine(*described)
