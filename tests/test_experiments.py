@@ -33,8 +33,8 @@ from sherkit.lab.experiment import (
     run,
 )
 from sherkit.lab.experiment.bench import Sensor
-from sherkit.lab.instruments.ati import NetFT
 from sherkit.lab.instruments.base import Reading
+from sherkit.lab.instruments.keyence import Keyence
 from sherkit.lab.laboratory import RunningLaboratory, load_laboratory
 
 JOINTS = np.array([[100.0, 101.0, 102.0], [110.0, 111.0, 100.0], [105.0, 111.0, 104.0]])
@@ -631,4 +631,4 @@ def test_live_identification_is_the_identification(tmp_path):
 def test_values_are_converted_to_the_unit_of_their_column(unit: str, column: str, value: float) -> None:
     """Catches an instrument in the very unit of the column that is refused, since columns spell it in small letters."""
     reading = Reading("cell", ("x",), (120.0,), (unit,), 0.0)
-    assert Sensor(NetFT("127.0.0.1"), (column,)).named(reading) == {column: pytest.approx(value)}
+    assert Sensor(Keyence("tcp://127.0.0.1:1", (1,)), (column,)).named(reading) == {column: pytest.approx(value)}
