@@ -166,7 +166,7 @@ def test_an_absurd_argument_is_named_in_a_sentence(
     assert not wrong, "\n".join(f"{kind}\n    {value}" for kind, value in wrong.items())
 
 
-@pytest.mark.parametrize("name", ["seed", "level", "folds", "count", "block_rows"])
+@pytest.mark.parametrize("name", ["seed", "level", "folds", "block_rows"])
 def test_a_number_out_of_range_is_refused_before_anything_is_done(known: dict[str, Door], name: str) -> None:
     """Catches a seed, a level or a count that goes down to NumPy, or that is taken as it is."""
     for one in known.values():

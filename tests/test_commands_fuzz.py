@@ -24,6 +24,8 @@ import pytest
 from hostile import HOSTILE
 from mutations import HANGS_S, Hung, at_most, damaged_bytes, in_memory, watched
 from sherkit.cli.main import cli, main
+from sherkit.robots.tool.tool import FlexibleTool
+from sherkit.robots.tool.virtual import VirtualTool
 from test_fuzz import formats
 
 FAST = 60
@@ -43,7 +45,13 @@ _MEANT_BY = {
     "config": ("printer.cfg",),
     "what": ("run.sqlite", "study", "calibrated.toml"),
 }
-_OF_TOOLS = {"run": ("free.csv",)}
+#: Of these commands it is another file.
+_MEANT_OF = {
+    "tool": {"run": ("free.csv",)},
+    "estimate": {"run": ("motion.csv",)},
+    "register": {"run": ("motion.csv",)},
+    "plan": {"robot": ("lab/robot.toml",), "experiment": ("lab/experiment.toml",)},
+}
 #: Commands that go on until they are stopped, or move what is at a port; they are tried with what they refuse.
 _ENDLESS = {
     "app": ["--port", "65536"],
@@ -108,8 +116,8 @@ class Grammar:
     def _file(self, command: str, argument: click.Argument) -> str:
         if isinstance(argument.type, click.Choice):
             return self.rng.choice(argument.type.choices)
-        known = _OF_TOOLS if command in ("estimate", "register", "tool") else _MEANT_BY
-        return self.rng.choice(known.get(argument.name or "", _MEANT_BY.get(argument.name or "", ("run.csv",))))
+        meant = {**_MEANT_BY, **_MEANT_OF.get(command, {})}
+        return self.rng.choice(meant.get(argument.name or "", ("run.csv",)))
 
     def _damaged(self, name: str) -> str:
         whole = self.whole.get(self.folder / name)
@@ -188,6 +196,9 @@ def campaign(names: Sequence[str], count: int, seed: str) -> Answers:
     known, rng, answers = commands(), random.Random(seed), Answers()
     with in_memory() as folder, contextlib.chdir(folder), watched():
         whole = {one.path: one.path.read_bytes() for one in formats(folder).values()}
+        # long enough to align the clocks of robot and camera by it
+        VirtualTool(FlexibleTool()).free_motion(seconds=2.0, seed=1).save(folder / "motion.csv")
+        whole |= {path: path.read_bytes() for path in (folder / "motion.csv", folder / "lab" / "robot.toml")}
         written = {path: os.stat(path).st_mtime_ns for path in whole}
         grammar = Grammar(folder, whole, rng)
         for k in range(count):

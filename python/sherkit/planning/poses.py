@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arguments import Count, Positive, Seed, as_annotated
+from ..arguments import Positive, Seed, as_annotated
 from ..data import Measurements
 from ..errors import FitError, ShapeError
 from ..model.chain import ChainModel
@@ -47,7 +47,7 @@ class PoseDesign:
 def choose_poses(
     model: ChainModel,
     candidates: Measurements,
-    count: Count,
+    count: int,
     *,
     sigma: Positive | Floats = 1.0,
     values: Floats | None = None,
