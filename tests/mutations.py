@@ -5,14 +5,18 @@ from __future__ import annotations
 import copy
 import faulthandler
 import json
+import math
 import random
 import re
 import signal
 import sys
+import tempfile
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -22,6 +26,7 @@ from hostile import HOSTILE  # isort: skip
 
 #: Nothing that a person gives may keep the program busy for longer, s.
 HANGS_S = 5.0
+_ARMED_ANEW_S = 10.0
 #: Words that numbers, names and structures are replaced by.
 WORDS = (
     "", "0", "-0", "1", "-1", "1e308", "-1e308", "1e-320", "1e400", "nan", "NaN", "inf", "-inf", "0x10", "1_000",
@@ -57,9 +62,7 @@ def damaged_bytes(raw: bytes, rng: random.Random) -> bytes:
             case 5:
                 out[at:at] = bytes(out[at : at + rng.choice((1, 10, 100))])
             case 6:
-                out = out.replace(
-                    *rng.choice(((b",", b";"), (b".", b","), (b"\n", b"\r"), (b",", b"\t"), (b"=", b":")))
-                )
+                out = out.replace(*rng.choice(_MARKS))
             case _:
                 out = bytearray(_word(bytes(out), rng))
     return bytes(out)
@@ -79,12 +82,16 @@ def _lines(raw: bytes, rng: random.Random) -> bytes:
 
 
 def _word(raw: bytes, rng: random.Random) -> bytes:
-    words = list(_WORD.finditer(raw))
-    if not words:
+    one, other = _some_word(raw, rng), _some_word(raw, rng)
+    if one is None or other is None:
         return raw
-    one, other = rng.choice(words), rng.choice(words)
     word = other[0] if rng.random() < 0.3 else rng.choice(WORDS).encode()
     return raw[: one.start()] + word + raw[one.end() :]
+
+
+def _some_word(raw: bytes, rng: random.Random) -> re.Match[bytes] | None:
+    # not of a list of all words, which takes longer to make than most inputs to read
+    return _WORD.search(raw, rng.randrange(len(raw) + 1)) or _WORD.search(raw)
 
 
 def damaged_tree(tree: Any, rng: random.Random) -> Any:
@@ -113,7 +120,7 @@ def damaged_tree(tree: Any, rng: random.Random) -> Any:
             case 5:
                 holder[key] = [value]
             case _:
-                holder[key] = rng.choice(VALUES)
+                holder[key] = copy.deepcopy(rng.choice(VALUES))
     return out
 
 
@@ -139,20 +146,50 @@ class Hung(BaseException):
 
 @contextmanager
 def at_most(seconds: float) -> Iterator[None]:
-    """Ends what takes longer, where Python can; a hang below it is written down by ``faulthandler``."""
+    """Ends what takes longer, where Python can; a hang below it is written down in :func:`watched`."""
 
     def over(number: int, frame: FrameType | None) -> None:
         raise Hung(f"more than {seconds:g} s")
 
     before = signal.signal(signal.SIGALRM, over)
-    faulthandler.dump_traceback_later(12 * seconds, exit=True, file=sys.__stderr__)
+    _watch(seconds)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        faulthandler.cancel_dump_traceback_later()
         signal.signal(signal.SIGALRM, before)
+
+
+_armed_s: float | None = None
+
+
+@contextmanager
+def watched() -> Iterator[None]:
+    """While many things are tried, ends the program where Python itself does not come back from one of them."""
+    global _armed_s
+    _armed_s = -math.inf
+    try:
+        yield
+    finally:
+        _armed_s = None
+        faulthandler.cancel_dump_traceback_later()
+
+
+def _watch(seconds: float) -> None:
+    # once in a while: to arm it starts a thread, which takes longer than to read most inputs
+    global _armed_s
+    if _armed_s is not None and (now := time.monotonic()) - _armed_s > _ARMED_ANEW_S:
+        faulthandler.dump_traceback_later(_ARMED_ANEW_S + 12 * seconds, exit=True, file=sys.__stderr__)
+        _armed_s = now
+
+
+@contextmanager
+def in_memory() -> Iterator[Path]:
+    """A folder, in memory where there is one: to open a file on a disk for writing takes longer than to read it."""
+    memory = Path("/dev/shm")
+    with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
+        yield Path(folder)
 
 
 @dataclass

@@ -32,6 +32,9 @@ from sherkit.lab.experiment import (
     plan_of_poses,
     run,
 )
+from sherkit.lab.experiment.bench import Sensor
+from sherkit.lab.instruments.base import Reading
+from sherkit.lab.instruments.keyence import Keyence
 from sherkit.lab.laboratory import RunningLaboratory, load_laboratory
 
 JOINTS = np.array([[100.0, 101.0, 102.0], [110.0, 111.0, 100.0], [105.0, 111.0, 104.0]])
@@ -619,3 +622,13 @@ def test_live_identification_is_the_identification(tmp_path):
     assert live.worst[1] == pytest.approx(1e3 * max(fit.std_from_readings * [p.lever_mm for p in fit.parameters]))
     assert not live.enough
     assert live.rows_to_go > 0
+
+
+@pytest.mark.parametrize(
+    ("unit", "column", "value"),
+    [("mN", "force_x_mn", 120.0), ("N", "force_x_mn", 120e3), ("um", "x_mm", 0.12), ("mm", "x_mm", 120.0)],
+)
+def test_values_are_converted_to_the_unit_of_their_column(unit: str, column: str, value: float) -> None:
+    """Catches an instrument in the very unit of the column that is refused, since columns spell it in small letters."""
+    reading = Reading("cell", ("x",), (120.0,), (unit,), 0.0)
+    assert Sensor(Keyence("tcp://127.0.0.1:1", (1,)), (column,)).named(reading) == {column: pytest.approx(value)}

@@ -10,6 +10,7 @@ PACKAGE = Path(__file__).parents[1] / "python" / "sherkit"
 #: From the top down; CONTRIBUTING says what each is for. Rooms of one floor do not know each other.
 FLOORS = (
     ("errors", "names", "types", "notebook", "saved", "starting", "_core"),
+    ("arguments",),
     ("data",),
     ("model", "vision"),
     ("fit",),

@@ -670,6 +670,8 @@ def test_saves_png_and_svg(demo: Run, tmp_path: Path) -> None:
     assert "rail_lean" in svg
     assert "held out" in svg
     save_picture(made, tmp_path / "a.html")
+    text = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert text.index("Content-Security-Policy") < text.index("<script")
     with opened(tmp_path / "a.html") as page:
         assert page.locator("[title='save as PNG']").count() == 1
 
@@ -693,6 +695,7 @@ def test_notebook_cells(plane: Run, what: str, tmp_path: Path) -> None:
     assert html.startswith("<iframe ")
     assert html.endswith("</iframe>")
     assert html.count("<iframe") == 1
+    assert html.index("Content-Security-Policy") < html.index("&lt;script")
     (tmp_path / "cell.html").write_text(f"<!DOCTYPE html><meta charset='utf-8'>{html}", encoding="utf-8")
     from html import unescape
 

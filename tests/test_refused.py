@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sqlite3
 import sys
 import tomllib
@@ -44,6 +45,30 @@ def test_a_run_file_that_would_run_for_ever_is_refused(what: str, tmp_path: Path
         RunFile.open(path).frame()
 
 
+@pytest.mark.parametrize("meaning", ["{", "[1]", '{"rails": 1}'])
+def test_a_run_whose_meaning_is_damaged_is_not_gone_on_with(meaning: str, tmp_path: Path) -> None:
+    """Catches a traceback where a run is resumed that does not say any more what its instruments' numbers mean."""
+    laboratory(tmp_path)
+    chosen = load_experiment(experiment(tmp_path), offline=True)
+    path = tmp_path / "run.sqlite"
+    RunFile.create(path, chosen.plan, chosen.about()).close()
+    with contextlib.closing(sqlite3.connect(path)) as db, db:
+        db.execute("UPDATE run SET value = ? WHERE key = 'meaning'", (meaning,))
+    with pytest.raises(ExperimentError, match="is damaged and cannot be read"):
+        RunFile.resume(path, chosen.plan, chosen.about())
+
+
+def test_a_run_file_whose_schema_is_no_text_is_refused(tmp_path: Path) -> None:
+    """Catches a traceback where SQLite quotes a damaged file in what it says of it."""
+    laboratory(tmp_path)
+    chosen = load_experiment(experiment(tmp_path), offline=True)
+    path = tmp_path / "run.sqlite"
+    RunFile.create(path, chosen.plan, chosen.about()).close()
+    path.write_bytes(path.read_bytes().replace(b"CREATE TABLE diary", b"CREATE TABLE \xf0\xf0\xf0\xf0\xf0"))
+    with pytest.raises(ExperimentError, match="cannot be opened as a run file"):
+        RunFile.open(path)
+
+
 def a_parameter(key: str, value: Any) -> Callable[[dict[str, Any]], None]:
     return lambda tables: tables["whole"]["parameters"][0].update({key: value})
 
@@ -61,12 +86,21 @@ def residual(tables: dict[str, Any]) -> None:
     tables["whole"]["residual_covariance_mm2"] = [[1e60, 0.0, 0.0], [0.0, 1e60, 0.0], [0.0, 0.0, 1e60]]
 
 
+def of_unshown(key: str, row: int, value: float) -> Callable[[dict[str, Any]], None]:
+    """A number in what the poses could not show; of the moment and of what is shown the one on the diagonal."""
+    return lambda tables: tables["whole"]["unshown"][0][key][row].__setitem__(row, value)
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
         (huge, "covariance: expected"),
         (large, "no robot is so far off"),
         (residual, "residual_covariance"),
+        (of_unshown("absorbed", 0, 1e30), "larger than any robot"),
+        (of_unshown("absorbed", 1, -9223372036854775809), "larger than any robot"),
+        (of_unshown("moment", 0, 1e12), "larger than any robot"),
+        (of_unshown("shown", 0, 1e12), "larger than any robot"),
         (a_parameter("unit", "m"), "is in mm, found 'm'"),
         (a_parameter("value", 1e30), "no robot is so far off"),
         (a_parameter("std", 1e-9), "by the covariance it is"),

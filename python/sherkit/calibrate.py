@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from .arguments import Seed, as_annotated
 from .data import Measurements
 from .data.given import RunLike
 from .diagnosis.setting import setting_for
@@ -47,6 +48,7 @@ class Result:
         return self.whole.fit.converged and (self.local is None or self.local.fit.converged)
 
 
+@as_annotated
 def calibrate(
     robot: RobotLike,
     whole: RunLike,
@@ -58,7 +60,7 @@ def calibrate(
     priors: bool = False,
     linear: bool = False,
     correction: str = "auto",
-    seed: int = 0,
+    seed: Seed = 0,
     step: Progress = _silent,
 ) -> Result:
     """Calibrates a robot from a run over its workspace and, if given, one inside its region of interest.

@@ -49,6 +49,10 @@ class NotWritten(SherkitError, OSError):
         return type(self), (self.filename, OSError(self.errno, self.strerror))
 
 
+class ArgumentError(SherkitError, ValueError, TypeError):
+    """An argument that is not what the function takes: names it, and says what was expected."""
+
+
 class ShapeError(SherkitError, ValueError):
     """An array of the wrong shape or a name that is not known."""
 

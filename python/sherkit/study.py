@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from .arguments import Level, Positive, Seed, as_annotated
 from .data import Measurements, from_frame
 from .data.columns import OUTLIER, POSE, REPEAT, Layout
 from .data.given import RunLike
@@ -72,6 +73,7 @@ class Study(Shown):
     fitted.
     """
 
+    @as_annotated
     def __init__(
         self,
         robot: RobotLike,
@@ -80,7 +82,7 @@ class Study(Shown):
         effects: Sequence[Effect] = (),
         free: Sequence[str] = (),
         loss: str = "linear",
-        seed: int = 0,
+        seed: Seed = 0,
     ) -> None:
         self.robot = robot_of(robot)
         self.data = run_for(robot, data)
@@ -139,7 +141,8 @@ class Study(Shown):
 
     # -- what a person does ------------------------------------------------------------------------------
 
-    def diagnose(self, *, level: float = 0.01, step: Callable[[str], None] = lambda _: None) -> Diagnosis:
+    @as_annotated
+    def diagnose(self, *, level: Level = 0.01, step: Callable[[str], None] = lambda _: None) -> Diagnosis:
         """What is missing now. The answer is kept until something changes."""
         if self._diagnosis is None or self._diagnosis.level != level:
             self._diagnosis = diagnose(
@@ -147,12 +150,13 @@ class Study(Shown):
             )
         return self._diagnosis
 
+    @as_annotated
     def add(
         self,
         effect: str | Effect,
         *,
-        period_mm: float | None = None,
-        period_rad: float | None = None,
+        period_mm: Positive | None = None,
+        period_rad: Positive | None = None,
         slip_time_s: float | None = None,
     ) -> StudyStep:
         """Adds an effect by name, or a user's own, and refits.
@@ -176,6 +180,7 @@ class Study(Shown):
             at = setting_for(self.fit, chosen)
         return self._change(self.model.with_effect(chosen, at=at), self.data, f"added {chosen.name}")
 
+    @as_annotated
     def remove(self, name: str) -> StudyStep:
         """Takes an effect out and refits. Raises :class:`~sherkit.errors.EffectError` where it is not in the model."""
         if name not in self.effects:
@@ -194,6 +199,7 @@ class Study(Shown):
         self.model, self.data = self._undone.pop()
         return self._record("undone")
 
+    @as_annotated
     def extend(self, more: Measurements) -> StudyStep:
         """Joins new measurements to the study and refits.
 
@@ -202,6 +208,7 @@ class Study(Shown):
         """
         return self._change(self.model, joined(self.data, more), f"{len(more)} rows joined")
 
+    @as_annotated
     def mark_outliers(self, rows: Sequence[int] | Ints | None = None) -> StudyStep:
         """Marks rows (by number from 0) as outliers: kept, listed, not fitted; left out, those that the diagnosis
         lists as gross errors (:attr:`~sherkit.Diagnosis.outliers`).
@@ -212,14 +219,15 @@ class Study(Shown):
             rows = self.diagnose().outliers
             if not len(rows):
                 raise MeasurementError(f"{self.data.source}: the diagnosis lists no rows as gross errors")
-        absent = [r for r in rows if not 0 <= r < len(self.data)]
+        absent = [r for r in np.ravel(rows) if not 0 <= r < len(self.data)]
         if absent:
             raise MeasurementError(
                 f"{self.data.source}: there is no row {listed(absent)}; rows are counted from 0 to {len(self.data) - 1}"
             )
-        marked = self.data.mark_outliers(np.asarray(rows, dtype=np.int64))
+        marked = self.data.mark_outliers(np.ravel(rows).astype(np.int64))
         return self._change(self.model, marked, f"{len(rows)} rows marked as outliers")
 
+    @as_annotated
     def follow(self, data: Measurements) -> StudyStep:
         """Takes the same run with the rows that were added to it since, keeps the marks, and refits.
 
@@ -256,6 +264,7 @@ class Study(Shown):
         correction = made.correct(self.fit, seed=self.seed) if made.may_correct(self.fit) else None
         return made.from_runs(CalibrationRun(self.fit, held, correction, made.in_region(self.fit)))
 
+    @as_annotated
     def register(self, effect: Effect) -> None:
         """Makes a user's effect one that diagnosis tries and :meth:`add` knows by name; a newer one replaces it.
 
@@ -273,6 +282,7 @@ class Study(Shown):
 
     # -- files -------------------------------------------------------------------------------------------
 
+    @as_annotated
     def save(self, folder: str | Path) -> None:
         """Writes robot, rows and steps into a folder that :meth:`load` reads back without loss: all of it or nothing.
 
@@ -303,6 +313,7 @@ class Study(Shown):
         write_study(Path(folder), state, self.data)
 
     @classmethod
+    @as_annotated
     def load(cls, folder: str | Path, *, effects: Sequence[Effect] = ()) -> Study:
         """Reads a study, with what can be undone. User effects must be given again; no code is loaded from the folder.
 

@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from ..arguments import as_annotated
 from ..errors import MeasurementError
 from ..types import Ints
 from . import columns as c
@@ -21,6 +22,7 @@ _LARGEST = 1e100
 _LARGEST_WHOLE = 2**53
 
 
+@as_annotated
 def from_frame(frame: Any, source: str = "frame", *, columns: Columns | None = None) -> Measurements:
     """Measurements from a polars or pandas frame or a mapping of columns to sequences.
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from ..arguments import as_annotated
 from ..errors import MeasurementError
 from ..types import Ints
 from . import columns as c
@@ -27,6 +28,7 @@ _HEAD = 4096
 _RUN_FILE = b"SQLite format 3"
 
 
+@as_annotated
 def read_measurements(path: str | Path, *, columns: Columns | None = None) -> Measurements:
     """Reads a run. CSV may use comma, semicolon or tab (the last two with decimal comma); lines starting with
     ``#`` are notes, columns without a name are left out.

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from ..arguments import Count, as_annotated
 from .frames import clean
 from .reader import checked, csv_blocks
 from .rows import Measurements
@@ -26,7 +27,8 @@ class MeasurementStream:
     source: str
 
 
-def stream_measurements(path: str | Path, block_rows: int = BLOCK_ROWS) -> MeasurementStream:
+@as_annotated
+def stream_measurements(path: str | Path, block_rows: Count = BLOCK_ROWS) -> MeasurementStream:
     """Streams a CSV or Parquet file of any length through the fit in constant memory.
 
     Reads what :func:`~sherkit.data.read_measurements` reads and names the same places in messages, but

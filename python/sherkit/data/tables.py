@@ -62,8 +62,12 @@ def try_parquet(path: Path) -> None:
         file.seek(max(0, path.stat().st_size - 4))
         if head != _MAGIC or file.read(4) != _MAGIC:
             raise not_parquet(path, "it does not begin and end as one")
-    if not sys.executable or path.stat().st_size > _TRIED_BYTES:
-        return
+    if sys.executable and path.stat().st_size <= _TRIED_BYTES and (why := _tried(path)) is not None:
+        raise not_parquet(path, why)
+
+
+def _tried(path: Path) -> str | None:
+    """What is wrong with a Parquet file, as a process of its own finds it; None where it can be read."""
     source = _TRIAL.format(path=ascii([p for p in sys.path if p]), file=ascii(str(path.resolve())))
     try:
         done = subprocess.run(
@@ -71,9 +75,8 @@ def try_parquet(path: Path) -> None:
             check=False, stdin=subprocess.DEVNULL,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
-        raise not_parquet(path, f"reading it takes more than {_TRIAL_S:g} s") from None
-    if done.returncode:
-        raise not_parquet(path, done.stdout.strip() or "it is damaged")
+        return f"reading it takes more than {_TRIAL_S:g} s"
+    return done.stdout.strip() or "it is damaged" if done.returncode else None
 
 
 @contextmanager

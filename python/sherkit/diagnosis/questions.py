@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from ..arguments import Level, Seed, as_annotated
 from ..data.given import RunLike
 from ..errors import EffectError, FitError
 from ..fit.forms import known
@@ -47,13 +48,14 @@ _SMALLEST_P = 1e-300
 _AXIS_LEVEL = 1e-3
 
 
+@as_annotated
 def diagnose(
     fit: Fit | RobotLike | Model,
     data: RunLike = None,
     *,
     effects: Sequence[Effect] = (),
-    level: float = LEVEL,
-    seed: int = 0,
+    level: Level = LEVEL,
+    seed: Seed = 0,
     step: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """Diagnoses what a fit leaves, or what that of a robot or model to ``data`` does, as :func:`identify` takes them.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..arguments import Count, Seed, as_annotated
 from ..data import Measurements
 from ..model.any import Model
 from ..model.base import ModelWithEffects
@@ -61,8 +62,14 @@ def _dealt(count: int, folds: int, seed: int) -> Ints:
     return deal
 
 
+@as_annotated
 def hold_out(
-    robot: Robot | Model | ModelWithEffects, data: Measurements, *, folds: int = 5, seed: int = 0, loss: str = "linear"
+    robot: Robot | Model | ModelWithEffects,
+    data: Measurements,
+    *,
+    folds: Count = 5,
+    seed: Seed = 0,
+    loss: str = "linear",
 ) -> HeldOut:
     """Refits without each block in turn and predicts it. Raises as :func:`~sherkit.fit.identify.identify`."""
     model = model_of(robot)

@@ -18,6 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..arguments import as_annotated
 from ..data import Measurements
 from ..data.given import RunLike
 from ..data.noise import MAD, Noise, noise_of
@@ -191,6 +192,7 @@ def residuals(model: ModelWithEffects, data: Measurements, values: Floats) -> Fl
     return np.where(data.taken, data.readings - model.predict(data, values), np.nan)
 
 
+@as_annotated
 def identify(
     robot: RobotLike | Model | ModelWithEffects,
     data: RunLike,

@@ -164,7 +164,8 @@ class ModelWithEffects(Saved, ABC):
         """Start values for the identified parameters; zero, the drawing, by default."""
         if values is None:
             return np.zeros(len(self.parameters))
-        start = np.fromiter(values, dtype=float)
+        given = np.array(values if isinstance(values, np.ndarray) else list(values))
+        start = given.astype(float) if given.dtype.kind in "iuf" else np.zeros(0)
         if start.shape != (len(self.parameters),) or not np.isfinite(start).all():
             raise ShapeError(f"start: expected {len(self.parameters)} finite numbers")
         return start

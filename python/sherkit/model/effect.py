@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import as_annotated
 from ..errors import EffectError, FitError
 from ..names import listed, nearest
 from ..types import Floats
@@ -214,6 +215,7 @@ def check_user_effect(effect: Effect, rows: Any, axes: int) -> None:
             raise EffectError(f"effect '{effect.name}': its derivative does not agree with a difference")
 
 
+@as_annotated
 def effect(
     *,
     at: str,

@@ -9,6 +9,7 @@ from typing import Any
 
 import tomli_w
 
+from ..arguments import as_annotated
 from ..data import Measurements
 from ..data.files import write_whole
 from ..data.given import RunLike, run_of
@@ -23,6 +24,7 @@ _COLUMNS = "columns"
 RobotLike = Robot | str | os.PathLike[str]
 
 
+@as_annotated
 def load_robot(path: str | os.PathLike[str]) -> Robot:
     """Reads a robot from TOML. Raises :class:`~sherkit.errors.RobotError` naming file, table and key.
 
@@ -61,9 +63,11 @@ def _columns_in(tables: dict[str, Any], path: str | os.PathLike[str]) -> Columns
         return {name: t.words(name) for name in t.names()}
 
 
+@as_annotated
 def save_robot(robot: Robot, path: str | os.PathLike[str]) -> None:
-    """Writes a robot file that :func:`load_robot` reads. Raises :class:`~sherkit.errors.NotWritten`."""
-    write_whole(path, tomli_w.dumps(robot.to_tables()))
+    """Writes a robot file that :func:`load_robot` reads. Raises :class:`~sherkit.errors.NotWritten`, and
+    :class:`~sherkit.errors.RobotError` for what is no robot."""
+    write_whole(path, tomli_w.dumps(robot_of(robot).to_tables()))
 
 
 def robot_of(given: RobotLike) -> Robot:

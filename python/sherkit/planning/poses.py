@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..arguments import Positive, Seed, as_annotated
 from ..data import Measurements
 from ..errors import FitError, ShapeError
 from ..model.chain import ChainModel
@@ -42,14 +43,15 @@ class PoseDesign:
     rank: int
 
 
+@as_annotated
 def choose_poses(
     model: ChainModel,
     candidates: Measurements,
     count: int,
     *,
-    sigma: float | Floats = 1.0,
+    sigma: Positive | Floats = 1.0,
     values: Floats | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
 ) -> PoseDesign:
     """Chooses ``count`` of the ``candidates``, whose joints alone matter.
 
@@ -85,9 +87,14 @@ def _observed(
 ) -> tuple[Floats, Floats, Floats]:
     """Derivatives (n, m, rank) by the observed directions, plausible sizes (p,), and those directions (p, rank)."""
     at = np.zeros(len(model.parameters)) if values is None else values
-    by = model.derivatives(rows, at)[:, : rows.coordinates] / np.reshape(np.asarray(sigma, dtype=float), (-1, 1))
-    if not np.isfinite(by).all():
-        raise FitError("the model has derivatives that are not finite at these poses")
+    each = np.reshape(np.asarray(sigma, dtype=float), (-1, 1))
+    if len(each) not in (1, rows.coordinates) or not (each > 0).all():
+        raise ShapeError(f"sigma: expected a number above 0, or one for each of the {rows.coordinates} coordinates")
+    by = model.derivatives(rows, at)[:, : rows.coordinates] / each
+    with np.errstate(over="ignore"):
+        squares = np.square(by).sum()
+    if not np.isfinite(squares):
+        raise FitError(f"the model has derivatives that are not finite at these poses, in units of sigma ({sigma})")
     # as identification does it, so that both hold the same directions
     size = np.array([p.size for p in model.parameters])
     _, singular, right = np.linalg.svd((by * size).reshape(-1, len(size)), full_matrices=False)

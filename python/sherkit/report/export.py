@@ -11,12 +11,10 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from bokeh.embed import file_html
-from bokeh.resources import INLINE
-
 from ..data.files import write_whole
 from ..errors import SherkitError
 from .picture import Picture
+from .policy import fresh_nonce, numbered, page_of
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _TIMEOUT_S = 60
@@ -40,11 +38,6 @@ _DRAW = """
 """
 
 
-def picture_html(picture: Picture[Any], title: str = "") -> str:
-    """A picture as one HTML file that asks nothing of a network."""
-    return file_html(picture.root, INLINE, title or picture.name)
-
-
 def save_picture(picture: Picture[Any], path: str | Path, *, width_px: int = 1100) -> None:
     """Writes HTML, PNG or SVG, by the ending of the name.
 
@@ -54,11 +47,11 @@ def save_picture(picture: Picture[Any], path: str | Path, *, width_px: int = 110
     path = Path(path)
     kind = path.suffix.lower().lstrip(".")
     if kind == "html":
-        write_whole(path, picture_html(picture))
+        write_whole(path, page_of(picture.root, picture.name))
         return
     if kind not in ("png", "svg"):
         raise SherkitError(f"{path}: a picture is written as .html, .png or .svg")
-    write_whole(path, _drawn(picture_html(picture), kind, width_px))
+    write_whole(path, _drawn(picture, kind, width_px))
 
 
 def browser() -> str | None:
@@ -66,13 +59,15 @@ def browser() -> str | None:
     return next((found for found in map(shutil.which, BROWSERS) if found), None)
 
 
-def _drawn(page: str, kind: str, width_px: int) -> bytes:
+def _drawn(picture: Picture[Any], kind: str, width_px: int) -> bytes:
     program = browser()
     if program is None:
         raise SherkitError(f"a picture as {kind.upper()} needs a browser: none of {', '.join(BROWSERS)} was found")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "picture.html"
-        write_whole(file, page.replace("</body>", _DRAW.replace("KIND", kind) + "</body>"))
+        nonce = fresh_nonce()
+        page, draw = page_of(picture.root, picture.name, nonce), numbered(_DRAW.replace("KIND", kind), nonce)
+        write_whole(file, page.replace("</body>", f"{draw}</body>"))
         command = [
             program, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder}/profile",
             f"--window-size={width_px},1000", "--virtual-time-budget=15000", "--dump-dom", file.as_uri(),

@@ -8,10 +8,8 @@ from __future__ import annotations
 from html import escape
 from typing import Any
 
-from bokeh.embed import file_html
 from bokeh.layouts import column
 from bokeh.models import Div
-from bokeh.resources import INLINE
 
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
@@ -23,6 +21,7 @@ from .candidates import candidates
 from .error_history import error_history, error_history_of
 from .parameters import parameters
 from .picture import Picture
+from .policy import page_of
 from .residual_map import Change, residual_map
 from .residuals import residuals_of
 from .workspace import accuracy_map, accuracy_of
@@ -61,5 +60,5 @@ def cell(value: Any) -> str | None:
     parts: list[Any] = [Div(text=f"<pre style='font-size:14px;white-space:pre-wrap'>{escape(str(value))}</pre>")]
     for one in pictures:
         parts += [one.root, Div(text=f"<p style='font-size:14px;color:#555'>{escape(one.note)}</p>", width=900)]
-    page = file_html(column(*parts, sizing_mode="stretch_width"), INLINE, "")
+    page = page_of(column(*parts, sizing_mode="stretch_width"), "")
     return f'<iframe srcdoc="{escape(page)}" style="width:100%;height:{_HEIGHT_PX}px;border:none"></iframe>'

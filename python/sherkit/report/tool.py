@@ -6,26 +6,14 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from bokeh.embed import file_html
 from bokeh.layouts import column
 from bokeh.models import Div
-from bokeh.resources import INLINE
 
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis
 from .estimate import EstimateOverTime, estimate_picture
 from .notebook import pictures_of
-from .policy import fresh_nonce, numbered, policy
-
-#: Bokeh's own page with a policy.
-_PAGE = """
-{% block preamble %}<meta http-equiv="Content-Security-Policy" content="{{ policy }}">{% endblock %}
-{% block js_resources %}{{ numbered(bokeh_js, nonce) | safe }}{% endblock %}
-{% block inner_body %}
-{{ self.contents() }}
-{{ numbered(plot_script, nonce) | safe }}
-{% endblock %}
-"""
+from .policy import page_of
 
 
 def write_tool_report(
@@ -47,6 +35,4 @@ def write_tool_report(
     pictures = [estimate_picture(estimate), *pictures_of(found)]
     page = column(Div(text="".join(lines), sizing_mode="stretch_width"), *(p.root for p in pictures),
                   sizing_mode="stretch_width")  # fmt: skip
-    nonce = fresh_nonce()
-    known = {"nonce": nonce, "policy": policy(nonce), "numbered": numbered}
-    write_whole(path, file_html(page, INLINE, title, template=_PAGE, template_variables=known))
+    write_whole(path, page_of(page, title))

@@ -137,7 +137,11 @@ class Calibration(Shown, Accurate):
             found = robot.get("kind") if isinstance(robot, dict) else None
             if not isinstance(found, str) or found not in known:
                 raise CalibrationError(f"{path}: [robot] kind: expected one of {listed(known)}, found {found!r}")
-            return known[found].load(path)
+            return known[found]._from_tables(path, tables)
+        return cls._from_tables(path, tables)
+
+    @classmethod
+    def _from_tables(cls, path: Path, tables: dict[str, Any]) -> Self:
         with reading(path, tables) as table:
             with table.table("calibration") as c:
                 c.pass_over("format", "made_by")

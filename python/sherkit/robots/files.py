@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..arguments import as_annotated
 from .calibrated import Calibration
 
 
+@as_annotated
 def load_calibration(path: str | Path) -> Calibration:
     """Reads a calibration of any robot. Raises :class:`~sherkit.errors.CalibrationError` naming file and key."""
     return Calibration.load(path)

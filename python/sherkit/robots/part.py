@@ -163,8 +163,12 @@ class Part:
         if made.readings not in [(), *(one.coordinates for one in model.layouts)]:
             raise table.fail("readings", f"one of {listed(' '.join(one.coordinates) for one in model.layouts)}")
         functions = made.functions(low[None, :]).shape[1]
-        unshown = (Unshown.from_table(one, model, functions, size) for one in table.tables("unshown"))
-        return replace(made, unshown=tuple(unshown))
+        unshown = tuple(Unshown.from_table(one, model, functions, size) for one in table.tables("unshown"))
+        for k, one in enumerate(unshown):
+            sizes, far = one.largest(model)
+            if sizes > _ABSURD or far > _LARGEST_RESIDUAL:
+                raise table.refuse(f"unshown: entry {k + 1} ({one.effect}): larger than any robot")
+        return replace(made, unshown=unshown)
 
     def _check(self, table: Table, robot: Robot, told: list[tuple[str, float]]) -> None:
         """Refuses numbers that no identification gave: in other units, or absurd beside what is plausible."""

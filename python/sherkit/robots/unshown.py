@@ -93,6 +93,20 @@ class Unshown:
             left=table.number("left"),
         )
 
+    def largest(self, model: ChainModel) -> tuple[float, float]:
+        """How large it is: in plausible sizes of the effect's own parameters and of those that take of it, whichever is
+        more, and in the unit of the coordinates."""
+        own = [p.size for p in model.catalogue[self.effect].parameters]
+        others = np.array([[p.size] for p in model.parameters])
+        errors = np.vstack([np.diag(1.0 / np.array(own)), self.absorbed / others])
+        moves = self.corrected.reshape(-1, len(own))
+        with np.errstate(over="ignore", invalid="ignore"):
+            each, moved = (np.einsum("ik,kl,il->i", by, self.moment, by) for by in (errors, moves))
+        far = np.concatenate([moved, np.diag(self.shown)])
+        # what is too large for a number is no number here
+        largest = [float(np.sqrt(np.nan_to_num(one.clip(0.0), nan=np.inf).max())) for one in (each, far)]
+        return largest[0], largest[1]
+
     def missed(self, by_values: Floats, by_effect: Floats, functions: Floats) -> Floats:
         """a (n, m, k): what readings miss per unit of the parameters, from their derivatives by the identified values
         (n, m, p) and by the effect (n, m, k), and from a correction's functions (n, c)."""

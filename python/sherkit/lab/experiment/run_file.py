@@ -1,9 +1,8 @@
 """The run file: one SQLite database per run, which holds plan, instruments, settings and versions beside the rows.
 
-Write-ahead log and ``synchronous=FULL``: a point whose :meth:`RunFile.store` has returned survives the death of the
-program and of the machine. Each point is one transaction under its step's number, so that it is whole or absent, and
-there once. One runner at a time holds the run's lock. Rows that are in doubt are marked and kept. No text in it is ever
-run: plans and settings are JSON, robot and experiment TOML.
+A point whose :meth:`RunFile.store` has returned is on the disk. Each is one transaction under its step's number, so
+that it is whole or absent, and there once. One runner at a time holds the run's lock. Rows that are in doubt are marked
+and kept. No text in it is ever run: plans and settings are JSON, robot and experiment TOML.
 """
 
 from __future__ import annotations
@@ -13,20 +12,16 @@ import platform
 import sqlite3
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import wraps
 from pathlib import Path
-from typing import Any, Self, TypeVar, cast
+from typing import Any, Self
 
 import numpy as np
-import polars as pl
 
 import sherkit._core as _core
 
-from ...data import Measurements, from_frame
-from ...data.columns import OUTLIER, POSE, REPEAT, TIME
 from ...data.files import is_output
 from ...data.tables import PARQUET, write_table
 from ...errors import ExperimentError, SherkitWarning
@@ -34,36 +29,9 @@ from ..clock import now_s, wall_ahead_s
 from .lock import RunLock
 from .plan import Plan
 from .point import Point
+from .run_database import FORMAT, READ_TOO, connected, holds_nothing_else, is_bare, make_tables
+from .run_rows import RunRows, exported, reads
 
-#: "Sher", in the file's header: what kind of database this is.
-_APPLICATION = 0x53686572
-_FORMAT = 2
-#: Runs of an earlier version, which can be read and not gone on with.
-_READ = ("1", "2")
-_TABLES = """
-CREATE TABLE run (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
-CREATE TABLE session (
-    session INTEGER PRIMARY KEY, began_s REAL NOT NULL, ended_s REAL, why TEXT, versions TEXT NOT NULL
-) STRICT;
-CREATE TABLE instrument (
-    session INTEGER NOT NULL REFERENCES session, name TEXT NOT NULL, kind TEXT NOT NULL, identity TEXT NOT NULL,
-    port TEXT NOT NULL, settings TEXT NOT NULL, PRIMARY KEY (session, name)
-) STRICT;
-CREATE TABLE point (
-    step INTEGER PRIMARY KEY, session INTEGER NOT NULL REFERENCES session, pose INTEGER NOT NULL,
-    repeat INTEGER NOT NULL, time_s REAL NOT NULL, wall_s REAL NOT NULL, UNIQUE (pose, repeat)
-) STRICT;
-CREATE TABLE reading (
-    step INTEGER NOT NULL REFERENCES point, place INTEGER NOT NULL, name TEXT NOT NULL, value REAL,
-    PRIMARY KEY (step, place), UNIQUE (step, name)
-) STRICT, WITHOUT ROWID;
-CREATE TABLE doubt (step INTEGER PRIMARY KEY REFERENCES point, instrument TEXT NOT NULL, why TEXT NOT NULL) STRICT;
-CREATE TABLE former (
-    step INTEGER NOT NULL, session INTEGER NOT NULL, time_s REAL NOT NULL, instrument TEXT NOT NULL, why TEXT NOT NULL,
-    readings TEXT NOT NULL
-) STRICT;
-CREATE TABLE diary (at_s REAL NOT NULL, session INTEGER, step INTEGER, what TEXT NOT NULL) STRICT;
-"""
 #: Of :meth:`RunFile.create`, what must be the same for a run to go on.
 _SAME = ("plan", "robot")
 #: What gives the numbers of each instrument their meaning, as JSON: the same, too, told apart by instrument and key.
@@ -72,31 +40,14 @@ _MEANING = "meaning"
 _CLOCK_SET_S = 1.0
 
 
-_Method = TypeVar("_Method", bound=Callable[..., Any])
-
-
-def _reads(method: _Method) -> _Method:
-    """What is wrong with the file, or with what is in it, as a sentence."""
-
-    @wraps(method)
-    def sound(self: RunFile, *args: Any, **kwargs: Any) -> Any:
-        try:
-            return method(self, *args, **kwargs)
-        except (sqlite3.Error, pl.exceptions.PolarsError, ValueError, TypeError, LookupError, OverflowError) as error:
-            raise ExperimentError(f"{self.path}: is damaged and cannot be read: {error}") from None
-
-    return cast(_Method, sound)
-
-
-class RunFile:
+class RunFile(RunRows):
     """An open run file. ``create``, ``resume`` and ``open`` make one; ``with`` closes it.
 
     Raises :class:`~sherkit.errors.ExperimentError` where the file is none, or another run's.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
-        self.path = path
-        self._db = connection
+        super().__init__(path, connection)
         self._lock: RunLock | None = None
         self._wall_ahead_s = wall_ahead_s()
         self._later_s = 0.0
@@ -111,21 +62,15 @@ class RunFile:
         A file that a program left before anything was in it is taken over.
         """
         path = Path(path)
-        made = cls(path, cls._connect(path))
+        made = cls(path, connected(path))
         if not made._is_bare():
             made.close()
             raise ExperimentError(f"{path}: exists; go on with --resume, or give the run another name")
         made._take_lock()
-        values = {"format": str(_FORMAT), "created_s": repr(now_s()), "plan": plan.to_json(), **about}
+        values = {"format": str(FORMAT), "created_s": repr(now_s()), "plan": plan.to_json(), **about}
         try:
             with made._writing():
-                # one transaction: the file holds a whole run, or none
-                made._db.execute("BEGIN IMMEDIATE")
-                for statement in _TABLES.split(";\n"):
-                    if statement.strip():
-                        made._db.execute(statement)
-                made._db.executemany("INSERT INTO run VALUES (?, ?)", values.items())
-                made._db.execute(f"PRAGMA application_id = {_APPLICATION}")
+                make_tables(made._db, values)
         except BaseException:
             made.close()
             raise
@@ -139,7 +84,7 @@ class RunFile:
         ``meaning`` as JSON: kind, columns and settings by instrument).
         """
         path = Path(path)
-        made = cls(path, cls._connect(path))
+        made = cls(path, connected(path))
         bare = made._is_bare()
         made.close()
         if bare:
@@ -160,8 +105,9 @@ class RunFile:
             self.close()
             raise
 
+    @reads
     def _require_same(self, given: Mapping[str, str]) -> None:
-        if self.about("format") != str(_FORMAT):
+        if self.about("format") != str(FORMAT):
             raise ExperimentError(f"{self.path}: was begun by an earlier version; it can be exported, not gone on with")
         for key in _SAME:
             if self.about(key) != given.get(key, ""):
@@ -169,7 +115,7 @@ class RunFile:
                     f"{self.path}: was begun with another {key}; a run goes on only as it began. Give the changed "
                     "experiment a run of its own"
                 )
-        then, now = (json.loads(text or "{}") for text in (self.about(_MEANING), given.get(_MEANING, "")))
+        then, now = (_by_instrument(text) for text in (self.about(_MEANING), given.get(_MEANING, "")))
         self._require_same_instruments(then, now)
 
     def _require_same_instruments(self, then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
@@ -194,49 +140,22 @@ class RunFile:
         path = Path(path)
         if not path.is_file():
             raise ExperimentError(f"{path}: there is no such run file")
-        made = cls(path, cls._connect(path))
+        made = cls(path, connected(path))
         try:
-            if made._is_bare() or not made._holds_nothing_else() or made.about("format") not in _READ:
-                raise ExperimentError(f"{path}: holds no run of this version (expected format {_FORMAT})")
+            if made._is_bare() or not made._is_ours() or made.about("format") not in READ_TOO:
+                raise ExperimentError(f"{path}: holds no run of this version (expected format {FORMAT})")
         except BaseException:
             made.close()
             raise
         return made
 
-    @_reads
-    def _holds_nothing_else(self) -> bool:
-        """Whether its tables are those of a run: a view or a trigger of somebody else's could run for ever."""
-        found = {str(sql) for (sql,) in self._db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
-        # runs of the first version had no wall clock in their points
-        known = _TABLES + _TABLES.replace("wall_s REAL NOT NULL, ", "")
-        return found <= {one.strip().rstrip(";") for one in known.split(";\n") if one.strip()}
-
-    @staticmethod
-    def _connect(path: Path) -> sqlite3.Connection:
-        db: sqlite3.Connection | None = None
-        try:
-            db = sqlite3.connect(path, isolation_level=None, timeout=10.0)
-            # a file from somebody else must not run code of its own
-            db.execute("PRAGMA trusted_schema = OFF")
-            tables = db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
-            kind = db.execute("PRAGMA application_id").fetchone()[0]
-            if tables and kind != _APPLICATION:
-                db.close()
-                # before anything is changed in it
-                raise ExperimentError(f"{path}: is a database, but no run file")
-            db.execute("PRAGMA journal_mode = WAL")
-            db.execute("PRAGMA synchronous = FULL")
-            db.execute("PRAGMA foreign_keys = ON")
-        except sqlite3.Error as error:
-            if db is not None:
-                db.close()
-            raise ExperimentError(f"{path}: cannot be opened as a run file: {error}") from None
-        return db
-
-    @_reads
+    @reads
     def _is_bare(self) -> bool:
-        """Whether nothing is in it: a program died before the run was begun."""
-        return not self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
+        return is_bare(self._db)
+
+    @reads
+    def _is_ours(self) -> bool:
+        return holds_nothing_else(self._db)
 
     def close(self) -> None:
         """Gives the file back; twice does no harm."""
@@ -294,7 +213,7 @@ class RunFile:
             self._say_clock(-self._later_s, "since the last row was taken", "right after that row")
         return self.session
 
-    @_reads
+    @reads
     def _identities(self) -> dict[str, dict[str, str]]:
         """Kind and identity of the instruments of the last session."""
         found = self._db.execute(
@@ -317,6 +236,17 @@ class RunFile:
 
     def _now_s(self) -> float:
         return now_s() + self._later_s
+
+    @property
+    @reads
+    def reference(self) -> int | None:
+        """The mark of the axes' zero with which the last rows were taken; None before the first."""
+        return int(text) if (text := self.about("reference")) else None
+
+    @reference.setter
+    def reference(self, mark: int | None) -> None:
+        with self._writing():
+            self._db.execute("INSERT OR REPLACE INTO run VALUES ('reference', ?)", ("" if mark is None else str(mark),))
 
     def note(self, what: str, step: int | None = None) -> None:
         """A line of the diary: a pause, an error."""
@@ -382,104 +312,12 @@ class RunFile:
         for table in ("doubt", "reading", "point"):
             self._db.execute(f"DELETE FROM {table} WHERE step = ?", (step,))
 
-    # --- reading
 
-    @_reads
-    def about(self, key: str) -> str:
-        """What the run holds of ``plan``, ``robot``, ``experiment`` …; "" where it holds nothing."""
-        found = self._db.execute("SELECT value FROM run WHERE key = ?", (key,)).fetchone()
-        return str(found[0]) if found is not None else ""
-
-    @property
-    @_reads
-    def plan(self) -> Plan:
-        """The plan that the run was begun with."""
-        return Plan.from_json(self.about("plan"))
-
-    @_reads
-    def done(self) -> set[int]:
-        """Numbers of the steps that are stored and not in doubt."""
-        return {int(row[0]) for row in self._db.execute("SELECT step FROM point")} - set(self.doubts())
-
-    @property
-    @_reads
-    def reference(self) -> int | None:
-        """The mark of the axes' zero with which the last rows were taken; None before the first."""
-        return int(text) if (text := self.about("reference")) else None
-
-    @reference.setter
-    def reference(self, mark: int | None) -> None:
-        with self._writing():
-            self._db.execute("INSERT OR REPLACE INTO run VALUES ('reference', ?)", ("" if mark is None else str(mark),))
-
-    @_reads
-    def doubts(self) -> dict[int, tuple[str, str]]:
-        """Instrument and reason for each step whose row is in doubt."""
-        if self.about("format") == "1":
-            return {}
-        found = self._db.execute("SELECT step, instrument, why FROM doubt ORDER BY step")
-        return {int(step): (str(who), str(why)) for step, who, why in found}
-
-    @_reads
-    def last(self) -> Point | None:
-        """The point that was stored last, in doubt or not."""
-        found = self._db.execute("SELECT step FROM point ORDER BY time_s DESC LIMIT 1").fetchone()
-        return None if found is None else self._stored("WHERE step = ?", (found[0],))[0]
-
-    @_reads
-    def points(self) -> list[Point]:
-        """Every stored point that is not in doubt, in the order of the steps."""
-        return self._stored("WHERE step NOT IN (SELECT step FROM doubt)" if self.doubts() else "", ())
-
-    def _stored(self, where: str, values: tuple[int, ...]) -> list[Point]:
-        read: dict[int, dict[str, float]] = {}
-        for step, name, value in self._db.execute(
-            f"SELECT step, name, value FROM reading {where} ORDER BY step, place", values
-        ):
-            read.setdefault(step, {})[name] = float("nan") if value is None else float(value)
-        found = self._db.execute(f"SELECT step, pose, repeat, time_s FROM point {where} ORDER BY step", values)
-        return [Point(int(p), int(r), float(t), read.get(step, {})) for step, p, r, t in found]
-
-    @_reads
-    def diary(self) -> list[tuple[float, int | None, str]]:
-        """When, at which step, what."""
-        return [(float(a), b, str(c)) for a, b, c in self._db.execute("SELECT at_s, step, what FROM diary")]
-
-    @_reads
-    def instruments(self) -> list[tuple[int, str, str, str, str]]:
-        """Session, name, kind, identity and port of every instrument of every session."""
-        return list(self._db.execute("SELECT session, name, kind, identity, port FROM instrument"))
-
-    @_reads
-    def frame(self) -> pl.DataFrame:
-        """The rows in the order of their steps: step, time, pose, repeat, and a column for every value.
-
-        Where rows are in doubt, they have a 1 in the column ``outlier``: no fit uses them.
-        """
-        points = self._db.execute("SELECT step, time_s, pose, repeat FROM point ORDER BY step").fetchall()
-        place = {row[0]: k for k, row in enumerate(points)}
-        columns: dict[str, list[float | None]] = {}
-        for step, name, value in self._db.execute("SELECT step, name, value FROM reading ORDER BY step, place"):
-            columns.setdefault(str(name), [None] * len(points))[place[step]] = value
-        head = {
-            "step": pl.Series([row[0] for row in points], dtype=pl.Int64),
-            TIME: pl.Series([row[1] for row in points], dtype=pl.Float64),
-            POSE: pl.Series([row[2] for row in points], dtype=pl.Int64),
-            REPEAT: pl.Series([row[3] for row in points], dtype=pl.Int64),
-        }
-        if doubts := self.doubts():
-            head[OUTLIER] = pl.Series([int(row[0] in doubts) for row in points], dtype=pl.Int64)
-        return pl.DataFrame({**head, **{n: pl.Series(v, dtype=pl.Float64) for n, v in columns.items()}})
-
-    def measurements(self) -> Measurements:
-        """The rows as measurements, by time. Raises :class:`~sherkit.errors.MeasurementError` where there are none."""
-        return from_frame(exported(self.frame()), str(self.path))
-
-
-def exported(frame: pl.DataFrame) -> pl.DataFrame:
-    """The columns of a run that a person or program goes on with: time counted from the first row, no step numbers."""
-    first = frame[TIME].min() if len(frame) else 0.0
-    return frame.drop("step").with_columns(pl.col(TIME) - first)
+def _by_instrument(text: str) -> dict[str, dict[str, Any]]:
+    made = json.loads(text or "{}")
+    if not isinstance(made, dict) or not all(isinstance(one, dict) for one in made.values()):
+        raise ValueError("what its instruments' numbers mean is not said by instrument")
+    return made
 
 
 def export_run(source: str | Path, destination: str | Path) -> int:

@@ -1,0 +1,126 @@
+"""The rows of a run file, and what is said of them: reading alone, also while a program writes."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import polars as pl
+
+from ...data import Measurements, from_frame
+from ...data.columns import OUTLIER, POSE, REPEAT, TIME
+from ...errors import ExperimentError
+from .plan import Plan
+from .point import Point
+
+_Method = TypeVar("_Method", bound=Callable[..., Any])
+
+
+def reads(method: _Method) -> _Method:
+    """What is wrong with the file, or with what is in it, as a sentence."""
+
+    @wraps(method)
+    def sound(self: RunRows, *args: Any, **kwargs: Any) -> Any:
+        try:
+            return method(self, *args, **kwargs)
+        except (sqlite3.Error, pl.exceptions.PolarsError, ValueError, TypeError, LookupError, OverflowError) as error:
+            raise ExperimentError(f"{self.path}: is damaged and cannot be read: {error}") from None
+
+    return cast(_Method, sound)
+
+
+class RunRows:
+    """What an open run file holds. Raises :class:`~sherkit.errors.ExperimentError` where it is damaged."""
+
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+        self.path = path
+        self._db = connection
+
+    @reads
+    def about(self, key: str) -> str:
+        """What the run holds of ``plan``, ``robot``, ``experiment`` …; "" where it holds nothing."""
+        found = self._db.execute("SELECT value FROM run WHERE key = ?", (key,)).fetchone()
+        return str(found[0]) if found is not None else ""
+
+    @property
+    @reads
+    def plan(self) -> Plan:
+        """The plan that the run was begun with."""
+        return Plan.from_json(self.about("plan"))
+
+    @reads
+    def done(self) -> set[int]:
+        """Numbers of the steps that are stored and not in doubt."""
+        return {int(row[0]) for row in self._db.execute("SELECT step FROM point")} - set(self.doubts())
+
+    @reads
+    def doubts(self) -> dict[int, tuple[str, str]]:
+        """Instrument and reason for each step whose row is in doubt."""
+        if self.about("format") == "1":
+            return {}
+        found = self._db.execute("SELECT step, instrument, why FROM doubt ORDER BY step")
+        return {int(step): (str(who), str(why)) for step, who, why in found}
+
+    @reads
+    def last(self) -> Point | None:
+        """The point that was stored last, in doubt or not."""
+        found = self._db.execute("SELECT step FROM point ORDER BY time_s DESC LIMIT 1").fetchone()
+        return None if found is None else self._stored("WHERE step = ?", (found[0],))[0]
+
+    @reads
+    def points(self) -> list[Point]:
+        """Every stored point that is not in doubt, in the order of the steps."""
+        return self._stored("WHERE step NOT IN (SELECT step FROM doubt)" if self.doubts() else "", ())
+
+    def _stored(self, where: str, values: tuple[int, ...]) -> list[Point]:
+        read: dict[int, dict[str, float]] = {}
+        for step, name, value in self._db.execute(
+            f"SELECT step, name, value FROM reading {where} ORDER BY step, place", values
+        ):
+            read.setdefault(step, {})[name] = float("nan") if value is None else float(value)
+        found = self._db.execute(f"SELECT step, pose, repeat, time_s FROM point {where} ORDER BY step", values)
+        return [Point(int(p), int(r), float(t), read.get(step, {})) for step, p, r, t in found]
+
+    @reads
+    def diary(self) -> list[tuple[float, int | None, str]]:
+        """When, at which step, what."""
+        return [(float(a), b, str(c)) for a, b, c in self._db.execute("SELECT at_s, step, what FROM diary")]
+
+    @reads
+    def instruments(self) -> list[tuple[int, str, str, str, str]]:
+        """Session, name, kind, identity and port of every instrument of every session."""
+        return list(self._db.execute("SELECT session, name, kind, identity, port FROM instrument"))
+
+    @reads
+    def frame(self) -> pl.DataFrame:
+        """The rows in the order of their steps: step, time, pose, repeat, and a column for every value.
+
+        Where rows are in doubt, they have a 1 in the column ``outlier``: no fit uses them.
+        """
+        points = self._db.execute("SELECT step, time_s, pose, repeat FROM point ORDER BY step").fetchall()
+        place = {row[0]: k for k, row in enumerate(points)}
+        columns: dict[str, list[float | None]] = {}
+        for step, name, value in self._db.execute("SELECT step, name, value FROM reading ORDER BY step, place"):
+            columns.setdefault(str(name), [None] * len(points))[place[step]] = value
+        head = {
+            "step": pl.Series([row[0] for row in points], dtype=pl.Int64),
+            TIME: pl.Series([row[1] for row in points], dtype=pl.Float64),
+            POSE: pl.Series([row[2] for row in points], dtype=pl.Int64),
+            REPEAT: pl.Series([row[3] for row in points], dtype=pl.Int64),
+        }
+        if doubts := self.doubts():
+            head[OUTLIER] = pl.Series([int(row[0] in doubts) for row in points], dtype=pl.Int64)
+        return pl.DataFrame({**head, **{n: pl.Series(v, dtype=pl.Float64) for n, v in columns.items()}})
+
+    def measurements(self) -> Measurements:
+        """The rows as measurements, by time. Raises :class:`~sherkit.errors.MeasurementError` where there are none."""
+        return from_frame(exported(self.frame()), str(self.path))
+
+
+def exported(frame: pl.DataFrame) -> pl.DataFrame:
+    """The columns of a run that a person or program goes on with: time counted from the first row, no step numbers."""
+    first = frame[TIME].min() if len(frame) else 0.0
+    return frame.drop("step").with_columns(pl.col(TIME) - first)
