@@ -38,7 +38,10 @@ _WORK_S = 60 * HANGS_S
 def commands() -> dict[str, click.Command]:
     """Every command by its words."""
     out: dict[str, click.Command] = {}
-    for name, one in cli.commands.items():
+    context = click.Context(cli)
+    for name in cli.list_commands(context):
+        one = cli.get_command(context, name)
+        assert one is not None
         inner = getattr(one, "commands", None)
         out |= {f"{name} {k}": v for k, v in inner.items()} if inner else {name: one}
     return out

@@ -9,14 +9,13 @@ import click
 from ..data.files import write_whole
 from ..errors import SherkitError
 from ..model.effect import Effect, effects_by_name
-from ..model.kinds import KINDS, Robot
+from ..model.kinds import Robot, known_kinds
 from ..model.robot_file import load_robot
 from ..report.signature import signature_map
 from ..robots.tool.effects import TOOL_CATALOGUE
-from ..robots.tool.tool import KIND
+from ..robots.tool_file import KIND, is_tool
 from . import output
 from .demo import EXAMPLE
-from .tool import is_tool
 
 _OF_TOOL = "the flexible tool and its camera"
 
@@ -27,7 +26,7 @@ _OF_TOOL = "the flexible tool and its camera"
 @click.option("--picture", type=click.Path(path_type=Path), help="Draw what the effect leaves on this robot (SVG).")
 def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
     """List the physical effects that can be found and added; with NAME, show one."""
-    catalogues = {name: kind.model.catalogue for name, kind in KINDS.items()} | {KIND: TOOL_CATALOGUE}
+    catalogues = {name: kind.model.catalogue for name, kind in known_kinds().items()} | {KIND: TOOL_CATALOGUE}
     nominal = None
     if robot is not None:
         nominal = None if is_tool(robot) else load_robot(robot)
@@ -57,7 +56,8 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
 
 
 def _title(kind: str) -> str:
-    return f"Effects of {KINDS[kind].title if kind in KINDS else _OF_TOOL}"
+    known = known_kinds()
+    return f"Effects of {known[kind].title if kind in known else _OF_TOOL}"
 
 
 def _show(effect: Effect, of: str) -> None:

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Protocol, Self, overload, runtime_checkable
 
 from numpy.typing import ArrayLike
 
+from .. import built_in
 from ..data import Measurements
 from ..data.columns import Layout, know
 from ..data.toml import Table
@@ -221,12 +222,19 @@ class Kind:
         return self.virtual
 
 
+#: The kinds that were made known so far; :func:`known_kinds` are all.
 KINDS: dict[str, Kind] = {}
+
+
+def known_kinds() -> dict[str, Kind]:
+    """Every kind of robot by name, the built-in ones first."""
+    built_in.load()
+    return KINDS
 
 
 def register(kind: Kind) -> None:
     """Makes a kind known, its runs and its files."""
-    KINDS[kind.name] = kind
+    known_kinds()[kind.name] = kind
     know(*kind.layouts)
 
 
@@ -240,14 +248,16 @@ def robot_from_tables(values: dict[str, object], where: str) -> Robot:
 
 def kind_of(robot: Robot) -> Kind:
     """What the robot's kind brings. Raises :class:`~sherkit.errors.RobotError` for a kind that nobody made known."""
-    if robot.kind not in KINDS:
-        raise RobotError(f"{robot.kind} robots are not known; there are {listed(KINDS)}")
-    return KINDS[robot.kind]
+    known = known_kinds()
+    if robot.kind not in known:
+        raise RobotError(f"{robot.kind} robots are not known; there are {listed(known)}")
+    return known[robot.kind]
 
 
 def robot_from_table(table: Table) -> Robot:
     """Reads a robot from a table that may stand in another file."""
-    robot: Robot = KINDS[table.text("kind", tuple(KINDS))].robot.from_table(table)
+    known = known_kinds()
+    robot: Robot = known[table.text("kind", tuple(known))].robot.from_table(table)
     return robot
 
 
@@ -268,7 +278,7 @@ def model_of(model: Robot | Model | ModelWithEffects, free: Sequence[str] = ()) 
             raise FitError("free: this model says itself which of its parameters are free")
         return replace(model, free=tuple(free))
     kind = getattr(model, "kind", None)
-    if isinstance(kind, str) and kind in KINDS:
+    if isinstance(kind, str) and kind in known_kinds():
         return KINDS[kind].model(model, tuple(free))
     if isinstance(model, Model):
         return model_of(Extended(model), free)

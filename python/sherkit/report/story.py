@@ -22,7 +22,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import sherkit._core as _core
 
-from ..calibrate import Result
+from ..calibration import Result
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis, sentence
 from ..errors import SherkitError
