@@ -49,7 +49,7 @@ def commands() -> dict[str, click.Command]:
 
 def typed(name: str, command: click.Command, files: list[str], rng: random.Random) -> list[str]:
     """A command line: arguments and options of the command, with values that fit, nearly fit, or do not."""
-    line, context = [], click.Context(command)
+    line, context = [], click.Context(command, parent=click.Context(cli, **cli.context_settings))
     for parameter in command.get_params(context):
         if isinstance(parameter, click.Argument):
             count = rng.choice((1, 1, 1, 2)) if parameter.nargs == -1 else rng.choice((1,) * 9 + (0,))

@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from bokeh.document import Document
 from bokeh.layouts import column, gridplot
-from bokeh.models import CDSView, ColumnDataSource, CustomAction, CustomJS, LayoutDOM, UIElement
+from bokeh.models import ColumnDataSource, CustomAction, CustomJS, LayoutDOM, UIElement
 
 S = TypeVar("S")
 Table = dict[str, Any]
@@ -95,16 +95,13 @@ def single(name: str, figure: Any) -> LayoutDOM:
 
 def _lean(figure: Any) -> None:
     """Leaves to the browser what it makes by itself: how each glyph looks muted, or beside a selection where none was
-    asked for. A third of all that would be written."""
+    asked for. A seventh of all that would be written."""
     for one in figure.renderers:
         if one.muted_glyph != "auto":
             one.muted_glyph = "auto"
         aside = one.nonselection_glyph
         if aside != "auto" and all(getattr(aside, name, _ASIDE) == _ASIDE for name in ("line_alpha", "fill_alpha")):
             one.nonselection_glyph = "auto"
-    view = CDSView()  # all rows
-    for one in figure.renderers:
-        one.view = view
 
 
 def _save_actions(name: str, picture: Any) -> list[CustomAction]:
