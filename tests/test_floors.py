@@ -14,7 +14,7 @@ FLOORS = (
     ("model", "vision"),
     ("fit",),
     ("robots", "diagnosis"),
-    ("planning", "calibration", "study_file"),
+    ("planning", "calibration", "study_file", "fleets"),
     ("study",),
     ("report", "lab"),
     ("__init__",),

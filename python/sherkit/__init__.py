@@ -21,6 +21,7 @@ if _TYPE_CHECKING:
     from .diagnosis import diagnose
     from .errors import SherkitError, SherkitWarning
     from .fit import identify
+    from .fleets import fleet
     from .model.effect import Effect, effect
     from .model.robot_file import load_robot, save_robot
     from .robots import delta, spherical, tool
@@ -29,7 +30,7 @@ if _TYPE_CHECKING:
 
 __all__ = [
     "Effect", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__", "calibrate", "data", "delta",
-    "diagnose", "diagnosis", "effect", "errors", "fit", "from_frame", "identify", "lab", "load_calibration",
+    "diagnose", "diagnosis", "effect", "errors", "fit", "fleet", "from_frame", "identify", "lab", "load_calibration",
     "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "spherical", "tool",
 ]  # fmt: skip
 
@@ -52,8 +53,9 @@ if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not 
         {
             "Effect": "model.effect", "Measurements": "data", "SherkitError": "errors", "SherkitWarning": "errors",
             "Study": "study", "__version__": "_core", "calibrate": "calibration", "diagnose": "diagnosis",
-            "effect": "model.effect", "from_frame": "data", "identify": "fit", "load_calibration": "robots.files",
-            "load_robot": "model.robot_file", "read_measurements": "data", "save_robot": "model.robot_file",
+            "effect": "model.effect", "fleet": "fleets", "from_frame": "data", "identify": "fit",
+            "load_calibration": "robots.files", "load_robot": "model.robot_file", "read_measurements": "data",
+            "save_robot": "model.robot_file",
         },
         {
             **{name: name for name in ("data", "diagnosis", "errors", "fit", "lab", "model", "planning", "report")},

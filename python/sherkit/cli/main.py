@@ -23,6 +23,7 @@ _VERBS = {
     "effects": "effects.effects",
     "estimate": "tool.estimate",
     "export": "measure.export",
+    "fleet": "fleet.fleet_command",
     "home": "home.home",
     "import": "importing.import_group",
     "intrinsics": "vision.intrinsics",
