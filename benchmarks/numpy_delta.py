@@ -32,13 +32,14 @@ def forward(p: Floats, q: Floats) -> Floats:
     return np.stack([x0 + x1 * z, y0 + y1 * z, z], axis=1)
 
 
-def forward_plain(p: Floats, q: Floats) -> Floats:
-    """The same as it is usually written: vectors and cross products, no algebra by hand."""
+def forward_plain(p: Floats, q: Floats, shift: Floats | float = 0.0) -> Floats:
+    """The same as it is usually written: vectors and cross products, no algebra by hand. ``shift`` (n, 3, 2) moves the
+    carriages sideways."""
     limb = p.reshape(3, 6)
     base = limb[:, :1] * np.stack([np.cos(limb[:, 1]), np.sin(limb[:, 1])], axis=1)
     plate = limb[:, 4:5] * np.stack([np.cos(limb[:, 5]), np.sin(limb[:, 5])], axis=1)
     centres = np.empty((len(q), 3, 3))
-    centres[:, :, :2] = base - plate
+    centres[:, :, :2] = base - plate + shift
     centres[:, :, 2] = q + limb[:, 2]
     s1, s2, s3 = centres[:, 0], centres[:, 1], centres[:, 2]
     r = limb[:, 3]
@@ -55,3 +56,48 @@ def forward_plain(p: Floats, q: Floats) -> Floats:
     z = np.sqrt(r[0] ** 2 - x**2 - y**2)
     side = -np.sign(ez[:, 2:])
     return s1 + x * ex + y * ey + side * z * ez
+
+
+def derivatives(p: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
+    """Platform centres (n, 3), their derivatives (n, 3, 12) by radius, angle, offset and rod of each limb, and by what
+    moves the end of each rod (n, 3, 3, 3: coordinate, limb, direction), by the rule for implicit functions."""
+    limb = p.reshape(3, 6)
+    x = forward(p, q)
+    cos, sin = np.cos(limb[:, 1]), np.sin(limb[:, 1])
+    a = limb[:, 0] * cos - limb[:, 4] * np.cos(limb[:, 5])
+    b = limb[:, 0] * sin - limb[:, 4] * np.sin(limb[:, 5])
+    rods = np.stack([x[:, :1] - a, x[:, 1:2] - b, x[:, 2:] - q - limb[:, 2]], axis=2)
+    # (x - c) · dx = (x - c) · dc + r dr for each limb: the inverse by cross products
+    across = np.stack([np.cross(rods[:, (k + 1) % 3], rods[:, (k + 2) % 3]) for k in range(3)], axis=2)
+    inverse = across / np.einsum("nk,nk->n", rods[:, 0], across[:, :, 0])[:, None, None]
+    by_end = inverse[:, :, :, None] * rods[:, None]
+    out = np.empty((len(q), 3, 12))
+    out[:, :, 0::4] = by_end[..., 0] * cos + by_end[..., 1] * sin
+    out[:, :, 1::4] = limb[:, 0] * (by_end[..., 1] * cos - by_end[..., 0] * sin)
+    out[:, :, 2::4] = by_end[..., 2]
+    out[:, :, 3::4] = inverse * limb[:, 3]
+    return x, out, by_end
+
+
+def gauss_newton(p: Floats, q: Floats, measured: Floats, offset: Floats) -> tuple[Floats, float]:
+    """Values (15,) of geometry and datum to the minimum, by normal equations, and the sum of squares left there."""
+    free = np.array([6 * limb + k for limb in range(3) for k in range(4)])
+    values, last = np.zeros(15), np.inf
+    for _ in range(30):
+        full = p.copy()
+        full[free] += values[:12]
+        x, by_geometry, _ = derivatives(full, q)
+        left = measured - x - offset - values[12:]
+        cost = float(np.einsum("nk,nk->", left, left))
+        if last - cost <= 1e-12 * cost:
+            break
+        last = cost
+        design = np.concatenate([by_geometry, np.broadcast_to(np.eye(3), (len(q), 3, 3))], axis=2).reshape(-1, 15)
+        size = np.sqrt(np.einsum("nk,nk->k", design, design))
+        gram = (design.T @ design) / np.outer(size, size)
+        # some directions change no reading: what is left of them is rounding
+        eigenvalues, vectors = np.linalg.eigh(gram)
+        kept = eigenvalues > 1e-12 * eigenvalues[-1]
+        step = vectors[:, kept] @ ((vectors[:, kept].T @ ((design.T @ left.ravel()) / size)) / eigenvalues[kept])
+        values = values + step / size
+    return values, cost

@@ -10,9 +10,7 @@ from pathlib import Path
 
 import filterpy_tool
 import numpy as np
-from rich.console import Console
-from rich.table import Table
-from timing import medians, show
+from timing import Bench, Timed
 
 import sherkit as sk
 
@@ -24,7 +22,8 @@ def built(*command: str) -> str:
     return subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout
 
 
-def tip_filter() -> None:
+def tip_filter(bench: Bench) -> None:
+    """A recorded run, from Python, and one step, in Rust."""
     run = filterpy_tool.recorded(100_000)
     n = len(run.times_s)
     beam, noise = sk._core.ToolBeam.ebrahimi_2020(), sk._core.FilterNoise.ebrahimi_2020()
@@ -37,36 +36,18 @@ def tip_filter() -> None:
         tip = sk._core.TipFilter(beam, poses[0], 1.0, 0.0, noise)
         return tip.filter(run.times_s, run.velocities_mm_s, poses, depths, measured)[0]
 
-    stepped = filterpy_tool.TipFilter(run)
     assert np.abs(filterpy_tool.TipFilter(run).whole() - ours()).max() < 1e-6
-    whole = medians(
-        {"sherkit filter(), from Python": ours, "filterpy, step by step": lambda: filterpy_tool.TipFilter(run).whole()},
-        7,
-    )
-    show("Tip filter over a recorded run of 100,000 steps", "≥ 100 ×", "sherkit filter(), from Python", whole)
-
-    def thousand() -> None:
-        for i in range(1000):
-            stepped.step(i)
-
+    runs = {"sherkit": ours, "filterpy, step by step": lambda: filterpy_tool.TipFilter(run).whole()}
+    bench.compare("tip filter over a recorded run of 100,000 steps, from Python", runs, 3, goal="100 ×")
     step_time = ("cargo", "run", "--quiet", "--release", "--locked", "-p", "sherkit-core", "--example", "step_time")
-    printed = built(*step_time)
-    ns = [float(x) for x in re.findall(r"tip +paper +([\d.]+) ns", printed)]
-    other = 1e6 * medians({"f": thousand}, 15)["f"]
-    table = Table(
-        "", "median", "faster by", title="One step", title_justify="left", caption="≤ 150 ns, ≥ 100 × filterpy"
-    )
-    for line in printed.splitlines():
+    for line in built(*step_time).splitlines():
         name, time_ns = line.removesuffix(" ns").rsplit(maxsplit=1)
-        table.add_row(
-            f"Rust: {name}", f"{time_ns} ns", f"{other / ns[0]:.0f} ×" if re.match("tip +paper", name) else ""
-        )
-    table.add_row("filterpy: tip", f"{other:.0f} ns", "")
-    Console(width=100).print(table)
+        step = 1e-9 * float(time_ns)
+        bench.add(f"one step in Rust: {' '.join(name.split())}", {"sherkit": [Timed(step, step)]}, "150 ns")
 
 
-def control_loop() -> None:
-    """The C++ example at 1 kHz with the other core loaded."""
+def control_loop(bench: Bench) -> None:
+    """The C++ example at 1 kHz with every other core loaded: no speed, but how late a step may be."""
     if not shutil.which("cmake"):
         print("The 1 kHz loop is not timed: CMake is not installed (Debian: apt-get install cmake g++)")
         return
@@ -75,4 +56,8 @@ def control_loop() -> None:
     built("cmake", "-S", "rust/c/examples/loop", "-B", folder, f"-DSHERKIT_TARGET_DIR={target}")
     built("cmake", "--build", folder)
     print("1 kHz loop in C++: fibres, depth, tip, joint filter and inverse kinematics in every step")
-    print(built(f"{folder}/loop", "--seconds", "30", "--load", str(max(1, (os.cpu_count() or 2) - 1))))
+    said = built(f"{folder}/loop", "--seconds", "30", "--load", str(max(1, (os.cpu_count() or 2) - 1)))
+    print(said)
+    for name, us in re.findall(r"(p50|p99\.99|max\w*)\D*([\d.]+)", said):
+        late = 1e-6 * float(us)
+        bench.add(f"a step of the 1 kHz loop in C++, {name}", {"sherkit": [Timed(late, late)]}, "5 µs at p50")

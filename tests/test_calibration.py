@@ -22,7 +22,7 @@ from scipy.special import comb
 
 from second_simulator import Robot, truth
 from sherkit import SherkitError, calibrate
-from sherkit.calibrate import Result
+from sherkit.calibration import Result
 from sherkit.errors import CalibrationError, NotFinite, OutOfReach, ShapeError
 from sherkit.model.effect import effects_by_name
 from sherkit.robots.delta import (

@@ -21,7 +21,7 @@ import pytest
 from bad_inputs import BAD, Bad
 from second_simulator import write_robot_toml
 from sherkit import Measurements, calibrate, load_robot, read_measurements
-from sherkit.calibrate import Result, to_json
+from sherkit.calibration import Result, to_json
 from sherkit.cli import main
 from sherkit.robots.calibrated import Calibration
 from sherkit.robots.delta import VirtualDelta, paper_whole

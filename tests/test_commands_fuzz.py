@@ -66,7 +66,10 @@ _WORK_S = 60 * HANGS_S
 def commands() -> dict[str, click.Command]:
     """Every command by its words."""
     out: dict[str, click.Command] = {}
-    for name, one in cli.commands.items():
+    context = click.Context(cli)
+    for name in cli.list_commands(context):
+        one = cli.get_command(context, name)
+        assert one is not None
         inner = getattr(one, "commands", None)
         out |= {f"{name} {k}": v for k, v in inner.items()} if inner else {name: one}
     return out
@@ -91,7 +94,7 @@ class Grammar:
 
         Few fit in all; some in all but a damaged file, which is of the kind that is asked for.
         """
-        rng, context = self.rng, click.Context(command)
+        rng, context = self.rng, click.Context(command, parent=click.Context(cli, **cli.context_settings))
         chance = rng.random()
         fits, line, damaged = chance < _MEANT, [], []
         for parameter in command.get_params(context):

@@ -9,13 +9,13 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "python" / "sherkit"
 #: From the top down; CONTRIBUTING says what each is for. Rooms of one floor do not know each other.
 FLOORS = (
-    ("errors", "names", "types", "notebook", "saved", "starting", "_core"),
+    ("errors", "names", "types", "notebook", "saved", "starting", "built_in", "doors", "_core"),
     ("arguments",),
     ("data",),
     ("model", "vision"),
     ("fit",),
     ("robots", "diagnosis"),
-    ("planning", "calibrate", "study_file"),
+    ("planning", "calibration", "study_file", "fleets"),
     ("study",),
     ("report", "lab"),
     ("__init__",),

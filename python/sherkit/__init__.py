@@ -2,31 +2,36 @@
 
 What a person does stands here; what belongs to one robot or to one step stands in the submodules: ``sk.delta``,
 ``sk.spherical``, ``sk.tool``; ``sk.data``, ``sk.model``, ``sk.fit``, ``sk.diagnosis``, ``sk.planning``, ``sk.report``,
-``sk.lab``, ``sk.errors``.
+``sk.lab``, ``sk.errors``. Each is loaded when it is first asked for.
 """
 
 from importlib import import_module as _import_module
-from typing import Any as _Any
+from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 from . import starting as _starting  # noqa: F401  # isort: skip
-from . import data, diagnosis, errors, fit, lab, model, planning
-from ._core import __version__
-from .calibrate import calibrate
-from .data import Measurements, from_frame, read_measurements
-from .diagnosis import diagnose
-from .errors import SherkitError, SherkitWarning
-from .fit.identify import identify
-from .model.effect import Effect, effect
-from .model.robot_file import load_robot, save_robot
+from . import built_in as _built_in
+from .doors import door as _door
 from .notebook import Shown as _Shown
-from .robots import delta, spherical, tool
-from .robots.files import load_calibration
-from .robots.machine import Machine
-from .study import Study
+
+if _TYPE_CHECKING:
+    from . import data, diagnosis, errors, fit, lab, model, planning, report
+    from ._core import __version__
+    from .calibration import calibrate
+    from .data import Measurements, from_frame, read_measurements
+    from .diagnosis import diagnose
+    from .errors import SherkitError, SherkitWarning
+    from .fit import identify
+    from .fleets import fleet
+    from .model.effect import Effect, effect
+    from .model.robot_file import load_robot, save_robot
+    from .robots import delta, spherical, tool
+    from .robots.files import load_calibration
+    from .robots.machine import Machine
+    from .study import Study
 
 __all__ = [
     "Effect", "Machine", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__", "calibrate",
-    "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "from_frame", "identify", "lab",
+    "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "fleet", "from_frame", "identify", "lab",
     "load_calibration", "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "spherical",
     "tool",
 ]  # fmt: skip
@@ -42,13 +47,23 @@ def _draw(value: object) -> str | None:
 
 
 _Shown.draw = _draw
+_built_in.load = lambda: _import_module(".robots.kinds", __name__)
 
-
-def __getattr__(name: str) -> _Any:
-    # what draws needs Bokeh, and is loaded when it is asked for
-    if name == "report":
-        return _import_module(f".{name}", __name__)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not exist
+    __getattr__ = _door(
+        __name__,
+        {
+            "Effect": "model.effect", "Machine": "robots.machine", "Measurements": "data", "SherkitError": "errors",
+            "SherkitWarning": "errors", "Study": "study", "__version__": "_core", "calibrate": "calibration", "diagnose": "diagnosis",
+            "effect": "model.effect", "fleet": "fleets", "from_frame": "data", "identify": "fit",
+            "load_calibration": "robots.files", "load_robot": "model.robot_file", "read_measurements": "data",
+            "save_robot": "model.robot_file",
+        },
+        {
+            **{name: name for name in ("data", "diagnosis", "errors", "fit", "lab", "model", "planning", "report")},
+            **{name: f"robots.{name}" for name in ("delta", "spherical", "tool")},
+        },
+    )  # fmt: skip
 
 
 def __dir__() -> list[str]:

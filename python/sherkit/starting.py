@@ -1,4 +1,8 @@
-"""Ctrl-C while the command loads what it needs: one sentence, as later; imported before anything that takes time."""
+"""What the command does before it loads anything that takes time.
+
+Ctrl-C while it loads is one sentence, as later. And the linear algebra below NumPy is held to one thread where nobody
+said otherwise: our matrices are narrow, and threads that wait for each other by turning cost more than they bring.
+"""
 
 import os
 import signal
@@ -17,6 +21,9 @@ def _is_command() -> bool:
     return name.removesuffix(".exe") == "sherkit" and threading.current_thread() is threading.main_thread()
 
 
+if _is_command():
+    for _library in ("OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 if _is_command() and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     signal.signal(signal.SIGINT, _end)
 

@@ -9,7 +9,7 @@ from typing import IO, Any
 
 from ..data.tables import PARQUET
 from ..errors import SherkitError
-from ..model.kinds import KINDS
+from ..model.kinds import known_kinds
 from ..study_file import read_state
 from .growing import whole_lines
 
@@ -85,7 +85,8 @@ def require_effects(folder: Path, known: set[str], typed: Path) -> None:
     """Refuses a study whose effects are not all there, and says where they may be."""
     state = read_state(folder)
     with state.table("robot") as robot:
-        built_in = KINDS[robot.text("kind", tuple(KINDS))].model.catalogue
+        kinds = known_kinds()
+        built_in = kinds[robot.text("kind", tuple(kinds))].model.catalogue
         robot.pass_over(*robot.names())
     needed = {name for name in state.texts("effects") if name not in built_in} - known
     if needed and typed.exists():

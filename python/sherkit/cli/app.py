@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from ..errors import SherkitError
+from ..robots.tool_file import is_tool
 from . import output, reporting
-from .tool import is_tool
 
 
 @click.command()

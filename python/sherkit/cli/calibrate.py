@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 import numpy as np
 
-from ..calibrate import CORRECTIONS, to_json
-from ..calibrate import calibrate as run_calibration
+from ..calibration import CORRECTIONS, to_json
+from ..calibration import calibrate as run_calibration
 from ..data import Measurements
 from ..diagnosis import diagnose
 from ..diagnosis.outliers import gross_errors_marked
@@ -20,11 +20,11 @@ from ..model.effect_file import load_effects
 from ..model.kinds import catalogue_of
 from ..model.robot_file import run_for
 from ..robots.machine.file import robot_at
+from ..robots.tool_file import is_tool
 from ..study import Study
 from . import output, reporting, tables
 from .output import refuse_given
 from .reporting import report_option
-from .tool import calibrate_tool, is_tool
 
 NOT_CONVERGED = 3
 
@@ -72,6 +72,8 @@ def calibrate(
     """
     if is_tool(robot):
         refuse_given("robot", "run", "destination", why="is not for the known loads of a flexible tool")
+        from .tool import calibrate_tool
+
         calibrate_tool(robot, run, destination)
         return 0
     if report is not None:

@@ -9,7 +9,7 @@ import click
 import numpy as np
 from rich.table import Table
 
-from ..calibrate import Result, calibrate
+from ..calibration import Result, calibrate
 from ..data import read_measurements
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError

@@ -18,16 +18,11 @@ from ..model.effect_file import load_effects
 from ..model.kinds import model_of
 from ..model.robot_file import run_for
 from ..robots.machine.file import robot_at
-from ..robots.tool.applied import applied
-from ..robots.tool.filters import estimate as estimate_tool
-from ..robots.tool.model import ToolModel
-from ..robots.tool.runs import read_tool_run
-from ..robots.tool.tool import load_tool
+from ..robots.tool_file import is_tool
 from ..study import Study, joined
 from . import output, reporting
 from .diagnosis_tables import diagnosis as print_diagnosis
 from .reporting import report_option
-from .tool import is_tool, say_applied, write_tool_report
 
 
 @click.command()
@@ -98,6 +93,13 @@ def _tool(
     seed: int, written: Path | None, destination: Path | None, report: Path | None,
 ) -> None:  # fmt: skip
     """A run of a flexible tool against its camera."""
+    from ..robots.tool.applied import applied
+    from ..robots.tool.filters import estimate as estimate_tool
+    from ..robots.tool.model import ToolModel
+    from ..robots.tool.runs import read_tool_run
+    from ..robots.tool.tool import load_tool
+    from .tool import say_applied, write_tool_report
+
     if len(runs) > 1:
         raise SherkitError(f"{runs[1]}: runs of a flexible tool are diagnosed one at a time")
     own = tuple(effect for file in files for effect in load_effects(file))

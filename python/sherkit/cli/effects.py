@@ -9,14 +9,13 @@ import click
 from ..data.files import write_whole
 from ..errors import SherkitError
 from ..model.effect import Effect, effects_by_name
-from ..model.kinds import KINDS, Robot
+from ..model.kinds import Robot, known_kinds
 from ..report.signature import signature_map
 from ..robots.machine.file import robot_at
 from ..robots.tool.effects import TOOL_CATALOGUE
-from ..robots.tool.tool import KIND
+from ..robots.tool_file import KIND, is_tool
 from . import output
 from .demo import EXAMPLE
-from .tool import is_tool
 
 _OF_TOOL = "the flexible tool and its camera"
 
@@ -30,7 +29,7 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
     nominal = None
     if robot is not None:
         nominal = None if is_tool(robot) else robot_at(robot)[0]
-    catalogues = {name: kind.model.catalogue for name, kind in KINDS.items()} | {KIND: TOOL_CATALOGUE}
+    catalogues = {name: kind.model.catalogue for name, kind in known_kinds().items()} | {KIND: TOOL_CATALOGUE}
     if robot is not None:
         kind = KIND if nominal is None else nominal.kind
         catalogues = {kind: catalogues[kind]}
@@ -58,7 +57,8 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
 
 
 def _title(kind: str) -> str:
-    return f"Effects of {KINDS[kind].title if kind in KINDS else _OF_TOOL}"
+    known = known_kinds()
+    return f"Effects of {known[kind].title if kind in known else _OF_TOOL}"
 
 
 def _show(effect: Effect, of: str) -> None:

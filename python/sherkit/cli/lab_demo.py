@@ -9,7 +9,7 @@ import numpy as np
 import tomli_w
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from ..calibrate import calibrate
+from ..calibration import calibrate
 from ..data import read_measurements
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 import warnings
+from importlib import import_module
+from types import ModuleType
 
 import click
 
@@ -11,63 +13,70 @@ import sherkit._core as _core
 
 from ..errors import SherkitError
 from ..starting import loaded
-from . import output
-from .app import app
-from .calibrate import calibrate
-from .demo import demo
-from .diagnose import diagnose
-from .effects import effects
-from .home import home
-from .importing import import_group
-from .lab import lab
-from .measure import export, measure
-from .plan import plan
-from .schema import schema
-from .simulate import simulate
-from .tool import estimate, register
-from .tool_story import tool_story
-from .vision import intrinsics, markers
+
+#: The verbs, and where each stands: a file here, loaded when its verb is typed, and the name in it.
+_VERBS = {
+    "app": "app.app",
+    "calibrate": "calibrate.calibrate",
+    "demo": "demo.demo",
+    "diagnose": "diagnose.diagnose",
+    "effects": "effects.effects",
+    "estimate": "tool.estimate",
+    "export": "measure.export",
+    "fleet": "fleet.fleet_command",
+    "home": "home.home",
+    "import": "importing.import_group",
+    "intrinsics": "vision.intrinsics",
+    "lab": "lab.lab",
+    "markers": "vision.markers",
+    "measure": "measure.measure",
+    "plan": "plan.plan",
+    "register": "tool.register",
+    "schema": "schema.schema",
+    "simulate": "simulate.simulate",
+    "tool": "tool_story.tool_story",
+}
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+class _Verbs(click.Group):
+    """A group that knows the names of its commands; each is loaded when it is called, or told of in a help."""
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _VERBS:
+            return None
+        file, _, name = _VERBS[cmd_name].partition(".")
+        command: click.Command = getattr(import_module(f".{file}", __package__), name)
+        return command
+
+
+@click.group(
+    cls=_Verbs,
+    commands=[click.Command(name) for name in _VERBS],
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.version_option(_core.__version__, prog_name="sherkit")
 def cli() -> None:
     """sherkit finds the physics that a robot's model is missing."""
+    loaded()
 
 
-cli.add_command(app)
-cli.add_command(calibrate)
-cli.add_command(demo)
-cli.add_command(diagnose)
-cli.add_command(effects)
-cli.add_command(estimate)
-cli.add_command(register)
-cli.add_command(export)
-cli.add_command(home)
-cli.add_command(lab)
-cli.add_command(measure)
-cli.add_command(plan)
-cli.add_command(schema)
-cli.add_command(simulate)
-cli.add_command(tool_story)
-cli.add_command(import_group)
-cli.add_command(intrinsics)
-cli.add_command(markers)
+def _output() -> ModuleType:
+    """What prints in colours is loaded when there is something to say."""
+    return import_module(".output", __package__)
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs a command; errors become one sentence and an exit code."""
-    loaded()
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_, **__: output.warn(str(message))
+            warnings.showwarning = lambda message, *_, **__: _output().warn(str(message))
             typed = sys.argv[1:] if arguments is None else arguments
             code = cli.main(args=typed, prog_name="sherkit", standalone_mode=False, obj=typed)
     except SherkitError as error:
-        output.fail(str(error))
+        _output().fail(str(error))
         sys.exit(1)
     except (click.exceptions.Abort, KeyboardInterrupt):
-        output.fail("interrupted")
+        _output().fail("interrupted")
         sys.exit(130)
     except click.ClickException as error:
         error.show()
@@ -75,6 +84,6 @@ def main(arguments: list[str] | None = None) -> None:
     except BrokenPipeError:
         sys.exit(1)
     except OSError as error:
-        output.fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        _output().fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
         sys.exit(1)
     sys.exit(code if isinstance(code, int) else 0)

@@ -9,17 +9,19 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from ..data.files import is_output
 from ..errors import SherkitError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 #: Width of tables where the output is not a terminal.
 _WIDTH = 110
@@ -80,21 +82,29 @@ def steps(total: int) -> Iterator[Any]:
 
     Yields a function that is told each step before it starts.
     """
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    progress = Progress(*columns, console=err, transient=True)
+    progress: Progress | None = None
     started = time.monotonic()
-    shown = False
-    task = progress.add_task("", total=total)
+    done = 0
 
     def step(name: str) -> None:
-        nonlocal shown
-        if not shown and err.is_terminal and time.monotonic() - started > _SHOW_AFTER_S:
+        nonlocal progress, done
+        done += 1
+        if progress is None and err.is_terminal and time.monotonic() - started > _SHOW_AFTER_S:
+            progress = _bar()
             progress.start()
-            shown = True
-        progress.update(task, description=name, advance=1)
+            progress.add_task("", total=total)
+        if progress is not None:
+            progress.update(progress.task_ids[0], description=name, completed=done)
 
     try:
         yield step
     finally:
-        if shown:
+        if progress is not None:
             progress.stop()
+
+
+def _bar() -> Progress:
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    return Progress(*columns, console=err, transient=True)

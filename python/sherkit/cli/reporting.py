@@ -12,7 +12,7 @@ from ..errors import SherkitError
 from . import output
 
 if TYPE_CHECKING:
-    from ..calibrate import Result
+    from ..calibration import Result
     from ..diagnosis import Diagnosis
     from ..robots.calibrated import Calibration
     from ..study import Study

@@ -18,7 +18,7 @@ from ..errors import SherkitError
 from ..lab.experiment import load_experiment
 from ..lab.experiment.poses import names_of_poses
 from ..lab.kinds import INSTRUMENTS
-from ..model.kinds import KINDS, Kind
+from ..model.kinds import Kind, known_kinds
 from ..model.robot_file import load_robot
 from ..robots.tool.tool import FlexibleTool, load_tool
 from . import output
@@ -39,7 +39,7 @@ def schema(file: str) -> None:
 def _robots(folder: Path) -> Schema:
     """One schema for each kind: its reader is shown an example."""
     examples: dict[str, tuple[list[Mapping[str, Any]], Callable[[Path], object]]] = {}
-    for kind in KINDS.values():
+    for kind in known_kinds().values():
         if kind.example is not None:
             whole = kind.example.to_tables()
             examples[kind.name] = ([whole, *({**whole, **one} for one in kind.spelt)], load_robot)
@@ -88,7 +88,7 @@ def _of_kinds(
     folder: Path, examples: Callable[[Kind, str], Iterator[Mapping[str, Any]]], reader: Callable[[Path], object]
 ) -> Schema:
     found = []
-    for kind in KINDS.values():
+    for kind in known_kinds().values():
         if kind.example is None:
             continue
         tables = kind.example.to_tables()

@@ -11,20 +11,20 @@ import tomli_w
 from ..data import Measurements
 from ..data.files import write_whole
 from ..errors import SherkitError
-from ..model.kinds import KINDS, Option, Robot, SeenInPictures, kind_of
+from ..model.kinds import Option, Robot, SeenInPictures, kind_of, known_kinds
 from ..model.robot_file import load_robot
 from ..names import listed
 from ..robots.tool.tool import load_tool
 from ..robots.tool.virtual import EXPERIMENTS, VirtualTool
+from ..robots.tool_file import is_tool
 from . import output
-from .tool import is_tool
 from .vision import require_vision
 
 
 def _errors_to_hide() -> list[click.Parameter]:
     """An option for each error that the virtual robots know, with the kinds of robot that have it."""
     known: dict[str, list[tuple[str, Option]]] = {}
-    for kind in KINDS.values():
+    for kind in known_kinds().values():
         for name, one in (kind.virtual.OPTIONS if kind.virtual is not None else {}).items():
             known.setdefault(name, []).append((kind.name.capitalize(), one))
     made: list[click.Parameter] = []

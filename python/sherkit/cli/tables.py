@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from rich.table import Table
 
-from ..calibrate import Result
+from ..calibration import Result
 from ..errors import SherkitError
 from ..names import listed
 from ..robots.accuracy import REQUIREMENT_UM

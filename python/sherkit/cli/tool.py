@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,7 +24,7 @@ from ..robots.tool.filters import estimate as run_filters
 from ..robots.tool.judge import Judgement, judge
 from ..robots.tool.known import Knowledge, known
 from ..robots.tool.runs import ToolRun, read_tool_run, summary
-from ..robots.tool.tool import KIND, NOISES, FlexibleTool, load_tool
+from ..robots.tool.tool import NOISES, FlexibleTool, load_tool
 from . import output, reporting
 
 if TYPE_CHECKING:
@@ -35,14 +34,6 @@ if TYPE_CHECKING:
 _THRESHOLD_MN = 50.0
 #: Beyond this share of the variance a truth says more about the camera than about the tip.
 _COARSE = 0.8
-
-
-def is_tool(path: Path) -> bool:
-    """Whether a TOML file is that of a flexible tool; what cannot be read is left to its reader."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig")).get("kind") == KIND
-    except (OSError, ValueError, RecursionError):
-        return False
 
 
 @click.command()

@@ -7,6 +7,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 
+from .. import built_in
 from ..errors import MeasurementError, SherkitWarning
 from ..names import closest, listed
 
@@ -79,8 +80,14 @@ class Layout:
         return tuple(bare(name) for name in self.readings)
 
 
-#: Every kind of run that a file can hold.
+#: The kinds of run that were made known so far; :func:`known_layouts` are all.
 LAYOUTS: list[Layout] = []
+
+
+def known_layouts() -> list[Layout]:
+    """Every kind of run that a file can hold, those of the built-in robots first."""
+    built_in.load()
+    return LAYOUTS
 
 
 def know(*layouts: Layout) -> None:
@@ -90,9 +97,11 @@ def know(*layouts: Layout) -> None:
 
 def layout_of(names: Collection[str]) -> Layout:
     """The kind of run that these columns belong to: whose joints and coordinates they name most of."""
-    return max(
-        LAYOUTS, key=lambda one: sum(n in names for n in one.joints) + 0.5 * sum(n in names for n in one.readings)
-    )
+
+    def named(one: Layout) -> float:
+        return sum(n in names for n in one.joints) + 0.5 * sum(n in names for n in one.readings)
+
+    return max(known_layouts(), key=named)
 
 
 #: Units that end the name of a column.

@@ -113,13 +113,16 @@ def _numbers(column: pl.Series, name: str, place: str, line: Ints, layout: c.Lay
     else:
         return None
     number = raw.cast(pl.Float64, strict=False)
+    values = number.to_numpy().astype(float, copy=False)
+    narrower = (c.POSE, c.REPEAT, *layout.sigmas, *layout.pose_sigmas)
+    if not text and name not in narrower and (np.abs(values) <= _LARGEST).all():
+        return values  # as nearly always: a number in every row, and none that went wrong
     hint = "; where nothing was taken, leave the cell empty" if name in layout.may_be_empty else "; expected a number"
     bad = (number.is_null() & raw.is_not_null()).to_numpy()
     if bad.any():
         if not known and bad.sum() > 0.5 * (len(raw) - raw.null_count()):
             return None
         _refuse(place, line, bad, name, f"'{raw[int(np.argmax(bad))]}' is not a number{hint}")
-    values = number.to_numpy().astype(float)
     missing = number.is_null().to_numpy()
     # NaN is how pandas and NumPy say "nothing"; in a file it is a number that went wrong
     broken = np.isinf(values) | (np.abs(values) > _LARGEST) | (np.isnan(values) & ~missing if text else False)

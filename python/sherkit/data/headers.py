@@ -12,7 +12,7 @@ import polars as pl
 
 from ..errors import MeasurementError, SherkitWarning
 from ..names import closest, listed
-from .columns import LAYOUTS, Layout, bare, unit_in
+from .columns import Layout, bare, known_layouts, unit_in
 
 #: Names of columns by ours: ``{"q1_mm": "Enc1 [mm]"}``.
 Columns = Mapping[str, str]
@@ -81,7 +81,7 @@ def renamed(frame: pl.DataFrame, columns: Columns, source: str) -> tuple[pl.Data
 
 def proposal(names: Sequence[str]) -> str:
     """What could be meant by foreign names, as a mapping to be looked at: for the sentence that refuses them."""
-    found = max((_matched(names, layout) for layout in LAYOUTS), key=len, default={})
+    found = max((_matched(names, layout) for layout in known_layouts()), key=len, default={})
     if not found:
         return ""
     said = ", ".join(f"{ours} = {_quoted(theirs)}" for ours, theirs in found.items())

@@ -19,6 +19,7 @@ from . import columns as c
 from .decimals import DecimalMark
 from .frames import clean
 from .headers import Columns
+from .plain import read_plain
 from .rows import Measurements
 from .tables import PARQUET, read_parquet
 
@@ -41,7 +42,7 @@ def read_measurements(path: str | Path, *, columns: Columns | None = None) -> Me
     path = checked(path)
     if path.suffix.lower() in PARQUET:
         return clean(read_parquet(path), str(path), None, "row", columns)
-    frame, line = next(csv_blocks(path))
+    frame, line = read_plain(path) or next(csv_blocks(path))
     return clean(frame, str(path), line, "line", columns)
 
 

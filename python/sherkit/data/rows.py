@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +23,8 @@ from .tables import write_table
 _SAME_POSE = 0.05
 #: So many of the poses, and no more, may hold a wild row.
 _FEW_POSES = 0.1
+#: So many rows say how far readings are spread, and where the unit is wrong.
+_ENOUGH = 20_000
 #: Joint and position readings whose spreads differ by more than this are in different units.
 _UNIT_RATIO = 100.0
 
@@ -92,19 +94,23 @@ class Measurements:
         layout = c.layout_of(list(values)) if layout is None else layout
         n = len(values[layout.joints[0]])
         line = np.arange(n, dtype=np.int64) if line is None else line
-        empty = np.full(n, np.nan)
 
-        def stack(names: Iterable[str]) -> Floats:
-            return np.ascontiguousarray(np.stack([values.get(k, empty) for k in names], axis=1), dtype=float)
+        def stack(names: Sequence[str]) -> Floats:
+            out = np.full((n, len(names)), np.nan)
+            for k, name in enumerate(names):
+                if name in values:
+                    out[:, k] = values[name]
+            return out
 
-        to = stack(layout.to_joints) if layout.to_joints else np.full((n, len(layout.joints)), np.nan)
+        joints = stack(layout.joints)
+        to = stack(layout.to_joints) if layout.to_joints else np.full(joints.shape, np.nan)
         readings = stack(layout.readings)
         taken = np.isfinite(readings)
         whole = {k: values[k].astype(np.int64) if k in values else None for k in (c.POSE, c.REPEAT)}
         known = set(layout.known)
         rest = {k: v for k, v in values.items() if k not in known}
         data = cls(
-            joints=stack(layout.joints),
+            joints=joints,
             to_joints=to,
             readings=np.where(taken, readings, 0.0),
             taken=taken,
@@ -119,7 +125,7 @@ class Measurements:
             source=source,
             line=line,
             counted=counted,
-            direction=_directions(values, stack(layout.joints)),
+            direction=_directions(values, joints),
             order=order_in_time(values.get(c.TIME), n),
             layout=layout,
         )
@@ -158,11 +164,14 @@ class Measurements:
         if self.layout.distance is not None:
             self._check_distances()
         if self.pose is not None and self.repeat is not None:
-            keys = np.stack([self.pose, self.repeat], axis=1)
-            _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-            again = np.flatnonzero(first[inverse.ravel()] != np.arange(len(keys)))
-            if len(again):
-                row, other = again[0], first[inverse.ravel()[again[0]]]
+            order = np.lexsort((self.repeat, self.pose))
+            pose, repeat = self.pose[order], self.repeat[order]
+            same = (pose[1:] == pose[:-1]) & (repeat[1:] == repeat[:-1])
+            if same.any():
+                # rows given twice stand beside each other, the first of them before the others
+                again = np.sort(order[1:][same])
+                row = again[0]
+                other = np.flatnonzero((self.pose == self.pose[row]) & (self.repeat == self.repeat[row]))[0]
                 raise MeasurementError(
                     f"{self.place(again)}: pose {self.pose[row]} repeat {self.repeat[row]} was given before "
                     f"({self.counted} {self.line[other]}); number repeats of a pose 1, 2, 3, …"
@@ -177,16 +186,21 @@ class Measurements:
 
         Refused where many do, since the noise would be another; said where few do, which may be wild rows.
         """
-        whole = np.column_stack([self.joints, self.to_joints])
         rows = np.flatnonzero(~self.outlier)
         if not len(rows):
             return
         extent = float(np.ptp(self.joints[rows], axis=0).max())
-        order = rows[np.argsort(pose[rows], kind="stable")]
-        numbers, starts = np.unique(pose[order], return_index=True)
-        # rows that are no distances have no other end: NaN says nothing here
-        ends = np.fmax.reduceat(whole[order], starts), np.fmin.reduceat(whole[order], starts)
-        apart = np.nan_to_num(ends[0] - ends[1]).max(axis=1)
+        in_order = len(rows) == len(pose) and bool((pose[1:] >= pose[:-1]).all())
+        order = rows if in_order else rows[np.argsort(pose[rows], kind="stable")]
+        sorted_pose = pose[order]
+        starts = np.flatnonzero(np.diff(sorted_pose, prepend=sorted_pose[0] - 1))
+        numbers = sorted_pose[starts]
+        apart = np.zeros(len(starts))
+        for end in (self.joints, self.to_joints) if np.isfinite(self.to_joints).any() else (self.joints,):
+            for column in end.T:
+                # rows that are no distances have no other end: NaN says nothing here
+                at = column if in_order else column[order]
+                apart = np.fmax(apart, np.fmax.reduceat(at, starts) - np.fmin.reduceat(at, starts))
         far = apart > _SAME_POSE * extent
         if extent == 0 or not far.any():
             return
@@ -203,6 +217,8 @@ class Measurements:
 
     def _check_distances(self) -> None:
         ends = np.isfinite(self.to_joints)
+        if not (ends.any() or self.is_distance.any()):
+            return
         half = (ends.any(axis=1) & ~ends.all(axis=1)) | (ends.all(axis=1) != self.is_distance)
         if half.any():
             raise MeasurementError(
@@ -456,5 +472,5 @@ def order_in_time(time_s: NDArray[Any] | None, n: int) -> Ints:
 
 
 def _spread(values: Floats) -> float:
-    low, high = np.percentile(values, [5, 95], axis=0)
+    low, high = np.percentile(values[:: 1 + len(values) // _ENOUGH], [5, 95], axis=0)
     return float((high - low).max())

@@ -16,4 +16,4 @@ def radius_95(covariances: Floats) -> Floats:
     axes = np.linalg.eigvalsh(covariances).clip(0.0)
     total, squares = axes.sum(axis=1), (axes**2).sum(axis=1)
     freedom = np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1.0), 1.0)
-    return np.asarray(np.sqrt(total / freedom * scipy.stats.chi2.ppf(0.95, freedom)))
+    return np.asarray(np.sqrt(total / freedom * scipy.special.chdtri(freedom, 0.05)))

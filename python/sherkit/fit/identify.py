@@ -156,7 +156,7 @@ class Fit(Identified, Shown):
             u = self.residuals[rows, k] / self.noise.sigma[rows, k]
             wide = MAD * float(np.median(np.abs(u - np.median(u))))
             # a median deviation of few residuals is itself uncertain, with about 0.37 of their number as freedom
-            threshold = float(scipy.stats.t.isf(0.5 * _OUTLIER_LEVEL / count, max(_MAD_EFFICIENCY * len(u), 1.0)))
+            threshold = float(-scipy.special.stdtrit(max(_MAD_EFFICIENCY * len(u), 1.0), 0.5 * _OUTLIER_LEVEL / count))
             if wide > 0:
                 suspect[np.flatnonzero(rows)[np.abs(u - np.median(u)) > threshold * wide]] = True
         return np.flatnonzero(suspect)

@@ -4,10 +4,15 @@ What a user takes from it stands here and is loaded when it is asked for: who on
 who measures loads no emulator.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from ..doors import door
 
 if TYPE_CHECKING:
+    from . import emulators as emulators
+    from . import experiment as experiment
+    from . import instruments as instruments
+    from . import laboratory as laboratory
     from .experiment import Bench, Control, Goal, Live, Plan, RunFile, export_run, load_experiment, plan_of_poses, run
     from .laboratory import RunningLaboratory, load_laboratory
     from .ports import read_ports, write_ports
@@ -28,21 +33,18 @@ __all__ = [
     "run",
     "write_ports",
 ]
+_ROOMS = ("emulators", "experiment", "instruments", "laboratory")
 _ELSEWHERE = {
     "RunningLaboratory": "laboratory",
     "load_laboratory": "laboratory",
     "read_ports": "ports",
     "write_ports": "ports",
 }
-_ROOMS = ("emulators", "experiment", "instruments", "laboratory")
 
-
-def __getattr__(name: str) -> Any:
-    if name in _ROOMS:
-        return import_module(f".{name}", __name__)
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f".{_ELSEWHERE.get(name, 'experiment')}", __name__), name)
+if not TYPE_CHECKING:
+    __getattr__ = door(
+        __name__, {name: _ELSEWHERE.get(name, "experiment") for name in __all__}, {name: name for name in _ROOMS}
+    )
 
 
 def __dir__() -> list[str]:

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Protocol, Self, overload, runtime_checkable
 
 from numpy.typing import ArrayLike
 
+from .. import built_in
 from ..data import Measurements
 from ..data.columns import Layout, know
 from ..data.toml import Table
@@ -221,12 +222,19 @@ class Kind:
         return self.virtual
 
 
+#: The kinds that were made known so far; :func:`known_kinds` are all.
 KINDS: dict[str, Kind] = {}
+
+
+def known_kinds() -> dict[str, Kind]:
+    """Every kind of robot by name, the built-in ones first."""
+    built_in.load()
+    return KINDS
 
 
 def register(kind: Kind) -> None:
     """Makes a kind known, its runs and its files."""
-    KINDS[kind.name] = kind
+    known_kinds()[kind.name] = kind
     know(*kind.layouts)
 
 
@@ -246,9 +254,10 @@ def kind_of(robot: Robot) -> Kind:
     own = getattr(robot, "brings", None)
     if isinstance(own, Kind):
         return own
-    if robot.kind not in KINDS:
-        raise RobotError(f"{robot.kind} robots are not known; there are {listed(KINDS)}")
-    return KINDS[robot.kind]
+    known = known_kinds()
+    if robot.kind not in known:
+        raise RobotError(f"{robot.kind} robots are not known; there are {listed(known)}")
+    return known[robot.kind]
 
 
 def robot_from_table(table: Table) -> Robot:
@@ -256,12 +265,13 @@ def robot_from_table(table: Table) -> Robot:
 
     A machine of the user's is never made from a file, which would run code: it must be there.
     """
-    if table.has("machine") and table.words("kind") not in KINDS:
+    known = known_kinds()
+    if table.has("machine") and table.words("kind") not in known:
         raise table.refuse(
             f"is of the machine '{table.words('kind')}', which is not known here: import the Python file that makes it "
             "first (no file of data runs code)"
         )
-    robot: Robot = KINDS[table.text("kind", tuple(KINDS))].robot.from_table(table)
+    robot: Robot = known[table.text("kind", tuple(known))].robot.from_table(table)
     return robot
 
 
@@ -282,7 +292,7 @@ def model_of(model: Robot | Model | ModelWithEffects, free: Sequence[str] = ()) 
             raise FitError("free: this model says itself which of its parameters are free")
         return replace(model, free=tuple(free))
     kind = getattr(model, "kind", None)
-    if isinstance(kind, str) and kind in KINDS:
+    if isinstance(kind, str) and kind in known_kinds():
         return kind_of(model).model(model, tuple(free))  # type: ignore[arg-type]
     if isinstance(model, Model):
         return model_of(Extended(model), free)

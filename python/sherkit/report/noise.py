@@ -61,7 +61,7 @@ def _tables(left: Residuals) -> Tables:
     bins["at"] = 0.5 * (edges[1:] + edges[:-1])
     count = min(int(np.isfinite(left.values).all(axis=1).sum()), _QUANTILES)
     level = (np.arange(count) + 0.5) / max(count, 1)
-    quantiles["gauss"] = scipy.stats.norm.ppf(level)
+    quantiles["gauss"] = scipy.special.ndtri(level)
     for k in range(len(left.names)):
         u = _over_noise(left, k)
         # what lies beyond the picture is counted in its last bins: nothing is left out
@@ -69,7 +69,7 @@ def _tables(left: Residuals) -> Tables:
         bins[f"density_{k}"] = number / max(len(u), 1) / (edges[1] - edges[0])
         quantiles[f"q_{k}"] = np.quantile(u, level) if len(u) else np.zeros(count)
     x = np.linspace(-5, 5, _CURVE)
-    return {"bins": bins, "quantiles": quantiles, "normal": {"x": x, "y": scipy.stats.norm.pdf(x)}}
+    return {"bins": bins, "quantiles": quantiles, "normal": {"x": x, "y": np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi)}}
 
 
 def _over_noise(left: Residuals, k: int) -> Floats:

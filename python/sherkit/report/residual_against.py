@@ -9,7 +9,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Span
 from numpy.typing import NDArray
 
-from ..types import Floats
+from ..types import Floats, Ints
 from .picture import Picture, Table, Tables, sources_of, stacked, thinned
 from .residuals import Residuals
 from .style import COLOURS, FONT_SIZE, INK, MARKERS, MUTED, PLAIN, figure, hover, quantity
@@ -102,29 +102,24 @@ def points(left: Residuals) -> Table:
     return out
 
 
-def means(left: Residuals, variable: str) -> Table:
-    """Running mean with its band of two standard errors."""
-    v = left.variables[variable]
-    at, weight = _places(v[~left.outlier])
-    out: Table = {"v": _f(at)}
+def means(left: Residuals, variable: str, windows: Windows | None = None) -> Table:
+    """Running mean with its band of two standard errors, in windows that were made before or are made here."""
+    windows = windows or Windows.of(left, variable)
+    out: Table = {"v": _f(windows.at)}
     for k in range(len(left.names)):
-        mean, error = _running(v, left.values[:, k], left.group, ~left.outlier, at, weight)
+        mean, error = windows.mean(left.values[:, k])
         out |= {f"m{k}": _f(mean), f"low{k}": _f(mean - 2 * error), f"high{k}": _f(mean + 2 * error)}
     return out
 
 
-def gained(before: Residuals | None, now: Residuals, variable: str) -> Table:
+def gained(before: Residuals | None, now: Residuals, variable: str, windows: Windows | None = None) -> Table:
     """Running mean of what the model explains now and did not explain before; empty where nothing was added."""
     names = [f"g{k}" for k in range(len(now.names))]
     if before is None or before is now or len(before) != len(now):
         return {"v": _f([])} | {name: _f([]) for name in names}
-    v = now.variables[variable]
-    at, weight = _places(v[~now.outlier])
-    out: Table = {"v": _f(at)}
+    windows = windows or Windows.of(now, variable)
     change = before.values - now.values
-    for k, name in enumerate(names):
-        out[name] = _f(_running(v, change[:, k], now.group, ~now.outlier, at, weight)[0])
-    return out
+    return {"v": _f(windows.at)} | {name: _f(windows.mean(change[:, k])[0]) for k, name in enumerate(names)}
 
 
 def noise_band(left: Residuals) -> Table:
@@ -149,26 +144,47 @@ def _places(v: Floats) -> tuple[Floats, Floats]:
     return unique, np.maximum(0.5 * (high - low), 1e-12)[index]
 
 
-def _running(
-    v: Floats, r: Floats, group: NDArray[np.int64], use: NDArray[np.bool_], at: Floats, wide: Floats
-) -> tuple[Floats, Floats]:
-    """Mean and its standard error around each place; poses, not readings, are what is independent."""
-    use = use & np.isfinite(r)
-    v, r, group = v[use], r[use], group[use]
-    order = np.argsort(v, kind="stable")
-    v, r, group = v[order], r[order], group[order]
-    mean, error = np.full(len(at), np.nan), np.full(len(at), np.nan)
-    for j, (x, half) in enumerate(zip(at, wide, strict=True)):
-        first, last = np.searchsorted(v, x - half - 1e-12), np.searchsorted(v, x + half + 1e-12, side="right")
-        if last <= first:
-            continue
-        part, poses = r[first:last], np.unique(group[first:last], return_inverse=True)[1]
-        count = np.bincount(poses)
-        mean[j] = part.mean()
-        if len(count) > 1:
-            per_pose = np.bincount(poses, part - mean[j])
-            error[j] = np.sqrt((per_pose**2).sum()) / len(part)
-    return mean, np.nan_to_num(error)
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Rows around each of several places of a variable, ready to average whatever was read on them.
+
+    ``at`` (p,) are the places. ``row`` (k,) are the rows in all windows together, ``place`` (k,) the window of each,
+    and ``pose`` (k,) a number for each pose in each window; ``place_of_pose`` is the window of such a number.
+    """
+
+    at: Floats
+    row: Ints
+    place: Ints
+    pose: Ints
+    place_of_pose: Ints
+
+    @classmethod
+    def of(cls, left: Residuals, variable: str) -> Windows:
+        """The windows along a variable; rows marked as outliers are in none."""
+        used = np.flatnonzero(~left.outlier)
+        v = left.variables[variable][used]
+        at, half = _places(v)
+        order = np.argsort(v, kind="stable")
+        first = np.searchsorted(v[order], at - half - 1e-12)
+        count = np.searchsorted(v[order], at + half + 1e-12, side="right") - first
+        place = np.repeat(np.arange(len(at)), count)
+        row = used[order][np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + first[place]]
+        poses = int(left.group.max(initial=0)) + 1
+        number, pose = np.unique(place * poses + left.group[row], return_inverse=True)
+        return cls(at, row, place, pose, number // poses)
+
+    def mean(self, values: Floats) -> tuple[Floats, Floats]:
+        """Mean and its standard error at each place; poses, not readings, are what is independent."""
+        r, taken = values[self.row], np.isfinite(values[self.row])
+        size = len(self.at)
+        count = np.bincount(self.place[taken], minlength=size)
+        total = np.bincount(self.place[taken], r[taken], minlength=size)
+        mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+        many = len(self.place_of_pose)
+        by_pose = np.bincount(self.pose[taken], (r - mean[self.place])[taken], minlength=many)
+        poses = np.bincount(self.place_of_pose[np.bincount(self.pose[taken], minlength=many) > 0], minlength=size)
+        spread = np.sqrt(np.bincount(self.place_of_pose, by_pose**2, minlength=size))
+        return mean, np.where(poses > 1, spread / np.maximum(count, 1), 0.0)
 
 
 def _f(values: Any) -> NDArray[np.float32]:

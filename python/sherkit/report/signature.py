@@ -6,7 +6,7 @@ import numpy as np
 
 from ..errors import SherkitError
 from ..model.effect import Effect
-from ..model.kinds import KINDS, Robot, kind_of
+from ..model.kinds import Robot, kind_of, known_kinds
 from ..names import listed
 from .svg import Panel, residual_maps, round_bar
 
@@ -15,7 +15,7 @@ def signature_map(effect: Effect, robot: Robot) -> str:
     """The signature as SVG, one panel per height. Raises :class:`~sherkit.errors.SherkitError` where it has none."""
     signature = kind_of(robot).signature
     if signature is None:
-        drawn = [name for name, kind in KINDS.items() if kind.signature is not None]
+        drawn = [name for name, kind in known_kinds().items() if kind.signature is not None]
         raise SherkitError(
             f"--picture draws on a {listed(drawn)} alone; a report shows the maps of all effects on a run"
         )

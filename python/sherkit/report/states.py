@@ -15,10 +15,11 @@ from ..diagnosis import Diagnosis
 from ..diagnosis.fitted_run import FittedRun
 from ..diagnosis.setting import searched
 from ..errors import SherkitError
+from ..fit.identify import Fit
 from ..model.effect import Effect
 from ..names import listed
 from .picture import Picture, Table
-from .residual_against import gained, means, points, shown
+from .residual_against import Windows, gained, means, points, shown
 from .residual_map import Change
 from .residuals import Residuals, residuals_of
 
@@ -34,16 +35,22 @@ class State:
 
 
 def states_of(
-    found: Diagnosis, known: Sequence[str], path: Mapping[tuple[str, ...], Any], effects: Sequence[Effect] = ()
+    found: Diagnosis,
+    known: Sequence[str],
+    path: Mapping[tuple[str, ...], Any],
+    effects: Sequence[Effect] = (),
+    base: Fit | None = None,
 ) -> list[State]:
     """The model as diagnosed, each single addition that could be fitted, then the steps of ``path``: effects and fit.
 
     ``known`` are the effects that the diagnosed model had already.
 
-    ``effects`` are the user's own. An effect that cannot be fitted alone is left out.
+    ``effects`` are the user's own. An effect that cannot be fitted alone is left out. ``base`` is the diagnosed fit on
+    the rows to look at, where they are not all.
     """
-    run = FittedRun(found.base)
-    out = [State(title_of(known), residuals_of(found.base))]
+    base = found.base if base is None else base
+    run = FittedRun(base)
+    out = [State(title_of(known), residuals_of(base))]
     named = {e.name: e for e in (*run.catalogue, *effects)}
     taken = {frozenset(added) for added in path}
     for candidate in found.candidates[:_MOST_SINGLE]:
@@ -77,6 +84,7 @@ def packed(states: Sequence[State], maps: Picture[Change]) -> dict[str, Any]:
     base = states[0].left
     variables = list(base.variables)
     out: dict[str, Any] = {"titles": [s.title for s in states], "variables": variables, "states": []}
+    windows = {name: Windows.of(base, name) for name in variables}
     out["values"] = {name: _numbers(_at(base, name)) for name in variables}
     for state in states:
         change = Change(base, state.left, states[0].title, state.title)
@@ -84,8 +92,11 @@ def packed(states: Sequence[State], maps: Picture[Change]) -> dict[str, Any]:
         rows = points(state.left)
         tables["points"] = {key: _numbers(rows[key]) for key in rows if key.startswith("r") and key != "row"}
         by_variable = {
-            name: {"mean": _text(means(state.left, name)), "gained": _text(gained(base, state.left, name))}
-            for name in variables
+            name: {
+                "mean": _text(means(state.left, name, along)),
+                "gained": _text(gained(base, state.left, name, along)),
+            }
+            for name, along in windows.items()
         }
         out["states"].append({"tables": tables, "against": by_variable})
     return out

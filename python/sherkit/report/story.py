@@ -22,11 +22,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import sherkit._core as _core
 
-from ..calibrate import Result
+from ..calibration import Result
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis, sentence
 from ..errors import SherkitError
 from ..fit.forms import known
+from ..fit.identify import Fit
 from ..names import listed
 from ..robots.accuracy import REQUIREMENT_UM
 from ..robots.calibrated import Calibration, calibration_class
@@ -34,10 +35,11 @@ from ..robots.calibration_run import CalibrationRun
 from ..study import Study
 from .atlas import atlas_of, signature_atlas
 from .candidates import candidates
+from .drawn import drawn, said
 from .error_history import error_history, error_history_of
 from .noise import noise_picture
 from .parameters import correlations, directions, parameters
-from .picture import Picture
+from .picture import Picture, in_one_document
 from .policy import fresh_nonce, numbered, policy
 from .residual_against import ResidualAgainst, residual_against
 from .residual_map import Change, planes_of, residual_map
@@ -93,7 +95,7 @@ def html(story: Story) -> str:
     """The report as HTML. Every text from files is escaped."""
     pictures, swaps = _pictures(story)
     nonce = fresh_nonce()
-    script, places = components({name: one.root for name, one in pictures.items()}, wrap_script=True)
+    script, places = components(in_one_document({name: one.root for name, one in pictures.items()}))
     resources = Resources(mode="inline", components=["bokeh"])
     environment = Environment(
         loader=PackageLoader("sherkit.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
@@ -104,8 +106,6 @@ def html(story: Story) -> str:
         story=story,
         found=story.found,
         study=story.study,
-        left=residuals_of(story.found.base),
-        final=residuals_of(story.study.fit),
         lines=_error_lines(story),
         parameters=_parameter_lines(story),
         directions=[str(d) for d in getattr(story.study.fit, "badly_observed", ())],
@@ -149,10 +149,11 @@ def _p(value: float) -> str:
 def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | None]:
     """All pictures that these rows allow, and the tables to switch them by."""
     study, found = story.study, story.found
-    before, after = residuals_of(found.base), residuals_of(study.fit)
+    base, last = drawn(found.base), drawn(study.fit)
+    before, after = residuals_of(base), residuals_of(last)
     out: dict[str, Picture[Any]] = {}
     swaps: dict[str, Any] | None = None
-    states, now = _states(story)
+    states, now = _states(story, base)
     chosen = states[now]
     out["residual_map"] = residual_map(Change(before, chosen.left, states[0].title, chosen.title))
     if before.variables:
@@ -161,7 +162,7 @@ def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | N
         swaps = packed(states, out["residual_map"]) | {"start": list(before.variables).index(variable), "state": now}
     if found.candidates:
         out["candidates"] = candidates(found)
-        out["atlas"] = signature_atlas(atlas_of(found.base, tuple(study.own.values())))
+        out["atlas"] = signature_atlas(atlas_of(base, tuple(study.own.values())))
     out["fall"] = error_history(error_history_of(study, found, REQUIREMENT_UM))
     out["parameters"] = parameters(study.fit)
     out["correlations"] = correlations(study.fit)
@@ -173,16 +174,19 @@ def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | N
         out["next_poses"] = next_poses(NextPoses(found.next_poses, before))
     out["noise_before"], out["noise_after"] = noise_picture(before), noise_picture(after)
     out["run"] = run_in_time(after)
+    for name in ("residual_map", "against", "atlas", "next_poses", "noise_before", "noise_after", "run"):
+        if name in out:
+            out[name].note += said(len(base.data), len(found.base.data))
     return out, swaps
 
 
-def _states(story: Story) -> tuple[list[State], int]:
+def _states(story: Story, base: Fit) -> tuple[list[State], int]:
     """What a reader can switch between, and which of them the study stands at: the first one where nothing was added
-    to the model that was diagnosed."""
+    to the model that was diagnosed, ``base`` on the rows that are drawn."""
     study, found = story.study, story.found
-    known = tuple(e.name for e in found.base.model.effects)
-    path = {s.effects: s.fit for s in study.history if s.fit is not None and set(s.effects) > set(known)}
-    states = states_of(found, known, path, tuple(study.own.values()))
+    known = tuple(e.name for e in base.model.effects)
+    path = {s.effects: drawn(s.fit) for s in study.history if s.fit is not None and set(s.effects) > set(known)}
+    states = states_of(found, known, path, tuple(study.own.values()), base)
     return states, next((k for k, s in enumerate(states) if s.title == title_of(study.effects)), 0)
 
 
@@ -194,7 +198,7 @@ def _leading(found: Diagnosis, left: Residuals) -> str:
 
 def _still(story: Story) -> str | None:
     """The residual map as plain SVG, for readers without JavaScript."""
-    before, after = residuals_of(story.found.base), residuals_of(story.study.fit)
+    before, after = residuals_of(drawn(story.found.base)), residuals_of(drawn(story.study.fit))
     names = list(before.place)
     if len(names) < 2 or before.unit != "µm" or len(before.names) < 3:
         return None

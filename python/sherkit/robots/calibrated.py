@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 from ..data.toml import Table
 from ..errors import CalibrationError, FitError
 from ..fit.identify import Fit
-from ..model.kinds import KINDS, Robot, kind_of, robot_from_table
+from ..model.kinds import Robot, kind_of, known_kinds, robot_from_table
 from ..names import listed
 from ..notebook import Shown
 from ..types import Bools
@@ -129,7 +129,8 @@ class Calibration(Shown, Accurate):
         Raises :class:`~sherkit.errors.CalibrationError` naming file and key.
         """
         path = Path(path)
-        known: dict[str, type[Self]] = {name: k.calibration for name, k in KINDS.items() if k.calibration is not None}
+        kinds = known_kinds().items()
+        known: dict[str, type[Self]] = {name: k.calibration for name, k in kinds if k.calibration is not None}
         own = next((name for name, made in known.items() if made is cls), None)
         tables = tables_of(path, own)
         if own is None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from ..model.effect import Effect
 from ..types import Floats
@@ -149,7 +149,7 @@ class Search:
 
 def _nearby(measure: Callable[[float], float], middle: float, step: float) -> float:
     """Where a measure is highest within a step of a peak."""
-    found = optimize.minimize_scalar(
+    found = scipy.optimize.minimize_scalar(
         lambda f: -measure(f), bounds=(max(middle - step, 0.5 * step), middle + step), method="bounded",
         options={"xatol": 1e-5 * step},
     )  # fmt: skip

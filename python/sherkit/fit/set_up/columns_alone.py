@@ -114,7 +114,7 @@ def commanded_joints(data: Measurements) -> str | None:
             continue
         declared = float(np.sqrt(np.mean(data.sigma[data.used[:, k], k] ** 2)))
         spread = _scatter_of_repeats(data, k)
-        if spread > _SCATTER * declared and scipy.stats.chi2.sf(free * (spread / declared) ** 2, free) < _LEVEL:
+        if spread > _SCATTER * declared and scipy.special.chdtrc(free, free * (spread / declared) ** 2) < _LEVEL:
             each = data.layout.per_unit
             told.append(
                 f"{name} scatters by {each * spread:.3g} {data.layout.unit} where {each * declared:.3g} are declared"
@@ -137,5 +137,5 @@ def _scatter_of_repeats(data: Measurements, column: int) -> float:
     mean = np.bincount(group, value) / count
     square = np.bincount(group, (value - mean[group]) ** 2)
     several = count > 1
-    usual = scipy.stats.chi2.median(count[several] - 1)
+    usual = scipy.special.chdtri(count[several] - 1, 0.5)
     return float(np.sqrt(np.median(square[several] / usual)))

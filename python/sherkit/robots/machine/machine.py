@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from ...errors import RobotError
-from ...model.kinds import KINDS, Kind, register
+from ...model.kinds import Kind, known_kinds, register
 from .described import Described
 from .kind import kind_for
 
@@ -38,7 +38,7 @@ class Machine(Described):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        known = KINDS.get(self.kind)
+        known = known_kinds().get(self.kind)
         if known is not None and not isinstance(known.robot, Described):
             raise RobotError(f"'{self.name}' is the name of a built-in kind of robot: give the machine another name")
         register(self.brings)
@@ -54,7 +54,7 @@ class Machine(Described):
 
 
 def _known(*described: Any) -> Machine:
-    held = KINDS.get(described[-1])
+    held = known_kinds().get(described[-1])
     if held is not None and isinstance(held.robot, Machine):
         same = tuple(getattr(held.robot, one.name) for one in fields(held.robot) if one.init)
         if same == described:

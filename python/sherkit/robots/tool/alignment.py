@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy import optimize
 
 from ...errors import FitError, ShapeError
 from ...types import Floats
@@ -86,7 +86,7 @@ def align(
     best = int(np.argmin(squares))
     if best in (0, len(grid) - 1):
         raise FitError(f"alignment: the delay lies at the end of what was tried, {grid[best]:+g} s; allow a longer one")
-    found = optimize.minimize_scalar(left, bounds=(grid[best - 1], grid[best + 1]), method="bounded",
+    found = scipy.optimize.minimize_scalar(left, bounds=(grid[best - 1], grid[best + 1]), method="bounded",
                                      options={"xatol": 1e-7})  # fmt: skip
     delay = float(found.x)
     step = float(grid[1] - grid[0]) / 4
@@ -128,7 +128,7 @@ def fibre_delay(tool: FlexibleTool, run: ToolRun, *, longest_s: float = _LONGEST
     squares = np.array([left(d) for d in grid])
     best = int(np.argmin(squares))
     low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    found = optimize.minimize_scalar(left, bounds=(low, high), method="bounded", options={"xatol": 1e-4})
+    found = scipy.optimize.minimize_scalar(left, bounds=(low, high), method="bounded", options={"xatol": 1e-4})
     delay, least = float(found.x), float(found.fun)
     # over a step on which the forces differ by more than they are known
     step = 2.0 * float(grid[1] - grid[0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from ...fit.identify import Fit
 from .effects import TOOL_CATALOGUE
@@ -44,7 +44,7 @@ def applied(model: ToolModel, fit: Fit) -> Applied:
     offset = fit.values[: len(model.parameters)]
     middle = model.predict(model.readings, np.zeros(len(model.parameters))).mean(axis=0)
     shift = turn.T @ (np.array(tool.camera_translation_mm) - offset - middle) + middle
-    rotation = Rotation.from_matrix(turn.T @ tool.camera_rotation).as_rotvec()
+    rotation = scipy.spatial.transform.Rotation.from_matrix(turn.T @ tool.camera_rotation).as_rotvec()
     tool = replace(
         tool,
         camera_rotation_rad=tuple(rotation.tolist()),

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
-from scipy import stats
+import scipy
 
 import sherkit._core as _core
 
@@ -254,4 +254,4 @@ def _f_test(values: Floats, base: Floats, more: Floats) -> tuple[float, float]:
     if free < 1 or least <= 0:
         return 1.0, 0.0
     ratio = (less - least) / more.shape[1] / (least / free)
-    return float(stats.f.sf(ratio, more.shape[1], free)), float(np.abs(full @ b - base @ a).max())
+    return float(scipy.stats.f.sf(ratio, more.shape[1], free)), float(np.abs(full @ b - base @ a).max())

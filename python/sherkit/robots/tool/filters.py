@@ -11,8 +11,8 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import stats
 
 import sherkit._core as _core
 
@@ -80,7 +80,7 @@ def consistency(total: float, degrees: int) -> Consistency:
     """From a sum of NIS and its degrees of freedom: χ² with independent innovations (Bar-Shalom, 5.4)."""
     if degrees == 0:
         return Consistency(float("nan"), float("nan"), float("nan"))
-    low, high = stats.chi2.ppf([(1 - NIS_LEVEL) / 2, (1 + NIS_LEVEL) / 2], degrees) / degrees
+    low, high = scipy.stats.chi2.ppf([(1 - NIS_LEVEL) / 2, (1 + NIS_LEVEL) / 2], degrees) / degrees
     return Consistency(total / degrees, float(low), float(high))
 
 

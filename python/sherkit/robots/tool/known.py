@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from ...types import Bools, Floats
 from .alignment import at_times
@@ -127,14 +127,14 @@ def knowledge(
     nees = float(squared.mean() / k)
     independent = _independent(whitened)
     some = max(int(independent), 1)
-    low, high = stats.chi2.ppf([(1 - NIS_LEVEL) / 2, (1 + NIS_LEVEL) / 2], independent * k) / (independent * k)
+    low, high = scipy.stats.chi2.ppf([(1 - NIS_LEVEL) / 2, (1 + NIS_LEVEL) / 2], independent * k) / (independent * k)
     own = of_truth * k / np.einsum("nii->n", spread)
-    inside = int((squared <= stats.chi2.ppf(STATED, k)).sum())
+    inside = int((squared <= scipy.stats.chi2.ppf(STATED, k)).sum())
     return Knowledge(
         quantity=quantity, signal=signal, truth=truth, condition=condition, rows=rows, coverage=inside / rows,
         nees=nees, low=float(low), high=float(high),
         largest=float((np.abs(off) / np.sqrt(np.einsum("nii->ni", spread))).max()), of_truth=float(np.median(own)),
-        least_coverage=float(stats.binom.ppf((1 - NIS_LEVEL) / 2, some, STATED) / some),
+        least_coverage=float(scipy.stats.binom.ppf((1 - NIS_LEVEL) / 2, some, STATED) / some),
     )  # fmt: skip
 
 

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solveh_banded
-from scipy.signal import savgol_filter
+import scipy
 
 from ...types import Floats
 from .runs import ToolRun
@@ -172,7 +171,7 @@ def _calm(time_s: Floats, force_mn: Floats) -> Floats:
     """Forces (n, 2) without most of their noise: a local parabola. A picture lies between rows, and a delay that is
     fitted would else choose rows whose noise suits it."""
     rows = 2 * round(_SMOOTHING_S / float(np.median(np.diff(time_s))) / 2) + 1
-    return np.asarray(savgol_filter(force_mn, rows, 2, axis=0)) if 3 < rows <= len(time_s) else force_mn
+    return np.asarray(scipy.signal.savgol_filter(force_mn, rows, 2, axis=0)) if 3 < rows <= len(time_s) else force_mn
 
 
 def _between(time_s: Floats, values: Floats, moments_s: Floats) -> Floats:
@@ -215,4 +214,4 @@ def _smoothed(tool: FlexibleTool, run: ToolRun, weight: Floats, seen: Floats, le
     diagonal[:-1] += tie
     right[1:] += tie * led
     right[:-1] -= tie * led
-    return np.asarray(solveh_banded(np.vstack([diagonal, np.append(-tie, 0.0)]), right, lower=True))
+    return np.asarray(scipy.linalg.solveh_banded(np.vstack([diagonal, np.append(-tie, 0.0)]), right, lower=True))

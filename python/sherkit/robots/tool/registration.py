@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 import sherkit._core as _core
 
@@ -30,7 +30,7 @@ class Registration:
     @property
     def rotation_rad(self) -> Floats:
         """The rotation as a vector (3,)."""
-        return np.asarray(Rotation.from_matrix(self.rotation).as_rotvec())
+        return np.asarray(scipy.spatial.transform.Rotation.from_matrix(self.rotation).as_rotvec())
 
     @property
     def mean_error_mm(self) -> float:

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 import tomli_w
-from scipy.spatial.transform import Rotation
 
 import sherkit._core as _core
 
@@ -24,10 +24,10 @@ from ...data.toml import Table, read_toml
 from ...errors import RobotError
 from ...saved import Saved
 from ...types import Floats
+from ..tool_file import KIND
 
 Triple = tuple[float, float, float]
 
-KIND = "flexible_tool"
 NOISES = ("propagated", "ebrahimi_2020", "ebrahimi_2020_of_force")
 BENDINGS = ("exact", "small")
 #: Fibres stand at 120° around the shaft; a moment of 1 mN·mm shifts the wavelength opposite to it by this, nm.
@@ -284,4 +284,5 @@ def nested(values: Floats) -> Any:
 
 def rotation_of(vectors_rad: Sequence[float] | Floats) -> Floats:
     """Rotation matrices (n, 3, 3) of rotation vectors (n, 3)."""
-    return np.asarray(Rotation.from_rotvec(np.atleast_2d(np.asarray(vectors_rad, dtype=float))).as_matrix())
+    vectors = np.atleast_2d(np.asarray(vectors_rad, dtype=float))
+    return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(vectors).as_matrix())

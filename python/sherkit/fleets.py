@@ -1,0 +1,279 @@
+"""Many machines of one robot: what each is missing, what they share, and which of them stands out.
+
+Every run is diagnosed by itself, wherever an executor of :mod:`concurrent.futures` takes it. Machines are compared by
+median and median absolute deviation, which half of them may be wrong without moving (Huber and Ronchetti, *Robust
+Statistics*, 5.1); the threshold is Student's, at a chance for the whole fleet.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures as futures
+import os
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy
+
+from .data.given import RunLike
+from .data.noise import MAD
+from .diagnosis import diagnose
+from .errors import FitError, SherkitError, SherkitWarning
+from .fit.identify import identify
+from .model.effect import Effect, effects_by_name
+from .model.kinds import Robot, model_of
+from .model.robot_file import RobotLike, columns_of, robot_of, run_for
+from .names import listed
+
+#: Chance that a machine of a fleet in which none stands out is said to.
+LEVEL = 0.05
+#: A median of fewer machines says nothing of one of them.
+FEWEST = 4
+#: What a median absolute deviation is worth, as a part of the machines (its efficiency).
+_EFFICIENCY = 0.37
+
+
+@dataclass(frozen=True)
+class Machine:
+    """One run of the fleet.
+
+    ``failed`` is the sentence that says why there is no more, None where all went well. ``as_it_came`` and ``left``
+    are errors (RMS of single readings on poses held out) in ``unit`` without and with the ``effects`` that were found
+    missing; ``noise`` is that of a reading. ``values``, ``std`` and ``units`` are those of the fitted parameters, with
+    these effects.
+    ``remarks`` are the warnings that were given.
+    """
+
+    run: str
+    failed: str | None = None
+    rows: int = 0
+    verdict: str = ""
+    effects: tuple[str, ...] = ()
+    unit: str = ""
+    as_it_came: float | None = None
+    left: float | None = None
+    noise: float | None = None
+    values: Mapping[str, float] | None = None
+    std: Mapping[str, float] | None = None
+    units: Mapping[str, str] | None = None
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Common:
+    """What the fleet has of one quantity: a fitted parameter, or the error left (``error left``).
+
+    ``spread`` is the standard deviation from machine to machine by the median absolute deviation, over ``machines``.
+    """
+
+    name: str
+    unit: str
+    median: float
+    spread: float
+    machines: int
+
+
+@dataclass(frozen=True)
+class StandsOut:
+    """A machine that is not like the others in one quantity: ``deviations`` from their median, in the spread of the
+    fleet and the uncertainty of the machine's own value together, where ``threshold`` is rarely passed by chance."""
+
+    run: str
+    name: str
+    value: float
+    median: float
+    deviations: float
+    threshold: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.run}: {self.name} is {self.value:.4g}, the fleet's median {self.median:.4g}: "
+            f"{self.deviations:+.1f} deviations, where {self.threshold:.1f} are rare"
+        )
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """The machines in the order of their runs."""
+
+    machines: tuple[Machine, ...]
+
+    @cached_property
+    def diagnosed(self) -> tuple[Machine, ...]:
+        """The machines whose runs could be used."""
+        return tuple(m for m in self.machines if m.failed is None)
+
+    @cached_property
+    def shared(self) -> dict[str, tuple[str, ...]]:
+        """The runs in which each effect was found, effects that most share first."""
+        found: dict[str, list[str]] = {}
+        for machine in self.diagnosed:
+            for name in machine.effects:
+                found.setdefault(name, []).append(machine.run)
+        return {name: tuple(runs) for name, runs in sorted(found.items(), key=lambda one: (-len(one[1]), one[0]))}
+
+    @cached_property
+    def common(self) -> tuple[Common, ...]:
+        """Median and spread of every parameter that enough machines have, and of the error left."""
+        out = []
+        for name, of in self._quantities.items():
+            if len(of) >= FEWEST:
+                middle, spread = _robust(np.array([value for value, _ in of.values()]))
+                out.append(Common(name, self._units[name], middle, spread, len(of)))
+        return tuple(out)
+
+    @cached_property
+    def stands_out(self) -> tuple[StandsOut, ...]:
+        """Machines unlike the others, the farthest first. With fewer than four machines none can be told."""
+        tests = sum(c.machines for c in self.common)
+        out = []
+        for c in self.common:
+            threshold = float(-scipy.special.stdtrit(max(_EFFICIENCY * c.machines, 1.0), 0.5 * LEVEL / tests))
+            for run, (value, std) in self._quantities[c.name].items():
+                scale = float(np.hypot(c.spread, std))
+                deviations = (value - c.median) / scale if scale > 0 else 0.0
+                if abs(deviations) > threshold:
+                    out.append(StandsOut(run, c.name, value, c.median, deviations, threshold))
+        return tuple(sorted(out, key=lambda one: -abs(one.deviations)))
+
+    @cached_property
+    def _quantities(self) -> dict[str, dict[str, tuple[float, float]]]:
+        """Values with their uncertainty by quantity and run."""
+        out: dict[str, dict[str, tuple[float, float]]] = {"error left": {}}
+        for m in self.diagnosed:
+            if m.left:
+                out["error left"][m.run] = (m.left, 0.0)
+            for name, value in (m.values or {}).items():
+                out.setdefault(name, {})[m.run] = (value, (m.std or {})[name])
+        return out
+
+    @cached_property
+    def _units(self) -> dict[str, str]:
+        units = {name: unit for m in self.diagnosed for name, unit in (m.units or {}).items()}
+        return {"error left": next((m.unit for m in self.diagnosed), "")} | units
+
+    def __repr__(self) -> str:
+        lines = [f"{len(self.machines)} machines, {len(self.machines) - len(self.diagnosed)} of them failed"]
+        for m in self.machines:
+            said = m.failed or f"{m.verdict}{': ' + ', '.join(m.effects) if m.effects else ''}"
+            lines.append(f"  {m.run:<24} {said}")
+        lines += [f"  {name} in {len(runs)} of {len(self.diagnosed)}" for name, runs in self.shared.items()]
+        return "\n".join([*lines, *(f"  {one}" for one in self.stands_out)])
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs: no NaN, keys as the attributes."""
+
+        def plain(value: Any) -> Any:
+            if isinstance(value, dict):
+                return {k: plain(v) for k, v in value.items()}
+            return None if isinstance(value, float) and not np.isfinite(value) else value
+
+        return {
+            "machines": [plain(asdict(m)) for m in self.machines],
+            "shared": {name: list(runs) for name, runs in self.shared.items()},
+            "common": [plain(asdict(c)) for c in self.common],
+            "stands_out": [plain(asdict(s)) for s in self.stands_out],
+        }
+
+
+def fleet(
+    runs: Sequence[RunLike], robot: RobotLike, *, effects: Sequence[Effect | str] = (), own: Sequence[Effect] = (),
+    level: float = 0.01, seed: int = 0, executor: futures.Executor | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Fleet:  # fmt: skip
+    """Diagnoses runs of machines that are built alike, each by itself, and compares them.
+
+    ``effects`` are in the model of all from the beginning, ``own`` are tried beside the catalogue; ``level`` and
+    ``seed`` are those of :func:`~sherkit.diagnosis.diagnose`. ``executor`` takes the runs, one task each: a process
+    pool, a cluster; without one they are done here, one after the other. What the tasks need is sent to them, so runs
+    given by their paths must be readable there. ``progress`` is told how many of how many are done.
+
+    A run that cannot be used is a machine that says why. Raises :class:`~sherkit.errors.FitError` where there is no
+    run, or two of one name; :class:`~sherkit.errors.RobotError` for a robot that is none.
+    """
+    columns = columns_of(robot) if isinstance(robot, str | os.PathLike) else None
+    nominal = robot_of(robot)
+    names = [os.fspath(r) if isinstance(r, str | os.PathLike) else f"run {k + 1}" for k, r in enumerate(runs)]
+    if not names:
+        raise FitError("a fleet needs at least one run")
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise FitError(f"{listed(twice)}: given more than once; each machine of a fleet has one run")
+    plain = model_of(nominal)
+    known = effects_by_name(plain.catalogue, [e for e in effects if isinstance(e, str)], own)
+    inside = (*known, *(e for e in effects if isinstance(e, Effect)))
+    tasks = [
+        _Task(name, nominal, run, columns, inside, tuple(own), level, seed)
+        for name, run in zip(names, runs, strict=True)
+    ]
+    made: list[Machine] = []
+    told = progress or (lambda done, total: None)
+    told(0, len(tasks))
+    if executor is None:
+        for task in tasks:
+            made.append(_machine(task))
+            told(len(made), len(tasks))
+        return Fleet(tuple(made))
+    waiting = [executor.submit(_machine, task) for task in tasks]
+    try:
+        for future in waiting:
+            made.append(future.result())
+            told(len(made), len(tasks))
+    except BaseException:
+        for future in waiting:
+            future.cancel()
+        raise
+    return Fleet(tuple(made))
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is sent to a worker."""
+
+    name: str
+    robot: Robot
+    run: RunLike
+    columns: Mapping[str, str] | None
+    inside: tuple[Effect, ...]
+    own: tuple[Effect, ...]
+    level: float
+    seed: int
+
+
+def _machine(task: _Task) -> Machine:
+    """Numbers and words alone come back: no rows travel."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", SherkitWarning)
+        try:
+            data = run_for(task.robot, task.run, task.columns)
+            fit = identify(task.robot, data, effects=list(task.inside))
+            found = diagnose(fit, effects=task.own, level=task.level, seed=task.seed)
+        except SherkitError as error:
+            return Machine(task.name, failed=str(error), remarks=_said(said))
+    names = [p.name for p in found.fit.parameters]
+    return Machine(
+        run=task.name,
+        rows=len(data),
+        verdict=found.verdict,
+        effects=found.effects,
+        unit=found.unit,
+        as_it_came=float(found.steps[0].held_out_rms),
+        left=float(found.steps[-1].held_out_rms),
+        noise=float(np.sqrt(np.mean(np.square(list(found.noise.values()))))),
+        values=dict(zip(names, found.fit.values.tolist(), strict=True)),
+        std=dict(zip(names, found.fit.std.tolist(), strict=True)),
+        units={p.name: p.unit for p in found.fit.parameters},
+        remarks=_said(said),
+    )
+
+
+def _said(caught: Sequence[warnings.WarningMessage]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, SherkitWarning)))
+
+
+def _robust(values: Any) -> tuple[float, float]:
+    middle = float(np.median(values))
+    return middle, MAD * float(np.median(np.abs(values - middle)))

@@ -1,0 +1,157 @@
+"""Many machines of one robot: verdicts in one table, what they share, who stands out; anywhere the same."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sherkit as sk
+from sherkit.cli import main
+from sherkit.cli.demo import EXAMPLE
+from sherkit.fleets import Fleet, Machine
+from sherkit.robots.delta.virtual import VirtualDelta
+
+POSES = sk.delta.paper_whole()[::3]
+
+
+def machine(seed: int, *, lean_rad: float = 0.0, longer_mm: float = 0.0) -> sk.Measurements:
+    """A run of one machine of the batch: small errors of its own, perhaps leaning rails, perhaps a wrong rod."""
+    drawn = VirtualDelta.draw(
+        EXAMPLE, seed, sizes={"joint_offset": 0.02, "rod_length": 0.02}, rail_lean_rad=lean_rad, noise_mm=0.005
+    )
+    errors = dict(drawn.errors)
+    errors["rod_length_2"] = errors.get("rod_length_2", 0.0) + longer_mm
+    return replace(drawn, errors=errors).measure(POSES, repeats=2, order="shuffled", seed=seed)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Four good machines, one with leaning rails, one file that is none."""
+    folder = tmp_path_factory.mktemp("fleet")
+    sk.save_robot(EXAMPLE, folder / "robot.toml")
+    for k in range(5):
+        machine(k, lean_rad=0.003 if k == 3 else 0.0).save(folder / f"machine_{k}.csv")
+    (folder / "machine_5.csv").write_text("q1_mm,q2_mm\n1,2\n", encoding="utf-8")
+    return [str(folder / f"machine_{k}.csv") for k in range(6)]
+
+
+@pytest.fixture(scope="module")
+def found(runs: list[str]) -> Fleet:
+    """What is said of them, here, one after the other."""
+    return sk.fleet(runs, EXAMPLE)
+
+
+def test_each_machine_is_diagnosed_by_itself(found: Fleet, runs: list[str]) -> None:
+    """Catches machines whose rows are mixed, an effect given to the wrong one, and a bad file that ends all."""
+    assert [m.run for m in found.machines] == runs
+    assert [m.failed is None for m in found.machines] == [True] * 5 + [False]
+    assert "machine_5.csv: column 'q3_mm' is missing" in str(found.machines[5].failed)
+    assert found.machines[3].effects == ("rail_lean",)
+    assert found.shared["rail_lean"] == (runs[3],)
+    alone = sk.diagnose(sk.identify(EXAMPLE, runs[3]))
+    assert found.machines[3].verdict == alone.verdict
+    assert found.machines[3].left == alone.steps[-1].held_out_rms
+    assert found.machines[3].as_it_came > 2 * found.machines[3].left
+
+
+def test_a_thread_pool_says_the_same(found: Fleet, runs: list[str]) -> None:
+    """Catches an answer that depends on who computes it, or comes in the order of its being ready."""
+    with ThreadPoolExecutor(2) as pool:
+        assert sk.fleet(runs[3:], EXAMPLE, executor=pool).machines == found.machines[3:]
+
+
+@pytest.mark.slow
+def test_a_process_pool_says_the_same(found: Fleet, runs: list[str]) -> None:
+    """Catches a task that cannot be sent, and warnings or errors that are lost on the way back."""
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        assert sk.fleet(runs, EXAMPLE, executor=pool) == found
+
+
+@pytest.mark.slow
+def test_a_cluster_says_the_same(found: Fleet, runs: list[str]) -> None:
+    """Catches what only holds for executors of the standard library."""
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+        ) as cluster,
+        distributed.Client(cluster) as client,
+        client.get_executor() as executor,
+    ):
+        assert sk.fleet(runs, EXAMPLE, executor=executor) == found
+
+
+def test_the_command_prints_and_writes_the_same(
+    runs: list[str], found: Fleet, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a table without the failed run or its sentence, a pattern that no shell has spread, and other JSON."""
+    monkeypatch.chdir(Path(runs[0]).parent)
+    for arguments in ([], ["--json"]):
+        with pytest.raises(SystemExit) as ended:
+            main(["fleet", "machine_[345].csv", "--robot", "robot.toml", "--workers", "1", *arguments])
+        assert not ended.value.code
+    text, _, data = capsys.readouterr().out.partition("{\n")
+    assert "failed: machine_5.csv: column 'q3_mm' is missing" in text
+    assert "rail_lean is missing in 1 of 2" in text
+    assert "from 4 machines on" in text
+    said = json.loads("{" + data)
+    assert [m["verdict"] for m in said["machines"]] == [m.verdict for m in found.machines[3:]]
+    assert said["machines"][0]["values"] == found.machines[3].values
+
+
+# -- who stands out: numbers alone, so that the level can be counted -----------------------------------------
+
+
+def fleet_of(values: np.ndarray, std: float = 0.1) -> Fleet:
+    """Machines (n, p) that have these values."""
+    names = [f"p{k}" for k in range(values.shape[1])]
+    units, stds = dict.fromkeys(names, "mm"), dict.fromkeys(names, std)
+    made = [dict(zip(names, row.tolist(), strict=True)) for row in values]
+    return Fleet(tuple(Machine(f"m{k}", left=5.0, values=v, std=stds, units=units) for k, v in enumerate(made)))
+
+
+def test_the_odd_one_is_named_and_the_others_are_not() -> None:
+    """Catches a mean that the odd machine moves, and a spread that it widens until it hides itself."""
+    values = np.random.default_rng(2).normal(0.0, 1.0, (12, 6))
+    values[7, 4] = 40.0
+    found = fleet_of(values).stands_out
+    assert [(one.run, one.name) for one in found] == [("m7", "p4")]
+    assert "m7: p4 is 40, the fleet's median" in str(found[0])
+    two = values.copy()
+    two[3, 1] = -60.0
+    assert {(one.run, one.name) for one in fleet_of(two).stands_out} == {("m7", "p4"), ("m3", "p1")}
+
+
+def test_a_fleet_of_like_machines_is_left_alone() -> None:
+    """Catches a threshold without regard to how many machines and parameters are looked at: 5 of 100 at most here."""
+    rng = np.random.default_rng(9)
+    said = sum(bool(fleet_of(rng.normal(0.0, 1.0, (12, 15))).stands_out) for _ in range(300))
+    assert said <= 0.05 * 300 + 3 * np.sqrt(300 * 0.05 * 0.95)
+
+
+def test_an_uncertain_value_stands_out_less() -> None:
+    """Catches a badly measured machine that is called odd: its own uncertainty counts."""
+    values = np.random.default_rng(2).normal(0.0, 1.0, (12, 6))
+    values[7, 4] = 40.0
+    assert not fleet_of(values, std=20.0).stands_out
+
+
+def test_too_few_machines_say_nothing_of_one() -> None:
+    """Catches a median of two machines, from which both are as far."""
+    assert not fleet_of(np.array([[0.0], [0.1], [90.0]])).stands_out
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [([], "at least one run"), (["a.csv", "a.csv"], "a.csv: given more than once")],
+)
+def test_what_is_no_fleet_is_refused(given: list[str], said: str) -> None:
+    """Catches a fleet of nothing, and a machine that is counted twice."""
+    with pytest.raises(sk.errors.FitError, match=said):
+        sk.fleet(given, EXAMPLE)

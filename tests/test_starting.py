@@ -1,0 +1,111 @@
+"""What is loaded when: a program that imports sherkit, or asks a command something small, waits for nothing else."""
+
+from __future__ import annotations
+
+import ast
+import json
+import pickle
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import sherkit as sk
+
+#: Takes a tenth of a second or more to load.
+SLOW = {"numpy", "scipy", "polars", "rich", "bokeh", "jinja2", "cv2", "serial", "pandas"}
+PACKAGES = ("sherkit", "sherkit.lab")
+
+
+def loaded_by(code: str, *arguments: str) -> set[str]:
+    """Modules that are there after a program of its own."""
+    told = "\nimport sys, json\nprint('\\n' + json.dumps(sorted(sys.modules)))"
+    program = [sys.executable, "-c", code + told, *arguments]
+    answer = subprocess.run(program, capture_output=True, text=True, check=True)
+    return set(json.loads(answer.stdout.splitlines()[-1]))
+
+
+def command(*typed: str) -> str:
+    """A program that runs a command and goes on."""
+    return f"from sherkit.cli import main\ntry:\n    main({list(typed)!r})\nexcept SystemExit:\n    pass"
+
+
+def test_the_import_alone_loads_nothing_that_is_slow() -> None:
+    """Catches ``import sherkit`` that loads NumPy, SciPy, a table reader or what draws, before anything was asked."""
+    loaded = loaded_by("import sherkit")
+    assert not loaded & {*SLOW, "click", "concurrent.futures", "subprocess"}
+    assert "sherkit._core" not in loaded
+
+
+@pytest.mark.parametrize("typed", [["--version"], ["diagnoze"]])
+def test_a_small_question_loads_nothing_that_is_slow(typed: list[str]) -> None:
+    """Catches a command that loads all verbs in order to say its version, or that there is no such verb."""
+    loaded = loaded_by(command(*typed))
+    assert not loaded & SLOW
+    assert not {name for name in loaded if name.startswith("sherkit.cli.") and name != "sherkit.cli.main"}
+
+
+def test_a_diagnosis_loads_neither_what_draws_nor_the_tool_nor_drivers() -> None:
+    """Catches a verb that loads what it does not use: pictures, instruments, the flexible tool, SciPy's slow rooms."""
+    loaded = loaded_by("import sherkit.cli.diagnose")
+    assert not loaded & {"bokeh", "jinja2", "cv2", "serial", "rich.progress"}
+    assert not {name for name in loaded if name.startswith(("scipy.stats", "scipy.optimize", "scipy.signal"))}
+    assert not {name for name in loaded if name.startswith(("sherkit.robots.tool.", "sherkit.lab", "sherkit.report"))}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_what_types_see_is_what_is_there(package: str) -> None:
+    """Catches a door whose imports for readers of types and whose table for Python say different things."""
+    module = import_module(package)
+    source = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8"))
+    static = next(n for n in source.body if isinstance(n, ast.If) and "TYPE_CHECKING" in ast.unparse(n.test))
+    names = set()
+    for line in static.body:
+        assert isinstance(line, ast.ImportFrom)
+        seen: dict[str, object] = {"__package__": package, "__name__": package}
+        exec(ast.unparse(line), seen)
+        for one in line.names:
+            names.add(one.name)
+            assert getattr(module, one.name) is seen[one.name], one.name
+            assert line.module or isinstance(seen[one.name], ModuleType), one.name
+    assert names == set(dir(module))
+    assert set(module.__all__) <= names
+
+
+def test_the_door_is_like_any_module() -> None:
+    """Catches names that cannot be listed, pickled or taken with a star, and a wrong name that is not refused."""
+    assert pickle.loads(pickle.dumps(sk.diagnose)) is sk.diagnose
+    assert pickle.loads(pickle.dumps(sk.Study)) is sk.Study
+    taken: dict[str, object] = {}
+    exec("from sherkit import *", taken)
+    assert set(sk.__all__) <= set(taken)
+    with pytest.raises(AttributeError, match="module 'sherkit' has no attribute 'diagnoze'"):
+        sk.diagnoze  # noqa: B018  # type: ignore[attr-defined]
+    with pytest.raises(ImportError, match="diagnoze"):
+        exec("from sherkit import diagnoze", {})
+
+
+def test_a_function_is_not_hidden_by_the_file_it_stands_in() -> None:
+    """Catches ``sk.calibrate`` that is a module, once something has loaded the file of that name."""
+    code = "import sherkit.cli.calibrate, sherkit.cli.diagnose, sherkit as sk\nassert callable(sk.calibrate)\n"
+    loaded_by(code + "assert all(callable(getattr(sk, n)) for n in ('diagnose', 'effect', 'identify'))")
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "from sherkit.data.columns import layout_of\nassert layout_of(['q1_mm', 'x_mm']).joints[0] == 'q1_mm'",
+        "from sherkit.data import from_frame\n"
+        "from_frame({k: [0.0, 1.0] for k in ('q1_mm', 'q2_mm', 'q3_mm', 'x_mm', 'y_mm', 'z_mm')})",
+        "from sherkit.model.kinds import known_kinds\nassert list(known_kinds()) == ['delta', 'spherical']",
+        "from sherkit.model.kinds import register, known_kinds\nfrom dataclasses import replace\n"
+        "from sherkit.robots.delta import KIND\nregister(replace(KIND, name='own'))\n"
+        "assert list(known_kinds()) == ['delta', 'spherical', 'own']",
+    ],
+)
+def test_built_in_robots_are_known_from_every_side(code: str) -> None:
+    """Catches a file of runs or a robot that is not understood, since nobody has asked for the robots before."""
+    loaded_by(code)
