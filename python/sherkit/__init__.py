@@ -54,7 +54,8 @@ if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not 
         __name__,
         {
             "Effect": "model.effect", "Machine": "robots.machine", "Measurements": "data", "SherkitError": "errors",
-            "SherkitWarning": "errors", "Study": "study", "__version__": "_core", "calibrate": "calibration", "diagnose": "diagnosis",
+            "SherkitWarning": "errors", "Study": "study", "__version__": "_core", "calibrate": "calibration",
+            "diagnose": "diagnosis",
             "effect": "model.effect", "fleet": "fleets", "from_frame": "data", "identify": "fit",
             "load_calibration": "robots.files", "load_robot": "model.robot_file", "read_measurements": "data",
             "save_robot": "model.robot_file",
