@@ -14,10 +14,11 @@ places! {
 }
 
 effects! { At;
-    // where the tracker sees the base frame: a turn of its picture of the robot, and a shift, in its own axes
+    // where the tracker sees the base frame: a turn of its picture of the robot, and a shift, in its own axes; people put
+    // trackers anywhere
     tracker_frame: Sensor by tracker (base) {
-        frame_turn_x, frame_turn_y, frame_turn_z: "rad", 0.05, OWN_LEVER;
-        frame_x, frame_y, frame_z: "mm", 50.0, 1.0;
+        frame_turn_x, frame_turn_y, frame_turn_z: "rad", 1.0, OWN_LEVER;
+        frame_x, frame_y, frame_z: "mm", 1000.0, 1.0;
     }
     // the zero of each joint
     joint_offset: Joints by joints (base) {
