@@ -291,12 +291,12 @@ def test_tables_are_tables(table: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("tables", "says"),
     [
-        ({"geometry": TABLES["geometry"]}, "kind is missing; expected one of 'delta', 'spherical'"),
-        ({**TABLES, "kind": "scara"}, "kind: expected one of 'delta', 'spherical', found 'scara'"),
-        ({**TABLES, "kind": ["delta"]}, "kind: expected one of 'delta', 'spherical', found ['delta']"),
+        ({"geometry": TABLES["geometry"]}, "kind is missing; expected one of 'delta', 'spherical', 'serial'"),
+        ({**TABLES, "kind": "scara"}, "kind: expected one of 'delta', 'spherical', 'serial', found 'scara'"),
+        ({**TABLES, "kind": ["delta"]}, "kind: expected one of 'delta', 'spherical', 'serial', found ['delta']"),
         ({"kind": "delta"}, "geometry is missing; expected a table"),
         ({**TABLES, "tool": {}}, "unknown key tool"),
-        ({**TABLES, "kind": ""}, "kind: expected one of 'delta', 'spherical', found ''"),
+        ({**TABLES, "kind": ""}, "kind: expected one of 'delta', 'spherical', 'serial', found ''"),
         ({}, "kind is missing"),
         ("", "kind is missing"),
         ("kind = delta", "is not valid TOML: Invalid value (at line 1"),

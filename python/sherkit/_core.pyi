@@ -27,6 +27,8 @@ __all__ = [
     "DepthFilter",
     "DepthTipFilter",
     "FilterNoise",
+    "SerialCalibrated",
+    "SerialModel",
     "Solver",
     "SphericalCalibrated",
     "SphericalKinematics",
@@ -217,6 +219,43 @@ class SphericalModel(_Model):
         priors: bool,
     ) -> tuple[str, list[int]]:  # fmt: skip
         """As ``solve``, over the paper's residuals of the joints; weights are 1/rad."""
+
+@final
+class SerialModel(_Model):
+    """A serial arm of k joints, at most nine; readings are x, y, z of its target, mm, in the frame of the tracker.
+
+    ``joints`` (k, 18): of each its frame behind the one before it (turn row by row, shift in mm), 1 where it slides,
+    home reading, mass and the centre of it (mm). ``tool`` (3,), mm; ``tracker`` (12,): from base to tracker.
+    ``settings``: direction of the weight (3), period of the encoders, origin of time, slip times of target and tracker
+    (s).
+    """
+
+    def __new__(cls, joints: _Floats, tool: _Floats, tracker: _Floats, settings: _Floats) -> SerialModel: ...
+
+@final
+class SerialCalibrated:
+    """Where the target of a calibrated arm is in the base frame, mm. Covariates as those of others."""
+
+    def __new__(cls, model: SerialModel, values: _Floats, low: _Floats, high: _Floats) -> SerialCalibrated: ...
+    def forward(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats]:
+        """The target (3,), and the derivative by the joints (3, k)."""
+
+    def forward_batch(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats, _Bools]:
+        """The same for rows (n, k) of joints: (n, 3), (n, 3, k), and which could be computed."""
+
+    def flange(self, joints: _Floats, covariates: list[float]) -> _Floats:
+        """The turn (3, 3) of the frame behind the last joint."""
+
+    def by_parameters_batch(self, joints: _Floats, covariates: list[float], free: list[int]) -> tuple[_Floats, _Bools]:
+        """Derivatives of the target by the parameters in ``free`` (n, 3, free), and which could be computed."""
+
+    def inverse(self, place: _Floats, covariates: list[float], start: _Floats | None = None) -> _Floats:
+        """Joints (k,) for a place (3,), from those of a start, or from home."""
+
+    def inverse_batch(
+        self, places: _Floats, covariates: list[float], starts: _Floats | None = None
+    ) -> tuple[_Floats, _Bools]:
+        """Joints (n, k) for places (n, 3), each from a start of its own (n, k), and which are in reach."""
 
 @type_check_only
 class _Calibrated:

@@ -169,7 +169,7 @@ class Study(Shown):
             self._register(effect)
             chosen = effect
         else:
-            (chosen,) = effects_by_name(self.model.catalogue, (effect,), tuple(self.own.values()))
+            (chosen,) = effects_by_name(self.model.known_effects, (effect,), tuple(self.own.values()))
         if chosen.name in self.effects or chosen.name == "datum":
             raise EffectError(f"'{chosen.name}' is in the model already")
         missing = lacks(chosen, self.data)
@@ -346,7 +346,7 @@ class Study(Shown):
 
     def _model_from(self, state: Table) -> ChainModel:
         plain = model_of(self.robot, state.texts("free"))
-        effects = effects_by_name(plain.catalogue, state.texts("effects"), tuple(self.own.values()))
+        effects = effects_by_name(plain.known_effects, state.texts("effects"), tuple(self.own.values()))
         settings: dict[str, Any] = {name: state.number(name) if state.has(name) else None for name in plain.settings()}
         return replace(plain, effects=effects, **settings)
 
@@ -380,7 +380,7 @@ class Study(Shown):
         """The fit of an earlier step, where the rows of today give what it left."""
         try:
             model = replace(
-                self.model, effects=effects_by_name(self.model.catalogue, effects, tuple(self.own.values()))
+                self.model, effects=effects_by_name(self.model.known_effects, effects, tuple(self.own.values()))
             )
         except EffectError:  # an effect of the user's that is no longer given
             return None

@@ -419,7 +419,7 @@ class Workbench:
             data=study.data,
             effects=study.effects,
             own=tuple(study.own),
-            catalogue=tuple(study.model.catalogue),
+            catalogue=tuple(study.model.known_effects),
             history=tuple(study.history),
             residuals=tuple(residuals),
             diagnosis=None,

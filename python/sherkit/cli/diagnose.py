@@ -60,7 +60,7 @@ def diagnose(
         data = reduce(joined, (run_for(for_runs, run) for run in runs))
         step("identifying the model as it is")
         plain = model_of(nominal)
-        fit = identify(replace(plain, effects=effects_by_name(plain.catalogue, added, own)), data)
+        fit = identify(replace(plain, effects=effects_by_name(plain.known_effects, added, own)), data)
         found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)
         if report is not None:
             step("writing the report")

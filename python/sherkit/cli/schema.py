@@ -89,7 +89,7 @@ def _of_kinds(
 ) -> Schema:
     found = []
     for kind in known_kinds().values():
-        if kind.example is None:
+        if kind.example is None or not kind.poses:  # no plan can name poses of such a robot
             continue
         tables = kind.example.to_tables()
         key, limits = _LIMITS[kind.example.joint_unit]

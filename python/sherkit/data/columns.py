@@ -96,10 +96,12 @@ def know(*layouts: Layout) -> None:
 
 
 def layout_of(names: Collection[str]) -> Layout:
-    """The kind of run that these columns belong to: whose joints and coordinates they name most of."""
+    """The kind of run that these columns belong to: whose joints and coordinates they name most of; of several, that
+    with the fewest joints that they do not name."""
 
-    def named(one: Layout) -> float:
-        return sum(n in names for n in one.joints) + 0.5 * sum(n in names for n in one.readings)
+    def named(one: Layout) -> tuple[float, int]:
+        joints = sum(n in names for n in one.joints)
+        return joints + 0.5 * sum(n in names for n in one.readings), joints - len(one.joints)
 
     return max(known_layouts(), key=named)
 

@@ -33,7 +33,7 @@ def believable(run: FittedRun, rows: Ints) -> FittedRun:
             return np.inf
         return float(np.median(np.linalg.norm(left, axis=1)))
 
-    drawn = model.starting_at(None)
+    drawn = model.start(data)
     now = typical(run.fit.values)
     if run.fit.converged and now <= typical(drawn):
         return run

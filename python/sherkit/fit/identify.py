@@ -226,7 +226,7 @@ def identify(
         raise FitError(f"{data.source}: every row is marked as an outlier; nothing is left to fit")
     weights = np.where(data.used, 1.0 / noise.sigma, 0.0)
     problem = LeastSquares(model, data)
-    values = model.starting_at(start)
+    values = model.start(data) if start is None else model.starting_at(start)
 
     try:
         if priors and noise.origin == "unknown":

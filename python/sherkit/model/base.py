@@ -160,6 +160,12 @@ class ModelWithEffects(Saved, ABC):
         first = names.index(effect.qualified()[0].name)
         return slice(first, first + len(effect.parameters))
 
+    def start(self, data: Measurements) -> Floats:
+        """Values (p,) from which these rows are fitted where nobody says others: zero, the drawing, unless a model can
+        tell by the rows themselves."""
+        del data
+        return np.zeros(len(self.parameters))
+
     def starting_at(self, values: Iterable[float] | Floats | None) -> Floats:
         """Start values for the identified parameters; zero, the drawing, by default."""
         if values is None:

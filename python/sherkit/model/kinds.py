@@ -175,7 +175,8 @@ class Kind:
     mm; None where it is not drawn. ``called`` is what people call it, such as "the linear delta". ``choices`` are the
     words from which keys of its table ``[geometry]`` choose; its attributes have the same names.
     ``asks`` are the settings of its file that are asked for where they are left out. ``example`` is a robot of this
-    kind, whole, to show what its files hold; ``spelt`` are other ways to write tables of its file.
+    kind, whole, to show what its files hold; ``spelt`` are other ways to write tables of its file. ``own_layouts`` are
+    those of one robot, where its columns are not those of every other of its kind, as the joints of an arm are not.
     """
 
     name: str
@@ -194,6 +195,7 @@ class Kind:
     asks: tuple[Asked, ...] = ()
     example: Any = None
     spelt: tuple[Mapping[str, Mapping[str, Any]], ...] = ()
+    own_layouts: Callable[[Any], tuple[Layout, ...]] | None = None
 
     @property
     def title(self) -> str:
@@ -257,7 +259,8 @@ def kind_of(robot: Robot) -> Kind:
     known = known_kinds()
     if robot.kind not in known:
         raise RobotError(f"{robot.kind} robots are not known; there are {listed(known)}")
-    return known[robot.kind]
+    kind = known[robot.kind]
+    return kind if kind.own_layouts is None else replace(kind, layouts=kind.own_layouts(robot))
 
 
 def robot_from_table(table: Table) -> Robot:
@@ -303,4 +306,4 @@ def model_of(model: Robot | Model | ModelWithEffects, free: Sequence[str] = ()) 
 
 def catalogue_of(robot: Robot) -> Mapping[str, Effect]:
     """The built-in effects of a robot by name, in the order of the chain."""
-    return kind_of(robot).model.catalogue
+    return model_of(robot).known_effects

@@ -115,7 +115,7 @@ class Planning:
     def candidates(self) -> dict[str, Effect]:
         """The effects of the catalogue that are not in the model."""
         inside = {e.name for e in self.model.effects} | {"datum"}
-        return {name: e for name, e in self.model.catalogue.items() if name not in inside}
+        return {name: e for name, e in self.model.known_effects.items() if name not in inside}
 
     def effect(self, name: str) -> Effect:
         """The candidate of that name. Raises :class:`~sherkit.errors.EffectError`."""
@@ -248,7 +248,7 @@ def planning_of(
     model: ChainModel, rows: Measurements, sigma: float | Floats, *, effects: tuple[str, ...] = ()
 ) -> Planning:
     """A planning with ``effects`` (names) in the model already, as after a first diagnosis."""
-    known = model.catalogue
+    known = model.known_effects
     for name in effects:
         if name not in known:
             raise EffectError(f"'{name}' is not a known effect{nearest(name, known)}")

@@ -164,7 +164,7 @@ def _simulated(task: _Task) -> list[float]:
     """p values of the runs. Runs in a worker."""
     robot = robot_from_tables(dict(task.robot), "study")
     plain = model_of(robot, task.free)
-    known = plain.catalogue
+    known = plain.known_effects
     settings: dict[str, Any] = dict(task.settings)
     columns: dict[str, Any] = dict(task.columns)
     base = replace(plain, effects=tuple(known[name] for name in task.effects), **settings)

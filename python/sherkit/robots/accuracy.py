@@ -102,8 +102,7 @@ class Accurate(Deployed):
         poses (:mod:`~sherkit.robots.unshown`): of all effects, the one that could do most.
         """
         x = self._places(coordinates)
-        values, reached = self.core.inverse_batch(x, self._now(None, direction))
-        inverse = Batch(values, reached)
+        inverse = self.inverse_batch(x, direction=direction)
         rows = np.flatnonzero(inverse.reached)
         joints = np.ascontiguousarray(inverse.values[rows])
         radius, addition = np.full(len(x), np.nan), np.full(len(x), np.nan)
@@ -149,7 +148,7 @@ class Accurate(Deployed):
         out: dict[str, tuple[list[Unshown], Floats]] = {}
         model, functions = part.model(self.robot), part.functions(x)
         for one in part.unshown:
-            effect = model.catalogue[one.effect]
+            effect = model.known_effects[one.effect]
             # lost motion is asked for from both sides
             sides = (1.0, -1.0) if "direction" in effect.needs else (0.0,)
             spread = np.zeros((len(x), len(self.coordinates), len(self.coordinates)))

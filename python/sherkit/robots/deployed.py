@@ -73,9 +73,10 @@ class Deployed(Saved, ABC):
         _, values, reached = self._rows(joints)
         return Batch(values, reached)
 
-    def inverse_batch(self, coordinates: ArrayLike) -> Batch:
-        """Joint readings (n, j) for coordinates (n, k); rows out of reach are marked."""
-        values, reached = self.core.inverse_batch(self._places(coordinates), self._now())
+    def inverse_batch(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> Batch:
+        """Joint readings (n, j) for coordinates (n, k), all reached in one ``direction`` (j,) if given; rows out of
+        reach are marked."""
+        values, reached = self.core.inverse_batch(self._places(coordinates), self._now(None, direction))
         return Batch(values, reached)
 
     def _one(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..model.kinds import register
-from . import delta, spherical
+from . import delta, serial, spherical
 
-for kind in (delta.KIND, spherical.KIND):
+for kind in (delta.KIND, spherical.KIND, serial.KIND):
     register(kind)

@@ -48,7 +48,7 @@ class Unshown:
 
     def called(self, model: ChainModel) -> str:
         """The effect with its period or moment, in words."""
-        effect = model.catalogue[self.effect]
+        effect = model.known_effects[self.effect]
         if self.setting is None or effect.search is None:
             return self.effect
         unit = unit_in(effect.search)
@@ -75,7 +75,7 @@ class Unshown:
 
         Raises what the table raises, naming file and key.
         """
-        effect = model.catalogue[table.text("effect", tuple(model.catalogue))]
+        effect = model.known_effects[table.text("effect", tuple(model.known_effects))]
         if not effect.is_periodic and any(one.name == effect.name for one in model.effects):
             raise table.fail("effect", "one that is not in the model")
         k = len(effect.parameters)

@@ -64,7 +64,7 @@ class Search:
     @cached_property
     def _choice(self) -> tuple[list[Effect], dict[str, str]]:
         fit = self.run.fit
-        return fit.model.can_be_tried(tuple(self._all.deployed.catalogue.values()), fit.data)
+        return fit.model.can_be_tried(tuple(self._all.deployed.known_effects.values()), fit.data)
 
     @cached_property
     def _all(self) -> LinearFit:

@@ -31,6 +31,7 @@ pub fn code_of(error: &Error) -> sherkit_result {
         | Error::LimbReversed { .. }
         | Error::LimbsApart { .. }
         | Error::AxisOutOfReach { .. }
+        | Error::TargetOutOfReach { .. }
         | Error::OtherAssembly
         | Error::BehindCamera { .. }
         | Error::RayMisses { .. }

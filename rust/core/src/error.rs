@@ -31,6 +31,11 @@ pub enum Error {
         /// How much the rod is too short (positive) or too long (negative), mm.
         miss_mm: f64,
     },
+    /// No step of the joints brings the target of an arm nearer to where it should be.
+    TargetOutOfReach {
+        /// By how much it is missed, mm.
+        miss_mm: f64,
+    },
     /// The rod of this limb stands on the other side of the horizontal than the assembly mode says.
     LimbReversed {
         /// Limb, from zero.
@@ -133,6 +138,11 @@ impl fmt::Display for Error {
                     limb + 1
                 )
             }
+            Self::TargetOutOfReach { miss_mm } => write!(
+                f,
+                "out of reach: from this posture and within the limits of the joints the target comes no nearer than \
+                 {miss_mm:.4} mm"
+            ),
             Self::LimbReversed { limb, beyond_mm } => write!(
                 f,
                 "out of reach: limb {} has passed the horizontal, its carriage is {beyond_mm:.4} mm \

@@ -5,7 +5,7 @@
 //! million rows.
 //!
 //! The floors, from below: [`numbers`] and [`error`]; [`fit`] and [`camera`], which know nothing of each other;
-//! [`chain`], what all robots share; [`delta`] and [`spherical`], each with what only its mechanism has; [`flat`], which
+//! [`chain`], what all robots share; [`delta`], [`spherical`] and [`serial`], each with what only its mechanism has; [`flat`], which
 //! carries a calibrated robot to a control loop. Beside them, for the flexible tool: [`tool`] (fibres, beam, their
 //! calibration, and the filters that a control loop runs).
 #![no_std]
@@ -17,6 +17,7 @@ pub mod error;
 pub mod fit;
 pub mod flat;
 pub mod numbers;
+pub mod serial;
 pub mod spherical;
 pub mod tool;
 

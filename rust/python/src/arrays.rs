@@ -104,6 +104,7 @@ impl Rows {
     /// The matrix of a row.
     pub fn put<const R: usize, const C: usize>(&mut self, row: usize, matrix: &SMatrix<f64, R, C>) {
         for (k, numbers) in matrix.row_iter().enumerate() {
+            // a robot with fewer joints than there may be has fewer columns
             for (out, number) in self.line(row, k).iter_mut().zip(numbers.iter()) {
                 *out = *number;
             }
@@ -122,6 +123,11 @@ impl Rows {
                 *out = matrix[(k, column)];
             }
         }
+    }
+
+    /// All of them, one after the other.
+    pub fn numbers(self) -> Vec<f64> {
+        self.numbers
     }
 
     /// As an array `(n, lines)` of matrices with one column.

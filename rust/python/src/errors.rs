@@ -23,6 +23,9 @@ fn build(py: Python<'_>, error: Error) -> PyResult<PyErr> {
                 .getattr("OutOfReach")?
                 .call1((message, limb + 1, beyond_mm))?
         }
+        Error::TargetOutOfReach { miss_mm } => {
+            errors.getattr("OutOfReach")?.call1((message, 0, miss_mm))?
+        }
         Error::AxisOutOfReach { limb, miss_rad } => {
             errors
                 .getattr("OutOfReach")?

@@ -10,6 +10,7 @@ mod flips;
 mod lanes;
 mod noise;
 mod robot;
+mod serial;
 mod solver;
 mod spherical;
 mod tool;
@@ -27,6 +28,8 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<spherical::SphericalKinematics>()?;
     m.add_class::<spherical::SphericalModel>()?;
     m.add_class::<spherical::SphericalCalibrated>()?;
+    m.add_class::<serial::SerialModel>()?;
+    m.add_class::<serial::SerialCalibrated>()?;
     m.add_class::<camera::Camera>()?;
     m.add_class::<solver::Solver>()?;
     m.add_class::<bernstein::Bernstein>()?;

@@ -81,36 +81,46 @@ pub fn catalogue<'py>(py: Python<'py>, table: &[Effect]) -> PyResult<Bound<'py, 
 /// The rows of a block, copied, so that nobody else can write them while they are used. A row whose other end is NaN is
 /// no distance.
 pub fn rows_of<const J: usize>(block: &Block<'_>) -> PyResult<Vec<Row<J>>> {
-    let joints = rows::<J, _>("joints", &block.0)?;
-    let n = joints.len();
-    let to = optional("to_joints", block.1.as_ref(), n, J)?;
+    rows_of_first(block, J)
+}
+
+/// The same of a robot that has the first `k` joints alone: the others stand at zero.
+pub fn rows_of_first<const J: usize>(block: &Block<'_>, k: usize) -> PyResult<Vec<Row<J>>> {
+    let n = block.0.shape().first().copied().unwrap_or(0);
+    let joints = table("joints", &block.0, n, k)?;
+    let to = optional("to_joints", block.1.as_ref(), n, k)?;
     let known = match &block.2 {
-        Some(c) if c.shape().last() == Some(&(2 + J)) => 2 + J,
-        _ => 2 + 2 * J,
+        Some(c) if c.shape().last() == Some(&(2 + k)) => 2 + k,
+        _ => 2 + 2 * k,
     };
     let covariates = optional("covariates", block.2.as_ref(), n, known)?;
     let push = optional("push", block.3.as_ref(), n, 3)?;
     let row = |i: usize| Row {
-        joints: joints[i],
+        joints: first(&joints[k * i..], k),
         to: to
-            .map(|to| several(&to[J * i..]))
+            .map(|to| first(&to[k * i..], k))
             .filter(|to| !to[0].is_nan()),
         covariates: covariates.map_or(Covariates::NONE, |c| {
             let c = &c[known * i..];
             Covariates {
                 time_s: c[0],
                 temperature_c: c[1],
-                direction: several(&c[2..]),
-                velocity: if known == 2 + J {
+                direction: first(&c[2..], k),
+                velocity: if known == 2 + k {
                     [f64::NAN; J]
                 } else {
-                    several(&c[2 + J..])
+                    first(&c[2 + k..], k)
                 },
             }
         }),
         push: push.map_or_else(Vector3::zeros, |p| Vector3::from(several(&p[3 * i..]))),
     };
     Ok((0..n).map(row).collect())
+}
+
+/// The first `k` numbers, then zeros.
+pub fn first<const N: usize>(numbers: &[f64], k: usize) -> [f64; N] {
+    std::array::from_fn(|i| if i < k { numbers[i] } else { 0.0 })
 }
 
 fn several<const N: usize>(numbers: &[f64]) -> [f64; N] {
@@ -160,6 +170,7 @@ fn place<const J: usize, const M: usize>(row: &Row<J>) -> (usize, usize) {
 
 /// The rows of a block of this robot.
 fn own_rows<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize>(
+    model: &R,
     block: &Block<'_>,
 ) -> PyResult<Vec<Row<J>>> {
     if let (false, Some(to)) = (R::DISTANCES, &block.1) {
@@ -169,7 +180,7 @@ fn own_rows<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize>(
             to.shape(),
         ));
     }
-    rows_of(block)
+    rows_of_first(block, model.joints())
 }
 
 /// The robot with the given values of all its parameters.
@@ -217,7 +228,10 @@ where
     Chain<R, J, M, P>: Sync,
 {
     let chain = chain(model, values)?;
-    let (rows, width) = (own_rows::<R, J, M, P>(block)?, columns::<R, J, M, P>());
+    let (rows, width) = (
+        own_rows::<R, J, M, P>(model, block)?,
+        columns::<R, J, M, P>(),
+    );
     let mut out = vec![0.0; rows.len() * width];
     let mut reached = vec![false; rows.len()];
     py.detach(|| {
@@ -252,11 +266,15 @@ where
 {
     check_free::<P>(free)?;
     let chain = chain(model, values)?;
-    let (rows, width) = (own_rows::<R, J, M, P>(block)?, columns::<R, J, M, P>());
+    let (rows, width) = (
+        own_rows::<R, J, M, P>(model, block)?,
+        columns::<R, J, M, P>(),
+    );
     let wanted = Wanted::of(R::CATALOGUE, free);
     let (n, lines) = (rows.len(), rows.len() * width);
+    let joints = model.joints();
     let mut by_parameters = vec![0.0; lines * free.len()];
-    let mut by_joints = vec![0.0; lines * J];
+    let mut by_joints = vec![0.0; lines * joints];
     let mut by_body = vec![0.0; lines * 3];
     let mut reached = vec![false; n];
     py.detach(|| {
@@ -264,7 +282,7 @@ where
         for (i, row) in rows.iter().enumerate() {
             if chain.row_predict_into(row, wanted, &mut p).is_err() {
                 by_parameters[i * width * free.len()..][..width * free.len()].fill(f64::NAN);
-                by_joints[i * width * J..][..width * J].fill(f64::NAN);
+                by_joints[i * width * joints..][..width * joints].fill(f64::NAN);
                 by_body[i * width * 3..][..width * 3].fill(f64::NAN);
                 continue;
             }
@@ -276,8 +294,8 @@ where
                 for (o, &column) in out.iter_mut().zip(free) {
                     *o = p.by_parameters[(axis, column)];
                 }
-                for k in 0..J {
-                    by_joints[line * J + k] = p.by_joints[(axis, k)];
+                for k in 0..joints {
+                    by_joints[line * joints + k] = p.by_joints[(axis, k)];
                 }
                 for k in 0..3 {
                     by_body[line * 3 + k] = p.by_body[(axis, k)];
@@ -287,7 +305,7 @@ where
     });
     Ok((
         shaped(py, by_parameters, [n, width, free.len()])?,
-        shaped(py, by_joints, [n, width, J])?,
+        shaped(py, by_joints, [n, width, joints])?,
         shaped(py, by_body, [n, width, 3])?,
         PyArray1::from_vec(py, reached),
     ))
@@ -321,7 +339,7 @@ impl<'a, R, const J: usize, const P: usize> Problem<'a, R, J, P> {
         if expected != free.len() {
             return Err(shape("free", &format!("({expected},)"), &[free.len()]));
         }
-        let rows = own_rows::<R, J, M, P>(block)?;
+        let rows = own_rows::<R, J, M, P>(model, block)?;
         let (n, width) = (rows.len(), columns::<R, J, M, P>());
         Ok(Self {
             model,

@@ -86,7 +86,7 @@ def plausible_fit(model: ModelWithEffects, data: Measurements, datum: Bools, rou
     freed = np.where(datum, 1e3 * (np.nanmax(spread) + np.abs(data.readings).max()), sizes)
     counted = np.sqrt(min(1.0, COUNTED / max(int(used.sum()), 1)))
     problem = LeastSquares(model, data, counted * freed)
-    values = np.zeros(len(sizes))
+    values = model.start(data)
     elsewhere = part_elsewhere(model, data)
     taken = used.any(axis=0)
     smallest = _SMALLEST * np.where(taken, spread, 1.0)

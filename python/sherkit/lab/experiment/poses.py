@@ -63,7 +63,7 @@ def _designed(table: Table, places: Floats, robot: Robot) -> Floats:
     count = table.whole("count", least=1, most=MOST_IN_LINE)
     model = model_of(robot)
     names = table.texts("effects", ())
-    effects = effects_by_name(model.catalogue, names)
+    effects = effects_by_name(model.known_effects, names)
     needy = [e.name for e in effects if e.needs]
     if needy:
         raise table.fail("effects", f"effects that depend on the pose alone; {listed(needy)} needs more")

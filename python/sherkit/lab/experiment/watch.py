@@ -80,7 +80,9 @@ class Watch:
             self._read = []
             return
         base = {p.name for p in plain.base}
-        known = [e for e in plain.catalogue.values() if not base & {p.name for p in (*e.parameters, *e.qualified())}]
+        known = [
+            e for e in plain.known_effects.values() if not base & {p.name for p in (*e.parameters, *e.qualified())}
+        ]
         always = tuple(e for e in known if e.search is None and set(e.needs) <= _ALWAYS)
         self.model = replace(plain, free=tuple(p.name for p in plain.base), effects=always)
         self._steps = _stepping(plain, [e for e in known if e.search == TIME])

@@ -34,7 +34,7 @@ class HiddenEffects:
 
     def model(self, plain: ChainModel) -> tuple[ChainModel, Floats]:
         """A model with these effects alone, and its values. Raises :class:`~sherkit.errors.EffectError`."""
-        owners = {p.name: e for e in plain.catalogue.values() for p in e.qualified()}
+        owners = {p.name: e for e in plain.known_effects.values() for p in e.qualified()}
         for name in self.parameters:
             if name not in owners:
                 raise EffectError(f"no effect has a parameter '{name}'{nearest(name, owners)}")

@@ -69,12 +69,12 @@ def remote_centre(fit: Fit) -> RemoteCentre:
     Where ``axis_offset`` is not in the model it is fitted besides, to ask. Raises
     :class:`~sherkit.errors.FitError` for a robot without a remote centre.
     """
-    if EFFECT not in fit.model.catalogue:
+    if EFFECT not in fit.model.known_effects:
         raise FitError("only a spherical robot has a remote centre of motion")
     model = cast(SphericalModel, fit.model)
     explained = EFFECT in {e.name for e in model.effects}
     if not explained:
-        model = model.with_effect(model.catalogue[EFFECT])
+        model = model.with_effect(model.known_effects[EFFECT])
         fit = identify(model, fit.data, noise=fit.noise, loss=fit.loss)
     full = model.full(fit.values)
     here, by_values, _, reached = model.core.centres(full, model.block(fit.data), model.indices)

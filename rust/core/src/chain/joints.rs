@@ -6,7 +6,14 @@ use crate::numbers::math::sin_cos;
 use nalgebra::{SMatrix, SVector};
 
 places! {
-    joint_offset joint_scale encoder_cyclic encoder_eccentricity backlash camera_delay
+    joint_offset joint_scale encoder_cyclic encoder_eccentricity backlash camera_delay reading_delay
+}
+
+/// Where a delay stands, of whatever reads the robot.
+#[inline(always)]
+fn late<T: Table>() -> Option<Place> {
+    let at = T::AT.joints;
+    at.camera_delay.or(at.reading_delay)
 }
 
 /// Effects that act at the joints.
@@ -70,7 +77,7 @@ impl<const J: usize> Joints<J> {
             cyclic: waves(|k| number(at.encoder_cyclic, k)),
             eccentricity: waves(|k| number(at.encoder_eccentricity, k)),
             backlash: values_of(at.backlash, values),
-            delay: number(at.camera_delay, 0),
+            delay: number(late::<T>(), 0),
             wave: settings.wave,
             home: settings.home,
             exact: false,
@@ -149,7 +156,7 @@ impl<const J: usize> Joints<J> {
                     out.value[i] += self.backlash[i] * gains.backlash;
                 }
             }
-            if at.camera_delay.is_some() {
+            if late::<T>().is_some() {
                 gains.delay = -row.velocity[i];
                 if self.delay != 0.0 {
                     out.value[i] -= self.delay * row.velocity[i];
@@ -196,12 +203,12 @@ impl<const J: usize> Turned<J> {
                 d.set_column(place.start + i, &(by_joint * gains.backlash));
             }
         }
-        if let Some(place) = wanted.wants(at.camera_delay) {
-            let mut late = SVector::<f64, M>::zeros();
+        if let Some(place) = wanted.wants(late::<T>()) {
+            let mut behind = SVector::<f64, M>::zeros();
             for i in 0..J {
-                late += by_joints.column(i) * self.gains[i].delay;
+                behind += by_joints.column(i) * self.gains[i].delay;
             }
-            d.set_column(place.start, &late);
+            d.set_column(place.start, &behind);
         }
     }
 

@@ -3,7 +3,7 @@
 //! A link maps a value to a value and knows two derivatives: by its input, and by its own parameters. The derivative of a
 //! reading by a parameter is that of its own link, carried on by the derivatives of the links behind it. What differs
 //! from robot to robot is the link `structure`, a [`Mechanism`]; [`joints`](Joints), [`body`](Body) and the sensors
-//! ([`Cartesian`], [`Eye`], [`Angles`]) are the same for all. Which of their effects a robot has, its table says
+//! ([`Cartesian`], [`Tracker`], [`Eye`], [`Angles`]) are the same for all. Which of their effects a robot has, its table says
 //! ([`effects`]): the place of each parameter is a constant of the type, so that what a robot has not costs nothing.
 //!
 //! A covariate that a row lacks is NaN; an effect that needs it must then be at zero, where it is not asked.
@@ -22,6 +22,7 @@ pub mod places;
 #[cfg(test)]
 mod planar;
 mod row;
+mod tracker;
 
 use crate::{Error, Result};
 use core::fmt::Debug;
@@ -37,6 +38,7 @@ pub use cartesian::{Cartesian, LINEARITY_SPAN_MM};
 pub(crate) use inverse::inverse;
 pub use joints::{Joints, Turned};
 pub use row::{Covariates, Prediction, Row};
+pub use tracker::Tracker;
 
 /// Where a robot's parameters stand.
 pub trait Table: Copy + Debug {
@@ -141,6 +143,12 @@ pub trait Robot<const J: usize, const M: usize, const P: usize>: Table {
 
     /// Whether distances between two of its places can be read: readings are coordinates in one frame.
     const DISTANCES: bool = false;
+
+    /// How many of its joints it has; the others stand still and are not read.
+    #[inline]
+    fn joints(&self) -> usize {
+        J
+    }
 
     /// Settings of the effects that are no parameters.
     fn settings(&self) -> Settings<J>;

@@ -1,6 +1,6 @@
 //! Where the effects of a robot stand, link by link.
 
-use super::{angles, body, camera, cartesian, joints};
+use super::{angles, body, camera, cartesian, joints, tracker};
 
 /// Where all effects of a robot stand, link by link; `Own` are those of its mechanism.
 #[derive(Clone, Copy, Debug)]
@@ -11,6 +11,7 @@ pub struct Places<Own> {
     pub(crate) cartesian: cartesian::At,
     pub(crate) camera: camera::At,
     pub(crate) angles: angles::At,
+    pub(crate) tracker: tracker::At,
 }
 
 impl<Own: Copy> Places<Own> {
@@ -24,6 +25,7 @@ impl<Own: Copy> Places<Own> {
             cartesian: cartesian::At::NONE,
             camera: camera::At::NONE,
             angles: angles::At::NONE,
+            tracker: tracker::At::NONE,
         }
     }
 }

@@ -1,0 +1,144 @@
+"""The calibrated serial arm: where its target is in the base frame, joints that bring it somewhere, and how well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, Self, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+import sherkit._core as _core
+
+from ...model.batch import Batch
+from ...types import Floats
+from ..accuracy import Planes
+from ..calibrated import Calibration
+from ..calibration_run import CalibrationRun
+from ..part import Part
+from .columns import POSITION
+from .frames import of_rpy
+from .model import SerialModel
+from .robot import Serial
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SerialCalibration(Calibration):
+    """A calibrated serial arm. Positions, mm, are those of the target in the base frame, which first axis and tracker
+    define together; what was identified of the tracker is left out.
+
+    A place leaves open how the arm stands there: joints are those to which damped steps lead from a start.
+    """
+
+    coordinates: ClassVar = POSITION
+    called: ClassVar = ("position", "positions")
+
+    robot: Serial
+    whole: Part
+
+    @classmethod
+    def of(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> Self:
+        """From a run; there is no local one."""
+        del local
+        fit, held_out = whole.fit, whole.deployed(whole.held_out)
+        count, size = len(fit.model.indices), len(POSITION)
+        use = fit.data.taken.all(axis=1) & ~fit.data.outlier & np.isfinite(held_out).all(axis=1)
+        part = Part(
+            **Part.identified(fit),
+            covariance=(fit.covariance + fit.unobserved_covariance)[:count, :count],
+            residual_covariance=np.zeros((size, size)),
+            low=np.zeros(size),
+            high=np.zeros(size),
+        )
+        made = cls(fit.model.robot, part)
+        # where the tracker saw it, in the axes of the base
+        missed = held_out[use] @ made.tracker_turn
+        where = made.forward_batch(fit.data.joints[use]).require("row")
+        if len(where) == 0:
+            where = np.zeros((1, size))
+        settled = Part(
+            **Part.identified(fit),
+            covariance=part.covariance,
+            residual_covariance=missed.T @ missed / max(len(missed), 1),
+            low=where.min(axis=0),
+            high=where.max(axis=0),
+        )
+        return cls(fit.model.robot, settled)
+
+    @cached_property
+    def model(self) -> SerialModel:
+        """The model that was identified."""
+        return cast(SerialModel, self.whole.model(self.robot))
+
+    @cached_property
+    def core(self) -> _core.SerialCalibrated:
+        """The compiled model: the same code that a control loop runs."""
+        low, high = self.robot.ranges
+        return _core.SerialCalibrated(self.model.core, self.model.full(self.whole.values), low.copy(), high.copy())
+
+    @cached_property
+    def tracker_turn(self) -> Floats:
+        """From the axes of the base to those in which the tracker reads (3, 3), as identified."""
+        known = dict(zip((p.name for p in self.model.parameters), self.whole.values.tolist(), strict=True))
+        turn = [known.get(f"frame_turn_{axis}", 0.0) for axis in "xyz"]
+        return Rotation.from_rotvec(turn).as_matrix() @ of_rpy(np.deg2rad(self.robot.tracker_rpy_deg).tolist())
+
+    def inverse(
+        self, coordinates: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None,
+        start: ArrayLike | None = None,
+    ) -> Floats:  # fmt: skip
+        """Joint readings (k,) within their limits at which the target is at ``coordinates`` (3,), to 1e-9 mm.
+
+        Of many postures that to which damped steps lead from ``start`` (k,); left out, as :meth:`Serial.inverse`. Other
+        arguments as :meth:`forward`. Raises :class:`~sherkit.errors.OutOfReach` with how near it comes.
+        """
+        now = self._now(temperature_c, direction)
+        return self.robot.found_from(lambda x, q: self.core.inverse(x, now, q), self._place(coordinates), start)
+
+    def inverse_batch(
+        self, coordinates: ArrayLike, *, direction: ArrayLike | None = None, starts: ArrayLike | None = None
+    ) -> Batch:
+        """Joint readings (n, k) for positions (n, 3), each from its own of ``starts`` (n, k); those out of reach are
+        marked. ``direction`` (k,) as :meth:`forward`."""
+        now = self._now(None, direction)
+        found = self.robot.all_found_from(
+            lambda x, q: self.core.inverse_batch(x, now, q), self._places(coordinates), starts
+        )
+        return Batch(*found)
+
+    # -- accuracy ----------------------------------------------------------------------------------------
+
+    def spread(self, coordinates: Floats, joints: Floats) -> Floats:
+        """Covariance (n, 3, 3), mm²."""
+        del coordinates
+        columns, _ = self.core.by_parameters_batch(joints, self._now(), self.model.indices)
+        # what the tracker's frame is off by moves no target: it only hides in the others
+        columns[:, :, [p.name.startswith("frame") for p in self.model.parameters[: len(self.model.indices)]]] = 0.0
+        return columns @ self.whole.covariance @ columns.transpose(0, 2, 1) + self.whole.residual_covariance
+
+    def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:
+        """In the axes of the base."""
+        del joints, by_joints
+        return self.tracker_turn.T @ missed[:, : len(self.coordinates)]
+
+    def places(self) -> list[tuple[str, Floats]]:
+        """Where the target is at home, the middle of the run and its far corner: positions (3,), mm."""
+        low, high = self.whole.low, self.whole.high
+        far = np.where(np.abs(high) > np.abs(low), high, low)
+        middle = 0.5 * (low + high)
+        return [
+            ("home", self.forward(self.robot.home)),
+            ("middle of the run", middle),
+            ("its far side", 0.5 * (middle + far)),
+        ]
+
+    def planes(self, per_side: int) -> Planes:
+        """The lowest, middle and highest plane of what was measured."""
+        low, high = self.whole.low, self.whole.high
+        x, y = (np.linspace(low[k], high[k], per_side) for k in range(2))
+        z = np.linspace(high[2], low[2], 3) if high[2] > low[2] else np.array([low[2]])
+        grid = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1).reshape(-1, 3)[:, ::-1]
+        titles = tuple(f"z = {one:.0f} mm" for one in z)
+        return Planes(x, y, ("x, mm", "y, mm"), titles, np.ascontiguousarray(grid), np.ones(len(grid), dtype=bool))

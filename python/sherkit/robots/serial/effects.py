@@ -1,0 +1,124 @@
+"""Sentences on the effects of a serial arm, and those of them that an arm has; the table of the effects, for all the
+joints that one may have, is `rust/core/src/serial/effects.rs`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from sherkit._core import SerialModel
+
+from ...model.effect import Effect, Sentences, catalogue_of_core
+from ...model.parameter import Parameter
+from ...model.sentences import common
+from ...types import Bools
+from .robot import Joint, Serial
+
+_OWN = {
+    "joint_coupling": Sentences(
+        physics="A joint moves a little when the one before it does: a belt or shaft runs through that joint, as in "
+        "many wrists, and the controller's ratio for it is missing or not quite right.",
+        residuals="Proportional to the travel of the joint before, as if the next one had turned.",
+        workshop="Enter the coupling ratio of the wrist in the controller; check it by turning one joint alone.",
+    ),
+    "joint_compliance": Sentences(
+        physics="Gears and bearings give way under the weight that a joint carries; the value is how far under the "
+        "greatest moment that this weight can make.",
+        residuals="Downwards, most where the arm is stretched out level, none where it stands upright.",
+        workshop="Enter the payload and its centre in the controller; balance the arm; read joints behind gears.",
+    ),
+    "tracker_slip": Sentences(
+        physics="The tracker or its stand was knocked, or the robot moved on its floor: from one moment on it sees the "
+        "robot elsewhere, shifted and turned.",
+        residuals="A step over time, which differs from place to place where it is a turn.",
+        workshop="Measure reference nests on the robot's base before and after; measure again from the moment on.",
+    ),
+    "sensor_scale": Sentences(
+        physics="All that the instrument reads is too large or too small by the same part: air temperature and "
+        "pressure of a laser tracker, focal length of a camera, a scale bar.",
+        residuals="The picture of the robot grows about the instrument.",
+        workshop="Enter air temperature and pressure; check the instrument on a scale bar.",
+    ),
+    "reading_delay": Sentences(
+        physics="A reading shows the robot a little earlier than the joints beside it: filters, transfer, buffers.",
+        residuals="Proportional to the velocity of the joints; none where the robot stands still.",
+        workshop="Trigger instrument and encoders together; or measure at rest.",
+    ),
+}
+
+#: The effects by name, in the order of the chain, for all the joints that an arm may have.
+SERIAL_CATALOGUE: dict[str, Effect] = catalogue_of_core(
+    SerialModel.CATALOGUE,
+    common(
+        "joint_scale", "encoder_eccentricity", "encoder_cyclic", "backlash", "thermal_growth", "drift", "slip",
+        "sensor_linearity",
+    )
+    | _OWN,
+)  # fmt: skip
+
+#: Postures by which the drawing tells what weight does, and the part of what a joint moves that counts as nothing.
+_POSTURES, _NOTHING = 50, 1e-9
+#: Millimetres of a sliding joint that are as plausible as a radian of a turning one.
+_SLIDE_MM = 100.0
+
+
+def joint_of(name: str) -> int | None:
+    """The joint, from zero, that a parameter of the table belongs to by its number; None for one of the whole arm."""
+    number = name.rpartition("_")[2]
+    return int(number) - 1 if number.isdigit() else None
+
+
+def parameter_of(parameter: Parameter, joints: Sequence[Joint]) -> Parameter | None:
+    """A parameter of the table as an arm has it: in the unit of its joint; None where it has no such joint."""
+    k = joint_of(parameter.name)
+    if k is None or "rad" not in parameter.unit:
+        return parameter if k is None or k < len(joints) else None
+    if k >= len(joints):
+        return None
+    # shares and scales count what one joint does by what another reads, or itself
+    over = [k - 1 if parameter.name.startswith("share") else k] if "/" in parameter.unit else []
+    unit = "/".join(joints[i].unit for i in (k, *over))
+    size = parameter.size * (_SLIDE_MM if joints[k].slides else 1.0)
+    for i in over:
+        size /= _SLIDE_MM if joints[i].slides else 1.0
+    lever = 1.0 if joints[k].slides and not over else parameter.lever_mm
+    return replace(parameter, unit=unit, size=size, lever_mm=lever)
+
+
+@lru_cache(maxsize=32)
+def effects_of(robot: Serial) -> Mapping[str, Effect]:
+    """The effects that an arm can have, with the parameters of its own joints."""
+    joints, out = robot.joints, {}
+    loaded = _loaded(robot)
+    slides = {joint.slides for joint in joints}
+    for name, effect in SERIAL_CATALOGUE.items():
+        own = [one for p in effect.parameters if (one := parameter_of(p, joints)) is not None]
+        if name == "encoder_eccentricity":
+            # once per turn: what slides has none
+            own = [p for p in own if p.unit == "rad"]
+        elif name == "joint_compliance":
+            own = [p for p in own if loaded[joint_of(p.name) or 0]]
+        elif effect.is_periodic:
+            # one period for all of them, in one unit
+            if len(slides) > 1:
+                continue
+            effect = replace(effect, search=f"period_{robot.joint_unit}")
+        elif name == "reading_delay":
+            effect = replace(effect, needs=robot.layout.velocities)
+        if own:
+            out[name] = replace(effect, parameters=tuple(own))
+    return out
+
+
+def _loaded(robot: Serial) -> Bools:
+    """Joints (k,) that their weight can move the target by: not one that turns about the vertical."""
+    names = [(row["name"], p["name"]) for row in SerialModel.CATALOGUE for p in row["parameters"]]
+    yields = [k for k, (effect, _) in enumerate(names) if effect == "joint_compliance"][: len(robot.joints)]
+    low, high = robot.ranges
+    joints = np.random.default_rng(0).uniform(low, high, (_POSTURES, len(low)))
+    columns, by_joints, _, _ = robot.core().derivatives(np.zeros(len(names)), (joints, None, None, None), yields)
+    moved: Bools = np.abs(columns).max(axis=(0, 1)) > _NOTHING * np.abs(by_joints).max()
+    return moved

@@ -1,0 +1,338 @@
+"""A serial arm as on its drawing: joints that turn or slide, one behind another, and a target at their end."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+import sherkit._core as _core
+
+from ...data.columns import Layout, know
+from ...data.toml import Table
+from ...errors import OutOfReach, ShapeError
+from ...model.batch import Batch, matrix, vector, why
+from ...names import listed
+from ...saved import Saved
+from ...types import Bools, Floats
+from .columns import layout_of_arm
+from .frames import Triple, frame, of_rpy, onto
+
+Pair = tuple[float, float]
+
+TYPES = ("revolute", "prismatic")
+#: Joints that the compiled arm has room for.
+MOST_JOINTS = 9
+_ZERO: Triple = (0.0, 0.0, 0.0)
+#: Where a joint may stand if its file does not say it: a turn either way, or half a metre.
+_ANYWHERE = {"deg": 180.0, "mm": 500.0}
+#: Postures from which the inverse begins where neither home nor the middle leads there.
+_STARTS = 12
+_NAME = re.compile(r"[A-Za-z]\w*")
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint as drawn. ``origin_mm`` and ``rpy_deg`` are where its frame stands behind the joint before it (URDF),
+    ``axis`` about or along what it moves in that frame.
+
+    ``limits`` and ``home``, about which encoder scales are counted, are degrees, or mm where it is prismatic.
+    ``mass_kg`` and ``centre_mm`` are those of the link that it moves, in its frame.
+    """
+
+    name: str
+    type: str = "revolute"
+    origin_mm: Triple = _ZERO
+    rpy_deg: Triple = _ZERO
+    axis: Triple = (0.0, 0.0, 1.0)
+    limits: Pair | None = None
+    home: float = 0.0
+    mass_kg: float | None = None
+    centre_mm: Triple = _ZERO
+
+    @property
+    def slides(self) -> bool:
+        """Whether it is prismatic."""
+        return self.type == "prismatic"
+
+    @property
+    def unit(self) -> str:
+        """Unit of its reading: rad or mm."""
+        return "mm" if self.slides else "rad"
+
+    @property
+    def _in_file(self) -> str:
+        return "mm" if self.slides else "deg"
+
+    @cached_property
+    def frame(self) -> Floats:
+        """Its frame (4, 4) behind the joint before it, mm, turned so that z is its axis."""
+        return frame(self.origin_mm, of_rpy(np.deg2rad(self.rpy_deg).tolist()) @ self.turn)
+
+    @cached_property
+    def turn(self) -> Floats:
+        """From that frame, whose z is the axis, to that of the drawing (3, 3)."""
+        return onto(self.axis)
+
+    def reading(self, in_file: float) -> float:
+        """A number of its file as the joint reads it."""
+        return in_file if self.slides else float(np.deg2rad(in_file))
+
+    @property
+    def range(self) -> Pair:
+        """Lowest and highest reading; a turn either way, or half a metre, where the file names none."""
+        far = _ANYWHERE[self._in_file]
+        low, high = self.limits or (self.home - far, self.home + far)
+        return self.reading(low), self.reading(high)
+
+    @classmethod
+    def from_table(cls, table: Table) -> Joint:
+        """Reads a table ``[[joint]]``."""
+        name, kind = table.words("name"), table.text("type", TYPES, "revolute")
+        if not _NAME.fullmatch(name):
+            raise table.fail("name", "a letter, then letters, digits and _: it names the column of its readings")
+        axis = table.numbers("axis", 3, (0.0, 0.0, 1.0))
+        if not np.linalg.norm(axis) > 0:
+            raise table.fail("axis", "a direction, not only zeros")
+        unit = "mm" if kind == "prismatic" else "deg"
+        limits, home = table.heights(f"limits_{unit}"), table.number(f"home_{unit}", 0.0)
+        mass = table.number("mass_kg", least=0.0) if table.has("mass_kg") else None
+        table.pass_over("mass_kg")
+        vectors = [table.numbers(key, 3, _ZERO) for key in ("origin_mm", "rpy_deg", "centre_mm")]
+        origin, rpy, centre = [(v[0], v[1], v[2]) for v in vectors]
+        return cls(name, kind, origin, rpy, (axis[0], axis[1], axis[2]), limits, home, mass, centre)
+
+    def to_table(self) -> dict[str, Any]:
+        """What :meth:`from_table` reads, without loss."""
+        made: dict[str, Any] = {"name": self.name, "type": self.type, "origin_mm": list(self.origin_mm)}
+        made |= {"rpy_deg": list(self.rpy_deg), "axis": list(self.axis)}
+        if self.limits is not None:
+            made[f"limits_{self._in_file}"] = list(self.limits)
+        if self.home:
+            made[f"home_{self._in_file}"] = self.home
+        if self.mass_kg is not None:
+            made |= {"mass_kg": self.mass_kg, "centre_mm": list(self.centre_mm)}
+        return made
+
+
+@dataclass(frozen=True)
+class Serial(Saved):
+    """Nominal serial arm of one to nine joints. Lengths in mm, angles in degrees as in its file, joint readings rad or
+    mm.
+
+    ``target_mm`` is the measured point in the frame of the last joint, ``tool_rpy_deg`` how the tool stands there.
+    ``gravity`` is the direction of the weight in the base frame. The tracker sees the origin of the base frame at
+    ``tracker_mm``, and its axes turned by ``tracker_rpy_deg``; what it really sees is identified.
+    """
+
+    joints: tuple[Joint, ...]
+    target_mm: Triple = _ZERO
+    tool_rpy_deg: Triple = _ZERO
+    gravity: Triple = (0.0, 0.0, -1.0)
+    tracker_mm: Triple = _ZERO
+    tracker_rpy_deg: Triple = _ZERO
+    kind: str = field(default="serial", init=False)
+
+    def __post_init__(self) -> None:
+        names = [joint.name for joint in self.joints]
+        if not 1 <= len(names) <= MOST_JOINTS:
+            raise ShapeError(f"an arm has one to {MOST_JOINTS} joints, got {len(names)}")
+        if len(set(names)) < len(names):
+            twice = sorted({name for name in names if names.count(name) > 1})
+            raise ShapeError(f"joint {listed(twice)}: a name is given twice")
+        if not np.linalg.norm(self.gravity) > 0:
+            raise ShapeError("gravity: expected a direction, got only zeros")
+        _ = self.nominal  # refuses numbers that are no arm
+        know(self.layout)
+
+    # -- files -------------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_table(cls, table: Table) -> Serial:
+        """Reads the tables of a robot file."""
+        joints = tuple(Joint.from_table(one) for one in table.tables("joint", optional=False))
+        vectors: dict[str, tuple[float, ...]] = {}
+        with table.table("tool", optional=True) as t:
+            vectors |= {"target_mm": t.numbers("target_mm", 3, _ZERO), "tool_rpy_deg": t.numbers("rpy_deg", 3, _ZERO)}
+        with table.table("base", optional=True) as b:
+            vectors["gravity"] = b.numbers("gravity", 3, (0.0, 0.0, -1.0))
+        with table.table("tracker", optional=True) as t:
+            vectors |= {
+                "tracker_mm": t.numbers("origin_mm", 3, _ZERO),
+                "tracker_rpy_deg": t.numbers("rpy_deg", 3, _ZERO),
+            }
+        try:
+            return cls(joints, **{name: (v[0], v[1], v[2]) for name, v in vectors.items()})
+        except ShapeError as error:
+            raise table.fail("joint", str(error)) from None
+
+    def to_tables(self) -> dict[str, Any]:
+        """What :meth:`from_table` reads, without loss."""
+        return {
+            "kind": self.kind,
+            "joint": [joint.to_table() for joint in self.joints],
+            "tool": {"target_mm": list(self.target_mm), "rpy_deg": list(self.tool_rpy_deg)},
+            "base": {"gravity": list(self.gravity)},
+            "tracker": {"origin_mm": list(self.tracker_mm), "rpy_deg": list(self.tracker_rpy_deg)},
+        }
+
+    # -- what runs and experiments ask ---------------------------------------------------------------------
+
+    @cached_property
+    def layout(self) -> Layout:
+        """The columns of its runs."""
+        return layout_of_arm([(joint.name, joint.unit) for joint in self.joints])
+
+    @property
+    def joint_unit(self) -> str:
+        """Unit of the readings of most of its joints."""
+        slides = sum(joint.slides for joint in self.joints)
+        return "mm" if 2 * slides > len(self.joints) else "rad"
+
+    @property
+    def joint_limits(self) -> None:
+        """None: each joint has limits of its own, :attr:`ranges`, which the inverse keeps."""
+
+    @property
+    def middle(self) -> Triple:
+        """The target where every joint is at home, mm."""
+        x, y, z = self.forward(self.home).tolist()
+        return (x, y, z)
+
+    @cached_property
+    def home(self) -> Floats:
+        """Readings (k,) of the home position."""
+        return np.array([joint.reading(joint.home) for joint in self.joints])
+
+    @cached_property
+    def ranges(self) -> Floats:
+        """Lowest and highest readings (2, k)."""
+        return np.array([joint.range for joint in self.joints]).T
+
+    # -- kinematics --------------------------------------------------------------------------------------
+
+    @cached_property
+    def target(self) -> Floats:
+        """The target (3,), mm, in the frame of the last joint whose z is its axis."""
+        return self.joints[-1].turn.T @ np.array(self.target_mm)
+
+    @cached_property
+    def reach_mm(self) -> Floats:
+        """How far from each joint (k,) the target can be at most, mm, but for the travel of joints that slide."""
+        steps = [float(np.linalg.norm(joint.frame[:3, 3])) for joint in self.joints[1:]]
+        behind = [*steps, float(np.linalg.norm(self.target_mm))]
+        return np.cumsum(behind[::-1])[::-1]
+
+    @cached_property
+    def weights(self) -> tuple[Floats, Floats]:
+        """Masses (k,) and their centres (k, 3), mm, in the frames of the joints whose z is their axis.
+
+        Where no joint has a mass, links are taken for sticks that weigh as much as they are long.
+        """
+        if any(joint.mass_kg for joint in self.joints):
+            masses = np.array([joint.mass_kg or 0.0 for joint in self.joints])
+            return masses, np.array([joint.turn.T @ np.array(joint.centre_mm) for joint in self.joints])
+        # the frame of the next joint stands in that of the drawing, not in the turned one
+        following = [a.turn.T @ b.frame[:3, 3] for a, b in pairwise(self.joints)]
+        ends = np.array([*following, self.target])
+        return np.linalg.norm(ends, axis=1) / 1000.0, 0.5 * ends
+
+    def core(self, settings: tuple[float, float, float, float] = (np.pi, 0.0, 0.0, 0.0)) -> _core.SerialModel:
+        """The compiled chain for the period of the encoders, origin of time and moments of the slips."""
+        before, rows = np.eye(3), []
+        for joint, mass, centre in zip(self.joints, *self.weights, strict=True):
+            # a frame is given behind that of the drawing, which is turned from the one before
+            turn, shift = before @ joint.frame[:3, :3], before @ joint.frame[:3, 3]
+            rows.append([*turn.ravel(), *shift, joint.slides, joint.reading(joint.home), mass, *centre])
+            before = joint.turn.T
+        pull = np.array(self.gravity) / np.linalg.norm(self.gravity)
+        seen = of_rpy(np.deg2rad(self.tracker_rpy_deg).tolist())
+        tracker = np.array([*seen.ravel(), *self.tracker_mm])
+        return _core.SerialModel(np.array(rows, dtype=float), self.target, tracker, np.array([*pull, *settings]))
+
+    @cached_property
+    def nominal(self) -> _core.SerialCalibrated:
+        """The compiled kinematics as drawn."""
+        low, high = self.ranges
+        return _core.SerialCalibrated(self.core(), np.zeros(_core.SerialModel.PARAMETERS), low.copy(), high.copy())
+
+    @cached_property
+    def _still(self) -> list[float]:
+        return [0.0, 20.0, *(0.0 for _ in self.joints)]
+
+    def forward(self, joints: ArrayLike) -> Floats:
+        """The target (3,), mm, base frame, for joint readings (k,). Raises :class:`~sherkit.errors.NotFinite`."""
+        return self.nominal.forward(vector(joints, "joint readings", len(self.joints)), self._still)[0]
+
+    def jacobian(self, joints: ArrayLike) -> Floats:
+        """d target / d joints (3, k). Raises as :meth:`forward`."""
+        return self.nominal.forward(vector(joints, "joint readings", len(self.joints)), self._still)[1]
+
+    def tool_frame(self, joints: ArrayLike) -> Floats:
+        """The frame (4, 4) of the tool, base frame, its origin in the target. Raises as :meth:`forward`."""
+        q = vector(joints, "joint readings", len(self.joints))
+        turn = self.nominal.flange(q, self._still) @ self.joints[-1].turn.T
+        return frame(self.forward(q).tolist(), turn @ of_rpy(np.deg2rad(self.tool_rpy_deg).tolist()))
+
+    def inverse(self, position_mm: ArrayLike, *, start: ArrayLike | None = None) -> Floats:
+        """Joint readings (k,) within their limits that bring the target to ``position_mm`` (3,), to 1 nm.
+
+        Of many postures that to which damped steps lead from ``start`` (k,); left out, from home, or where no way leads
+        from there, from the first of :attr:`starts` from which one does. Raises :class:`~sherkit.errors.OutOfReach`
+        with how near it comes.
+        """
+        return self.found_from(lambda x, q: self.nominal.inverse(x, self._still, q), position_mm, start)
+
+    def found_from(
+        self, inverse: Callable[[Floats, Floats], Floats], position_mm: ArrayLike, start: ArrayLike | None
+    ) -> Floats:
+        """What ``inverse`` finds for a position from a start, or from the first of :attr:`starts` that leads there."""
+        x = vector(position_mm, "position")
+        if start is not None:
+            return inverse(x, vector(start, "start", len(self.joints)))
+        reasons = []
+        for begin in self.starts:
+            try:
+                return inverse(x, begin)
+            except OutOfReach as error:
+                reasons.append(error)
+        raise reasons[0]
+
+    def all_found_from(
+        self, inverse: Callable[[Floats, Floats], tuple[Floats, Bools]], positions_mm: ArrayLike,
+        starts: ArrayLike | None,
+    ) -> tuple[Floats, Bools]:  # fmt: skip
+        """The same of positions (n, 3), each from its own of ``starts`` (n, k), and which are in reach."""
+        x = matrix(positions_mm, "positions")
+        if starts is not None:
+            return inverse(x, matrix(starts, "starts", len(self.joints)))
+        out, reached = np.full((len(x), len(self.joints)), np.nan), np.zeros(len(x), dtype=bool)
+        for begin in self.starts:
+            rows = np.flatnonzero(~reached)
+            out[rows], reached[rows] = inverse(x[rows], np.tile(begin, (len(rows), 1)))
+        return out, reached
+
+    @cached_property
+    def starts(self) -> Floats:
+        """Postures (s, k) from which the inverse begins: home, then others between the limits, the same each time."""
+        low, high = self.ranges
+        others = np.random.default_rng(0).uniform(low, high, (_STARTS, len(low)))
+        return np.vstack([self.home, 0.5 * (low + high), others])
+
+    def forward_batch(self, joints: ArrayLike) -> Batch:
+        """Targets (n, 3) for joint readings (n, k)."""
+        q = matrix(joints, "joint readings", len(self.joints))
+        x, _, reached = self.nominal.forward_batch(q, self._still)
+        return Batch(x, reached, why(self.forward, q, reached))
+
+    def inverse_batch(self, positions_mm: ArrayLike) -> Batch:
+        """Joint readings (n, k) for targets (n, 3), as :meth:`inverse` finds each; those out of reach are marked."""
+        x = matrix(positions_mm, "positions")
+        q, reached = self.all_found_from(lambda x, q: self.nominal.inverse_batch(x, self._still, q), x, None)
+        return Batch(q, reached, why(self.inverse, x, reached))

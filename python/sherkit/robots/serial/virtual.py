@@ -1,0 +1,261 @@
+"""A virtual serial arm: planted errors, noise, and a tracker that looks at it.
+
+Written apart from the core on purpose: frames are 4 x 4 matrices multiplied as the drawing has them, and what a joint
+carries is the slope of the energy of its weights by a difference, never the code that is to be tested with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from ...data import Measurements
+from ...data.toml import Table
+from ...errors import ShapeError
+from ...model.kinds import Option
+from ...types import Floats
+from .robot import Serial
+
+_SECONDS_PER_POSE = 4.0
+_ORDERS = ("planes", "shuffled")
+_STEP_RAD = 1e-4
+#: Plausible geometric errors of an arm: zeros of joints, rad; places of axes and target, mm; leans, rad; where the
+#: tracker stands, mm and rad.
+_SIZES = {"offset": 3e-3, "shift": 0.5, "tilt": 1e-3, "tool": 2.0, "stand": 20.0, "turn": 0.02}
+#: A sliding joint errs by as many mm as a turning one by a radian.
+_SLIDE_MM = 100.0
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What is hidden in an arm besides its geometry, each zero where it is not at work; rad, or mm of joints that
+    slide.
+
+    ``scale`` (k,) are parts of the readings; ``follows`` (k,) by how much each joint follows the one before it;
+    ``gives`` (k,) how far it gives way under the greatest moment its weight makes in any posture stretched out;
+    ``play`` (k,) its lost motion; ``ring`` (k, 2) sine and cosine of its encoder once per turn, ``lines`` (k, 2) those
+    at ``per_turn`` per radian; ``warmth_per_c``, ``rate_mm_h`` (3,), ``step_mm`` (3,) half way through; ``knock`` (6,)
+    turn and shift of the tracker then; ``zoom`` and ``bend_mm`` (3,) at a metre what the tracker misreads; ``late_s``
+    its delay.
+    """
+
+    scale: ArrayLike = 0.0
+    follows: ArrayLike = 0.0
+    gives: ArrayLike = 0.0
+    play: ArrayLike = 0.0
+    ring: ArrayLike = 0.0
+    lines: ArrayLike = 0.0
+    per_turn: float = 2.0
+    warmth_per_c: float = 0.0
+    rate_mm_h: ArrayLike = 0.0
+    step_mm: ArrayLike = 0.0
+    knock: ArrayLike = 0.0
+    zoom: float = 0.0
+    bend_mm: ArrayLike = 0.0
+    late_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class VirtualSerial:
+    """An arm that is not as drawn.
+
+    ``offset`` (k,) are errors of the joints' zeros, ``shift_mm`` (k, 2) and ``tilt_rad`` (k, 2) how far each axis lies
+    beside its place and leans, in its frame; ``tool_mm`` (3,) moves the target, ``stand`` (6,) is a turn and a shift of
+    what the tracker sees, rad and mm. ``noise_mm`` is the standard deviation of a reading.
+    """
+
+    robot: Serial
+    offset: ArrayLike = 0.0
+    shift_mm: ArrayLike = 0.0
+    tilt_rad: ArrayLike = 0.0
+    tool_mm: ArrayLike = 0.0
+    stand: ArrayLike = 0.0
+    effects: Hidden = field(default_factory=Hidden)
+    noise_mm: float = 0.0
+
+    OPTIONS: ClassVar[Mapping[str, Option]] = {
+        "noise_um": Option(50.0, "of a reading"),
+        "yield_mrad": Option(0.0, "joints that give way by this much under their weight"),
+        "play_mrad": Option(0.0, "lost motion of each joint"),
+        "ring_mrad": Option(0.0, "encoders off the axis of their joints"),
+    }
+
+    @classmethod
+    def simulated(cls, robot: Serial, seed: int, errors: float, sizes: Mapping[str, float]) -> VirtualSerial:
+        """One with geometric errors of ``errors`` times a plausible size, and ``sizes`` of each of :attr:`OPTIONS`."""
+        rng, k = np.random.default_rng(seed), len(robot.joints)
+        slide = np.where([joint.slides for joint in robot.joints], _SLIDE_MM, 1.0)
+        drawn = {name: errors * size * rng.normal(size=(k, 3)) for name, size in _SIZES.items()}
+        hidden = Hidden(
+            gives=1e-3 * sizes["yield_mrad"] * slide * rng.uniform(0.5, 1.5, k),
+            play=1e-3 * sizes["play_mrad"] * slide * rng.uniform(0.5, 1.5, k),
+            ring=1e-3 * sizes["ring_mrad"] * (slide == 1.0)[:, None] * rng.normal(size=(k, 2)),
+        )
+        return cls(
+            robot,
+            drawn["offset"][:, 0] * slide,
+            drawn["shift"][:, :2],
+            drawn["tilt"][:, :2],
+            drawn["tool"][0],
+            np.concatenate([drawn["turn"][0], drawn["stand"][0]]),
+            hidden,
+            1e-3 * sizes["noise_um"],
+        )
+
+    @classmethod
+    def hidden(cls, robot: Serial, seed: int, table: Table) -> VirtualSerial:
+        """One without noise, as a laboratory describes it."""
+        sizes = {name: table.number(name, 0.0) for name in cls.OPTIONS if name != "noise_um"}
+        return cls.simulated(robot, seed, table.number("errors", 0.0), {"noise_um": 0.0, **sizes})
+
+    def with_hidden(self, **effects: Any) -> VirtualSerial:
+        """The same with more hidden in it."""
+        return replace(self, effects=replace(self.effects, **effects))
+
+    def truth(self) -> dict[str, Any]:
+        """The hidden errors, for TOML: mm and rad."""
+        k = len(self.robot.joints)
+        shapes = {"offset": (k,), "shift_mm": (k, 2), "tilt_rad": (k, 2), "tool_mm": (3,), "stand": (6,)}
+        own = {name: np.broadcast_to(getattr(self, name), shape).tolist() for name, shape in shapes.items()}
+        more = {name: np.asarray(value, dtype=float).tolist() for name, value in vars(self.effects).items()}
+        return {**own, "effects": more}
+
+    # -- what it does ------------------------------------------------------------------------------------------
+
+    def _frames(self, joints: Floats, *, as_drawn: bool = False) -> list[Floats]:
+        """Frames (4, 4) behind each joint for what the joints really are (k,), turned back to those of the drawing."""
+        k = len(joints)
+        shift, tilt = (np.broadcast_to(np.asarray(v, dtype=float), (k, 2)) for v in (self.shift_mm, self.tilt_rad))
+        now, out = np.eye(4), []
+        for joint, q, s, t in zip(self.robot.joints, joints, shift, tilt, strict=True):
+            now = now @ _matrix(Rotation.from_euler("xyz", joint.rpy_deg, degrees=True), joint.origin_mm)
+            aligned = _matrix(_aligning(joint.axis))
+            now = now @ aligned
+            if not as_drawn:
+                lean = Rotation.from_rotvec([t[0], 0, 0]) * Rotation.from_rotvec([0, t[1], 0])
+                now = now @ _matrix(Rotation.identity(), (s[0], s[1], 0.0)) @ _matrix(lean)
+            moved = (
+                _matrix(Rotation.identity(), (0, 0, q)) if joint.slides else _matrix(Rotation.from_rotvec([0, 0, q]))
+            )
+            now = now @ moved @ np.linalg.inv(aligned)
+            out.append(now)
+        return out
+
+    def _energy(self, joints: Floats) -> float:
+        """Of the weights as drawn, over one unit of gravity: kg mm."""
+        masses, centres = self.robot.weights
+        pull = np.asarray(self.robot.gravity, dtype=float) / np.linalg.norm(self.robot.gravity)
+        out = 0.0
+        frames = self._frames(joints, as_drawn=True)
+        for joint, frame, mass, centre in zip(self.robot.joints, frames, masses, centres, strict=True):
+            where = frame @ _matrix(_aligning(joint.axis)) @ [*centre, 1.0]
+            out -= float(mass * (pull @ where[:3]))
+        return out
+
+    def _carried(self, joints: Floats) -> Floats:
+        """The moment or force (k,) that the weights put on each joint, over the greatest they could."""
+        masses, centres = self.robot.weights
+        out = np.zeros(len(joints))
+        for i, joint in enumerate(self.robot.joints):
+            step = np.where(np.arange(len(joints)) == i, _STEP_RAD, 0.0)
+            slope = (self._energy(joints + step) - self._energy(joints - step)) / (2 * _STEP_RAD)
+            arms = np.cumsum([0.0, *(float(np.linalg.norm(one.origin_mm)) for one in self.robot.joints[i + 1 :])])
+            levers = np.ones(len(arms)) if joint.slides else arms + np.linalg.norm(centres[i:], axis=1)
+            most = float(masses[i:] @ levers)
+            out[i] = -slope / most if most > 0 else 0.0
+        return out
+
+    def true_target(self, read: Floats, came: Floats, velocity: Floats) -> Floats:
+        """The target (3,), mm, base frame, for joints that are read (k,), with the direction from which they came."""
+        k, hidden = len(read), self.effects
+        home = np.array([np.deg2rad(j.home) if not j.slides else j.home for j in self.robot.joints])
+
+        def each(value: ArrayLike, *more: int) -> Floats:
+            return np.broadcast_to(np.asarray(value, dtype=float), (k, *more))
+
+        ring, lines = each(hidden.ring, 2), each(hidden.lines, 2)
+        real = read + each(self.offset) + each(hidden.scale) * (read - home)
+        real = real + ring[:, 0] * np.sin(read) + ring[:, 1] * np.cos(read)
+        angle = hidden.per_turn * read
+        real = real + lines[:, 0] * np.sin(angle) + lines[:, 1] * np.cos(angle)
+        real = real + each(hidden.play) * came / 2 - hidden.late_s * velocity
+        before = np.concatenate([[0.0], (real - home)[:-1]])
+        real = real + each(hidden.follows) * before
+        if np.any(each(hidden.gives)):
+            real = real + each(hidden.gives) * self._carried(real)
+        target = np.asarray(self.robot.target_mm, dtype=float)
+        moved = _aligning(self.robot.joints[-1].axis).as_matrix() @ np.broadcast_to(
+            np.asarray(self.tool_mm, dtype=float), 3
+        )
+        return (self._frames(real)[-1] @ [*(target + moved), 1.0])[:3]
+
+    def seen(self, point: Floats, late: bool) -> Floats:
+        """What the tracker shows (3,), mm."""
+        stand = np.broadcast_to(np.asarray(self.stand, dtype=float), 6).copy()
+        if late:
+            stand = stand + np.broadcast_to(np.asarray(self.effects.knock, dtype=float), 6)
+        nominal = Rotation.from_euler("xyz", self.robot.tracker_rpy_deg, degrees=True)
+        there = Rotation.from_rotvec(stand[:3]).apply(nominal.apply(point))
+        there = there + np.asarray(self.robot.tracker_mm) + stand[3:]
+        bend = np.asarray(self.effects.bend_mm, dtype=float)
+        return there * (1.0 + self.effects.zoom) + bend * (there / 1000.0) ** 3
+
+    def noise_free(self, joints: ArrayLike) -> Floats:
+        """What a run without noise, time and motion would hold (n, 3), mm."""
+        rows = np.atleast_2d(np.asarray(joints, dtype=float))
+        still = np.zeros(rows.shape[1])
+        return np.array([self.seen(self.true_target(q, still, still), False) for q in rows])
+
+    def measure(self, joints: ArrayLike, *, repeats: int = 1, order: str = "shuffled", seed: int = 0) -> Measurements:
+        """Drives to joint readings (n, k) and reads the target at each; half way through, what lets go lets go.
+
+        An arm is sent to joints, not to places: a place leaves open how it stands there. It warms by three degrees.
+        """
+        if order not in _ORDERS:
+            raise ShapeError(f"order: '{order}' is not known; choose {' or '.join(_ORDERS)}")
+        if repeats < 1:
+            raise ShapeError(f"repeats: expected at least 1, got {repeats}")
+        rng = np.random.default_rng(seed)
+        poses = np.atleast_2d(np.asarray(joints, dtype=float))
+        walk = np.arange(len(poses))
+        pose = np.concatenate([rng.permutation(walk) if order == "shuffled" else walk for _ in range(repeats)])
+        n, read, hidden = len(pose), poses[pose], self.effects
+        time = _SECONDS_PER_POSE * np.arange(n)
+        came = np.sign(np.diff(read, axis=0, prepend=read[:1] - 0.1))
+        velocity = rng.normal(size=read.shape) * np.ptp(read, axis=0) / 10.0 if hidden.late_s else np.zeros_like(read)
+        warmth = 20.0 + 3.0 * (1.0 - np.exp(-2.0 * np.arange(n) / max(n - 1, 1)))
+        shown = []
+        for k in range(n):
+            late = k >= n // 2
+            point = self.true_target(read[k], came[k], velocity[k]) * (1.0 + hidden.warmth_per_c * (warmth[k] - 20.0))
+            point = point + np.asarray(hidden.rate_mm_h) * time[k] / 3600.0 + np.asarray(hidden.step_mm) * late
+            shown.append(self.seen(point, late))
+        reading = np.array(shown) + self.noise_mm * rng.normal(size=(n, 3))
+        layout = self.robot.layout
+        columns: dict[str, Any] = {"time_s": time, "temperature_c": warmth, "pose": pose + 1}
+        columns |= {"repeat": np.repeat(np.arange(repeats), len(poses)) + 1}
+        columns |= dict(zip((*layout.joints, *layout.coordinates), (*read.T, *reading.T), strict=True))
+        if hidden.late_s:
+            columns |= dict(zip(layout.velocities, velocity.T, strict=True))
+        return Measurements.from_columns(columns, "simulation", layout=layout)
+
+
+def _matrix(turn: Rotation, shift_mm: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = turn.as_matrix(), shift_mm
+    return out
+
+
+def _aligning(axis: ArrayLike) -> Rotation:
+    """The turn of least angle that brings z onto an axis; where that is -z, about x."""
+    u = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    across = np.cross([0.0, 0.0, 1.0], u)
+    sine = float(np.linalg.norm(across))
+    if sine < 1e-12:
+        return Rotation.identity() if u[2] > 0 else Rotation.from_rotvec([np.pi, 0.0, 0.0])
+    return Rotation.from_rotvec(across / sine * np.arctan2(sine, u[2]))

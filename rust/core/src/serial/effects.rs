@@ -1,0 +1,97 @@
+//! The table of the serial arm, for all the joints that one may have. What a robot has not, its model does not offer.
+//!
+//! Units, sizes and levers of what counts in the unit of a joint are those of a revolute one; the model turns them into
+//! those of a prismatic one. Sizes are those of an industrial arm.
+
+use crate::chain::effects::{OWN_LEVER, effects, places};
+
+/// What a radian of a joint moves in a common arm, mm.
+const LEVER: f64 = 500.0;
+
+// what the mechanism computes itself, in `structure.rs`
+places! {
+    joint_shift joint_tilt tool joint_coupling joint_compliance
+}
+
+effects! { At;
+    // where the tracker sees the base frame: a turn of its picture of the robot, and a shift, in its own axes; people put
+    // trackers anywhere
+    tracker_frame: Sensor by tracker (base) {
+        frame_turn_x, frame_turn_y, frame_turn_z: "rad", 1.0, OWN_LEVER;
+        frame_x, frame_y, frame_z: "mm", 1000.0, 1.0;
+    }
+    // the zero of each joint
+    joint_offset: Joints by joints (base) {
+        offset_1 "δq₁", offset_2 "δq₂", offset_3 "δq₃", offset_4 "δq₄", offset_5 "δq₅", offset_6 "δq₆", offset_7 "δq₇",
+        offset_8 "δq₈", offset_9 "δq₉": "rad", 0.01, OWN_LEVER;
+    }
+    // by how much each axis lies beside its place, along x and y of its frame
+    joint_shift: Structure by structure (base) {
+        shift_x_1, shift_y_1, shift_x_2, shift_y_2, shift_x_3, shift_y_3, shift_x_4, shift_y_4, shift_x_5, shift_y_5,
+        shift_x_6, shift_y_6, shift_x_7, shift_y_7, shift_x_8, shift_y_8, shift_x_9, shift_y_9: "mm", 1.0, 1.0;
+    }
+    // by how much each axis leans, about x and y of its frame
+    joint_tilt: Structure by structure (base) {
+        tilt_x_1, tilt_y_1, tilt_x_2, tilt_y_2, tilt_x_3, tilt_y_3, tilt_x_4, tilt_y_4, tilt_x_5, tilt_y_5, tilt_x_6,
+        tilt_y_6, tilt_x_7, tilt_y_7, tilt_x_8, tilt_y_8, tilt_x_9, tilt_y_9: "rad", 5e-3, OWN_LEVER;
+    }
+    // where the target is on the flange
+    tool: Structure by structure (base) {
+        tool_x, tool_y, tool_z: "mm", 5.0, 1.0;
+    }
+    // relative scale error of each encoder, about its home reading
+    joint_scale: Joints by joints {
+        scale_1, scale_2, scale_3, scale_4, scale_5, scale_6, scale_7, scale_8, scale_9: "rad/rad", 1e-3, LEVER;
+    }
+    // by how much each joint follows the one before it
+    joint_coupling: Joints by structure {
+        share_2, share_3, share_4, share_5, share_6, share_7, share_8, share_9: "rad/rad", 2e-3, LEVER;
+    }
+    // how far each joint gives way under the greatest moment that the weight behind it can make
+    joint_compliance: Joints by structure {
+        yield_1, yield_2, yield_3, yield_4, yield_5, yield_6, yield_7, yield_8, yield_9: "rad", 1e-3, LEVER;
+    }
+    // lost motion of each joint: the full width between the two directions
+    backlash: Joints by joints needs "direction" {
+        width_1, width_2, width_3, width_4, width_5, width_6, width_7, width_8, width_9: "rad", 5e-4, LEVER;
+    }
+    // error of each encoder once per turn: sine and cosine, joint by joint
+    encoder_eccentricity: Joints by joints {
+        sine_1, cosine_1, sine_2, cosine_2, sine_3, cosine_3, sine_4, cosine_4, sine_5, cosine_5, sine_6, cosine_6,
+        sine_7, cosine_7, sine_8, cosine_8, sine_9, cosine_9: "rad", 5e-4, LEVER;
+    }
+    // error of each encoder at the period: sine and cosine, joint by joint
+    encoder_cyclic: Joints by joints search "period_rad" {
+        sine_1, cosine_1, sine_2, cosine_2, sine_3, cosine_3, sine_4, cosine_4, sine_5, cosine_5, sine_6, cosine_6,
+        sine_7, cosine_7, sine_8, cosine_8, sine_9, cosine_9: "rad", 3e-4, LEVER;
+    }
+    // expansion of the target's place about the origin of the base frame
+    thermal_growth: Body by body needs "temperature_c" {
+        coefficient "α": "1/°C", 2e-5, LEVER;
+    }
+    // drift of the target, base frame
+    drift: Body by body needs "time_s" {
+        rate_x, rate_y, rate_z: "mm/h", 0.1, 1.0;
+    }
+    // step of the target at the slip time, base frame
+    slip: Body by body needs "time_s" search "time_s" {
+        step_x, step_y, step_z: "mm", 0.2, 1.0;
+    }
+    // by how much the tracker's frame moved at the time of its slip
+    tracker_slip: Sensor by tracker needs "time_s" search "time_s" {
+        turn_x, turn_y, turn_z: "rad", 5e-4, LEVER;
+        shift_x, shift_y, shift_z: "mm", 0.2, 1.0;
+    }
+    // relative error of all that the tracker reads
+    sensor_scale: Sensor by tracker {
+        scale: "mm/mm", 1e-4, LEVER;
+    }
+    // cubic error of each coordinate read, a metre from the middle
+    sensor_linearity: Sensor by tracker {
+        cubic_x, cubic_y, cubic_z: "mm", 0.2, 1.0;
+    }
+    // how much earlier the reading shows the robot
+    reading_delay: Sensor by joints needs "velocity" {
+        delay: "s", 0.01, LEVER;
+    }
+}

@@ -1,0 +1,163 @@
+//! The nominal arm on the measurement chain: with all effects at zero it is the drawing, seen by a tracker.
+
+use super::effects::{AT, At, CATALOGUE, PARAMETERS, Values};
+use super::structure::Structure;
+use crate::chain::effects::Effect;
+use crate::chain::places::Places;
+use crate::chain::{self, Robot, Settings, Table, Tracker};
+use crate::numbers::rigid::Rigid;
+use crate::{Error, Result};
+use core::f64::consts::TAU;
+use nalgebra::Vector3;
+
+/// The most joints that an arm may have.
+pub const JOINTS: usize = 9;
+/// Coordinates that the tracker shows.
+pub const READINGS: usize = 3;
+/// How far the columns of a turn may be from a right angle or one.
+const SQUARE: f64 = 1e-6;
+
+/// What a row of an arm brings besides its readings.
+pub type Covariates = chain::Covariates<JOINTS>;
+/// A row of an arm.
+pub type Row = chain::Row<JOINTS>;
+/// An arm with given errors and effects, ready to predict.
+pub type Chain = chain::Chain<Model, JOINTS, READINGS, PARAMETERS>;
+/// Reading of a row with its derivatives, mm.
+pub type Prediction = chain::Prediction<JOINTS, READINGS, PARAMETERS>;
+
+/// A joint as drawn, which turns about or slides along the z of its own frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Joint {
+    /// From the frame behind the joint before it, or the base, to its own at zero; mm.
+    pub fixed: Rigid,
+    /// Whether it slides.
+    pub prismatic: bool,
+    /// Reading about which scale errors turn, rad or mm.
+    pub home: f64,
+    /// Mass of the link behind it, kg, or in any other unit that is the same for all.
+    pub mass_kg: f64,
+    /// Centre of that mass in the frame behind the joint, mm.
+    pub centre_mm: Vector3<f64>,
+}
+
+impl Joint {
+    /// One that is not there.
+    pub const NONE: Self = Self {
+        fixed: Rigid {
+            rotation: nalgebra::Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
+            translation: Vector3::new(0.0, 0.0, 0.0),
+        },
+        prismatic: true,
+        home: 0.0,
+        mass_kg: 0.0,
+        centre_mm: Vector3::new(0.0, 0.0, 0.0),
+    };
+}
+
+/// A nominal arm and the settings of its effects.
+#[derive(Clone, Copy, Debug)]
+pub struct Model {
+    /// Its joints from the base on; those beyond [`Model::count`] are not looked at.
+    pub joints: [Joint; JOINTS],
+    /// How many it has.
+    pub count: usize,
+    /// The target in the frame behind the last joint, mm.
+    pub tool_mm: Vector3<f64>,
+    /// From the base frame to that of the tracker, mm.
+    pub tracker: Rigid,
+    /// Direction of the weight, base frame, of length one.
+    pub gravity: Vector3<f64>,
+    /// Period of the encoders' cyclic error, rad, or mm where every joint slides.
+    pub encoder_period: f64,
+    /// Time from which drift counts, s.
+    pub time_origin_s: f64,
+    /// Moment at which the target slips, s.
+    pub slip_time_s: f64,
+    /// Moment at which the tracker slips, s.
+    pub tracker_slip_time_s: f64,
+}
+
+impl Table for Model {
+    type Own = At;
+    const CATALOGUE: &'static [Effect] = CATALOGUE;
+    const AT: Places<At> = AT;
+}
+
+fn is_square(rigid: &Rigid) -> bool {
+    let r = &rigid.rotation;
+    let off = r.transpose() * r - nalgebra::Matrix3::identity();
+    off.amax() < SQUARE && r.determinant() > 0.0
+}
+
+impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
+    type Structure = Structure;
+    type Sensor = Tracker;
+
+    fn joints(&self) -> usize {
+        self.count
+    }
+
+    fn settings(&self) -> Settings<JOINTS> {
+        Settings {
+            home: self.joints.map(|joint| joint.home),
+            wave: TAU / self.encoder_period,
+            time_origin_s: self.time_origin_s,
+            slip_time_s: self.slip_time_s,
+        }
+    }
+
+    fn check(&self) -> Result<()> {
+        let refuse = |limb, what| Err(Error::InvalidGeometry { limb, what });
+        let mine = self.joints.get(..self.count).unwrap_or_default();
+        if mine.is_empty() {
+            return refuse(0, "an arm has one to nine joints");
+        }
+        for (limb, joint) in mine.iter().enumerate() {
+            let numbers = joint.fixed.translation.iter().chain(&joint.centre_mm);
+            let mut numbers = numbers.chain([&joint.home, &joint.mass_kg]);
+            if numbers.any(|v| !v.is_finite()) || !is_square(&joint.fixed) {
+                return refuse(
+                    limb,
+                    "the frame of a joint needs finite lengths and right angles",
+                );
+            }
+            if joint.mass_kg < 0.0 {
+                return refuse(limb, "no mass is below zero");
+            }
+        }
+        let times = [
+            self.time_origin_s,
+            self.slip_time_s,
+            self.tracker_slip_time_s,
+            self.encoder_period,
+        ];
+        let settings = times.iter().chain(&self.tool_mm).chain(&self.gravity);
+        let mut settings = settings.chain(&self.tracker.translation);
+        if let Some(index) = settings.position(|v| !v.is_finite()) {
+            return Err(Error::NotFinite { index });
+        }
+        if !is_square(&self.tracker) {
+            return refuse(0, "the frame of the tracker needs right angles");
+        }
+        if self.encoder_period <= 0.0 {
+            return refuse(0, "the period of the encoders must be positive");
+        }
+        if (self.gravity.norm() - 1.0).abs() > SQUARE {
+            return refuse(0, "gravity needs a direction of length one");
+        }
+        Ok(())
+    }
+
+    fn structure(&self, values: &Values) -> Result<Structure> {
+        Ok(Structure::new(self, values))
+    }
+
+    fn sensor(&self, values: &Values) -> Result<Tracker> {
+        Ok(Tracker::new::<Self, PARAMETERS>(
+            &self.tracker,
+            self.tracker_slip_time_s,
+            values,
+        ))
+    }
+}

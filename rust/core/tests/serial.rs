@@ -1,0 +1,233 @@
+//! The serial arm against a mechanism that anybody can draw, and its derivatives against differences.
+
+use nalgebra::{Matrix3, SVector, Vector3};
+use sherkit_core::chain::effects::Wanted;
+use sherkit_core::chain::{Covariates, Robot, Row};
+use sherkit_core::numbers::rigid::Rigid;
+use sherkit_core::serial::{
+    CATALOGUE, Calibrated, JOINTS, Joint, Limits, Model, PARAMETERS, Values,
+};
+use std::f64::consts::{FRAC_PI_2, PI};
+
+fn turn(axis: usize, angle: f64) -> Matrix3<f64> {
+    let (s, c) = angle.sin_cos();
+    match axis {
+        0 => Matrix3::new(1.0, 0.0, 0.0, 0.0, c, -s, 0.0, s, c),
+        1 => Matrix3::new(c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c),
+        _ => Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0),
+    }
+}
+
+fn joint(shift: [f64; 3], rotation: Matrix3<f64>, prismatic: bool, mass_kg: f64) -> Joint {
+    Joint {
+        fixed: Rigid {
+            rotation,
+            translation: Vector3::from(shift),
+        },
+        prismatic,
+        home: if prismatic { 20.0 } else { 0.2 },
+        mass_kg,
+        centre_mm: Vector3::new(30.0, -40.0, 50.0),
+    }
+}
+
+/// Four joints that turn, one of them parallel to another, and one that slides.
+fn arm() -> Model {
+    let mut joints = [Joint::NONE; JOINTS];
+    joints[0] = joint([0.0, 0.0, 90.0], Matrix3::identity(), false, 4.0);
+    joints[1] = joint([10.0, 130.0, 0.0], turn(0, FRAC_PI_2), false, 8.0);
+    joints[2] = joint([420.0, 0.0, 0.0], Matrix3::identity(), false, 2.0);
+    joints[3] = joint([390.0, 30.0, 0.0], turn(1, -1.1), true, 3.0);
+    joints[4] = joint([0.0, 95.0, 5.0], turn(0, -FRAC_PI_2), false, 1.0);
+    Model {
+        joints,
+        count: 5,
+        tool_mm: Vector3::new(15.0, -20.0, 80.0),
+        tracker: Rigid {
+            rotation: turn(2, 2.0) * turn(0, 0.3),
+            translation: Vector3::new(1500.0, -700.0, 300.0),
+        },
+        gravity: Vector3::new(0.6, 0.0, -0.8),
+        encoder_period: 0.4,
+        time_origin_s: 100.0,
+        slip_time_s: 500.0,
+        tracker_slip_time_s: 600.0,
+    }
+}
+
+fn row() -> Row<JOINTS> {
+    Row {
+        joints: [0.7, -0.9, 1.3, 60.0, 0.4, 0.0, 0.0, 0.0, 0.0],
+        to: None,
+        covariates: Covariates {
+            time_s: 700.0,
+            temperature_c: 23.0,
+            direction: [1.0, -1.0, 1.0, 1.0, -1.0, 0.0, 0.0, 0.0, 0.0],
+            velocity: [0.1, 0.2, -0.3, 20.0, 0.5, 0.0, 0.0, 0.0, 0.0],
+        },
+        push: Vector3::new(0.3, -0.2, 0.1),
+    }
+}
+
+/// Every parameter at a share of its plausible size, signs alternating.
+fn some(share: f64) -> Values {
+    let mut values = [0.0; PARAMETERS];
+    let sizes = CATALOGUE.iter().flat_map(|e| e.parameters);
+    for (k, (value, parameter)) in values.iter_mut().zip(sizes).enumerate() {
+        *value = share * parameter.size * if k % 2 == 0 { 1.0 } else { -0.7 };
+    }
+    values
+}
+
+/// The longest steps of a difference, rad and mm.
+const STEP: [f64; 2] = [0.05, 50.0];
+
+/// A central difference of fourth order.
+fn difference(at: impl Fn(f64) -> Vector3<f64>, h: f64) -> Vector3<f64> {
+    ((at(h) - at(-h)) * 8.0 - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h)
+}
+
+/// A column that forgets a sign, an order of turns, what a joint carries, or a joint that another one moves; at zero
+/// effects, where links leave work out, and at plausible ones.
+#[test]
+fn derivatives_are_exact() {
+    let agree = |column: Vector3<f64>, other: Vector3<f64>, what: &str, number: usize| {
+        let miss = (column - other).norm() / column.norm().max(1.0);
+        assert!(miss < 1e-8, "{what} {number}: {miss:e} {column} {other}");
+    };
+    let (model, row) = (arm(), row());
+    let sizes = || CATALOGUE.iter().flat_map(|e| e.parameters);
+    for share in [0.0, 1.0] {
+        let values = some(share);
+        let chain = model.with(&values).unwrap();
+        let found = chain.row_predict(&row, Wanted::ALL).unwrap();
+        assert_eq!(found.value, chain.row_value(&row).unwrap());
+        for (p, parameter) in sizes().enumerate() {
+            let moved = |h: f64| {
+                let mut values = values;
+                values[p] += h;
+                model.with(&values).unwrap().row_value(&row).unwrap()
+            };
+            // the tracker may stand anywhere: a step of its whole size is none of a derivative
+            let by = difference(
+                moved,
+                0.2 * parameter
+                    .size
+                    .min(STEP[usize::from(parameter.unit == "mm")]),
+            );
+            agree(found.by_parameters.column(p).into(), by, parameter.name, p);
+        }
+        for k in 0..JOINTS {
+            let moved = |h: f64| {
+                let mut row = row;
+                row.joints[k] += h;
+                chain.row_value(&row).unwrap()
+            };
+            agree(
+                found.by_joints.column(k).into(),
+                difference(moved, 1e-3),
+                "joint",
+                k,
+            );
+        }
+    }
+}
+
+/// A chain that is not the drawing where nothing is wrong: a planar arm whose elbow is a right angle, and its slide.
+#[test]
+fn it_is_the_drawing_without_effects() {
+    let mut joints = [Joint::NONE; JOINTS];
+    joints[0] = joint([0.0; 3], Matrix3::identity(), false, 1.0);
+    joints[1] = joint([250.0, 0.0, 0.0], Matrix3::identity(), false, 1.0);
+    joints[2] = joint([180.0, 0.0, 0.0], turn(1, FRAC_PI_2), true, 1.0);
+    let model = Model {
+        joints,
+        count: 3,
+        tool_mm: Vector3::zeros(),
+        tracker: Rigid::identity(),
+        gravity: -Vector3::z(),
+        ..arm()
+    };
+    let mut row = row();
+    row.joints = [0.0, FRAC_PI_2, 35.0, 9.0, 9.0, 9.0, 9.0, 9.0, 9.0];
+    row.push = Vector3::zeros();
+    row.covariates = Covariates::NONE;
+    let at = |values: &Values| model.with(values).unwrap().row_value(&row).unwrap();
+    assert!((at(&some(0.0)) - Vector3::new(250.0, 215.0, 0.0)).norm() < 1e-12);
+}
+
+/// A moment of the wrong sign or size: a stick held level by a joint whose axis is level bends down by all of its yield,
+/// and not at all where it stands upright.
+#[test]
+fn it_gives_way_under_its_weight() {
+    let mut joints = [Joint::NONE; JOINTS];
+    joints[0] = joint([0.0; 3], turn(0, FRAC_PI_2), false, 2.0);
+    joints[0].centre_mm = Vector3::new(200.0, 0.0, 0.0);
+    let model = Model {
+        joints,
+        count: 1,
+        tool_mm: Vector3::new(400.0, 0.0, 0.0),
+        tracker: Rigid::identity(),
+        gravity: -Vector3::z(),
+        ..arm()
+    };
+    let first = CATALOGUE
+        .iter()
+        .take_while(|e| e.name != "joint_compliance")
+        .map(|e| e.parameters.len())
+        .sum::<usize>();
+    let mut values = some(0.0);
+    values[first] = 0.01;
+    let chain = model.with(&values).unwrap();
+    for (angle, bent) in [
+        (0.0, -0.01),
+        (FRAC_PI_2, 0.0),
+        (PI, 0.01),
+        (PI / 3.0, -0.005),
+    ] {
+        let mut row = row();
+        row.joints = [angle, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        row.push = Vector3::zeros();
+        row.covariates = Covariates::NONE;
+        let (sin, cos) = (angle + bent).sin_cos();
+        let expected = Vector3::new(400.0 * cos, 0.0, 400.0 * sin);
+        assert!(
+            (chain.row_value(&row).unwrap() - expected).norm() < 1e-9,
+            "{angle}"
+        );
+    }
+}
+
+/// An inverse that stops early, leaves the limits, or promises what no posture reaches.
+#[test]
+fn the_inverse_comes_back() {
+    let limits = Limits {
+        low: [-2.0, -2.0, -2.0, 0.0, -2.0, 0.0, 0.0, 0.0, 0.0],
+        high: [2.0, 2.0, 2.0, 100.0, 2.0, 0.0, 0.0, 0.0, 0.0],
+    };
+    let arm = Calibrated::new(&arm(), &some(0.3), &limits).unwrap();
+    let now = row().covariates;
+    let start = SVector::from([0.5, -0.5, 0.8, 50.0, 0.1, 0.0, 0.0, 0.0, 0.0]);
+    for k in 0..40 {
+        let spread = |i: usize| ((k * (i + 3)) as f64 * 0.37).sin();
+        let joints = SVector::from_fn(|i, _| match i {
+            3 => 50.0 + 40.0 * spread(i),
+            0..=4 => 1.2 * spread(i),
+            _ => 0.0,
+        });
+        let (place, _) = arm.forward(&joints, &now).unwrap();
+        let found = arm.inverse(&place, &start, &now).unwrap();
+        let (reached, _) = arm.forward(&found, &now).unwrap();
+        assert!((reached - place).norm() < 1e-9, "{k}");
+        for i in 0..5 {
+            assert!(
+                limits.low[i] <= found[i] && found[i] <= limits.high[i],
+                "{k} {i}"
+            );
+        }
+    }
+    assert!(
+        arm.inverse(&Vector3::new(5000.0, 0.0, 0.0), &start, &now)
+            .is_err()
+    );
+}

@@ -1,0 +1,306 @@
+//! The serial arm from Python: `SerialModel`, `SerialCalibrated`.
+
+use crate::arrays::{Marked, Rows, fixed, marked, rows, shaped};
+use crate::errors::{shape, to_python};
+use crate::robot::{
+    Block, Derivatives, Problem, Single, WithDerivative, check_free, first, model_class, table,
+    vector,
+};
+use crate::solver::Solver;
+use nalgebra::{Matrix3, SVector, Vector3};
+use numpy::{
+    PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use sherkit_core::chain::effects::Wanted;
+use sherkit_core::chain::{Covariates, Robot};
+use sherkit_core::numbers::rigid::Rigid;
+use sherkit_core::serial::{
+    self, CATALOGUE, Calibrated as Core, JOINTS, Joint, Limits, Model, PARAMETERS,
+};
+
+/// Numbers of a rigid transform: its turn row by row, then its shift.
+const RIGID: usize = 12;
+/// Numbers of a joint: its frame, whether it slides, home, mass and its centre.
+const NUMBERS: usize = RIGID + 6;
+
+fn rigid(numbers: &[f64]) -> Rigid {
+    Rigid {
+        rotation: Matrix3::from_row_slice(&numbers[..9]),
+        translation: Vector3::from_column_slice(&numbers[9..RIGID]),
+    }
+}
+
+fn joint(numbers: &[f64; NUMBERS]) -> Joint {
+    Joint {
+        fixed: rigid(numbers),
+        prismatic: numbers[RIGID] != 0.0,
+        home: numbers[RIGID + 1],
+        mass_kg: numbers[RIGID + 2],
+        centre_mm: Vector3::from_column_slice(&numbers[RIGID + 3..]),
+    }
+}
+
+/// A nominal serial arm whose errors and effects are to be identified. Readings are x, y, z of its target, mm, in the
+/// frame of the tracker.
+#[pyclass(frozen, module = "sherkit._core")]
+pub struct SerialModel(Model);
+
+model_class!(SerialModel, Model, serial, {
+    /// `joints` `(k, 18)`: of each its frame behind the one before it (turn row by row, shift in mm), 1 where it slides,
+    /// home reading, mass and the centre of it (mm); `tool` (mm); `tracker` `(12,)`: from base to tracker; `settings`:
+    /// direction of the weight (3), period of the encoders, time origin, slip times of target and tracker (s).
+    #[new]
+    fn new(
+        joints: PyReadonlyArray2<'_, f64>,
+        tool: PyReadonlyArray1<'_, f64>,
+        tracker: PyReadonlyArray1<'_, f64>,
+        settings: PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<Self> {
+        let found = rows::<NUMBERS, _>("joints", &joints)?;
+        if found.is_empty() || found.len() > JOINTS {
+            return Err(shape(
+                "joints",
+                &format!("(1 to {JOINTS}, {NUMBERS})"),
+                joints.shape(),
+            ));
+        }
+        let mut all = [Joint::NONE; JOINTS];
+        for (one, numbers) in all.iter_mut().zip(found) {
+            *one = joint(numbers);
+        }
+        let [
+            gx,
+            gy,
+            gz,
+            encoder_period,
+            time_origin_s,
+            slip_time_s,
+            tracker_slip_time_s,
+        ] = fixed::<7, _>("settings", &settings)?;
+        let model = Model {
+            joints: all,
+            count: found.len(),
+            tool_mm: Vector3::from(fixed("tool", &tool)?),
+            tracker: rigid(&fixed::<RIGID, _>("tracker", &tracker)?),
+            gravity: Vector3::new(gx, gy, gz),
+            encoder_period,
+            time_origin_s,
+            slip_time_s,
+            tracker_slip_time_s,
+        };
+        model.check().map_err(to_python)?;
+        Ok(Self(model))
+    }
+});
+
+/// A calibrated arm: where its target is in the base frame, and joints that bring it somewhere.
+#[pyclass(frozen, module = "sherkit._core")]
+pub struct SerialCalibrated {
+    core: Core,
+    home: SVector<f64, JOINTS>,
+}
+
+impl SerialCalibrated {
+    /// What a control loop knows besides the joints: time s, temperature °C, a direction for each joint.
+    fn now(&self, numbers: &[f64]) -> PyResult<Covariates<JOINTS>> {
+        let k = self.core.joints();
+        if numbers.len() != 2 + k {
+            return Err(shape(
+                "covariates",
+                &format!("({},)", 2 + k),
+                &[numbers.len()],
+            ));
+        }
+        Ok(Covariates {
+            time_s: numbers[0],
+            temperature_c: numbers[1],
+            direction: first(&numbers[2..], k),
+            velocity: [0.0; JOINTS],
+        })
+    }
+
+    fn many(&self, name: &str, joints: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; JOINTS]>> {
+        let k = self.core.joints();
+        let n = joints.shape()[0];
+        let numbers = table(name, joints, n, k)?;
+        Ok(numbers.chunks_exact(k).map(|one| first(one, k)).collect())
+    }
+
+    fn one(
+        &self,
+        name: &str,
+        joints: &PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<SVector<f64, JOINTS>> {
+        let k = self.core.joints();
+        match joints.as_slice() {
+            Ok(numbers) if numbers.len() == k => Ok(SVector::from(first::<JOINTS>(numbers, k))),
+            _ => Err(shape(name, &format!("({k},), contiguous"), joints.shape())),
+        }
+    }
+}
+
+#[pymethods]
+impl SerialCalibrated {
+    /// `low` and `high` are the limits of the joints `(k,)`.
+    #[new]
+    fn new(
+        model: PyRef<'_, SerialModel>,
+        values: PyReadonlyArray1<'_, f64>,
+        low: PyReadonlyArray1<'_, f64>,
+        high: PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<Self> {
+        let values = fixed("values", &values)?;
+        let k = model.0.count;
+        let numbers = |name: &str, array: &PyReadonlyArray1<'_, f64>| match array.as_slice() {
+            Ok(numbers) if numbers.len() == k => Ok(first(numbers, k)),
+            _ => Err(shape(name, &format!("({k},), contiguous"), array.shape())),
+        };
+        let limits = Limits {
+            low: numbers("low", &low)?,
+            high: numbers("high", &high)?,
+        };
+        Ok(Self {
+            core: Core::new(&model.0, &values, &limits).map_err(to_python)?,
+            home: SVector::from(model.0.joints.map(|joint| joint.home)),
+        })
+    }
+
+    /// Where its target is at joint readings `(3,)`, and the derivative by them `(3, k)`.
+    fn forward<'py>(
+        &self,
+        py: Python<'py>,
+        joints: PyReadonlyArray1<'_, f64>,
+        covariates: Vec<f64>,
+    ) -> PyResult<Single<'py>> {
+        let (q, now) = (self.one("joints", &joints)?, self.now(&covariates)?);
+        let (x, by_joints) = self.core.forward(&q, &now).map_err(to_python)?;
+        let k = self.core.joints();
+        let mut numbers = Rows::new(1, 3, k);
+        numbers.put(0, &by_joints);
+        Ok((
+            PyArray1::from_slice(py, x.as_slice()),
+            shaped(py, numbers.numbers(), [3, k])?,
+        ))
+    }
+
+    /// The same for many joint readings, and which could be computed; the others are NaN.
+    fn forward_batch<'py>(
+        &self,
+        py: Python<'py>,
+        joints: PyReadonlyArray2<'_, f64>,
+        covariates: Vec<f64>,
+    ) -> PyResult<WithDerivative<'py>> {
+        let (q, now) = (self.many("joints", &joints)?, self.now(&covariates)?);
+        let (mut places, mut by_joints) = (
+            Rows::new(q.len(), 3, 1),
+            Rows::new(q.len(), 3, self.core.joints()),
+        );
+        let mut reached = vec![false; q.len()];
+        py.detach(|| {
+            for (i, q) in q.iter().enumerate() {
+                if let Ok((x, j)) = self.core.forward(&SVector::from(*q), &now) {
+                    places.put(i, &x);
+                    by_joints.put(i, &j);
+                    reached[i] = true;
+                }
+            }
+        });
+        Ok((
+            places.vectors(py)?,
+            by_joints.matrices(py)?,
+            PyArray1::from_vec(py, reached),
+        ))
+    }
+
+    /// The turn of the frame behind the last joint at joint readings `(3, 3)`.
+    fn flange<'py>(
+        &self,
+        py: Python<'py>,
+        joints: PyReadonlyArray1<'_, f64>,
+        covariates: Vec<f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let (q, now) = (self.one("joints", &joints)?, self.now(&covariates)?);
+        let turn = self.core.flange(&q, &now).map_err(to_python)?;
+        shaped(py, turn.transpose().as_slice().to_vec(), [3, 3])
+    }
+
+    /// Derivatives of the place by the parameters whose indices are given `(n, 3, free)`, and which could be computed.
+    fn by_parameters_batch<'py>(
+        &self,
+        py: Python<'py>,
+        joints: PyReadonlyArray2<'_, f64>,
+        covariates: Vec<f64>,
+        free: Vec<usize>,
+    ) -> PyResult<(Bound<'py, PyArray3<f64>>, Bound<'py, PyArray1<bool>>)> {
+        check_free::<PARAMETERS>(&free)?;
+        let (q, now) = (self.many("joints", &joints)?, self.now(&covariates)?);
+        let wanted = Wanted::of(CATALOGUE, &free);
+        let mut out = Rows::new(q.len(), 3, free.len());
+        let mut reached = vec![false; q.len()];
+        py.detach(|| {
+            for (i, q) in q.iter().enumerate() {
+                if let Ok(found) = self.core.predict(&SVector::from(*q), &now, wanted) {
+                    out.put_columns(i, &found.by_parameters, &free);
+                    reached[i] = true;
+                }
+            }
+        });
+        Ok((out.matrices(py)?, PyArray1::from_vec(py, reached)))
+    }
+
+    /// Joint readings `(k,)` at which its target is at `place` `(3,)`, found from those of `start` `(k,)`, or from home.
+    #[pyo3(signature = (place, covariates, start=None))]
+    fn inverse<'py>(
+        &self,
+        py: Python<'py>,
+        place: PyReadonlyArray1<'_, f64>,
+        covariates: Vec<f64>,
+        start: Option<PyReadonlyArray1<'_, f64>>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let (x, now) = (vector("place", &place)?, self.now(&covariates)?);
+        let start = match &start {
+            Some(start) => self.one("start", start)?,
+            None => self.home,
+        };
+        let found = self.core.inverse(&x, &start, &now).map_err(to_python)?;
+        Ok(PyArray1::from_slice(
+            py,
+            &found.as_slice()[..self.core.joints()],
+        ))
+    }
+
+    /// The same for many places `(n, 3)`, each from a start of its own `(n, k)`, and which are in reach; the others are
+    /// NaN.
+    #[pyo3(signature = (places, covariates, starts=None))]
+    fn inverse_batch<'py>(
+        &self,
+        py: Python<'py>,
+        places: PyReadonlyArray2<'_, f64>,
+        covariates: Vec<f64>,
+        starts: Option<PyReadonlyArray2<'_, f64>>,
+    ) -> PyResult<Marked<'py, PyArray2<f64>>> {
+        let places = rows::<3, _>("places", &places)?.to_vec();
+        let (n, k) = (places.len(), self.core.joints());
+        let starts = match &starts {
+            Some(starts) => self.many("starts", starts)?,
+            None => vec![self.home.into(); n],
+        };
+        if starts.len() != n {
+            return Err(shape("starts", &format!("({n}, {k})"), &[starts.len(), k]));
+        }
+        let now = self.now(&covariates)?;
+        let mut out = vec![f64::NAN; n * k];
+        let mut reached = vec![false; n];
+        py.detach(|| {
+            for (i, (place, start)) in places.iter().zip(&starts).enumerate() {
+                let (place, start) = (Vector3::from(*place), SVector::from(*start));
+                if let Ok(found) = self.core.inverse(&place, &start, &now) {
+                    out[k * i..k * (i + 1)].copy_from_slice(&found.as_slice()[..k]);
+                    reached[i] = true;
+                }
+            }
+        });
+        marked(py, out, reached, k)
+    }
+}
