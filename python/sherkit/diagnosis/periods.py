@@ -16,7 +16,7 @@ import scipy
 from ..names import listed
 from ..types import Floats, Ints
 from .stage import Candidate, Stage
-from .waves import OVERSAMPLING, TURN, frequencies, rings, waves_of
+from .waves import OVERSAMPLING, TURN, frequencies, rings
 
 #: Change of χ² from which on a period counts as better than another, besides what choosing among all brings by
 #: chance: beyond it the odds are "very strong" (Kass and Raftery, "Bayes factors", JASA 1995).
@@ -92,14 +92,13 @@ def period_of(stage: Stage, tried: Sequence[Candidate], *, aliases: bool = False
     waves = [c for c in tried if c.setting is not None]
     if not waves:
         return None
-    of_scan = stage.plain.gains()[0][stage.n_shapes :]
     place = {id(c): k for k, c in enumerate(stage.candidates)}
-    gains = np.array([of_scan[place[id(c)]] for c in waves])
+    gains = np.array([stage.gains[place[id(c)]] for c in waves])
     at = np.array([1.0 / (c.setting or np.inf) for c in waves])
     profile = _Profile(stage)
     top = int(np.argmax(gains))
     best, most = profile.peak(at[top])
-    noise = (stage.plain.sum_of_squares - most) / max(stage.plain.free - waves_of(stage.view, best).shape[2], 1)
+    noise = (stage.scan.sum_of_squares - most) / max(stage.scan.free - 2 * len(stage.view.inputs), 1)
     clearly = (2.0 * np.log(len(at)) + _CLEARLY) * noise
     had = next(period for effect, period in stage.view.periodic if effect is waves[top].effect)
     usual = 0.5 * TURN if had is None and profile.whole else had
@@ -141,14 +140,8 @@ class _Profile:
 
     def taken(self, frequency: float) -> float:
         """Sum of squares that it takes."""
-        stage = self.stage
-        columns = stage.filtered(waves_of(stage.view, frequency))[stage.scan.order]
-        flat = columns.reshape(stage.scan.n * stage.scan.m, -1)
-        for basis in (stage.scan.basis, stage.plain.added):
-            flat = flat - basis @ (basis.T @ flat)
-        along = flat.T @ stage.plain.residual
-        solved = np.linalg.lstsq(flat.T @ flat, along, rcond=1e-8)[0]
-        return float(along @ solved)
+        gram, along = self.stage.scan.along_waves(frequency)
+        return float(along @ np.linalg.lstsq(gram, along, rcond=1e-8)[0])
 
     def peak(self, near: float) -> tuple[float, float]:
         """The frequency at which it takes most, and how much, about one of the grid."""
