@@ -337,7 +337,7 @@ def test_waves_that_are_never_written_out_are_those_that_are(rho: float, ring: b
     # at each frequency the sine and the cosine of the first input, then of the second
     every = [tuple(range(4 * f, 4 * f + 4)) for f in range(len(waves.at))]
     sets = [of for f in every for of in (f, f[:2], f[2:])]
-    known = [numbers for numbers, _ in waves.on_all_inputs()]
+    known = [numbers for numbers, _ in waves.on_all_inputs]
     alike = [of for f in known for of in (f, f[:2], f[2:])]
     # along a coordinate, on each axis and on all of them
     family = build(view, waves)
@@ -353,7 +353,7 @@ def test_waves_that_are_never_written_out_are_those_that_are(rho: float, ring: b
     )
     never = Scan(
         Written(view.residual, fitted, np.zeros((N, 0)), np.zeros((N, M, 0)), filtered),
-        [Columns(waves=s, exact=True) for s in alike] + [Columns(along=one.along) for one in shapes],
+        [Columns(waves=s, exact=True) for s in alike] + [one.columns for one in shapes],
         view.group,
         waves.filtered(filtered),
         AxisWaves(family.along, M, filtered),
@@ -369,8 +369,8 @@ def test_waves_that_are_never_written_out_are_those_that_are(rho: float, ring: b
 
 
 def test_sums_over_a_grid_are_those_over_the_rows() -> None:
-    """Catches a kernel or its transform that is off, cells counted from elsewhere, and a phase of the wrong sign: twelve
-    digits of the sum of all weights."""
+    """Catches a kernel or its transform that is off, cells counted from elsewhere, and a phase of the wrong sign, to
+    twelve digits of the sum of all weights."""
     rng = np.random.default_rng(6)
     at, weights = rng.uniform(3.0, 47.0, 500), rng.normal(size=(500, 3))
     sums = Gridded(3.0, 47.0, 1 / 88.0, 300, 3, 3.5)

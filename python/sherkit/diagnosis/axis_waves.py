@@ -26,7 +26,7 @@ class Along:
     @property
     def at(self) -> Floats:
         """Frequencies (F,)."""
-        return self.unit * self.turns
+        return np.asarray(self.unit * self.turns, dtype=np.float64)
 
     @property
     def low(self) -> float:

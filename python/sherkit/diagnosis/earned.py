@@ -83,7 +83,7 @@ def earned(
     except SherkitError:
         return Earned(effect.name, np.inf, 0.0, 1.0 / FLIPS, 1.0)
     with_it, of_more = _squares(more, fold)
-    without, of_plain = _squares(plain, fold)
+    without, _ = _squares(plain, fold)
     chosen = np.ones(fold.shape, dtype=bool)
     if rivals or periods:
         others = [(rival, place) for rival, place in plain.effects if rival.name != effect.name]
@@ -112,7 +112,7 @@ def earned(
 def flipped(gain: Floats, group: Ints, seed: int) -> float:
     """One-sided p of a positive sum of paired gains (n,), by flipping signs of whole groups (n,)."""
     pose = np.unique(group, return_inverse=True)[1].ravel()
-    sums = np.bincount(codes_of(int(pose.max()) + 1, seed)[pose], gain, FLIPS)
+    sums = np.bincount(codes_of(int(pose.max()) + 1, seed)[pose], gain, FLIPS).astype(np.float64)
     total = float(sums.sum())
     return float((1 + (walsh_hadamard(sums)[1:] >= total).sum()) / FLIPS)
 

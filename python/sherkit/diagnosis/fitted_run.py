@@ -139,8 +139,8 @@ class FittedRun:
         return out, tuple(name for name in place if name in out)
 
     def linearised(self, rows: Ints, effects: Sequence[Effect], sigma: Floats) -> Linearised:
-        """These rows, in this order, over the noise ``sigma`` (m,) of the axes: residuals, and what gives derivatives by
-        what is fitted, by every effect that can be tried, and by the inputs. What was asked for last is remembered."""
+        """These rows, in this order, over the noise ``sigma`` (m,) of the axes: residuals, and what gives derivatives
+        by what is fitted, by every effect that can be tried, and by the inputs. The last are remembered."""
         last, effects = self._last, tuple(effects)
         if last and np.array_equal(last[0], rows) and last[1] == effects and np.array_equal(last[2], sigma):
             return last[3]
@@ -197,14 +197,20 @@ class _OverNoise:
 
     def fitted(self, rows: slice) -> tuple[Floats, Floats | None]:
         found = self.own(rows)
-        inputs = None if found.inputs is None else found.inputs[:, self.axes] / self.over
-        return found.parameters[:, self.axes] / self.over, inputs
+        return self._put([found.parameters]), None if found.inputs is None else self._put([found.inputs])
 
     def effects(self, rows: slice) -> Floats:
         found = self.every(rows)
-        # a view where all columns are looked at
-        axes = slice(None) if self.axes == list(range(found.parameters.shape[1])) else self.axes
-        of = [found.effects[k][1][:, axes] for k in self.order]
-        out: Floats = np.concatenate([np.zeros((len(found.parameters), len(self.axes), 0)), *of], axis=2)
-        out /= self.over
+        # where there is none, as many rows without columns
+        return self._put([found.parameters[:, :, :0], *(found.effects[k][1] for k in self.order)])
+
+    def _put(self, parts: Sequence[Floats]) -> Floats:
+        """Columns beside one another, over the noise."""
+        axes = self.axes
+        # neighbours are looked at where they stand
+        looked = slice(axes[0], axes[-1] + 1) if axes[-1] - axes[0] + 1 == len(axes) else axes
+        ends = np.cumsum([0, *(part.shape[2] for part in parts)]).tolist()
+        out = np.empty((len(parts[0]), len(axes), ends[-1]))
+        for part, (first, end) in zip(parts, pairwise(ends), strict=True):
+            np.divide(part[:, looked], self.over, out=out[:, :, first:end])
         return out

@@ -15,8 +15,8 @@ from .linearised import blocks
 class Folds:
     """Columns, brought to unit length, against a residual, summed over the rows of each fold of each deal.
 
-    All deals stand one after another: ``grams`` (f, k, k), ``right`` (f, k) products with the residual, ``squares`` (f,)
-    of the residual and ``counts`` (f,) of numbers in it. ``place`` (deals, n) is where the fold of a row stands,
+    All deals stand one after another: ``grams`` (f, k, k), ``right`` (f, k) products with the residual, ``squares``
+    (f,) of the residual and ``counts`` (f,) of numbers in it. ``place`` (deals, n) is where the fold of a row stands,
     ``length`` (k,) what the columns were divided by.
     """
 
@@ -52,7 +52,9 @@ class Folds:
         length = np.where(length > 0, length, 1.0)
         right = grams[:, :-1, -1] / length
         counts = m * np.bincount(place.ravel(), minlength=len(grams))
-        return cls(grams[:, :-1, :-1] / np.multiply.outer(length, length), right, grams[:, -1, -1], counts, place, length)
+        return cls(
+            grams[:, :-1, :-1] / np.multiply.outer(length, length), right, grams[:, -1, -1], counts, place, length
+        )
 
     def __len__(self) -> int:
         return len(self.grams)
@@ -60,9 +62,7 @@ class Folds:
     def some(self, which: Sequence[int]) -> Folds:
         """With these of the columns only."""
         w = list(which)
-        return Folds(
-            self.grams[:, w][:, :, w], self.right[:, w], self.squares, self.counts, self.place, self.length[w]
-        )
+        return Folds(self.grams[:, w][:, :, w], self.right[:, w], self.squares, self.counts, self.place, self.length[w])
 
     def _outside(self, inside: Floats | Ints) -> Floats:
         """Of something summed over each fold, what is outside it, within its deal."""
@@ -88,8 +88,8 @@ class Folds:
         return self.squares - 2.0 * (x * self.right).sum(axis=1) + np.einsum("fk,fkl,fl->f", x, self.grams, x)
 
     def errors(self, columns: Floats, residual: Floats, rows: slice) -> Floats:
-        """Errors (deals, b, m) of a stretch of rows, each under the fit to the rows outside its fold. ``columns`` (b, m,
-        k) and ``residual`` (b, m) are as given to :meth:`of`."""
+        """Errors (deals, b, m) of a stretch of rows, each under the fit to the rows outside its fold. ``columns``
+        (b, m, k) and ``residual`` (b, m) are as given to :meth:`of`."""
         predicted = columns @ (self.solutions / self.length).T
         out = [np.take_along_axis(predicted, of[rows][:, None, None], axis=2)[:, :, 0] for of in self.place]
         return residual - np.stack(out)

@@ -100,4 +100,6 @@ class Gridded:
     def _as_of_rows(self, of_cells: Any, waves_per_cell: Floats) -> Complexes:
         """Without the kernel, whose middle lies some cells on, and counted from the origin."""
         off = np.atleast_1d((self.low - self.origin) / self.step - (_HALF - 1))
-        return of_cells * (np.exp(2j * np.pi * np.multiply.outer(waves_per_cell, off)) / _transform(waves_per_cell)[:, None])
+        return of_cells * (
+            np.exp(2j * np.pi * np.multiply.outer(waves_per_cell, off)) / _transform(waves_per_cell)[:, None]
+        )

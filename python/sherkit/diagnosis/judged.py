@@ -46,8 +46,8 @@ class Judged:
 
     ``e`` (n, m) are residuals, over noise that is ``declared`` or not; an item is what is judged as one: the readings
     of a pose that agree, or a row that stands apart from them. What is fitted is taken for the same in all rows of an
-    item: ``basis`` (items · m, k) is orthonormal where each item weighs as much as it has rows. The rows of a ``stretch`` (n,) are items of their own,
-    which are never believed but share one error.
+    item: ``basis`` (items · m, k) is orthonormal where each item weighs as much as it has rows. The rows of a
+    ``stretch`` (n,) are items of their own, which are never believed but share one error.
     """
 
     def __init__(self, view: Linearised, *, declared: bool, stretch: Bools | None = None) -> None:
@@ -110,9 +110,9 @@ class Judged:
         spread = np.maximum(MAD * np.median(np.abs(left), axis=0), self.floor)
         tame = np.clip(left / spread, -CUT, CUT)
         sums = np.concatenate([np.zeros((1, m)), np.cumsum(tame, axis=0)])
-        first, last, grid = 0, 0, np.arange(0, n + 1, max(n // _CUTS, 1))
-        starts, ends = grid[1:], grid[1:]
-        for _ in range(2):
+        first, last, apart = 0, 0, max(n // _CUTS, 1)
+        starts = ends = np.arange(apart, n + 1, apart)
+        while True:
             a, b = (v.ravel() for v in np.meshgrid(starts, ends, indexing="ij"))
             keep = (b - a >= _FEWEST_OF_A_STRETCH) & (b - a <= _MOST_BUMPED * n) & (a > 0) & (b < n)
             if not keep.any():
@@ -120,7 +120,10 @@ class Judged:
             a, b = a[keep], b[keep]
             best = int(np.argmax(((sums[b] - sums[a]) ** 2).sum(axis=1) / ((b - a) * (1.0 - (b - a) / n))))
             first, last = int(a[best]), int(b[best])
-            starts, ends = (np.arange(v - grid[1], v + grid[1] + 1) for v in (first, last))
+            if apart == 1:
+                break
+            near, apart = apart, max(apart // _CUTS, 1)
+            starts, ends = (np.arange(v - near, v + near + 1, apart) for v in (first, last))
         stretch = np.zeros(n, dtype=bool)
         stretch[first:last] = True
         if np.linalg.norm(tame[stretch].mean(axis=0)) < 0.5 * CUT:
@@ -236,8 +239,8 @@ class Judged:
         """What each column takes (k,) of residuals (b, m) where they are seen, beyond the basis; nothing where it lies
         within it; and how many do not."""
         seen = self._basis_seen
-        new = self._up(self.basis[:, seen.shape[1] :].reshape(len(self.count), tame.shape[1], -1))[self._seen]
-        new = new.reshape(tame.size, -1)
+        of_items = self.basis[:, seen.shape[1] :].reshape(len(self.count), tame.shape[1], -1)
+        new = self._up(of_items, self._seen).reshape(tame.size, -1)
         if new.shape[1]:
             # once more, since of a new column little may be left
             for _ in range(2):
@@ -309,9 +312,10 @@ class Judged:
         """Values of rows (n, …) as the basis has items (items, …)."""
         return self.mean(values) * np.sqrt(self.count).reshape((-1,) + (1,) * (values.ndim - 1))
 
-    def _up(self, values: Floats) -> Floats:
-        """Values of items, as the basis has them (items, …), in their rows (n, …)."""
-        return (values / np.sqrt(self.count).reshape((-1,) + (1,) * (values.ndim - 1)))[self.item]
+    def _up(self, values: Floats, rows: Ints | slice = slice(None)) -> Floats:
+        """Values of items, as the basis has them (items, …), in some rows (b, …)."""
+        item = self.item[rows]
+        return values[item] / np.sqrt(self.count[item]).reshape((-1,) + (1,) * (values.ndim - 1))
 
     def _taken(self, values: Floats) -> Floats:
         """What the basis takes of values (n, m)."""

@@ -11,14 +11,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, wraps
 from itertools import pairwise
-
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from ..model.effect import Effect
 from ..types import Floats, Ints
-
 
 T = TypeVar("T")
 

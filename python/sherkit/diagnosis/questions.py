@@ -33,7 +33,7 @@ from .propositions import claims_of, implausible
 from .search import SearchResult, is_plausible
 from .setting import periods_shown
 from .shapes import Shape
-from .stage import Candidate, Stage, columns_of, stage_of
+from .stage import Candidate, Stage, stage_of
 from .where import neighbour_correlation, where
 
 LEVEL = 0.01
@@ -286,7 +286,7 @@ def _axes_of(stage: Stage, shape: Shape) -> list[str]:
     """Axes on which a shape takes more than noise would."""
     scan = stage.scan
     image = scan.image([])
-    first = len(scan.numbers(columns_of(shape)))
+    first = len(scan.numbers(shape.columns))
     fitted, columns = image.model[:, : scan.fitted], image.model[:, scan.fitted : scan.fitted + first]
     basis = orthonormal(fitted)
     x = np.linalg.lstsq(columns - basis @ (basis.T @ columns), image.residual, rcond=1e-9)[0]

@@ -269,11 +269,12 @@ class Scan:
     def _drawn(self, seed: int) -> Floats:
         sums, of_model = self._by_code(seed)
         signed = of_model.copy()
-        one, ones = np.arange(len(signed)), np.ones(len(signed), dtype=np.int64)
-        whole = np.array([len(signed)]), np.array([len(signed)]), np.zeros(1, dtype=np.int64)
-        lost = largest_under_flips(signed, one, np.eye(len(signed)).ravel(), *whole, 1)[0]
-        ranks = np.unique(np.concatenate([left for _, left in self._roots.values()] or [ones[:0]]))
-        columns, roots, sizes, own, of = [], [], [], [], []
+        size, each = np.array([len(signed)]), np.arange(len(signed))
+        lost = largest_under_flips(
+            signed, each, np.eye(len(signed)).ravel(), size, size, np.zeros(1, dtype=np.int64), 1
+        )[0]
+        ranks = np.unique(np.concatenate([left for _, left in self._roots.values()] or [each[:0]]))
+        columns, roots, sizes, own = [], [], [], []
         for k, (_, numbers) in self._sizes.items():
             root, left = self._roots[k]
             for rank in np.unique(left[left > 0]).tolist():
@@ -283,11 +284,14 @@ class Scan:
                 roots.append(root[some, k - rank :].ravel())
                 sizes.append(np.full(some.sum(), k))
                 own.append(np.full(some.sum(), rank))
-                of.append(np.full(some.sum(), np.searchsorted(ranks, rank)))
         if not columns:
             return np.full(FLIPS, -np.inf)
+        rank_of = np.concatenate(own)
         # of as many directions the largest gain has the largest deviate
-        most = largest_under_flips(sums, *(np.concatenate(v) for v in (columns, roots, sizes, own, of)), len(ranks))
+        most = largest_under_flips(
+            sums, np.concatenate(columns), np.concatenate(roots), np.concatenate(sizes), rank_of,
+            np.searchsorted(ranks, rank_of), len(ranks),
+        )  # fmt: skip
         return deviate(most, ranks[:, None], self.sum_of_squares - lost, self.free).max(axis=0, initial=-np.inf)
 
     def _by_code(self, seed: int) -> tuple[Floats, Floats]:
@@ -361,7 +365,7 @@ class Triangle:
         """More rows (b, m, k)."""
         flat = columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
         stacked = np.concatenate([self.of, flat]) if len(self.of) else flat
-        self.of = np.linalg.qr(stacked, mode="r") if stacked.shape[1] else np.zeros((0, 0))
+        self.of = np.asarray(np.linalg.qr(stacked, mode="r")) if stacked.shape[1] else np.zeros((0, 0))
 
     def root(self, tolerance: float = 1e-7) -> Floats:
         """What makes the columns orthonormal (k, rank)."""

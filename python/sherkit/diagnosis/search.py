@@ -24,7 +24,7 @@ from .fitted_run import FittedRun
 from .periods import period_of
 from .scan import FLIPS, Block, Scan
 from .shapes import Shape, wave
-from .stage import Candidate, Stage, columns_of, stage_of
+from .stage import Candidate, Stage, stage_of
 from .waves import OVERSAMPLING, Waves
 
 #: Plausible sizes up to which a parameter is plausible, and those from which on it is absurd and nothing is believed.
@@ -170,8 +170,8 @@ class Search:
         shape = self.best_shape(stage)
         if shape is None:
             return None
-        given = stage.scan.given(columns_of(shape))
-        of_shape = schwarz(given, len(stage.scan.numbers(columns_of(shape))))
+        given = stage.scan.given(shape.columns)
+        of_shape = schwarz(given, len(stage.scan.numbers(shape.columns)))
         image = stage.among(members := list({id(c): c for e in explanations for c in e.candidates}.values()))
         places = [[members.index(c) for c in e.candidates] for e in explanations]
         of_pair = min(

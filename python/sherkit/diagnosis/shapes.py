@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from .._core import play
 from ..types import Floats, Ints
 from .axis_waves import Along
 from .linearised import Linearised, last_asked
+from .scan import Columns
 from .waves import OVERSAMPLING, TURN, Waves
 
 _ORDERS = 3
@@ -45,6 +47,11 @@ class Shape:
     waves: tuple[int, ...] = ()
     along: tuple[int, ...] = ()
 
+    @cached_property
+    def columns(self) -> Columns:
+        """Its columns for a scan."""
+        return Columns(self.functions, self.axis, self.dense, self.waves, self.along)
+
 
 #: Values (b,) of a function in a stretch of rows.
 Function = Callable[[slice], Floats]
@@ -53,8 +60,8 @@ Function = Callable[[slice], Floats]
 @dataclass(frozen=True, eq=False)
 class Family:
     """Shapes, and what gives their columns in any stretch of rows: ``functions``, used on single axes, with the mean
-    and the length that are taken out of each; ``dense``, the input whose pattern they follow with each, whose numbers go
-    on from those of the effects; ``along`` waves on single axes."""
+    and the length that are taken out of each; ``dense``, with the input whose pattern each follows, whose numbers go on
+    from those of the effects; ``along`` waves on single axes."""
 
     view: Linearised
     shapes: tuple[Shape, ...]
@@ -146,19 +153,15 @@ def build(
     if waves is not None:
         for name in poses:
             if name in waves.names:
-                first, count = waves.numbers(name, 0)[0], len(waves.at)
-                b.shapes += [
-                    Shape((name,), "periodic", period=period, pattern=view.pattern_of[name], waves=(k, k + count))
-                    for k, period in enumerate((1.0 / waves.at).tolist(), first)
-                ]
+                b.shapes += _of_input(waves, name, view.pattern_of[name])
             elif name in view.inputs:
                 if len(waves.turns):
                     b.waves_on_axes(name, waves.unit, waves.turns)
             else:
                 b.waves_on_axes(name, 1.0 / (OVERSAMPLING * float(np.ptp(view.variables[name]))), _COARSE)
-    for name, period in periods:
+    for name, at in periods:
         if name in unit:
-            _wave(b, name, period)
+            _wave(b, name, at)
     for k, first in enumerate(poses):
         for second in poses[k + 1 :]:
             if (first in view.pattern_of) == (second in view.pattern_of):
@@ -179,6 +182,17 @@ def build(
     return Family(view, tuple(b.shapes), tuple(b.functions), tuple(b.dense), tuple(b.along))
 
 
+def _of_input(waves: Waves, name: str, pattern: str) -> list[Shape]:
+    """A shape for each frequency of an input, made once for all fits to the same rows."""
+    if name not in waves.shapes:
+        first, count = waves.numbers(name, 0)[0], len(waves.at)
+        waves.shapes[name] = [
+            Shape((name,), "periodic", period=period, pattern=pattern, waves=(k, k + count))
+            for k, period in enumerate((1.0 / waves.at).tolist(), first)
+        ]
+    return waves.shapes[name]
+
+
 def _itself(t: Floats) -> Function:
     return lambda rows: t[rows]
 
@@ -188,8 +202,12 @@ def _product(t: Floats, u: Floats) -> Function:
 
 
 def _legendre(t: Floats, order: int) -> Function:
-    values = np.polynomial.legendre.legval(t, [0.0] * order + [1.0])
-    return _itself(values)
+    """Legendre's polynomial of order 1 to 3."""
+    return (
+        _itself(t),
+        lambda rows: 1.5 * t[rows] ** 2 - 0.5,
+        lambda rows: (2.5 * t[rows] ** 2 - 1.5) * t[rows],
+    )[order - 1]
 
 
 #: Frequencies of a coordinate: from two waves over its range on.

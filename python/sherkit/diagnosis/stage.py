@@ -133,11 +133,6 @@ class Stage:
         return self.scan.among([c.columns for c in candidates])
 
 
-def columns_of(shape: Shape) -> Columns:
-    """A shape's columns for the scan."""
-    return Columns(shape.functions, shape.axis, shape.dense, shape.waves, shape.along)
-
-
 def stage_of(
     run: FittedRun,
     effects: Sequence[Effect],
@@ -198,17 +193,17 @@ def stage_of(
         candidates += [
             Candidate(effect, Columns(waves=numbers, exact=True), period)
             for effect, _ in view.periodic
-            for numbers, period in waves.on_all_inputs()
+            for numbers, period in waves.on_all_inputs
         ]
     accepted = tuple(_again(n, family.shapes) for n in nuisance)
     written = Written(view, family, tuple(more), filtered)
     scan = Scan(
         written,
-        [columns_of(s) for s in family.shapes] + [c.columns for c in candidates],
+        [s.columns for s in family.shapes] + [c.columns for c in candidates],
         view.group,
         waves.filtered(filtered) if waves is not None else None,
         AxisWaves(family.along, view.axes, filtered) if family.along else None,
-        [columns_of(s) for s in accepted],
+        [s.columns for s in accepted],
     )
     return Stage(
         run=run,

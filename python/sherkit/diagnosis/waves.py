@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -89,6 +90,8 @@ class Waves:
         self.values = [view.inputs[name] for name in self.names]
         self.low = [float(v.min()) for v in self.values]
         self.high = [float(v.max()) for v in self.values]
+        #: What is made of the waves of an input once.
+        self.shapes: dict[str, list[Any]] = {}
 
     def __len__(self) -> int:
         return 2 * len(self.names) * len(self.at)
@@ -98,6 +101,7 @@ class Waves:
         first = 2 * self.names.index(name) * len(self.at) + f
         return first, first + len(self.at)
 
+    @cached_property
     def on_all_inputs(self) -> list[tuple[tuple[int, ...], float]]:
         """The columns of all inputs at a frequency, and its period."""
         count = len(self.at)
@@ -163,13 +167,13 @@ class FilteredWaves:
         pairs, apart, together = self._pairs
         minus, plus = evaluated(apart), evaluated(together)
         count = len(self.waves.names)
-        out = np.zeros((len(minus), count, 2, count, 2))
+        made = np.zeros((len(minus), count, 2, count, 2))
         i, j = np.array(pairs).T
-        out[:, i, 0, j, 0] = 0.5 * (minus.real - plus.real)
-        out[:, i, 0, j, 1] = 0.5 * (plus.imag + minus.imag)
-        out[:, i, 1, j, 0] = 0.5 * (plus.imag - minus.imag)
-        out[:, i, 1, j, 1] = 0.5 * (minus.real + plus.real)
-        out = out.reshape(len(minus), 2 * count, 2 * count)
+        made[:, i, 0, j, 0] = 0.5 * (minus.real - plus.real)
+        made[:, i, 0, j, 1] = 0.5 * (plus.imag + minus.imag)
+        made[:, i, 1, j, 0] = 0.5 * (plus.imag - minus.imag)
+        made[:, i, 1, j, 1] = 0.5 * (minus.real + plus.real)
+        out = made.reshape(len(minus), 2 * count, 2 * count)
         # a pair that was not looked at is the other way round one that was
         return 0.5 * (out + out.transpose(0, 2, 1))
 
@@ -185,7 +189,9 @@ class FilteredWaves:
                 minus = Gridded(low.min() - high.max(), high.max() - low.min(), waves.unit, highest, 1, low[i] - low[j])
                 plus = Gridded(2 * low.min(), 2 * high.max(), waves.unit, highest, 1, low[i] + low[j])
 
-                def add(one: Floats, other: Floats, weight: Floats, to: tuple[Gridded, Gridded] = (minus, plus)) -> None:
+                def add(
+                    one: Floats, other: Floats, weight: Floats, to: tuple[Gridded, Gridded] = (minus, plus)
+                ) -> None:
                     to[0].add(one - other, weight[:, None])
                     to[1].add(one + other, weight[:, None])
 
