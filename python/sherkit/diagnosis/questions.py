@@ -43,6 +43,8 @@ _DEALS = 5
 #: Numbers up to which a single effect is taken by its name without asking what an unknown would look like.
 _FEW = 6
 _SMALLEST_P = 1e-300
+#: Part of a column's square below which what is left of it is rounding.
+_ROUNDING = 1e-14
 #: Level at which an axis takes part in a signature.
 _AXIS_LEVEL = 1e-3
 
@@ -240,7 +242,10 @@ def _parameters(base: Stage, candidate: Candidate, run: FittedRun | None) -> tup
         return run.fit.values[place], run.fit.std_from_readings[place], is_plausible(run, effect)
     columns = base.scan.of(candidate.columns)
     gram = columns.left
-    length = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    # of a column that the fit holds rounding is left: whatever that says of its size, the deviation is larger
+    squares = np.maximum(np.diag(gram), np.maximum(_ROUNDING * np.diag(columns.whole), 1e-300))
+    np.fill_diagonal(gram, squares)
+    length = np.sqrt(squares)
     value, vector = np.linalg.eigh(gram / np.outer(length, length))
     keep = value > 1e-10
     inverse = (vector[:, keep] / value[keep]) @ vector[:, keep].T / np.outer(length, length)

@@ -12,6 +12,11 @@ const LANES: usize = 8;
 /// numbers for each row, `cells` for each cell; rows beyond the cells are left out. The Fourier transform of the cells is
 /// that of the rows, but for the kernel's own (Barnett et al., "A parallel nonuniform fast Fourier transform library
 /// based on an exponential of semicircle kernel", SIAM J. Sci. Comput. 2019).
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "what is no cell is beyond them, or the first"
+)]
 pub fn spread(at: &[f64], weights: &[f64], k: usize, kernel: &[[f64; WIDTH]], cells: &mut [f64]) {
     if k == 0 {
         return;
