@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
 from sherkit.diagnosis import play_operator
+from sherkit.diagnosis.axis_waves import AxisWaves
+from sherkit.diagnosis.gridded import Gridded
 from sherkit.diagnosis.linearised import Linearised, Whitening, correlation_in_time, orthonormal, whiten
-from sherkit.diagnosis.scan import Columns, Scan, codes_of, deviate
-from sherkit.diagnosis.shapes import build
+from sherkit.diagnosis.scan import Block, Columns, Scan, codes_of, deviate
+from sherkit.diagnosis.shapes import build, wave
 from sherkit.diagnosis.waves import Waves, waves_of
 from sherkit.model.effect import Effect
 
@@ -27,6 +31,38 @@ CANDIDATES = (
 )
 
 
+@dataclass(frozen=True)
+class Written:
+    """Rows of a scan whose columns are all at hand, looked at in two stretches."""
+
+    residual: Floats
+    fitted: Floats
+    functions: Floats
+    dense: Floats
+    filtered: Whitening = field(default_factory=lambda: Whitening(0.0, np.ones(N, dtype=np.int64)))
+
+    @property
+    def blocks(self) -> list[slice]:
+        return [slice(0, 23), slice(23, N)]
+
+    def block(self, rows: slice) -> Block:
+        parts = (self.residual, self.fitted, self.functions, self.dense)
+        return Block(*(self.filtered.on(lambda some, one=one: one[some], rows) for one in parts))
+
+
+@dataclass(frozen=True)
+class Given:
+    """Derivatives that are all at hand, none by what is fitted or by effects."""
+
+    inputs: Floats
+
+    def fitted(self, rows: slice) -> tuple[Floats, Floats | None]:
+        return self.effects(rows), self.inputs[rows]
+
+    def effects(self, rows: slice) -> Floats:
+        return np.zeros((*self.inputs[rows].shape[:2], 0))
+
+
 def problem(seed: int = 0) -> tuple[Scan, dict[str, Floats]]:
     """A scan of random columns, poses of three rows each scattered over the run, and what it was made of."""
     rng = np.random.default_rng(seed)
@@ -39,10 +75,8 @@ def problem(seed: int = 0) -> tuple[Scan, dict[str, Floats]]:
     }
     # a fitted parameter that repeats another must not break anything
     parts["fitted"][:, :, 4] = parts["fitted"][:, :, 0] - 2 * parts["fitted"][:, :, 1]
-    scan = Scan(
-        parts["residual"], parts["fitted"], parts["functions"], parts["dense"], CANDIDATES, parts["group"]
-    )  # fmt: skip
-    return scan, parts
+    rows = Written(parts["residual"], parts["fitted"], parts["functions"], parts["dense"])
+    return Scan(rows, CANDIDATES, parts["group"]), parts
 
 
 def columns_of(candidate: Columns, parts: dict[str, Floats]) -> Floats:
@@ -78,13 +112,14 @@ def test_deviates_are_those_of_least_squares(added: tuple[int, ...]) -> None:
     scan, parts = problem()
     extra = [columns_of(CANDIDATES[i], parts) for i in added]
     model = np.concatenate([parts["fitted"].reshape(N * M, P), *extra], axis=1)
-    taken = [scan.take(CANDIDATES[i]) for i in added]
-    given = scan.condition(np.concatenate([np.zeros((N * M, 0)), *taken], axis=1))
+    given = scan.given(*(CANDIDATES[i] for i in added))
     residual = parts["residual"].ravel()
+    few = scan.among([CANDIDATES[i] for i in added])
+    assert few.left(*range(len(added))) == pytest.approx(given.sum_of_squares, rel=1e-10)
     assert given.sum_of_squares == pytest.approx(float((left(residual, model) ** 2).sum()), rel=1e-10)
     assert given.free == N * M - np.linalg.matrix_rank(model)
-    deviates = given.deviates()
-    gains, ranks = given.gains()
+    deviates = given.deviates
+    gains, ranks = given.gains
     for i, candidate in enumerate(CANDIDATES):
         columns = columns_of(candidate, parts)
         if np.linalg.matrix_rank(np.concatenate([model, columns], axis=1)) == np.linalg.matrix_rank(model):
@@ -122,7 +157,7 @@ def test_flips_are_flips_of_whole_poses_fitted_again() -> None:
     """
     scan, parts = problem(3)
     extra = columns_of(CANDIDATES[0], parts)
-    given = scan.condition(scan.take(CANDIDATES[0]))
+    given = scan.given(CANDIDATES[0])
     model = np.concatenate([parts["fitted"].reshape(N * M, P), extra], axis=1)
     residual = left(parts["residual"].ravel(), model).reshape(N, M)
     poses = np.unique(parts["group"])
@@ -152,11 +187,11 @@ def test_nothing_left_scores_minus_infinity() -> None:
     dense = np.concatenate([dense, near[:, :, None], np.zeros((N, M, 1))], axis=2)
     candidates = [Columns(dense=(0,), exact=True), Columns(dense=(0, 1)), Columns(dense=(2,)), Columns(dense=(3,)),
                   Columns(dense=(3,), exact=True), Columns(dense=(4,)), Columns(functions=(0,))]  # fmt: skip
-    scan = Scan(rng.normal(size=(N, M)), fitted, functions, dense, candidates, np.arange(N))
-    deviates = scan.condition(np.zeros((N * M, 0))).deviates()
+    scan = Scan(Written(rng.normal(size=(N, M)), fitted, functions, dense), candidates, np.arange(N))
+    deviates = scan.deviates
     # a part of 1e-3 left is too little for a shape and enough for an effect, whose derivative is exact
     assert (deviates == -np.inf).tolist() == [True, True, False, True, False, True, False]
-    gone = scan.condition(scan.take(candidates[2])).deviates()
+    gone = scan.given(candidates[2]).deviates
     assert gone[2] == -np.inf
 
 
@@ -171,11 +206,9 @@ def test_p_values_of_noise_are_uniform() -> None:
         group = np.repeat(np.arange(N // 3), 3)
         common = rng.standard_t(3, size=(N // 3, M))[group]
         noise = (rng.normal(size=(N, M)) + common) * [1.0, 5.0, 0.3] * rng.choice([0.5, 3.0], N // 3)[group, None]
-        scan = Scan(noise, rng.normal(size=(N, M, P)), rng.normal(size=(N, F)), rng.normal(size=(N, M, D)),
-                    CANDIDATES, group)  # fmt: skip
-        given = scan.condition(np.zeros((N * M, 0)))
-        largest = float(given.deviates().max())
-        below += given.p_value(largest, seed=seed) <= 0.05
+        rows = Written(noise, rng.normal(size=(N, M, P)), rng.normal(size=(N, F)), rng.normal(size=(N, M, D)))
+        scan = Scan(rows, CANDIDATES, group)
+        below += scan.p_value(float(scan.deviates.max()), seed=seed) <= 0.05
     assert stats.binom.ppf(5e-4, 300, 0.05) <= below <= stats.binom.isf(5e-4, 300, 0.05)
 
 
@@ -256,10 +289,9 @@ def test_shapes_follow_from_the_variables_alone() -> None:
     q = {f"q{k}_mm": rng.uniform(0, 40, n) for k in (1, 2, 3)}
     view = Linearised(
         residual=rng.normal(size=(n, 3)),
-        fitted=rng.normal(size=(n, 3, 2)),
         variables={**q, "x_mm": rng.uniform(-20, 20, n), "time_s": time, "lamp": np.full(n, 3.0)},
-        patterns={name: rng.normal(size=(n, 3)) for name in q},
         group=np.arange(n),
+        derivatives=Given(rng.normal(size=(n, 3, 3))),
         pattern_of={name: name for name in q},
         inputs=q,
         time=time,
@@ -268,9 +300,13 @@ def test_shapes_follow_from_the_variables_alone() -> None:
     kinds = {s.shape for s in family.shapes}
     assert kinds == {"smooth", "periodic", "interaction", "hysteretic", "step"}
     assert not any("lamp" in s.depends_on for s in family.shapes)
-    np.testing.assert_allclose(np.linalg.norm(family.functions, axis=0), 1.0, atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(family.dense.reshape(3 * n, -1), axis=0), 1.0, atol=1e-12)
-    np.testing.assert_allclose(family.functions.mean(axis=0), 0.0, atol=1e-12)
+    functions, dense = family.functions_in(view.whole), family.dense_in(view.whole)
+    np.testing.assert_allclose(np.linalg.norm(functions, axis=0), 1.0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(dense.reshape(3 * n, -1), axis=0), 1.0, atol=1e-12)
+    np.testing.assert_allclose(functions.mean(axis=0), 0.0, atol=1e-12)
+    some = slice(60, 110)
+    np.testing.assert_array_equal(family.functions_in(some), functions[some])
+    np.testing.assert_array_equal(family.dense_in(some), dense[some])
     assert {s.depends_on for s in family.shapes if s.shape == "step"} == {("time_s",)}
     assert {s.pattern for s in family.shapes if s.shape == "hysteretic" and s.pattern} == set(q)
 
@@ -279,34 +315,68 @@ def test_shapes_follow_from_the_variables_alone() -> None:
 @pytest.mark.parametrize("ring", [False, True])
 def test_waves_that_are_never_written_out_are_those_that_are(rho: float, ring: bool) -> None:
     """Catches products, Gram matrices, sums over poses and flips of waves that differ from those of full columns, also
-    under the filter in time, across gaps, with poses scattered over the run, and with a sign or a number mistaken."""
+    under the filter in time, across gaps, with poses scattered over the run, and with a sign or a number mistaken; of
+    waves along the inputs and of those on single axes."""
     rng = np.random.default_rng(5)
     q = {f"q{k}": rng.uniform(0, 2.5, N) for k in (1, 2)}
     turning = Effect("ring", "joints", (), search="period_rad")
     view = Linearised(
         residual=rng.normal(size=(N, M)),
-        fitted=rng.normal(size=(N, M, P)),
-        variables=q,
-        patterns={name: rng.normal(size=(N, M)) for name in q},
+        variables=q | {"x_mm": rng.uniform(-20, 20, N)},
         group=rng.permutation(np.repeat(np.arange(N // 3), 3)),
+        derivatives=Given(rng.normal(size=(N, M, 2))),
         pattern_of={name: name for name in q},
+        place=("x_mm",),
         inputs=q,
         periodic=((turning, None),) if ring else (),
     )
+    fitted = rng.normal(size=(N, M, P))
     filtered = Whitening(rho, rng.integers(1, 4, N))
     waves = Waves(view)
     dense = np.concatenate([waves_of(view, f) for f in waves.at], axis=2)
     # at each frequency the sine and the cosine of the first input, then of the second
     every = [tuple(range(4 * f, 4 * f + 4)) for f in range(len(waves.at))]
     sets = [of for f in every for of in (f, f[:2], f[2:])]
-    known = [numbers for numbers, _ in waves.on_all_inputs()]
+    known = [numbers for numbers, _ in waves.on_all_inputs]
     alike = [of for f in known for of in (f, f[:2], f[2:])]
-    common = filtered(view.residual), filtered(view.fitted), np.zeros((N, 0))
-    written = Scan(*common, filtered(dense), [Columns(dense=s, exact=True) for s in sets], view.group)
-    numbers = [Columns(waves=s, exact=True) for s in alike]
-    never = Scan(*common, np.zeros((N, M, 0)), numbers, view.group, waves.filtered(filtered))
-    added = written.take(written.candidates[4])
-    np.testing.assert_allclose(never.take(never.candidates[4]), added, atol=1e-12)
-    one, other = written.condition(added), never.condition(added)
-    np.testing.assert_allclose(other.deviates(), one.deviates(), rtol=1e-7, atol=1e-7)
-    np.testing.assert_allclose(other.null(3), one.null(3), rtol=1e-7, atol=1e-7)
+    # along a coordinate, on each axis and on all of them
+    family = build(view, waves)
+    shapes = [one for one in family.shapes if one.along]
+    x = view.variables["x_mm"]
+    functions = np.stack([w - w.mean() for one in shapes[:: M + 1] for w in wave(x, one.period)], axis=1)
+    pairs = [(2 * k, 2 * k + 1) for k in range(len(shapes) // (M + 1))]
+    on_axes = [Columns(functions=pair, axis=axis) for pair in pairs for axis in (*range(M), None)]
+    written = Scan(
+        Written(view.residual, fitted, functions, dense, filtered),
+        [Columns(dense=s, exact=True) for s in sets] + on_axes,
+        view.group,
+    )
+    never = Scan(
+        Written(view.residual, fitted, np.zeros((N, 0)), np.zeros((N, M, 0)), filtered),
+        [Columns(waves=s, exact=True) for s in alike] + [one.columns for one in shapes],
+        view.group,
+        waves.filtered(filtered),
+        AxisWaves(family.along, M, filtered),
+    )
+    np.testing.assert_allclose(never.deviates, written.deviates, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(never.null(3), written.null(3), rtol=1e-7, atol=1e-7)
+    for k in (4, len(sets) + 1):
+        one, other = (scan.given(scan.candidates[k]) for scan in (written, never))
+        np.testing.assert_allclose(other.deviates, one.deviates, rtol=1e-7, atol=1e-7)
+    gram, along, _ = never.along_waves(waves.at[3])
+    taken = float(along @ np.linalg.lstsq(gram, along, rcond=1e-8)[0])
+    assert taken == pytest.approx(written.gains[0][9], rel=1e-8)
+
+
+def test_sums_over_a_grid_are_those_over_the_rows() -> None:
+    """Catches a kernel or its transform that is off, cells counted from elsewhere, and a phase of the wrong sign, to
+    twelve digits of the sum of all weights."""
+    rng = np.random.default_rng(6)
+    at, weights = rng.uniform(3.0, 47.0, 500), rng.normal(size=(500, 3))
+    sums = Gridded(3.0, 47.0, 1 / 88.0, 300, 3, 3.5)
+    sums.add(at[:200], weights[:200])
+    sums.add(at[200:], weights[200:])
+    for turns in (1, 37, 300):
+        expected = np.exp(2j * np.pi * turns / 88.0 * (at - 3.5)) @ weights
+        np.testing.assert_allclose(sums.multiples(np.array([turns]))[0], expected, atol=1e-12 * np.abs(weights).sum())
+        np.testing.assert_allclose(sums.at(turns / 88.0), expected, atol=1e-12 * np.abs(weights).sum())

@@ -42,11 +42,15 @@ __all__ = [
     "bernstein_fit",
     "bernstein_fit_grid",
     "largest_under_flips",
+    "play",
     "register_points",
     "spherical_camera_placement",
+    "spread_rows",
     "tool_fit_beam",
     "tool_fit_gain",
     "tool_fit_slope",
+    "walsh_hadamard",
+    "wave_sums",
 ]
 
 __version__: str
@@ -625,10 +629,35 @@ def spherical_camera_placement(
     half_angle_rad, coverage (share of the region), seen_mm2, waste_mm2, benefit_mm2.
     """
 
-def largest_under_flips(rows: _Floats, ends: _Ints, class_of: _Ints, classes: int, codes: _Ints, flips: int) -> _Floats:
+def largest_under_flips(
+    sums: _Floats, columns: _Ints, roots: _Floats, sizes: _Ints, ranks: _Ints, class_of: _Ints, classes: int
+) -> _Floats:
     """Largest sum of squares (classes, flips) of candidates under every pattern of signs of a group.
 
-    ``rows`` (R, g) are what each of g poses adds to a direction; candidate c owns those up to ``ends[c]`` and is of
-    class ``class_of[c]``. Pattern t gives pose p the sign of the parity of ``codes[p] & t``; ``flips`` is a power of
-    two. Raises ValueError for numbers outside these ranges.
+    ``sums`` (K, flips), which are used up, are what the poses of each code add to each column; pattern t gives those of
+    code h the sign of the parity of ``h & t``; ``flips`` is a power of two. Candidate c is of class ``class_of[c]`` and
+    has ``ranks[c]`` directions, each of them so much of its ``sizes[c]`` columns as the next numbers of ``roots`` say;
+    ``columns`` names these, candidate by candidate. Raises ValueError for numbers outside these ranges.
+    """
+
+def play(motion: _Floats, width: float) -> _Floats:
+    """What follows ``motion`` (n,) with a dead zone of ``width``."""
+
+def spread_rows(places: _Floats, weights: _Floats, kernel: _Floats, cells: _Floats) -> None:
+    """Adds to ``cells`` (c, k) the ``weights`` (n, k) of rows at ``places`` (n,), counted in cells, times a kernel.
+
+    ``kernel`` (powers, 14) is a polynomial, highest power first, of where in its cell a row is (-1 to 1), for each of
+    the cells from there on. Raises ShapeError.
+    """
+
+def walsh_hadamard(values: _Floats) -> _Floats:
+    """Sums of ``values`` (n,), a power of two, under every pattern of signs: number t has each of them, by its place h,
+    with the sign of the parity of ``h & t``. Raises ValueError for another length.
+    """
+
+def wave_sums(angles: _Floats, weights: _Floats, codes: _Ints, taken: _Ints, sums: _Floats) -> None:
+    """Adds to ``sums`` (2 t, codes) the ``weights`` (n,) of the rows of each code times the sine of those multiples of
+    their ``angles`` (n,) that are ``taken`` (t,), and then the cosines. ``codes`` (n,) must not fall.
+
+    Raises ShapeError, and ValueError for codes or multiples outside these ranges.
     """

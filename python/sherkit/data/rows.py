@@ -271,7 +271,9 @@ class Measurements:
         return f"{self.source}: {self.counted}{'s' if len(lines) > 1 else ''} {listed(lines)}"
 
     def select(self, rows: NDArray[Any]) -> Measurements:
-        """The rows of a mask or of indices, in that order."""
+        """The rows of a mask or of indices, in that order; all of them as they stand are this run itself."""
+        if len(rows) == len(self) and (rows.all() if rows.dtype == bool else (rows == np.arange(len(self))).all()):
+            return self
 
         def pick(value: Any) -> Any:
             return None if value is None else value[rows]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..data.noise import MAD
@@ -65,18 +67,19 @@ def _robust_step(residual: Floats, columns: Floats) -> Floats:
     e = residual / spread
     a = (columns / spread[:, None]).reshape(e.size, -1)
     scale = np.maximum(np.linalg.norm(a, axis=0), 1e-300)
-    left = huber(e, orthonormal(a))
+    q = orthonormal(a)
+    left = huber(e, lambda tame: (q @ (q.T @ tame.reshape(-1))).reshape(e.shape))
     return np.linalg.lstsq(a / scale, (e - left).reshape(-1), rcond=1e-9)[0] / scale
 
 
-def huber(e: Floats, q: Floats) -> Floats:
-    """What a fit of orthonormal columns (n·m, k) leaves of residuals (n, m) when wild ones are cut to size."""
+def huber(e: Floats, fitted: Callable[[Floats], Floats]) -> Floats:
+    """What a fit leaves of residuals (n, m) when wild ones are cut to size; ``fitted`` is what it takes of any."""
     left = e
     before = np.inf
     for _ in range(5 * ROUNDS):
         limit = CUT * MAD * np.median(np.abs(left), axis=0)
         tame = e - left + np.clip(left, -limit, limit)
-        left = e - (q @ (q.T @ tame.reshape(-1))).reshape(e.shape)
+        left = e - fitted(tame)
         now = float(limit.sum())
         if abs(before - now) <= 1e-3 * now:
             break

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from ..types import Floats, Ints
-from .folds import Folds, solved, unit_length
-from .scan import Columns
+from .folds import Folds
 from .stage import Stage
 
 
@@ -25,39 +25,23 @@ def held_out(stage: Stage, block: Ints) -> list[HeldOutError]:
 
     ``block`` (n,) is the fold of each row.
     """
-    view = stage.view
-    added = [_unwhitened(stage, candidate.columns) for candidate in stage.candidates]
-    # in the unit of the readings, so that axes count by their error
-    columns = unit_length(np.concatenate([view.fitted, *added], axis=2) * stage.sigma[None, :, None])
-    folds = Folds.of(columns, view.residual * stage.sigma, np.unique(block, return_inverse=True)[1].ravel())
-    fitted = list(range(view.fitted.shape[2]))
-    out, first = [], len(fitted)
-    for one in added:
-        out.append(_error(folds, fitted + list(range(first, first + one.shape[2])), stage.run.per_unit))
-        first += one.shape[2]
-    return out
+    view, sigma = stage.view, stage.sigma[None, :, None]
+
+    def columns(rows: slice) -> Floats:
+        parts = [view.fitted(rows), *(stage.raw(c.columns, rows) for c in stage.candidates)]
+        # in the unit of the readings, so that axes count by their error
+        return np.concatenate(parts, axis=2) * sigma
+
+    folds = Folds.of(columns, view.residual * stage.sigma, np.unique(block, return_inverse=True)[1].reshape(1, -1))
+    counts = [len(stage.scan.numbers(c.columns)) for c in stage.candidates]
+    ends = np.cumsum([stage.scan.fitted, *counts]).tolist()
+    fitted = range(stage.scan.fitted)
+    return [_error(folds.some([*fitted, *range(a, b)]), stage.run.per_unit) for a, b in pairwise(ends)]
 
 
-def _unwhitened(stage: Stage, columns: Columns) -> Floats:
-    """A candidate's columns before the filter in time."""
-    n, m = stage.view.residual.shape
-    if columns.functions:
-        out = np.zeros((n, m, m * len(columns.functions)))
-        for a in range(m):
-            for j, k in enumerate(columns.functions):
-                out[:, a, a * len(columns.functions) + j] = stage.family.functions[:, k]
-        return out
-    return stage.columns[:, :, list(columns.dense)]
-
-
-def _error(folds: Folds, columns: list[int], unit: float) -> HeldOutError:
-    """What blocks left out in turn show of a fit with these of the columns."""
-    squares, index = np.empty(len(folds)), np.ix_(columns, columns)
-    for k in range(len(folds)):
-        gram, right, _, _ = folds.outside(k)
-        x = solved(gram[index], right[columns])
-        squares[k] = folds.squares[k] - 2 * x @ folds.right[k, columns] + x @ folds.grams[k][index] @ x
-    count = int(folds.counts.sum())
+def _error(folds: Folds, unit: float) -> HeldOutError:
+    """What blocks left out in turn show."""
+    squares, count = folds.held_out, int(folds.counts.sum())
     rms = float(np.sqrt(max(float(squares.sum()), 0.0) / count))
     apart = squares - rms**2 * folds.counts
     variance = float((apart**2).sum()) * len(folds) / max(len(folds) - 1, 1) / count**2

@@ -18,17 +18,19 @@ from itertools import pairwise
 
 import numpy as np
 
+from .._core import walsh_hadamard
 from ..errors import SherkitError
 from ..model.effect import Effect
 from ..types import Floats, Ints
 from .fitted_run import FittedRun
-from .folds import Folds, root_of, solved, unit_length
+from .folds import Folds, roots_of
+from .linearised import Linearised
+from .scan import FLIPS, codes_of
 from .stage import testable
 from .waves import waves_of
 
 #: Level of the test on rows held out.
 LEVEL = 0.01
-_FLIPS = 1999
 #: Rivals that are fitted in full.
 _REFITTED = 2
 #: Part of a column's squared length that the fit must leave of it.
@@ -50,14 +52,6 @@ class Earned:
     def holds(self) -> bool:
         """Whether the effect lowers the error on rows held out, and not by chance."""
         return self.with_it < self.without and self.p <= LEVEL
-
-
-@dataclass(frozen=True)
-class _View:
-    """A fit to first order: residuals (n, m) and columns (n, m, k) over the noise, and the same over one unit."""
-
-    residual: Floats
-    columns: Floats
 
 
 def earned(
@@ -87,25 +81,24 @@ def earned(
         more = full.linearised(rows, (), scale)
         plain = less.linearised(rows, tuple(rivals or ()), scale)
     except SherkitError:
-        return Earned(effect.name, np.inf, 0.0, 1.0 / (_FLIPS + 1), 1.0)
-    with_it = _held_out(_View(more.residual, more.fitted), fold)
-    without = _held_out(_View(plain.residual, plain.fitted), fold)
+        return Earned(effect.name, np.inf, 0.0, 1.0 / FLIPS, 1.0)
+    with_it, of_more = _squares(more, fold)
+    without, _ = _squares(plain, fold)
     chosen = np.ones(fold.shape, dtype=bool)
     if rivals or periods:
-        others = [(rival, columns) for rival, columns in plain.effects if rival.name != effect.name]
-        waves = [waves_of(plain, 1.0 / period) for period in periods]
-        linear = _scores_of_sets(_View(plain.residual, plain.fitted), [*(by for _, by in others), *waves], fold)
-        exact = [_scores(_View(more.residual, more.fitted), fold)]
+        others = [(rival, place) for rival, place in plain.effects if rival.name != effect.name]
+        linear = _scores_beside(plain, [place for _, place in others], periods, fold)
+        exact = [_scores(of_more)]
         # what comes nearest to first order is fitted in full: far from zero its derivatives there do not tell
-        for k in np.argsort(linear[: len(others)].mean(axis=(1, 2)))[:_REFITTED]:
+        for k in np.argsort(linear[: len(others)].mean(axis=1))[:_REFITTED]:
             try:
                 view = less.refit([(others[int(k)][0], None)]).linearised(rows, (), scale)
             except SherkitError:
                 continue
-            exact.append(_scores(_View(view.residual, view.fitted), fold))
+            exact.append(_scores(_folds(view, fold)))
         best = np.concatenate([np.stack(exact), linear]).min(axis=0)
-        chosen = np.take_along_axis(exact[0] <= best, fold, axis=1)
-    gain = ((without**2).sum(axis=2) - (with_it**2).sum(axis=2)) * chosen
+        chosen = (exact[0] <= best)[of_more.place]
+    gain = (without.sum(axis=2) - with_it.sum(axis=2)) * chosen
     p = flipped(gain.mean(axis=0), more.group, seed)
     return Earned(
         effect.name,
@@ -118,9 +111,10 @@ def earned(
 
 def flipped(gain: Floats, group: Ints, seed: int) -> float:
     """One-sided p of a positive sum of paired gains (n,), by flipping signs of whole groups (n,)."""
-    per_pose = np.bincount(np.unique(group, return_inverse=True)[1], gain)
-    signs = np.random.default_rng(seed).integers(0, 2, (_FLIPS, len(per_pose))) * 2.0 - 1.0
-    return float((1 + (signs @ per_pose >= per_pose.sum()).sum()) / (_FLIPS + 1))
+    pose = np.unique(group, return_inverse=True)[1].ravel()
+    sums = np.bincount(codes_of(int(pose.max()) + 1, seed)[pose], gain, FLIPS).astype(np.float64)
+    total = float(sums.sum())
+    return float((1 + (walsh_hadamard(sums)[1:] >= total).sum()) / FLIPS)
 
 
 def held_out_rms(run: FittedRun, sigma: Floats, deals: Sequence[Ints]) -> float:
@@ -128,55 +122,63 @@ def held_out_rms(run: FittedRun, sigma: Floats, deals: Sequence[Ints]) -> float:
     rows = testable(run, np.flatnonzero(run.whole))
     scale = sigma[list(run.axes)]
     view = run.linearised(rows, (), scale)
-    fold = np.stack([deal[rows] for deal in deals])
-    return _rms(_held_out(_View(view.residual, view.fitted), fold), scale) * run.per_unit
+    squares, _ = _squares(view, np.stack([deal[rows] for deal in deals]))
+    return _rms(squares, scale) * run.per_unit
 
 
-def _rms(values: Floats, scale: Floats) -> float:
-    return float(np.sqrt(np.mean((values * scale) ** 2)))
+def _rms(squares: Floats, scale: Floats) -> float:
+    return float(np.sqrt(np.mean(squares * scale**2)))
 
 
-def _held_out(view: _View, fold: Ints) -> Floats:
-    """Errors (deals, n, m) of rows that were held out in turn."""
-    n, m = view.residual.shape
-    columns = unit_length(view.columns)
-    out = np.empty((len(fold), n, m))
-    for deal, of in enumerate(fold):
-        folds = Folds.of(columns, view.residual, of)
-        for k in np.unique(of):
-            gram, right, _, _ = folds.outside(k)
-            inside = of == k
-            out[deal, inside] = view.residual[inside] - columns[inside] @ solved(gram, right)
-    return out
+def _folds(view: Linearised, fold: Ints) -> Folds:
+    return Folds.of(lambda rows: view.fitted(rows), view.residual, fold)
 
 
-def _scores(view: _View, fold: Ints) -> Floats:
-    """Schwarz's criterion (deals, folds) of a fit to the rows outside each fold."""
-    return _scores_of_sets(view, [np.zeros((*view.residual.shape, 0))], fold)[0]
+def _squares(view: Linearised, fold: Ints) -> tuple[Floats, Folds]:
+    """Squared errors (deals, n, m) of rows that were held out in turn, and the folds."""
+    folds = _folds(view, fold)
+    parts = [folds.errors(view.fitted(rows), view.residual[rows], rows) for rows in view.blocks]
+    return np.concatenate(parts, axis=1) ** 2, folds
 
 
-def _scores_of_sets(view: _View, sets: Sequence[Floats], fold: Ints) -> Floats:
-    """Schwarz's criterion (sets, deals, folds) of the fit with each set of columns (n, m, k) beside its own."""
-    first = view.columns.shape[2]
-    columns = np.concatenate([unit_length(view.columns), *(unit_length(one) for one in sets)], axis=2)
-    ends = np.cumsum([0, *(one.shape[2] for one in sets)])
-    out = np.empty((len(sets), len(fold), int(fold.max()) + 1))
-    for deal, of in enumerate(fold):
-        folds = Folds.of(columns, view.residual, of)
-        for k in range(len(folds)):
-            gram, b, total, count = folds.outside(k)
-            base = root_of(gram[:first, :first])
-            fitted = base.T @ b[:first]
-            total -= float(fitted @ fitted)
-            cross = base.T @ gram[:first, first:]
-            gram, b = gram[first:, first:] - cross.T @ cross, b[first:] - cross.T @ fitted
-            for j, (low, high) in enumerate(pairwise(ends)):
-                root = root_of(gram[low:high, low:high], _LEFT)
-                taken = root.T @ b[low:high]
-                rank = base.shape[1] + root.shape[1]
-                out[j, deal, k] = _schwarz(total - float(taken @ taken), rank, count)
-    return out
+def _scores(folds: Folds) -> Floats:
+    """Schwarz's criterion (f,) of a fit to the rows outside each fold."""
+    gram, right, squares, count = folds.outside
+    root = roots_of(gram)
+    fitted = (root.transpose(0, 2, 1) @ right[:, :, None])[:, :, 0]
+    return _schwarz(squares - (fitted**2).sum(axis=1), _rank(root), count)
 
 
-def _schwarz(squares: float, rank: int, count: int) -> float:
-    return float(count * np.log(max(squares, 1e-300)) + rank * np.log(count))
+def _scores_beside(view: Linearised, effects: Sequence[slice], periods: Sequence[float], fold: Ints) -> Floats:
+    """Schwarz's criterion (sets, f) of the fit to the rows outside each fold with each effect, or waves of each period,
+    beside its own columns."""
+
+    def columns(rows: slice) -> Floats:
+        there = view.effects_in(rows)
+        parts = [there[:, :, place] for place in effects]
+        return np.concatenate([view.fitted(rows), *parts, *(waves_of(view, 1.0 / p, rows) for p in periods)], axis=2)
+
+    counts = [*(place.stop - place.start for place in effects), *(2 * len(view.inputs) for _ in periods)]
+    folds = Folds.of(columns, view.residual, fold)
+    gram, right, squares, count = folds.outside
+    first = gram.shape[1] - sum(counts)
+    base = roots_of(gram[:, :first, :first])
+    fitted = base.transpose(0, 2, 1) @ right[:, :first, None]
+    cross = base.transpose(0, 2, 1) @ gram[:, :first, first:]
+    left = gram[:, first:, first:] - cross.transpose(0, 2, 1) @ cross
+    along = right[:, first:] - (cross.transpose(0, 2, 1) @ fitted)[:, :, 0]
+    squares = squares - (fitted[:, :, 0] ** 2).sum(axis=1)
+    out = []
+    for low, high in pairwise(np.cumsum([0, *counts]).tolist()):
+        root = roots_of(left[:, low:high, low:high], _LEFT)
+        taken = (root.transpose(0, 2, 1) @ along[:, low:high, None])[:, :, 0]
+        out.append(_schwarz(squares - (taken**2).sum(axis=1), _rank(base) + _rank(root), count))
+    return np.array(out).reshape(-1, len(folds))
+
+
+def _rank(roots: Floats) -> Ints:
+    return (roots != 0.0).any(axis=1).sum(axis=1)
+
+
+def _schwarz(squares: Floats, rank: Ints, count: Floats) -> Floats:
+    return np.asarray(count * np.log(np.maximum(squares, 1e-300)) + rank * np.log(count))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -11,7 +13,7 @@ from ..data.noise import Noise, noise_of
 from ..errors import FitError
 from ..fit.hold_out import blocks_of
 from ..fit.identify import Fit, identify
-from ..model.base import ModelWithEffects
+from ..model.base import Derivatives, ModelWithEffects
 from ..model.effect import Effect
 from ..types import Bools, Floats, Ints
 from .linearised import Linearised
@@ -137,8 +139,8 @@ class FittedRun:
         return out, tuple(name for name in place if name in out)
 
     def linearised(self, rows: Ints, effects: Sequence[Effect], sigma: Floats) -> Linearised:
-        """These rows, in this order, over the noise ``sigma`` (m,) of the axes: residuals, and derivatives by what is
-        fitted, by every effect that can be tried, and by the inputs. What was asked for last is remembered."""
+        """These rows, in this order, over the noise ``sigma`` (m,) of the axes: residuals, and what gives derivatives
+        by what is fitted, by every effect that can be tried, and by the inputs. The last are remembered."""
         last, effects = self._last, tuple(effects)
         if last and np.array_equal(last[0], rows) and last[1] == effects and np.array_equal(last[2], sigma):
             return last[3]
@@ -148,33 +150,67 @@ class FittedRun:
         periodic = [(e, self.model.setting_of(e)) for e in tried if e.function is None and e.is_periodic]
         unknown = [e for e, period in periodic if period is None]
         asked = [e for e in tried if e not in unknown]
-        derivatives = self.model.linearised(part, self.fit.values, asked)
+        own = self.model.linearised_by_blocks(part, self.fit.values, ())
+        every = self.model.linearised_by_blocks(part, self.fit.values, asked)
+        first = every(slice(0, 1))
         variables, place = self.variables(rows)
-        patterns = {}
-        if derivatives.inputs is not None:
-            by_input = derivatives.inputs[:, axes] / over
-            patterns = {name: by_input[:, :, k] for k, name in enumerate(part.layout.joints)}
-        columns = [(effect, columns[:, axes] / over) for effect, columns in derivatives.effects]
+        # those that step at a searched time behind the others
+        order = sorted(range(len(first.effects)), key=lambda k: first.effects[k][0].search == "time_s")
+        counts = [first.effects[k][1].shape[2] for k in order]
+        ends = np.cumsum([0, *counts]).tolist()
+        columns = [(first.effects[k][0], slice(a, b)) for k, (a, b) in zip(order, pairwise(ends), strict=True)]
         # a step of a point whose coordinates are read is one of each reading alone
-        alone = [effect.link == "body" and derivatives.reads_point for effect, _ in columns]
+        alone = [effect.link == "body" and first.reads_point for effect, _ in columns]
+        known = first.inputs is not None
+        inputs = {name: np.ascontiguousarray(part.joints[:, k]) for k, name in enumerate(part.layout.joints)}
         out = Linearised(
             residual=(part.readings - self.fit.predicted[rows])[:, axes] / sigma,
-            fitted=derivatives.parameters[:, axes] / over,
             variables=variables,
-            patterns=patterns,
             group=part.groups,
-            pattern_of={name: name for name in patterns if name in variables},
+            derivatives=_OverNoise(own, every, axes, over, order),
+            pattern_of={name: name for name in inputs if name in variables} if known else {},
             place=place,
-            inputs={name: part.joints[:, k] for k, name in enumerate(part.layout.joints)},
+            inputs=inputs,
             time=part.time_s,
-            effects=tuple((effect, by) for effect, by in columns if effect.search != "time_s"),
+            effects=tuple((effect, at) for effect, at in columns if effect.search != "time_s"),
             in_time=tuple(
-                (effect, None if one else by)
-                for (effect, by), one in zip(columns, alone, strict=True)
+                (effect, None if one else at)
+                for (effect, at), one in zip(columns, alone, strict=True)
                 if effect.search == "time_s"
             ),
-            periodic=tuple(periodic) if patterns else (),
-            untestable=untestable | derivatives.refused,
+            periodic=tuple(periodic) if known else (),
+            untestable=untestable | first.refused,
         )
         self._last = rows, effects, sigma, out
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class _OverNoise:
+    """Derivatives of stretches of rows on some axes, over the noise ``over`` (m, 1); effects in this ``order``."""
+
+    own: Callable[[slice], Derivatives]
+    every: Callable[[slice], Derivatives]
+    axes: list[int]
+    over: Floats
+    order: list[int]
+
+    def fitted(self, rows: slice) -> tuple[Floats, Floats | None]:
+        found = self.own(rows)
+        return self._put([found.parameters]), None if found.inputs is None else self._put([found.inputs])
+
+    def effects(self, rows: slice) -> Floats:
+        found = self.every(rows)
+        # where there is none, as many rows without columns
+        return self._put([found.parameters[:, :, :0], *(found.effects[k][1] for k in self.order)])
+
+    def _put(self, parts: Sequence[Floats]) -> Floats:
+        """Columns beside one another, over the noise."""
+        axes = self.axes
+        # neighbours are looked at where they stand
+        looked = slice(axes[0], axes[-1] + 1) if axes[-1] - axes[0] + 1 == len(axes) else axes
+        ends = np.cumsum([0, *(part.shape[2] for part in parts)]).tolist()
+        out = np.empty((len(parts[0]), len(axes), ends[-1]))
+        for part, (first, end) in zip(parts, pairwise(ends), strict=True):
+            np.divide(part[:, looked], self.over, out=out[:, :, first:end])
         return out

@@ -2,65 +2,103 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..types import Floats, Ints
+from .linearised import blocks
 
 
 @dataclass(frozen=True, eq=False)
 class Folds:
-    """Columns (n, m, k) of unit length against a residual (n, m), summed over the rows of each fold.
+    """Columns, brought to unit length, against a residual, summed over the rows of each fold of each deal.
 
-    ``grams`` (f, k, k), ``right`` (f, k) products with the residual, ``squares`` (f,) of the residual and ``counts``
-    (f,) of numbers in it.
+    All deals stand one after another: ``grams`` (f, k, k), ``right`` (f, k) products with the residual, ``squares``
+    (f,) of the residual and ``counts`` (f,) of numbers in it. ``place`` (deals, n) is where the fold of a row stands,
+    ``length`` (k,) what the columns were divided by.
     """
 
     grams: Floats
     right: Floats
     squares: Floats
     counts: Ints
+    place: Ints
+    length: Floats
 
     @classmethod
-    def of(cls, columns: Floats, residual: Floats, fold: Ints) -> Folds:
-        """Over the rows of each ``fold`` (n,); ``columns`` are of :func:`unit_length`."""
-        count, k, m = int(fold.max()) + 1, columns.shape[2], residual.shape[1]
-        grams, right = np.zeros((count, k, k)), np.zeros((count, k))
-        for f in range(count):
-            part = columns[fold == f].reshape(-1, k)
-            grams[f], right[f] = part.T @ part, part.T @ residual[fold == f].reshape(-1)
-        squares = np.bincount(fold, (residual**2).sum(axis=1), count).astype(float)
-        return cls(grams, right, squares, m * np.bincount(fold, minlength=count))
+    def of(cls, columns: Callable[[slice], Floats], residual: Floats, fold: Ints) -> Folds:
+        """``columns`` gives those (b, m, k) of a stretch of rows; ``fold`` (deals, n) is the fold of each row."""
+        deals, (n, m) = len(fold), residual.shape
+        of_deal = int(fold.max()) + 1
+        place = fold + of_deal * np.arange(deals)[:, None]
+        # rows that are in the same fold in every deal are summed once
+        code = (of_deal ** np.arange(deals)) @ fold
+        _, first_of, cell = np.unique(code, return_index=True, return_inverse=True)
+        cells = place[:, first_of]
+        grams = right = np.zeros(0)
+        for rows in blocks(n):
+            order = np.argsort(cell[rows], kind="stable")
+            both = np.concatenate([columns(rows), residual[rows][:, :, None]], axis=2)[order]
+            if not len(grams):
+                count = both.shape[2]
+                grams = np.zeros((deals * of_deal, count, count))
+            here = cell[rows][order]
+            for part in np.split(np.arange(len(here)), np.flatnonzero(np.diff(here)) + 1):
+                flat = both[part[0] : part[-1] + 1].reshape(-1, both.shape[2])
+                grams[cells[:, here[part[0]]]] += flat.T @ flat
+        length = np.sqrt(np.diagonal(grams[:of_deal].sum(axis=0))[:-1])
+        length = np.where(length > 0, length, 1.0)
+        right = grams[:, :-1, -1] / length
+        counts = m * np.bincount(place.ravel(), minlength=len(grams))
+        return cls(
+            grams[:, :-1, :-1] / np.multiply.outer(length, length), right, grams[:, -1, -1], counts, place, length
+        )
 
     def __len__(self) -> int:
         return len(self.grams)
 
-    def outside(self, fold: int) -> tuple[Floats, Floats, float, int]:
-        """Gram matrix, right side, sum of squares and count of all rows outside a fold."""
-        return (
-            self.grams.sum(axis=0) - self.grams[fold],
-            self.right.sum(axis=0) - self.right[fold],
-            float(self.squares.sum() - self.squares[fold]),
-            int(self.counts.sum() - self.counts[fold]),
-        )
+    def some(self, which: Sequence[int]) -> Folds:
+        """With these of the columns only."""
+        w = list(which)
+        return Folds(self.grams[:, w][:, :, w], self.right[:, w], self.squares, self.counts, self.place, self.length[w])
+
+    def _outside(self, inside: Floats | Ints) -> Floats:
+        """Of something summed over each fold, what is outside it, within its deal."""
+        deals = inside.reshape(len(self.place), -1, *inside.shape[1:])
+        return (deals.sum(axis=1, keepdims=True) - deals).reshape(inside.shape)
+
+    @property
+    def outside(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Gram matrices, right sides, sums of squares and counts of all rows outside each fold."""
+        return tuple(self._outside(one) for one in (self.grams, self.right, self.squares, self.counts))  # type: ignore[return-value]
+
+    @property
+    def solutions(self) -> Floats:
+        """Least squares of the rows outside each fold (f, k), of columns of unit length."""
+        gram, right, _, _ = self.outside
+        root = roots_of(gram)
+        return (root @ (root.transpose(0, 2, 1) @ right[:, :, None]))[:, :, 0]
+
+    @property
+    def held_out(self) -> Floats:
+        """Sums of squared errors of the rows of each fold (f,) under the fit to the others."""
+        x = self.solutions
+        return self.squares - 2.0 * (x * self.right).sum(axis=1) + np.einsum("fk,fkl,fl->f", x, self.grams, x)
+
+    def errors(self, columns: Floats, residual: Floats, rows: slice) -> Floats:
+        """Errors (deals, b, m) of a stretch of rows, each under the fit to the rows outside its fold. ``columns``
+        (b, m, k) and ``residual`` (b, m) are as given to :meth:`of`."""
+        predicted = columns @ (self.solutions / self.length).T
+        out = [np.take_along_axis(predicted, of[rows][:, None, None], axis=2)[:, :, 0] for of in self.place]
+        return residual - np.stack(out)
 
 
-def root_of(gram: Floats, least: float = 0.0) -> Floats:
-    """A matrix (k, rank) whose product with its transpose is the pseudo-inverse; eigenvalues below ``least`` count as
-    none."""
-    value, vector = np.linalg.eigh(gram)
-    keep = value > max(1e-11 * float(value.max(initial=0.0)), least, 1e-300)
-    return vector[:, keep] / np.sqrt(value[keep])
-
-
-def solved(gram: Floats, right: Floats) -> Floats:
-    """The shortest least-squares solution (k,)."""
-    root = root_of(gram)
-    return root @ (root.T @ right)
-
-
-def unit_length(columns: Floats) -> Floats:
-    """Columns (n, m, k), each divided by its length."""
-    length = np.sqrt((columns**2).sum(axis=(0, 1)))
-    return columns / np.where(length > 0, length, 1.0)
+def roots_of(grams: Floats, least: float = 0.0) -> Floats:
+    """Matrices (…, k, k) whose products with their transposes are the pseudo-inverses; eigenvalues below ``least``
+    count as none, and leave a column of zeros."""
+    value, vector = np.linalg.eigh(grams)
+    highest = np.max(value, axis=-1, initial=0.0, keepdims=True)
+    keep = value > np.maximum(np.maximum(1e-11 * highest, least), 1e-300)
+    return vector * np.where(keep, 1.0 / np.sqrt(np.where(keep, value, 1.0)), 0.0)[..., None, :]

@@ -7,7 +7,7 @@ import scipy
 
 from ..types import Floats
 from .linearised import orthonormal
-from .stage import Candidate, Stage
+from .stage import Stage
 
 #: Part of its square that an effect hides, whatever its parameters are to each other, to be called hidden.
 _HIDDEN_FROM = 0.97
@@ -23,36 +23,38 @@ def hides_in(stage: Stage) -> dict[str, tuple[str, ...]]:
     """
     names = np.array([p.name for p in stage.run.fit.parameters])
     size = np.array([p.size for p in stage.run.fit.parameters])
-    fitted = stage.view.fitted.reshape(stage.scan.n * stage.scan.m, -1)
+    fitted, scan = stage.scan.triangle, stage.scan
     out = {}
     for candidate in stage.candidates:
-        if hidden := _taken_up(_columns(stage, candidate), fitted, names, size):
+        scale = 1.0 if candidate.columns.functions else np.array([p.size for p in candidate.effect.parameters])
+        columns = scan.of(candidate.columns)
+        whole, left = (gram * np.multiply.outer(scale, scale) for gram in (columns.whole, columns.left))
+        # of the basis only what lies in it counts
+        inside = fitted @ scan.root @ (columns.by_model.T * scale)
+        if hidden := _taken_up(whole, left, inside, fitted * size, names):
             out[candidate.name] = hidden
     for effect in stage.run.model.effects:
         own = np.zeros(len(names), dtype=bool)
         own[stage.run.owns(effect)] = True
-        if hidden := _taken_up(fitted[:, own] * size[own], fitted[:, ~own], names[~own], size[~own]):
+        columns, others = fitted[:, own] * size[own], fitted[:, ~own]
+        basis = orthonormal(others)
+        within = basis.T @ columns
+        whole = columns.T @ columns
+        if hidden := _taken_up(whole, whole - within.T @ within, columns, others * size[~own], names[~own]):
             out[effect.name] = hidden
     return out
 
 
-def _columns(stage: Stage, candidate: Candidate) -> Floats:
-    """Columns (n·m, k) of a candidate in the order of the rows, in plausible sizes where it has its own."""
-    taken = stage.scan.take(candidate.columns)
-    rows: Floats = stage.scan.in_time(taken.reshape(stage.scan.n, stage.scan.m, -1))
-    scale = 1.0 if candidate.columns.functions else np.array([p.size for p in candidate.effect.parameters])
-    return rows.reshape(taken.shape) * scale
+def _taken_up(whole: Floats, left: Floats, columns: Floats, fitted: Floats, names: Floats) -> tuple[str, ...]:
+    """The parameters, most first, that take up nearly all of some columns; empty where more of them is to be seen.
 
-
-def _taken_up(columns: Floats, fitted: Floats, names: Floats, size: Floats) -> tuple[str, ...]:
-    """The parameters, most first, that take up nearly all of some columns; empty where more of them is to be seen."""
-    basis = orthonormal(fitted)
-    inside = basis.T @ columns
-    whole, left = columns.T @ columns, columns.T @ columns - inside.T @ inside
+    ``whole`` (k, k) is the columns' Gram matrix and ``left`` that of what the parameters leave of them; ``fitted`` (r,
+    p) are the parameters' columns in plausible sizes and ``columns`` (r, k) at least what of them lies in these.
+    """
     value, vector = np.linalg.eigh(whole)
     root = vector[:, value > 1e-12 * value[-1]] / np.sqrt(value[value > 1e-12 * value[-1]])
     if not root.shape[1] or np.linalg.eigvalsh(root.T @ left @ root)[-1] > 1.0 - _HIDDEN_FROM:
         return ()
-    x = np.linalg.norm(scipy.linalg.lstsq(fitted * size, columns, cond=1e-9)[0], axis=1)
+    x = np.linalg.norm(scipy.linalg.lstsq(fitted, columns, cond=1e-9)[0], axis=1)
     top = np.argsort(-x)[:_MOST_NAMED]
     return tuple(str(names[k]) for k in top if x[k] >= _NAMED_FROM * x[top[0]])

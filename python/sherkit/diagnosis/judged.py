@@ -14,10 +14,10 @@ import numpy as np
 import scipy
 
 from ..data.noise import MAD
-from ..types import Bools, Floats
+from ..types import Bools, Floats, Ints
 from .believable import CUT, DIGITS, ROUNDS, huber
-from .linearised import Linearised, orthonormal
-from .shapes import build
+from .linearised import BLOCK, Linearised, orthonormal
+from .shapes import Family, build
 
 #: Chance that a run without gross errors has anything listed; of several that are listed, the expected part of false
 #: ones.
@@ -45,8 +45,9 @@ class Judged:
     """Rows of a fit and how far each is from what the others predict there.
 
     ``e`` (n, m) are residuals, over noise that is ``declared`` or not; an item is what is judged as one: the readings
-    of a pose that agree, or a row that stands apart from them. The rows of a ``stretch`` (n,) are items of their own,
-    which are never believed but share one error.
+    of a pose that agree, or a row that stands apart from them. What is fitted is taken for the same in all rows of an
+    item: ``basis`` (items · m, k) is orthonormal where each item weighs as much as it has rows. The rows of a
+    ``stretch`` (n,) are items of their own, which are never believed but share one error.
     """
 
     def __init__(self, view: Linearised, *, declared: bool, stretch: Bools | None = None) -> None:
@@ -54,7 +55,6 @@ class Judged:
         self.declared = declared
         self.e = view.residual
         self.floor = np.maximum(DIGITS * np.ptp(self.e, axis=0), 1e-12)
-        self.basis = orthonormal(view.fitted)
         self.within, apart = self._apart()
         first, size = np.arange(len(view)), len(view)
         group = np.unique(view.group, return_inverse=True)[1].ravel()
@@ -69,6 +69,7 @@ class Judged:
         # of the mean of an item; nothing where it is not known
         variance = self.within**2 if self.within.any() else np.full(self.e.shape[1], float(declared))
         self.noise = variance / self.count[:, None]
+        self.basis = orthonormal(self._sums() / np.sqrt(self.count)[:, None, None])
 
     def wild(self) -> Bools:
         """Rows (n,) that are gross errors.
@@ -80,7 +81,7 @@ class Judged:
         items = len(self.count)
         if items * m - self.basis.shape[1] < 10:
             return np.zeros(n, dtype=bool)
-        left = huber(self.e, self.basis)
+        left = huber(self.e, self._taken)
         believed, criterion, _ = self._concentrated(left)
         bumped = self._bumped(left)
         columns = self.basis.shape[1]
@@ -89,7 +90,7 @@ class Judged:
             if more is None:
                 break
             self.basis = np.concatenate([self.basis, more], axis=1)
-            left = huber(self.e, self.basis)
+            left = huber(self.e, self._taken)
         if self.basis.shape[1] > columns:
             described, lower, left_over = self._concentrated(left)
             if lower < criterion:
@@ -109,9 +110,9 @@ class Judged:
         spread = np.maximum(MAD * np.median(np.abs(left), axis=0), self.floor)
         tame = np.clip(left / spread, -CUT, CUT)
         sums = np.concatenate([np.zeros((1, m)), np.cumsum(tame, axis=0)])
-        first, last, grid = 0, 0, np.arange(0, n + 1, max(n // _CUTS, 1))
-        starts, ends = grid[1:], grid[1:]
-        for _ in range(2):
+        first, last, apart = 0, 0, max(n // _CUTS, 1)
+        starts = ends = np.arange(apart, n + 1, apart)
+        while True:
             a, b = (v.ravel() for v in np.meshgrid(starts, ends, indexing="ij"))
             keep = (b - a >= _FEWEST_OF_A_STRETCH) & (b - a <= _MOST_BUMPED * n) & (a > 0) & (b < n)
             if not keep.any():
@@ -119,7 +120,10 @@ class Judged:
             a, b = a[keep], b[keep]
             best = int(np.argmax(((sums[b] - sums[a]) ** 2).sum(axis=1) / ((b - a) * (1.0 - (b - a) / n))))
             first, last = int(a[best]), int(b[best])
-            starts, ends = (np.arange(v - grid[1], v + grid[1] + 1) for v in (first, last))
+            if apart == 1:
+                break
+            near, apart = apart, max(apart // _CUTS, 1)
+            starts, ends = (np.arange(v - near, v + near + 1, apart) for v in (first, last))
         stretch = np.zeros(n, dtype=bool)
         stretch[first:last] = True
         if np.linalg.norm(tame[stretch].mean(axis=0)) < 0.5 * CUT:
@@ -131,12 +135,11 @@ class Judged:
     def _concentrated(self, left: Floats) -> tuple[Bools, float, float]:
         """Items that are believed, from a start that leaves ``left`` (n, m); Schwarz's criterion of the fit to them,
         whatever is not believed having parameters of its own; and what it leaves of them over their noise."""
-        mean_basis = self.mean(self.basis.reshape(*self.e.shape, -1))
         believed = self._nearer_half(self.mean(left)) & ~self.moved
         for robust in (True, False):
             # the spread of all that is believed is known better than a median, but only once the wild ones are out
             for _ in range(ROUNDS):
-                mean, hat = self._fitted(believed, mean_basis)
+                mean, hat = self._fitted(believed)
                 now = ~self._far(mean, hat, believed, robust=robust) & ~self.moved
                 if np.array_equal(now, believed):
                     break
@@ -159,61 +162,114 @@ class Judged:
     # -- what describes the run ----------------------------------------------------------------------------
 
     @cached_property
-    def columns(self) -> Floats:
-        """Effects and smooth shapes (n·m, k) as unit columns, what is fitted taken out of them; and how many of the
-        basis were taken out."""
-        n, m = self.e.shape
+    def _seen(self) -> Ints:
+        """Rows among which columns are chosen: more would choose none that matters for a gross error."""
+        return np.unique(np.linspace(0, len(self.e) - 1, min(len(self.e), BLOCK)).astype(np.int64))
+
+    @cached_property
+    def _smooth(self) -> tuple[Family, list[int], list[int]]:
+        """Shapes, and the numbers of the smooth ones' functions and full columns."""
         family = build(self.view)
-        smooth = [s for s in family.shapes if s.shape in ("smooth", "interaction")]
-        single = family.functions[:, sorted({k for s in smooth for k in s.functions})]
-        dense = family.dense[:, :, sorted({k for s in smooth for k in s.dense})]
-        on_axes = np.zeros((n, m, m, single.shape[1]))
-        for a in range(m):
-            on_axes[:, a, a] = single
-        effects = [columns for _, columns in self.view.effects]
-        out = np.concatenate([on_axes.reshape(n, m, -1), dense, *effects], axis=2).reshape(n * m, -1)
-        return out / np.maximum(np.linalg.norm(out, axis=0), 1e-300)
+        smooth = [one for one in family.shapes if one.shape in ("smooth", "interaction")]
+        return family, sorted({k for s in smooth for k in s.functions}), sorted({k for s in smooth for k in s.dense})
+
+    @cached_property
+    def _columns(self) -> tuple[Floats, Floats]:
+        """What may describe the rows that are seen: functions (b, f), each of which counts on every axis by itself, and
+        full columns (b·m, d) of smooth shapes and effects."""
+        family, single, dense = self._smooth
+        last = self.view.effects[-1][1].stop if self.view.effects else 0
+        functions, full = [], []
+        for rows in self.view.blocks:
+            here = self._seen[(self._seen >= rows.start) & (self._seen < rows.stop)] - rows.start
+            functions.append(family.functions_in(rows)[here][:, single])
+            effects = self.view.effects_in(rows)[here, :, :last]
+            full.append(np.concatenate([family.dense_in(rows)[here][:, :, dense], effects], axis=2))
+        every = np.concatenate(full)
+        return np.concatenate(functions), every.reshape(-1, every.shape[2])
+
+    def _products(self, values: Floats) -> Floats:
+        """Columns times others (b, m, k) where they are seen: (K, k); functions axis by axis before full ones."""
+        functions, full = self._columns
+        parts = [functions.T @ values[:, a] for a in range(values.shape[1])]
+        return np.concatenate([*parts, full.T @ values.reshape(-1, values.shape[2])])
 
     def _describing(self, left: Floats) -> Floats | None:
         """The column, or the step in time on all axes, that describes most of what is left; None where chance does."""
         n, m = self.e.shape
         spread = np.maximum(MAD * np.median(np.abs(left), axis=0), self.floor)
-        tame = np.clip(left, -CUT * spread, CUT * spread)
-        tame = (tame / spread).reshape(-1)
-        tame = tame - self.basis @ (self.basis.T @ tame)
-        variance = float(tame @ tame) / (n * m - self.basis.shape[1])
+        tame = np.clip(left, -CUT * spread, CUT * spread) / spread
+        tame = tame - self._taken(tame)
+        variance = float((tame**2).sum()) / (n * m - self.basis.shape[1])
         # readings of a pose that share an error are no witnesses of their own
-        means = self.mean(tame.reshape(n, m))
+        means = self.mean(tame)
         shared = float(np.average(means**2 * self.count[:, None], weights=np.repeat(self.count[:, None], m, axis=1)))
         variance = max(variance, shared)
-        columns = self._free_columns()
-        gain = (columns.T @ tame) ** 2 / variance
+        gain, tried = self._gains(tame[self._seen])
         best = int(np.argmax(gain)) if len(gain) else -1
-        chance = scipy.stats.chi2.logsf(gain[best], 1) + np.log(len(gain)) if best >= 0 else np.inf
-        stepped = self._step(tame.reshape(n, m), variance)
+        chance = scipy.stats.chi2.logsf(gain[best] / variance, 1) + np.log(tried) if best >= 0 else np.inf
+        stepped = self._step(tame, variance)
         if stepped is not None and stepped[0] < min(chance, np.log(_DESCRIBED)):
             self.has_step = True
-            return orthonormal(stepped[1] - self.basis @ (self.basis.T @ stepped[1]))
-        return columns[:, best : best + 1].copy() if chance < np.log(_DESCRIBED) else None
+            return self._new(self._after(stepped[1]))
+        return self._new(self._one(best)) if chance < np.log(_DESCRIBED) else None
+
+    def _new(self, columns: Floats) -> Floats:
+        """What columns (n, m, k) add to the basis."""
+        flat = self._down(columns).reshape(-1, columns.shape[2])
+        return orthonormal(flat - self.basis @ (self.basis.T @ flat))
+
+    def _one(self, number: int) -> Floats:
+        """One column (n, m, 1)."""
+        m = self.e.shape[1]
+        family, single, dense = self._smooth
+        if number < m * len(single):
+            axis, k = divmod(number, len(single))
+            function, mean, length = family.functions[single[k]]
+            return np.multiply.outer((function(self.view.whole) - mean) / length, np.eye(m)[axis])[:, :, None]
+        number -= m * len(single)
+        if number < len(dense):
+            pattern, function, mean, length = family.dense[dense[number]]
+            values = (function(self.view.whole) - mean) / length
+            return (self.view.patterns[pattern] * values[:, None])[:, :, None]
+        of_effect = number - len(dense)
+        return np.concatenate([self.view.effects_in(r)[:, :, of_effect : of_effect + 1] for r in self.view.blocks])
+
+    def _gains(self, tame: Floats) -> tuple[Floats, int]:
+        """What each column takes (k,) of residuals (b, m) where they are seen, beyond the basis; nothing where it lies
+        within it; and how many do not."""
+        seen = self._basis_seen
+        of_items = self.basis[:, seen.shape[1] :].reshape(len(self.count), tame.shape[1], -1)
+        new = self._up(of_items, self._seen).reshape(tame.size, -1)
+        if new.shape[1]:
+            # once more, since of a new column little may be left
+            for _ in range(2):
+                new = orthonormal(new - seen @ (seen.T @ new))
+            now = self._free - (self._products(new.reshape(*tame.shape, -1)) ** 2).sum(axis=1)
+            # lengths are parts of what was left before
+            self._free = np.where(now > _ABSORBED**2 * self._free, now, 0.0)
+            self._basis_seen = seen = np.concatenate([seen, new], axis=1)
+        flat = tame.reshape(-1)
+        along = self._products((flat - seen @ (seen.T @ flat)).reshape(*tame.shape, 1))[:, 0]
+        free = self._free > 0
+        return np.where(free, along**2 / np.where(free, self._free, 1.0), 0.0), int(free.sum())
+
+    @cached_property
+    def _free(self) -> Floats:
+        """Squared lengths (k,) of what the basis leaves of the columns; zero for those that lie within it."""
+        functions, full = ((one**2).sum(axis=0) for one in self._columns)
+        return np.concatenate([np.tile(functions, self.e.shape[1]), full])
+
+    @cached_property
+    def _basis_seen(self) -> Floats:
+        """The basis, orthonormal where it is seen."""
+        return np.zeros((len(self._seen) * self.e.shape[1], 0))
 
     has_step = False
-    _taken_out = 0
 
-    def _free_columns(self) -> Floats:
-        """The columns without what is in the basis by now, of unit length; none of those that lie within it."""
-        if self._taken_out < self.basis.shape[1]:
-            new = self.basis[:, self._taken_out :]
-            columns = self.columns - new @ (new.T @ self.columns)
-            length = np.linalg.norm(columns, axis=0)
-            # lengths are parts of what was left before
-            keep = length > _ABSORBED
-            self.columns = columns[:, keep] / length[keep]
-            self._taken_out = self.basis.shape[1]
-        return self.columns
-
-    def _step(self, tame: Floats, variance: float) -> tuple[float, Floats] | None:
-        """The step in time that takes most: log of its chance, and its columns (n·m, m). One only: what is bumped and
-        put back is no step."""
+    def _step(self, tame: Floats, variance: float) -> tuple[float, int] | None:
+        """The step in time that takes most: log of its chance, and its first row. One only: what is bumped and put back
+        is no step."""
         n, m = self.e.shape
         if self.view.time is None or self.has_step or n < 10:
             return None
@@ -222,14 +278,18 @@ class Judged:
         if not len(cuts):
             return None
         after = np.cumsum(tame[::-1], axis=0)[::-1][cuts]
-        inside = np.cumsum(self.basis.reshape(n, m, -1)[::-1], axis=0)[::-1][cuts]
-        free = (n - cuts)[:, None] - (inside**2).sum(axis=2)
+        inside = np.zeros((len(cuts), m))
+        for column in self.basis.T:
+            inside += np.cumsum(self._up(column.reshape(-1, m))[::-1], axis=0)[::-1][cuts] ** 2
+        free = (n - cuts)[:, None] - inside
         gain = np.where(free > _ABSORBED * n, after**2 / np.maximum(free, 1e-12), 0.0).sum(axis=1) / variance
         best = int(np.argmax(gain))
-        columns = np.zeros((n, m, m))
-        for a in range(m):
-            columns[cuts[best] :, a, a] = 1.0
-        return float(scipy.stats.chi2.logsf(gain[best], m) + np.log(len(cuts))), columns.reshape(n * m, m)
+        return float(scipy.stats.chi2.logsf(gain[best], m) + np.log(len(cuts))), int(cuts[best])
+
+    def _after(self, cut: int) -> Floats:
+        """A step (n, m, m) of each axis from this row on."""
+        n, m = self.e.shape
+        return (np.arange(n) >= cut)[:, None, None] * np.eye(m)
 
     # -- judging -------------------------------------------------------------------------------------------
 
@@ -237,6 +297,30 @@ class Judged:
         """Means (items, …) of values (n, …)."""
         total = np.add.reduceat(values[self.order], self.starts, axis=0)
         return total / self.count.reshape((-1,) + (1,) * (values.ndim - 1))
+
+    def _sums(self) -> Floats:
+        """Sums (items, m, p) over the rows of each item of what is fitted."""
+        first = self.view.fitted(self.view.blocks[0])
+        out = np.zeros((len(self.count), *first.shape[1:]))
+        for rows in self.view.blocks:
+            order = np.argsort(self.item[rows], kind="stable")
+            items, starts = np.unique(self.item[rows][order], return_index=True)
+            out[items] += np.add.reduceat(self.view.fitted(rows)[order], starts, axis=0)
+        return out
+
+    def _down(self, values: Floats) -> Floats:
+        """Values of rows (n, …) as the basis has items (items, …)."""
+        return self.mean(values) * np.sqrt(self.count).reshape((-1,) + (1,) * (values.ndim - 1))
+
+    def _up(self, values: Floats, rows: Ints | slice = slice(None)) -> Floats:
+        """Values of items, as the basis has them (items, …), in some rows (b, …)."""
+        item = self.item[rows]
+        return values[item] / np.sqrt(self.count[item]).reshape((-1,) + (1,) * (values.ndim - 1))
+
+    def _taken(self, values: Floats) -> Floats:
+        """What the basis takes of values (n, m)."""
+        along = self.basis.T @ self._down(values).reshape(-1)
+        return self._up((self.basis @ along).reshape(-1, values.shape[1]))
 
     @cached_property
     def _mean_residual(self) -> Floats:
@@ -248,19 +332,19 @@ class Judged:
         distance = (square / np.maximum(np.median(square, axis=0), self.floor**2)).sum(axis=1)
         return distance <= np.median(distance)
 
-    def _fitted(self, believed: Bools, mean_basis: Floats) -> tuple[Floats, Floats]:
+    def _fitted(self, believed: Bools) -> tuple[Floats, Floats]:
         """What a fit to the believed items leaves of each one's mean (items, m), and the variance of its predictions
-        (items, m) over that of such a mean. ``mean_basis`` (items, m, k) is the basis at each item."""
-        n, m = self.e.shape
-        q = self.basis.reshape(n, m, -1)
-        inside = believed[self.item]
-        part = q[inside].reshape(int(inside.sum()) * q.shape[1], q.shape[2])
+        (items, m) over that of such a mean."""
+        m = self.e.shape[1]
+        q = self.basis.reshape(len(self.count), m, -1)
+        part = q[believed].reshape(-1, q.shape[2])
+        root_count = np.sqrt(self.count)[:, None]
         value, vector = np.linalg.eigh(part.T @ part)
         # what the believed ones do not tell is not held against the others
         root = vector / np.sqrt(np.maximum(value, 1e-9))
-        x = root @ (root.T @ (part.T @ self.e[inside].reshape(-1)))
-        hat = self.count[:, None] * ((mean_basis @ root) ** 2).sum(axis=2)
-        return self._mean_residual - mean_basis @ x, hat
+        x = root @ (root.T @ (part.T @ (root_count * self._mean_residual)[believed].reshape(-1)))
+        hat = ((self.basis @ root) ** 2).sum(axis=1).reshape(-1, m)
+        return self._mean_residual - (self.basis @ x).reshape(-1, m) / root_count, hat
 
     def _far(self, mean: Floats, hat: Floats, believed: Bools, *, robust: bool) -> Bools:
         """Items that are further off than chance takes them, given the spread of those believed."""

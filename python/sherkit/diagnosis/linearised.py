@@ -6,41 +6,80 @@ Residuals are in units of their noise, one axis per reading. A correlation in ti
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property, wraps
+from itertools import pairwise
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from ..model.effect import Effect
 from ..types import Floats, Ints
 
+T = TypeVar("T")
+
+#: Rows that are looked at together: a few megabytes of columns, however long the run is.
+BLOCK = 4096
+
+
+def blocks(n: int) -> list[slice]:
+    """Stretches of at most :data:`BLOCK` of ``n`` rows, alike in length."""
+    edges = np.linspace(0, n, -(-n // BLOCK) + 1).round().astype(int).tolist()
+    return [slice(a, b) for a, b in pairwise(edges)]
+
+
+def last_asked(function: Callable[[Any, slice], T]) -> Callable[[Any, slice], T]:
+    """A method of a stretch of rows that remembers the one asked for last: of a short run it is all of them."""
+    name = f"_last_{function.__name__}"
+
+    @wraps(function)
+    def remembered(self: Any, rows: slice) -> T:
+        last: tuple[slice, T] | None = vars(self).get(name)
+        if last is None or last[0] != rows:
+            last = vars(self)[name] = (rows, function(self, rows))
+        return last[1]
+
+    return remembered
+
+
+class Derivatives(Protocol):
+    """Derivatives of any stretch of rows, over the noise; every call computes them anew."""
+
+    def fitted(self, rows: slice) -> tuple[Floats, Floats | None]:
+        """By what is fitted (b, m, p) and by the inputs (b, m, k), None where these are not known."""
+        ...
+
+    def effects(self, rows: slice) -> Floats:
+        """By the parameters of every effect that can be tried (b, m, e)."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
     """Rows of a fit in the order of time, and all to first order.
 
-    ``residual`` (n, m) measured minus predicted over the noise; ``fitted`` (n, m, p) derivatives by the fitted
-    parameters, over the noise; ``variables`` name to values (n,), what a residual may depend on; ``patterns`` name to
-    (n, m), how the readings answer to an error at one input (a joint), and ``pattern_of`` names that of a variable
-    which is one; ``place`` names the variables that say where the machine is; ``group`` (n,) is equal for repeats of a
-    pose. ``effects`` pairs each effect that can be tried with its derivatives (n, m, k) over the noise; ``in_time`` are
-    the effects that step at a searched time, each with its derivatives (n, m, k) after the step, or None where these
-    are a step of each reading; ``periodic`` those that are a wave of each input at a searched period, each with the
-    period that the model has for it, or None; ``untestable`` maps the others to the reason. ``inputs`` name to
-    (n,), the readings of the inputs, be they constant or their patterns unknown.
+    ``residual`` (n, m) measured minus predicted over the noise; ``variables`` name to values (n,), what a residual may
+    depend on; ``derivatives`` gives those of any stretch of rows. ``pattern_of`` names the input of a variable which
+    is one whose pattern is known; ``place`` names the variables that say where the machine is; ``group`` (n,) is equal
+    for repeats of a pose. ``effects`` pairs each effect that can be tried with its columns; ``in_time`` are the effects
+    that step at a searched time, each with its columns after the step, or None where these are a step of each reading;
+    ``periodic`` those that are a wave of each input at a searched period, each with the period that the model has for
+    it, or None; ``untestable`` maps the others to the reason. ``inputs`` name to (n,), the readings of the inputs, be
+    they constant or their patterns unknown.
     """
 
     residual: Floats
-    fitted: Floats
     variables: Mapping[str, Floats]
-    patterns: Mapping[str, Floats]
     group: Ints
+    derivatives: Derivatives
     pattern_of: Mapping[str, str] = field(default_factory=dict)
     place: tuple[str, ...] = ()
     inputs: Mapping[str, Floats] = field(default_factory=dict)
     time: Floats | None = None
-    effects: Sequence[tuple[Effect, Floats]] = ()
-    in_time: Sequence[tuple[Effect, Floats | None]] = ()
+    effects: Sequence[tuple[Effect, slice]] = ()
+    in_time: Sequence[tuple[Effect, slice | None]] = ()
     periodic: Sequence[tuple[Effect, float | None]] = ()
     untestable: Mapping[str, str] = field(default_factory=dict)
 
@@ -51,6 +90,38 @@ class Linearised:
     def axes(self) -> int:
         """Readings per row."""
         return self.residual.shape[1]
+
+    def fitted(self, rows: slice) -> Floats:
+        """Derivatives (b, m, p) of a stretch of rows by what is fitted."""
+        return self._own(rows)[0]
+
+    @last_asked
+    def effects_in(self, rows: slice) -> Floats:
+        """Derivatives (b, m, e) of a stretch of rows by the parameters of every effect that can be tried."""
+        return self.derivatives.effects(rows)
+
+    @last_asked
+    def _own(self, rows: slice) -> tuple[Floats, Floats | None]:
+        return self.derivatives.fitted(rows)
+
+    @property
+    def whole(self) -> slice:
+        """All rows."""
+        return slice(0, len(self))
+
+    @cached_property
+    def blocks(self) -> list[slice]:
+        """Stretches of rows."""
+        return blocks(len(self))
+
+    @cached_property
+    def patterns(self) -> dict[str, Floats]:
+        """How the readings answer to an error at each input, name to (n, m); empty where that is not known."""
+        parts = [self._own(rows)[1] for rows in self.blocks]
+        if any(part is None for part in parts):
+            return {}
+        every = np.concatenate([part for part in parts if part is not None])
+        return {name: np.ascontiguousarray(every[:, :, k]) for k, name in enumerate(self.inputs)}
 
 
 class Whitening:
@@ -82,14 +153,25 @@ class Whitening:
         out[1:] += values[:-1] * self.before[1:].reshape(shape)
         return out
 
-    def transposed(self, values: Floats) -> Floats:
-        """The filter's transpose of values (n, …)."""
+    def on(self, values: Callable[[slice], Floats], rows: slice) -> Floats:
+        """These rows (b, …) of what ``values`` gives for a stretch of rows, filtered."""
         if self.rho == 0.0:
-            return values
-        shape = (-1,) + (1,) * (values.ndim - 1)
-        out = values * self.here.reshape(shape)
-        out[:-1] += values[1:] * self.before[1:].reshape(shape)
+            return values(rows)
+        first = max(rows.start - 1, 0)
+        raw = values(slice(first, rows.stop))
+        shape = (-1,) + (1,) * (raw.ndim - 1)
+        out = raw[rows.start - first :] * self.here[rows].reshape(shape)
+        late = 1 if rows.start == 0 else 0
+        out[late:] += raw[: len(raw) - 1] * self.before[rows][late:].reshape(shape)
         return out
+
+    def parts(self, rows: slice) -> Iterator[tuple[slice, Floats]]:
+        """The rows of which these consist under the filter, each stretch with its factors: themselves, and those
+        before them (one less where there is none before the first)."""
+        yield rows, self.here[rows]
+        if self.rho != 0.0:
+            first = max(rows.start, 1)
+            yield slice(first - 1, rows.stop - 1), self.before[first : rows.stop]
 
     @property
     def diagonal(self) -> Floats:
@@ -111,7 +193,7 @@ def whiten(values: Floats, rho: float, lag: Ints | None = None) -> Floats:
 
 def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:
     """An orthonormal basis (n·m, rank) of columns (n, m, p) or (N, p), scaled to unit length first."""
-    flat = columns.reshape(-1, columns.shape[-1])
+    flat = columns.reshape(math.prod(columns.shape[:-1]), columns.shape[-1])
     norm = np.linalg.norm(flat, axis=0)
     flat = flat[:, norm > 0] / norm[norm > 0]
     if flat.shape[1] == 0:
@@ -132,7 +214,7 @@ def correlation_in_time(residual: Floats, basis: Floats) -> float:
     estimate is repeated on filtered rows. Zero where it is within two standard errors of it.
     """
     n, m = residual.shape
-    rho = 0.0
+    rho, least = 0.0, 2.0 / np.sqrt(n * m)
     for _ in range(4):
         e = whiten(residual, rho)
         q = basis if rho == 0.0 or not basis.shape[1] else orthonormal(whiten(basis.reshape(n, m, -1), rho))
@@ -152,7 +234,9 @@ def correlation_in_time(residual: Floats, basis: Floats) -> float:
         lagged = float((left[1:] * left[:-1]).sum()) / variance - bias
         step = lagged / ((n - 1) * m * max(free / (n * m), 0.05))
         # filters in a row: their first-order terms add
+        first = rho == 0.0
         rho = float(np.clip(rho + step * (1 - rho * rho), -0.95, 0.95))
-        if abs(step) < 1e-3:
+        # what is less than one standard error at first will not be two in the end
+        if abs(step) < 1e-3 or (first and abs(rho) < least / 2):
             break
-    return rho if abs(rho) > 2.0 / np.sqrt(n * m) else 0.0
+    return rho if abs(rho) > least else 0.0

@@ -129,12 +129,11 @@ def _other_periods(result: SearchResult, candidate: Candidate) -> tuple[float, .
     stage = result.stages[0]
     if not candidate.effect.is_periodic:
         return ()
-    gains = stage.plain.gains()[0][stage.n_shapes :]
     found = candidate.setting or stage.run.model.setting_of(candidate.effect) or np.inf
     apart = 1.0 / max(float(np.ptp(v)) for v in stage.view.inputs.values())
     tried = [
         (gain, c.setting)
-        for gain, c in zip(gains.tolist(), stage.candidates, strict=True)
+        for gain, c in zip(stage.gains.tolist(), stage.candidates, strict=True)
         if c.name == candidate.name and c.setting is not None and abs(1.0 / c.setting - 1.0 / found) > apart
     ]
     return tuple(setting for _, setting in sorted(tried, reverse=True)[:_MOST_PERIODS])

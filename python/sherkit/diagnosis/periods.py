@@ -16,7 +16,7 @@ import scipy
 from ..names import listed
 from ..types import Floats, Ints
 from .stage import Candidate, Stage
-from .waves import OVERSAMPLING, TURN, frequencies, rings, waves_of
+from .waves import OVERSAMPLING, TURN, frequencies, rings
 
 #: Change of χ² from which on a period counts as better than another, besides what choosing among all brings by
 #: chance: beyond it the odds are "very strong" (Kass and Raftery, "Bayes factors", JASA 1995).
@@ -94,14 +94,13 @@ def period_of(stage: Stage, tried: Sequence[Candidate], *, aliases: bool = False
     waves = [c for c in tried if c.setting is not None]
     if not waves:
         return None
-    of_scan = stage.plain.gains()[0][stage.n_shapes :]
     place = {id(c): k for k, c in enumerate(stage.candidates)}
-    gains = np.array([of_scan[place[id(c)]] for c in waves])
+    gains = np.array([stage.gains[place[id(c)]] for c in waves])
     at = np.array([1.0 / (c.setting or np.inf) for c in waves])
     profile = _Profile(stage)
     top = int(np.argmax(gains))
     best, most = profile.peak(at[top])
-    noise = (stage.plain.sum_of_squares - most) / max(stage.plain.free - waves_of(stage.view, best).shape[2], 1)
+    noise = (stage.scan.sum_of_squares - most) / max(stage.scan.free - 2 * len(stage.view.inputs), 1)
     clearly = (2.0 * np.log(len(at)) + _CLEARLY) * noise
     had = next(period for effect, period in stage.view.periodic if effect is waves[top].effect)
     usual = 0.5 * TURN if had is None and profile.whole else had
@@ -147,18 +146,14 @@ class _Profile:
 
     def taken(self, frequency: float) -> float:
         """Sum of squares that it takes."""
-        stage = self.stage
-        columns = stage.filtered(waves_of(stage.view, frequency))[stage.scan.order]
-        flat = columns.reshape(stage.scan.n * stage.scan.m, -1)
+        gram, along, whole = self.stage.scan.along_waves(frequency)
         # sine and cosine of an input share a scale: where it stands at multiples of a period, there is no sine
-        pairs = (flat**2).sum(axis=0).reshape(-1, 2).mean(axis=1)
-        flat = flat / np.sqrt(np.maximum(np.repeat(pairs, 2), np.finfo(float).tiny))
-        for basis in (stage.scan.basis, stage.plain.added):
-            flat = flat - basis @ (basis.T @ flat)
-        left, directions = np.linalg.eigh(flat.T @ flat)
+        pairs = whole.reshape(-1, 2).mean(axis=1)
+        scale = 1.0 / np.sqrt(np.maximum(np.repeat(pairs, 2), np.finfo(float).tiny))
+        left, directions = np.linalg.eigh(scale[:, None] * gram * scale)
         seen = left > _SEEN
-        along = (directions[:, seen].T @ (flat.T @ stage.plain.residual)) / np.sqrt(left[seen])
-        return float(along @ along)
+        taken = (directions[:, seen].T @ (scale * along)) ** 2 / left[seen]
+        return float(taken.sum())
 
     def peak(self, near: float) -> tuple[float, float]:
         """The frequency at which it takes most, and how much, about one of the grid."""

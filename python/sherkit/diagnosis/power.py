@@ -37,15 +37,12 @@ def smallest_found(stage: Stage, candidate: Candidate, threshold: float) -> tupl
 
     All parameters at a random sign of the same multiple of their plausible sizes.
     """
-    columns = stage.scan.take(candidate.columns)
     size = np.array([p.size for p in candidate.effect.parameters])
     if candidate.columns.functions:
         # a step's function was centred and scaled to unit length: one plausible step is this much of it
         size = size / stage.sigma * np.sqrt(stage.scan.n / 4.0)
-    for basis in (stage.plain.added, stage.scan.basis):
-        columns = columns - basis @ (basis.T @ columns)
-    needed = noncentrality(threshold, len(size), stage.plain.free)
-    at_size = float((columns**2).sum(axis=0) @ size**2)
+    needed = noncentrality(threshold, len(size), stage.scan.free)
+    at_size = float(np.diag(stage.scan.of(candidate.columns).left) @ size**2)
     if at_size <= 0:
         return float("inf"), float("inf")
     times = float(np.sqrt(needed / at_size))

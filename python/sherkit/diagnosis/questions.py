@@ -24,6 +24,7 @@ from .crossvalidation import HeldOutError, held_out
 from .fitted_run import FittedRun
 from .hiding import hides_in
 from .lack_of_fit import lack_of_fit
+from .linearised import orthonormal
 from .named import not_needed, searched
 from .next_poses import Proposal
 from .one_unknown import OneUnknown, one_unknown
@@ -34,7 +35,7 @@ from .search import SearchResult, is_plausible
 from .setting import periods_shown
 from .shapes import Shape
 from .sizes import implausible
-from .stage import Candidate, Stage, columns_of, stage_of
+from .stage import Candidate, Stage, stage_of
 from .where import neighbour_correlation, where
 
 LEVEL = 0.01
@@ -44,6 +45,8 @@ _DEALS = 5
 #: Numbers up to which a single effect is taken by its name without asking what an unknown would look like.
 _FEW = 6
 _SMALLEST_P = 1e-300
+#: Part of a column's square below which what is left of it is rounding.
+_ROUNDING = 1e-14
 #: Level at which an axis takes part in a signature.
 _AXIS_LEVEL = 1e-3
 
@@ -122,7 +125,7 @@ def diagnose(
     reports = _candidate_reports(base_stage, gains, final, found.result)
     smallest: dict[str, tuple[float, float]] = {}
     if verdict == "adequate":
-        threshold = float(np.quantile(found.result.stages[0].plain.null(seed)[1:], 1 - level))
+        threshold = float(np.quantile(found.result.stages[0].scan.null(seed)[1:], 1 - level))
         smallest = {c.name: smallest_found(stage, c, threshold) for c in found.search.strongest_settings(stage)}
     signature = _signature(found.result, found.result.stages[-1]) if found.result.signature else None
     proposal = _next(found.result, unknown, sigma)
@@ -210,7 +213,7 @@ def _candidate_reports(
     base: Stage, gains: list[HeldOutError], final: FittedRun, found: SearchResult
 ) -> tuple[CandidateReport, ...]:
     """Every effect that could be tried, the named ones first, then by held-out error."""
-    z = base.deviates[base.n_shapes :]
+    z = base.scan.deviates[base.n_shapes :]
     best: dict[str, tuple[float, HeldOutError, Candidate]] = {}
     for score, error, candidate in zip(z.tolist(), gains, base.candidates, strict=True):
         if candidate.name not in best or error.rms < best[candidate.name][1].rms:
@@ -240,18 +243,19 @@ def _parameters(base: Stage, candidate: Candidate, run: FittedRun | None) -> tup
     if run is not None:
         place = run.owns(effect)
         return run.fit.values[place], run.fit.std_from_readings[place], is_plausible(run, effect)
-    scan = base.scan
-    columns = scan.take(candidate.columns)
-    columns = columns - scan.basis @ (scan.basis.T @ columns)
-    gram = columns.T @ columns
-    length = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    columns = base.scan.of(candidate.columns)
+    gram = columns.left
+    # of a column that the fit holds rounding is left: whatever that says of its size, the deviation is larger
+    squares = np.maximum(np.diag(gram), np.maximum(_ROUNDING * np.diag(columns.whole), 1e-300))
+    np.fill_diagonal(gram, squares)
+    length = np.sqrt(squares)
     value, vector = np.linalg.eigh(gram / np.outer(length, length))
     keep = value > 1e-10
     inverse = (vector[:, keep] / value[keep]) @ vector[:, keep].T / np.outer(length, length)
-    x = inverse @ (columns.T @ scan.residual)
+    x = inverse @ columns.by_residual
     std = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     if candidate.columns.functions:
-        unit = base.sigma / np.sqrt(scan.n / 4.0)
+        unit = base.sigma / np.sqrt(base.scan.n / 4.0)
         x, std = x * unit, std * unit
     size = np.array([p.size for p in effect.parameters])
     return x, std, bool((np.abs(x) - 2 * std <= 5 * size).all())
@@ -260,13 +264,13 @@ def _parameters(base: Stage, candidate: Candidate, run: FittedRun | None) -> tup
 def _signature(found: SearchResult, stage: Stage) -> dict[str, Any]:
     """The leading shape of what no effect explains, in words and numbers. ``stage`` has it among its shapes."""
     shape: Shape = stage.nuisance[0]
-    before = stage
-    plain = stage.scan.condition(np.zeros((stage.scan.n * stage.scan.m, 0)))
-    given = stage.scan.condition(stage.scan.take(columns_of(shape)))
-    gain = plain.sum_of_squares - given.sum_of_squares
+    scan = stage.scan
+    image = scan.image([])
+    plain, rank = image.given(scan.fitted)
+    gain = plain - image.given(scan.fitted + len(scan.numbers(scan.model[0])))[0]
     # what is left once every shape that was found is in the model stands for the noise
-    excess = max(plain.sum_of_squares - stage.plain.sum_of_squares * plain.free / stage.plain.free, gain)
-    axis = [before.run.names[before.axes[shape.axis]]] if shape.axis is not None else _axes_of(before, shape)
+    excess = max(plain - scan.sum_of_squares * (image.count - rank) / scan.free, gain)
+    axis = [stage.run.names[stage.axes[shape.axis]]] if shape.axis is not None else _axes_of(stage, shape)
     return {
         "depends_on": list(shape.depends_on),
         "shape": shape.shape,
@@ -276,7 +280,7 @@ def _signature(found: SearchResult, stage: Stage) -> dict[str, Any]:
         "share_explained": float(np.clip(gain / excess, 0.0, 1.0)),
         "at": shape.setting,
         "joint": shape.pattern,
-        "ranges": {name: _range(before.view.variables[name]) for name in shape.depends_on},
+        "ranges": {name: _range(stage.view.variables[name]) for name in shape.depends_on},
     }
 
 
@@ -288,12 +292,18 @@ def _range(values: Floats) -> tuple[float, float]:
 
 def _axes_of(stage: Stage, shape: Shape) -> list[str]:
     """Axes on which a shape takes more than noise would."""
-    columns = stage.scan.take(columns_of(shape))
-    columns = columns - stage.scan.basis @ (stage.scan.basis.T @ columns)
-    x = np.linalg.lstsq(columns, stage.scan.residual, rcond=1e-9)[0]
-    by_axis = ((columns @ x).reshape(stage.scan.n, stage.scan.m) ** 2).sum(axis=0)
-    noise = stage.plain.sum_of_squares / stage.plain.free
-    count = max(len(shape.functions), len(shape.dense), len(shape.waves))
+    scan = stage.scan
+    image = scan.image([])
+    first = len(scan.numbers(shape.columns))
+    fitted, columns = image.model[:, : scan.fitted], image.model[:, scan.fitted : scan.fitted + first]
+    basis = orthonormal(fitted)
+    x = np.linalg.lstsq(columns - basis @ (basis.T @ columns), image.residual, rcond=1e-9)[0]
+    length = np.maximum(np.linalg.norm(fitted, axis=0), 1e-300)
+    covered = np.linalg.lstsq(fitted / length, columns @ x, rcond=1e-9)[0] / length
+    weights = np.concatenate([-covered, x])
+    by_axis = sum(((model[:, :, : len(weights)] @ weights) ** 2).sum(axis=0) for _, _, model in scan.every_block())
+    noise = stage.scan.sum_of_squares / stage.scan.free
+    count = max(len(shape.functions), len(shape.dense), len(shape.waves), len(shape.along) // stage.scan.m)
     enough = noise * float(scipy.special.chdtri(count, _AXIS_LEVEL))
     axes = [stage.run.names[stage.axes[k]] for k in range(stage.scan.m) if by_axis[k] > enough]
     return axes or [stage.run.names[stage.axes[int(np.argmax(by_axis))]]]

@@ -9,18 +9,19 @@ null distribution whatever the shape and size of the noise, as long as poses are
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+import scipy
 
 from .._core import largest_under_flips
 from ..types import Floats, Ints
+from .axis_waves import AxisProducts, AxisWaves
 from .linearised import orthonormal
-from .waves import FilteredWaves
+from .waves import FilteredWaves, Products
 
 #: Directions of a shape with less than this part left after projection cannot be told from the fit.
 _LEFT = 0.02
@@ -28,53 +29,74 @@ _LEFT = 0.02
 _LEFT_EXACT = 1e-4
 #: Patterns of signs under which the family is seen.
 FLIPS = 2048
-#: Candidates whose products are taken at once: as many as fit into a processor's cache.
-_AT_ONCE = 32
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Columns of one candidate, all of one sort: functions on one axis (or all, ``axis`` None), full columns, or
-    waves."""
+    """Columns of one candidate, all of one sort: functions on one axis (or all, ``axis`` None), full columns, waves of
+    inputs, or waves on axes."""
 
     functions: tuple[int, ...] = ()
     axis: int | None = None
     dense: tuple[int, ...] = ()
     waves: tuple[int, ...] = ()
+    along: tuple[int, ...] = ()
     exact: bool = False
 
 
-class Scan:
-    """A residual, what was fitted, and a family of candidates.
+@dataclass(frozen=True, eq=False)
+class Block:
+    """A stretch of rows under the filter in time: ``residual`` (b, m), ``fitted`` (b, m, p), ``functions`` (b, f),
+    which act on single axes, and ``dense`` (b, m, d), which act on all."""
 
-    ``residual`` (n, m) and every column are whitened. ``functions`` (n, f) act on single axes, ``dense``
-    (n, m, d) on all, and so do ``waves``.
+    residual: Floats
+    fitted: Floats
+    functions: Floats
+    dense: Floats
+
+
+class Rows(Protocol):
+    """All rows of a scan, in the order of time, of which a stretch at a time is looked at."""
+
+    @property
+    def blocks(self) -> Sequence[slice]:
+        """The stretches."""
+        ...
+
+    def block(self, rows: slice) -> Block:
+        """One of them."""
+        ...
+
+
+class Scan:
+    """A residual, what was fitted, and a family of candidates: all products of them.
+
+    What is held does not grow with the rows. ``model`` are columns that are taken for fitted as well, ``group`` (n,) is
+    equal for repeats of a pose.
     """
 
     def __init__(
         self,
-        residual: Floats,
-        fitted: Floats,
-        functions: Floats,
-        dense: Floats,
+        rows: Rows,
         candidates: Sequence[Columns],
         group: Ints,
         waves: FilteredWaves | None = None,
+        along: AxisWaves | None = None,
+        model: Sequence[Columns] = (),
     ) -> None:
-        self.n, self.m = residual.shape
-        self.waves = waves
-        self.order = order = np.argsort(group, kind="stable")
-        self.starts = np.flatnonzero(np.diff(group[order], prepend=group[order[0]] - 1))
-        self.functions = np.ascontiguousarray(functions[order])
-        # column by column, since candidates take single ones
-        self.dense = np.asfortranarray(dense[order].reshape(self.n * self.m, -1))
-        self.basis = orthonormal(fitted[order])
-        self.candidates = tuple(candidates)
-        flat = residual[order].reshape(-1)
-        self.residual = flat - self.basis @ (self.basis.T @ flat)
-        self.f = self.functions.shape[1]
+        self.rows, self.group, self.waves, self.along = rows, group, waves, along
+        self.candidates, self.model = tuple(candidates), tuple(model)
+        first = rows.block(rows.blocks[0])
+        self.n, (_, self.m, self.d) = rows.blocks[-1].stop, first.dense.shape
+        self.f, self.fitted = first.functions.shape[1], first.fitted.shape[2]
+        #: Numbers of the first full column, wave of an input, and wave on an axis; and how many columns there are.
+        self.first_dense = self.f * self.m
+        self.first_wave = self.first_dense + self.d
+        self.first_along = self.first_wave + (len(waves) if waves is not None else 0)
+        self.count = self.first_along + (len(along) if along is not None else 0)
+        self._products()
 
-    # every column has a number: functions axis by axis, then the dense ones, then the waves
+    # every column has a number: functions axis by axis, then the dense ones, waves of inputs, and waves on axes
     def numbers(self, columns: Columns) -> list[int]:
         """Numbers of a candidate's columns."""
         axes = range(self.m) if columns.axis is None else (columns.axis,)
@@ -82,44 +104,81 @@ class Scan:
             return [a * self.f + k for a in axes for k in columns.functions]
         if columns.dense:
             return [self.first_dense + k for k in columns.dense]
-        return [self.first_wave + k for k in columns.waves]
+        if columns.waves:
+            return [self.first_wave + k for k in columns.waves]
+        return [self.first_along + k for k in columns.along]
 
-    @property
-    def first_dense(self) -> int:
-        """Number of the first full column."""
-        return self.f * self.m
-
-    @property
-    def first_wave(self) -> int:
-        """Number of the first wave."""
-        return self.first_dense + self.dense.shape[1]
-
-    def in_time(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values (n, …) of rows as they stand here, in the order in which they came."""
-        out = np.empty_like(values)
-        out[self.order] = values
+    def take(self, columns: Columns, rows: slice, block: Block) -> Floats:
+        """A candidate's columns in a stretch of rows (b, m, k)."""
+        numbers = self.numbers(columns)
+        out = np.zeros((*block.residual.shape, len(numbers)))
+        for j, number in enumerate(numbers):
+            if number < self.first_dense:
+                out[:, number // self.f, j] = block.functions[:, number % self.f]
+            elif number < self.first_wave:
+                out[:, :, j] = block.dense[:, :, number - self.first_dense]
+            elif self.waves is not None and number < self.first_along:
+                out[:, :, j] = self.waves.column(number - self.first_wave, rows)
+            elif self.along is not None:
+                out[:, :, j] = self.along.column(number - self.first_along, rows)
         return out
 
-    def times(self, matrix: Floats) -> Floats:
-        """All columns times a matrix (N, k): (K, k)."""
-        by_axis = matrix.reshape(self.n, self.m, -1)
-        parts = [self.functions.T @ by_axis[:, a] for a in range(self.m)]
-        parts.append(self.dense.T @ matrix)
-        if self.waves is not None:
-            parts.append(self.waves.times(self.in_time(by_axis)))
-        return np.concatenate(parts)
+    def every_block(self) -> Iterator[tuple[slice, Block, Floats]]:
+        """Stretches of rows, and there what is in the model (b, m, p)."""
+        for rows in self.rows.blocks:
+            block = self.rows.block(rows)
+            yield rows, block, np.concatenate([block.fitted, *(self.take(c, rows, block) for c in self.model)], axis=2)
 
-    @cached_property
-    def by_basis(self) -> Floats:
-        """All columns times the fitted basis, (K, p)."""
-        return self.times(self.basis)
+    def _products(self) -> None:
+        """One look at all rows: the model's own triangle, and its and the residual's products with every column."""
+        triangle = Triangle()
+        ends = [part.products for part in (self.waves, self.along) if part is not None]
+        own: Any = 0.0
+        parts: list[Products | AxisProducts] = []
+        with_e: Any = 0.0
+        ff, dd, total = np.zeros((self.f, self.f)), np.zeros((self.d, self.d)), 0.0
+        for rows, block, model in self.every_block():
+            triangle.add(model)
+            both = np.concatenate([model, block.residual[:, :, None]], axis=2)
+            count = both.shape[2]
+            parts = parts or [end(count) for end in ends]
+            dense, flat = block.dense.reshape(len(both) * self.m, self.d), both.reshape(-1, count)
+            by_axis = [block.functions.T @ both[:, a] for a in range(self.m)]
+            own = own + np.concatenate([*by_axis, dense.T @ flat])
+            ff += block.functions.T @ block.functions
+            dd += dense.T @ dense
+            total += float((block.residual**2).sum())
+            with_e = with_e + flat[:, :-1].T @ flat[:, -1]
+            for part in parts:
+                part.add(rows, both)
+        self._ff, self._dd = ff, dd
+        every = np.concatenate([own, *(part.all() for part in parts)])
+        #: The model's columns turned so that their rows are few; what makes them orthonormal (p, rank).
+        self.triangle = triangle.of
+        self.root = triangle.root()
+        #: All columns times the orthonormal model (K, rank), and times what the model leaves of the residual (K,).
+        self.by_model = every[:, :-1] @ self.root
+        self.of_residual = self.root.T @ with_e
+        self.by_residual = every[:, -1] - self.by_model @ self.of_residual
+        self.sum_of_squares = total - float(self.of_residual @ self.of_residual)
+        self.free = self.n * self.m - self.root.shape[1]
+        self._wave_products = parts[0] if self.waves is not None and parts else None
+
+    def along_waves(self, frequency: float) -> tuple[Floats, Floats, Floats]:
+        """Of sine and cosine of all inputs at any frequency, what the model leaves: Gram matrix (2 j, 2 j), and
+        products with the residual (2 j,); and their squared lengths (2 j,) as they are."""
+        assert self.waves is not None
+        assert isinstance(self._wave_products, Products), "only a thorough stage has waves"
+        products = self._wave_products.at(frequency)
+        by_model = products[:, :-1] @ self.root
+        gram = self.waves.gram_at(frequency)
+        return gram - by_model @ by_model.T, products[:, -1] - by_model @ self.of_residual, np.diag(gram)
 
     @cached_property
     def squared(self) -> Floats:
         """Squared length of every column."""
-        f = (self.functions**2).sum(axis=0)
-        waves = self.waves.squared if self.waves is not None else np.zeros(0)
-        return np.concatenate([np.tile(f, self.m), np.einsum("ij,ij->j", self.dense, self.dense), waves])
+        more = [part.squared for part in (self.waves, self.along) if part is not None]
+        return np.concatenate([np.tile(np.diag(self._ff), self.m), np.diag(self._dd), *more])
 
     @cached_property
     def _sizes(self) -> dict[int, tuple[Ints, Ints]]:
@@ -134,136 +193,223 @@ class Scan:
             if k > 0
         }
 
-    @cached_property
-    def _gram(self) -> dict[int, Floats]:
-        """Gram matrices (c, k, k) of the candidates, nothing projected."""
-        ff = self.functions.T @ self.functions
-        out = {}
-        for k, (_, columns) in self._sizes.items():
-            gram = np.zeros((len(columns), k, k))
-            # a candidate's columns are all of one sort
-            separable, wave = columns[:, 0] < self.first_dense, columns[:, 0] >= self.first_wave
-            axis, function = columns[separable] // self.f, columns[separable] % self.f
-            same = axis[:, :, None] == axis[:, None, :]
-            gram[separable] = np.where(same, ff[function[:, :, None], function[:, None, :]], 0.0)
-            if self.waves is not None and wave.any():
-                gram[wave] = self.waves.gram(columns[wave] - self.first_wave)
-            full = np.flatnonzero(~separable & ~wave)
-            for some in np.array_split(full, max(len(full) // _AT_ONCE, 1)):
-                blocks = self.dense.T[columns[some] - self.first_dense]
-                gram[some] = blocks @ blocks.transpose(0, 2, 1)
-            out[k] = gram
-        return out
+    def _gram(self, columns: Ints) -> Floats:
+        """Gram matrices (c, k, k) of candidates (c, k), nothing projected. All columns of one are of one sort."""
+        gram = np.zeros((*columns.shape, columns.shape[1]))
+        first = columns[:, 0]
+        one = first < self.first_dense
+        axis, function = np.divmod(columns[one], max(self.f, 1))
+        same = axis[:, :, None] == axis[:, None, :]
+        gram[one] = np.where(same, self._ff[function[:, :, None], function[:, None, :]], 0.0)
+        full = (first >= self.first_dense) & (first < self.first_wave)
+        dense = columns[full] - self.first_dense
+        gram[full] = self._dd[dense[:, :, None], dense[:, None, :]]
+        wave = (first >= self.first_wave) & (first < self.first_along)
+        if self.waves is not None and wave.any():
+            gram[wave] = self.waves.gram(columns[wave] - self.first_wave)
+        on_axes = first >= self.first_along
+        if self.along is not None and on_axes.any():
+            gram[on_axes] = self.along.gram(columns[on_axes] - self.first_along)
+        return gram
 
-    def condition(self, columns: Floats) -> ConditionalScan:
-        """The family once ``columns`` (N, k), in the order of :attr:`residual`, are part of the model too."""
-        return ConditionalScan(self, columns)
-
-    def take(self, columns: Columns) -> Floats:
-        """A candidate's columns in full, (N, k)."""
-        numbers = self.numbers(columns)
-        out = np.zeros((self.n, self.m, len(numbers)))
-        for j, number in enumerate(numbers):
-            if number < self.first_dense:
-                out[:, number // self.f, j] = self.functions[:, number % self.f]
-            elif self.waves is not None and number >= self.first_wave:
-                out[:, :, j] = self.waves.column(number - self.first_wave)[self.order]
-            else:
-                out[:, :, j] = self.dense[:, number - self.first_dense].reshape(self.n, self.m)
-        return out.reshape(self.n * self.m, -1)
-
-
-class ConditionalScan:
-    """The family given the fitted parameters and some more columns."""
-
-    def __init__(self, scan: Scan, columns: Floats) -> None:
-        self.scan = scan
-        added = columns - scan.basis @ (scan.basis.T @ columns)
-        self.added = orthonormal(added) if added.shape[1] else added
-        # a second projection, since an added column may have almost nothing left
-        self.added = self.added - scan.basis @ (scan.basis.T @ self.added)
-        self.residual = scan.residual - self.added @ (self.added.T @ scan.residual)
-        self.free = scan.n * scan.m - scan.basis.shape[1] - self.added.shape[1]
-        self.sum_of_squares = float(self.residual @ self.residual)
-
-    @cached_property
-    def _by_model(self) -> Floats:
-        return np.concatenate([self.scan.by_basis, self.scan.times(self.added)], axis=1)
+    def of(self, columns: Columns) -> Projected:
+        """Products of one candidate's columns."""
+        numbers = np.array(self.numbers(columns), dtype=np.int64)
+        return Projected(self._gram(numbers[None])[0], self.by_model[numbers], self.by_residual[numbers])
 
     @cached_property
     def _roots(self) -> dict[int, tuple[Floats, Ints]]:
         """Per size: inverse square roots (c, k, k) of the projected Gram matrices, and directions left (c,)."""
         out = {}
-        for k, (which, columns) in self.scan._sizes.items():
-            by_model = self._by_model[columns]
-            gram = self.scan._gram[k] - by_model @ by_model.transpose(0, 2, 1)
-            length = np.sqrt(np.maximum(self.scan.squared[columns], 1e-300))
+        for k, (which, columns) in self._sizes.items():
+            by_model = self.by_model[columns]
+            gram = self._gram(columns) - by_model @ by_model.transpose(0, 2, 1)
+            length = np.sqrt(np.maximum(self.squared[columns], 1e-300))
             value, vector = np.linalg.eigh(gram / (length[:, :, None] * length[:, None, :]))
-            exact = np.array([self.scan.candidates[i].exact for i in which])
+            exact = np.array([self.candidates[i].exact for i in which])
             limit = np.where(exact, _LEFT_EXACT, _LEFT) ** 2
             keep = value > limit[:, None]
             root = vector * np.where(keep, 1.0 / np.sqrt(np.where(keep, value, 1.0)), 0.0)[:, None, :]
             out[k] = ((root / length[:, :, None]).transpose(0, 2, 1), keep.sum(axis=1))
         return out
 
+    def given(self, *columns: Columns) -> Scan:
+        """The family once more columns are part of the model too."""
+        return Scan(self.rows, self.candidates, self.group, self.waves, self.along, (*self.model, *columns))
+
+    @cached_property
     def gains(self) -> tuple[Floats, Ints]:
         """Sum of squares that each candidate explains, and in how many directions."""
-        gain = np.zeros(len(self.scan.candidates))
-        rank = np.zeros(len(self.scan.candidates), dtype=np.int64)
-        b = self.scan.times(self.residual[:, None])[:, 0]
-        for k, (which, columns) in self.scan._sizes.items():
+        gain = np.zeros(len(self.candidates))
+        rank = np.zeros(len(self.candidates), dtype=np.int64)
+        for k, (which, columns) in self._sizes.items():
             root, left = self._roots[k]
-            gain[which] = ((root @ b[columns][:, :, None])[:, :, 0] ** 2).sum(axis=1)
+            gain[which] = ((root @ self.by_residual[columns][:, :, None])[:, :, 0] ** 2).sum(axis=1)
             rank[which] = left
         return gain, rank
 
+    @cached_property
     def deviates(self) -> Floats:
         """The score of each candidate as a normal deviate; minus infinity where nothing of it is left."""
-        gain, rank = self.gains()
+        gain, rank = self.gains
         return deviate(gain, rank, self.sum_of_squares, self.free)
 
     def null(self, seed: int) -> Floats:
-        """Largest deviate of the family (FLIPS,) under each of a group of patterns of signs of whole poses.
+        """Largest deviate of the family (FLIPS,) under each of a group of patterns of signs of whole poses; those asked
+        for last are remembered.
 
         The group is drawn at random; its first pattern flips nothing. That they are a group makes the test exact, and
         all of them come at the price of a few (Hemerik and Goeman, "Exact testing with random permutations", 2018).
         """
-        scan, sums = self.scan, self._grouped()
-        codes = codes_of(len(scan.starts), seed)
-        model = np.concatenate([scan.basis, self.added], axis=1)
-        of_model = np.add.reduceat(
-            (model.reshape(scan.n, scan.m, -1) * self.residual.reshape(scan.n, scan.m, 1)).sum(axis=1), scan.starts
-        ).T
-        sums -= self._by_model @ of_model
-        total = self.sum_of_squares - _largest([of_model[None]], [0], 1, codes)[0]
-        ranks = np.unique(np.concatenate([left for _, left in self._roots.values()] or [np.zeros(0, dtype=np.int64)]))
-        sets, of = [], []
-        for k, (_, columns) in scan._sizes.items():
-            root, left = self._roots[k]
-            for rank in np.unique(left[left > 0]):
-                # eigenvalues ascend: what is left stands last
-                some = left == rank
-                sets.append(root[some, k - rank :] @ sums[columns[some]])
-                of.append(int(np.searchsorted(ranks, rank)))
-        # of as many directions the largest gain has the largest deviate
-        most = _largest(sets, of, len(ranks), codes)
-        return deviate(most, ranks[:, None], total, self.free).max(axis=0, initial=-np.inf)
+        if self._null is None or self._null[0] != seed:
+            self._null = seed, self._drawn(seed)
+        return self._null[1]
 
-    def _grouped(self) -> Floats:
-        """Products of columns and residual, summed within each pose: (K, groups)."""
-        scan = self.scan
-        e = self.residual.reshape(scan.n, scan.m)
-        parts = [np.add.reduceat(scan.functions * e[:, a : a + 1], scan.starts).T for a in range(scan.m)]
-        dense = scan.dense.reshape(scan.n, scan.m, -1)
-        parts.append(np.add.reduceat(np.einsum("nmd,nm->nd", dense, e), scan.starts).T)
-        if scan.waves is not None:
-            pose = np.repeat(np.arange(len(scan.starts)), np.diff(scan.starts, append=scan.n))
-            parts.append(scan.waves.grouped(scan.in_time(e), scan.in_time(pose), len(scan.starts)))
-        return np.concatenate(parts)
+    _null: tuple[int, Floats] | None = None
+
+    def _drawn(self, seed: int) -> Floats:
+        sums, of_model = self._by_code(seed)
+        signed = of_model.copy()
+        size, each = np.array([len(signed)]), np.arange(len(signed))
+        lost = largest_under_flips(
+            signed, each, np.eye(len(signed)).ravel(), size, size, np.zeros(1, dtype=np.int64), 1
+        )[0]
+        ranks = np.unique(np.concatenate([left for _, left in self._roots.values()] or [each[:0]]))
+        columns, roots, sizes, own = [], [], [], []
+        for k, (_, numbers) in self._sizes.items():
+            root, left = self._roots[k]
+            for rank in np.unique(left[left > 0]).tolist():
+                some = left == rank
+                columns.append(numbers[some].ravel())
+                # eigenvalues ascend: what is left stands last
+                roots.append(root[some, k - rank :].ravel())
+                sizes.append(np.full(some.sum(), k))
+                own.append(np.full(some.sum(), rank))
+        if not columns:
+            return np.full(FLIPS, -np.inf)
+        rank_of = np.concatenate(own)
+        # of as many directions the largest gain has the largest deviate
+        most = largest_under_flips(
+            sums, np.concatenate(columns), np.concatenate(roots), np.concatenate(sizes), rank_of,
+            np.searchsorted(ranks, rank_of), len(ranks),
+        )  # fmt: skip
+        return deviate(most, ranks[:, None], self.sum_of_squares - lost, self.free).max(axis=0, initial=-np.inf)
+
+    def _by_code(self, seed: int) -> tuple[Floats, Floats]:
+        """Products of what the model leaves of all columns (K, FLIPS), and of the orthonormal model (rank, FLIPS), with
+        the residual, summed over the poses of each code."""
+        pose = np.unique(self.group, return_inverse=True)[1].ravel()
+        codes = codes_of(int(pose.max()) + 1, seed)[pose]
+        sums = np.zeros((self.count, FLIPS))
+        of_model: Any = 0.0
+        for rows, block, model in self.every_block():
+            orthonormal = model @ self.root
+            left = block.residual - orthonormal @ self.of_residual
+            here = codes[rows]
+            by_code = scipy.sparse.csr_matrix((np.ones(len(here)), (here, np.arange(len(here)))), (FLIPS, len(here)))
+            of_model = of_model + np.ascontiguousarray((by_code @ np.einsum("nmk,nm->nk", orthonormal, left)).T)
+            for a in range(self.m):
+                sums[a * self.f : (a + 1) * self.f] += (by_code @ (block.functions * left[:, a : a + 1])).T
+            dense = np.einsum("nmd,nm->nd", block.dense, left)
+            sums[self.first_dense : self.first_wave] += (by_code @ dense).T
+            if self.waves is not None:
+                self.waves.add_sums(rows, left, here, sums[self.first_wave : self.first_along])
+            if self.along is not None:
+                self.along.add_sums(rows, left, here, sums[self.first_along :])
+        # in place: it is as large as all sums
+        scipy.linalg.blas.dgemm(-1.0, of_model.T, self.by_model, 1.0, sums.T, trans_b=True, overwrite_c=True)
+        return sums, of_model
 
     def p_value(self, largest: float, *, seed: int = 0) -> float:
         """Familywise p of a largest deviate."""
         return (1 + int((self.null(seed)[1:] >= largest).sum())) / FLIPS
+
+    def among(self, sets: Sequence[Columns]) -> Image:
+        """A few candidates in full."""
+        return self.image([partial(self.take, one) for one in sets])
+
+    def image(self, sets: Sequence[Callable[[slice, Block], Floats]]) -> Image:
+        """Columns (b, m, k) that are given for a stretch of rows, in full, with model and residual."""
+        triangle = Triangle()
+        counts: list[int] = []
+        for rows, block, model in self.every_block():
+            parts = [model, *(one(rows, block) for one in sets), block.residual[:, :, None]]
+            counts = counts or [part.shape[2] for part in parts]
+            triangle.add(np.concatenate(parts, axis=2))
+        model, *columns, residual = np.split(triangle.of, np.cumsum(counts)[:-1], axis=1)
+        return Image(model, columns, residual[:, 0], self.n * self.m)
+
+
+@dataclass(frozen=True, eq=False)
+class Projected:
+    """Columns of a candidate: their Gram matrix ``whole`` (k, k), their products with the orthonormal model (k, rank),
+    and with what the model leaves of the residual (k,)."""
+
+    whole: Floats
+    by_model: Floats
+    by_residual: Floats
+
+    @property
+    def left(self) -> Floats:
+        """Gram matrix (k, k) of what the model leaves of them."""
+        return self.whole - self.by_model @ self.by_model.T
+
+
+class Triangle:
+    """Columns turned so that all their rows are few: the triangle of a QR decomposition, block by block, keeps every
+    length and angle between them to the last digits, which a Gram matrix does not."""
+
+    def __init__(self) -> None:
+        self.of: Floats = np.zeros((0, 0))
+
+    def add(self, columns: Floats) -> None:
+        """More rows (b, m, k)."""
+        flat = columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
+        stacked = np.concatenate([self.of, flat]) if len(self.of) else flat
+        self.of = np.asarray(np.linalg.qr(stacked, mode="r")) if stacked.shape[1] else np.zeros((0, 0))
+
+    def root(self, tolerance: float = 1e-7) -> Floats:
+        """What makes the columns orthonormal (k, rank)."""
+        norm = np.linalg.norm(self.of, axis=0)
+        scale = np.where(norm > 0, norm, 1.0)
+        _, value, vector = np.linalg.svd(self.of / scale)
+        keep = value > tolerance * value[:1]
+        return vector[: len(value)][keep].T / value[keep] / scale[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """A model, some sets of columns and a residual, turned so that their rows are few: lengths, angles, projections
+    and least squares among them are those of all rows, of which there are ``count``."""
+
+    model: Floats
+    columns: Sequence[Floats]
+    residual: Floats
+    count: int
+
+    @cached_property
+    def basis(self) -> Floats:
+        """The model as orthonormal columns."""
+        return orthonormal(self.model)
+
+    def free_of_model(self, columns: Floats) -> Floats:
+        """What the model leaves of columns (r, k) or (r,)."""
+        return columns - self.basis @ (self.basis.T @ columns)
+
+    def given(self, count: int) -> tuple[float, int]:
+        """Sum of squares that the first columns of the model leave of the residual, and their rank."""
+        basis = orthonormal(self.model[:, :count])
+        left = self.residual - basis @ (basis.T @ self.residual)
+        return float(left @ left), basis.shape[1]
+
+    def left(self, *which: int) -> float:
+        """Sum of squares of the residual once these sets of columns are in the model too."""
+        added = self.free_of_model(np.concatenate([self.model[:, :0], *(self.columns[k] for k in which)], axis=1))
+        # a second projection, since an added column may have almost nothing left
+        added = self.free_of_model(orthonormal(added))
+        residual = self.free_of_model(self.residual)
+        residual = residual - added @ (added.T @ residual)
+        return float(residual @ residual)
 
 
 def codes_of(poses: int, seed: int) -> Ints:
@@ -271,16 +417,6 @@ def codes_of(poses: int, seed: int) -> Ints:
     always flip together, as long as there are codes."""
     rng = np.random.default_rng(seed)
     return rng.permutation(FLIPS)[:poses] if poses <= FLIPS else rng.integers(0, FLIPS, poses)
-
-
-def _largest(sets: Sequence[Floats], class_of: Sequence[int], classes: int, codes: Ints) -> Floats:
-    """Largest sum of squares (classes, FLIPS) of sets of candidates (c, k, poses), each set of one class."""
-    if not sets:
-        return np.zeros((classes, FLIPS))
-    rows = np.concatenate([one.reshape(-1, len(codes)) for one in sets])
-    sizes = np.concatenate([np.full(len(one), one.shape[1], dtype=np.int64) for one in sets])
-    of = np.repeat(np.array(class_of, dtype=np.int64), [len(one) for one in sets])
-    return largest_under_flips(np.ascontiguousarray(rows), np.cumsum(sizes), of, classes, codes, FLIPS)
 
 
 def deviate(gain: Floats, rank: Ints | np.integer[Any], total: float | Floats, free: int) -> Floats:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -21,10 +22,10 @@ from ..model.effect import Effect
 from ..types import Floats
 from .fitted_run import FittedRun
 from .periods import period_of
-from .scan import FLIPS, ConditionalScan
+from .scan import FLIPS, Block, Scan
 from .shapes import Shape, wave
 from .sizes import PLAUSIBLE, sizes_of
-from .stage import Candidate, Stage, columns_of, stage_of
+from .stage import Candidate, Stage, stage_of
 from .waves import OVERSAMPLING, Waves
 
 #: A set that explains must take at least this part of what the best candidate takes.
@@ -102,19 +103,19 @@ class Search:
         self.rho, self.waves = stage.filtered.rho, stage.waves or self.waves
         return stage
 
-    def left(self, given: ConditionalScan) -> float:
+    def left(self, scan: Scan) -> float:
         """Familywise p of what is left."""
-        largest = float(given.deviates().max())
+        largest = float(scan.deviates.max())
         if largest > _PLAINLY_LEFT:
             return 1.0 / FLIPS
-        return given.p_value(largest, seed=self.seed)
+        return scan.p_value(largest, seed=self.seed)
 
     # -- the search --------------------------------------------------------------------------------------
 
     def find(self) -> SearchResult:
         """Searches until nothing significant is left, or nothing explains what is."""
         stage = self.stage(self.base)
-        p = self.left(stage.plain)
+        p = self.left(stage.scan)
         found = SearchResult([stage], p_first=p, p_left=p)
         while p <= self.level and len(found.added) + len(found.signature) < _MOST_STEPS:
             explanations, singles, nearest = self.explanations(stage)
@@ -147,7 +148,7 @@ class Search:
                 found.stages.append(stage)
             else:
                 break
-            p = self.left(stage.plain)
+            p = self.left(stage.scan)
         found.p_left = p
         self._prune(found)
         return found
@@ -155,7 +156,7 @@ class Search:
     def as_it_stands(self) -> SearchResult:
         """Nothing is looked for."""
         stage = self.stage(self.base)
-        p = self.left(stage.plain)
+        p = self.left(stage.scan)
         return SearchResult([stage], p_first=p, p_left=p)
 
     def simpler_shape(self, stage: Stage, explanations: Sequence[Explanation]) -> Shape | None:
@@ -168,27 +169,29 @@ class Search:
         shape = self.best_shape(stage)
         if shape is None:
             return None
-        given = stage.scan.condition(
-            np.concatenate([stage.nuisance_columns, stage.scan.take(columns_of(shape))], axis=1)
+        given = stage.scan.given(shape.columns)
+        of_shape = schwarz(given, len(stage.scan.numbers(shape.columns)))
+        image = stage.among(members := list({id(c): c for e in explanations for c in e.candidates}.values()))
+        places = [[members.index(c) for c in e.candidates] for e in explanations]
+        of_pair = min(
+            _bic(image.left(*at), image.count, e.candidates) for at, e in zip(places, explanations, strict=True)
         )
-        of_shape = schwarz(given, len(stage.scan.numbers(columns_of(shape))))
-        of_pair = min(bic(stage.with_effects(*e.candidates), e.candidates) for e in explanations)
         if of_shape < of_pair - _CLEARLY and self.left(given) > self.level:
             return shape
         return None
 
     def scores(self, stage: Stage) -> Floats:
         """Change of Schwarz's criterion by each shape, then by each candidate; infinite where nothing is left of it."""
-        gain, rank = stage.plain.gains()
+        gain, rank = stage.scan.gains
         n = stage.scan.n * stage.scan.m
-        total = stage.plain.sum_of_squares
+        total = stage.scan.sum_of_squares
         score = n * np.log(np.maximum(total - gain, 1e-300) / total) + rank * np.log(n)
         return np.where(rank > 0, score, np.inf)
 
     def best_shape(self, stage: Stage) -> Shape | None:
         """The shape with the lowest criterion, where one gains."""
         score = self.scores(stage)[: stage.n_shapes]
-        return stage.family.shapes[int(np.argmin(score))] if len(score) and score.min() < 0 else None
+        return stage.shapes[int(np.argmin(score))] if len(score) and score.min() < 0 else None
 
     def refined(self, stage: Stage, shape: Shape) -> Shape:
         """A periodic shape at the period that takes most, between its neighbours on the grid."""
@@ -200,27 +203,26 @@ class Search:
         pattern = stage.view.patterns[shape.pattern] if shape.pattern else None
         axes = range(stage.scan.m) if shape.axis is None else (shape.axis,)
 
-        def taken(frequency: float) -> float:
-            columns = []
-            for w in wave(values, 1.0 / frequency):
+        def best(at: Floats) -> float:
+            """The frequency of these (k,) that leaves least."""
+            image = stage.scan.image([partial(filtered, f) for f in at.tolist()])
+            return float(at[np.argmin([image.left(k) for k in range(len(at))])])
+
+        def filtered(frequency: float, rows: slice, block: Block) -> Floats:
+            del block
+            waves = wave(values, 1.0 / frequency)
+
+            def raw(part: slice) -> Floats:
                 if pattern is not None:
-                    columns.append(pattern * w[:, None])
-                else:
-                    centred = (w - w.mean())[:, None]
-                    for a in axes:
-                        columns.append(np.where(np.arange(stage.scan.m) == a, centred, 0.0))
-            stacked = stage.filtered(np.stack(columns, axis=2))[stage.scan.order].reshape(
-                stage.scan.n * stage.scan.m, -1
-            )
-            given = stage.scan.condition(np.concatenate([stage.nuisance_columns, stacked], axis=1))
-            return -given.sum_of_squares
+                    return np.stack([pattern[part] * w[part, None] for w in waves], axis=2)
+                on = np.eye(stage.scan.m)[list(axes)]
+                return np.stack([(w[part] - w.mean())[:, None] * a for w in waves for a in on], axis=2)
+
+            return stage.filtered.on(raw, rows)
 
         grid = 1.0 / shape.period + spacing * np.linspace(-1.0, 1.0, 17)
         grid = grid[grid > 0]
-        best = max(grid, key=taken)
-        fine = best + spacing * np.linspace(-0.125, 0.125, 9)
-        best = max(fine, key=taken)
-        return replace(shape, period=float(1.0 / best))
+        return replace(shape, period=1.0 / best(best(grid) + spacing * np.linspace(-0.125, 0.125, 9)))
 
     def explanations(self, stage: Stage) -> tuple[list[Explanation], list[Explanation], Explanation | None]:
         """Sets of effects that explain what is left: singles, or else pairs; the leading one first. All singles that
@@ -239,18 +241,20 @@ class Search:
     def beats(self, pair: Explanation, after: Stage, single: Candidate) -> bool:
         """Whether a pair that leaves something is still clearly better than a single one with whatever, shape or
         effect, goes best with it: else one cause and a shape of no catalogue would be taken for two."""
-        best_with_it = bic(after.plain, (single,)) + min(float(self.scores(after).min(initial=0.0)), 0.0)
-        return bic(pair.stage.plain, pair.candidates) < best_with_it - _CLEARLY
+        best_with_it = bic(after.scan, (single,)) + min(float(self.scores(after).min(initial=0.0)), 0.0)
+        return bic(pair.stage.scan, pair.candidates) < best_with_it - _CLEARLY
 
     def _refitted(self, stage: Stage, sets: Sequence[tuple[Candidate, ...]], most: int) -> list[Explanation]:
         """Screens sets by what they take in linear approximation, then refits and tests the best in full."""
-        largest = float(stage.plain.gains()[0].max())
+        largest = float(stage.scan.gains[0].max())
+        single = list({id(c): c for members in sets for c in members}.values())
+        place = {id(c): k for k, c in enumerate(single)}
+        image = stage.among(single)
         screened = []
         for members in sets:
-            given = stage.with_effects(*members)
-            taken = stage.plain.sum_of_squares - given.sum_of_squares
-            if taken >= _TAKES * largest:
-                screened.append((bic(given, members), schwarz(given, 0), members))
+            left = image.left(*(place[id(c)] for c in members))
+            if stage.scan.sum_of_squares - left >= _TAKES * largest:
+                screened.append((_bic(left, image.count, members), _schwarz(left, image.count, 0), members))
         screened.sort(key=lambda s: s[0])
         # a cause of many parameters stands behind every smaller one that imitates it, however well it fits: whoever
         # comes as near the data as the first is heard too
@@ -266,17 +270,16 @@ class Search:
                 continue
             # most of what does not explain leaves something that shows without the shapes that cost time
             after = self.stage(run, stage.nuisance, thorough=False)
-            if float(after.plain.deviates().max()) <= _PLAINLY_LEFT:
+            if float(after.scan.deviates.max()) <= _PLAINLY_LEFT:
                 after = self.stage(run, stage.nuisance)
-            out.append(Explanation(members, after, self.left(after.plain)))
-        out.sort(key=lambda e: (not plausible(e), bic(e.stage.plain, e.candidates)))
+            out.append(Explanation(members, after, self.left(after.scan)))
+        out.sort(key=lambda e: (not plausible(e), bic(e.stage.scan, e.candidates)))
         return out
 
     def strongest_settings(self, stage: Stage) -> list[Candidate]:
         """One candidate per effect: where a setting is searched for, the one that takes most, made finer."""
-        gains = stage.plain.gains()[0][stage.n_shapes :]
         tried: dict[str, list[tuple[float, Candidate]]] = {}
-        for gain, candidate in zip(gains.tolist(), stage.candidates, strict=True):
+        for gain, candidate in zip(stage.gains.tolist(), stage.candidates, strict=True):
             tried.setdefault(candidate.name, []).append((gain, candidate))
         return [self._strongest(stage, scored) for scored in tried.values()]
 
@@ -321,7 +324,7 @@ class Search:
         for candidate in list(found.added[:-1]):
             rest = [c for c in found.added if c is not candidate]
             stage = self.stage(refit(self.base, rest), found.stages[-1].nuisance)
-            p = self.left(stage.plain)
+            p = self.left(stage.scan)
             if p > self.level:
                 found.added = rest
                 found.stages.append(stage)
@@ -341,21 +344,28 @@ def as_near(leading: Sequence[Explanation], every: Sequence[Explanation]) -> lis
 
     def scores(e: Explanation) -> Floats:
         """By the fit alone, and with a price on each number."""
-        return np.array([schwarz(e.stage.plain, 0), bic(e.stage.plain, e.candidates)])
+        return np.array([schwarz(e.stage.scan, 0), bic(e.stage.scan, e.candidates)])
 
     limit = np.min([scores(e) for e in leading], axis=0) + _CLEARLY
     return [*leading, *(e for e in every if e not in leading and (scores(e) < limit).any())]
 
 
-def bic(given: ConditionalScan, members: Sequence[Candidate]) -> float:
-    """Schwarz's criterion of a model whose residual is ``given``, for the added effects."""
-    return schwarz(given, sum(len(c.effect.parameters) + (c.setting is not None) for c in members))
+def bic(scan: Scan, members: Sequence[Candidate]) -> float:
+    """Schwarz's criterion of the model of a scan, for the added effects."""
+    return _bic(scan.sum_of_squares, scan.n * scan.m, members)
 
 
-def schwarz(given: ConditionalScan, count: int) -> float:
-    """Schwarz's criterion of a model whose residual is ``given``, for ``count`` added parameters."""
-    n = given.scan.n * given.scan.m
-    return float(n * np.log(given.sum_of_squares / n) + count * np.log(n))
+def schwarz(scan: Scan, count: int) -> float:
+    """Schwarz's criterion of the model of a scan, for ``count`` added parameters."""
+    return _schwarz(scan.sum_of_squares, scan.n * scan.m, count)
+
+
+def _bic(left: float, n: int, members: Sequence[Candidate]) -> float:
+    return _schwarz(left, n, sum(len(c.effect.parameters) + (c.setting is not None) for c in members))
+
+
+def _schwarz(left: float, n: int, count: int) -> float:
+    return float(n * np.log(left / n) + count * np.log(n))
 
 
 def plausible(explanation: Explanation) -> bool:

@@ -5,16 +5,18 @@ They test whether something is left, and describe it; they never compete for the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..types import Floats
-from .linearised import Linearised
-from .waves import OVERSAMPLING, TURN, Waves, frequencies
+from .._core import play
+from ..types import Floats, Ints
+from .axis_waves import Along
+from .linearised import Linearised, last_asked
+from .scan import Columns
+from .waves import OVERSAMPLING, TURN, Waves
 
 _ORDERS = 3
 _STEPS = 24
@@ -29,8 +31,8 @@ _FEWEST_VALUES = 2
 class Shape:
     """A family of columns that stand for one description.
 
-    ``functions`` are indices of functions, used on axis ``axis`` or on all (None); ``dense`` ones of full columns and
-    ``waves`` of :class:`~.waves.Waves`.
+    ``functions`` are indices of functions, used on axis ``axis`` or on all (None); ``dense`` ones of full columns,
+    ``waves`` of :class:`~.waves.Waves` and ``along`` of :class:`~.axis_waves.AxisWaves`.
     """
 
     depends_on: tuple[str, ...]
@@ -43,47 +45,80 @@ class Shape:
     functions: tuple[int, ...] = ()
     dense: tuple[int, ...] = ()
     waves: tuple[int, ...] = ()
+    along: tuple[int, ...] = ()
+
+    @cached_property
+    def columns(self) -> Columns:
+        """Its columns for a scan."""
+        return Columns(self.functions, self.axis, self.dense, self.waves, self.along)
+
+
+#: Values (b,) of a function in a stretch of rows.
+Function = Callable[[slice], Floats]
 
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """Shapes with their columns: ``functions`` (n, f), used on single axes, and ``dense`` (n, m, d), whose numbers
-    go on from those of the effects."""
+    """Shapes, and what gives their columns in any stretch of rows: ``functions``, used on single axes, with the mean
+    and the length that are taken out of each; ``dense``, with the input whose pattern each follows, whose numbers go on
+    from those of the effects; ``along`` waves on single axes."""
 
+    view: Linearised
     shapes: tuple[Shape, ...]
-    functions: Floats
-    dense: Floats
+    functions: tuple[tuple[Function, float, float], ...]
+    dense: tuple[tuple[str, Function, float, float], ...]
+    along: tuple[Along, ...]
+
+    @last_asked
+    def functions_in(self, rows: slice) -> Floats:
+        """Functions (b, f) without their mean, of unit length over all rows."""
+        out = np.empty((len(self.functions), rows.stop - rows.start))
+        for k, (function, mean, length) in enumerate(self.functions):
+            out[k] = (function(rows) - mean) / length
+        return np.ascontiguousarray(out.T)
+
+    @last_asked
+    def dense_in(self, rows: slice) -> Floats:
+        """Full columns (b, m, d), of unit length over all rows."""
+        out = np.empty((len(self.dense), rows.stop - rows.start, self.view.axes))
+        for k, (pattern, function, mean, length) in enumerate(self.dense):
+            np.multiply(self.view.patterns[pattern][rows], ((function(rows) - mean) / length)[:, None], out=out[k])
+        return np.ascontiguousarray(out.transpose(1, 2, 0))
 
 
 class _Builder:
     def __init__(self, view: Linearised, first: int) -> None:
         self.view = view
         self.shapes: list[Shape] = []
-        self.functions: list[Floats] = []
-        self.dense: list[Floats] = []
-        self.count_functions, self.count_dense = 0, first
+        self.functions: list[tuple[Function, float, float]] = []
+        self.dense: list[tuple[str, Function, float, float]] = []
+        self.along: list[Along] = []
+        self.first, self.count_along = first, 0
 
-    def function(self, raw: NDArray[Any]) -> int:
-        return self.block(raw[:, None])[0]
+    def function(self, function: Function) -> int:
+        raw = function(self.view.whole)
+        mean = float(raw.mean())
+        self.functions.append((function, mean, float(np.linalg.norm(raw - mean)) or 1.0))
+        return len(self.functions) - 1
 
-    def block(self, raw: Floats) -> range:
-        """Numbers of functions (n, k)."""
-        values = raw - raw.mean(axis=0)
-        norm = np.linalg.norm(values, axis=0)
-        self.functions.append(values / np.where(norm > 0, norm, 1.0))
-        first, self.count_functions = self.count_functions, self.count_functions + raw.shape[1]
-        return range(first, self.count_functions)
-
-    def column(self, pattern: str, raw: NDArray[Any]) -> int:
-        return self.columns(pattern, (raw - raw.mean())[:, None])[0]
-
-    def columns(self, pattern: str, values: Floats) -> range:
-        """Numbers of the columns that a pattern makes of functions (n, k)."""
+    def column(self, pattern: str, function: Function, *, centred: bool = True) -> int:
+        raw = function(self.view.whole)
+        mean = float(raw.mean()) if centred else 0.0
         by = self.view.patterns[pattern]
-        norm = np.sqrt((by**2).sum(axis=1) @ values**2)
-        self.dense.append(by[:, :, None] * (values / np.where(norm > 0, norm, 1.0))[:, None, :])
-        first, self.count_dense = self.count_dense, self.count_dense + values.shape[1]
-        return range(first, self.count_dense)
+        squares = np.einsum("na,na->n", by, by) @ (raw - mean) ** 2
+        self.dense.append((pattern, function, mean, float(np.sqrt(squares)) or 1.0))
+        return self.first + len(self.dense) - 1
+
+    def waves_on_axes(self, name: str, unit: float, turns: Ints) -> None:
+        """Waves of a variable on each axis by itself, and on all together."""
+        along = Along(np.ascontiguousarray(self.view.variables[name]), unit, turns)
+        count = len(turns)
+        for f, period in enumerate((1.0 / along.at).tolist()):
+            pairs = [tuple(self.count_along + (2 * a + s) * count + f for s in (0, 1)) for a in range(self.view.axes)]
+            for axis, numbers in (*enumerate(pairs), (None, tuple(k for pair in pairs for k in pair))):
+                self.shapes.append(Shape((name,), "periodic", period=period, axis=axis, along=numbers))
+        self.along.append(along)
+        self.count_along += 2 * self.view.axes * count
 
     def on_axes(self, functions: tuple[int, ...], depends_on: tuple[str, ...], shape: str, **about: object) -> None:
         """The functions on each axis by itself, and on all together."""
@@ -100,76 +135,100 @@ def build(
     column.
     """
     b = _Builder(view, number)
-    unit = {name: _unit(v) for name, v in view.variables.items() if len(np.unique(v)) >= _FEWEST_VALUES}
+    values = {name: len(np.unique(v)) for name, v in view.variables.items()}
+    unit = {name: _unit(v) for name, v in view.variables.items() if values[name] >= _FEWEST_VALUES}
     poses = [name for name in unit if name in view.pattern_of or name in view.place]
     others = [name for name in unit if name not in poses]
     for name, t in unit.items():
-        orders = min(_ORDERS, len(np.unique(t)) - 1)
-        legendre = np.polynomial.legendre.legvander(t, orders)[:, 1:]
-        columns = tuple(b.function(legendre[:, k]) for k in range(orders))
+        orders = min(_ORDERS, values[name] - 1)
+        powers = [_legendre(t, order) for order in range(1, orders + 1)]
+        columns = tuple(b.function(power) for power in powers)
         b.on_axes(columns[:1], (name,), "smooth", order=1)
         if orders > 1:
             b.on_axes(columns, (name,), "smooth", order=orders)
         pattern = view.pattern_of.get(name)
         if pattern is not None and orders > 1:
-            dense = tuple(b.column(pattern, legendre[:, k]) for k in range(orders))
+            dense = tuple(b.column(pattern, power) for power in powers)
             b.shapes.append(Shape((name,), "smooth", order=orders, pattern=pattern, dense=dense))
     if waves is not None:
         for name in poses:
             if name in waves.names:
-                for f, period in enumerate((1.0 / waves.at).tolist()):
-                    pair = waves.numbers(name, f)
-                    b.shapes.append(
-                        Shape((name,), "periodic", period=period, pattern=view.pattern_of[name], waves=pair)
-                    )
+                b.shapes += _of_input(waves, name, view.pattern_of[name])
+            elif name in view.inputs:
+                if len(waves.turns):
+                    b.waves_on_axes(name, waves.unit, waves.turns)
             else:
-                _waves(b, name, frequencies(view) if name in view.inputs else _coarse(view.variables[name]))
-    for name, period in periods:
+                b.waves_on_axes(name, 1.0 / (OVERSAMPLING * float(np.ptp(view.variables[name]))), _COARSE)
+    for name, at in periods:
         if name in unit:
-            _waves(b, name, np.array([1.0 / period]))
+            _wave(b, name, at)
     for k, first in enumerate(poses):
         for second in poses[k + 1 :]:
             if (first in view.pattern_of) == (second in view.pattern_of):
-                column = b.function(unit[first] * unit[second])
-                b.on_axes((column,), (first, second), "interaction")
+                b.on_axes((b.function(_product(unit[first], unit[second])),), (first, second), "interaction")
     for name in others:
         for pose in poses:
             if pose not in view.pattern_of:
-                b.on_axes((b.function(unit[name] * unit[pose]),), (name, pose), "interaction")
+                b.on_axes((b.function(_product(unit[name], unit[pose])),), (name, pose), "interaction")
     for joint, pattern in view.pattern_of.items():
         for other in view.pattern_of:
             if joint in unit and other in unit and joint != other:
                 t, u = unit[joint], unit[other]
-                dense = tuple(b.column(pattern, v) for v in (u, u * u, t * u))
+                dense = tuple(b.column(pattern, one) for one in (_itself(u), _product(u, u), _product(t, u)))
                 b.shapes.append(Shape((joint, other), "interaction", pattern=pattern, dense=dense))
     if waves is not None:
         _hysteretic(b)
     _steps(b)
-    n, m = len(view), view.axes
-    functions = np.concatenate(b.functions, axis=1) if b.functions else np.zeros((n, 0))
-    full = np.concatenate(b.dense, axis=2) if b.dense else np.zeros((n, m, 0))
-    return Family(tuple(b.shapes), functions, full)
+    return Family(view, tuple(b.shapes), tuple(b.functions), tuple(b.dense), tuple(b.along))
 
 
-def _coarse(values: Floats) -> Floats:
-    """Frequencies of a coordinate, from two waves over its range on."""
-    span = float(values.max() - values.min())
-    return np.arange(2.0 * OVERSAMPLING, OVERSAMPLING * _MOST_WAVES + 1.0) / (OVERSAMPLING * span)
+def _of_input(waves: Waves, name: str, pattern: str) -> list[Shape]:
+    """A shape for each frequency of an input, made once for all fits to the same rows."""
+    if name not in waves.shapes:
+        first, count = waves.numbers(name, 0)[0], len(waves.at)
+        waves.shapes[name] = [
+            Shape((name,), "periodic", period=period, pattern=pattern, waves=(k, k + count))
+            for k, period in enumerate((1.0 / waves.at).tolist(), first)
+        ]
+    return waves.shapes[name]
 
 
-def _waves(b: _Builder, name: str, at: Floats) -> None:
-    """Sine and cosine of a variable at each of these frequencies (k,)."""
+def _itself(t: Floats) -> Function:
+    return lambda rows: t[rows]
+
+
+def _product(t: Floats, u: Floats) -> Function:
+    return lambda rows: t[rows] * u[rows]
+
+
+def _legendre(t: Floats, order: int) -> Function:
+    """Legendre's polynomial of order 1 to 3."""
+    return (
+        _itself(t),
+        lambda rows: 1.5 * t[rows] ** 2 - 0.5,
+        lambda rows: (2.5 * t[rows] ** 2 - 1.5) * t[rows],
+    )[order - 1]
+
+
+#: Frequencies of a coordinate: from two waves over its range on.
+_COARSE = np.arange(2 * int(OVERSAMPLING), int(OVERSAMPLING) * _MOST_WAVES + 1)
+
+
+def _wave(b: _Builder, name: str, period: float) -> None:
+    """Sine and cosine of a variable at one period."""
     values = b.view.variables[name]
-    angles = TURN * np.outer(values - values.min(), at)
-    both = np.stack([np.sin(angles), np.cos(angles)], axis=2).reshape(len(values), -1)
+    low = values.min()
+    both: tuple[Function, Function] = (
+        lambda rows: np.sin(TURN * (values[rows] - low) / period),
+        lambda rows: np.cos(TURN * (values[rows] - low) / period),
+    )
     pattern = b.view.pattern_of.get(name)
-    # along an input they are what an encoder adds to it, its mean as well
-    numbers = b.block(both) if pattern is None else b.columns(pattern, both)
-    for period, pair in zip((1.0 / at).tolist(), zip(numbers[::2], numbers[1::2], strict=True), strict=True):
-        if pattern is None:
-            b.on_axes(pair, (name,), "periodic", period=period)
-        else:
-            b.shapes.append(Shape((name,), "periodic", period=period, pattern=pattern, dense=pair))
+    if pattern is None:
+        b.on_axes(tuple(b.function(one) for one in both), (name,), "periodic", period=period)
+    else:
+        # along an input they are what an encoder adds to it, its mean as well
+        dense = tuple(b.column(pattern, one, centred=False) for one in both)
+        b.shapes.append(Shape((name,), "periodic", period=period, pattern=pattern, dense=dense))
 
 
 def wave(values: Floats, period: float) -> tuple[Floats, Floats]:
@@ -184,25 +243,19 @@ def _hysteretic(b: _Builder) -> None:
         q = b.view.variables[joint]
         step = np.sign(np.diff(q, prepend=q[:1]))
         last = np.maximum.accumulate(np.where(step != 0, np.arange(len(q)), 0))
-        direction = step[last]
+        direction = _itself(step[last])
         b.on_axes((b.function(direction),), (joint,), "hysteretic", setting=0.0)
         columns = (b.column(pattern, direction),)
         b.shapes.append(Shape((joint,), "hysteretic", pattern=pattern, setting=0.0, dense=columns))
         for width in _PLAY_WIDTHS:
-            columns = (b.column(pattern, play_operator(q, width) - q),)
+            columns = (b.column(pattern, _itself(play_operator(q, width) - q)),)
             b.shapes.append(Shape((joint,), "hysteretic", pattern=pattern, setting=width, dense=columns))
 
 
 def play_operator(q: Floats, width: float) -> Floats:
     """The play operator: what follows ``q`` with a dead zone of ``width`` (Visintin, *Differential Models of
     Hysteresis*, 1994)."""
-    out = np.empty_like(q)
-    at = q[0]
-    half = 0.5 * width
-    for k, value in enumerate(q.tolist()):
-        at = min(max(at, value - half), value + half)
-        out[k] = at
-    return out
+    return play(np.ascontiguousarray(q, dtype=float), width)
 
 
 def _steps(b: _Builder) -> None:
@@ -214,8 +267,12 @@ def _steps(b: _Builder) -> None:
     for k in range(1, _STEPS):
         cut = k * n // _STEPS
         if 0 < cut < n and time[cut] > time[cut - 1]:
-            column = b.function((np.arange(n) >= cut).astype(float))
+            column = b.function(_after(cut))
             b.shapes.append(Shape(("time_s",), "step", setting=float(time[cut]), functions=(column,)))
+
+
+def _after(cut: int) -> Function:
+    return lambda rows: (np.arange(rows.start, rows.stop) >= cut).astype(float)
 
 
 def _unit(values: Floats) -> Floats:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -12,11 +12,15 @@ from numpy.typing import NDArray
 from ..errors import FitError
 from ..model.effect import Effect
 from ..types import Floats
+from .axis_waves import AxisWaves
 from .fitted_run import FittedRun
-from .linearised import Linearised, Whitening, correlation_in_time, orthonormal
-from .scan import Columns, ConditionalScan, Scan
+from .linearised import Linearised, Whitening, correlation_in_time, last_asked, orthonormal
+from .scan import Block, Columns, Image, Scan
 from .shapes import Family, Shape, build
 from .waves import Waves, waves_of
+
+#: Rows that tell how noise is correlated in time: more would tell it better than any test here could see.
+_CORRELATED = 8192
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,60 +43,94 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
+class Written:
+    """All columns that are written out, a stretch of rows at a time.
+
+    ``more`` gives columns (b, m, k) beside those of effects and shapes.
+    """
+
+    view: Linearised
+    family: Family
+    more: tuple[Callable[[slice], Floats], ...]
+    filtered: Whitening
+
+    @property
+    def blocks(self) -> Sequence[slice]:
+        """The stretches."""
+        return self.view.blocks
+
+    @last_asked
+    def block(self, rows: slice) -> Block:
+        """A stretch under the filter in time."""
+        on = self.filtered.on
+        return Block(
+            residual=on(lambda part: self.view.residual[part], rows),
+            fitted=on(lambda part: self.view.fitted(part), rows),
+            functions=on(self.family.functions_in, rows),
+            dense=on(self.dense, rows),
+        )
+
+    @last_asked
+    def dense(self, rows: slice) -> Floats:
+        """Full columns (b, m, k) of a stretch, not filtered: of effects, of shapes, and the others."""
+        last = self.view.effects[-1][1].stop if self.view.effects else 0
+        effects = self.view.effects_in(rows)[:, :, :last]
+        return np.concatenate([effects, self.family.dense_in(rows), *(one(rows) for one in self.more)], axis=2)
+
+
+@dataclass(frozen=True, eq=False)
 class Stage:
     """A fit on some rows, seen by diagnosis.
 
     ``rows`` are indices of the rows used, in the order of time; ``sigma`` (m,) the noise of each axis;
     ``filtered`` the filter that takes the correlation of the noise from row to row out;
-    ``candidates`` the effects that can be tried; ``untestable`` effect to the reason why it cannot.
+    ``candidates`` the effects that can be tried; ``untestable`` effect to the reason why it cannot; ``nuisance`` shapes
+    that were accepted as a description of what no effect explains: ``scan`` has them in its model.
     """
 
     run: FittedRun
     rows: NDArray[np.int64]
     axes: tuple[int, ...]
     sigma: Floats
-    filtered: Whitening
     view: Linearised
-    family: Family
+    written: Written
     scan: Scan
     candidates: tuple[Candidate, ...]
     untestable: dict[str, str]
     nuisance: tuple[Shape, ...]
-    #: Waves of the inputs where it is a thorough one.
+    #: Waves of the inputs, where periods are asked for.
     waves: Waves | None
-    #: Columns of effects and shapes (n, m, k), not filtered in time.
-    columns: Floats = field(repr=False)
 
-    @cached_property
-    def plain(self) -> ConditionalScan:
-        """Nothing added, besides the nuisance shapes."""
-        return self.scan.condition(self.nuisance_columns)
+    @property
+    def filtered(self) -> Whitening:
+        """The filter in time."""
+        return self.written.filtered
 
-    @cached_property
-    def nuisance_columns(self) -> Floats:
-        """Columns of shapes that were accepted as a description of what no effect explains."""
-        parts = [self.scan.take(columns_of(s)) for s in self.nuisance]
-        return np.concatenate(parts, axis=1) if parts else np.zeros((self.scan.n * self.scan.m, 0))
-
-    def with_effects(self, *added: Candidate) -> ConditionalScan:
-        """The family once these effects are added, in linear approximation."""
-        parts = [self.nuisance_columns] + [self.scan.take(c.columns) for c in added]
-        return self.scan.condition(np.concatenate(parts, axis=1))
-
-    @cached_property
-    def deviates(self) -> Floats:
-        """Scores of shapes, then of candidates."""
-        return self.plain.deviates()
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """Shapes of the family."""
+        return self.written.family.shapes
 
     @property
     def n_shapes(self) -> int:
         """How many of the scores belong to shapes."""
-        return len(self.family.shapes)
+        return len(self.shapes)
 
+    @cached_property
+    def gains(self) -> Floats:
+        """What each candidate takes."""
+        return self.scan.gains[0][self.n_shapes :]
 
-def columns_of(shape: Shape) -> Columns:
-    """A shape's columns for the scan."""
-    return Columns(shape.functions, shape.axis, shape.dense, shape.waves)
+    def raw(self, columns: Columns, rows: slice) -> Floats:
+        """A candidate's columns (b, m, k) in a stretch of rows before the filter in time."""
+        if not columns.functions:
+            return self.written.dense(rows)[:, :, list(columns.dense)]
+        functions = self.written.family.functions_in(rows)[:, list(columns.functions)]
+        return np.einsum("nk,ab->nakb", functions, np.eye(self.view.axes)).reshape(len(functions), self.view.axes, -1)
+
+    def among(self, candidates: Sequence[Candidate]) -> Image:
+        """These effects in full."""
+        return self.scan.among([c.columns for c in candidates])
 
 
 def stage_of(
@@ -118,69 +156,83 @@ def stage_of(
     rows = testable(run, rows)
     sigma = sigma[list(run.axes)]
     view = run.linearised(rows, effects, sigma)
-    candidates: list[Candidate] = []
-    offset = 0
-    for effect, of_effect in view.effects:
-        first, offset = offset, offset + of_effect.shape[2]
-        candidates.append(Candidate(effect, Columns(dense=tuple(range(first, offset)), exact=True)))
-    physical = _stacked(view)
+    candidates = [
+        Candidate(effect, Columns(dense=tuple(range(at.start, at.stop)), exact=True)) for effect, at in view.effects
+    ]
+    offset = view.effects[-1][1].stop if view.effects else 0
     periods = [(n.depends_on[0], n.period) for n in nuisance if n.period is not None]
-    waves = (waves or Waves(view)) if thorough else None
-    family = build(view, waves, periods=periods, number=offset)
-    offset += family.dense.shape[2]
-    stepped: list[Floats] = []
-    for effect, moved in view.in_time:
+    waves = (waves or Waves(view)) if thorough or at else None
+    family = build(view, waves if thorough else None, periods=periods, number=offset)
+    offset += len(family.dense)
+    more: list[Callable[[slice], Floats]] = []
+
+    def full(columns: Callable[[slice], Floats], count: int) -> Columns:
+        nonlocal offset
+        more.append(columns)
+        first, offset = offset, offset + count
+        return Columns(dense=tuple(range(first, offset)), exact=True)
+
+    for effect, place in view.in_time:
         for shape in family.shapes:
             if shape.shape != "step" or shape.axis is not None:
                 continue
             about = Columns(functions=shape.functions, exact=True)
-            if moved is not None and view.time is not None and shape.setting is not None:
-                after = (view.time >= shape.setting)[:, None, None]
-                stepped.append(np.where(after, moved, 0.0))
-                first, offset = offset, offset + moved.shape[2]
-                about = Columns(dense=tuple(range(first, offset)), exact=True)
+            if place is not None and view.time is not None and shape.setting is not None:
+                about = full(_stepped(view, place, shape.setting), place.stop - place.start)
             candidates.append(Candidate(effect, about, shape.setting))
     for effect, _ in view.periodic:
         if effect.name in (at or {}):
             period = (at or {})[effect.name]
-            stepped.append(waves_of(view, 1.0 / period))
-            first, offset = offset, offset + stepped[-1].shape[2]
-            candidates.append(Candidate(effect, Columns(dense=tuple(range(first, offset)), exact=True), period))
+            about = full(_periodic(view, 1.0 / period), 2 * len(view.inputs))
+            candidates.append(Candidate(effect, about, period))
 
     if rho is None:
-        rho = correlation_in_time(view.residual, _rich_basis(view.fitted, physical, family))
-    columns = np.concatenate([physical, family.dense, *stepped], axis=2)
+        rho = _correlation(view, family)
     filtered = Whitening(rho, _lags(run.data.order[rows]))
-    if waves is not None:
+    if waves is not None and thorough:
         candidates += [
             Candidate(effect, Columns(waves=numbers, exact=True), period)
             for effect, _ in view.periodic
-            for numbers, period in waves.on_all_inputs()
+            for numbers, period in waves.on_all_inputs
         ]
+    accepted = tuple(_again(n, family.shapes) for n in nuisance)
+    written = Written(view, family, tuple(more), filtered)
     scan = Scan(
-        filtered(view.residual),
-        filtered(view.fitted),
-        filtered(family.functions),
-        filtered(columns),
-        [columns_of(s) for s in family.shapes] + [c.columns for c in candidates],
+        written,
+        [s.columns for s in family.shapes] + [c.columns for c in candidates],
         view.group,
         waves.filtered(filtered) if waves is not None else None,
+        AxisWaves(family.along, view.axes, filtered) if family.along else None,
+        [s.columns for s in accepted],
     )
     return Stage(
         run=run,
         rows=rows,
         axes=run.axes,
         sigma=sigma,
-        filtered=filtered,
         view=view,
-        family=family,
+        written=written,
         scan=scan,
         candidates=tuple(candidates),
         untestable=dict(view.untestable),
-        nuisance=tuple(_again(n, family.shapes) for n in nuisance),
+        nuisance=accepted,
         waves=waves,
-        columns=columns,
     )
+
+
+def _stepped(view: Linearised, place: slice, moment: float) -> Callable[[slice], Floats]:
+    """Columns of an effect from a moment on."""
+
+    def columns(rows: slice) -> Floats:
+        assert view.time is not None, "a step has a moment"
+        return np.where((view.time[rows] >= moment)[:, None, None], view.effects_in(rows)[:, :, place], 0.0)
+
+    return columns
+
+
+def _periodic(view: Linearised, frequency: float) -> Callable[[slice], Floats]:
+    """Columns of waves of all inputs."""
+    return lambda rows: waves_of(view, frequency, rows)
 
 
 def testable(run: FittedRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -195,18 +247,20 @@ def testable(run: FittedRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     return rows
 
 
-def _stacked(view: Linearised) -> Floats:
-    """Columns (n, m, k) of every effect."""
-    columns = [columns for _, columns in view.effects]
-    return np.concatenate(columns, axis=2) if columns else np.zeros((len(view), view.axes, 0))
-
-
 def _lags(place: NDArray[np.int64]) -> NDArray[np.int64]:
     """How many rows of the run it is from one of these rows to the next."""
     return np.concatenate([[1], np.maximum(np.diff(place), 1)])
 
 
-def _rich_basis(fitted: Floats, physical: Floats, family: Family) -> Floats:
+def _correlation(view: Linearised, family: Family) -> float:
+    """Correlation of the noise in time, from the beginning of a run."""
+    rows = slice(0, min(len(view), _CORRELATED))
+    last = view.effects[-1][1].stop if view.effects else 0
+    basis = _rich_basis(view.fitted(rows), view.effects_in(rows)[:, :, :last], family, rows)
+    return correlation_in_time(view.residual[rows], basis)
+
+
+def _rich_basis(fitted: Floats, physical: Floats, family: Family, rows: slice) -> Floats:
     """Orthonormal columns of what is fitted, of every effect, and of the smooth shapes: all that noise is not.
 
     Functions on single axes are orthonormal on all axes once they are on one, so only the rest costs time.
@@ -214,9 +268,11 @@ def _rich_basis(fitted: Floats, physical: Floats, family: Family) -> Floats:
     n, m = fitted.shape[:2]
     smooth = sorted({k for s in family.shapes if s.shape in ("smooth", "interaction") for k in s.functions})
     # never so many that little is left to see the noise in
-    f = orthonormal(family.functions[:, smooth[: n // 4]], 1e-6)
+    f = orthonormal(family.functions_in(rows)[:, smooth[: n // 4]], 1e-6)
     columns = np.concatenate([fitted, physical], axis=2)
-    rest = columns - np.einsum("nf,fmk->nmk", f, np.einsum("nf,nmk->fmk", f, columns, optimize=True), optimize=True)
+    rest = columns.copy()
+    for a in range(m):
+        rest[:, a] -= f @ (f.T @ columns[:, a])
     q = orthonormal(rest, 1e-6)[:, : max((n * m) // 8, 1)]
     out = np.zeros((n, m, m * f.shape[1] + q.shape[1]))
     for a in range(m):

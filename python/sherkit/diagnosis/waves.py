@@ -1,8 +1,7 @@
 """Waves along the inputs: at which frequencies they are looked for, and their columns.
 
 The columns are how the readings answer to an input, times a sine or cosine of it: hundreds for each input, of which all
-that a search asks, products and Gram matrices, comes from the waves alone. They are never written out, and made once
-for all fits to the same rows: what a fit changes in how readings answer to an input is of second order.
+that a search asks, products and Gram matrices, are Fourier sums over the rows. They are never written out.
 
 Evenly spaced readings cannot tell a frequency from one that is a wave per spacing away; uneven ones can, as far as
 their largest common spacing allows (Eyer and Bartholdi, "Variable stars: which Nyquist frequency?", A&A Suppl. 1999).
@@ -10,13 +9,15 @@ their largest common spacing allows (Eyer and Bartholdi, "Variable stars: which 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-import scipy
 
+from .._core import wave_sums
 from ..types import Floats, Ints
+from .gridded import Complexes, Gridded
 from .linearised import Linearised, Whitening
 
 TURN = 2.0 * np.pi
@@ -58,36 +59,39 @@ def rings(view: Linearised) -> bool:
     return any(effect.search == "period_rad" for effect, _ in view.periodic)
 
 
-def waves_of(view: Linearised, frequency: float) -> Floats:
-    """Columns (n, m, 2 k) of sine and cosine of each of k inputs, for amplitudes in their unit, over the noise."""
+def waves_of(view: Linearised, frequency: float, rows: slice | None = None) -> Floats:
+    """Columns (n, m, 2 k) of sine and cosine of each of k inputs, for amplitudes in their unit, over the noise; of a
+    stretch of rows where one is given."""
+    rows = view.whole if rows is None else rows
     columns = []
     for name, pattern in view.patterns.items():
-        angle = TURN * frequency * view.inputs[name]
-        columns += [pattern * np.sin(angle)[:, None], pattern * np.cos(angle)[:, None]]
+        angle = TURN * frequency * view.inputs[name][rows]
+        columns += [pattern[rows] * np.sin(angle)[:, None], pattern[rows] * np.cos(angle)[:, None]]
     return np.stack(columns, axis=2)
 
 
 class Waves:
     """Columns of every moving input with a known pattern at every frequency ``at`` (F,), before any filter in time.
 
-    Column ``(2 j + s) F + f`` is the sine (s = 0) or cosine (s = 1) at frequency f of input j of ``names``.
+    Column ``(2 j + s) F + f`` is the sine (s = 0) or cosine (s = 1) at frequency f of input j of ``names``; waves start
+    where an input is lowest. How readings answer to an input is that of this view: what a fit changes in it is of
+    second order, so that the waves of one fit do for all to the same rows.
     """
 
     def __init__(self, view: Linearised) -> None:
         self.names: Sequence[str] = tuple(view.pattern_of)
         self.at = frequencies(view)
-        self._patterns = [view.patterns[view.pattern_of[name]] for name in self.names]
         self._whitening: Whitening | None = None
         if not len(self.at):
             self.names = ()
-        turns = np.round(self.at / _unit(view)).astype(np.int64) if self.names else self.at.astype(np.int64)
-        #: Sines and cosines (n, F) of every input.
-        self._of: list[tuple[Floats, Floats]] = []
-        for name in self.names:
-            once = np.exp(1j * TURN * _unit(view) * view.inputs[name])
-            powers = np.multiply.accumulate(np.broadcast_to(once[:, None], (len(once), int(turns.max()))), axis=1)
-            wanted = powers[:, turns - 1]
-            self._of.append((np.ascontiguousarray(wanted.imag), np.ascontiguousarray(wanted.real)))
+        self.unit = _unit(view) if len(self.at) else 1.0
+        self.turns = np.round(self.at / self.unit).astype(np.int64)
+        self.patterns = [view.patterns[view.pattern_of[name]] for name in self.names]
+        self.values = [view.inputs[name] for name in self.names]
+        self.low = [float(v.min()) for v in self.values]
+        self.high = [float(v.max()) for v in self.values]
+        #: What is made of the waves of an input once.
+        self.shapes: dict[str, list[Any]] = {}
 
     def __len__(self) -> int:
         return 2 * len(self.names) * len(self.at)
@@ -97,10 +101,23 @@ class Waves:
         first = 2 * self.names.index(name) * len(self.at) + f
         return first, first + len(self.at)
 
+    @cached_property
     def on_all_inputs(self) -> list[tuple[tuple[int, ...], float]]:
         """The columns of all inputs at a frequency, and its period."""
-        every = [[n for name in self.names for n in self.numbers(name, f)] for f in range(len(self.at))]
-        return [(tuple(numbers), float(1.0 / at)) for numbers, at in zip(every, self.at, strict=True) if numbers]
+        count = len(self.at)
+        every = np.arange(2 * len(self.names) * count).reshape(-1, count).T.tolist() if self.names else []
+        return [(tuple(numbers), period) for numbers, period in zip(every, (1.0 / self.at).tolist(), strict=False)]
+
+    def column(self, number: int, rows: slice) -> Floats:
+        """Of one column these rows (b, m)."""
+        which, f = divmod(number, len(self.at))
+        angle = TURN * self.at[f] * (self.values[which // 2][rows] - self.low[which // 2])
+        return self.patterns[which // 2][rows] * (np.cos(angle) if which % 2 else np.sin(angle))[:, None]
+
+    def sums_along(self, j: int, count: int) -> Gridded:
+        """Sums of ``count`` weights times waves of input j."""
+        highest = int(self.turns.max(initial=1)) + 1
+        return Gridded(min(self.low), max(self.high), self.unit, highest, count, self.low[j])
 
     def filtered(self, whitening: Whitening) -> FilteredWaves:
         """The same under a filter in time; what was asked for last is remembered."""
@@ -118,20 +135,13 @@ class FilteredWaves:
     def __len__(self) -> int:
         return len(self.waves)
 
-    def times(self, matrix: Floats) -> Floats:
-        """All columns times a matrix (n, m, k), rows in the order of time: (K, k)."""
-        back = self.whitening.transposed(matrix)
-        out = [np.zeros((0, matrix.shape[2]))]
-        for pattern, both in zip(self.waves._patterns, self.waves._of, strict=False):
-            along = np.einsum("na,nak->nk", pattern, back)
-            out += [wave.T @ along for wave in both]
-        return np.concatenate(out)
+    def products(self, count: int) -> Products:
+        """Products with ``count`` columns, whose rows are still to come."""
+        return Products(self, count)
 
-    def column(self, number: int) -> Floats:
-        """One column (n, m)."""
-        which, f = divmod(number, len(self.waves.at))
-        wave = self.waves._of[which // 2][which % 2][:, f]
-        return self.whitening(self.waves._patterns[which // 2] * wave[:, None])
+    def column(self, number: int, rows: slice) -> Floats:
+        """Of one column these rows (b, m)."""
+        return self.whitening.on(lambda part: self.waves.column(number, part), rows)
 
     def gram(self, columns: Ints) -> Floats:
         """Gram matrices (c, k, k) of sets (c, k) of columns, those of a set at one frequency."""
@@ -145,34 +155,105 @@ class FilteredWaves:
 
     @cached_property
     def _grams(self) -> Floats:
-        """Gram matrices (F, 2 j, 2 j) of all inputs at each frequency."""
-        of, patterns, now = self.waves._of, self.waves._patterns, self.whitening
-        count = 2 * len(of)
-        out = np.zeros((len(self.waves.at), count, count))
-        for i in range(count):
-            for j in range(i + 1):
-                by, also = patterns[i // 2], patterns[j // 2]
-                one, other = of[i // 2][i % 2], of[j // 2][j % 2]
-                same = now.diagonal * (by * also).sum(axis=1)
-                out[:, i, j] = np.einsum("nf,nf->f", one * same[:, None], other)
-                if now.rho:
-                    beside = now.beside[1:]
-                    later = beside * (by[1:] * also[:-1]).sum(axis=1)
-                    sooner = beside * (by[:-1] * also[1:]).sum(axis=1)
-                    out[:, i, j] += np.einsum("nf,nf->f", one[1:] * later[:, None], other[:-1])
-                    out[:, i, j] += np.einsum("nf,nf->f", one[:-1] * sooner[:, None], other[1:])
-                out[:, j, i] = out[:, i, j]
-        return out
+        return self._grams_of(lambda one: one.multiples(self.waves.turns))
 
-    def grouped(self, residual: Floats, group: Ints, groups: int) -> Floats:
-        """Products of columns and residual (n, m), summed within each ``group`` (n,): (K, groups)."""
-        n, now = len(residual), self.whitening
-        rows = np.arange(n)
-        here, before = residual * now.here[:, None], residual[1:] * now.before[1:, None]
-        out = [np.zeros((0, groups))]
-        for pattern, both in zip(self.waves._patterns, self.waves._of, strict=False):
-            weight = np.concatenate([(pattern * here).sum(axis=1), (pattern[:-1] * before).sum(axis=1)])
-            place = np.concatenate([group, group[1:]]), np.concatenate([rows, rows[:-1]])
-            of_group = scipy.sparse.csr_matrix((weight, place), shape=(groups, n))
-            out += [(of_group @ wave).T for wave in both]
+    def gram_at(self, frequency: float) -> Floats:
+        """Gram matrix (2 j, 2 j) of sine and cosine of all inputs at any frequency up to the highest."""
+        return self._grams_of(lambda one: one.at(frequency)[None])[0]
+
+    def _grams_of(self, evaluated: Callable[[Gridded], Complexes]) -> Floats:
+        """Gram matrices (F, 2 j, 2 j): a product of waves is half the wave of the difference and half that of the
+        sum."""
+        pairs, apart, together = self._pairs
+        minus, plus = evaluated(apart), evaluated(together)
+        count = len(self.waves.names)
+        made = np.zeros((len(minus), count, 2, count, 2))
+        i, j = np.array(pairs).T
+        made[:, i, 0, j, 0] = 0.5 * (minus.real - plus.real)
+        made[:, i, 0, j, 1] = 0.5 * (plus.imag + minus.imag)
+        made[:, i, 1, j, 0] = 0.5 * (plus.imag - minus.imag)
+        made[:, i, 1, j, 1] = 0.5 * (minus.real + plus.real)
+        out = made.reshape(len(minus), 2 * count, 2 * count)
+        # a pair that was not looked at is the other way round one that was
+        return 0.5 * (out + out.transpose(0, 2, 1))
+
+    @cached_property
+    def _pairs(self) -> tuple[list[tuple[int, int]], Gridded, Gridded]:
+        """Pairs of inputs, and their sums over difference and sum: all that Gram matrices are made of."""
+        waves, now = self.waves, self.whitening
+        low, high = np.array(waves.low), np.array(waves.high)
+        highest = int(waves.turns.max(initial=1)) + 1
+        pairs, apart, together = [], [], []
+        for i in range(len(low)):
+            for j in range(0 if now.rho else i, len(low)):
+                minus = Gridded(low.min() - high.max(), high.max() - low.min(), waves.unit, highest, 1, low[i] - low[j])
+                plus = Gridded(2 * low.min(), 2 * high.max(), waves.unit, highest, 1, low[i] + low[j])
+
+                def add(
+                    one: Floats, other: Floats, weight: Floats, to: tuple[Gridded, Gridded] = (minus, plus)
+                ) -> None:
+                    to[0].add(one - other, weight[:, None])
+                    to[1].add(one + other, weight[:, None])
+
+                if i <= j:
+                    weight = now.diagonal * np.einsum("na,na->n", waves.patterns[i], waves.patterns[j])
+                    add(waves.values[i], waves.values[j], weight * (1.0 if i == j else 2.0))
+                if now.rho:
+                    later = np.einsum("na,na->n", waves.patterns[i][1:], waves.patterns[j][:-1])
+                    add(waves.values[i][1:], waves.values[j][:-1], 2.0 * now.beside[1:] * later)
+                pairs.append((i, j))
+                apart.append(minus)
+                together.append(plus)
+        return pairs, Gridded.joined(apart), Gridded.joined(together)
+
+    def add_sums(self, rows: slice, residual: Floats, codes: Ints, sums: Floats) -> None:
+        """Adds to ``sums`` (K, codes) the products of these rows of the columns and a residual (b, m), by the codes
+        (b,) of the rows."""
+        waves, now = self.waves, self.whitening
+        of_input = 2 * len(waves.at)
+        for part, factor in now.parts(rows):
+            late = len(residual) - (part.stop - part.start)
+            order = np.argsort(codes[late:], kind="stable")
+            sorted_codes = codes[late:][order]
+            for j, (pattern, values) in enumerate(zip(waves.patterns, waves.values, strict=True)):
+                weight = factor * np.einsum("na,na->n", pattern[part], residual[late:])
+                angle = TURN * waves.unit * (values[part] - waves.low[j])
+                wave_sums(
+                    angle[order], weight[order], sorted_codes, waves.turns,
+                    sums[j * of_input : (j + 1) * of_input],
+                )  # fmt: skip
+
+
+class Products:
+    """Products of the columns of :class:`FilteredWaves` with others, whose rows come block by block."""
+
+    def __init__(self, filtered: FilteredWaves, count: int) -> None:
+        self.filtered = filtered
+        self.sums = [filtered.waves.sums_along(j, count) for j in range(len(filtered.waves.names))]
+        self.count = count
+
+    def add(self, rows: slice, columns: Floats) -> None:
+        """These rows of the others (b, m, count)."""
+        waves, now = self.filtered.waves, self.filtered.whitening
+        for part, factor in now.parts(rows):
+            late = len(columns) - (part.stop - part.start)
+            for pattern, values, sums in zip(waves.patterns, waves.values, self.sums, strict=True):
+                weighted = (factor[:, None] * pattern[part])[:, None, :] @ columns[late:]
+                sums.add(values[part], weighted[:, 0])
+
+    def all(self) -> Floats:
+        """Every column times the others (K, count)."""
+        out = [np.zeros((0, self.count))]
+        for sums in self.sums:
+            of = sums.multiples(self.filtered.waves.turns)
+            out += [of.imag, of.real]
         return np.concatenate(out)
+
+    def at(self, frequency: float) -> Floats:
+        """Sine and cosine of all inputs at any frequency up to the highest, times the others (2 j, count)."""
+        of = self._joined.at(frequency).reshape(len(self.sums), self.count)
+        return np.stack([of.imag, of.real], axis=1).reshape(-1, self.count)
+
+    @cached_property
+    def _joined(self) -> Gridded:
+        return Gridded.joined(self.sums)

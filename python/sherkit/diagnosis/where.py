@@ -26,10 +26,10 @@ class Dependence:
 def where(stage: Stage) -> tuple[Dependence, ...]:
     """One line for each variable (joints, coordinates, time, directions, covariates), the clearest first."""
     out = []
-    z = stage.deviates[: stage.n_shapes]
+    z = stage.scan.deviates[: stage.n_shapes]
     error = stage.view.residual * stage.sigma * stage.run.per_unit
     for name, values in stage.view.variables.items():
-        scores = [s for s, shape in zip(z.tolist(), stage.family.shapes, strict=True) if shape.depends_on == (name,)]
+        scores = [s for s, shape in zip(z.tolist(), stage.shapes, strict=True) if shape.depends_on == (name,)]
         if not scores:
             continue
         p = min(1.0, len(scores) * float(scipy.special.ndtr(-max(scores))))
@@ -54,10 +54,7 @@ def neighbour_correlation(stage: Stage) -> float:
     place = np.stack([np.bincount(group, stage.view.variables[n]) / count for n in names], axis=1)
     mean = np.stack([np.bincount(group, e) / count for e in stage.view.residual.T], axis=1)
     mean -= mean.mean(axis=0)
-    nearest = np.empty(len(place), dtype=np.int64)
-    for k in range(0, len(place), 256):
-        distance = ((place[k : k + 256, None, :] - place[None, :, :]) ** 2).sum(axis=2)
-        distance[np.arange(len(distance)), np.arange(k, k + len(distance))] = np.inf
-        nearest[k : k + 256] = distance.argmin(axis=1)
-    other = mean[nearest]
+    near = scipy.spatial.cKDTree(place).query(place, 2)[1]
+    # where several poses are at the same place one may be found before itself
+    other = mean[np.where(near[:, 0] == np.arange(len(place)), near[:, 1], near[:, 0])]
     return float((mean * other).sum() / max(float(np.sqrt((mean**2).sum() * (other**2).sum())), 1e-300))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -35,6 +35,12 @@ class Derivatives:
     inputs: Floats | None
     refused: dict[str, str]
     reads_point: bool = True
+
+    def on(self, rows: slice) -> Derivatives:
+        """Those of these rows."""
+        inputs = None if self.inputs is None else self.inputs[rows]
+        effects = [(effect, columns[rows]) for effect, columns in self.effects]
+        return replace(self, parameters=self.parameters[rows], effects=effects, inputs=inputs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +108,14 @@ class ModelWithEffects(Saved, ABC):
     @abstractmethod
     def linearised(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Derivatives:
         """Derivatives by what is identified, by effects that are not in the model, and by the inputs."""
+
+    def linearised_by_blocks(
+        self, data: Measurements, values: Floats, effects: Sequence[Effect]
+    ) -> Callable[[slice], Derivatives]:
+        """The same for any stretch of the rows: what gives them, without all of them at once where that is possible.
+        Effects see all rows, so that stretches are parts of one whole."""
+        whole = self.linearised(data, values, effects)
+        return lambda rows: whole.on(rows)
 
     @property
     @abstractmethod

@@ -7,7 +7,7 @@ says which parameters its core has and how rows are handed to it.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -279,32 +279,46 @@ class ChainModel(ModelWithEffects):
 
     def linearised(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Derivatives:
         """All at once by the core; the user's effects carried from their link to the readings."""
+        return self.linearised_by_blocks(data, values, effects)(slice(0, len(data)))
+
+    def linearised_by_blocks(
+        self, data: Measurements, values: Floats, effects: Sequence[Effect]
+    ) -> Callable[[slice], Derivatives]:
+        """The core computes each stretch; the user's effects are computed once, at their link."""
         everything = self
         for effect in (built_in := [e for e in effects if e.function is None]):
             time = data.time_s if effect.search == "time_s" else None
             everything = everything.with_effect(effect, at=None if time is None else float(time.min()))
         known = dict(zip((p.name for p in self.parameters), values.tolist(), strict=True))
         start = np.array([known.get(p.name, 0.0) for p in everything.parameters])
-        columns, by_joints, by_body, _ = everything.core_for(data).derivatives(
-            everything.full(start), everything._plain_block(data), everything.indices
-        )
-        in_core = [p.name for p in everything.parameters[: len(everything.indices)]]
-        fitted = columns[:, :, np.array([name in known for name in in_core])]
+        fitted = np.array([p.name in known for p in everything.parameters[: len(everything.indices)]])
+        core, full, block = everything.core_for(data), everything.full(start), everything._plain_block(data)
         rows = everything.rows(data, start)
-        if everything.own:
-            fitted = np.concatenate([fitted, *everything.own_columns(data, rows, start, by_joints, by_body)], axis=2)
-        out = [(effect, columns[:, :, everything.owns(effect)]) for effect in built_in]
-        refused: dict[str, str] = {}
+        own = [(e, e.columns(rows, start[everything.owns(e)], self.axes_of(e, data))) for e in everything.own]
+        tried, refused = [], {}
         for effect in effects:
             if effect.function is None:
                 continue
             try:
                 inner = effect.columns(rows, np.zeros(len(effect.parameters)), self.axes_of(effect, data))
-                out.append((effect, carry(effect, inner, data, by_joints, by_body)))
+                tried.append((effect, inner))
             except EffectError as error:
                 refused[effect.name] = str(error)
         read = int(data.taken[:, : data.coordinates].any(axis=0).sum())
-        return Derivatives(fitted, out, by_joints, refused, read == by_body.shape[2])
+
+        def of(some: slice) -> Derivatives:
+            part = tuple(None if one is None else one[some] for one in block)
+            columns, by_joints, by_body, _ = core.derivatives(full, part, everything.indices)
+
+            def carried(effect: Effect, inner: Floats) -> Floats:
+                return carry(effect, inner[some], data.is_distance[some], data.coordinates, by_joints, by_body)
+
+            parameters = np.concatenate([columns[:, :, fitted], *(carried(e, inner) for e, inner in own)], axis=2)
+            found = [(effect, columns[:, :, everything.owns(effect)]) for effect in built_in]
+            found += [(effect, carried(effect, inner)) for effect, inner in tried]
+            return Derivatives(parameters, found, by_joints, refused, read == by_body.shape[2])
+
+        return of
 
     def own_columns(
         self, data: Measurements, rows: Rows, values: Floats, by_joints: Floats, by_body: Floats
@@ -314,7 +328,8 @@ class ChainModel(ModelWithEffects):
             carry(
                 effect,
                 effect.columns(rows, np.asarray(values)[self.owns(effect)], self.axes_of(effect, data)),
-                data,
+                data.is_distance,
+                data.coordinates,
                 by_joints,
                 by_body,
             )
@@ -380,12 +395,14 @@ class ChainModel(ModelWithEffects):
         )
 
 
-def carry(effect: Effect, inner: Floats, data: Measurements, by_joints: Floats, by_body: Floats) -> Floats:
+def carry(
+    effect: Effect, inner: Floats, is_distance: Bools, coordinates: int, by_joints: Floats, by_body: Floats
+) -> Floats:
     """Derivatives (n, axes, p) of a NumPy effect at its link, carried on to the readings (n, m, p)."""
     if effect.link == "joints":
         return by_joints @ inner
     if effect.link == "body":
         return by_body @ inner
-    out = np.zeros((len(data), data.readings.shape[1], inner.shape[2]))
-    out[~data.is_distance, : data.coordinates] = inner[~data.is_distance]
+    out = np.zeros((len(inner), by_joints.shape[1], inner.shape[2]))
+    out[~is_distance, :coordinates] = inner[~is_distance]
     return out

@@ -98,18 +98,13 @@ def _signatures(stage: Stage) -> tuple[Floats, list[tuple[str, float, Floats]]]:
     view = stage.view
     n, m = view.residual.shape
     unit = stage.sigma * stage.run.per_unit
-    fitted = view.fitted.reshape(n * m, -1)
-    basis = orthonormal(fitted)
+    basis = orthonormal(view.fitted(view.whole))
     residual = view.residual.ravel()
     residual = residual - basis @ (basis.T @ residual)
     whole = float(residual @ residual)
     best: dict[str, tuple[float, Floats]] = {}
     for candidate in stage.candidates:
-        if candidate.columns.functions:
-            values = stage.family.functions[:, list(candidate.columns.functions)]
-            columns = np.einsum("nk,ab->nakb", values, np.eye(m)).reshape(n * m, -1)
-        else:
-            columns = stage.columns[:, :, list(candidate.columns.dense)].reshape(n * m, -1)
+        columns = stage.raw(candidate.columns, view.whole).reshape(n * m, -1)
         columns = columns - basis @ (basis.T @ columns)
         scale = np.linalg.norm(columns, axis=0)
         x = np.linalg.lstsq(columns / np.where(scale > 0, scale, 1.0), residual, rcond=1e-9)[0]

@@ -16,6 +16,7 @@ mod spherical;
 mod tool;
 mod tool_calibration;
 mod tool_filter;
+mod waves;
 
 use pyo3::prelude::*;
 
@@ -53,5 +54,9 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(bernstein::bernstein_fit_grid, m)?)?;
     m.add_function(wrap_pyfunction!(spherical::spherical_camera_placement, m)?)?;
     m.add_function(wrap_pyfunction!(flips::largest_under_flips, m)?)?;
+    m.add_function(wrap_pyfunction!(flips::walsh, m)?)?;
+    m.add_function(wrap_pyfunction!(waves::play, m)?)?;
+    m.add_function(wrap_pyfunction!(waves::spread_rows, m)?)?;
+    m.add_function(wrap_pyfunction!(waves::wave_sums, m)?)?;
     Ok(())
 }

@@ -3,7 +3,9 @@
 pub mod inverse;
 pub mod jacobi;
 pub mod math;
+pub mod play;
 pub mod registration;
 pub mod rigid;
 pub mod trig;
 pub mod walsh;
+pub mod waves;

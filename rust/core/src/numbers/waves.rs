@@ -1,0 +1,105 @@
+//! Sums over rows of weights times sines and cosines of a variable, at many frequencies.
+
+/// Cells that one row is spread over.
+pub const WIDTH: usize = 14;
+/// Waves that are turned side by side.
+const LANES: usize = 8;
+
+/// Adds to the cells about each row its weights times a kernel.
+///
+/// Row `i` stands at `at[i]`, in cells: its kernel lies over the `WIDTH` cells from `⌊at⌋` on. The kernel is
+/// a polynomial of where in its cell the row is, highest power first, one for each of these cells. `weights` has `k`
+/// numbers for each row, `cells` for each cell; rows beyond the cells are left out. The Fourier transform of the cells is
+/// that of the rows, but for the kernel's own (Barnett et al., "A parallel nonuniform fast Fourier transform library
+/// based on an exponential of semicircle kernel", SIAM J. Sci. Comput. 2019).
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "what is no cell is beyond them, or the first"
+)]
+pub fn spread(at: &[f64], weights: &[f64], k: usize, kernel: &[[f64; WIDTH]], cells: &mut [f64]) {
+    if k == 0 {
+        return;
+    }
+    for (&at, weights) in at.iter().zip(weights.chunks_exact(k)) {
+        let first = at as usize;
+        let within = 2.0 * (at - first as f64) - 1.0;
+        let mut value = [0.0; WIDTH];
+        for power in kernel {
+            for (v, c) in value.iter_mut().zip(power) {
+                *v = *v * within + c;
+            }
+        }
+        let Some(cells) = cells.get_mut(first * k..(first + WIDTH) * k) else {
+            continue;
+        };
+        for (cell, v) in cells.chunks_exact_mut(k).zip(value) {
+            for (c, w) in cell.iter_mut().zip(weights) {
+                *c += v * w;
+            }
+        }
+    }
+}
+
+/// Adds `weight · sin(t·angle)` to `sine[t - 1]`, and the cosine likewise, for `t` = 1, 2, 3, …
+///
+/// `turn` is the cosine and the sine of the angle. Both slices are as long; what is beyond their last whole eight stays.
+pub fn add_waves(turn: (f64, f64), weight: f64, sine: &mut [f64], cosine: &mut [f64]) {
+    let times = |a: (f64, f64), b: (f64, f64)| (a.0 * b.0 - a.1 * b.1, a.0 * b.1 + a.1 * b.0);
+    let (mut re, mut im) = ([0.0; LANES], [0.0; LANES]);
+    let mut power = turn;
+    for (re, im) in re.iter_mut().zip(&mut im) {
+        (*re, *im) = (weight * power.0, weight * power.1);
+        power = times(power, turn);
+    }
+    let twice = times(turn, turn);
+    let four = times(twice, twice);
+    let step = times(four, four);
+    let (sines, _) = sine.as_chunks_mut::<LANES>();
+    let (cosines, _) = cosine.as_chunks_mut::<LANES>();
+    for (sine, cosine) in sines.iter_mut().zip(cosines) {
+        for l in 0..LANES {
+            sine[l] += im[l];
+            cosine[l] += re[l];
+            (re[l], im[l]) = times((re[l], im[l]), step);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{WIDTH, add_waves, spread};
+
+    /// Catches a lane that starts at the wrong wave, a step of the wrong size, and sine taken for cosine.
+    #[test]
+    fn waves_are_sines_and_cosines() {
+        let (mut sine, mut cosine) = ([0.5; 40], [0.25; 40]);
+        let angle: f64 = 0.37;
+        add_waves((angle.cos(), angle.sin()), 2.0, &mut sine, &mut cosine);
+        for t in 0..40 {
+            let a = (t + 1) as f64 * angle;
+            assert!((sine[t] - 0.5 - 2.0 * a.sin()).abs() < 1e-12);
+            assert!((cosine[t] - 0.25 - 2.0 * a.cos()).abs() < 1e-12);
+        }
+    }
+
+    /// Catches a kernel laid over the wrong cells, powers in the wrong order, and a row beyond the cells.
+    #[test]
+    fn a_row_is_spread_over_the_cells_about_it() {
+        let mut kernel = [[0.0; WIDTH]; 2];
+        for j in 0..WIDTH {
+            kernel[0][j] = 1.0 + j as f64;
+            kernel[1][j] = 0.5;
+        }
+        let mut cells = [0.0; 2 * (WIDTH + 2)];
+        spread(&[1.25, 9.0], &[1.0, -2.0, 7.0, 7.0], 2, &kernel, &mut cells);
+        for (c, cell) in cells.chunks(2).enumerate() {
+            let v = if (1..=WIDTH).contains(&c) {
+                -0.5 * c as f64 + 0.5
+            } else {
+                0.0
+            };
+            assert_eq!(cell, [v, -2.0 * v]);
+        }
+    }
+}
