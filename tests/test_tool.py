@@ -27,7 +27,8 @@ from sherkit.cli.main import cli
 from sherkit.errors import FitError, MeasurementError, RobotError, ShapeError
 from sherkit.robots.tool.alignment import align, at_times
 from sherkit.robots.tool.applied import applied
-from sherkit.robots.tool.calibration import calibrate_tool, read_loads
+from sherkit.robots.tool.bench import read_loads
+from sherkit.robots.tool.calibration import calibrate_tool
 from sherkit.robots.tool.columns import FIBRES
 from sherkit.robots.tool.effects import TOOL_CATALOGUE
 from sherkit.robots.tool.filters import Estimate, consistency, estimate, status_in_words
@@ -429,23 +430,42 @@ def test_bad_loads_are_refused(tmp_path: Path) -> None:
 # -- registration and alignment ------------------------------------------------------------------------------------
 
 
-def test_the_camera_is_found_in_frame_and_time() -> None:
-    """Catches a delay with the wrong sign, a transform that is inverted, and deviations that are made up: 12 runs."""
-    off = []
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        turn, shift, delay = rng.normal(size=3), 100 * rng.normal(size=3), float(rng.uniform(-0.2, 0.2))
-        there = FlexibleTool(
-            camera_rotation_rad=tuple(turn), camera_translation_mm=tuple(shift), camera_delay_s=delay  # type: ignore[arg-type]
-        )  # fmt: skip
-        run = VirtualTool(there, camera_warp_mm=0.0).free_motion(seconds=10.0, seed=seed)
-        found = align(run.time_s, run.position_mm, run.camera_time_s, run.camera_mm)
-        off.append((found.delay_s - delay) / found.delay_std_s)
-        np.testing.assert_allclose(found.registration.rotation, Rotation.from_rotvec(turn).as_matrix(), atol=0.01)
-        np.testing.assert_allclose(found.registration.apply(run.camera_mm), there.in_base(run.camera_mm), atol=0.2)
-        assert found.rms_mm == pytest.approx(0.2 / np.sqrt(3), rel=0.2)
+def camera_off(warp_mm: float, seed: int, seconds: float = 10.0) -> Floats:
+    """What :func:`align` misses, in stated deviations: turn, shift, the middle of the field, delay (10,)."""
+    rng = np.random.default_rng(seed)
+    turn, shift, delay = rng.normal(size=3), 100 * rng.normal(size=3), float(rng.uniform(-0.2, 0.2))
+    there = FlexibleTool(
+        camera_rotation_rad=tuple(turn), camera_translation_mm=tuple(shift), camera_delay_s=delay  # type: ignore[arg-type]
+    )  # fmt: skip
+    run = VirtualTool(there, camera_warp_mm=warp_mm).free_motion(seconds=seconds, seed=seed)
+    found = align(run.time_s, run.position_mm, run.camera_time_s, run.camera_mm)
+    frame, covariance = found.registration, found.registration.covariance
+    truth = Rotation.from_rotvec(turn)
+    np.testing.assert_allclose(frame.apply(run.camera_mm), there.in_base(run.camera_mm), atol=0.2 + 3.0 * warp_mm)
+    assert found.errors.noise_mm == pytest.approx(0.2 / np.sqrt(3), rel=0.25)
+    turned = (Rotation.from_matrix(frame.rotation) * truth.inv()).as_rotvec()
+    middle = run.camera_mm.mean(axis=0)
+    x, y, z = frame.rotation @ middle
+    at_middle = np.hstack([[[0, z, -y], [-z, 0, x], [y, -x, 0]], np.eye(3)])
+    off = np.concatenate([turned, frame.translation_mm - shift])
+    missed = frame.apply(middle)[0] - there.in_base(middle[None])[0]
+    return np.concatenate([
+        off / np.sqrt(np.diag(covariance)),
+        missed / np.sqrt(np.diag(at_middle @ covariance @ at_middle.T)),
+        [(found.delay_s - delay) / found.delay_std_s],
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize("warp_mm", [0.0, 0.25])
+def test_the_camera_is_found_in_frame_and_time(warp_mm: float) -> None:
+    """Catches a delay with the wrong sign, a transform that is inverted, and deviations that are made up: 16 runs.
+
+    Pictures with smooth errors are no independent witnesses: taken as that, errors were 10 to 15 deviations.
+    """
+    off = np.array([camera_off(warp_mm, seed) for seed in range(16)])
     assert np.abs(off).max() < 4.5
-    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.7)
+    assert 0.6 < np.sqrt(np.mean(off**2)) < 1.3
+    assert np.mean(np.abs(off) < 1.96) > 0.9
 
 
 @settings(max_examples=60)
@@ -521,8 +541,10 @@ def planted(name: str | None, seed: int, factor: float = 1.0) -> VirtualTool:
         return replace(v, shaft_bend_mm=tuple(0.3 * factor * rng.normal(size=2)))
     if name == "registration":
         return v.changed(camera_rotation_rad=tuple(0.02 * factor * rng.normal(size=3)))
-    if name in ("camera_delay", "fibre_delay"):
-        return v.changed(**{f"{name}_s": 0.02 * size})
+    if name == "camera_delay":
+        return v.changed(camera_delay_s=0.02 * size)
+    if name == "fibre_delay":
+        return v.changed(fibre_delay_s=0.02 * abs(size))
     assert name is None
     return v
 
@@ -615,7 +637,7 @@ def test_values_are_those_that_were_planted() -> None:
 def test_a_run_without_pictures_is_refused() -> None:
     """Catches a diagnosis of nothing."""
     run = replace(VirtualTool(TOOL).run("vessels", seconds=3.0), camera_time_s=np.zeros(0), camera_mm=np.zeros((0, 3)))
-    with pytest.raises(MeasurementError, match="0 pictures lie within the robot's time"):
+    with pytest.raises(MeasurementError, match="holds no place of the camera"):
         ToolModel(TOOL, run)
 
 

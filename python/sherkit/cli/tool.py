@@ -13,18 +13,17 @@ import polars as pl
 
 from ..data.tables import write_table
 from ..diagnosis import Diagnosis
-from ..errors import MeasurementError
 from ..names import listed
 from ..robots.tool.alignment import Aligned, align
 from ..robots.tool.applied import Applied
-from ..robots.tool.calibration import ToolCalibration, read_loads
+from ..robots.tool.bench import read_loads
+from ..robots.tool.calibration import ToolCalibration
 from ..robots.tool.calibration import calibrate_tool as run_calibration
-from ..robots.tool.effects import TOOL_CATALOGUE
 from ..robots.tool.filters import Estimate, Track, status_in_words
 from ..robots.tool.filters import estimate as run_filters
 from ..robots.tool.judge import Judgement, judge
 from ..robots.tool.known import Knowledge, known
-from ..robots.tool.runs import ToolRun, read_tool_run, summary
+from ..robots.tool.runs import read_tool_run, require_camera, summary
 from ..robots.tool.tool import KIND, NOISES, FlexibleTool, load_tool
 from . import output, reporting
 
@@ -282,18 +281,13 @@ def register(tool: Path, run: Path, destination: Path | None, longest_delay_s: f
     recorded = read_tool_run(run)
     require_camera(recorded)
     found = align(
-        recorded.time_s, recorded.position_mm, recorded.camera_time_s, recorded.camera_mm, longest_s=longest_delay_s
-    )
+        recorded.time_s, recorded.position_mm, recorded.camera_time_s, recorded.camera_mm, longest_s=longest_delay_s,
+        source=recorded.source,
+    )  # fmt: skip
     print_alignment(found)
     if destination is not None:
         registered(made, found).save(destination)
         output.say(f"tool with this camera written to {destination}")
-
-
-def require_camera(run: ToolRun) -> None:
-    """Raises :class:`~sherkit.errors.MeasurementError` for a run that no camera saw."""
-    if not len(run.camera_time_s):
-        raise MeasurementError(f"{run.source}: holds no place of the camera (camera_x_mm, camera_y_mm, camera_z_mm)")
 
 
 def registered(tool: FlexibleTool, found: Aligned) -> FlexibleTool:
@@ -313,11 +307,7 @@ def say_applied(told: Applied) -> None:
 def sentences_of(told: Applied) -> list[str]:
     """What was written into a tool file, and what has no place there."""
     written = listed((*told.written, "the camera's offset"))
-    own = {name: f" {TOOL_CATALOGUE[name].workshop}" for name in told.kept_out if name in TOOL_CATALOGUE}
-    return [
-        f"written into the tool: {written}",
-        *(f"{name} has no key in a tool file.{own.get(name, '')}" for name in told.kept_out),
-    ]
+    return [f"written into the tool: {written}", *told.why]
 
 
 def write_tool_report(path: Path, title: str, found: Diagnosis, e: Estimate, told: Applied) -> None:
@@ -341,3 +331,9 @@ def print_alignment(found: Aligned) -> None:
         table.add_row(f"shift {axis}, mm", f"{r.translation_mm[k]:+.3f}", f"{std[3 + k]:.1g}")
     table.add_row("delay, s", f"{found.delay_s:+.4f}", f"{found.delay_std_s:.1g}")
     output.out.print(table)
+    errors = found.errors
+    if errors.size_mm > 0:
+        output.say(
+            f"   deviations are for noise of {errors.noise_mm:.2f} mm an axis and smooth errors of "
+            f"{errors.size_mm:.2f} mm that are alike within {errors.reach_mm:.0f} mm"
+        )
