@@ -12,27 +12,34 @@ from ..types import Floats
 
 #: Part of the variance of the noise that is not worth a step: it would go by three hundredths of a deviation.
 _NOTHING = 1e-3
+#: So many steps that leave what the model can compute say that it ends on the way to the minimum.
+_EDGE = 12
 
 
 def iterate(solver: _core.Solver, feed: Callable[[Floats], None]) -> str:
     """Runs the solver to its end and says which: ``converged`` or ``exhausted``.
 
     ``feed`` gives the solver every row at the parameters asked for. A step that leaves what the model can compute
-    (:class:`~sherkit.errors.FitError`) is damped; where the start does already, the error is raised.
+    (:class:`~sherkit.errors.FitError`) is damped, until there were a dozen; where the start does already, the error is
+    raised.
     """
-    first = True
+    first, outside = True, 0
     while True:
         solver.clear()
         try:
-            feed(solver.trial)
+            if outside < _EDGE:
+                feed(solver.trial)
+            else:
+                solver.fail()
         except FitError:
             if first:
                 raise
             solver.fail()
+            outside += 1
         first = False
         ended = solver.advance()
         if ended != "evaluate":
-            return ended
+            return ended if outside < _EDGE else "exhausted"
 
 
 def reached(ended: str, result: Mapping[str, Any]) -> bool:
