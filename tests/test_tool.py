@@ -641,21 +641,52 @@ def test_a_run_without_pictures_is_refused() -> None:
         ToolModel(TOOL, run)
 
 
-@pytest.mark.slow
-def test_the_right_effect_is_named_in_95_of_100() -> None:
-    """Catches any effect that shows on some draws only: ratios 1, 2, 5, 4 seeds each of 10 effects, 95 % lead or tie.
+def names_of(d: sk.diagnosis.Diagnosis) -> set[str]:
+    """What leads, or is tied with it."""
+    return {*d.effects, *(other for tie in d.ties for other in tie)}
 
-    More than 13 of 108 missed would come by chance once in 1,000 at 5 %; and no effect more than 4 of its 12.
+
+@pytest.mark.parametrize(("name", "seed"), [("shaft_bend", 2), ("camera_delay", 2)])
+def test_what_takes_most_of_a_run_is_no_mistake_of_the_set_up(name: str, seed: int) -> None:
+    """Catches a large effect that is taken for a wrong set-up where the tip hardly moves, or whose fit ends on the way
+    and takes a minute: five times the noise."""
+    d = diagnosed(name, seed, 5.0)
+    assert d.verdict == "explained"
+    assert name in names_of(d)
+
+
+@pytest.mark.slow
+def test_the_right_effect_is_named_in_98_of_100() -> None:
+    """Catches any effect that shows on some draws only: ratios 1, 2, 5, 4 seeds each of 10 effects, 98 % lead or tie.
+
+    More than 8 of 120 missed would come by chance once in 1,000 at 2 %; and no effect more than 3 of its 12.
     """
     missed = [
         (name, seed)
         for name in TOOL_CATALOGUE
         for seed in range(12)
-        for d in [diagnosed(name, seed, (1.0, 2.0, 5.0)[seed % 3])]
-        if name not in {*d.effects, *(other for tie in d.ties for other in tie)}
+        if name not in names_of(diagnosed(name, seed, (1.0, 2.0, 5.0)[seed % 3]))
     ]
-    assert len(missed) <= 13, missed
-    assert max(sum(m[0] == name for m in missed) for name in TOOL_CATALOGUE) <= 4, missed
+    assert len(missed) <= 8, missed
+    assert max(sum(m[0] == name for m in missed) for name in TOOL_CATALOGUE) <= 3, missed
+
+
+@pytest.mark.slow
+def test_a_verdict_hangs_on_no_seed() -> None:
+    """Catches verdicts that hang on how rows are dealt to folds: each effect at twice the noise and none, 10 seeds of
+    the diagnosis; verdict and names are the same in 97 %."""
+    same = []
+    for name in (*TOOL_CATALOGUE, None):
+        factor = 1.0
+        for _ in range(2 if name else 0):
+            assert name is not None
+            factor *= 2.0 / visible(name, 4, factor)
+        run = planted(name, 4, factor).run("vessels", seconds=SECONDS, seed=4)
+        model = ToolModel(FlexibleTool(), run)
+        fit = sk.identify(model, model.readings)
+        told = [(d.verdict, d.effects) for d in (sk.diagnose(fit, seed=k) for k in range(10))]
+        same += [one == max(told, key=told.count) for one in told]
+    assert np.mean(same) >= 0.97
 
 
 # -- from the command line -----------------------------------------------------------------------------------------
