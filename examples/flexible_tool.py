@@ -21,6 +21,7 @@ from rich.table import Table
 from sherkit.robots.tool.alignment import at_times
 from sherkit.robots.tool.filters import Estimate, estimate
 from sherkit.robots.tool.judge import MISMATCH_MM
+from sherkit.robots.tool.runs import ToolRun
 from sherkit.robots.tool.tool import FlexibleTool
 from sherkit.robots.tool.virtual import VirtualTool
 
@@ -45,8 +46,10 @@ def depth_of(e: Estimate) -> tuple[Floats, Floats, Floats]:
 
 def tip_of(e: Estimate) -> tuple[Floats, Floats, Floats]:
     """Errors (m,) of kinematics and filter against the camera, and how far both differ."""
-    seen = e.tool.in_base(e.run.camera_mm)
-    places = [at_times(e.run.time_s, v, e.run.camera_time_s) for v in (e.run.position_mm, e.tip.value)]
+    moment = e.run.camera_time_s - e.tool.camera_delay_s
+    there = (moment >= e.run.time_s[0]) & (moment <= e.run.time_s[-1])
+    seen = e.tool.in_base(e.run.camera_mm[there])
+    places = [at_times(e.run.time_s, v, moment[there]) for v in (e.run.position_mm, e.tip.value)]
     off = [np.linalg.norm(p - seen, axis=1) for p in places]
     return off[0], off[1], np.linalg.norm(places[1] - places[0], axis=1)
 
@@ -56,10 +59,17 @@ def split(off: Floats, t0: NDArray[np.bool_]) -> tuple[float, float, float]:
     return float(off.mean()), float(off[t0].mean()), float(off[~t0].mean())
 
 
-def main(seeds: int) -> dict[str, dict[str, tuple[float, float, float]]]:
-    """Prints the table and returns its figures by experiment and signal."""
-    console = Console(width=118)
+def virtual(experiment: str, seed: int) -> tuple[FlexibleTool, ToolRun]:
+    """A tool whose file is right, and a run of it."""
     tool = replace(FlexibleTool(), per_second_mm2=(WANDER_MM2_S, 1.0), floor_mm2=(0.0, 0.0))
+    return tool, VirtualTool(tool, wander_mm2_s=WANDER_MM2_S).run(experiment, seed=seed)
+
+
+def main(
+    seeds: int, recorded: Callable[[str, int], tuple[FlexibleTool, ToolRun]] = virtual
+) -> dict[str, dict[str, tuple[float, float, float]]]:
+    """Prints the table and returns its figures by experiment and signal; runs come from ``recorded``."""
+    console = Console(width=118)
     table = Table("mean error, mm", "", "paper", "T0", "T1", "simulated", "T0", "T1", "better over T0",
                   title="Table I: depth and tip (simulation beside the paper)", title_justify="left")  # fmt: skip
     told: dict[str, dict[str, tuple[float, float, float]]] = {}
@@ -68,7 +78,7 @@ def main(seeds: int) -> dict[str, dict[str, tuple[float, float, float]]]:
         measure: Callable[[Estimate], tuple[Floats, Floats, Floats]] = depth_of if quantity == "depth" else tip_of
         rows: dict[str, list[tuple[float, float, float]]] = {}
         for seed in range(seeds):
-            run = VirtualTool(tool, wander_mm2_s=WANDER_MM2_S).run(name, seed=seed)
+            tool, run = recorded(name, seed)
             by_paper, ours = (estimate(tool.with_noise(noise), run) for noise in ("ebrahimi_2020", "propagated"))
             raw, filtered, apart = measure(by_paper)
             # one T0 for all: that of the filter with the paper's noise

@@ -30,7 +30,7 @@ from sherkit.lab.ports import read_ports
 from sherkit.robots.delta.klipper import import_klipper
 from sherkit.robots.delta.poses import grid
 from sherkit.robots.delta.virtual import VirtualDelta
-from sherkit.robots.tool.calibration import read_loads
+from sherkit.robots.tool.bench import read_loads
 from sherkit.robots.tool.runs import read_tool_run
 from sherkit.robots.tool.tool import FlexibleTool, load_tool
 from sherkit.robots.tool.virtual import VirtualTool

@@ -27,7 +27,8 @@ from sherkit.cli.main import cli
 from sherkit.errors import FitError, MeasurementError, RobotError, ShapeError
 from sherkit.robots.tool.alignment import align, at_times
 from sherkit.robots.tool.applied import applied
-from sherkit.robots.tool.calibration import calibrate_tool, read_loads
+from sherkit.robots.tool.bench import read_loads
+from sherkit.robots.tool.calibration import calibrate_tool
 from sherkit.robots.tool.columns import FIBRES
 from sherkit.robots.tool.effects import TOOL_CATALOGUE
 from sherkit.robots.tool.filters import Estimate, consistency, estimate, status_in_words
@@ -429,23 +430,42 @@ def test_bad_loads_are_refused(tmp_path: Path) -> None:
 # -- registration and alignment ------------------------------------------------------------------------------------
 
 
-def test_the_camera_is_found_in_frame_and_time() -> None:
-    """Catches a delay with the wrong sign, a transform that is inverted, and deviations that are made up: 12 runs."""
-    off = []
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        turn, shift, delay = rng.normal(size=3), 100 * rng.normal(size=3), float(rng.uniform(-0.2, 0.2))
-        there = FlexibleTool(
-            camera_rotation_rad=tuple(turn), camera_translation_mm=tuple(shift), camera_delay_s=delay  # type: ignore[arg-type]
-        )  # fmt: skip
-        run = VirtualTool(there, camera_warp_mm=0.0).free_motion(seconds=10.0, seed=seed)
-        found = align(run.time_s, run.position_mm, run.camera_time_s, run.camera_mm)
-        off.append((found.delay_s - delay) / found.delay_std_s)
-        np.testing.assert_allclose(found.registration.rotation, Rotation.from_rotvec(turn).as_matrix(), atol=0.01)
-        np.testing.assert_allclose(found.registration.apply(run.camera_mm), there.in_base(run.camera_mm), atol=0.2)
-        assert found.rms_mm == pytest.approx(0.2 / np.sqrt(3), rel=0.2)
+def camera_off(warp_mm: float, seed: int, seconds: float = 10.0) -> Floats:
+    """What :func:`align` misses, in stated deviations: turn, shift, the middle of the field, delay (10,)."""
+    rng = np.random.default_rng(seed)
+    turn, shift, delay = rng.normal(size=3), 100 * rng.normal(size=3), float(rng.uniform(-0.2, 0.2))
+    there = FlexibleTool(
+        camera_rotation_rad=tuple(turn), camera_translation_mm=tuple(shift), camera_delay_s=delay  # type: ignore[arg-type]
+    )  # fmt: skip
+    run = VirtualTool(there, camera_warp_mm=warp_mm).free_motion(seconds=seconds, seed=seed)
+    found = align(run.time_s, run.position_mm, run.camera_time_s, run.camera_mm)
+    frame, covariance = found.registration, found.registration.covariance
+    truth = Rotation.from_rotvec(turn)
+    np.testing.assert_allclose(frame.apply(run.camera_mm), there.in_base(run.camera_mm), atol=0.2 + 3.0 * warp_mm)
+    assert found.errors.noise_mm == pytest.approx(0.2 / np.sqrt(3), rel=0.25)
+    turned = (Rotation.from_matrix(frame.rotation) * truth.inv()).as_rotvec()
+    middle = run.camera_mm.mean(axis=0)
+    x, y, z = frame.rotation @ middle
+    at_middle = np.hstack([[[0, z, -y], [-z, 0, x], [y, -x, 0]], np.eye(3)])
+    off = np.concatenate([turned, frame.translation_mm - shift])
+    missed = frame.apply(middle)[0] - there.in_base(middle[None])[0]
+    return np.concatenate([
+        off / np.sqrt(np.diag(covariance)),
+        missed / np.sqrt(np.diag(at_middle @ covariance @ at_middle.T)),
+        [(found.delay_s - delay) / found.delay_std_s],
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize("warp_mm", [0.0, 0.25])
+def test_the_camera_is_found_in_frame_and_time(warp_mm: float) -> None:
+    """Catches a delay with the wrong sign, a transform that is inverted, and deviations that are made up: 16 runs.
+
+    Pictures with smooth errors are no independent witnesses: taken as that, errors were 10 to 15 deviations.
+    """
+    off = np.array([camera_off(warp_mm, seed) for seed in range(16)])
     assert np.abs(off).max() < 4.5
-    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.7)
+    assert 0.6 < np.sqrt(np.mean(off**2)) < 1.3
+    assert np.mean(np.abs(off) < 1.96) > 0.9
 
 
 @settings(max_examples=60)
@@ -521,8 +541,10 @@ def planted(name: str | None, seed: int, factor: float = 1.0) -> VirtualTool:
         return replace(v, shaft_bend_mm=tuple(0.3 * factor * rng.normal(size=2)))
     if name == "registration":
         return v.changed(camera_rotation_rad=tuple(0.02 * factor * rng.normal(size=3)))
-    if name in ("camera_delay", "fibre_delay"):
-        return v.changed(**{f"{name}_s": 0.02 * size})
+    if name == "camera_delay":
+        return v.changed(camera_delay_s=0.02 * size)
+    if name == "fibre_delay":
+        return v.changed(fibre_delay_s=0.02 * abs(size))
     assert name is None
     return v
 
@@ -615,25 +637,56 @@ def test_values_are_those_that_were_planted() -> None:
 def test_a_run_without_pictures_is_refused() -> None:
     """Catches a diagnosis of nothing."""
     run = replace(VirtualTool(TOOL).run("vessels", seconds=3.0), camera_time_s=np.zeros(0), camera_mm=np.zeros((0, 3)))
-    with pytest.raises(MeasurementError, match="0 pictures lie within the robot's time"):
+    with pytest.raises(MeasurementError, match="holds no place of the camera"):
         ToolModel(TOOL, run)
 
 
-@pytest.mark.slow
-def test_the_right_effect_is_named_in_95_of_100() -> None:
-    """Catches any effect that shows on some draws only: ratios 1, 2, 5, 4 seeds each of 10 effects, 95 % lead or tie.
+def names_of(d: sk.diagnosis.Diagnosis) -> set[str]:
+    """What leads, or is tied with it."""
+    return {*d.effects, *(other for tie in d.ties for other in tie)}
 
-    More than 13 of 108 missed would come by chance once in 1,000 at 5 %; and no effect more than 4 of its 12.
+
+@pytest.mark.parametrize(("name", "seed"), [("shaft_bend", 2), ("camera_delay", 2)])
+def test_what_takes_most_of_a_run_is_no_mistake_of_the_set_up(name: str, seed: int) -> None:
+    """Catches a large effect that is taken for a wrong set-up where the tip hardly moves, or whose fit ends on the way
+    and takes a minute: five times the noise."""
+    d = diagnosed(name, seed, 5.0)
+    assert d.verdict == "explained"
+    assert name in names_of(d)
+
+
+@pytest.mark.slow
+def test_the_right_effect_is_named_in_98_of_100() -> None:
+    """Catches any effect that shows on some draws only: ratios 1, 2, 5, 4 seeds each of 10 effects, 98 % lead or tie.
+
+    More than 8 of 120 missed would come by chance once in 1,000 at 2 %; and no effect more than 3 of its 12.
     """
     missed = [
         (name, seed)
         for name in TOOL_CATALOGUE
         for seed in range(12)
-        for d in [diagnosed(name, seed, (1.0, 2.0, 5.0)[seed % 3])]
-        if name not in {*d.effects, *(other for tie in d.ties for other in tie)}
+        if name not in names_of(diagnosed(name, seed, (1.0, 2.0, 5.0)[seed % 3]))
     ]
-    assert len(missed) <= 13, missed
-    assert max(sum(m[0] == name for m in missed) for name in TOOL_CATALOGUE) <= 4, missed
+    assert len(missed) <= 8, missed
+    assert max(sum(m[0] == name for m in missed) for name in TOOL_CATALOGUE) <= 3, missed
+
+
+@pytest.mark.slow
+def test_a_verdict_hangs_on_no_seed() -> None:
+    """Catches verdicts that hang on how rows are dealt to folds: each effect at twice the noise and none, 10 seeds of
+    the diagnosis; verdict and names are the same in 97 %."""
+    same = []
+    for name in (*TOOL_CATALOGUE, None):
+        factor = 1.0
+        for _ in range(2 if name else 0):
+            assert name is not None
+            factor *= 2.0 / visible(name, 4, factor)
+        run = planted(name, 4, factor).run("vessels", seconds=SECONDS, seed=4)
+        model = ToolModel(FlexibleTool(), run)
+        fit = sk.identify(model, model.readings)
+        told = [(d.verdict, d.effects) for d in (sk.diagnose(fit, seed=k) for k in range(10))]
+        same += [one == max(told, key=told.count) for one in told]
+    assert np.mean(same) >= 0.97
 
 
 # -- from the command line -----------------------------------------------------------------------------------------

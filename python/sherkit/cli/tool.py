@@ -12,19 +12,19 @@ import polars as pl
 
 from ..data.tables import write_table
 from ..diagnosis import Diagnosis
-from ..errors import MeasurementError
 from ..names import listed
 from ..robots.tool.alignment import Aligned, align
 from ..robots.tool.applied import Applied
-from ..robots.tool.calibration import ToolCalibration, read_loads
+from ..robots.tool.bench import read_loads
+from ..robots.tool.calibration import ToolCalibration
 from ..robots.tool.calibration import calibrate_tool as run_calibration
-from ..robots.tool.effects import TOOL_CATALOGUE
 from ..robots.tool.filters import Estimate, Track, status_in_words
 from ..robots.tool.filters import estimate as run_filters
-from ..robots.tool.judge import Judgement, judge
+from ..robots.tool.judge import Errors, Judgement, judge
 from ..robots.tool.known import Knowledge, known
-from ..robots.tool.runs import ToolRun, read_tool_run, summary
+from ..robots.tool.runs import read_tool_run, require_camera, summary
 from ..robots.tool.tool import NOISES, FlexibleTool, load_tool
+from ..types import Floats
 from . import output, reporting
 
 if TYPE_CHECKING:
@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 _THRESHOLD_MN = 50.0
 #: Beyond this share of the variance a truth says more about the camera than about the tip.
 _COARSE = 0.8
+_KNOWLEDGE = ("rows", "95 % cover", "NEES", "99 % band", "largest / σ", "verdict")
+#: Innovations are drawn as their mean over this, s.
+_MEAN_S = 1.0
 
 
 @click.command()
@@ -92,9 +95,12 @@ def _print_errors(j: Judgement) -> None:
         "more than 0.1 mm",
     )  # fmt: skip
     for e in j.errors:
-        cells = (f"{v:.3f}" if np.isfinite(v) else "–" for v in (e.total, e.t0, e.t1, e.largest))
-        table.add_row(e.signal, *cells)
+        table.add_row(e.signal, *_error_cells(e))
     output.out.print(table)
+
+
+def _error_cells(e: Errors) -> tuple[str, ...]:
+    return tuple(f"{v:.3f}" if np.isfinite(v) else "–" for v in (e.total, e.t0, e.t1, e.largest))
 
 
 def print_knowledge(truths: list[Knowledge]) -> None:
@@ -102,17 +108,20 @@ def print_knowledge(truths: list[Knowledge]) -> None:
     if truths:
         coarse = any(k.of_truth > _COARSE for k in truths)
         table = output.table(
-            "Does the filter know its own errors?", "", "rows", "95 % cover", "NEES", "99 % band", "largest / σ",
-            "verdict",
+            "Does the filter know its own errors?", "", *_KNOWLEDGE,
             note="NEES per degree of freedom is 1 where deviations are true"
             + (f"; more than {100 * _COARSE:.0f} % of the tip's is the camera's own std_mm" if coarse else ""),
         )  # fmt: skip
         for k in truths:
             if k.signal == "filter" or k.condition == "whole run":
-                name = f"{k.quantity}, {k.signal}, {k.condition}"
-                cells = (f"{k.coverage:.3f}", f"{k.nees:.2f}", f"{k.low:.2f} to {k.high:.2f}", f"{k.largest:.1f}")
-                table.add_row(name, str(k.rows), *cells, _of_truth(k))
+                table.add_row(*_knowledge_cells(k))
         output.out.print(table)
+
+
+def _knowledge_cells(k: Knowledge) -> tuple[str, ...]:
+    name = f"{k.quantity}, {k.signal}, {k.condition}"
+    band = f"{k.low:.2f} to {k.high:.2f}"
+    return name, str(k.rows), f"{k.coverage:.3f}", f"{k.nees:.2f}", band, f"{k.largest:.1f}", _of_truth(k)
 
 
 def _print_consistency(e: Estimate) -> None:
@@ -226,7 +235,16 @@ def drawn(e: Estimate) -> Drawn:
     return Drawn(
         time_s=e.run.time_s, estimate=e.depth.value[:, 0], std=e.depth.std[:, 0], name="insertion depth", unit="mm",
         others=others, force_mN=np.linalg.norm(np.nan_to_num(e.force_mn), axis=1), threshold_mN=_THRESHOLD_MN,
+        innovation=_innovations(e),
     )  # fmt: skip
+
+
+def _innovations(e: Estimate) -> Floats:
+    """NIS of the depth per degree of freedom, mean over a while (n,); NaN where nothing was measured."""
+    rows = max(1, round(_MEAN_S / float(np.median(np.diff(e.run.time_s)))))
+    window = np.ones(min(rows, len(e.run)))
+    total, degrees = (np.convolve(v.astype(float), window, mode="same") for v in (e.depth.nis, e.depth.degrees))
+    return np.where(degrees > 0.5, total / np.maximum(degrees, 1.0), np.nan)
 
 
 def calibrate_tool(tool: Path, loads: Path, destination: Path | None) -> None:
@@ -273,18 +291,13 @@ def register(tool: Path, run: Path, destination: Path | None, longest_delay_s: f
     recorded = read_tool_run(run)
     require_camera(recorded)
     found = align(
-        recorded.time_s, recorded.position_mm, recorded.camera_time_s, recorded.camera_mm, longest_s=longest_delay_s
-    )
+        recorded.time_s, recorded.position_mm, recorded.camera_time_s, recorded.camera_mm, longest_s=longest_delay_s,
+        source=recorded.source,
+    )  # fmt: skip
     print_alignment(found)
     if destination is not None:
         registered(made, found).save(destination)
         output.say(f"tool with this camera written to {destination}")
-
-
-def require_camera(run: ToolRun) -> None:
-    """Raises :class:`~sherkit.errors.MeasurementError` for a run that no camera saw."""
-    if not len(run.camera_time_s):
-        raise MeasurementError(f"{run.source}: holds no place of the camera (camera_x_mm, camera_y_mm, camera_z_mm)")
 
 
 def registered(tool: FlexibleTool, found: Aligned) -> FlexibleTool:
@@ -304,18 +317,22 @@ def say_applied(told: Applied) -> None:
 def sentences_of(told: Applied) -> list[str]:
     """What was written into a tool file, and what has no place there."""
     written = listed((*told.written, "the camera's offset"))
-    own = {name: f" {TOOL_CATALOGUE[name].workshop}" for name in told.kept_out if name in TOOL_CATALOGUE}
-    return [
-        f"written into the tool: {written}",
-        *(f"{name} has no key in a tool file.{own.get(name, '')}" for name in told.kept_out),
-    ]
+    return [f"written into the tool: {written}", *told.why]
 
 
 def write_tool_report(path: Path, title: str, found: Diagnosis, e: Estimate, told: Applied) -> None:
     """The story of a run as one HTML file."""
-    from ..report.tool import write_tool_report as write  # Bokeh takes a second to load
+    from ..report.tool import Rows  # Bokeh takes a second to load
+    from ..report.tool import write_tool_report as write
 
-    write(path, title, found, drawn(e), sentences_of(told), command=output.command_line())
+    errors = [(f"{j.quantity}, {x.signal}", *_error_cells(x)) for j in judge(e) for x in j.errors]
+    truths = [_knowledge_cells(k) for k in known(e) if k.signal == "filter" or k.condition == "whole run"]
+    tables = [
+        Rows("Mean error, mm", ("", "whole run", "T0", "T1", "largest"), tuple(errors)),
+        Rows("Does the filter know its own errors?", ("", *_KNOWLEDGE), tuple(truths)),
+    ]
+    said = [*sentences_of(told), *(str(fault) for fault in e.faults)]
+    write(path, title, found, drawn(e), said, tables=[t for t in tables if t.cells], command=output.command_line())
 
 
 def print_alignment(found: Aligned) -> None:
@@ -332,3 +349,9 @@ def print_alignment(found: Aligned) -> None:
         table.add_row(f"shift {axis}, mm", f"{r.translation_mm[k]:+.3f}", f"{std[3 + k]:.1g}")
     table.add_row("delay, s", f"{found.delay_s:+.4f}", f"{found.delay_std_s:.1g}")
     output.out.print(table)
+    errors = found.errors
+    if errors.size_mm > 0:
+        output.say(
+            f"   deviations are for noise of {errors.noise_mm:.2f} mm an axis and smooth errors of "
+            f"{errors.size_mm:.2f} mm that are alike within {errors.reach_mm:.0f} mm"
+        )

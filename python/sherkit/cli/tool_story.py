@@ -15,14 +15,15 @@ from ..errors import MeasurementError
 from ..fit.identify import identify
 from ..robots.tool.alignment import Aligned, align
 from ..robots.tool.applied import Applied, applied
-from ..robots.tool.calibration import ToolCalibration, read_loads
+from ..robots.tool.bench import read_loads
+from ..robots.tool.calibration import ToolCalibration
 from ..robots.tool.calibration import calibrate_tool as run_calibration
 from ..robots.tool.filters import Estimate
 from ..robots.tool.filters import estimate as run_filters
 from ..robots.tool.judge import judge
 from ..robots.tool.known import known
 from ..robots.tool.model import ToolModel
-from ..robots.tool.runs import ToolRun, read_tool_run
+from ..robots.tool.runs import ToolRun, read_tool_run, require_camera
 from ..robots.tool.tare import Tare, tare
 from ..robots.tool.tool import FlexibleTool, load_tool
 from . import output, reporting
@@ -32,7 +33,6 @@ from .tool import (
     print_calibration,
     print_knowledge,
     registered,
-    require_camera,
     say_applied,
     write_tool_report,
 )
@@ -66,7 +66,9 @@ def tool_story(
         step("gains, stiffness and length")
         calibration = run_calibration(load_tool(drawing) if drawing else FlexibleTool(), loads)
         step("the camera's frame and clock")
-        found = align(led.time_s, led.position_mm, led.camera_time_s, led.camera_mm, longest_s=longest_delay_s)
+        found = align(
+            led.time_s, led.position_mm, led.camera_time_s, led.camera_mm, longest_s=longest_delay_s, source=led.source
+        )
         step("unloaded seconds")
         tares = _tared(registered(calibration.tool, found), led, recorded)
         made = tares[-1].tool

@@ -12,27 +12,41 @@ from ..types import Floats
 
 #: Part of the variance of the noise that is not worth a step: it would go by three hundredths of a deviation.
 _NOTHING = 1e-3
+#: So many steps that leave what the model can compute say that it ends on the way to the minimum.
+_EDGE = 12
+#: Evaluations after which a fit is asked whether it still gains.
+_LONG = 15
 
 
 def iterate(solver: _core.Solver, feed: Callable[[Floats], None]) -> str:
     """Runs the solver to its end and says which: ``converged`` or ``exhausted``.
 
     ``feed`` gives the solver every row at the parameters asked for. A step that leaves what the model can compute
-    (:class:`~sherkit.errors.FitError`) is damped; where the start does already, the error is raised.
+    (:class:`~sherkit.errors.FitError`) is damped, until there were a dozen; where the start does already, the error is
+    raised. A fit that still steps after so many evaluations ends where next to nothing is left to gain.
     """
-    first = True
+    evaluations, outside, over = 0, 0, ""
     while True:
         solver.clear()
-        try:
-            feed(solver.trial)
-        except FitError:
-            if first:
-                raise
+        if over:
+            # the solver goes back to where it stands by finding no further step
             solver.fail()
-        first = False
+        else:
+            try:
+                feed(solver.trial)
+            except FitError:
+                if not evaluations:
+                    raise
+                solver.fail()
+                outside += 1
+        evaluations += 1
         ended = solver.advance()
         if ended != "evaluate":
-            return ended
+            return over or ended
+        if outside >= _EDGE:
+            over = "exhausted"
+        elif evaluations >= _LONG and not over and reached(ended, solver.result()):
+            over = "converged"
 
 
 def reached(ended: str, result: Mapping[str, Any]) -> bool:

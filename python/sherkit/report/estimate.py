@@ -25,7 +25,8 @@ class EstimateOverTime:
     """Values over ``time_s`` (n,): ``estimate`` and its ``std`` (n,) in ``unit``.
 
     ``others`` are further lines in the same unit by name (the sensor alone, the truth), NaN where there is none;
-    ``force_mN`` (n,) stands below with the ``threshold_mN`` at which the sensor says little.
+    ``force_mN`` (n,) stands below with the ``threshold_mN`` at which the sensor says little, and below that the
+    ``innovation`` (n,): its square over its variance, mean over a while, 1 where the filter is right.
     """
 
     time_s: Floats
@@ -36,6 +37,7 @@ class EstimateOverTime:
     others: Mapping[str, Floats]
     force_mN: Floats | None = None
     threshold_mN: float | None = None
+    innovation: Floats | None = None
 
 
 def estimate_picture(state: EstimateOverTime) -> Picture[EstimateOverTime]:
@@ -63,10 +65,18 @@ def estimate_picture(state: EstimateOverTime) -> Picture[EstimateOverTime]:
         if state.threshold_mN is not None:
             lower.add_layout(Span(location=state.threshold_mN, dimension="width", line_color=MUTED, line_dash="dotted"))
         figures.append(lower)
+    if state.innovation is not None:
+        lowest = figure(height=_BELOW, sizing_mode="stretch_width", x_range=made.x_range)
+        lowest.yaxis.axis_label = "innovation²"
+        lowest.line("t", "innovation", source=sources["run"], color=COLOURS[0], line_width=2)
+        lowest.add_layout(Span(location=1.0, dimension="width", line_color=MUTED, line_dash="dotted"))
+        figures.append(lowest)
     figures[-1].xaxis.axis_label = "time, s"
     n = len(state.time_s)
     few = f" Of {n} steps the first, lowest and highest of equal stretches are drawn." if n > _MOST else ""
     below = " Below the dotted line the force says little." if state.threshold_mN is not None else ""
+    if state.innovation is not None:
+        below += " Innovations squared, over their variance, are 1 on average where the filter's noise is right."
     note = f"The band holds the truth in 95 of 100 steps.{below}{few}"
     return Picture("estimate", stacked("estimate", figures, sizing_mode="stretch_width"), sources, _tables, note=note)
 
@@ -94,6 +104,8 @@ def _tables(state: EstimateOverTime) -> Tables:
     table |= {f"other_{k}": v[keep] for k, v in enumerate(state.others.values())}
     if state.force_mN is not None:
         table["force"] = state.force_mN[keep]
+    if state.innovation is not None:
+        table["innovation"] = state.innovation[keep]
     return {"run": table}
 
 

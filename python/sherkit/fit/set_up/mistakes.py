@@ -41,6 +41,8 @@ _READINGS = 3
 _NOT_RIGHT = 0.1
 #: One that leaves more than this is no set-up at all.
 _ABSURD = 0.3
+#: An effect that leaves less than this part takes most.
+_MOST = 0.5
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,8 @@ def _wrong(
     before = float("nan") if now is None else per_unit * now.rms_of_all
     if not better:
         if now is None or free is None or min(now.relative, free.relative) < _ABSURD or not _moves(model, data, now):
+            return []
+        if _is_physics(model, data, datum, now):
             return []
         return [_nothing_usual(now, before, unit)]
     first, found = better[0]
@@ -208,6 +212,18 @@ def _moves(model: ModelWithEffects, data: Measurements, now: Plausible) -> bool:
     """Whether the robot was driven anywhere, beside what is left: at one place readings are all noise."""
     driven = np.ptp(model.predict(thinned(data), now.values), axis=0)
     return bool(driven.max() > now.rms_of_all)
+
+
+def _is_physics(model: ModelWithEffects, data: Measurements, datum: Bools, now: Plausible) -> bool:
+    """Whether a known effect of plausible size takes most of what is left: where readings move little, a large part of
+    that may be physics."""
+    for effect in model.can_be_tried(tuple(model.known_effects.values()), data)[0]:
+        if effect.search is None:
+            more = model.with_effect(effect)
+            found = plausible_fit(more, data, np.append(datum, np.zeros(len(effect.parameters), dtype=bool)))
+            if found is not None and found.relative < min(_ABSURD, _MOST * now.relative):
+                return True
+    return False
 
 
 def _nothing_usual(now: Plausible, before: float, unit: str) -> Mistake:

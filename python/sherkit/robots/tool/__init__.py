@@ -1,7 +1,8 @@
 """The flexible tool whose fibres feel the force."""
 
 from .alignment import align
-from .calibration import Loads, ToolCalibration, calibrate_tool, read_loads
+from .bench import Loads, read_loads
+from .calibration import ToolCalibration, calibrate_tool
 from .effects import TOOL_CATALOGUE
 from .filters import Estimate, estimate
 from .judge import judge

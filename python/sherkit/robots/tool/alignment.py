@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -10,14 +10,18 @@ from numpy.typing import ArrayLike
 
 from ...errors import FitError, ShapeError
 from ...types import Floats
+from .plausible import check_shapes, likeness
 from .registration import Registration, register
 from .runs import ToolRun
+from .smooth_errors import SmoothErrors, smooth_errors
 from .tool import FlexibleTool
 
 _LEAST = 8
 #: No interrogator is later, s, and a delay less well known is none.
 _LONGEST_FIBRES_S = 0.28
 _WORST_DELAY_S = 0.02
+#: Velocities are taken over twice this, s.
+_STEP_S = 0.01
 
 
 def at_times(time_s: ArrayLike, values: ArrayLike, moments_s: ArrayLike) -> Floats:
@@ -43,32 +47,35 @@ class Aligned:
     """A camera brought into the robot's frame and clock.
 
     ``registration`` takes camera to base, ``delay_s`` ± ``delay_std_s`` is how much later the camera's clock stands,
-    ``rms_mm`` what is left.
+    ``rms_mm`` what is left. Both deviations are those under ``errors``: the camera's noise, and what its pictures have
+    in common where they are near each other.
     """
 
     registration: Registration
     delay_s: float
     delay_std_s: float
     rms_mm: float
+    errors: SmoothErrors
 
 
 def align(
     robot_time_s: ArrayLike, robot_mm: ArrayLike, camera_time_s: ArrayLike, camera_mm: ArrayLike, *,
-    longest_s: float = 0.5,
+    longest_s: float = 0.5, source: str = "alignment",
 ) -> Aligned:  # fmt: skip
     """Frame and clock of a camera from a motion of the unbent tool that both saw: least squares over both.
 
-    Robot (n, 3) at its times, camera (m, 3) at its own; delays up to ``longest_s`` either way are tried. The standard
-    deviation of the delay follows from the curvature of the sum of squares. Raises :class:`~sherkit.errors.FitError`
-    where fewer than eight pictures fall into the robot's time at every delay tried, where nothing moves enough to tell
-    the delay, and as :func:`~sherkit.robots.tool.registration.register`.
+    Robot (n, 3) at its times, camera (m, 3) at its own; delays up to ``longest_s`` either way are tried. Deviations
+    are those of :func:`~sherkit.robots.tool.smooth_errors.smooth_errors`. Raises :class:`~sherkit.errors.FitError`
+    where fewer than eight pictures fall into the robot's time at every delay tried, where the camera saw another
+    motion, one in other units or mirrored, where nothing moves enough to tell the delay, and as
+    :func:`~sherkit.robots.tool.registration.register`.
     """
     t, x = np.asarray(robot_time_s, dtype=float), np.asarray(robot_mm, dtype=float)
     at, seen = np.asarray(camera_time_s, dtype=float), np.asarray(camera_mm, dtype=float)
     inside = (at - longest_s >= t[0]) & (at + longest_s <= t[-1])
     if int(inside.sum()) < _LEAST:
         raise FitError(
-            f"alignment: {int(inside.sum())} pictures lie inside the robot's time by {longest_s:g} s on both sides; "
+            f"{source}: {int(inside.sum())} pictures lie inside the robot's time by {longest_s:g} s on both sides; "
             f"expected {_LEAST} or more"
         )
     at, seen = at[inside], seen[inside]
@@ -81,23 +88,32 @@ def align(
 
     grid = np.linspace(-longest_s, longest_s, 81)
     squares = np.array([left(d) for d in grid])
+    nearest = max(grid[::4], key=lambda d: likeness(at_times(t, x, at - d), seen).best)
+    check_shapes(at_times(t, x, at - nearest), seen, source)
     if not np.isfinite(squares).any():
-        register(seen, at_times(t, x, at))  # says why
+        raise FitError(
+            f"{source}: this motion tells no turn of the camera; lead the free tool to places some centimetres apart, "
+            "in all three directions"
+        )
     best = int(np.argmin(squares))
     if best in (0, len(grid) - 1):
-        raise FitError(f"alignment: the delay lies at the end of what was tried, {grid[best]:+g} s; allow a longer one")
+        raise FitError(f"{source}: the delay lies at the end of what was tried, {grid[best]:+g} s; allow a longer one")
     found = scipy.optimize.minimize_scalar(left, bounds=(grid[best - 1], grid[best + 1]), method="bounded",
                                      options={"xatol": 1e-7})  # fmt: skip
     delay = float(found.x)
-    step = float(grid[1] - grid[0]) / 4
-    curvature = (left(delay + step) - 2 * left(delay) + left(delay - step)) / step**2
     registration = register(seen, at_times(t, x, at - delay))
-    variance = left(delay) / max(3 * len(at) - 7, 1)
-    if not curvature > 0:
-        raise FitError("alignment: nothing moves enough to tell the delay between the clocks")
+    before, after = (np.clip(at - delay + s, t[0], t[-1]) for s in (-_STEP_S, _STEP_S))
+    velocity = (at_times(t, x, after) - at_times(t, x, before)) / (after - before)[:, None]
+    if not np.abs(velocity).max() > 0:
+        raise FitError(f"{source}: nothing moves enough to tell the delay between the clocks")
+    turned = seen @ registration.rotation.T
+    cross = np.cross(np.eye(3), turned[:, None, :]).transpose(0, 2, 1)
+    moved = np.concatenate([cross, np.broadcast_to(np.eye(3), (len(at), 3, 3)), velocity[:, :, None]], axis=2)
+    errors = smooth_errors(moved, registration.residuals_mm, seen, at)
     return Aligned(
-        registration, delay, float(np.sqrt(2 * variance / curvature)), float(np.sqrt(left(delay) / (3 * len(at))))
-    )
+        replace(registration, covariance=errors.covariance[:6, :6]), delay,
+        float(np.sqrt(errors.covariance[6, 6])), float(np.sqrt(left(delay) / (3 * len(at)))), errors,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

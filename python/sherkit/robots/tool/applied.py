@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from ...errors import RobotError
 from ...fit.identify import Fit
 from .effects import TOOL_CATALOGUE
 from .model import ToolModel
@@ -15,11 +16,13 @@ from .tool import FlexibleTool, rotation_of
 
 @dataclass(frozen=True)
 class Applied:
-    """``tool`` says the effects that are ``written``; ``kept_out`` are those that a tool file has no key for."""
+    """``tool`` says the effects that are ``written``; ``kept_out`` are those that a tool file cannot say, ``why`` a
+    sentence on each."""
 
     tool: FlexibleTool
     written: tuple[str, ...]
     kept_out: tuple[str, ...]
+    why: tuple[str, ...]
 
 
 def applied(model: ToolModel, fit: Fit) -> Applied:
@@ -28,7 +31,7 @@ def applied(model: ToolModel, fit: Fit) -> Applied:
     The camera saw the tip at m + R (tip - m) + c, with the middle m of the run's places, the turn R of ``registration``
     and the offset c; its frame is turned and moved back by that.
     """
-    tool, written, kept_out = model.tool, [], []
+    tool, written, kept_out, why = model.tool, [], [], []
     turn = np.eye(3)
     for effect in fit.model.effects:
         values = fit.values[fit.model.owns(effect)]
@@ -37,9 +40,15 @@ def applied(model: ToolModel, fit: Fit) -> Applied:
             turn = rotation_of(values)[0]
         elif known is None or known.tool is None:
             kept_out.append(effect.name)
+            why.append(f"{effect.name} has no key in a tool file. {known.workshop if known else ''}".strip())
             continue
         else:
-            tool = known.tool(tool, values)
+            try:
+                tool = known.tool(tool, values)
+            except RobotError as error:
+                kept_out.append(effect.name)
+                why.append(f"{effect.name} cannot be written: {error}")
+                continue
         written.append(effect.name)
     offset = fit.values[: len(model.parameters)]
     middle = model.predict(model.readings, np.zeros(len(model.parameters))).mean(axis=0)
@@ -50,4 +59,4 @@ def applied(model: ToolModel, fit: Fit) -> Applied:
         camera_rotation_rad=tuple(rotation.tolist()),
         camera_translation_mm=tuple(shift.tolist()),
     )
-    return Applied(tool, tuple(written), tuple(kept_out))
+    return Applied(tool, tuple(written), tuple(kept_out), tuple(why))

@@ -14,74 +14,20 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
-import polars as pl
 import scipy
 
 import sherkit._core as _core
 
-from ...data.reader import checked
-from ...data.tables import read_table, write_table
-from ...errors import FitError, MeasurementError, SherkitWarning
-from ...names import listed
+from ...errors import SherkitWarning
 from ...types import Floats
-from .columns import DEFLECTION, DEPTH, FIBRES, FORCE
+from .bench import LEAST_LOADED, LEAST_UNLOADED, Loads, check_loads, check_sizes
 from .tool import FlexibleTool, nested
 
-#: Forces of less than this are none, mN.
-_NO_FORCE_MN = 1e-9
-_LEAST_UNLOADED = 5
-_LEAST_LOADED = 12
 _ROUNDS = 3
 #: Lack of fit is said below this p-value.
 _LACK_P = 1e-3
-
-
-@dataclass(frozen=True, eq=False)
-class Loads:
-    """Rows of a load bench: ``force_mn`` (n, 2), ``depth_mm`` (n,), ``wavelengths_nm`` (n, 9), ``deflection_mm`` (n,),
-    NaN where it was not measured."""
-
-    force_mn: Floats
-    depth_mm: Floats
-    wavelengths_nm: Floats
-    deflection_mm: Floats
-    source: str = "loads"
-
-    def __len__(self) -> int:
-        return len(self.force_mn)
-
-    def save(self, path: str | Path) -> None:
-        """Writes CSV or Parquet that :func:`read_loads` reads."""
-        columns = {**dict(zip(FORCE, self.force_mn.T, strict=True)), DEPTH: self.depth_mm}
-        columns |= {DEFLECTION: self.deflection_mm, **dict(zip(FIBRES, self.wavelengths_nm.T, strict=True))}
-        write_table(pl.DataFrame(columns).with_columns(pl.col(DEFLECTION).fill_nan(None)), path)
-
-
-def read_loads(path: str | Path) -> Loads:
-    """Reads the rows of a load bench. Raises :class:`~sherkit.errors.MeasurementError` naming file, column and row."""
-    path = checked(path)
-    try:
-        frame = read_table(path)
-        missing = [name for name in (*FORCE, DEPTH, *FIBRES) if name not in frame.columns]
-        if missing:
-            raise MeasurementError(f"{path}: column '{missing[0]}' is missing; it has {listed(frame.columns, 24)}")
-        if DEFLECTION not in frame.columns:
-            frame = frame.with_columns(pl.lit(None, dtype=pl.Float64).alias(DEFLECTION))
-        numbers = frame.select(pl.col(*FORCE, DEPTH, *FIBRES, DEFLECTION).cast(pl.Float64))
-    except pl.exceptions.PolarsError as error:
-        raise MeasurementError(f"{path}: expected a table of numbers: {str(error).splitlines()[0]}") from None
-    for name in (*FORCE, DEPTH, *FIBRES):
-        bad = ~np.isfinite(numbers[name].to_numpy().astype(float))
-        if bad.any():
-            raise MeasurementError(f"{path}: row {int(np.argmax(bad)) + 1}, column '{name}': expected a finite number")
-
-    def array(*names: str) -> Floats:
-        return np.ascontiguousarray(np.column_stack([numbers[n].to_numpy().astype(float) for n in names]))
-
-    return Loads(array(*FORCE), array(DEPTH)[:, 0], array(*FIBRES), array(DEFLECTION)[:, 0], str(path))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,13 +56,13 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
     """K_I and K_II, and where deflections were measured EI (by the paper's slope, and with the length h together).
 
     The reference and the noise come from the unloaded rows, or stay the tool's where there are fewer than five of them.
-    Raises :class:`~sherkit.errors.FitError` for too few loads, or loads in one direction only.
+    Raises :class:`~sherkit.errors.FitError` for too few loads, loads in one direction or at one place only, and
+    :class:`~sherkit.errors.MeasurementError` for numbers that cannot be.
     """
-    unloaded = np.linalg.norm(loads.force_mn, axis=1) <= _NO_FORCE_MN
-    if int((~unloaded).sum()) < _LEAST_LOADED:
-        raise FitError(f"{loads.source}: {int((~unloaded).sum())} rows with a force; expected {_LEAST_LOADED} or more")
+    check_loads(tool, loads)
+    unloaded = ~loads.loaded
     reference, noise = np.array(tool.reference_nm), tool.noise_nm
-    if int(unloaded.sum()) >= _LEAST_UNLOADED:
+    if int(unloaded.sum()) >= LEAST_UNLOADED:
         rest = loads.wavelengths_nm[unloaded]
         reference = rest.mean(axis=0)
         # warmth moves all fibres alike, and is no noise
@@ -128,27 +74,31 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
     size = np.ascontiguousarray(np.linalg.norm(force, axis=1))
     shifts = loads.wavelengths_nm[loaded, :6] - reference[:6]
     measured = np.isfinite(loads.deflection_mm[loaded])
+    enough = int(measured.sum()) >= LEAST_LOADED
     slope = stiffness = length = None
     made = replace(tool, reference_nm=tuple(reference.tolist()), noise_nm=noise if noise > 0 else tool.noise_nm)
     # gains hang on the beam by what an elastica adds to a moment, and the beam on the gains by the force felt
     for _ in range(_ROUNDS):
         gains = _gains(made, shifts, force, size, depth)
+        if slope is None and enough:
+            pushed, at, bent = (np.ascontiguousarray(v[measured]) for v in (size, depth, loads.deflection_mm[loaded]))
+            slope = _core.tool_fit_slope(tool.length_mm, pushed, at, bent)
+        check_sizes(tool, gains.value, slope and slope[0], loads.source)
         made = replace(made, gains=nested(gains.value))
-        if int(measured.sum()) < _LEAST_LOADED:
+        if not enough:
             break
         felt = gains.felt(made, shifts, force, size, depth)[measured]
         at, bent = (np.ascontiguousarray(v[measured]) for v in (depth, loads.deflection_mm[loaded]))
         both, covariance = _beam(made, felt, at, bent, gains.relative)
         std = np.sqrt(np.diag(covariance))
         length, stiffness = (both[0], float(std[0])), (both[1], float(std[1]))
-        slope = slope or _core.tool_fit_slope(tool.length_mm, np.ascontiguousarray(size[measured]), at, bent)
         made = replace(made, length_mm=both[0], stiffness_mn_mm2=both[1], doubt=replace(
             made.doubt, beam=nested(covariance)))  # fmt: skip
     count = int(unloaded.sum())
     doubt = replace(
         made.doubt,
         gains=nested(gains.covariance),
-        reference_nm=made.noise_nm / float(np.sqrt(count)) if count >= _LEAST_UNLOADED else made.doubt.reference_nm,
+        reference_nm=made.noise_nm / float(np.sqrt(count)) if count >= LEAST_UNLOADED else made.doubt.reference_nm,
     )
     made = replace(made, doubt=doubt)
     lack = _lack_of_fit(made, shifts, force, size, depth, loads.deflection_mm[loaded])
@@ -230,7 +180,7 @@ def _lack_of_fit(
         left = _moment(np.array(tool.gains[s]), shifts[:, 3 * s : 3 * s + 3], way) - expected
         said.append((f"the moments at section {name}", "mN mm", expected, left))
     there = np.isfinite(deflection)
-    if int(there.sum()) >= _LEAST_LOADED:
+    if int(there.sum()) >= LEAST_LOADED:
         said.append(("the deflections", "mm", predicted[there, 2], (deflection - predicted[:, 2])[there]))
     out = []
     for what, unit, expected, left in said:

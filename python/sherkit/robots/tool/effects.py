@@ -109,8 +109,8 @@ def tool_length(at: Places, values: Floats) -> Floats:
 
 @_effect(
     "body",
-    _p("x", "mm", 0.3),
-    _p("y", "mm", 0.3),
+    _p("x", "mm", 1.0),
+    _p("y", "mm", 1.0),
     physics="The shaft is not straight: without any force its tip is off the robot's axis.",
     residuals="Constant in the tool's frame, so that it turns with the tool; a camera's offset does not.",
     workshop="Turn the tool about its shaft before the camera: a bent tip walks on a circle.",

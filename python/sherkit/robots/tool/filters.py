@@ -18,7 +18,8 @@ import sherkit._core as _core
 
 from ...errors import MeasurementError
 from ...types import Bools, Floats
-from .gratings import Fault, check_unit, faults_of
+from .gratings import Fault, faults_of
+from .plausible import check_wavelengths
 from .runs import ToolRun
 from .tool import FlexibleTool
 
@@ -175,13 +176,13 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
 
     A reading is used at the time it was taken: its stamp where the run has one, less the delay of the fibres.
     Rows without wavelengths are predicted over. Raises :class:`~sherkit.errors.MeasurementError` for a run in which no
-    row has wavelengths, or whose wavelengths are in another unit.
+    row has wavelengths, or whose wavelengths are in another unit or of another tool.
     """
     waves = np.ascontiguousarray(run.wavelengths_nm)
     reading = _readings(run)
     if not reading.any():
         raise MeasurementError(f"{run.source}: no row has wavelengths; there is nothing to estimate from")
-    check_unit(waves, np.array(tool.reference_nm), run.source)
+    check_wavelengths(waves, np.array(tool.reference_nm), run.source)
     stamps = np.ascontiguousarray(run.fibre_times_s - tool.fibre_delay_s)
     measured = tool.sensor.measure_batch(stamps, waves)[0]
     told = tool.tracker(float(run.time_s[0]), run.poses[0]).run(run.time_s, run.poses, stamps, waves, reading)
@@ -256,12 +257,14 @@ def smoothed(tool: FlexibleTool, run: ToolRun, stamps_s: Floats, reading: Bools)
 def _ordered(
     times_s: Floats, poses: Floats, stamps_s: Floats, waves: Floats, reading: Bools, side: Literal["left", "right"]
 ) -> tuple[Floats, Floats, Floats, Floats, Bools]:
-    """The run with each reading at the first row not before its stamp (``left``), or after it (``right``)."""
+    """The run with each reading at the first row not before its stamp (``left``), or after it (``right``); where that
+    has one already, as where rows or stamps jitter, at the next that has none."""
     rows = np.flatnonzero(reading)
     rows = rows[np.argsort(stamps_s[rows], kind="stable")]
-    place = np.searchsorted(times_s, stamps_s[rows], side=side)
-    inside = (place < len(times_s)) & (stamps_s[rows] >= times_s[0])
-    rows, place = rows[inside], place[inside]
+    rows = rows[stamps_s[rows] >= times_s[0]]
+    turn = np.arange(len(rows))
+    place = np.maximum.accumulate(np.searchsorted(times_s, stamps_s[rows], side=side) - turn) + turn
+    rows, place = rows[place < len(times_s)], place[place < len(times_s)]
     at, taken, there = times_s.copy(), np.full_like(waves, np.nan), np.zeros(len(times_s), dtype=bool)
     at[place], taken[place], there[place] = stamps_s[rows], waves[rows], True
     return tuple(np.ascontiguousarray(v) for v in (times_s, poses, at, taken, there))  # type: ignore[return-value]

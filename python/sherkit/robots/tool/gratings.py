@@ -7,16 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import MeasurementError
 from ...types import Bools, Floats
 from .columns import FIBRES
+from .plausible import OUT_OF_REACH_NM
 
 #: A grating that was not believed for fewer rows is a single outlier, and counted with the others.
 _LASTING_ROWS = 20
 _REPEATED = 0.9
 _SWAPPED_NM = 0.08
-_UNITS = {"pm": 1e3, "um": 1e-3, "m": 1e-9}
-_OUT_OF_REACH_NM = 8.0
 
 
 @dataclass(frozen=True)
@@ -33,20 +31,6 @@ class Fault:
         return (
             f"{self.column}: {self.what}; left out in {self.rows} rows from {self.since_s:.2f} to {self.until_s:.2f} s"
         )
-
-
-def check_unit(wavelengths_nm: Floats, reference_nm: Floats, source: str) -> None:
-    """Raises :class:`~sherkit.errors.MeasurementError` for wavelengths that are not in nm."""
-    known = wavelengths_nm[np.isfinite(wavelengths_nm)]
-    if not len(known):
-        return
-    ratio = float(np.median(known)) / float(np.mean(reference_nm))
-    for unit, factor in _UNITS.items():
-        if 0.5 < ratio / factor < 2.0:
-            raise MeasurementError(
-                f"{source}: the wavelengths of {FIBRES[0]} and the others seem to be in {unit}; expected nm, near "
-                f"{np.mean(reference_nm):.0f}"
-            )
 
 
 def faults_of(
@@ -79,7 +63,7 @@ def _what(k: int, rows: Bools, shift: Floats, bits: Bools) -> str:
                 return f"shows the peak of {FIBRES[j]}, which shows its"
     if (np.diff(known) == 0).mean() > _REPEATED:
         return "is stuck or saturated: it repeats one number"
-    if np.median(np.abs(known)) > _OUT_OF_REACH_NM:
+    if np.median(np.abs(known)) > OUT_OF_REACH_NM:
         return "shows what no grating can"
     section = slice(3 * (k // 3), 3 * (k // 3) + 3)
     if bits[rows][:, section].all(axis=1).mean() > 0.5:

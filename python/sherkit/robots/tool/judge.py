@@ -13,6 +13,7 @@ import numpy as np
 from ...types import Bools, Floats
 from .alignment import at_times
 from .filters import Estimate
+from .plausible import check_camera
 
 #: The paper's threshold between T0 and T1.
 MISMATCH_MM = 0.1
@@ -48,7 +49,10 @@ class Judgement:
 
 
 def judge(e: Estimate) -> list[Judgement]:
-    """Depth where the run has it, tip where a camera saw it. T0 and T1 by the filters of Eqs. 8 and 14."""
+    """Depth where the run has it, tip where a camera saw it. T0 and T1 by the filters of Eqs. 8 and 14.
+
+    Raises :class:`~sherkit.errors.MeasurementError` for a camera whose places are in another unit.
+    """
     out = []
     run = e.run
     if run.depth_mm is not None:
@@ -78,6 +82,7 @@ def judge(e: Estimate) -> list[Judgement]:
                 "filter of both": at_times(run.time_s, e.together.value[:, 1:], moment),
                 "smoother": at_times(run.time_s, e.smooth_together[0][:, 1:], moment),
             }
+            check_camera(places["kinematics"], truth, run.source)
             t0 = np.linalg.norm(places["filter"] - places["kinematics"], axis=1) > MISMATCH_MM
             errors = {name: np.linalg.norm(value - truth, axis=1) for name, value in places.items()}
             out.append(_judged("tip", "camera", errors, t0))

@@ -24,7 +24,8 @@ from ...types import Floats
 from .alignment import at_times
 from .effects import TOOL_CATALOGUE, ToolEffect
 from .places import Places
-from .runs import ToolRun
+from .plausible import check_camera, check_wavelengths
+from .runs import ToolRun, require_camera
 from .tool import FlexibleTool
 
 #: Column of the rows that says which picture a row is.
@@ -40,13 +41,15 @@ class ToolModel(Saved):
     """Places of the tip as the camera should see them, in the robot's base (k, 3), mm, at its pictures.
 
     Fitted without any effect is the camera's offset alone. ``candidates`` are the effects of the tool on this run.
-    Raises :class:`~sherkit.errors.MeasurementError` for a run with too few pictures inside the robot's time.
+    Raises :class:`~sherkit.errors.MeasurementError` for a run with too few pictures inside the robot's time, or with
+    numbers that cannot be those of this tool.
     """
 
     tool: FlexibleTool
     run: ToolRun
 
     def __post_init__(self) -> None:
+        require_camera(self.run)
         if int(self.pictures.sum()) < _LEAST:
             raise MeasurementError(
                 f"{self.run.source}: {int(self.pictures.sum())} pictures lie within the robot's time; expected "
@@ -54,6 +57,8 @@ class ToolModel(Saved):
             )
         if not self.run.present.any():
             raise MeasurementError(f"{self.run.source}: no row has wavelengths")
+        check_wavelengths(self.run.wavelengths_nm, np.array(self.tool.reference_nm), self.run.source)
+        check_camera(at_times(self.run.time_s, self.run.position_mm, self.moments_s), self.seen_mm, self.run.source)
 
     @cached_property
     def pictures(self) -> NDArray[np.bool_]:

@@ -11,12 +11,13 @@ import numpy as np
 import polars as pl
 
 from ...data.columns import TIME
-from ...data.reader import checked
-from ...data.tables import read_table, write_table
+from ...data.tables import write_table
 from ...errors import MeasurementError
-from ...names import closest, listed
+from ...names import listed
 from ...types import Bools, Floats
 from .columns import CAMERA, DEPTH, FIBRE_TIME, FIBRES, KNOWN, POSITION, TURN
+from .plausible import check_clocks, check_depth, check_turn
+from .tables import numbers_of, table_at
 from .tool import rotation_of
 
 _LEAST = 3
@@ -112,33 +113,15 @@ def read_tool_run(path: str | Path) -> ToolRun:
     Raises :class:`~sherkit.errors.MeasurementError` naming file, column and row for what is missing, half there, not a
     number, or out of the order of time.
     """
-    path = checked(path)
-    try:
-        frame = read_table(path)
-    except pl.exceptions.PolarsError as error:
-        raise MeasurementError(f"{path}: is not a table: {str(error).splitlines()[0]}") from None
-    return tool_run_of(frame, str(path))
+    return tool_run_of(table_at(Path(path)), str(path))
 
 
 def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
     """A run from a polars frame. Raises as :func:`read_tool_run`; rows are counted from 1."""
-    for name in (TIME, *POSITION, *TURN, *FIBRES):
-        if name not in frame.columns:
-            near = closest(name, [c for c in frame.columns if c not in KNOWN])
-            hint = f"; is '{near}' meant to be it?" if near else f"; it has {listed(frame.columns, 24)}"
-            raise MeasurementError(f"{source}: column '{name}' is missing{hint}")
-    columns: dict[str, Floats] = {}
-    for name in (c for c in KNOWN if c in frame.columns):
-        column = frame[name]
-        try:
-            values = column.cast(pl.Float64)
-        except pl.exceptions.PolarsError:
-            bad = column.cast(pl.String).cast(pl.Float64, strict=False).is_null() & column.is_not_null()
-            row = int(bad.arg_max() or 0)
-            raise MeasurementError(
-                f"{source}: row {row + 1}, column '{name}': '{column[row]}' is not a number"
-            ) from None
-        columns[name] = values.to_numpy().astype(float)
+    columns = numbers_of(frame, (TIME, *POSITION, *TURN, *FIBRES), KNOWN, source)
+    for name, values in columns.items():
+        if name not in FIBRES:
+            _refuse(np.isinf(values), f"{source}: row {{}}, column '{name}': expected a finite number, or nothing")
     time = columns[TIME]
     _refuse(~np.isfinite(time), f"{source}: row {{}}, column '{TIME}': expected a time, s")
     pose = np.column_stack([columns[n] for n in (*POSITION, *TURN)])
@@ -168,7 +151,13 @@ def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
     if stamps is not None:
         lacking = robot & np.isfinite(waves).any(axis=1) & ~np.isfinite(stamps)
         _refuse(lacking, f"{source}: row {{}}, column '{FIBRE_TIME}': expected when its wavelengths were taken, s")
+    taken = None if stamps is None else np.where(np.isfinite(waves).any(axis=1), stamps, np.nan)[robot]
+    check_clocks(time[robot], taken, source)
+    check_turn(pose[robot, 3:], source)
     depth = columns.get(DEPTH)
+    depth = None if depth is None or not np.isfinite(depth[robot]).any() else depth[robot]
+    if depth is not None:
+        check_depth(depth, source)
     return ToolRun(
         time_s=time[robot],
         position_mm=pose[robot, :3],
@@ -176,7 +165,7 @@ def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
         wavelengths_nm=np.ascontiguousarray(waves[robot]),
         camera_time_s=time[camera],
         camera_mm=camera_all[camera],
-        depth_mm=None if depth is None or not np.isfinite(depth[robot]).any() else depth[robot],
+        depth_mm=depth,
         source=source,
         fibre_time_s=None if stamps is None else stamps[robot],
     )
@@ -185,6 +174,12 @@ def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
 def _refuse(bad: Any, sentence: str) -> None:
     if bad.any():
         raise MeasurementError(sentence.format(int(np.argmax(bad)) + 1))
+
+
+def require_camera(run: ToolRun) -> None:
+    """Raises :class:`~sherkit.errors.MeasurementError` for a run that no camera saw."""
+    if not len(run.camera_time_s):
+        raise MeasurementError(f"{run.source}: holds no place of the camera ({listed(CAMERA, 3)})")
 
 
 def summary(run: ToolRun) -> dict[str, Any]:

@@ -131,6 +131,11 @@ class FlexibleTool(Saved):
 
     def __post_init__(self) -> None:
         _ = self.beam, self.sensor, self.filter_noise  # refuses numbers that are no tool
+        if not self.fibre_delay_s >= 0.0:
+            raise RobotError(
+                f"[gratings] delay_s: {self.fibre_delay_s:g} s would be readings from the future; expected 0 or more. "
+                "Where the robot's rows are late, put their time_s right"
+            )
         if self.bending not in BENDINGS:
             raise RobotError(f"bending: '{self.bending}' is not known; choose {', '.join(BENDINGS)}")
 
@@ -154,7 +159,7 @@ class FlexibleTool(Saved):
             )
             values["reference_nm"] = g.numbers("reference_nm", 9, positive=True)
             values["noise_nm"] = g.number("noise_nm", positive=True)
-            values["fibre_delay_s"] = g.number("delay_s", d.fibre_delay_s)
+            values["fibre_delay_s"] = g.number("delay_s", d.fibre_delay_s, least=0.0)
         with table.table("camera", optional=True) as c:
             values["camera_rotation_rad"] = c.numbers("rotation_rad", 3, d.camera_rotation_rad)
             values["camera_translation_mm"] = c.numbers("translation_mm", 3, d.camera_translation_mm)

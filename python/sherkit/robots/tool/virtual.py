@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...errors import ShapeError
 from ...types import Floats
-from .calibration import Loads
+from .bench import Loads
 from .runs import ToolRun
 from .tool import FlexibleTool, rotation_of
 

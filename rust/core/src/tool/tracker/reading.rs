@@ -21,6 +21,10 @@ const MOST_GIVING: f64 = 0.1;
 /// What a force may jump whatever its pace, mN, and of its size.
 const JUMP_MN: f64 = 1.0;
 const JUMP_SHARE: f64 = 0.05;
+/// Deviations squared from which on a section feels a force plainly.
+const PLAINLY_FELT: f64 = 100.0;
+/// The part of an arm that is left at least where a contact is found elsewhere.
+const LEAST_ARM: f64 = 0.25;
 
 /// What a reading says beside an expected state.
 #[derive(Clone, Copy)]
@@ -33,6 +37,8 @@ pub(super) struct Said {
     pub(super) tied: [[Tied; 2]; 2],
     /// Depth less the expected one, its variance by noise; `None` where there is no telling.
     pub(super) depth_off: Option<(f64, f64, Tied)>,
+    /// How far the expected depth lies beyond the one that the reading was looked at with, mm.
+    pub(super) beyond: f64,
     pub(super) misfit: f64,
     pub(super) plainly: bool,
     pub(super) jump: f64,
@@ -46,7 +52,15 @@ impl ToolFilter {
     /// What moments say where the state is expected so.
     #[inline]
     pub(super) fn say(&self, state: &State, m: &Moments) -> Said {
-        let mut depth = state.depth(&self.rod);
+        // what section I feels plainly acts below it, wherever the hole was thought to be
+        let felt = m.moment[0].norm_squared() > PLAINLY_FELT * m.variance[0];
+        let most = if m.usable[0] && felt {
+            self.distances_mm[0] - 2.0 * NEAREST_MM
+        } else {
+            f64::INFINITY
+        };
+        let mut expected = state.depth(&self.rod);
+        let mut depth = expected.min(most);
         let mut force = Vector2::zeros();
         let mut size = 0.0;
         let mut scaled = m.moment;
@@ -68,7 +82,8 @@ impl ToolFilter {
                 weights = weights.map(|w| w / total);
             }
             size = force.norm();
-            depth = depth_of(&self.rod, state.along, size);
+            expected = depth_of(&self.rod, state.along, size);
+            depth = expected.min(most);
         }
         for i in 0..2 {
             arms[i] = self.distances_mm[i] - depth;
@@ -123,7 +138,7 @@ impl ToolFilter {
                 }
                 on[DISTANCE] += self.unknowns.distance_mm;
                 let off = -contrast.dot(&way) * lever;
-                depth_off = Some((off, variance * lever * lever, on));
+                depth_off = Some((off - (expected - depth), variance * lever * lever, on));
             }
         }
         Said {
@@ -134,6 +149,7 @@ impl ToolFilter {
             weights,
             tied,
             depth_off,
+            beyond: expected - depth,
             misfit,
             plainly,
             jump,
@@ -145,9 +161,12 @@ impl ToolFilter {
     pub(super) fn take(&mut self, next: &mut State, said: &Said) -> Status {
         let mut status = Status::UPDATED;
         let mut moved = 0.0;
-        if let Some((off, noise, tied)) = said.depth_off {
-            let mut noise = noise;
+        if let Some((mut off, mut noise, tied)) = said.depth_off {
             if self.refused > 0 {
+                // far from the expected depth the force is another than arms to there make it
+                let near = off + said.beyond;
+                let lever = said.weights[0] + said.weights[1];
+                off = near / (1.0 + near * lever).max(LEAST_ARM) - said.beyond;
                 // no fault explains it: the state is wrong, or the calibration
                 next.variance += off * off;
                 noise *= 1.0 + said.misfit;

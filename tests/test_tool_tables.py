@@ -1,0 +1,173 @@
+"""Tables of the flexible tool as a tired person writes them: refused, or warned of, with a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from second_tool import CONDITIONS
+from sherkit.errors import FitError, MeasurementError, RobotError, SherkitWarning
+from sherkit.fit.identify import identify
+from sherkit.robots.tool.alignment import align
+from sherkit.robots.tool.applied import applied
+from sherkit.robots.tool.bench import read_loads
+from sherkit.robots.tool.calibration import calibrate_tool
+from sherkit.robots.tool.columns import CAMERA, FIBRES, FORCE, POSITION, TURN
+from sherkit.robots.tool.filters import _ordered, estimate
+from sherkit.robots.tool.judge import judge
+from sherkit.robots.tool.model import ToolModel
+from sherkit.robots.tool.runs import ToolRun, tool_run_of
+from sherkit.robots.tool.tool import FlexibleTool, load_tool
+from sherkit.robots.tool.virtual import VirtualTool
+from tool_honesty import run_of, tool_of
+
+TOOL = FlexibleTool(
+    camera_rotation_rad=(0.3, -0.2, 1.0), camera_translation_mm=(50.0, -20.0, 300.0), camera_delay_s=0.031
+)
+C = pl.col
+Change = Callable[[pl.DataFrame], pl.DataFrame]
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, pl.DataFrame]:
+    """A bench, a free motion and a run."""
+    folder = tmp_path_factory.mktemp("tables")
+    there = VirtualTool(TOOL)
+    there.bench().save(folder / "bench.csv")
+    there.free_motion(seconds=6.0).save(folder / "free.csv")
+    there.run("vessels", seconds=6.0).save(folder / "run.csv")
+    return {name: pl.read_csv(folder / f"{name}.csv", infer_schema_length=None) for name in ("bench", "free", "run")}
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda f: f.filter(C("force_x_mn") != 0).head(1), "1 rows with a force; expected 12"),
+        (lambda f: f.head(0), "0 rows with a force"),
+        (lambda f: f.with_columns(depth_mm=pl.lit(5.0)), "all deflections are of loads at 5 mm from the tip"),
+        (lambda f: f.with_columns(force_y_mn=pl.lit(0.0)), "all loads push along one line"),
+        (lambda f: f.with_columns(C(*FORCE) / 1000), "are forces in mN?"),
+        (lambda f: f.with_columns(C("deflection_mm") * 1000), "is deflection_mm in mm?"),
+        (lambda f: f.with_columns(-C("deflection_mm")), "is deflection_mm in mm?"),
+        (lambda f: f.with_columns((60 - C("depth_mm")).alias("depth_mm")), "is it measured from the clamp?"),
+        (lambda f: f.with_columns(C(*FIBRES) * 1000), "seem to be in pm"),
+        (lambda f: f.with_columns(C(*FIBRES) - 1545.0), "not their shifts"),
+        (lambda f: f.with_columns(fbg2_nm=pl.lit(1531.2)), "'fbg2_nm' repeats one number"),
+        (lambda f: f.with_columns(deflection_mm=pl.lit(float("inf"))), "row 1, column 'deflection_mm'"),
+        (lambda f: f.with_columns(fbg2_nm=pl.lit("x")), "row 1, column 'fbg2_nm': 'x' is not a number"),
+        (lambda f: f.rename({"depth_mm": "depht_mm"}), "is 'depht_mm' meant to be it?"),
+    ],
+)
+def test_loads_that_calibrate_nothing_are_refused(
+    change: Change, says: str, tables: dict[str, pl.DataFrame], tmp_path: Path
+) -> None:
+    """Catches gains, a stiffness or a length that come of another unit, another end of the shaft, or one load."""
+    path = tmp_path / "bench.csv"
+    change(tables["bench"]).write_csv(path)
+    with pytest.raises((FitError, MeasurementError)) as refused:
+        calibrate_tool(TOOL, read_loads(path))
+    assert str(refused.value).startswith(str(path))
+    assert says in str(refused.value)
+
+
+def test_a_bench_without_unloaded_rows_says_what_stays(tables: dict[str, pl.DataFrame], tmp_path: Path) -> None:
+    """Catches references of a tool file that are taken for those of the bench in silence."""
+    tables["bench"].filter(C("force_x_mn") != 0).write_csv(tmp_path / "bench.csv")
+    with pytest.warns(SherkitWarning, match="0 rows without a force"):
+        found = calibrate_tool(TOOL, read_loads(tmp_path / "bench.csv"))
+    assert found.tool.reference_nm == TOOL.reference_nm
+
+
+def judged(run: ToolRun) -> None:
+    judge(estimate(TOOL, run))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda f: f.with_columns(C("time_s") * 1000), "is time_s in another unit?"),
+        (lambda f: f.with_columns(fbg_time_s=C("time_s") * 1000), "fbg_time_s lies 3e+03 s from time_s"),
+        (lambda f: f.with_columns(fbg_time_s=C("time_s") + 1.7e9), "expected seconds by the robot's clock"),
+        (lambda f: f.with_columns(C(*TURN) * 180 / np.pi), "are they degrees?"),
+        (lambda f: f.with_columns(C(*POSITION) / 1000), "times those of the robot; expected both in mm"),
+        (lambda f: f.with_columns(C(*CAMERA) / 1000), "times those of the robot; expected both in mm"),
+        (lambda f: f.with_columns(C(*FIBRES) - 1540), "not their shifts"),
+        (lambda f: f.with_columns(C(*FIBRES) + 14), "is it the file of this tool?"),
+        (lambda f: f.with_columns(camera_x_mm=pl.lit(float("inf"))), "row 1, column 'camera_x_mm': expected a finite"),
+    ],
+)
+def test_runs_that_cannot_be_are_refused(change: Change, says: str, tables: dict[str, pl.DataFrame]) -> None:
+    """Catches milliseconds, degrees, metres, shifts and another tool's wavelengths that give an estimate."""
+    with pytest.raises(MeasurementError) as refused:
+        judged(tool_run_of(change(tables["run"]), "run.csv"))
+    assert str(refused.value).startswith("run.csv")
+    assert says in str(refused.value)
+
+
+def test_strange_truths_are_said(tables: dict[str, pl.DataFrame]) -> None:
+    """Catches a depth in metres and a camera that was never registered, by which a filter is called overconfident."""
+    with pytest.warns(SherkitWarning, match="never exceeds 0.019 mm: is it in m"):
+        tool_run_of(tables["run"].with_columns(C("depth_mm") / 1000))
+    run = tool_run_of(tables["run"])
+    with pytest.warns(SherkitWarning, match="sherkit register finds it"):
+        judge(estimate(FlexibleTool(), run))
+    with pytest.raises(MeasurementError, match="seem to be in pm"):
+        ToolModel(TOOL, replace(run, wavelengths_nm=1e3 * run.wavelengths_nm))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda f: f.with_columns(C(*CAMERA) / 1000), "span 0.001 times"),
+        (lambda f: f.with_columns(-C("camera_x_mm")), "mirrored"),
+        (lambda f: f.with_columns(camera_x_mm=C("camera_y_mm"), camera_y_mm=C("camera_x_mm")), "mirrored"),
+        (lambda f: f.with_columns(C(*CAMERA).reverse()), "do not follow the robot's"),
+    ],
+)
+def test_a_camera_that_saw_something_else_is_not_registered(
+    change: Change, says: str, tables: dict[str, pl.DataFrame]
+) -> None:
+    """Catches a frame from another unit, a mirrored picture or other seconds, and a sentence that blames a line."""
+    run = tool_run_of(change(tables["free"]), "free.csv")
+    with pytest.raises(FitError, match=says) as refused:
+        align(run.time_s, run.position_mm, run.camera_time_s, run.camera_mm, source=run.source)
+    assert str(refused.value).startswith("free.csv")
+
+
+def test_no_reading_is_lost_where_stamps_jitter() -> None:
+    """Catches a reading that overwrites its neighbour in the smoother: stamps that fall between the same two rows."""
+    rng = np.random.default_rng(3)
+    run = VirtualTool(TOOL).run("phantom", seconds=5.0)
+    stamps = np.sort(run.time_s - 0.02 + 0.004 * rng.standard_normal(len(run)))
+    there = stamps >= run.time_s[0]
+    _, _, at, waves, used = _ordered(run.time_s, run.poses, stamps, run.wavelengths_nm, there, "left")
+    assert used.sum() == there.sum()
+    np.testing.assert_array_equal(at[used], stamps[there])
+    np.testing.assert_array_equal(waves[used], run.wavelengths_nm[there])
+    # none before its own time, and none later than the memory of the loop
+    assert (run.time_s[used] >= at[used]).all()
+    assert (run.time_s[used] - at[used]).max() < 0.05
+
+
+def test_fibres_are_not_read_from_the_future(tmp_path: Path) -> None:
+    """Catches a negative delay, which the loop takes for none, in a file, in a tool and by a diagnosis."""
+    with pytest.raises(RobotError, match="readings from the future; expected 0 or more"):
+        replace(TOOL, fibre_delay_s=-0.02)
+    TOOL.save(tmp_path / "tool.toml")
+    text = (tmp_path / "tool.toml").read_text()
+    (tmp_path / "tool.toml").write_text(text.replace("delay_s = 0.0\n", "delay_s = -0.02\n"))
+    with pytest.raises(RobotError, match=r"\[gratings\] delay_s: expected a number, at least 0"):
+        load_tool(tmp_path / "tool.toml")
+    world = CONDITIONS["matched"]
+    recorded = run_of(world.run("vessels", seconds=12.0, seed=1))
+    early = replace(recorded, wavelengths_nm=np.roll(recorded.wavelengths_nm, -8, axis=0))
+    model = ToolModel(tool_of(world, 1), early)
+    fit = identify(model, model.readings, effects=[e for e in model.candidates if e.name == "fibre_delay"])
+    told = applied(model, fit)
+    assert (told.written, told.kept_out) == ((), ("fibre_delay",))
+    assert "put their time_s right" in told.why[0]
