@@ -1,0 +1,93 @@
+//! How far the force strays from what the motion of the tool makes of it, and what the hole gives way.
+
+use super::ToolFilter;
+use super::state::State;
+
+/// The pace of the force is taken over this time, and remembered for the other, s.
+const OVER_S: f64 = 0.1;
+const KEPT_S: f64 = 5.0;
+/// No hole gives way more, mm/mN.
+const MOST_GIVING: f64 = 0.1;
+
+/// What was learnt of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pace {
+    /// Mean square pace at which the force strays, without what its noise makes of it, (mN/s)².
+    mean: f64,
+    /// Since when it is being taken.
+    pub(super) since: State,
+    /// Sums of what the hole gave way times the force's change, and of that squared.
+    yielded: [f64; 2],
+    /// What the hole gives way, mm/mN.
+    pub(super) hole_gives: f64,
+}
+
+impl Pace {
+    pub(super) fn new(start: &State) -> Self {
+        Self {
+            mean: 1e3,
+            since: *start,
+            yielded: [0.0; 2],
+            hole_gives: 0.0,
+        }
+    }
+
+    /// Mean square pace, (mN/s)².
+    #[inline]
+    pub fn squared(&self) -> f64 {
+        if self.mean > 0.0 { self.mean } else { 0.0 }
+    }
+}
+
+impl ToolFilter {
+    /// Renews the pace from the state at its start to the one now, in which the shaft gives way so much where it is
+    /// touched (mm/mN). The hole must not have been placed anew yet; whether `since` is to be renewed when it is.
+    #[inline]
+    pub(super) fn keep_pace(&mut self, shaft_gives: Option<f64>) -> bool {
+        let renewed = self.state.time_s - self.pace.since.time_s >= OVER_S;
+        if renewed {
+            self.renew_pace(shaft_gives);
+        }
+        renewed
+    }
+
+    #[inline(never)]
+    fn renew_pace(&mut self, shaft_gives: Option<f64>) {
+        let now = &self.state;
+        let mut then = self.pace.since;
+        let elapsed = now.time_s - then.time_s;
+        let (force, noise) = (
+            then.force(),
+            then.felt.noise * then.felt.share * then.felt.share,
+        );
+        then.carry(&now.pose, 0.0);
+        if let Some(gives) = shaft_gives
+            && then.touched
+            && then.size > 0.0
+        {
+            // the edge stood at the rest's place less what the force pushed it
+            let there = then.off - force * self.pace.hole_gives;
+            let here = now.way * (gives * now.size + self.clearance_mm);
+            let changed = now.force() - force;
+            let kept = 1.0 - elapsed.min(KEPT_S) / (4.0 * KEPT_S);
+            let [shared, squares] = self.pace.yielded;
+            let shared = shared * kept - (here - there).dot(&changed);
+            let squares = squares * kept + changed.norm_squared();
+            if shared.is_finite() && squares.is_finite() {
+                self.pace.yielded = [shared, squares];
+                self.pace.hole_gives = if shared > 0.0 && squares > 0.0 {
+                    (shared / squares).min(MOST_GIVING)
+                } else {
+                    0.0
+                };
+            }
+        }
+        then.lean(&self.shaft, self.clearance_mm);
+        let strayed = (now.force() - then.force()).norm_squared() / 2.0 - noise - now.felt.noise;
+        let weight = elapsed.min(KEPT_S) / KEPT_S;
+        let mean = self.pace.mean + (strayed / (elapsed * elapsed) - self.pace.mean) * weight;
+        if mean.is_finite() {
+            self.pace.mean = mean;
+        }
+    }
+}
