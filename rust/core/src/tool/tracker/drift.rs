@@ -14,7 +14,7 @@ const RENEWED: u32 = 16;
 /// What is left of a belief after a renewal: the past of some ten seconds counts.
 const FORGET: f64 = 0.992;
 /// Belief in each model before any reading, as a logarithm: the faster, the less.
-const PRIOR: [f64; MODELS] = [0.0, -1.5, -3.0, -4.5, -6.0];
+const PRIOR: [f64; MODELS] = [0.0, -1.0, -2.0, -3.0, -4.0];
 
 /// The models and what they make of the process noise. All arrays are by model.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,7 +35,7 @@ pub struct Drift {
 impl Drift {
     /// From the process noise of the slowest model (mm²/s) and the depth's first variance (mm²).
     pub fn new(slowest: f64, variance: f64) -> Self {
-        Self {
+        let mut new = Self {
             slowest,
             off: [0.0; MODELS],
             variance: [variance; MODELS],
@@ -44,7 +44,9 @@ impl Drift {
             product: [1.0; MODELS],
             count: 0,
             per_second: slowest,
-        }
+        };
+        new.renew();
+        new
     }
 
     /// Time passes.

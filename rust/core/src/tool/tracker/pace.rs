@@ -3,9 +3,11 @@
 use super::ToolFilter;
 use super::state::State;
 
-/// The pace of the force is taken over this time, and remembered for the other, s.
+/// The pace of the force is taken over this time, and remembered for the other at most, s.
 const OVER_S: f64 = 0.1;
 const KEPT_S: f64 = 5.0;
+/// The guess at the start counts as so much, s.
+const GUESSED_S: f64 = 0.01;
 /// No hole gives way more, mm/mN.
 const MOST_GIVING: f64 = 0.1;
 
@@ -14,6 +16,8 @@ const MOST_GIVING: f64 = 0.1;
 pub struct Pace {
     /// Mean square pace at which the force strays, without what its noise makes of it, (mN/s)².
     mean: f64,
+    /// How much is known of it, s.
+    known_s: f64,
     /// Since when it is being taken.
     pub(super) since: State,
     /// Sums of what the hole gave way times the force's change, and of that squared.
@@ -26,6 +30,7 @@ impl Pace {
     pub(super) fn new(start: &State) -> Self {
         Self {
             mean: 1e3,
+            known_s: GUESSED_S,
             since: *start,
             yielded: [0.0; 2],
             hole_gives: 0.0,
@@ -66,7 +71,7 @@ impl ToolFilter {
             && then.size > 0.0
         {
             // the edge stood at the rest's place less what the force pushed it
-            let there = then.off - force * self.pace.hole_gives;
+            let there = then.off - force * then.hole_gives;
             let here = now.way * (gives * now.size + self.clearance_mm);
             let changed = now.force() - force;
             let kept = 1.0 - elapsed.min(KEPT_S) / (4.0 * KEPT_S);
@@ -81,13 +86,21 @@ impl ToolFilter {
                     0.0
                 };
             }
+            // what is learnt of the hole by now is no straying
+            then.hole_gives = self.pace.hole_gives;
+            then.off = there + force * then.hole_gives;
         }
         then.lean(&self.shaft, self.clearance_mm);
-        let strayed = (now.force() - then.force()).norm_squared() / 2.0 - noise - now.felt.noise;
-        let weight = elapsed.min(KEPT_S) / KEPT_S;
-        let mean = self.pace.mean + (strayed / (elapsed * elapsed) - self.pace.mean) * weight;
-        if mean.is_finite() {
-            self.pace.mean = mean;
+        // how a free shaft comes to lean on the edge of its hole is no straying: see `State::edge`
+        if !then.free && shaft_gives.is_some() {
+            let noise = noise + now.felt.noise;
+            let strayed = (now.force() - then.force()).norm_squared() / 2.0 - noise;
+            self.pace.known_s = (self.pace.known_s + elapsed).min(KEPT_S);
+            let weight = (elapsed / self.pace.known_s).min(1.0);
+            let mean = self.pace.mean + (strayed / (elapsed * elapsed) - self.pace.mean) * weight;
+            if mean.is_finite() {
+                self.pace.mean = mean;
+            }
         }
     }
 }

@@ -9,7 +9,10 @@ use crate::tool::filters::Status;
 use nalgebra::Vector2;
 
 /// Deviations of the force below which it does not tell a depth.
-const DETECTED: f64 = 5.0;
+pub(super) const DETECTED: f64 = 5.0;
+/// Deviation by what is not known, over the lever, above which a depth does not hang on it in proportion any more: the
+/// deviation would be that of the wrong depth.
+const STRAIGHT: f64 = 0.07;
 /// Part of the moment that no error of a calibration puts across the force.
 const PLAIN: f64 = 0.04;
 /// The hole must stand so far below a section for its moment to count, mm.
@@ -26,6 +29,8 @@ pub(super) struct Said {
     /// Variance of the force's components by noise.
     pub(super) noise: f64,
     pub(super) weights: [f64; 2],
+    /// Whether the hole is felt.
+    pub(super) touched: bool,
     pub(super) off: Option<Off>,
     /// Square of what the moments say across the force over its variance, and whether no error of a calibration does.
     pub(super) misfit: f64,
@@ -88,6 +93,7 @@ impl ToolFilter {
             relief,
             noise,
             weights,
+            touched: false,
             off: None,
             misfit: 0.0,
             plainly: false,
@@ -125,8 +131,10 @@ impl ToolFilter {
             squares[1] += tied[2 * k + 1] * tied[2 * k + 1];
         }
         let by_unknowns = squares[0] * shares[0] * shares[0] + squares[1] * shares[1] * shares[1];
-        // false for NaN
-        if size * size > DETECTED * DETECTED * (said.noise + by_unknowns) {
+        said.touched = size * size > DETECTED * DETECTED * (said.noise + by_unknowns);
+        let straight = squares[0] + squares[1] < STRAIGHT * STRAIGHT * arms[0] * arms[0];
+        // both false for NaN
+        if said.touched && straight {
             tied[DISTANCE] += self.unknowns.distance_mm;
             let s = &self.state;
             let noise = variance * lever * lever;
@@ -175,6 +183,7 @@ impl ToolFilter {
             let per_total = 1.0 / total;
             let gain = shared * per_total;
             let left = 1.0 - gain;
+            let before = variance;
             moved = gain * mm;
             variance = left * left * variance + gain * gain * noise;
             if !(total > 0.0 && (moved + variance).is_finite()) {
@@ -185,8 +194,9 @@ impl ToolFilter {
             for k in 0..UNKNOWNS {
                 s.tied[k] += gain * off.tied[k];
             }
-            if noise > 0.0 {
-                self.drift.take(mm, noise, moved);
+            // what the unknowns make of it is no motion of the eye
+            if total > before {
+                self.drift.take(mm, total - before, moved);
             }
             self.consistency.add(mm * mm * per_total);
         } else {
@@ -218,10 +228,11 @@ impl ToolFilter {
             way,
             weights: said.weights,
             noise: said.noise,
+            size,
             by_depth: said.size * (said.weights[0] + said.weights[1]),
             share: 1.0,
         };
-        let touched = size > 0.0 && said.off.is_some();
+        let touched = size > 0.0 && said.touched;
         s.free = !touched;
         let renewed = if touched {
             let arc = self.shaft.arc(said.depth + moved);
@@ -229,6 +240,7 @@ impl ToolFilter {
             let renewed = self.keep_pace(Some(shaft_gives));
             let s = &mut self.state;
             s.touched = true;
+            s.felt_s = s.time_s;
             s.hole_gives = self.pace.hole_gives;
             s.off = way * (self.clearance_mm + (shaft_gives + s.hole_gives) * size);
             s.rest = if s.along > 0.0 {

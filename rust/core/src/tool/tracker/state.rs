@@ -1,6 +1,7 @@
 //! Where the hole stands in the tool's frame and what is known of it, at the last stamp.
 
 use super::moments::Bends;
+use super::reading::DETECTED;
 use super::unknowns::{CLEARANCE, Tied, UNKNOWNS};
 use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
@@ -17,7 +18,8 @@ pub(super) struct Felt {
     pub(super) weights: [f64; 2],
     /// Variance of the force's components by noise.
     pub(super) noise: f64,
-    /// Size of the force then per millimetre of depth.
+    /// Size of the force then, mN, and per millimetre of depth.
+    pub(super) size: f64,
     pub(super) by_depth: f64,
     /// Size of the force over what it was then.
     pub(super) share: f64,
@@ -39,6 +41,8 @@ pub(super) struct State {
     pub(super) hole_gives: f64,
     /// Whether the last reading felt nothing of the hole, so that it may stand anywhere within its clearance.
     pub(super) free: bool,
+    /// When the hole was last felt, s.
+    pub(super) felt_s: f64,
     /// What was felt beyond what the hole pushes.
     pub(super) rest: Vector2<f64>,
     /// Noise of `l`, and how it hangs on the unknowns.
@@ -64,6 +68,7 @@ impl State {
             touched: false,
             hole_gives: 0.0,
             free: true,
+            felt_s: time_s,
             rest: Vector2::zeros(),
             variance,
             tied: [0.0; UNKNOWNS],
@@ -75,6 +80,7 @@ impl State {
                 way,
                 weights: [0.0; 2],
                 noise: 0.0,
+                size: 0.0,
                 by_depth: 0.0,
                 share: 1.0,
             },
@@ -154,18 +160,31 @@ impl State {
         }
     }
 
-    /// Variance of the force's components by not knowing on which side of its edge the hole stands, since it was read:
-    /// the hole may stand anywhere around a free shaft, and a tip near the hole may have left it.
-    pub(super) fn edge(&self, moved_mm: f64, clearance_mm: f64, gives: f64) -> f64 {
-        let mut variance = 0.0;
-        if gives > 0.0 && moved_mm > 0.0 {
-            if self.free {
-                let least = moved_mm.min(2.0 * clearance_mm) / gives;
-                variance += least * least / 4.0;
-            }
-            if self.along * self.along < 9.0 * self.total_variance() || self.along < 0.0 {
-                variance += self.size * self.size + moved_mm * moved_mm / (gives * gives);
-            }
+    /// Variance of the force's components by not knowing where the edge stands, since it was read: `stray` by its pace
+    /// since the shaft was last touched.
+    ///
+    /// The edge is a clearance beyond the way of the force, so that noise across a small force moves it more than along.
+    /// A shaft that comes free stands at the edge, within the force that is not felt, and strays from there; what it may
+    /// press when the tool has moved on is what of that lies beyond the edge. A tip near the hole may have left it, or
+    /// come in and lean at once.
+    pub(super) fn edge(&self, moved_mm: f64, clearance_mm: f64, gives: f64, stray: f64) -> f64 {
+        if gives <= 0.0 || moved_mm <= 0.0 {
+            return 0.0;
+        }
+        let (moved, clearance) = (moved_mm / gives, clearance_mm / gives);
+        let pressed = sqrt(self.off.norm_squared()) / gives - clearance;
+        let mut variance = if self.free {
+            let range = (DETECTED * sqrt(self.felt.noise) + sqrt(stray)).min(2.0 * clearance);
+            let most = (pressed + range).max(0.0).min(2.0 * range).min(moved);
+            most * most / 4.0
+        } else {
+            let turned = clearance / self.felt.size.max(f64::MIN_POSITIVE);
+            let most = clearance.min(moved);
+            (self.felt.noise * turned * (turned + 2.0)).min(most * most)
+        };
+        if self.along * self.along < 9.0 * self.total_variance() || self.along < 0.0 {
+            let press = pressed.max(0.0) + moved;
+            variance += self.size * self.size + press * press;
         }
         variance
     }

@@ -46,8 +46,11 @@ impl ToolFilter {
             let s = self.carried(&self.state, now.time_s, &now.pose);
             let moved = (s.pose.translation - self.state.pose.translation).norm();
             let waited = (s.time_s - s.felt.time_s).min(PACE_UP_TO_S);
-            let edge = s.edge(moved, self.clearance_mm, s.gives(&self.shaft));
-            self.told_of(&s, self.pace.squared() * waited * waited + edge)
+            let loose = (s.time_s - s.felt_s).min(PACE_UP_TO_S);
+            let pace = self.pace.squared();
+            let gives = s.gives(&self.shaft);
+            let edge = s.edge(moved, self.clearance_mm, gives, pace * loose * loose);
+            self.told_of(&s, pace * waited * waited + edge)
         }
     }
 
@@ -63,7 +66,8 @@ impl ToolFilter {
         let tip = s.pose.apply(&Vector3::new(bent.x, bent.y, -shape.short));
         Told {
             time_s: s.time_s,
-            depth_mm: depth,
+            // a tip that has left the eye has no length of shaft in it
+            depth_mm: if depth > 0.0 { depth } else { 0.0 },
             tip_mm: tip.into(),
             covariance: in_base(&beside, &s.way, &s.pose),
             force_mn: s.force().into(),
