@@ -61,9 +61,6 @@ impl ToolFilter {
         self.state.lean(&self.shaft, self.clearance_mm);
         let mut shifts = *shifts;
         let bad = silent | self.bad;
-        if silent & !self.silent & self.interrogator.stuck() != 0 {
-            self.back(false);
-        }
         self.silent = silent;
         let mut moments = self.moments(&shifts, bad);
         let mut said = self.say(&moments);
@@ -111,7 +108,14 @@ impl ToolFilter {
                 }
                 moments = self.moments(&shifts, faulty);
                 said = self.say(&moments);
-                self.refused = 0;
+                // two that lie at once: what is left must not leap
+                let leaps = self.bad & set != set && self.jump(&said) > FAILS;
+                self.refused = if leaps {
+                    self.refused.saturating_add(1)
+                } else {
+                    0
+                };
+                trusted = self.refused == 0 || self.refused > PATIENCE_ALONE;
             } else {
                 self.refused = self.refused.saturating_add(1);
                 trusted = self.refused > if crossed { PATIENCE } else { PATIENCE_ALONE };

@@ -165,7 +165,9 @@ impl Interrogator {
             carry &= *plane;
             *plane = sum & same;
         }
-        let still = self.stuck();
+        // one that has begun to repeat itself is not asked, long before it is held to be stuck
+        let [_, twice, four, eight] = self.repeats;
+        let still = twice | four | eight;
         // where all stand still it is the world, or a source that gives each reading several times
         if still.count_ones() <= 3 {
             silent |= still;
@@ -173,8 +175,8 @@ impl Interrogator {
         silent
     }
 
-    /// Gratings that repeat one number so often that it is no reading any more.
-    pub fn stuck(&self) -> Set {
+    /// Gratings whose repeats are not counted further.
+    fn stuck(&self) -> Set {
         self.repeats[3] & self.repeats[2]
     }
 

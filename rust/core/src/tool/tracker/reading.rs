@@ -253,9 +253,9 @@ impl ToolFilter {
             let renewed = self.keep_pace(None);
             let s = &mut self.state;
             if s.touched {
-                // where nothing pushes, the hole is around the shaft
+                // where nothing pushes, the hole is around the shaft, if the tip has not left it
                 let far = sqrt(s.off.norm_squared());
-                if far > self.clearance_mm {
+                if far > self.clearance_mm && s.surely_inside() {
                     s.off *= self.clearance_mm / far;
                 }
                 s.rest = s.force();

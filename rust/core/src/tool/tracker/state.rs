@@ -115,6 +115,11 @@ impl State {
         total
     }
 
+    /// Whether the tip is beyond the hole without doubt.
+    pub(super) fn surely_inside(&self) -> bool {
+        self.along > 0.0 && self.along * self.along > 9.0 * self.total_variance()
+    }
+
     /// Carries the hole, which stands still, into the frame of another pose. `clearance_mm`: deviation of the
     /// clearance, whose unknown a turn of the shaft brings into `l`.
     #[inline]
@@ -182,7 +187,7 @@ impl State {
             let most = clearance.min(moved);
             (self.felt.noise * turned * (turned + 2.0)).min(most * most)
         };
-        if self.along * self.along < 9.0 * self.total_variance() || self.along < 0.0 {
+        if !self.surely_inside() {
             let press = pressed.max(0.0) + moved;
             variance += self.size * self.size + press * press;
         }
