@@ -108,8 +108,14 @@ impl ToolFilter {
                 }
                 moments = self.moments(&shifts, faulty);
                 said = self.say(&moments);
+                let sure = self.bad & set == set;
                 // two that lie at once: what is left must not leap
-                let leaps = self.bad & set != set && self.jump(&said) > FAILS;
+                let leaps = !sure && self.jump(&said) > FAILS;
+                if !sure {
+                    // while it is only suspected, the force may be what it was
+                    let leap = said.way * said.size - self.state.force();
+                    said.noise += leap.norm_squared() / 2.0;
+                }
                 self.refused = if leaps {
                     self.refused.saturating_add(1)
                 } else {

@@ -3,8 +3,9 @@
 use super::ToolFilter;
 use super::state::State;
 
-/// The pace of the force is taken over this time, and remembered for the other at most, s.
-const OVER_S: f64 = 0.1;
+/// The pace of the force is taken over the time that readings are late, within these, s: it is no straight line.
+const OVER_S: [f64; 2] = [0.1, 0.5];
+/// It is remembered for this time at most, s.
 const KEPT_S: f64 = 5.0;
 /// The guess at the start counts as so much, s.
 const GUESSED_S: f64 = 0.01;
@@ -49,7 +50,10 @@ impl ToolFilter {
     /// touched (mm/mN). The hole must not have been placed anew yet; whether `since` is to be renewed when it is.
     #[inline]
     pub(super) fn keep_pace(&mut self, shaft_gives: Option<f64>) -> bool {
-        let renewed = self.state.time_s - self.pace.since.time_s >= OVER_S;
+        let late = self.poses.now().time_s - self.state.time_s;
+        let over = late.max(OVER_S[0]).min(OVER_S[1]);
+        // half a millisecond: stamps are no exact multiples
+        let renewed = self.state.time_s - self.pace.since.time_s >= over - 5e-4;
         if renewed {
             self.renew_pace(shaft_gives);
         }
@@ -92,8 +96,10 @@ impl ToolFilter {
         }
         then.lean(&self.shaft, self.clearance_mm);
         // how a free shaft comes to lean on the edge of its hole is no straying: see `State::edge`
-        if !then.free && shaft_gives.is_some() {
-            let noise = noise + now.felt.noise;
+        if !then.free && shaft_gives.is_some() && then.surely_inside() {
+            let moved = (now.pose.translation - self.pace.since.pose.translation).norm();
+            let edge = then.edge(moved, self.clearance_mm, then.gives(&self.shaft), 0.0);
+            let noise = noise + now.felt.noise + edge;
             let strayed = (now.force() - then.force()).norm_squared() / 2.0 - noise;
             self.pace.known_s = (self.pace.known_s + elapsed).min(KEPT_S);
             let weight = (elapsed / self.pace.known_s).min(1.0);
