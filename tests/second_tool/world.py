@@ -56,9 +56,10 @@ class Gratings:
 @dataclass(frozen=True)
 class World:
     """The tool and its surroundings, and how far the tool's file is off (``gain_error``, ``reference_error_nm``: drawn
-    for each fibre). ``warmth_unlike`` is how unlike warmth moves the fibres, drawn for each by a run's seed. ``pivot_rad`` is how far the tool turns about the hole, ``eye_mm_s`` how fast the eye moves,
-    ``wander_mm2_s`` how the hole strays along the shaft. Wavelengths are those of ``fibre_delay_s`` earlier, at
-    ``fibre_hz`` (None: each row); where ``stamped`` the run says so (``fbg_time_s``)."""
+    for each fibre). ``warmth_unlike`` is how unlike warmth moves the fibres, drawn for each by a run's seed.
+    ``pivot_rad`` is how far the tool turns about the hole, ``eye_mm_s`` how fast the eye moves, ``wander_mm2_s`` how
+    the hole strays along the shaft. Wavelengths are those of ``fibre_delay_s`` earlier, at ``fibre_hz`` (None: each
+    row); where ``stamped`` the run says so (``fbg_time_s``)."""
 
     rod: Rod = field(default_factory=Rod)
     gratings: Gratings = field(default_factory=Gratings)

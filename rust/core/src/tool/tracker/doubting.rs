@@ -7,7 +7,7 @@
 use super::interrogator::{Agreement, BELIEVED, Set, Shifts, Swap, of_section};
 use super::moments::Moments;
 use super::reading::Said;
-use super::{Look, PACE_UP_TO_S, ToolFilter};
+use super::{Look, ToolFilter};
 use crate::tool::filters::Status;
 use crate::tool::sensing::FIBRES;
 
@@ -225,9 +225,8 @@ impl ToolFilter {
     fn jump(&self, said: &Said) -> f64 {
         let s = &self.state;
         let moved = said.way * said.size - s.force();
-        let waited = (s.time_s - s.felt.time_s).min(PACE_UP_TO_S);
         let sized = JUMP_SHARE * said.size;
-        let strayed = self.pace.squared() * waited * waited;
+        let strayed = self.pace.strayed(s.time_s - s.felt.time_s);
         moved.norm_squared() / (said.noise + strayed + JUMP_MN * JUMP_MN + sized * sized)
     }
 

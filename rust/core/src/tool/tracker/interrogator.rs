@@ -152,7 +152,8 @@ impl Interrogator {
                 if w[i][k] == self.last[i][k] {
                     same |= bit;
                 }
-                if !(shifts[i][k].abs() < FARTHEST_NM) {
+                let usual = shifts[i][k].abs() < FARTHEST_NM;
+                if !usual {
                     silent |= bit;
                     shifts[i][k] = 0.0;
                 }

@@ -50,8 +50,6 @@ use poses::{Posed, Poses};
 use state::State;
 use unknowns::Unknowns;
 
-/// A force is not extrapolated further, s.
-const PACE_UP_TO_S: f64 = 2.0;
 /// A stamp further ahead of the present than this is a wild number and no clock, s.
 const AHEAD_S: f64 = 0.3;
 /// A step is no longer than this, s, and no robot stands further away, mm.
@@ -267,7 +265,7 @@ impl ToolFilter {
     /// Mean square pace at which the force strays from what the motion of the tool makes of it, (mN/s)².
     #[must_use]
     pub fn pace(&self) -> f64 {
-        self.pace.squared()
+        self.pace.felt
     }
 
     /// Process noise of the depth at present, mm²/s.

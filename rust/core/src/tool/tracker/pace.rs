@@ -3,12 +3,15 @@
 use super::ToolFilter;
 use super::state::State;
 
-/// The pace of the force is taken over the time that readings are late, within these, s: it is no straight line.
-const OVER_S: [f64; 2] = [0.1, 0.5];
-/// It is remembered for this time at most, s.
+/// The pace of the force is taken over this time, and remembered for the other at most, s.
+const OVER_S: f64 = 0.1;
 const KEPT_S: f64 = 5.0;
 /// The guess at the start counts as so much, s.
 const GUESSED_S: f64 = 0.01;
+/// Guess at the start, (mN/s)².
+const FIRST: f64 = 1e3;
+/// A force is not extrapolated further, s.
+const UP_TO_S: f64 = 2.0;
 /// No hole gives way more, mm/mN.
 const MOST_GIVING: f64 = 0.1;
 
@@ -17,6 +20,8 @@ const MOST_GIVING: f64 = 0.1;
 pub struct Pace {
     /// Mean square pace at which the force strays, without what its noise makes of it, (mN/s)².
     mean: f64,
+    /// The same of all that was felt, with noise and free shaft.
+    pub(super) felt: f64,
     /// How much is known of it, s.
     known_s: f64,
     /// Since when it is being taken.
@@ -30,7 +35,8 @@ pub struct Pace {
 impl Pace {
     pub(super) fn new(start: &State) -> Self {
         Self {
-            mean: 1e3,
+            mean: FIRST,
+            felt: FIRST,
             known_s: GUESSED_S,
             since: *start,
             yielded: [0.0; 2],
@@ -38,10 +44,13 @@ impl Pace {
         }
     }
 
-    /// Mean square pace, (mN/s)².
+    /// Variance of a component of the force after a time, mN²: in proportion as long as it was taken over, and from one
+    /// such time to the next as it comes.
     #[inline]
-    pub fn squared(&self) -> f64 {
-        if self.mean > 0.0 { self.mean } else { 0.0 }
+    pub fn strayed(&self, waited_s: f64) -> f64 {
+        let waited = waited_s.min(UP_TO_S);
+        let mean = if self.mean > 0.0 { self.mean } else { 0.0 };
+        mean * waited * waited.min(OVER_S)
     }
 }
 
@@ -50,10 +59,7 @@ impl ToolFilter {
     /// touched (mm/mN). The hole must not have been placed anew yet; whether `since` is to be renewed when it is.
     #[inline]
     pub(super) fn keep_pace(&mut self, shaft_gives: Option<f64>) -> bool {
-        let late = self.poses.now().time_s - self.state.time_s;
-        let over = late.max(OVER_S[0]).min(OVER_S[1]);
-        // half a millisecond: stamps are no exact multiples
-        let renewed = self.state.time_s - self.pace.since.time_s >= over - 5e-4;
+        let renewed = self.state.time_s - self.pace.since.time_s >= OVER_S;
         if renewed {
             self.renew_pace(shaft_gives);
         }
@@ -95,18 +101,19 @@ impl ToolFilter {
             then.off = there + force * then.hole_gives;
         }
         then.lean(&self.shaft, self.clearance_mm);
+        let strayed = (now.force() - then.force()).norm_squared() / 2.0;
+        let squared = elapsed * elapsed;
+        let felt = (strayed / squared - self.pace.felt) * (elapsed.min(KEPT_S) / KEPT_S);
+        self.pace.felt += if felt.is_finite() { felt } else { 0.0 };
         // how a free shaft comes to lean on the edge of its hole is no straying: see `State::edge`
         if !then.free && shaft_gives.is_some() && then.surely_inside() {
             let moved = (now.pose.translation - self.pace.since.pose.translation).norm();
             let edge = then.edge(moved, self.clearance_mm, then.gives(&self.shaft), 0.0);
             let noise = noise + now.felt.noise + edge;
-            let strayed = (now.force() - then.force()).norm_squared() / 2.0 - noise;
             self.pace.known_s = (self.pace.known_s + elapsed).min(KEPT_S);
             let weight = (elapsed / self.pace.known_s).min(1.0);
-            let mean = self.pace.mean + (strayed / (elapsed * elapsed) - self.pace.mean) * weight;
-            if mean.is_finite() {
-                self.pace.mean = mean;
-            }
+            let mean = ((strayed - noise) / squared - self.pace.mean) * weight;
+            self.pace.mean += if mean.is_finite() { mean } else { 0.0 };
         }
     }
 }

@@ -1,8 +1,8 @@
 //! Depth and tip now, and how well they are known together.
 
+use super::ToolFilter;
 use super::state::State;
 use super::unknowns::{Tied, UNKNOWNS};
-use super::{PACE_UP_TO_S, ToolFilter};
 use crate::numbers::rigid::Rigid;
 use crate::tool::rod::{Bending, Shape};
 use nalgebra::{Vector2, Vector3};
@@ -45,12 +45,9 @@ impl ToolFilter {
         } else {
             let s = self.carried(&self.state, now.time_s, &now.pose);
             let moved = (s.pose.translation - self.state.pose.translation).norm();
-            let waited = (s.time_s - s.felt.time_s).min(PACE_UP_TO_S);
-            let loose = (s.time_s - s.felt_s).min(PACE_UP_TO_S);
-            let pace = self.pace.squared();
-            let gives = s.gives(&self.shaft);
-            let edge = s.edge(moved, self.clearance_mm, gives, pace * loose * loose);
-            self.told_of(&s, pace * waited * waited + edge)
+            let loose = self.pace.strayed(s.time_s - s.felt_s);
+            let edge = s.edge(moved, self.clearance_mm, s.gives(&self.shaft), loose);
+            self.told_of(&s, self.pace.strayed(s.time_s - s.felt.time_s) + edge)
         }
     }
 
@@ -217,9 +214,7 @@ fn in_base(lower: &[[f64; 4]; 4], way: &Vector2<f64>, pose: &Rigid) -> [[f64; 4]
             out[i + 1][j + 1] = with;
             out[j + 1][i + 1] = with;
         }
-        if !(out[i + 1][i + 1] > 0.0) {
-            out[i + 1][i + 1] = 0.0;
-        }
+        out[i + 1][i + 1] = out[i + 1][i + 1].max(0.0);
     }
     out
 }

@@ -57,7 +57,7 @@ impl Default for Doubt {
 }
 
 /// `1/√6` and `1/√2`, which make two differences of three numbers orthonormal.
-pub(super) const LENGTHS: (f64, f64) = (0.408_248_290_463_863_02, core::f64::consts::FRAC_1_SQRT_2);
+pub(super) const LENGTHS: (f64, f64) = (0.408_248_290_463_863, core::f64::consts::FRAC_1_SQRT_2);
 
 /// Columns: where a fibre goes among two orthonormal differences of three, without what is common to them.
 pub(super) fn differences() -> Matrix2x3<f64> {
