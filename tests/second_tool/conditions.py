@@ -4,21 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from . import faults
 from .rod import Rod
-from .world import Gratings, World
+from .world import World
 
 _SMALL = World(rod=Rod(exact=False))
 _EXACT = World(pivot_rad=0.06)
 _FAULTY_SINCE_S = 20.0
-
-
-def _unlike() -> Gratings:
-    """Warmth moves the fibres unlike by 2 %."""
-    rng = np.random.default_rng(4)
-    return Gratings(warmth_nm_c=0.010 * (1.0 + 0.02 * rng.standard_normal((3, 3))))
 
 
 def _late(ms: int, *, stamped: bool) -> World:
@@ -36,11 +28,11 @@ CONDITIONS: dict[str, World] = {
     **{f"late_{ms}": _late(ms, stamped=True) for ms in (20, 50, 100, 200, 300)},
     **{f"unsaid_{ms}": _late(ms, stamped=False) for ms in (20, 50, 100, 200)},
     "slow": replace(_EXACT, fibre_hz=20.0, fibre_delay_s=0.05),
-    "warm": replace(_EXACT, temperature_c=5.0, gratings=_unlike()),
+    "warm": replace(_EXACT, temperature_c=5.0, warmth_unlike=0.02),
     "eye": replace(_EXACT, eye_mm_s=1.0),
     "all": replace(
         _EXACT, pivot_rad=0.12, gain_error=0.003, reference_error_nm=2e-4, fibre_delay_s=0.05, temperature_c=5.0,
-        gratings=_unlike(), eye_mm_s=0.2,
+        warmth_unlike=0.02, eye_mm_s=0.2,
     ),
 }  # fmt: skip
 

@@ -14,8 +14,8 @@ _FINEST_MM = 1e-3
 
 @dataclass(frozen=True)
 class Honesty:
-    """``coverage`` of 95 % regions, ``nees`` per degree of freedom (1 where honest), ``largest`` error of a coordinate
-    in its deviations, ``beyond_5`` rows with more than five, ``mean_error_mm``; of ``rows``."""
+    """``coverage`` of 95 % regions, ``nees`` per degree of freedom (1 where honest), ``largest`` error along an axis of
+    the region in its deviations, ``beyond_5`` rows with more than five, ``mean_error_mm``; of ``rows``."""
 
     rows: int
     coverage: float
@@ -28,25 +28,32 @@ class Honesty:
 def honesty(value: ArrayLike, covariance: ArrayLike, truth: ArrayLike) -> Honesty:
     """Of estimates (n,) or (n, k) with variances (n,) or covariances (n, k, k). Rows without a truth are left out.
 
-    A row whose estimate or covariance is no number counts as not covered. A micrometre is added to each deviation:
-    nobody's claim is finer, and along the shaft it may be zero.
+    A row whose estimate or covariance is no number counts as not covered. Nobody's claim is finer than a micrometre: an
+    axis of the region along which less is said (up the shaft of a tool that hardly bends) is no degree of freedom, but
+    an error of two micrometres along it is not covered, and of five lies beyond five deviations.
     """
     x, t = (np.asarray(v, dtype=float) for v in (value, truth))
     x, t = x.reshape(len(x), -1), t.reshape(len(t), -1)
     k = x.shape[1]
-    spread = np.asarray(covariance, dtype=float).reshape(len(x), k, k) + _FINEST_MM**2 * np.eye(k)
+    spread = np.asarray(covariance, dtype=float).reshape(len(x), k, k)
     known = np.isfinite(t).all(axis=1)
     off, spread = (x - t)[known], spread[known]
-    std = np.sqrt(np.einsum("nii->ni", spread))
-    usable = np.isfinite(off).all(axis=1) & np.isfinite(spread).all(axis=(1, 2)) & (std > 0).all(axis=1)
-    squared, scaled = np.full(len(off), np.inf), np.full(len(off), np.inf)
-    squared[usable] = np.einsum(
-        "ni,ni->n", off[usable], np.linalg.solve(spread[usable], off[usable][..., None])[..., 0]
-    )
-    scaled[usable] = (np.abs(off[usable]) / std[usable]).max(axis=1)
-    covered = float((squared <= stats.chi2.ppf(0.95, k)).mean())
+    usable = np.isfinite(off).all(axis=1) & np.isfinite(spread).all(axis=(1, 2))
+    variances, axes = np.linalg.eigh(np.where(usable[:, None, None], spread, 0.0))
+    along = np.abs(np.einsum("nij,ni->nj", axes, np.where(usable[:, None], off, 0.0)))
+    said = variances > _FINEST_MM**2
+    scaled = along / np.sqrt(np.where(said, variances, _FINEST_MM**2))
+    degrees = said.sum(axis=1)
+    squared = (scaled**2 * said).sum(axis=1)
+    limit = stats.chi2.ppf(0.95, np.arange(1, k + 1))
+    within = squared <= np.concatenate([[0.0], limit])[degrees]
+    fine = np.where(said, 0.0, scaled).max(axis=1)
+    covered = usable & within & (fine <= 2.0)
+    worst = np.where(usable, scaled.max(axis=1), np.inf)
+    freedom = int(degrees[usable].sum())
+    nees = float(squared[usable].sum() / freedom) if usable.all() and freedom else np.inf if freedom else 0.0
     size = float(np.linalg.norm(off, axis=1).mean())
-    return Honesty(len(off), covered, float(squared.mean() / k), float(scaled.max()), int((scaled > 5.0).sum()), size)
+    return Honesty(len(off), float(covered.mean()), nees, float(worst.max()), int((worst > 5.0).sum()), size)
 
 
 def pooled(some: Sequence[Honesty]) -> Honesty:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -56,9 +56,10 @@ class Gratings:
 @dataclass(frozen=True)
 class World:
     """The tool and its surroundings, and how far the tool's file is off (``gain_error``, ``reference_error_nm``: drawn
-    for each fibre). ``pivot_rad`` is how far the tool turns about the hole, ``eye_mm_s`` how fast the eye moves,
-    ``wander_mm2_s`` how the hole strays along the shaft. Wavelengths are those of ``fibre_delay_s`` earlier, at
-    ``fibre_hz`` (None: each row); where ``stamped`` the run says so (``fbg_time_s``)."""
+    for each fibre). ``warmth_unlike`` is how unlike warmth moves the fibres, drawn for each by a run's seed.
+    ``pivot_rad`` is how far the tool turns about the hole, ``eye_mm_s`` how fast the eye moves, ``wander_mm2_s`` how
+    the hole strays along the shaft. Wavelengths are those of ``fibre_delay_s`` earlier, at ``fibre_hz`` (None: each
+    row); where ``stamped`` the run says so (``fbg_time_s``)."""
 
     rod: Rod = field(default_factory=Rod)
     gratings: Gratings = field(default_factory=Gratings)
@@ -68,6 +69,7 @@ class World:
     wander_mm2_s: float = 0.004
     eye_mm_s: float = 0.0
     temperature_c: float = 0.0
+    warmth_unlike: float = 0.0
     gain_error: float = 0.0
     reference_error_nm: float = 0.0
     fibre_delay_s: float = 0.0
@@ -84,6 +86,10 @@ class World:
         """``"phantom"``: in and out of a tight hole, the force comes and goes. ``"vessels"``: a wide hole, the shaft
         leans on changing sides. ``"bends"``: in free space, stopped and bent six times. ``"free"``: led around, never
         touched. ``"warm_up"``: still and untouched."""
+        if self.warmth_unlike > 0.0:
+            warmth = np.random.default_rng([seed, 8]).standard_normal((3, 3)) * self.warmth_unlike + 1.0
+            gratings = replace(self.gratings, warmth_nm_c=self.gratings.warmth_nm_c * warmth)
+            return replace(self, gratings=gratings, warmth_unlike=0.0).run(experiment, seconds=seconds, seed=seed)
         rng = np.random.default_rng([seed, *experiment.encode()])
         t = np.arange(round(seconds * ROBOT_HZ) + 1) / ROBOT_HZ
         m = path_of(experiment, t, rng, self.pivot_rad)

@@ -4,7 +4,7 @@
 //! Every line is the median of batches, after a warm-up; the force comes and goes, so that both sides of each branch
 //! are taken.
 
-use nalgebra::{Matrix2x3, Vector3};
+use nalgebra::{Matrix2x3, Vector2, Vector3};
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::beam::Beam;
 use sherkit_core::tool::filters::noise::Variances;
@@ -36,11 +36,45 @@ fn median(mut step: impl FnMut(usize)) -> f64 {
     times[BATCHES / 2]
 }
 
+/// Of a force that comes and goes at a depth of 5 mm, with noise in all fibres.
+fn wavelengths(calibration: &Calibration) -> Vec<[[f64; 3]; 3]> {
+    let mut state = 1_u64;
+    let mut noise = || {
+        (0..12).fold(-6.0, |sum, _| {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            sum + (state >> 11) as f64 / (1_u64 << 53) as f64
+        })
+    };
+    let rod = Rod {
+        beam: Beam::ebrahimi_2020(),
+        bending: Bending::Exact,
+    };
+    (0..BATCH)
+        .map(|k| {
+            let force = Vector2::new(80.0, 30.0) * (0.01 * k as f64).sin().abs();
+            let mut w = calibration.reference_nm;
+            for i in 0..2 {
+                let gain = calibration.gains[i];
+                let back =
+                    gain.transpose() * (gain * gain.transpose()).try_inverse().expect("a gain");
+                let arm = calibration.distances_mm[i] - 5.0;
+                let shift = back * force * (arm * rod.moment_share(force.norm(), arm));
+                for j in 0..3 {
+                    w[i][j] += shift[j];
+                }
+            }
+            w.map(|section| section.map(|x| x + calibration.noise_nm * noise()))
+        })
+        .collect()
+}
+
 /// The filter that takes wavelengths and poses.
 fn whole_filter(calibration: Calibration, beam: Beam, wavelengths: &[[[f64; 3]; 3]]) {
     let (dt, tool) = (0.005, Rigid::identity());
     let doubt = Doubt {
-        reference_nm: 1e-4,
+        reference_nm: 2e-4,
         warmth: 0.02,
         ..Doubt::default()
     };
@@ -52,7 +86,7 @@ fn whole_filter(calibration: Calibration, beam: Beam, wavelengths: &[[[f64; 3]; 
         },
         doubt,
         clearance_mm: 0.05,
-        per_second_mm2: 0.01,
+        per_second_mm2: 0.004,
     };
     for (name, late) in [("in time", 0.0), ("late", 0.1)] {
         let mut whole = ToolFilter::new(&trusted, 5.0, 1.0, &tool, 0.0).expect("a filter");
@@ -76,22 +110,17 @@ fn whole_filter(calibration: Calibration, beam: Beam, wavelengths: &[[[f64; 3]; 
 }
 
 fn main() {
+    let side = |k: usize| std::f64::consts::TAU * k as f64 / 3.0;
+    let gain =
+        Matrix2x3::from_fn(|i, k| 3200.0 * if i == 0 { side(k).cos() } else { side(k).sin() });
     let calibration = Calibration {
-        gains: [Matrix2x3::new(4e4, -2e4, -2e4, 0.0, 3.5e4, -3.5e4); 2],
-        distances_mm: [28.0, 34.0],
+        gains: [gain; 2],
+        distances_mm: [40.0, 50.0],
         reference_nm: [[1550.0; 3]; 3],
-        noise_nm: 1e-4,
+        noise_nm: 1e-3,
     };
     let sensor = Sensor::new(calibration).expect("a calibration");
-    let wavelengths: Vec<_> = (0..BATCH)
-        .map(|k| {
-            let bend = 0.02 * (0.01 * k as f64).sin();
-            let mut w = calibration.reference_nm;
-            w[0][0] += bend;
-            w[1][0] += 1.3 * bend;
-            w
-        })
-        .collect();
+    let wavelengths = wavelengths(&calibration);
     let readings: Vec<_> = wavelengths
         .iter()
         .map(|w| sensor.read(w).expect("finite wavelengths"))

@@ -50,6 +50,9 @@ const LATERAL: [f64; 7] = [
     1.941_472_680_249_289e-10,
 ];
 
+/// `τ/φ'`, whose own series converges to `τ = 3.7`: four terms leave 2e-7.
+const RELIEF: [f64; 4] = [1.0, 1.0 / 40.0, 1.0 / 9600.0, 1.0 / 1_664_000.0];
+
 /// Four terms hold to 1e-8 up to here, a bend of 0.2 rad.
 const GENTLE: f64 = 0.2;
 
@@ -205,6 +208,20 @@ impl Rod {
         }
     }
 
+    /// The same shaft for a loop.
+    #[must_use]
+    pub fn shaft(&self) -> Shaft {
+        let compliance = 1.0 / self.beam.stiffness();
+        Shaft {
+            length_mm: self.beam.length_mm(),
+            compliance,
+            squared: match self.bending {
+                Bending::Small => 0.0,
+                Bending::Exact => compliance * compliance,
+            },
+        }
+    }
+
     /// The tip in the base frame, mm, where `tool` takes tool coordinates there.
     #[must_use]
     pub fn tip(&self, force_mn: &Vector2<f64>, depth_mm: f64, tool: &Rigid) -> Vector3<f64> {
@@ -213,5 +230,61 @@ impl Rod {
         let per_force = if size > 0.0 { shape.across / size } else { 0.0 };
         let bent = force_mn * per_force;
         tool.apply(&Vector3::new(bent.x, bent.y, -shape.short))
+    }
+}
+
+/// A [`Rod`] for a loop: by the force squared, so that no root is taken, and without a division. Where bends are small
+/// its `q` is zero, and every series its first term.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shaft {
+    length_mm: f64,
+    /// `1/EI`, and its square; zero for the latter where bends are small.
+    compliance: f64,
+    squared: f64,
+}
+
+impl Shaft {
+    #[inline]
+    fn q(&self, force_squared: f64, arc: f64) -> f64 {
+        let square = arc * arc;
+        let q = self.squared * force_squared * (square * square);
+        // false for NaN
+        if q < FARTHEST { q } else { FARTHEST }
+    }
+
+    /// Length from the clamp to a contact at a depth, which lies on the shaft.
+    #[must_use]
+    #[inline]
+    pub fn arc(&self, depth_mm: f64) -> f64 {
+        let depth = if depth_mm > 0.0 { depth_mm } else { 0.0 };
+        if depth < self.length_mm {
+            self.length_mm - depth
+        } else {
+            0.0
+        }
+    }
+
+    /// Force times arc (mm from the contact) over the moment there: the inverse of [`Rod::moment_share`].
+    #[must_use]
+    #[inline]
+    pub fn relief(&self, force_squared: f64, arc_mm: f64) -> f64 {
+        let q = self.q(force_squared, arc_mm);
+        let [a, b, c, d] = RELIEF;
+        a + q * (b + q * (c + q * d))
+    }
+
+    /// How much nearer to the clamp a contact stands than on the unbent shaft, mm, by the arc to it.
+    #[must_use]
+    #[inline]
+    pub fn short(&self, force_squared: f64, arc_mm: f64) -> f64 {
+        arc_mm * (1.0 - series(&AXIAL, self.q(force_squared, arc_mm)))
+    }
+
+    /// How far the contact gives way across the unbent shaft, mm/mN, by the arc to it.
+    #[must_use]
+    #[inline]
+    pub fn gives(&self, force_squared: f64, arc_mm: f64) -> f64 {
+        let lateral = series(&LATERAL, self.q(force_squared, arc_mm));
+        self.compliance * arc_mm * (arc_mm * arc_mm) * lateral
     }
 }

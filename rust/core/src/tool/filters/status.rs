@@ -74,6 +74,10 @@ impl Counts {
     #[inline]
     pub fn add(&mut self, status: Status) {
         self.steps = self.steps.wrapping_add(1);
+        if status == Status::UPDATED {
+            self.updated = self.updated.wrapping_add(1);
+            return;
+        }
         for (count, flag) in [
             (&mut self.updated, Status::UPDATED),
             (&mut self.missing, Status::MISSING),
@@ -107,6 +111,23 @@ pub struct Consistency {
 }
 
 impl Consistency {
+    /// A step that only predicts.
+    #[inline]
+    pub fn rest(&mut self) {
+        self.last = 0.0;
+        self.last_degrees = 0;
+    }
+
+    /// An update of one degree of freedom.
+    #[inline]
+    pub fn add(&mut self, squared: f64) {
+        self.last = squared;
+        self.last_degrees = 1;
+        self.sum += squared;
+        self.degrees = self.degrees.wrapping_add(1);
+        self.count = self.count.wrapping_add(1);
+    }
+
     /// Sum over its expectation: 1 where the noise is right; zero before the first update.
     #[must_use]
     pub fn ratio(&self) -> f64 {

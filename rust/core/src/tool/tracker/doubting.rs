@@ -4,13 +4,12 @@
 //! depth they tell is far from the one expected. Then it is asked what would explain it: two peaks that changed places,
 //! one grating that lies, a section. Where nothing does it is refused a few times; then it is the state that is wrong.
 
-use super::interrogator::{BELIEVED, Interrogator, Set, Swap, of_section};
+use super::interrogator::{Agreement, BELIEVED, Set, Shifts, Swap, of_section};
+use super::moments::Moments;
 use super::reading::Said;
-use super::state::State;
-use super::unknowns::UNKNOWNS;
 use super::{Look, ToolFilter};
 use crate::tool::filters::Status;
-use crate::tool::sensing::{FIBRES, SECTIONS};
+use crate::tool::sensing::FIBRES;
 
 /// A comparison of χ² that fails, one degree of freedom.
 const FAILS: f64 = 36.0;
@@ -22,33 +21,60 @@ const SINGLED_OUT: f64 = 50.0;
 const PATIENCE: u16 = 20;
 /// The same where the moments agree with each other.
 const PATIENCE_ALONE: u16 = 4;
+/// What a force may jump whatever its pace, mN, and of its size.
+const JUMP_MN: f64 = 1.0;
+const JUMP_SHARE: f64 = 0.05;
 
 impl ToolFilter {
+    /// Folds in a reading at the state's time.
     #[inline]
-    pub(super) fn fold(&mut self, next: &mut State, w: &[[f64; FIBRES]; SECTIONS]) -> Status {
-        let w = self
-            .swapped
-            .map_or(*w, |swap| Interrogator::put_back(swap, w));
-        let (mut shifts, silent) = self.interrogator.look(&w);
+    pub(super) fn fold(&mut self, w: &Shifts) -> Status {
+        let put_back;
+        let w = if let Some(swap) = self.swapped {
+            put_back = swap.put_back(w);
+            &put_back
+        } else {
+            w
+        };
+        let (shifts, silent) = self.interrogator.look(w);
         let agreement = self.interrogator.agree(&shifts, silent);
-        let bad = silent | self.bad;
-        if silent & !self.silent & self.interrogator.stuck() != 0 {
-            self.back(next, false);
+        if silent | self.silent | self.bad == 0 && self.swapped.is_none() && agreement.odd.is_none()
+        {
+            let moments = self.gains.moments(&shifts);
+            let said = self.say(&moments);
+            if !(said.crossed() || said.far() > FAILS) {
+                self.streak = 0;
+                self.refused = 0;
+                self.look = Look {
+                    misfit: said.misfit,
+                    faulty: 0,
+                };
+                return self.take(&moments, &said);
+            }
         }
+        self.doubt(&shifts, silent, agreement)
+    }
+
+    /// The same where something does not fit, or did not.
+    #[inline(never)]
+    fn doubt(&mut self, shifts: &Shifts, silent: Set, agreement: Agreement) -> Status {
+        self.state.lean(&self.shaft, self.clearance_mm);
+        let mut shifts = *shifts;
+        let bad = silent | self.bad;
         self.silent = silent;
-        let mut moments = self.interrogator.moments(&shifts, bad);
-        let mut said = self.say(next, &moments);
+        let mut moments = self.moments(&shifts, bad);
+        let mut said = self.say(&moments);
         let mut faulty = bad | self.swapped.map_or(0, Swap::set);
         let odd = agreement.odd.filter(|i| bad & of_section(*i) == 0);
-        let crossed = said.misfit > FAILS && said.plainly;
-        let doubtful = odd.is_some() || crossed || Self::far(next, &said) > FAILS;
+        let crossed = said.crossed();
+        let doubtful = odd.is_some() || crossed || said.far() > FAILS;
         if self.bad != 0 {
-            self.again(next, &shifts, silent, agreement.odd.is_some());
-            self.single_out(next, &shifts, silent);
+            self.again(&shifts, silent, agreement.odd.is_some());
+            self.single_out(&shifts, silent);
         }
         let mut trusted = true;
         let swap = if doubtful && odd.is_none() {
-            self.search_swap(next, &shifts, bad)
+            self.search_swap(&shifts, bad)
         } else {
             None
         };
@@ -65,24 +91,37 @@ impl ToolFilter {
                 };
                 self.streak = 0;
                 self.interrogator.forget();
-                self.back(next, false);
+                self.back(false);
             }
-            moments = self.interrogator.moments(&shifts, bad);
-            said = self.say(next, &moments);
+            moments = self.moments(&shifts, bad);
+            said = self.say(&moments);
             self.refused = 0;
         } else if doubtful {
-            if let Some(set) = self.search(next, &shifts, bad, odd, agreement.slowly) {
+            if let Some(set) = self.search(&shifts, bad, odd, agreement.slowly) {
                 faulty |= set;
                 self.suspect(set);
                 if self.streak >= SURE || agreement.slowly {
                     self.bad |= set;
                     self.streak = 0;
                     self.interrogator.forget();
-                    self.back(next, agreement.slowly);
+                    self.back(agreement.slowly);
                 }
-                moments = self.interrogator.moments(&shifts, faulty);
-                said = self.say(next, &moments);
-                self.refused = 0;
+                moments = self.moments(&shifts, faulty);
+                said = self.say(&moments);
+                let sure = self.bad & set == set;
+                // two that lie at once: what is left must not leap
+                let leaps = !sure && self.jump(&said) > FAILS;
+                if !sure {
+                    // while it is only suspected, the force may be what it was
+                    let leap = said.way * said.size - self.state.force();
+                    said.noise += leap.norm_squared() / 2.0;
+                }
+                self.refused = if leaps {
+                    self.refused.saturating_add(1)
+                } else {
+                    0
+                };
+                trusted = self.refused == 0 || self.refused > PATIENCE_ALONE;
             } else {
                 self.refused = self.refused.saturating_add(1);
                 trusted = self.refused > if crossed { PATIENCE } else { PATIENCE_ALONE };
@@ -95,13 +134,22 @@ impl ToolFilter {
             misfit: said.misfit,
             faulty,
         };
-        if !(moments.usable[0] || moments.usable[1]) {
+        if moments.none() {
             return Status::NOT_FINITE;
         }
         if !trusted {
             return Status::GATED;
         }
-        self.take(next, &said)
+        self.take(&moments, &said)
+    }
+
+    /// The moments without the bad gratings.
+    fn moments(&self, shifts: &Shifts, bad: Set) -> Moments {
+        if bad == 0 {
+            self.gains.moments(shifts)
+        } else {
+            self.gains.moments_without(shifts, bad)
+        }
     }
 
     /// Counts how often in a row the same gratings were suspected.
@@ -114,30 +162,11 @@ impl ToolFilter {
         self.suspects = set;
     }
 
-    /// Square of how far the depth is from the expected one over its variance; zero where it is not told.
-    fn far(state: &State, said: &Said) -> f64 {
-        said.depth_off.map_or(0.0, |(off, noise, tied)| {
-            let mut total = state.variance + noise;
-            for k in 0..UNKNOWNS {
-                let t = tied[k] - state.tied[k];
-                total += t * t;
-            }
-            off * off / total.max(f64::MIN_POSITIVE)
-        })
-    }
-
     /// Whether what is held to be bad is in order again.
-    pub(super) fn again(
-        &mut self,
-        state: &State,
-        shifts: &[[f64; FIBRES]; SECTIONS],
-        silent: Set,
-        odd: bool,
-    ) {
-        let all = self.interrogator.moments(shifts, silent);
-        let said = self.say(state, &all);
+    pub(super) fn again(&mut self, shifts: &Shifts, silent: Set, odd: bool) {
+        let said = self.say(&self.moments(shifts, silent));
         let held = self.bad & silent != 0;
-        if odd || held || (said.misfit > FAILS && said.plainly) || Self::far(state, &said) > FAILS {
+        if odd || held || said.crossed() || said.far() > FAILS {
             self.good = 0;
         } else {
             self.good += 1;
@@ -149,12 +178,7 @@ impl ToolFilter {
     }
 
     /// In a section that was lost for a drift: the one grating without which the others fit for a while.
-    pub(super) fn single_out(
-        &mut self,
-        state: &State,
-        shifts: &[[f64; FIBRES]; SECTIONS],
-        silent: Set,
-    ) {
+    pub(super) fn single_out(&mut self, shifts: &Shifts, silent: Set) {
         for i in 0..2 {
             let all = of_section(i);
             if self.bad & all != all || silent & all != 0 {
@@ -162,7 +186,7 @@ impl ToolFilter {
             }
             let others = self.bad & !all;
             for k in 0..FIBRES {
-                let found = self.unlikely(state, shifts, others | silent | (1 << (FIBRES * i + k)));
+                let found = self.unlikely(shifts, others | silent | (1 << (FIBRES * i + k)));
                 let held = if found < 4.0 * FAILS {
                     found
                 } else {
@@ -188,28 +212,27 @@ impl ToolFilter {
     }
 
     /// How badly a set of gratings fits without these; smaller is better.
-    pub(super) fn unlikely(
-        &self,
-        state: &State,
-        shifts: &[[f64; FIBRES]; SECTIONS],
-        bad: Set,
-    ) -> f64 {
-        let m = self.interrogator.moments(shifts, bad);
-        let said = self.say(state, &m);
-        if !(m.usable[0] || m.usable[1]) {
+    pub(super) fn unlikely(&self, shifts: &Shifts, bad: Set) -> f64 {
+        let m = self.moments(shifts, bad);
+        if m.none() {
             return f64::INFINITY;
         }
-        said.misfit + said.jump + Self::far(state, &said)
+        let said = self.say(&m);
+        said.misfit + self.jump(&said) + said.far()
+    }
+
+    /// Square of the jump of the force over what it may jump.
+    fn jump(&self, said: &Said) -> f64 {
+        let s = &self.state;
+        let moved = said.way * said.size - s.force();
+        let sized = JUMP_SHARE * said.size;
+        let strayed = self.pace.strayed(s.time_s - s.felt.time_s);
+        moved.norm_squared() / (said.noise + strayed + JUMP_MN * JUMP_MN + sized * sized)
     }
 
     /// Two peaks whose change of places explains why a reading does not fit.
     #[inline(never)]
-    pub(super) fn search_swap(
-        &self,
-        state: &State,
-        shifts: &[[f64; FIBRES]; SECTIONS],
-        bad: Set,
-    ) -> Option<Swap> {
+    pub(super) fn search_swap(&self, shifts: &Shifts, bad: Set) -> Option<Swap> {
         let (mut best, mut second, mut which) = (f64::INFINITY, f64::INFINITY, None);
         for section in 0..2 {
             if bad & of_section(section) != 0 {
@@ -218,7 +241,7 @@ impl ToolFilter {
             for stays in 0..FIBRES {
                 let swap = Swap { section, stays };
                 let back = self.interrogator.shifts_back(swap, shifts);
-                let found = self.unlikely(state, &back, bad);
+                let found = self.unlikely(&back, bad);
                 if found < best {
                     second = best;
                     best = found;
@@ -239,8 +262,7 @@ impl ToolFilter {
     #[inline(never)]
     pub(super) fn search(
         &self,
-        state: &State,
-        shifts: &[[f64; FIBRES]; SECTIONS],
+        shifts: &Shifts,
         bad: Set,
         odd: Option<usize>,
         slowly: bool,
@@ -255,7 +277,7 @@ impl ToolFilter {
             }
             for k in 0..FIBRES {
                 let set = 1 << (FIBRES * i + k);
-                let found = self.unlikely(state, shifts, bad | set);
+                let found = self.unlikely(shifts, bad | set);
                 if found < best {
                     second = best;
                     best = found;
@@ -268,12 +290,19 @@ impl ToolFilter {
         if best < FAILS && second > best + 12.0 {
             return Some(which);
         }
-        let lost = [0, 1].map(|i| self.unlikely(state, shifts, bad | of_section(i)));
+        let lost = [0, 1].map(|i| self.unlikely(shifts, bad | of_section(i)));
         match odd {
             Some(i) => Some(of_section(i)),
             None if lost[0] < FAILS && lost[1] > FAILS => Some(of_section(0)),
             None if lost[1] < FAILS && lost[0] > FAILS => Some(of_section(1)),
             None => None,
         }
+    }
+}
+
+impl Said {
+    /// Whether the moments do not point one way.
+    fn crossed(&self) -> bool {
+        self.misfit > FAILS && self.plainly
     }
 }

@@ -1,22 +1,16 @@
-//! Which gratings to believe: nine wavelengths into the moments at sections I and II, without those that lie.
+//! Which gratings to believe.
 //!
 //! What there is to compare. Bending stretches one side of the shaft and shortens the other: the mean of three fibres
 //! does not feel it, and the sections stand in one eye, so their means must agree; section III is the witness. What two
 //! moments say across the force must be nothing. A reading never repeats to the last digit while its neighbours go on.
 //! And no grating is pulled by more than a few nm.
-//!
-//! A single grating that lies is rebuilt: the mean of its section is that of the others, so it is thrice that mean less
-//! its two neighbours. Where two lie, the section is lost.
 
 use super::unknowns::Doubt;
 use crate::numbers::math::sqrt;
 use crate::tool::sensing::{Calibration, FIBRES, SECTIONS};
-use nalgebra::{Matrix2x3, Vector2};
 
 /// No shaft is bent or warmed so far, nm.
 const FARTHEST_NM: f64 = 8.0;
-/// The same number so often is no reading any more.
-const STUCK: u8 = 12;
 /// Deviations from which on a comparison fails.
 const DEVIATIONS: f64 = 6.0;
 /// How unlike fibres feel a bend: share of it that stays in their mean.
@@ -28,6 +22,8 @@ pub(super) const BELIEVED: u16 = 200;
 
 /// A set of gratings: bit `3 section + fibre`.
 pub type Set = u16;
+/// Shifts of the gratings from their rest, nm.
+pub type Shifts = [[f64; FIBRES]; SECTIONS];
 
 /// Two peaks of a section that changed places: all but the one that stays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,6 +39,20 @@ impl Swap {
     pub fn set(self) -> Set {
         of_section(self.section) & !(1 << (FIBRES * self.section + self.stays))
     }
+
+    /// Wavelengths with the two peaks back in their places.
+    pub fn put_back(self, w: &Shifts) -> Shifts {
+        let mut out = *w;
+        if let Some(s) = out.get_mut(self.section) {
+            let [a, b, c] = *s;
+            *s = match self.stays {
+                0 => [a, c, b],
+                1 => [c, b, a],
+                _ => [b, a, c],
+            };
+        }
+        out
+    }
 }
 
 /// The gratings of a section.
@@ -50,25 +60,8 @@ pub(super) fn of_section(section: usize) -> Set {
     0b111 << (FIBRES * section)
 }
 
-/// What the fibres say of the moments at sections I and II.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Moments {
-    /// Whether a section says anything.
-    pub usable: [bool; 2],
-    /// mN·mm.
-    pub moment: [Vector2<f64>; 2],
-    /// Variance of each component, (mN·mm)².
-    pub variance: [f64; 2],
-    /// Shifts of the fibres without their mean, as two differences.
-    pub differences: [Vector2<f64>; 2],
-    /// Mean shift, nm.
-    pub common_nm: [f64; 2],
-    /// Size of the moment along which a rebuilt grating errs per nm, and which way; zero where none is rebuilt.
-    pub rebuilt: [Vector2<f64>; 2],
-}
-
 /// Comparisons of the sections' means.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Agreement {
     /// The section that stands farthest off, where one fails.
     pub odd: Option<usize>,
@@ -79,16 +72,15 @@ pub struct Agreement {
 /// The interrogator, watched.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Interrogator {
-    reference_nm: [[f64; FIBRES]; SECTIONS],
-    pub(super) gains: [Matrix2x3<f64>; 2],
-    /// Variance of a moment's component per variance of a wavelength.
-    share: [f64; 2],
-    noise_nm: f64,
-    reference_doubt_nm: f64,
+    reference_nm: Shifts,
+    /// Variances, nm²: noise of a wavelength, doubt of a reference; and of the answer to warmth, relative.
+    noise: f64,
+    reference: f64,
     warmth: f64,
-    last: [[f64; FIBRES]; SECTIONS],
-    repeats: [[u8; FIBRES]; SECTIONS],
-    /// Slow means: of each section's mean less the others', and of what that is allowed.
+    last: Shifts,
+    /// How often in a row each grating repeated one number, up to 12: four planes of bits.
+    repeats: [Set; 4],
+    /// Slow means: of each section's mean less the others', and of what that is allowed; over so many readings.
     slow: [f64; SECTIONS],
     slow_size: f64,
     slow_count: f64,
@@ -97,52 +89,28 @@ pub struct Interrogator {
 impl Interrogator {
     /// Of a calibration and what it does not know.
     pub fn new(c: &Calibration, doubt: &Doubt) -> Self {
-        let gains = c.gains.map(|k| {
-            let mean = k.column_sum() / 3.0;
-            Matrix2x3::from_columns(&[k.column(0) - mean, k.column(1) - mean, k.column(2) - mean])
-        });
         Self {
             reference_nm: c.reference_nm,
-            gains,
-            share: gains.map(|k| k.norm_squared() / 2.0),
-            noise_nm: c.noise_nm,
-            reference_doubt_nm: doubt.reference_nm,
-            warmth: doubt.warmth,
+            noise: c.noise_nm * c.noise_nm,
+            reference: doubt.reference_nm * doubt.reference_nm,
+            warmth: doubt.warmth * doubt.warmth,
             last: [[f64::NAN; FIBRES]; SECTIONS],
-            repeats: [[0; FIBRES]; SECTIONS],
+            repeats: [0; 4],
             slow: [0.0; SECTIONS],
             slow_size: 0.0,
             slow_count: 0.0,
         }
     }
 
-    /// Wavelengths with two peaks of a section back in their places.
-    pub fn put_back(swap: Swap, w: &[[f64; FIBRES]; SECTIONS]) -> [[f64; FIBRES]; SECTIONS] {
-        let mut out = *w;
-        if let Some(s) = out.get_mut(swap.section) {
-            let [a, b, c] = *s;
-            *s = match swap.stays {
-                0 => [a, c, b],
-                1 => [c, b, a],
-                _ => [b, a, c],
-            };
-        }
-        out
-    }
-
     /// Shifts with two peaks back in their places.
-    pub fn shifts_back(
-        &self,
-        swap: Swap,
-        shifts: &[[f64; FIBRES]; SECTIONS],
-    ) -> [[f64; FIBRES]; SECTIONS] {
+    pub fn shifts_back(&self, swap: Swap, shifts: &Shifts) -> Shifts {
         let mut w = *shifts;
         for i in 0..SECTIONS {
             for k in 0..FIBRES {
                 w[i][k] += self.reference_nm[i][k];
             }
         }
-        let mut out = Self::put_back(swap, &w);
+        let mut out = swap.put_back(&w);
         for i in 0..SECTIONS {
             for k in 0..FIBRES {
                 out[i][k] -= self.reference_nm[i][k];
@@ -153,183 +121,120 @@ impl Interrogator {
 
     /// Shifts from the reference, nm, and the gratings that say nothing: not finite, out of all bounds, or stuck.
     #[inline]
-    pub fn look(&mut self, w: &[[f64; FIBRES]; SECTIONS]) -> ([[f64; FIBRES]; SECTIONS], Set) {
+    pub fn look(&mut self, w: &Shifts) -> (Shifts, Set) {
         let mut shifts = [[0.0; FIBRES]; SECTIONS];
-        let (mut silent, mut still): (Set, Set) = (0, 0);
+        let (mut usual, mut repeated) = (true, false);
+        for i in 0..SECTIONS {
+            for k in 0..FIBRES {
+                let shift = w[i][k] - self.reference_nm[i][k];
+                shifts[i][k] = shift;
+                // false for NaN
+                usual &= shift.abs() < FARTHEST_NM;
+                repeated |= w[i][k] == self.last[i][k];
+            }
+        }
+        let silent = if usual && !repeated {
+            self.repeats = [0; 4];
+            0
+        } else {
+            self.silent(w, &mut shifts)
+        };
+        self.last = *w;
+        (shifts, silent)
+    }
+
+    #[inline(never)]
+    fn silent(&mut self, w: &Shifts, shifts: &mut Shifts) -> Set {
+        let (mut silent, mut same): (Set, Set) = (0, 0);
         for i in 0..SECTIONS {
             for k in 0..FIBRES {
                 let bit = 1 << (FIBRES * i + k);
-                let shift = w[i][k] - self.reference_nm[i][k];
-                // false for NaN
-                if shift.abs() < FARTHEST_NM {
-                    shifts[i][k] = shift;
-                } else {
-                    silent |= bit;
-                }
                 if w[i][k] == self.last[i][k] {
-                    self.repeats[i][k] = self.repeats[i][k].saturating_add(1);
-                } else {
-                    self.repeats[i][k] = 0;
+                    same |= bit;
                 }
-                if self.repeats[i][k] >= STUCK {
-                    still |= bit;
+                let usual = shifts[i][k].abs() < FARTHEST_NM;
+                if !usual {
+                    silent |= bit;
+                    shifts[i][k] = 0.0;
                 }
-                self.last[i][k] = w[i][k];
             }
         }
+        // one more where it is the same again and has not come to the end, zero where it is not
+        let mut carry = same & !self.stuck();
+        for plane in &mut self.repeats {
+            let sum = *plane ^ carry;
+            carry &= *plane;
+            *plane = sum & same;
+        }
+        // one that has begun to repeat itself is not asked, long before it is held to be stuck
+        let [_, twice, four, eight] = self.repeats;
+        let still = twice | four | eight;
         // where all stand still it is the world, or a source that gives each reading several times
         if still.count_ones() <= 3 {
             silent |= still;
         }
-        (shifts, silent)
+        silent
+    }
+
+    /// Gratings whose repeats are not counted further.
+    fn stuck(&self) -> Set {
+        self.repeats[3] & self.repeats[2]
     }
 
     /// Whether the means of the sections without a bad grating agree, and how they did over the last readings.
     #[inline]
-    pub fn agree(&mut self, shifts: &[[f64; FIBRES]; SECTIONS], bad: Set) -> Agreement {
-        let mut means = [0.0; SECTIONS];
-        let (mut bend, mut warm) = (0.0_f64, 0.0_f64);
-        let mut agreement = Agreement {
-            odd: None,
-            slowly: false,
-        };
+    pub fn agree(&mut self, shifts: &Shifts, bad: Set) -> Agreement {
         if bad != 0 {
             // two means that differ do not say which is wrong
-            self.slow = [0.0; SECTIONS];
-            self.slow_count = 0.0;
-            return agreement;
+            self.forget();
+            return Agreement::default();
         }
+        let mut means = [0.0; SECTIONS];
+        let (mut bend, mut warm) = (0.0_f64, 0.0_f64);
         for i in 0..SECTIONS {
             let s = &shifts[i];
-            means[i] = (s[0] + s[1] + s[2]) / 3.0;
-            warm = warm.max(means[i].abs());
+            means[i] = (s[0] + s[1] + s[2]) * (1.0 / 3.0);
+            warm = larger(warm, means[i].abs());
             for x in s {
-                bend = bend.max((x - means[i]).abs());
+                bend = larger(bend, (x - means[i]).abs());
             }
         }
-        let (still, warmed) = (self.reference_doubt_nm, self.warmth * warm);
-        let unlike = sqrt(still * still + warmed * warmed);
+        let unlike = self.reference + self.warmth * warm * warm;
         let allowed = COUPLING * bend;
-        let total = means[0] + means[1] + means[2];
+        let half = 0.5 * (means[0] + means[1] + means[2]);
         // of a section's mean less that of the two others
-        let deviation = sqrt(0.5 * (self.noise_nm * self.noise_nm + unlike * unlike));
-        let limit = DEVIATIONS * deviation + allowed;
-        self.slow_count = (self.slow_count + 1.0).min(SLOW);
+        let limit = DEVIATIONS * sqrt(0.5 * (self.noise + unlike)) + allowed;
+        if self.slow_count < SLOW {
+            self.slow_count += 1.0;
+        }
         let weight = 1.0 / self.slow_count;
-        self.slow_size += (unlike * DEVIATIONS * 0.8 + allowed - self.slow_size) * weight;
-        let averaged = self.noise_nm * sqrt(0.5 / self.slow_count) * DEVIATIONS;
-        let (mut worst, mut worst_slow) = (1.0, 1.0);
+        self.slow_size += (sqrt(unlike) * (DEVIATIONS * 0.8) + allowed - self.slow_size) * weight;
+        let slow_limit = DEVIATIONS * sqrt(0.5 * self.noise * weight) + self.slow_size;
+        let (mut off, mut good) = ([0.0; SECTIONS], true);
         for i in 0..SECTIONS {
-            let off = 1.5 * means[i] - 0.5 * total;
+            off[i] = 1.5 * means[i] - half;
             // a single wild reading is no drift
-            self.slow[i] += (off.min(limit).max(-limit) - self.slow[i]) * weight;
-            if off.abs() > worst * limit {
-                worst = off.abs() / limit;
-                agreement = Agreement {
-                    odd: Some(i),
-                    slowly: false,
-                };
-            }
-            let far = self.slow[i].abs() / (averaged + self.slow_size);
-            if agreement.odd.is_none_or(|_| agreement.slowly) && far > worst_slow {
-                worst_slow = far;
-                agreement = Agreement {
-                    odd: Some(i),
-                    slowly: true,
-                };
-            }
+            let held = if off[i] > limit { limit } else { off[i] };
+            let held = if held < -limit { -limit } else { held };
+            self.slow[i] += (held - self.slow[i]) * weight;
+            good &= off[i].abs() <= limit && self.slow[i].abs() <= slow_limit;
         }
-        agreement
-    }
-
-    /// The moments without the bad gratings.
-    #[inline]
-    pub fn moments(&self, shifts: &[[f64; FIBRES]; SECTIONS], bad: Set) -> Moments {
-        let mut made = Moments {
-            usable: [false; 2],
-            moment: [Vector2::zeros(); 2],
-            variance: [f64::INFINITY; 2],
-            differences: [Vector2::zeros(); 2],
-            common_nm: [0.0; 2],
-            rebuilt: [Vector2::zeros(); 2],
-        };
-        let (mut sum, mut count) = (0.0, 0.0);
-        if bad != 0 {
-            for i in 0..SECTIONS {
-                if bad & of_section(i) == 0 {
-                    sum += (shifts[i][0] + shifts[i][1] + shifts[i][2]) / 3.0;
-                    count += 1.0;
-                }
-            }
+        if good {
+            return Agreement::default();
         }
-        let noise = self.noise_nm * self.noise_nm;
-        for i in 0..2 {
-            let mut s = shifts[i];
-            let missing = (bad >> (FIBRES * i)) & 0b111;
-            let mut variance = self.share[i] * noise;
-            if missing != 0 {
-                if missing.count_ones() > 1 || count == 0.0 {
-                    continue;
-                }
-                let mean = sum / count;
-                let lost = missing.trailing_zeros() as usize;
-                let (a, b) = match lost {
-                    0 => (1, 2),
-                    1 => (0, 2),
-                    _ => (0, 1),
-                };
-                let others = s[a] + s[b];
-                let k = &self.gains[i];
-                let Some(slot) = s.get_mut(lost) else {
-                    continue;
-                };
-                *slot = 3.0 * mean - others;
-                let column = |j: usize| Vector2::new(k[(0, j)], k[(1, j)]);
-                let of = match lost {
-                    0 => column(0),
-                    1 => column(1),
-                    _ => column(2),
-                };
-                let (pa, pb) = (column(a) - of, column(b) - of);
-                variance = noise
-                    * (pa.norm_squared()
-                        + pb.norm_squared()
-                        + 9.0 * of.norm_squared() / (3.0 * count))
-                    / 2.0;
-                made.rebuilt[i] = of * 3.0;
-            }
-            let mean = (s[0] + s[1] + s[2]) / 3.0;
-            let d = [s[0] - mean, s[1] - mean, s[2] - mean];
-            let k = &self.gains[i];
-            made.usable[i] = true;
-            made.moment[i] = Vector2::new(
-                k.m11 * d[0] + k.m12 * d[1] + k.m13 * d[2],
-                k.m21 * d[0] + k.m22 * d[1] + k.m23 * d[2],
-            );
-            made.variance[i] = variance;
-            made.differences[i] = super::unknowns::differences(&d);
-            made.common_nm[i] = mean;
-        }
-        made
-    }
-
-    /// How far the mean of a rebuilt grating's section may be off, nm.
-    #[inline]
-    pub fn unlike_nm(&self, common_nm: f64) -> f64 {
-        self.warmth * common_nm.abs()
-    }
-
-    /// Gratings that repeat one number.
-    pub fn stuck(&self) -> Set {
-        let mut set = 0;
+        let slowly = off.iter().all(|x| x.abs() <= limit);
+        let farthest = if slowly { &self.slow } else { &off };
+        let (mut odd, mut worst) = (0, 0.0);
         for i in 0..SECTIONS {
-            for k in 0..FIBRES {
-                if self.repeats[i][k] >= STUCK {
-                    set |= 1 << (FIBRES * i + k);
-                }
+            if farthest[i].abs() > worst {
+                worst = farthest[i].abs();
+                odd = i;
             }
         }
-        set
+        Agreement {
+            odd: Some(odd),
+            slowly,
+        }
     }
 
     /// Forgets the slow comparison.
@@ -337,4 +242,9 @@ impl Interrogator {
         self.slow = [0.0; SECTIONS];
         self.slow_count = 0.0;
     }
+}
+
+#[inline]
+fn larger(a: f64, b: f64) -> f64 {
+    if b > a { b } else { a }
 }

@@ -20,53 +20,41 @@
 
 mod doubting;
 mod drift;
+mod going;
 mod interrogator;
+mod moments;
+mod pace;
 mod poses;
 mod reading;
 mod state;
 mod telling;
+mod trusted;
 mod unknowns;
 
 pub use interrogator::Set;
+pub use telling::Told;
+pub use trusted::Trusted;
 pub use unknowns::{Doubt, Tied, UNKNOWNS};
 
 use super::filters::{Consistency, Counts, Status};
-use super::rod::Rod;
-use super::sensing::{Calibration, FIBRES, SECTIONS, Sensor};
+use super::rod::{Rod, Shaft};
+use super::sensing::{FIBRES, SECTIONS};
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
 use drift::Drift;
+use going::Kept;
 use interrogator::{Interrogator, Swap};
-use nalgebra::{Vector2, Vector3};
+use moments::Gains;
+use pace::Pace;
 use poses::{Posed, Poses};
 use state::State;
-pub use telling::Told;
-use unknowns::{CLEARANCE, Unknowns};
+use unknowns::Unknowns;
 
-/// Readings between two states that are kept to go back to.
-const KEPT_EVERY: [u16; 2] = [16, 256];
-/// A force is not extrapolated further, s.
-const PACE_UP_TO_S: f64 = 2.0;
 /// A stamp further ahead of the present than this is a wild number and no clock, s.
 const AHEAD_S: f64 = 0.3;
 /// A step is no longer than this, s, and no robot stands further away, mm.
 const LONGEST_S: f64 = 1e6;
 const FARTHEST_MM: f64 = 1e6;
-
-/// A tool and how far it is trusted.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Trusted {
-    /// The gratings.
-    pub calibration: Calibration,
-    /// The shaft.
-    pub rod: Rod,
-    /// What the calibration does not know.
-    pub doubt: Doubt,
-    /// Radius by which the hole is wider than the shaft, mm.
-    pub clearance_mm: f64,
-    /// How fast the hole strays along the shaft at least, mm²/s.
-    pub per_second_mm2: f64,
-}
 
 /// What the last reading was like.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -78,34 +66,21 @@ pub struct Look {
     pub faulty: Set,
 }
 
-/// A state, with what was made of the drift until then.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Earlier {
-    state: State,
-    drift: Drift,
-}
-
 /// The filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolFilter {
     rod: Rod,
+    shaft: Shaft,
     distances_mm: [f64; 2],
     clearance_mm: f64,
     unknowns: Unknowns,
+    gains: Gains,
     interrogator: Interrogator,
     poses: Poses,
     state: State,
     drift: Drift,
-    /// Mean square pace at which the force strays from what the motion makes of it, (mN/s)², and since when it is being
-    /// taken.
-    pace: f64,
-    paced: State,
-    /// What the hole gives way, mm/mN: sums of what it did times the force's change, and of that squared.
-    yielded: [f64; 2],
-    /// Earlier states to go back to when a grating turns out to have lied for a while: two of a moment ago, two of a
-    /// second or two ago; and readings since the newer of each.
-    earlier: [[Earlier; 2]; 2],
-    since: [u16; 2],
+    pace: Pace,
+    kept: Kept,
     used_s: f64,
     /// Gratings held to be bad, those of the last failing reading, and how often in a row.
     bad: Set,
@@ -124,10 +99,17 @@ pub struct ToolFilter {
 }
 
 /// Whether a robot can stand so.
+#[inline]
 fn possible(pose: &Rigid) -> bool {
     // false for NaN
-    let near = pose.translation.iter().all(|x| x.abs() < FARTHEST_MM);
-    near && pose.rotation.iter().all(|x| x.abs() < 2.0)
+    let mut possible = true;
+    for x in pose.translation.as_slice() {
+        possible &= x.abs() < FARTHEST_MM;
+    }
+    for x in pose.rotation.as_slice() {
+        possible &= x.abs() < 2.0;
+    }
+    possible
 }
 
 impl ToolFilter {
@@ -142,61 +124,32 @@ impl ToolFilter {
         pose: &Rigid,
         time_s: f64,
     ) -> Result<Self> {
+        trusted.check()?;
+        let first = depth_mm.abs() < FARTHEST_MM && time_s.is_finite() && possible(pose);
+        if !(first && variance >= 0.0 && variance.is_finite()) {
+            return Err(Error::Invalid {
+                what: "tool: the first depth, pose and time must be finite, its variance zero or more",
+            });
+        }
         let c = &trusted.calibration;
-        Sensor::new(*c)?;
-        let d = &trusted.doubt;
-        let deviations = [d.reference_nm, d.warmth, d.clearance_mm, d.distance_mm];
-        let rest = [trusted.clearance_mm, trusted.per_second_mm2, variance];
-        let more = deviations.iter().chain(&rest);
-        let matrices = d.gains.as_flattened().iter().flatten().chain(d.beam.iter());
-        if !more.copied().all(|x| x >= 0.0 && x.is_finite())
-            || !matrices.copied().all(f64::is_finite)
-        {
-            return Err(Error::Invalid {
-                what: "tool: deviations, clearance and variances must be zero or more, and finite",
-            });
-        }
-        if !(depth_mm.abs() < FARTHEST_MM && time_s.is_finite() && possible(pose)) {
-            return Err(Error::Invalid {
-                what: "tool: the first depth, pose and time must be finite",
-            });
-        }
-        let interrogator = Interrogator::new(c, d);
-        let state = State {
-            time_s,
-            pose: *pose,
-            off: Vector2::zeros(),
-            along: depth_mm,
-            gives: 0.0,
-            free: true,
-            rest: Vector2::zeros(),
-            variance,
-            tied: [0.0; UNKNOWNS],
-            force: Vector2::zeros(),
-            force_s: time_s,
-            force_noise: 0.0,
-            force_tied: [[0.0; UNKNOWNS]; 2],
-            by_depth: 0.0,
-        };
-        let unknowns = Unknowns::new(d, &interrogator.gains);
+        let state = State::start(time_s, pose, depth_mm, variance);
         let drift = Drift::new(trusted.per_second_mm2, variance);
         Ok(Self {
             rod: trusted.rod,
+            shaft: trusted.rod.shaft(),
             distances_mm: c.distances_mm,
             clearance_mm: trusted.clearance_mm,
-            unknowns,
-            interrogator,
+            unknowns: Unknowns::new(&trusted.doubt),
+            gains: Gains::new(c),
+            interrogator: Interrogator::new(c, &trusted.doubt),
             poses: Poses::new(Posed {
                 time_s,
                 pose: *pose,
             }),
             state,
             drift,
-            pace: 1e3,
-            paced: state,
-            yielded: [0.0; 2],
-            earlier: [[Earlier { state, drift }; 2]; 2],
-            since: [0; 2],
+            pace: Pace::new(&state),
+            kept: Kept::new(&state, &drift),
             used_s: f64::NEG_INFINITY,
             bad: 0,
             swapped: None,
@@ -223,8 +176,7 @@ impl ToolFilter {
         pose: &Rigid,
         reading: Option<(f64, &[[f64; FIBRES]; SECTIONS])>,
     ) -> Status {
-        self.consistency.last = 0.0;
-        self.consistency.last_degrees = 0;
+        self.consistency.rest();
         let elapsed = time_s - self.poses.now().time_s;
         if !(0.0..LONGEST_S).contains(&elapsed) {
             self.counts.add(Status::CLOCK);
@@ -232,13 +184,13 @@ impl ToolFilter {
         }
         let mut status = Status::default();
         let pose = if possible(pose) {
-            *pose
+            Some(pose)
         } else {
             // the next pose says all about the motion that this one does not
             status = Status::NO_MOTION;
-            self.poses.now().pose
+            None
         };
-        self.poses.push(Posed { time_s, pose });
+        self.poses.push(time_s, pose);
         status = status
             | match reading {
                 None => Status::MISSING,
@@ -248,108 +200,42 @@ impl ToolFilter {
         status
     }
 
+    #[inline]
     fn read(&mut self, stamp_s: f64, w: &[[f64; FIBRES]; SECTIONS]) -> Status {
         if !stamp_s.is_finite() {
             return Status::NOT_FINITE;
         }
-        let now = self.poses.now().time_s;
+        let Posed { time_s: now, pose } = self.poses.now();
         // a stamp from the future is a clock that is off: the reading is of now
-        let at = if stamp_s < now { stamp_s } else { now };
+        let late = stamp_s < *now;
+        let at = if late { stamp_s } else { *now };
         if stamp_s <= self.used_s || at < self.state.time_s {
             return Status::LATE;
         }
-        let Some(pose) = self.poses.at(at) else {
-            return Status::LATE;
-        };
+        let (per_second, clearance) = (self.drift.per_second, self.unknowns.clearance_mm);
+        let before = self.state.time_s;
         // a single wild stamp must not make all that follow late
-        self.used_s = if stamp_s < now + AHEAD_S {
+        let used = if stamp_s < now + AHEAD_S {
             stamp_s
         } else {
-            now
+            *now
         };
-        let elapsed = at - self.state.time_s;
-        let mut next = self.carried(&self.state, at, &pose);
-        self.drift.pass(elapsed);
-        let status = self.fold(&mut next, w);
-        let finite =
-            next.along + next.variance + next.force.x + next.force.y + next.off.x + next.off.y;
-        let mut tied = 0.0;
-        for t in &next.tied {
-            tied += t;
-        }
-        if (finite + tied).is_finite() {
-            self.state = next;
-            self.keep();
-            status
+        if late {
+            let Some(then) = self.poses.at(at) else {
+                return Status::LATE;
+            };
+            self.state.go(at, &then, per_second, clearance);
         } else {
-            Status::NOT_FINITE
+            self.state.go(at, pose, per_second, clearance);
         }
-    }
-
-    /// A state at a later time and another pose.
-    #[inline]
-    fn carried(&self, state: &State, time_s: f64, pose: &Rigid) -> State {
-        let mut next = *state;
-        let before = next.pose.rotation.column(2).into_owned();
-        next.carry(pose);
-        self.turned(&mut next, &before);
-        next.lean(self.clearance_mm);
-        next.variance += self.drift.per_second * (time_s - next.time_s);
-        next.time_s = time_s;
-        next
-    }
-
-    /// Keeps states to go back to.
-    #[inline]
-    fn keep(&mut self) {
-        for i in 0..2 {
-            self.since[i] += 1;
-            if self.since[i] >= KEPT_EVERY[i] {
-                self.since[i] = 0;
-                self.earlier[i] = [
-                    Earlier {
-                        state: self.state,
-                        drift: self.drift,
-                    },
-                    self.earlier[i][0],
-                ];
-            }
+        self.used_s = used;
+        self.drift.pass(at - before);
+        let status = self.fold(w);
+        if !status.has(Status::UPDATED) {
+            self.state.lean(&self.shaft, self.clearance_mm);
         }
-    }
-
-    /// Back to a state from before a fault showed, brought to where the tool is now: the depth of then is as good as
-    /// what was moved is known.
-    fn back(&mut self, next: &mut State, slowly: bool) {
-        let Earlier { state, drift } = self.earlier[usize::from(slowly)][1];
-        let elapsed = next.time_s - state.time_s;
-        self.drift = drift;
-        self.drift.pass(elapsed);
-        let (force, force_s) = (next.force, next.force_s);
-        *next = self.carried(&state, next.time_s, &next.pose);
-        if state.force_s < force_s && next.gives == 0.0 {
-            next.force = force;
-        }
-        for (i, kept) in self.earlier.iter_mut().enumerate() {
-            if i == usize::from(slowly) || slowly {
-                *kept = [Earlier { state, drift }; 2];
-            }
-        }
-        self.since = [0; 2];
-        self.paced = state;
-    }
-
-    /// What a turn of the shaft makes of not knowing the clearance.
-    #[inline]
-    fn turned(&self, state: &mut State, before: &Vector3<f64>) {
-        let size = state.force.norm();
-        if size > 0.0 {
-            let way = state.force / size;
-            let axes = &state.pose.rotation;
-            let turn = axes.column(2) - before;
-            let along = axes.column(0).dot(&turn) * way.x + axes.column(1).dot(&turn) * way.y;
-            // l = (S - E)·z and E = S + R (u, -l): more clearance puts the hole further along the force
-            state.tied[CLEARANCE] -= along * self.unknowns.clearance_mm;
-        }
+        self.kept.keep(&self.state, &self.drift);
+        status
     }
 
     /// What the last reading was like.
@@ -379,7 +265,7 @@ impl ToolFilter {
     /// Mean square pace at which the force strays from what the motion of the tool makes of it, (mN/s)².
     #[must_use]
     pub fn pace(&self) -> f64 {
-        self.pace
+        self.pace.felt
     }
 
     /// Process noise of the depth at present, mm²/s.

@@ -41,40 +41,56 @@ impl Poses {
         &self.now
     }
 
-    /// Goes on to a later time.
+    /// Goes on to a later time; at the same pose where none is given.
     #[inline]
-    pub fn push(&mut self, next: Posed) {
+    pub fn push(&mut self, time_s: f64, pose: Option<&Rigid>) {
         if self.now.time_s - self.kept[self.newest % KEPT].time_s >= APART_S {
             self.newest = (self.newest + 1) % KEPT;
             self.kept[self.newest % KEPT] = self.now;
         }
-        self.now = next;
+        self.now.time_s = time_s;
+        if let Some(pose) = pose {
+            self.now.pose = *pose;
+        }
     }
 
-    /// The pose at a time up to now, by straight lines between neighbours. `None` before all that is remembered.
-    #[inline]
+    /// The pose at a time before now, by straight lines between neighbours. `None` before all that is remembered.
+    #[inline(never)]
     pub fn at(&self, time_s: f64) -> Option<Rigid> {
-        let mut later = self.now;
-        if time_s >= later.time_s {
-            return Some(later.pose);
-        }
-        for back in 0..KEPT {
-            let earlier = self.kept[(self.newest + KEPT - back) % KEPT];
-            if earlier.time_s <= time_s {
-                let span = later.time_s - earlier.time_s;
-                let share = if span > 0.0 {
-                    (time_s - earlier.time_s) / span
-                } else {
-                    0.0
-                };
-                let (a, b) = (&earlier.pose, &later.pose);
-                return Some(Rigid {
-                    rotation: a.rotation + (b.rotation - a.rotation) * share,
-                    translation: a.translation + (b.translation - a.translation) * share,
-                });
+        // of the kept ones from the newest back, how many are later
+        let (mut least, mut most) = (0, KEPT);
+        while least < most {
+            let middle = usize::midpoint(least, most);
+            if self.back(middle).time_s > time_s {
+                least = middle + 1;
+            } else {
+                most = middle;
             }
-            later = earlier;
         }
-        None
+        if least == KEPT {
+            return None;
+        }
+        let earlier = self.back(least);
+        let later = if least > 0 {
+            self.back(least - 1)
+        } else {
+            &self.now
+        };
+        let span = later.time_s - earlier.time_s;
+        let share = if span > 0.0 {
+            (time_s - earlier.time_s) / span
+        } else {
+            0.0
+        };
+        let (a, b) = (&earlier.pose, &later.pose);
+        Some(Rigid {
+            rotation: a.rotation + (b.rotation - a.rotation) * share,
+            translation: a.translation + (b.translation - a.translation) * share,
+        })
+    }
+
+    #[inline]
+    fn back(&self, by: usize) -> &Posed {
+        &self.kept[(self.newest + KEPT - by) % KEPT]
     }
 }

@@ -1,13 +1,11 @@
 //! Depth and tip now, and how well they are known together.
 
-use super::PACE_UP_TO_S;
 use super::ToolFilter;
-use super::reading::cross;
 use super::state::State;
 use super::unknowns::{Tied, UNKNOWNS};
 use crate::numbers::rigid::Rigid;
 use crate::tool::rod::{Bending, Shape};
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 
 /// Where depth and tip are.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,120 +25,146 @@ pub struct Told {
     pub force_variance: f64,
 }
 
+/// Variances and covariances of `l` and of the force along and across itself.
+struct Spread {
+    depth: f64,
+    along: f64,
+    across: f64,
+    depth_along: f64,
+    depth_across: f64,
+    along_across: f64,
+}
+
 impl ToolFilter {
     /// Depth and tip now, with what they know of each other.
     #[must_use]
     pub fn told(&self) -> Told {
         let now = self.poses.now();
-        let s = self.carried(&self.state, now.time_s, &now.pose);
-        let size = s.force.norm();
-        let depth = s.depth(&self.rod);
-        let way = if size > 0.0 {
-            s.force / size
+        if self.state.time_s == now.time_s {
+            self.told_of(&self.state, 0.0)
         } else {
-            Vector2::new(1.0, 0.0)
-        };
-        let shape = self.rod.shape(size, depth);
-        let waited = (s.time_s - s.force_s).min(PACE_UP_TO_S);
-        let moved = (s.pose.translation - self.state.pose.translation).norm();
-        let edge = s.edge(moved, self.clearance_mm);
-        let stray = self.pace * waited * waited + edge;
-        let beside = self.beside_the_force(&s, stray, size, depth, &shape);
-        let bent = way * shape.across;
-        let mut force_variance = s.force_noise + stray + s.by_depth * s.by_depth * s.variance;
-        for k in 0..UNKNOWNS {
-            let t = s.force_tied[0][k] + s.by_depth * s.tied[k];
-            force_variance += t * t;
+            let s = self.carried(&self.state, now.time_s, &now.pose);
+            let moved = (s.pose.translation - self.state.pose.translation).norm();
+            let loose = self.pace.strayed(s.time_s - s.felt_s);
+            let edge = s.edge(moved, self.clearance_mm, s.gives(&self.shaft), loose);
+            self.told_of(&s, self.pace.strayed(s.time_s - s.felt.time_s) + edge)
         }
-        let tip = now.pose.apply(&Vector3::new(bent.x, bent.y, -shape.short));
+    }
+
+    /// `stray`: variance of the force's components since it was read.
+    #[inline]
+    fn told_of(&self, s: &State, stray: f64) -> Told {
+        let depth = s.depth(&self.shaft);
+        let shape = self.rod.shape(s.size, depth);
+        let spread = self.spread(s);
+        let beside = self.beside_the_force(s, &spread, stray, depth, &shape);
+        let by_depth = s.felt.by_depth * s.felt.share;
+        let bent = s.way * shape.across;
+        let tip = s.pose.apply(&Vector3::new(bent.x, bent.y, -shape.short));
         Told {
-            time_s: now.time_s,
-            depth_mm: depth,
+            time_s: s.time_s,
+            // a tip that has left the eye has no length of shaft in it
+            depth_mm: if depth > 0.0 { depth } else { 0.0 },
             tip_mm: tip.into(),
-            covariance: in_base(&beside, &way, &now.pose),
-            force_mn: s.force.into(),
-            force_variance,
+            covariance: in_base(&beside, &s.way, &s.pose),
+            force_mn: s.force().into(),
+            force_variance: spread.along
+                + stray
+                + by_depth * (2.0 * spread.depth_along + by_depth * spread.depth),
+        }
+    }
+
+    fn spread(&self, s: &State) -> Spread {
+        let felt = &s.felt;
+        let weights = felt.weights.map(|w| w * felt.share);
+        let of = |way| {
+            self.unknowns
+                .of_moments(&self.gains.by, &felt.bends, &way, &weights)
+        };
+        let (along, across) = (of(felt.way), of(Vector2::new(-felt.way.y, felt.way.x)));
+        Spread {
+            depth: s.variance + dot(&s.tied, &s.tied),
+            along: felt.noise + dot(&along, &along),
+            across: felt.noise + dot(&across, &across),
+            depth_along: dot(&s.tied, &along),
+            depth_across: dot(&s.tied, &across),
+            along_across: dot(&along, &across),
         }
     }
 
     /// Lower triangle of the covariance of the depth and of the tip's places along and across the force and along the
     /// shaft, mm².
+    #[inline]
     fn beside_the_force(
         &self,
         s: &State,
+        spread: &Spread,
         stray: f64,
-        size: f64,
         depth: f64,
         shape: &Shape,
     ) -> [[f64; 4]; 4] {
+        let size = s.size;
         let bend = self.rod.beam.compliance(depth);
-        let stiffness = self.rod.beam.stiffness();
-        let exact = self.rod.bending == Bending::Exact;
+        let per_stiffness = 1.0 / self.rod.beam.stiffness();
         let arc = (self.rod.beam.length_mm() - depth).max(0.0);
         // what the bend takes goes with the force squared, `a⁵/15 + d a⁴/8` over EI² for a tip
-        let third = if exact {
-            arc * arc * arc / (stiffness * stiffness)
-        } else {
-            0.0
+        let third = match self.rod.bending {
+            Bending::Exact => arc * arc * arc * (per_stiffness * per_stiffness),
+            Bending::Small => 0.0,
         };
         let twice = if size > 0.0 { 2.0 / size } else { 0.0 };
         let (shorter, contact) = (twice * shape.short, -twice * shape.contact_short);
-        let shorter_by_depth = -size * size * third * (5.0 * arc / 24.0 + depth / 2.0);
-        let (by_force, by_depth) = (bend.value, size * bend.by_depth);
-        let on_depth = [
-            1.0,
-            by_force * s.by_depth + by_depth,
-            0.0,
-            -(shorter * s.by_depth + shorter_by_depth),
-        ];
-        let mut covariance = [[0.0; 4]; 4];
-        // every unknown moves the four by its shares of depth, force along and force across: three rows, and what these
-        // have in common
-        let [along, across] = &s.force_tied;
-        let rows = [
-            on_depth,
-            [0.0, by_force, 0.0, -shorter],
-            [0.0, 0.0, by_force, 0.0],
-        ];
-        let of = [&s.tied, along, across];
-        for a in 0..3 {
-            for b in 0..=a {
-                let shared = dot(of[a], of[b]);
-                for i in 0..4 {
-                    for j in 0..=i {
-                        covariance[i][j] += rows[a][i] * rows[b][j] * shared;
-                        if a != b {
-                            covariance[i][j] += rows[b][i] * rows[a][j] * shared;
-                        }
-                    }
-                }
-            }
-        }
-        let mut add = |row: [f64; 4], weight: f64| {
-            for i in 0..4 {
-                for j in 0..=i {
-                    covariance[i][j] += row[i] * row[j] * weight;
-                }
-            }
-        };
-        add(on_depth, s.variance);
-        add([0.0, by_force, 0.0, -shorter], s.force_noise);
-        add([contact, by_force, 0.0, -shorter], stray);
-        add([0.0, 0.0, by_force, 0.0], s.force_noise + stray);
+        let shorter_by_depth = -size * size * third * (5.0 * arc * (1.0 / 24.0) + 0.5 * depth);
+        let by_depth = s.felt.by_depth * s.felt.share;
+        // shares of depth and of the force along itself in the tip along, and in the tip up the shaft
+        let f = bend.value;
+        let d = f * by_depth + size * bend.by_depth;
+        let (up, up_d) = (-shorter, -(shorter * by_depth + shorter_by_depth));
+        let Spread {
+            depth: ll,
+            along: aa,
+            across: cc,
+            depth_along: la,
+            depth_across: lc,
+            along_across: ac,
+        } = *spread;
+        // of depth and force along with the tip along, up
+        let (l_along, l_up) = (d * ll + f * la, up_d * ll + up * la);
+        let (a_along, a_up) = (d * la + f * aa, up_d * la + up * aa);
         // where the force is not known, neither is its square
-        let (at_hole, at_tip) = (arc * arc / 15.0, arc * (arc / 15.0 + depth / 8.0));
-        let squared = [at_hole, 0.0, 0.0, at_tip].map(|x| x * third);
-        add(squared, 8.0 * stray * stray);
+        let squared = 8.0 * stray * stray;
+        let (at_hole, at_tip) = (
+            third * arc * arc * (1.0 / 15.0),
+            third * arc * (arc * (1.0 / 15.0) + depth * 0.125),
+        );
+        let mut along = d * l_along + f * a_along + f * f * stray;
+        let mut along_up = d * l_up + f * a_up + f * up * stray;
+        let mut upward = up_d * l_up + up * a_up + up * up * stray + at_tip * at_tip * squared;
         let factor = &self.unknowns.beam;
         for k in 0..2 {
             let (length, stiffer) = (factor[(0, k)], factor[(1, k)]);
             let moved = size * (bend.by_length * length + bend.by_stiffness * stiffer);
-            add(
-                [0.0, moved, 0.0, 2.0 * shape.short / stiffness * stiffer],
-                1.0,
-            );
+            let raised = 2.0 * shape.short * per_stiffness * stiffer;
+            along += moved * moved;
+            along_up += moved * raised;
+            upward += raised * raised;
         }
-        covariance
+        [
+            [
+                ll + contact * contact * stray + at_hole * at_hole * squared,
+                0.0,
+                0.0,
+                0.0,
+            ],
+            [l_along + contact * f * stray, along, 0.0, 0.0],
+            [f * lc, f * (d * lc + f * ac), f * f * (cc + stray), 0.0],
+            [
+                l_up + contact * up * stray + at_hole * at_tip * squared,
+                along_up,
+                f * (up_d * lc + up * ac),
+                upward,
+            ],
+        ]
     }
 
     /// Variance of the depth by noise alone, and how its error hangs on the unknowns: for a smoother.
@@ -152,30 +176,43 @@ impl ToolFilter {
     }
 }
 
+#[inline]
 fn dot(a: &Tied, b: &Tied) -> f64 {
-    let mut sum = 0.0;
-    for k in 0..UNKNOWNS {
-        sum += a[k] * b[k];
+    let mut sum = [0.0; 2];
+    for k in 0..UNKNOWNS / 2 {
+        sum[0] += a[2 * k] * b[2 * k];
+        sum[1] += a[2 * k + 1] * b[2 * k + 1];
     }
-    sum
+    sum[0] + sum[1]
 }
 
 /// A lower triangle, depth and the tip along and across a way and along the shaft, in the base frame.
+#[inline]
 fn in_base(lower: &[[f64; 4]; 4], way: &Vector2<f64>, pose: &Rigid) -> [[f64; 4]; 4] {
+    let [[depth, ..], [p, a, ..], [q, b, c, _], [r, d, e, f]] = *lower;
     let axes = &pose.rotation;
-    let lead = |v: &Vector2<f64>| axes.column(0) * v.x + axes.column(1) * v.y;
-    let to = Matrix3::from_columns(&[lead(way), lead(&cross(way)), axes.column(2).into_owned()]);
-    let [_, [p, a, _, _], [q, b, c, _], [r, d, e, f]] = *lower;
-    let tip = to * Matrix3::new(a, b, d, b, c, e, d, e, f) * to.transpose();
-    let with_depth = to * Vector3::new(p, q, r);
+    let (mut to, mut turned) = ([[0.0; 3]; 3], [[0.0; 3]; 3]);
     let mut out = [[0.0; 4]; 4];
-    out[0][0] = lower[0][0];
+    out[0][0] = depth;
     for i in 0..3 {
-        out[0][i + 1] = with_depth[i];
-        out[i + 1][0] = with_depth[i];
+        let (x, y, z) = (axes[(i, 0)], axes[(i, 1)], axes[(i, 2)]);
+        let row = [x * way.x + y * way.y, y * way.x - x * way.y, z];
+        let [u, v, w] = row;
+        to[i] = row;
+        turned[i] = [
+            u * a + v * b + w * d,
+            u * b + v * c + w * e,
+            u * d + v * e + w * f,
+        ];
+        out[i + 1][0] = u * p + v * q + w * r;
+        out[0][i + 1] = out[i + 1][0];
+    }
+    for i in 0..3 {
         for j in 0..=i {
-            out[i + 1][j + 1] = tip[(i, j)];
-            out[j + 1][i + 1] = tip[(i, j)];
+            let [u, v, w] = to[j];
+            let with = turned[i][0] * u + turned[i][1] * v + turned[i][2] * w;
+            out[i + 1][j + 1] = with;
+            out[j + 1][i + 1] = with;
         }
         out[i + 1][i + 1] = out[i + 1][i + 1].max(0.0);
     }

@@ -4,10 +4,12 @@
 //! error hangs on parameters that it does not estimate. Written in unit unknowns `θ = L⁻¹ δ` the error is `T θ` plus noise
 //! of its own, and its covariance `T Tᵀ + P`: no covariance of the parameters is left in the loop, and both parts are
 //! semidefinite by their form.
+//!
+//! The unknowns of sections I and II stand side by side, so that both are worked on at once.
 
+use super::moments::{Bends, Pair};
 use crate::numbers::math::sqrt;
-use crate::tool::sensing::FIBRES;
-use nalgebra::{Matrix2, Matrix3, Vector2};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2};
 
 /// Unknowns of one section: two of each row of its gain, two references, two coefficients of warmth.
 const OF_SECTION: usize = 8;
@@ -19,7 +21,7 @@ pub(super) const CLEARANCE: usize = 2 * OF_SECTION;
 /// Place of the sections' distance from the tip.
 pub(super) const DISTANCE: usize = CLEARANCE + 1;
 /// Place of what a rebuilt grating does not know, sections I and II.
-pub(super) const REBUILT: usize = DISTANCE + 1;
+const REBUILT: usize = DISTANCE + 1;
 
 /// How an error hangs on the unknowns.
 pub type Tied = [f64; UNKNOWNS];
@@ -54,13 +56,13 @@ impl Default for Doubt {
     }
 }
 
-/// Two differences of three fibres, orthonormal, without what is common to them.
-pub(super) fn differences(shift: &[f64; FIBRES]) -> Vector2<f64> {
-    let (a, b) = (1.0 / sqrt(6.0), 1.0 / sqrt(2.0));
-    Vector2::new(
-        a * (2.0 * shift[0] - shift[1] - shift[2]),
-        b * (shift[1] - shift[2]),
-    )
+/// `1/√6` and `1/√2`, which make two differences of three numbers orthonormal.
+pub(super) const LENGTHS: (f64, f64) = (0.408_248_290_463_863, core::f64::consts::FRAC_1_SQRT_2);
+
+/// Columns: where a fibre goes among two orthonormal differences of three, without what is common to them.
+pub(super) fn differences() -> Matrix2x3<f64> {
+    let (a, b) = LENGTHS;
+    Matrix2x3::new(2.0 * a, -a, -a, 0.0, b, -b)
 }
 
 /// Factor `L` of a covariance of two numbers, with zeros where it is not positive.
@@ -74,12 +76,11 @@ fn factor(c: &Matrix2<f64>) -> Matrix2<f64> {
 /// The doubt, prepared for the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unknowns {
-    gains: [[Matrix2<f64>; 2]; 2],
-    /// Moments by the two differences, `K` on them.
-    by_differences: [Matrix2<f64>; 2],
+    /// Of each row of the gains: its factor's three numbers, of both sections.
+    gains: [[Pair; 3]; 2],
     reference_nm: f64,
     /// See [`Doubt::warmth`].
-    pub(super) warmth: f64,
+    warmth: f64,
     /// Factor of the covariance of length and stiffness.
     pub(super) beam: Matrix2<f64>,
     pub(super) clearance_mm: f64,
@@ -87,20 +88,20 @@ pub struct Unknowns {
 }
 
 impl Unknowns {
-    /// Of a doubt, for gains without common mode.
-    pub(super) fn new(doubt: &Doubt, gains: &[nalgebra::Matrix2x3<f64>; 2]) -> Self {
-        let basis = |k: usize| {
-            let mut unit = [0.0; FIBRES];
-            unit[k] = 1.0;
-            differences(&unit)
+    /// Of a doubt.
+    pub(super) fn new(doubt: &Doubt) -> Self {
+        let to: Matrix2x3<f64> = differences();
+        let of = |section: usize, row: usize| {
+            let [one, two] = &doubt.gains;
+            let [x, y] = if section == 0 { one } else { two };
+            factor(&(to * (if row == 0 { x } else { y }) * to.transpose()))
         };
-        // columns: where a fibre goes among the differences
-        let to = nalgebra::Matrix2x3::from_columns(&[basis(0), basis(1), basis(2)]);
+        let rows = |row: usize| {
+            let (a, b) = (of(0, row), of(1, row));
+            [[a.m11, b.m11], [a.m21, b.m21], [a.m22, b.m22]]
+        };
         Self {
-            gains: doubt
-                .gains
-                .map(|rows| rows.map(|c| factor(&(to * c * to.transpose())))),
-            by_differences: gains.map(|k| k * to.transpose()),
+            gains: [rows(0), rows(1)],
             reference_nm: doubt.reference_nm,
             warmth: doubt.warmth,
             beam: factor(&doubt.beam),
@@ -109,26 +110,38 @@ impl Unknowns {
         }
     }
 
-    /// How the moment of a section along a way hangs on the section's unknowns, for these shifts of its fibres and their
-    /// mean.
+    /// How the moments along a way, each weighted, hang on the unknowns. `by`: moments by the differences, see
+    /// [`super::moments::Gains`].
     #[inline]
-    pub(super) fn of_moment(
+    pub(super) fn of_moments(
         &self,
-        section: usize,
+        by: &[[Pair; 2]; 2],
+        m: &Bends,
         way: &Vector2<f64>,
-        shift: &Vector2<f64>,
-        common_nm: f64,
-    ) -> [f64; OF_SECTION] {
-        let rows = &self.gains[section];
-        let (x, y) = (rows[0].tr_mul(shift) * way.x, rows[1].tr_mul(shift) * way.y);
-        let by = self.by_differences[section].tr_mul(way);
-        let (still, warm) = (by * self.reference_nm, by * (self.warmth * common_nm));
-        [x.x, x.y, y.x, y.y, still.x, still.y, warm.x, warm.y]
-    }
-
-    /// Where a section's unknowns stand.
-    #[inline]
-    pub(super) fn place(section: usize) -> usize {
-        section * OF_SECTION
+        weights: &Pair,
+    ) -> Tied {
+        let mut tied = [0.0; UNKNOWNS];
+        let [d, e] = &m.differences;
+        for s in 0..2 {
+            let w = [way.x * weights[s], way.y * weights[s]];
+            for row in 0..2 {
+                let [a, b, c] = &self.gains[row];
+                tied[4 * row + s] = (a[s] * d[s] + b[s] * e[s]) * w[row];
+                tied[4 * row + 2 + s] = c[s] * e[s] * w[row];
+            }
+            let warm = self.warmth * m.common_nm[s];
+            for k in 0..2 {
+                let moved = by[0][k][s] * w[0] + by[1][k][s] * w[1];
+                tied[8 + 2 * k + s] = moved * self.reference_nm;
+                tied[12 + 2 * k + s] = moved * warm;
+            }
+        }
+        if m.any_rebuilt {
+            for s in 0..2 {
+                let unlike = self.warmth * m.common_nm[s].abs();
+                tied[REBUILT + s] = m.rebuilt[s].dot(way) * unlike * weights[s];
+            }
+        }
+        tied
     }
 }
