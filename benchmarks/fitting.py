@@ -122,7 +122,7 @@ def streaming(bench: Bench) -> None:
             path = Path(folder) / f"{rows}.parquet"
             pl.concat([whole] * (rows // len(whole) + 1)).head(rows).write_parquet(path)
             ours, theirs = [], []
-            for _ in range(3 if rows <= STREAMED[1] else 1):
+            for _ in range(min(bench.most, 3 if rows <= STREAMED[1] else 1)):
                 ours.append(process(part(__file__, "stream", path)))
                 theirs.append(process(part(__file__, "stream_numpy", path)))
             samples = {"sherkit": ours, "NumPy Gauss–Newton over polars' blocks": theirs}
