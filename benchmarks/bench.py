@@ -23,14 +23,15 @@ def held_to(cores: int) -> bool:
     return all(os.environ.get(name) == str(cores) for name in THREADS)
 
 
-def run(chosen: list[str], rows: int | None) -> str:
-    """The parts in order, and their table."""
+def run(chosen: list[str], rows: int | None, rounds: int) -> str:
+    """The parts in order, in so many rounds at most, and their table."""
+    # first, and alone: it starts the launcher, which must be small
+    from timing import Bench, table_of  # isort: skip
     import diagnosing
     import fitting
     import kinematics
     import starting
     import tool
-    from timing import Bench, table_of
 
     parts = {
         "delta": kinematics.delta, "spherical": kinematics.spherical, "projection": kinematics.projection,
@@ -38,7 +39,7 @@ def run(chosen: list[str], rows: int | None) -> str:
         "streaming": fitting.streaming, "diagnosis": diagnosing.diagnosis, "growth": diagnosing.growth,
         "starting": starting.starting, "tables": starting.tables, "filter": tool.tip_filter, "loop": tool.control_loop,
     }  # fmt: skip
-    bench = Bench()
+    bench = Bench(rounds)
     for name in chosen or parts:
         more = (rows // 588,) if name == "growth" and rows else ()
         parts[name](bench, *more)
@@ -51,6 +52,7 @@ def main() -> None:
     options.add_argument("parts", nargs="*")
     options.add_argument("--cores", type=int, default=1)
     options.add_argument("--rows", type=int)
+    options.add_argument("--rounds", type=int, default=100, help="at most so many of each")
     options.add_argument("--write", action="store_true")
     given = options.parse_args()
     if not held_to(given.cores):
@@ -58,7 +60,7 @@ def main() -> None:
         sys.exit(subprocess.run([sys.executable, *sys.argv], env=environment, check=False).returncode)
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[: given.cores]))
-    table = run(given.parts, given.rows)
+    table = run(given.parts, given.rows, given.rounds)
     python = f"{platform.machine()}, Python {platform.python_version()}"
     made = f"{given.cores} core{'s' if given.cores > 1 else ''} of {os.cpu_count()}, {python}"
     if given.write:

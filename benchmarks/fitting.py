@@ -120,9 +120,10 @@ def streaming(bench: Bench) -> None:
         whole = sk.delta.VirtualDelta.draw(ROBOT, 1).measure(sk.delta.paper_whole(), repeats=170, seed=1).to_frame()
         for rows in STREAMED:
             path = Path(folder) / f"{rows}.parquet"
-            pl.concat([whole] * (rows // len(whole) + 1)).head(rows).write_parquet(path)
+            parts = [whole.with_columns(pl.col("pose") + 1000 * k) for k in range(rows // len(whole) + 1)]
+            pl.concat(parts).head(rows).write_parquet(path)
             ours, theirs = [], []
-            for _ in range(3 if rows <= STREAMED[1] else 1):
+            for _ in range(min(bench.most, 3 if rows <= STREAMED[1] else 1)):
                 ours.append(process(part(__file__, "stream", path)))
                 theirs.append(process(part(__file__, "stream_numpy", path)))
             samples = {"sherkit": ours, "NumPy Gauss–Newton over polars' blocks": theirs}

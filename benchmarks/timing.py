@@ -7,14 +7,15 @@ the system's own account of that process, its peak of memory among it.
 from __future__ import annotations
 
 import gc
+import json
 import math
-import os
 import statistics
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 #: A sample takes at least this long: what is faster is called several times.
 _SAMPLE_S = 0.02
@@ -45,8 +46,9 @@ class Row:
 
 @dataclass
 class Bench:
-    """What was measured, in order."""
+    """What was measured, in order; nothing in more rounds than ``most``."""
 
+    most: int = 100
     rows: list[Row] = field(default_factory=list)
 
     def compare(self, work: str, runs: dict[str, Callable[[], object]], rounds: int = 9, goal: str = "") -> None:
@@ -58,7 +60,7 @@ class Bench:
             taken_s = taken_s if taken_s > 1.0 else _seconds_of(run)
             calls[name] = max(1, math.ceil(_SAMPLE_S / max(taken_s, 1e-7)))
         samples: dict[str, list[Timed]] = {name: [] for name in runs}
-        for _ in range(rounds):
+        for _ in range(min(rounds, self.most)):
             for name, run in runs.items():
                 gc.collect()
                 gc.disable()
@@ -73,7 +75,7 @@ class Bench:
     def processes(self, work: str, commands: dict[str, list[str]], rounds: int = 5, goal: str = "") -> None:
         """The same for whole processes."""
         samples: dict[str, list[Timed]] = {name: [] for name in commands}
-        for _ in range(rounds):
+        for _ in range(min(rounds, self.most)):
             for name, command in commands.items():
                 samples[name].append(process(command))
         self.add(work, samples, goal)
@@ -90,19 +92,24 @@ class Bench:
         print(lines_of(self.rows[-1]), flush=True)
 
 
-def process(command: Sequence[str], **environment: str) -> Timed:
-    """One process: its time and its own peak of memory, not that of this program. Fails where the process does."""
-    start = time.perf_counter()
-    with subprocess.Popen(
-        [*command], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=os.environ | environment
-    ) as child:
-        assert child.stderr is not None
-        said = child.stderr.read()
-        _, status, usage = os.wait4(child.pid, 0)
-        child.returncode = os.waitstatus_to_exitcode(status)
-    if child.returncode:
-        raise RuntimeError(f"{' '.join(command)}: {said.decode(errors='replace')}")
-    return Timed(time.perf_counter() - start, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
+#: Started before this program grows; see there.
+_LAUNCHER = subprocess.Popen(
+    [sys.executable, str(Path(__file__).with_name("launcher.py"))],
+    stdin=subprocess.PIPE,
+    stdout=subprocess.PIPE,
+    text=True,
+)
+
+
+def process(command: Sequence[str]) -> Timed:
+    """One process: its time and its own peak of memory. Fails where the process does."""
+    assert _LAUNCHER.stdin is not None
+    assert _LAUNCHER.stdout is not None
+    print(json.dumps(list(command)), file=_LAUNCHER.stdin, flush=True)
+    wall_s, cpu_s, peak_mb, code, said = json.loads(_LAUNCHER.stdout.readline())
+    if code:
+        raise RuntimeError(f"{' '.join(command)}: {said}")
+    return Timed(wall_s, cpu_s, peak_mb)
 
 
 def part(file: str, name: str, *arguments: object) -> list[str]:

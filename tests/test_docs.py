@@ -180,7 +180,8 @@ def test_what_is_shown_runs(name: str, work: Path) -> None:
         # a command that is only named must exist; the demo has been run
         if arguments == ["demo"]:
             continue
-        sherkit([*arguments, "--help"] if arguments in (["diagnose"], ["simulate"], ["app"]) else arguments, work)
+        named = arguments in (["diagnose"], ["fleet"], ["simulate"], ["app"])
+        sherkit([*arguments, "--help"] if named else arguments, work)
 
 
 def test_the_gallery_is_what_its_script_draws(work: Path) -> None:
