@@ -201,7 +201,7 @@ def stage_of(
         written,
         [s.columns for s in family.shapes] + [c.columns for c in candidates],
         view.group,
-        waves.filtered(filtered) if waves is not None else None,
+        waves.filtered(filtered) if waves is not None and len(waves) else None,
         AxisWaves(family.along, view.axes, filtered) if family.along else None,
         [s.columns for s in accepted],
     )

@@ -77,7 +77,8 @@ pub fn largest_under_flips<'py>(
     shaped(py, best, [classes, flips])
 }
 
-fn below(values: &[i64], limit: usize) -> PyResult<Vec<usize>> {
+/// Whole numbers from zero on, all below a limit.
+pub fn below(values: &[i64], limit: usize) -> PyResult<Vec<usize>> {
     values
         .iter()
         .map(|v| {

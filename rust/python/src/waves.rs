@@ -2,6 +2,7 @@
 
 use crate::arrays::same_length;
 use crate::errors::shape;
+use crate::flips::below;
 use numpy::{
     PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray2, PyUntypedArrayMethods,
 };
@@ -58,25 +59,18 @@ pub fn wave_sums<'py>(
     let dims = [sums.shape()[0], sums.shape()[1]];
     let angles = same_length("angles", &angles, n)?;
     let weights = same_length("weights", &weights, n)?;
-    let codes = same_length("codes", &codes, n)?;
-    let taken = same_length("taken", &taken, dims[0] / 2)?;
+    let codes = below(same_length("codes", &codes, n)?, dims[1])?;
+    let taken = below(same_length("taken", &taken, dims[0] / 2)?, usize::MAX)?;
     let of_code = dims[1];
     let sums = sums
         .as_slice_mut()
         .map_err(|_| shape("sums", "(2 t, codes), contiguous", &dims))?;
-    let in_range = codes
-        .iter()
-        .all(|c| usize::try_from(*c).is_ok_and(|c| c < of_code));
-    if !codes.is_sorted() || !in_range || taken.iter().any(|t| *t < 1) || dims[0] % 2 != 0 {
+    if !codes.is_sorted() || taken.contains(&0) || dims[0] % 2 != 0 {
         return Err(PyValueError::new_err(
             "codes must rise and count the columns of sums; sums has two rows for each wave, from 1 on",
         ));
     }
-    let highest = taken
-        .iter()
-        .copied()
-        .max()
-        .map_or(0, |t| usize::try_from(t).unwrap_or(0));
+    let highest = taken.iter().copied().max().unwrap_or(0);
     py.detach(|| {
         let length = highest.next_multiple_of(8);
         let mut waves = vec![0.0; AT_ONCE * 2 * length];
@@ -84,8 +78,8 @@ pub fn wave_sums<'py>(
         for first in (0..of_code).step_by(AT_ONCE) {
             let end = of_code.min(first + AT_ONCE);
             let before = row;
-            while row < n && codes[row] < end as i64 {
-                let here = (codes[row] as usize - first) * 2 * length;
+            while row < n && codes[row] < end {
+                let here = (codes[row] - first) * 2 * length;
                 let (sine, cosine) = waves[here..here + 2 * length].split_at_mut(length);
                 let (sin, cos) = sin_cos(angles[row]);
                 add_waves((cos, sin), weights[row], sine, cosine);
@@ -99,7 +93,7 @@ pub fn wave_sums<'py>(
                     let line =
                         &mut sums[(half * taken.len() + k) * of_code + first..][..end - first];
                     for (c, sum) in line.iter_mut().enumerate() {
-                        *sum += waves[(2 * c + half) * length + *t as usize - 1];
+                        *sum += waves[(2 * c + half) * length + t - 1];
                     }
                 }
             }
