@@ -1,8 +1,8 @@
 """sherkit finds the physics that a robot's model is missing.
 
 What a person does stands here; what belongs to one robot or to one step stands in the submodules: ``sk.delta``,
-``sk.spherical``, ``sk.tool``; ``sk.data``, ``sk.model``, ``sk.fit``, ``sk.diagnosis``, ``sk.planning``, ``sk.report``,
-``sk.lab``, ``sk.errors``.
+``sk.serial``, ``sk.spherical``, ``sk.tool``; ``sk.data``, ``sk.model``, ``sk.fit``, ``sk.diagnosis``, ``sk.planning``,
+``sk.report``, ``sk.lab``, ``sk.errors``.
 """
 
 from importlib import import_module as _import_module
@@ -19,14 +19,14 @@ from .fit.identify import identify
 from .model.effect import Effect, effect
 from .model.robot_file import load_robot, save_robot
 from .notebook import Shown as _Shown
-from .robots import delta, spherical, tool
+from .robots import delta, serial, spherical, tool
 from .robots.files import load_calibration
 from .study import Study
 
 __all__ = [
     "Effect", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__", "calibrate", "data", "delta",
     "diagnose", "diagnosis", "effect", "errors", "fit", "from_frame", "identify", "lab", "load_calibration",
-    "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "spherical", "tool",
+    "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "serial", "spherical", "tool",
 ]  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import click
 from ..data.files import write_whole
 from ..errors import SherkitError
 from ..model.effect import Effect, effects_by_name
-from ..model.kinds import KINDS, Robot
+from ..model.kinds import KINDS, Robot, catalogue_of
 from ..model.robot_file import load_robot
 from ..report.signature import signature_map
 from ..robots.tool.effects import TOOL_CATALOGUE
@@ -32,7 +32,7 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
     if robot is not None:
         nominal = None if is_tool(robot) else load_robot(robot)
         kind = KIND if nominal is None else nominal.kind
-        catalogues = {kind: catalogues[kind]}
+        catalogues = {kind: catalogues[kind] if nominal is None else dict(catalogue_of(nominal))}
     if name is None:
         for kind, catalogue in catalogues.items():
             made = output.table(_title(kind), "effect", "link", "parameters", "needs")
