@@ -1,8 +1,8 @@
 """sherkit finds the physics that a robot's model is missing.
 
 What a person does stands here; what belongs to one robot or to one step stands in the submodules: ``sk.delta``,
-``sk.spherical``, ``sk.tool``; ``sk.data``, ``sk.model``, ``sk.fit``, ``sk.diagnosis``, ``sk.planning``, ``sk.report``,
-``sk.lab``, ``sk.errors``. Each is loaded when it is first asked for.
+``sk.serial``, ``sk.spherical``, ``sk.tool``; ``sk.data``, ``sk.model``, ``sk.fit``, ``sk.diagnosis``, ``sk.planning``,
+``sk.report``, ``sk.lab``, ``sk.errors``. Each is loaded when it is first asked for.
 """
 
 from importlib import import_module as _import_module
@@ -24,7 +24,7 @@ if _TYPE_CHECKING:
     from .fleets import fleet
     from .model.effect import Effect, effect
     from .model.robot_file import load_robot, save_robot
-    from .robots import delta, spherical, tool
+    from .robots import delta, serial, spherical, tool
     from .robots.files import load_calibration
     from .robots.machine import Machine
     from .study import Study
@@ -32,8 +32,8 @@ if _TYPE_CHECKING:
 __all__ = [
     "Effect", "Machine", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__", "calibrate",
     "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "fleet", "from_frame", "identify", "lab",
-    "load_calibration", "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "spherical",
-    "tool",
+    "load_calibration", "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "serial",
+    "spherical", "tool",
 ]  # fmt: skip
 
 
@@ -62,7 +62,7 @@ if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not 
         },
         {
             **{name: name for name in ("data", "diagnosis", "errors", "fit", "lab", "model", "planning", "report")},
-            **{name: f"robots.{name}" for name in ("delta", "spherical", "tool")},
+            **{name: f"robots.{name}" for name in ("delta", "serial", "spherical", "tool")},
         },
     )  # fmt: skip
 

@@ -9,7 +9,7 @@ import click
 from ..data.files import write_whole
 from ..errors import SherkitError
 from ..model.effect import Effect, effects_by_name
-from ..model.kinds import Robot, known_kinds
+from ..model.kinds import Robot, catalogue_of, known_kinds
 from ..report.signature import signature_map
 from ..robots.machine.file import robot_at
 from ..robots.tool.effects import TOOL_CATALOGUE
@@ -32,7 +32,7 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
     catalogues = {name: kind.model.catalogue for name, kind in known_kinds().items()} | {KIND: TOOL_CATALOGUE}
     if robot is not None:
         kind = KIND if nominal is None else nominal.kind
-        catalogues = {kind: catalogues[kind]}
+        catalogues = {kind: catalogues[kind] if nominal is None else dict(catalogue_of(nominal))}
     if name is None:
         for kind, catalogue in catalogues.items():
             made = output.table(_title(kind), "effect", "link", "parameters", "needs")

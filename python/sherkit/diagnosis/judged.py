@@ -11,13 +11,13 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-import scipy
 
 from ..data.noise import MAD
 from ..types import Bools, Floats, Ints
 from .believable import CUT, DIGITS, ROUNDS, huber
 from .linearised import BLOCK, Linearised, orthonormal
 from .shapes import Family, build
+from .tails import chi2_log_tail, chi2_tail, f_tail, normal_beyond
 
 #: Chance that a run without gross errors has anything listed; of several that are listed, the expected part of false
 #: ones.
@@ -153,7 +153,7 @@ class Judged:
             by, own = mean[self.moved].mean(axis=0), mean[now].std(axis=0)
             squares += ((mean[self.moved] - by) ** 2).sum(axis=0)
             count += m + 2
-            if scipy.stats.chi2.sf(float(((by / np.maximum(own, self.floor)) ** 2).sum()), m) > _LEVEL / items:
+            if chi2_tail(float(((by / np.maximum(own, self.floor)) ** 2).sum()), m) > _LEVEL / items:
                 return now, np.inf, np.inf
         squares = np.maximum(squares / items, self.floor**2)
         criterion = float(items * np.log(squares).sum() + count * np.log(items * m))
@@ -207,7 +207,7 @@ class Judged:
         variance = max(variance, shared)
         gain, tried = self._gains(tame[self._seen])
         best = int(np.argmax(gain)) if len(gain) else -1
-        chance = scipy.stats.chi2.logsf(gain[best] / variance, 1) + np.log(tried) if best >= 0 else np.inf
+        chance = chi2_log_tail(gain[best] / variance, 1) + np.log(tried) if best >= 0 else np.inf
         stepped = self._step(tame, variance)
         if stepped is not None and stepped[0] < min(chance, np.log(_DESCRIBED)):
             self.has_step = True
@@ -284,7 +284,7 @@ class Judged:
         free = (n - cuts)[:, None] - inside
         gain = np.where(free > _ABSORBED * n, after**2 / np.maximum(free, 1e-12), 0.0).sum(axis=1) / variance
         best = int(np.argmax(gain))
-        return float(scipy.stats.chi2.logsf(gain[best], m) + np.log(len(cuts))), int(cuts[best])
+        return float(chi2_log_tail(gain[best], m) + np.log(len(cuts))), int(cuts[best])
 
     def _after(self, cut: int) -> Floats:
         """A step (n, m, m) of each axis from this row on."""
@@ -364,7 +364,7 @@ class Judged:
             freedom = float((1.0 - hat[believed]).sum(axis=0).clip(2.0).mean()) - 1.0
         variance = np.maximum(spread + each - usual, 0.5 * each)
         distance = (square / np.maximum(variance, self.floor**2)).sum(axis=1)
-        p = scipy.stats.f.sf(distance / m, m, max(freedom, 1.0))
+        p = f_tail(distance / m, m, max(freedom, 1.0))
         order = np.argsort(p)
         below = np.flatnonzero(p[order] <= _LEVEL * np.arange(1, len(p) + 1) / len(p))
         out = np.zeros(len(p), dtype=bool)
@@ -382,7 +382,7 @@ class Judged:
         if len(steps) < 5:
             return np.zeros(m), np.zeros(n, dtype=bool)
         noise = np.maximum(MAD * np.median(np.abs(steps), axis=0) / np.sqrt(2.0), self.floor)
-        threshold = float(scipy.stats.norm.isf(0.5 * _LEVEL / (n * m)))
+        threshold = normal_beyond(0.5 * _LEVEL / (n * m))
         count = np.bincount(group)
         starts = np.concatenate([[0], np.cumsum(count)[:-1]])
         far = np.zeros(n, dtype=bool)

@@ -18,6 +18,7 @@ import scipy
 
 from ..types import Floats, Ints
 from .fitted_run import FittedRun
+from .tails import chi2_tail, pearson3_tail, ranks
 
 #: An error of the poses' own counts from this part of the noise on: below it the whole error grows by less than 5 %.
 _COUNTS = 0.3
@@ -79,13 +80,13 @@ def lack_of_fit(run: FittedRun, level: float) -> LackOfFit | None:
             cumulants += _cumulants(score, group, count)
     if not own:
         return None
-    p = float(scipy.stats.chi2.sf(statistic, freedom)) if freedom else _tail(statistic, cumulants)
+    p = float(chi2_tail(statistic, freedom)) if freedom else _tail(statistic, cumulants)
     return LackOfFit(p, own, poses, p <= level and size > _COUNTS**2 * noise)
 
 
 def _scores(values: Floats) -> Floats:
     """Normal scores of signed ranks."""
-    rank = scipy.stats.rankdata(np.abs(values))
+    rank = ranks(np.abs(values))
     return np.sign(values) * scipy.special.ndtri(0.5 * (1.0 + rank / (len(values) + 1.0)))
 
 
@@ -107,4 +108,4 @@ def _tail(statistic: float, cumulants: Floats) -> float:
     mean, variance, third = cumulants
     if variance <= 0:
         return 1.0
-    return float(scipy.stats.pearson3.sf(statistic, third / variance**1.5, mean, np.sqrt(variance)))
+    return pearson3_tail(statistic, third / variance**1.5, mean, np.sqrt(variance))

@@ -7,6 +7,7 @@ import scipy
 
 from .scan import deviate
 from .stage import Candidate, Stage
+from .tails import rising_root
 
 POWER = 0.8
 
@@ -25,11 +26,8 @@ def noncentrality(threshold: float, rank: int, free: int) -> float:
     high = total * 0.999
     if excess(high) < 0:
         return float("inf")
-    gain = float(scipy.optimize.brentq(excess, 1e-9, high))
-    result = scipy.optimize.brentq(
-        lambda nc: 1.0 - scipy.special.chndtr(gain, rank, nc) - POWER, 0.0, 4.0 * gain + 200.0
-    )
-    return float(result)
+    gain = rising_root(excess, 1e-9, high)
+    return rising_root(lambda nc: 1.0 - scipy.special.chndtr(gain, rank, nc) - POWER, 0.0, 4.0 * gain + 200.0)
 
 
 def smallest_found(stage: Stage, candidate: Candidate, threshold: float) -> tuple[float, float]:
