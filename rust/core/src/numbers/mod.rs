@@ -7,3 +7,4 @@ pub mod registration;
 pub mod rigid;
 pub mod trig;
 pub mod walsh;
+pub mod wide;
