@@ -10,9 +10,10 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from hot_paths import REPEATS
 
-#: Millions of instructions for each walk, from Python to Python, as valgrind counts them (it shows a processor with AVX2).
+#: Millions of instructions for each walk, from Python to Python, on the processor with AVX2 that valgrind shows.
 MILLIONS = {"forward": 0.0, "inverse": 0.0, "identify": 0.0, "held_out": 0.0, "bernstein": 0.0}
 #: Part by which they may grow: compilers and libraries differ a little.
 ALLOWED = 0.05
@@ -38,8 +39,10 @@ def counted(name: str, repeats: int) -> int:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", REPEATS)
 def test_hot_paths_take_no_more_instructions(name: str) -> None:
-    """Catches a hot path that got slower, such as vectors that are no longer inlined. Where it got faster on purpose, or
-    compiler and libraries changed, the new figure goes into the table."""
+    """Catches a hot path that got slower, such as vectors that are no longer inlined.
+
+    Where it got faster on purpose, or compiler and libraries changed, the new figure goes into the table.
+    """
     if shutil.which("valgrind") is None:
         pytest.skip("valgrind is missing, which counts the instructions (Debian: apt-get install valgrind)")
     repeats = REPEATS[name]

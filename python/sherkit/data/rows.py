@@ -247,6 +247,9 @@ class Measurements:
 
     def select(self, rows: NDArray[Any]) -> Measurements:
         """The rows of a mask or of indices, in that order."""
+        rows = np.asarray(rows)
+        if rows.dtype == bool:
+            rows = np.flatnonzero(rows)
 
         def pick(value: Any) -> Any:
             return None if value is None else value[rows]

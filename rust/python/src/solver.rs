@@ -187,7 +187,7 @@ impl Solver {
         let levenberg = Levenberg::new(start, sizes, settings, storage).map_err(to_python)?;
         let room = vec![0.0; descent_len(n)];
         let descent =
-            Descent::new(start, sizes, 0.3 * step_tolerance.sqrt(), room).map_err(to_python)?;
+            Descent::new(start, sizes, 0.5 * step_tolerance.sqrt(), room).map_err(to_python)?;
         // a single step, and a look at the start, are those of the careful iteration
         let far = !single_step && max_evaluations > 1 && n > 0;
         Ok(Self {

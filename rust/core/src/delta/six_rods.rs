@@ -127,7 +127,7 @@ pub fn one_step(
 /// The rods of a platform, with what it answers, and Newton's step from there.
 struct Step {
     rods: [[Rod; 2]; LIMBS],
-    step: Vector6<f64>,
+    motion: Vector6<f64>,
     /// By how much the worst rod misses its length, mm.
     worst_mm: f64,
 }
@@ -174,7 +174,7 @@ impl Step {
         }
         Ok(Self {
             rods,
-            step: inverse * miss,
+            motion: inverse * miss,
             worst_mm,
         })
     }
@@ -184,7 +184,7 @@ impl Step {
         centre: &Vector3<f64>,
         turn: &Rotation3<f64>,
     ) -> (Vector3<f64>, Rotation3<f64>) {
-        let more = Rotation3::from_scaled_axis(self.step.fixed_rows::<3>(3).into_owned());
-        (centre + self.step.fixed_rows::<3>(0), more * turn)
+        let more = Rotation3::from_scaled_axis(self.motion.fixed_rows::<3>(3).into_owned());
+        (centre + self.motion.fixed_rows::<3>(0), more * turn)
     }
 }

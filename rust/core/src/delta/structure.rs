@@ -141,7 +141,7 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
             joints,
             (&(parallel + beside), &turn),
         )?;
-        solved.tilt(kinematics, extras, &centre, tilted)?;
+        solved.tilt(kinematics, extras, &centre, &tilted)?;
         Ok(settled)
     }
 
@@ -361,7 +361,7 @@ impl Solved {
         if !extras.pairs.are_parallel() {
             let start = solved.point - solved.arm;
             let (centre, tilted) = six_rods(kinematics, &extras.pairs, joints, &start)?;
-            solved.tilt(kinematics, extras, &centre, tilted)?;
+            solved.tilt(kinematics, extras, &centre, &tilted)?;
         }
         Ok(solved)
     }
@@ -390,7 +390,7 @@ impl Solved {
         kinematics: &Kinematics,
         extras: &Extras,
         centre: &Vector3<f64>,
-        tilted: Tilted,
+        tilted: &Tilted,
     ) -> Result<()> {
         self.beside = centre - (self.point - self.arm);
         let rods = &tilted.rods;
@@ -399,7 +399,7 @@ impl Solved {
         self.levers = [0, 1, 2].map(|limb| tilted.turn * kinematics.platform_joint(limb));
         self.arm = tilted.turn * extras.target;
         self.point = centre + self.arm;
-        self.tilted = Some(tilted);
+        self.tilted = Some(*tilted);
         Ok(())
     }
 

@@ -18,6 +18,7 @@ pub trait Wide: Real {
 
     /// The columns of as many rows as there are lanes.
     #[inline(always)]
+    #[must_use]
     fn columns<const N: usize>(rows: &[[f64; N]; LANES]) -> [Self; N] {
         let mut out = [Self::splat(0.0); N];
         for (k, out) in out.iter_mut().enumerate() {
@@ -243,6 +244,7 @@ mod x86 {
         }
     }
 
+    #[allow(clippy::cast_possible_wrap, reason = "places within a few vectors")]
     /// The numbers of several vectors in another order: at each place that from `source`. Loops, since a closure that makes
     /// an array is not always inlined.
     #[inline(always)]
