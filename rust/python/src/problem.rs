@@ -283,8 +283,10 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Kernel
             let (value, ok) = (V::rows(value), ok.positive());
             let lines = out.chunks_exact_mut(self.width).zip(reached);
             for (lane, (line, reached)) in lines.enumerate() {
-                line[..M].copy_from_slice(&value[lane]);
                 *reached = ok[lane] && rows[lane].to.is_none();
+                if *reached {
+                    line[..M].copy_from_slice(&value[lane]);
+                }
             }
         }
     }
