@@ -32,7 +32,7 @@ class MeasurementStream:
 def stream_measurements(path: str | Path, block_rows: int = BLOCK_ROWS) -> MeasurementStream:
     """Streams a CSV or Parquet file of any length through the fit in constant memory.
 
-    The file is parsed once; what was parsed waits in a temporary file for the passes that follow, about 250 bytes a row.
+    The file is parsed once; what was parsed waits in a temporary file for the passes that follow, some 250 bytes a row.
     Reads what :func:`~sherkit.data.read_measurements` reads and names the same places in messages, but
     checks each block by itself: a pose and repeat given twice far apart go unnoticed, and directions of motion
     are not known, since a block does not see the row before it. Raises
