@@ -41,6 +41,7 @@ __all__ = [
     "bernstein_basis",
     "bernstein_fit",
     "bernstein_fit_grid",
+    "bernstein_held_out",
     "largest_under_flips",
     "play",
     "register_points",
@@ -616,6 +617,9 @@ def register_points(source: _Floats, target: _Floats, method: str = "quaternion"
 def bernstein_basis(order: int, t: _Floats) -> _Floats: ...
 def bernstein_fit(
     orders: tuple[int, int, int], low: _Floats, high: _Floats, positions: _Floats, targets: _Floats
+) -> tuple[_Floats, float]: ...
+def bernstein_held_out(
+    orders: tuple[int, int, int], low: _Floats, high: _Floats, positions: _Floats, targets: _Floats, block: _Ints
 ) -> tuple[_Floats, float]: ...
 def bernstein_fit_grid(
     orders: tuple[int, int, int], axes: tuple[_Floats, _Floats, _Floats], values: _Floats

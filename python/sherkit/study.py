@@ -64,6 +64,15 @@ class StudyStep:
         return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
 
 
+@dataclass(frozen=True, eq=False)
+class _Before:
+    """What a change took the place of. The ``step`` that recorded it is not known of a study that was saved."""
+
+    model: ChainModel
+    data: Measurements
+    step: StudyStep | None = None
+
+
 class Study(Shown):
     """Compares a robot with its measurements, step by step. Both may be given by their files.
 
@@ -90,7 +99,7 @@ class Study(Shown):
         self.loss = loss
         self.own: dict[str, Effect] = {}
         self.history: list[StudyStep] = []
-        self._undone: list[tuple[ChainModel, Measurements]] = []
+        self._undone: list[_Before] = []
         self._diagnosis: Diagnosis | None = None
         for effect in effects:
             self._register(effect)
@@ -111,7 +120,7 @@ class Study(Shown):
 
     def _record(self, action: str) -> StudyStep:
         fit = identify(self.model, self.data, loss=self.loss)
-        held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss)
+        held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss, start=fit.values)
         names = [p.name for p in fit.parameters]
         step = StudyStep(
             action=action,
@@ -123,18 +132,22 @@ class Study(Shown):
             rows=len(self.data),
             fit=fit,
         )
+        return self._take(step, fit)
+
+    def _take(self, step: StudyStep, fit: Fit) -> StudyStep:
+        """Makes a step the last one of the history, and its fit the current one."""
         self.history.append(step)
         self._fit = fit
         self._diagnosis = None
         return step
 
     def _change(self, model: ChainModel, data: Measurements, action: str) -> StudyStep:
-        before = (self.model, self.data)
+        before = _Before(self.model, self.data, self.history[-1])
         self.model, self.data = model, data
         try:
             step = self._record(action)
         except SherkitError:
-            self.model, self.data = before
+            self.model, self.data = before.model, before.data
             raise
         self._undone.append(before)
         return step
@@ -196,8 +209,11 @@ class Study(Shown):
         """Takes the last change back. Raises :class:`~sherkit.errors.EffectError` where there is none."""
         if not self._undone:
             raise EffectError("there is nothing to undo")
-        self.model, self.data = self._undone.pop()
-        return self._record("undone")
+        before = self._undone.pop()
+        self.model, self.data = before.model, before.data
+        if before.step is None or before.step.fit is None:
+            return self._record("undone")
+        return self._take(replace(before.step, action="undone"), before.step.fit)
 
     @as_annotated
     def extend(self, more: Measurements) -> StudyStep:
@@ -260,7 +276,7 @@ class Study(Shown):
         blocks. Raises :class:`~sherkit.errors.CalibrationError` where its kind has no calibration."""
         made = calibration_class(self.robot)
         made.require(self.robot)
-        held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss).residuals
+        held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss, start=self.fit.values).residuals
         correction = made.correct(self.fit, seed=self.seed) if made.may_correct(self.fit) else None
         return made.from_runs(CalibrationRun(self.fit, held, correction, made.in_region(self.fit)))
 
@@ -293,8 +309,8 @@ class Study(Shown):
             **_model_state(self.model),
             # rows are only ever added, and marked
             "undo": [
-                {**_model_state(model), "rows": len(data), "outliers": np.flatnonzero(data.outlier).tolist()}
-                for model, data in self._undone
+                {**_model_state(u.model), "rows": len(u.data), "outliers": np.flatnonzero(u.data.outlier).tolist()}
+                for u in self._undone
             ],
             "seed": self.seed,
             "loss": self.loss,
@@ -334,7 +350,7 @@ class Study(Shown):
         for undone in state.tables("undo"):
             before = study._data_from(undone)
             try:
-                study._undone.append((study._model_from(undone), before))
+                study._undone.append(_Before(study._model_from(undone), before))
             except EffectError:  # an effect of the user's that is no longer given: what lies before it is out of reach
                 study._undone.clear()
         study._fit = identify(study.model, study.data, loss=study.loss)

@@ -272,8 +272,11 @@ class Measurements:
 
     def select(self, rows: NDArray[Any]) -> Measurements:
         """The rows of a mask or of indices, in that order; all of them as they stand are this run itself."""
+        rows = np.asarray(rows)
         if len(rows) == len(self) and (rows.all() if rows.dtype == bool else (rows == np.arange(len(self))).all()):
             return self
+        if rows.dtype == bool:
+            rows = np.flatnonzero(rows)
 
         def pick(value: Any) -> Any:
             return None if value is None else value[rows]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import pickle
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import polars as pl
@@ -31,13 +34,52 @@ class MeasurementStream:
 def stream_measurements(path: str | Path, block_rows: Count = BLOCK_ROWS) -> MeasurementStream:
     """Streams a CSV or Parquet file of any length through the fit in constant memory.
 
+    The file is parsed once; what was parsed waits in a temporary file for the passes that follow, some 250 bytes a row.
     Reads what :func:`~sherkit.data.read_measurements` reads and names the same places in messages, but
     checks each block by itself: a pose and repeat given twice far apart go unnoticed, and directions of motion
     are not known, since a block does not see the row before it. Raises
     :class:`~sherkit.errors.MeasurementError`, most of it once the blocks are read.
     """
     path = checked(path)
-    return MeasurementStream(partial(_blocks, path, block_rows), str(path))
+    return MeasurementStream(_Spooled(partial(_blocks, path, block_rows)), str(path))
+
+
+class _Spooled:
+    """Blocks that are parsed once: the first pass writes them to a temporary file, from which later ones read.
+
+    A fit passes over a run several times, and parsing takes far longer than everything else. Without room for the file
+    every pass parses.
+    """
+
+    def __init__(self, parse: Callable[[], Iterator[Measurements]]) -> None:
+        self._parse = parse
+        self._file: IO[bytes] | None = None
+        #: Where each block begins, once all are written.
+        self._places: list[int] | None = None
+
+    def __call__(self) -> Iterator[Measurements]:
+        return self._first() if self._places is None or self._file is None else self._again(self._file, self._places)
+
+    def _first(self) -> Iterator[Measurements]:
+        file, places = tempfile.TemporaryFile(), list[int]()  # noqa: SIM115 (open as long as the stream is)
+        room = True
+        for block in self._parse():
+            if room:
+                try:
+                    places.append(file.tell())
+                    pickle.dump(block, file, protocol=pickle.HIGHEST_PROTOCOL)
+                except OSError:
+                    room = False
+            yield block
+        if room:
+            self._file, self._places = file, places
+
+    @staticmethod
+    def _again(file: IO[bytes], places: list[int]) -> Iterator[Measurements]:
+        for place in places:
+            file.seek(place)
+            block: Measurements = pickle.load(file)
+            yield block
 
 
 def _blocks(path: Path, block_rows: int) -> Iterator[Measurements]:

@@ -70,8 +70,12 @@ def hold_out(
     folds: Count = 5,
     seed: Seed = 0,
     loss: str = "linear",
+    start: Floats | None = None,
 ) -> HeldOut:
-    """Refits without each block in turn and predicts it. Raises as :func:`~sherkit.fit.identify.identify`."""
+    """Refits without each block in turn and predicts it. Raises as :func:`~sherkit.fit.identify.identify`.
+
+    ``start`` (p,), the fit of all rows where it is known, is so near that two looks at the rows are enough.
+    """
     model = model_of(robot)
     nominal = model.predict(data, np.zeros(len(model.parameters)))
     block = blocks_of(data, model.place(data, nominal), folds, seed)
@@ -80,9 +84,9 @@ def hold_out(
         inside = block == fold
         if inside.all():
             # one pose alone cannot be held out: what is left is the fit's own residual
-            out[inside] = residuals(model, data, identify(model, data, loss=loss).values)
+            out[inside] = residuals(model, data, identify(model, data, loss=loss, start=start).values)
             break
-        fit = identify(model, data.select(~inside), loss=loss)
+        fit = identify(model, data.select(~inside), loss=loss, start=start)
         out[inside] = residuals(model, data.select(inside), fit.values)
     return HeldOut(out, block)
 

@@ -104,7 +104,7 @@ class ChainModel(ModelWithEffects):
         """The rows as the core takes them, with other ``joints`` (n, k) and a displacement ``push`` (n, 3) if given."""
         self.require_own(data)
         covariates = None
-        if self.built_in:
+        if any(effect.needs for effect in self.built_in):
             empty = np.full(len(data), np.nan)
             known = data.covariates
             velocities = [known.get(name, empty) for name in data.layout.velocities]

@@ -62,8 +62,8 @@ proptest! {
         let ready = Camera::new(&camera).unwrap();
         let found = ready.project(&point).unwrap();
         prop_assert!((found - expected).amax() < 1e-9);
-        let (lanes, ok) = ready.project_lanes::<1>(&[[point.x], [point.y], [point.z]]);
-        prop_assert_eq!((found.x, found.y, true), (lanes[0][0], lanes[1][0], ok[0]));
+        let (lane, ok) = ready.project_lanes::<f64>(point.into());
+        prop_assert_eq!((found.x, found.y, 1.0), (lane[0], lane[1], ok));
     }
 
     /// A derivative of the projection that forgets a term; at small and vanishing rotations too, where the general
@@ -186,7 +186,7 @@ fn what_is_not_seen_is_an_error() {
         camera.project(&Vector3::new(0.0, 0.0, -510.0)),
         Err(Error::BehindCamera { depth_mm: -10.0 })
     );
-    assert!(!camera.project_lanes::<1>(&[[0.0], [0.0], [-510.0]]).1[0]);
+    assert_eq!(camera.project_lanes([0.0, 0.0, -510.0]).1, 0.0);
     // the edge of the sphere is seen at asin(R/D)
     let edge = 1000.0 * (200.0_f64 / 500.0).asin().tan();
     let on = |u: f64| camera.on_sphere(&Vector2::new(640.0 + u, 320.0), 200.0, Face::Near);

@@ -7,6 +7,7 @@ use nalgebra::{Complex, Matrix3, SMatrix, Vector3};
 use proptest::prelude::*;
 use sherkit_core::Error;
 use sherkit_core::delta::{Assembly, GEOMETRIC, Geometry, Kinematics, LIMBS, Limb, PER_LIMB};
+use sherkit_core::numbers::{math::Lanes, wide::Wide};
 
 fn kinematics(geometry: &Geometry) -> Kinematics {
     Kinematics::new(geometry).expect("a valid geometry")
@@ -268,12 +269,12 @@ proptest! {
             let centre = foot + rail * (joints[i] + limb.joint_offset_mm - pivot[i]);
             prop_assert!(((robot.position - centre).norm() - limb.rod_length_mm).abs() < 1e-9);
         }
-        let lanes = k.forward_lanes::<2>(&std::array::from_fn(|c| [joints[c], joints[c] + 100.0]));
+        let lanes = k.forward_lanes([0, 1, 2].map(|c| Lanes([joints[c], joints[c] + 100.0])));
         for (lane, up) in [(0, 0.0), (1, 100.0)] {
             let single = k.forward(&joints.add_scalar(up));
-            prop_assert_eq!(single.is_ok(), lanes.1[lane]);
+            prop_assert_eq!(f64::from(single.is_ok()), lanes.1.0[lane]);
             if let Ok(single) = single {
-                prop_assert_eq!(bits(&Vector3::from_fn(|c, _| lanes.0[c][lane])), bits(&single));
+                prop_assert_eq!(bits(&Vector3::from_fn(|c, _| lanes.0[c].0[lane])), bits(&single));
             }
         }
         let pose = k.pose(&joints).unwrap();
@@ -307,17 +308,16 @@ proptest! {
             .iter()
             .map(|(wild, any, near)| if *wild { *any } else { robot.joints + Vector3::from(*near) })
             .collect();
-        let lanes: [[f64; 8]; 3] = std::array::from_fn(|c| std::array::from_fn(|lane| joints[lane][c]));
-        let (positions, reached) = k.forward_lanes(&lanes);
+        let (positions, reached) = k.forward_lanes(Lanes::columns(&std::array::from_fn(|lane| joints[lane].into())));
         for lane in 0..8 {
             let single = k.forward(&joints[lane]);
-            prop_assert_eq!(single.is_ok(), reached[lane], "{:?}", single);
-            let one = k.forward_lanes::<1>(&std::array::from_fn(|c| [joints[lane][c]]));
-            prop_assert_eq!(one.1[0], reached[lane]);
+            prop_assert_eq!(f64::from(single.is_ok()), reached.0[lane], "{:?}", single);
+            let one = k.forward_lanes::<f64>(joints[lane].into());
+            prop_assert_eq!(one.1, reached.0[lane]);
             if let Ok(single) = single {
-                let in_lane = Vector3::from_fn(|c, _| positions[c][lane]);
+                let in_lane = Vector3::from_fn(|c, _| positions[c].0[lane]);
                 prop_assert_eq!(bits(&in_lane), bits(&single));
-                prop_assert_eq!(bits(&Vector3::from_fn(|c, _| one.0[c][0])), bits(&single));
+                prop_assert_eq!(bits(&one.0.into()), bits(&single));
             }
         }
     }
@@ -333,13 +333,12 @@ proptest! {
             .iter()
             .map(|(wild, any, near)| if *wild { *any } else { robot.position + Vector3::from(*near) })
             .collect();
-        let lanes: [[f64; 8]; 3] = std::array::from_fn(|c| std::array::from_fn(|lane| positions[lane][c]));
-        let (joints, reached) = k.inverse_lanes(&lanes);
+        let (joints, reached) = k.inverse_lanes(Lanes::columns(&std::array::from_fn(|lane| positions[lane].into())));
         for lane in 0..8 {
             let single = k.inverse(&positions[lane]);
-            prop_assert_eq!(single.is_ok(), reached[lane], "{:?}", single);
+            prop_assert_eq!(f64::from(single.is_ok()), reached.0[lane], "{:?}", single);
             if let Ok(single) = single {
-                prop_assert_eq!(bits(&Vector3::from_fn(|c, _| joints[c][lane])), bits(&single));
+                prop_assert_eq!(bits(&Vector3::from_fn(|c, _| joints[c].0[lane])), bits(&single));
             }
         }
     }
@@ -540,7 +539,7 @@ proptest! {
         }
         let k = kinematics(&geometry);
         prop_assert_eq!(k.forward(&Vector3::zeros()), Err(Error::Singular));
-        prop_assert!(!k.forward_lanes::<1>(&[[0.0]; 3]).1[0]);
+        prop_assert_eq!(k.forward_lanes([0.0; 3]).1, 0.0);
     }
 
     /// The 18 parameters in another order on the way out than on the way in.

@@ -10,8 +10,8 @@ use nist::Problem;
 use proptest::prelude::*;
 use sherkit_core::Error;
 use sherkit_core::fit::{
-    BLOCK_ROWS, Decomposition, Levenberg, Loss, Progress, Settings, Stack, decomposition_len,
-    levenberg_len, stack_len,
+    BLOCK_ROWS, Decomposition, Descended, Descent, Fold, Levenberg, Loss, Progress, Settings,
+    Stack, decomposition_len, descent_len, levenberg_len, stack_len,
 };
 
 // ---------------------------------------------------------------------------------------------------- stack
@@ -182,6 +182,39 @@ proptest! {
             prop_assert!(difference < 1e-13, "{difference}");
         }
         prop_assert_eq!(s.rows(), all.len());
+    }
+
+    /// Products of columns that were taken for others, or of rows that were added twice or side by side in another place.
+    #[test]
+    fn products_are_those_of_the_rows(seed in any::<u64>(), count in 0..300_usize, columns in 1..9_usize) {
+        let (mut random, width) = (Random(seed), columns + 1);
+        let rows = random_rows(&mut random, count, width, 3.0);
+        let (mut single, mut wide) = (stack(columns, 1), stack(columns, 1));
+        single.clear_for(Fold::Products);
+        for row in &rows {
+            single.push(row.iter().copied());
+        }
+        // some in eights, some alone, in turns
+        let mut left = &rows[..];
+        while let Some((eight, rest)) = left.split_first_chunk::<8>() {
+            for (k, place) in wide.next_wide(8).enumerate() {
+                *place = eight.each_ref().map(|row| row[k]);
+            }
+            wide.commit_wide();
+            let alone = rest.len().min(usize::try_from(random.next() % 3).unwrap());
+            rest[..alone].iter().for_each(|row| wide.push(row.iter().copied()));
+            left = &rest[alone..];
+        }
+        left.iter().for_each(|row| wide.push(row.iter().copied()));
+        prop_assert_eq!((single.rows(), wide.rows()), (count, count));
+        let expected = gram_of_rows(&rows, width);
+        let products = single.triangle();
+        let whole: Vec<f64> = (0..width * width)
+            .map(|at| products[(at / width).min(at % width) * width + (at / width).max(at % width)])
+            .collect();
+        prop_assert!(gram_difference(&whole, &expected, width) < 1e-13);
+        let triangle = gram_of_triangle(wide.triangle(), width);
+        prop_assert!(gram_difference(&triangle, &expected, width) < 1e-13);
     }
 
     /// Parts stacked apart and joined: rows of either part lost, counted twice, or not counted.
@@ -779,10 +812,55 @@ fn fit<const N: usize>(
     start: [f64; N],
     sizes: [f64; N],
     settings: Settings,
+    rows: impl FnMut(&[f64; N]) -> Option<Rows<N>>,
+) -> Fit<N> {
+    let iteration = Levenberg::new(&start, &sizes, settings, vec![f64::NAN; levenberg_len(N)]);
+    iterate(start, sizes, iteration.unwrap(), rows)
+}
+
+/// Products of the rows and their cost, infinite where there are none.
+fn products<const N: usize>(rows: Option<Rows<N>>) -> (Vec<f64>, f64) {
+    let mut s = stack(N, 1);
+    s.clear_for(Fold::Products);
+    let mut cost = f64::INFINITY;
+    if let Some(rows) = rows {
+        cost = rows.iter().map(|(_, r)| r * r).sum();
+        for (j, r) in rows {
+            s.push(j.into_iter().chain([r]));
+        }
+    }
+    (s.triangle().to_vec(), cost)
+}
+
+/// The same with a descent before: begun where it ends, or at the start where it gets lost.
+fn fit_after_descent<const N: usize>(
+    start: [f64; N],
+    sizes: [f64; N],
+    settings: Settings,
     mut rows: impl FnMut(&[f64; N]) -> Option<Rows<N>>,
 ) -> Fit<N> {
+    let mut descent = Descent::new(&start, &sizes, 1e-3, vec![f64::NAN; descent_len(N)]).unwrap();
+    let near = loop {
+        let trial: [f64; N] = descent.trial().try_into().unwrap();
+        let (products, cost) = products(rows(&trial));
+        match descent.advance(&products, cost) {
+            Descended::Evaluate => {}
+            end => break end == Descended::Near,
+        }
+    };
     let mut iteration =
         Levenberg::new(&start, &sizes, settings, vec![f64::NAN; levenberg_len(N)]).unwrap();
+    let place = if near { descent.trial() } else { &start };
+    iteration.begin_at(place, descent.evaluations());
+    iterate(start, sizes, iteration, rows)
+}
+
+fn iterate<const N: usize>(
+    start: [f64; N],
+    sizes: [f64; N],
+    mut iteration: Levenberg<Vec<f64>>,
+    mut rows: impl FnMut(&[f64; N]) -> Option<Rows<N>>,
+) -> Fit<N> {
     assert_eq!(
         (iteration.start(), iteration.sizes()),
         (&start[..], &sizes[..])
@@ -840,11 +918,12 @@ fn rosenbrock(p: &[f64; 2]) -> Rows<2> {
     ]
 }
 
-/// Fits from both starts. Where `may_give_up` says so, running out of evaluations is no failure.
+/// Fits from both starts, with a descent before and without. Where `may_give_up` says so, running out of evaluations is no failure.
 fn check_nist<const N: usize>(name: &str, problem: &Problem<N>, may_give_up: [bool; 2]) {
-    for k in 0..2 {
+    for (k, after_descent) in [(0, false), (1, false), (0, true), (1, true)] {
         let start = problem.starts[k];
-        let fit = fit(start, start.map(f64::abs), thorough(), |b| {
+        let sizes = start.map(f64::abs);
+        let rows_at = |b: &[f64; N]| {
             let rows: Rows<N> = problem
                 .rows
                 .iter()
@@ -856,8 +935,16 @@ fn check_nist<const N: usize>(name: &str, problem: &Problem<N>, may_give_up: [bo
             rows.iter()
                 .all(|(j, r)| r.is_finite() && j.iter().all(|d| d.is_finite()))
                 .then_some(rows)
-        });
-        let at = format!("{name} from start {}", k + 1);
+        };
+        let fit = if after_descent {
+            fit_after_descent(start, sizes, thorough(), rows_at)
+        } else {
+            fit(start, sizes, thorough(), rows_at)
+        };
+        let at = format!(
+            "{name} from start {}, after a descent: {after_descent}",
+            k + 1
+        );
         if may_give_up[k] && fit.progress == Progress::Exhausted {
             continue;
         }

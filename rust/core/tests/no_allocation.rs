@@ -100,8 +100,8 @@ fn kinematics_allocate_nothing() {
                 let by_parameters: SMatrix<f64, 3, GEOMETRIC> = k.by_parameters(&pose);
                 black_box((pose.by_joints(), by_parameters));
             }
-            black_box(k.forward_lanes(&[[200.0; 8], [210.0; 8], [joints.z; 8]]));
-            black_box(k.inverse_lanes(&[[0.0; 8], [joints.z; 8], [-300.0; 8]]));
+            black_box(k.forward_lanes([200.0, 210.0, joints.z]));
+            black_box(k.inverse_lanes([0.0, joints.z, -300.0]));
         }
     });
     assert_eq!(found, 0);
@@ -362,8 +362,8 @@ fn the_spherical_robot_allocates_nothing() {
             }
             black_box(chain.centre(&joints, &now)).unwrap();
             let k = chain.structure().kinematics();
-            black_box(k.forward_lanes(&[[joints[0]; 8], [joints[1]; 8]]));
-            black_box(k.inverse_lanes(&[[1.5; 8], [half; 8]], spherical::Elbows::Open));
+            black_box(k.forward_lanes([joints[0], joints[1]]));
+            black_box(k.inverse_lanes([1.5, half], spherical::Elbows::Open));
         }
         assert!(seen > 300);
     });

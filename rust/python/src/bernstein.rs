@@ -1,12 +1,13 @@
 //! Bernstein corrections: fit and evaluation.
 
-use crate::arrays::{fixed, rows, shaped};
+use crate::arrays::{fixed, rows, rows_like, same_length, shaped};
 use crate::errors::{shape, to_python};
 use nalgebra::Vector3;
 use numpy::{
     PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
+use sherkit_core::Result;
 use sherkit_core::delta::correction::{
     Correction, Domain, MAX_ORDER, apply_axis, axis_scratch_len, basis, coefficients_len,
     project_axis, push,
@@ -114,6 +115,57 @@ pub fn bernstein_basis<'py>(
     shaped(py, numbers, [t.len(), order + 1])
 }
 
+/// Points and what the polynomial is to be there.
+type Points<'a> = (&'a [[f64; 3]], &'a [[f64; 3]]);
+
+/// Sums over some points.
+fn moments(orders: [usize; 3], domain: Domain, (x, y): Points<'_>) -> Result<Moments<Vec<f64>>> {
+    let mut moments = Moments::new(orders, domain, vec![0.0; moments_len(orders)])?;
+    moments.push(x, y);
+    Ok(moments)
+}
+
+/// Coefficients by the sums over points, or by orthogonal rotations of their rows where the sums determine them badly;
+/// and how well the points determine them.
+fn coefficients(
+    orders: [usize; 3],
+    domain: &Domain,
+    moments: &Moments<Vec<f64>>,
+    points: impl Iterator<Item = ([f64; 3], [f64; 3])>,
+) -> Result<(Vec<[f64; 3]>, f64)> {
+    let n = coefficients_len(orders);
+    let mut found = vec![[0.0; 3]; n];
+    if let Ok(weakest) = moments.solve(&mut found, &mut vec![0.0; solve_len(orders)])
+        && weakest > WELL_DETERMINED
+    {
+        return Ok((found, weakest));
+    }
+    let mut stack = Stack::new(n, 3, vec![0.0; stack_len(n, 3)])?;
+    for (x, y) in points {
+        push(&mut stack, orders, domain, &x.into(), &y.into());
+    }
+    let weakest = back_substitute(stack.triangle(), n, 3, found.as_flattened_mut());
+    Ok((found, weakest))
+}
+
+/// Scattered points from Python, copied.
+fn points(
+    orders: [usize; 3],
+    positions: &PyReadonlyArray2<'_, f64>,
+    targets: &PyReadonlyArray2<'_, f64>,
+) -> PyResult<(Vec<[f64; 3]>, Vec<[f64; 3]>)> {
+    if orders.iter().any(|o| *o > MAX_ORDER) {
+        return Err(shape(
+            "orders",
+            &format!("at most {MAX_ORDER} each"),
+            &orders,
+        ));
+    }
+    let x = rows::<3, _>("positions", positions)?.to_vec();
+    let y = rows_like::<3>("targets", targets, x.len())?.to_vec();
+    Ok((x, y))
+}
+
 /// Coefficients `(k, 3)` by least squares over scattered points, and how well the points determine them.
 #[pyfunction]
 pub fn bernstein_fit<'py>(
@@ -124,45 +176,68 @@ pub fn bernstein_fit<'py>(
     positions: PyReadonlyArray2<'_, f64>,
     targets: PyReadonlyArray2<'_, f64>,
 ) -> PyResult<(Bound<'py, PyArray2<f64>>, f64)> {
-    if orders.iter().any(|o| *o > MAX_ORDER) {
-        return Err(shape(
-            "orders",
-            &format!("at most {MAX_ORDER} each"),
-            &orders,
-        ));
-    }
     let domain = domain(&low, &high, 1.0)?;
-    let x = rows::<3, _>("positions", &positions)?.to_vec();
-    let y = rows::<3, _>("targets", &targets)?.to_vec();
-    if x.len() != y.len() {
-        return Err(shape(
-            "targets",
-            &format!("({}, 3)", x.len()),
-            targets.shape(),
-        ));
-    }
-    let n = coefficients_len(orders);
+    let (x, y) = points(orders, &positions, &targets)?;
     let (solution, weakest) = py
         .detach(|| {
-            let mut coefficients = vec![[0.0; 3]; n];
-            let mut moments = Moments::new(orders, domain, vec![0.0; moments_len(orders)])?;
-            moments.push(&x, &y);
-            if let Ok(weakest) = moments.solve(&mut coefficients, &mut vec![0.0; solve_len(orders)])
-                && weakest > WELL_DETERMINED
-            {
-                return Ok((coefficients.into_flattened(), weakest));
-            }
-            let mut stack = Stack::new(n, 3, vec![0.0; stack_len(n, 3)])?;
-            for (x, y) in x.iter().zip(&y) {
-                let (x, y) = (Vector3::from(*x), Vector3::from(*y));
-                push(&mut stack, orders, &domain, &x, &y);
-            }
-            let mut solution = vec![0.0; n * 3];
-            let weakest = back_substitute(stack.triangle(), n, 3, &mut solution);
-            Ok((solution, weakest))
+            let all = x.iter().copied().zip(y.iter().copied());
+            coefficients(orders, &domain, &moments(orders, domain, (&x, &y))?, all)
         })
         .map_err(to_python)?;
-    Ok((shaped(py, solution, [n, 3])?, weakest))
+    let n = solution.len();
+    Ok((shaped(py, solution.into_flattened(), [n, 3])?, weakest))
+}
+
+/// What polynomials leave of the targets `(n, 3)`, each point's fitted without its block (0 to `blocks` - 1), and how well
+/// the points determine the worst of them. The sums over all points less those over a block are those over the others.
+#[pyfunction]
+pub fn bernstein_held_out<'py>(
+    py: Python<'py>,
+    orders: [usize; 3],
+    low: PyReadonlyArray1<'_, f64>,
+    high: PyReadonlyArray1<'_, f64>,
+    positions: PyReadonlyArray2<'_, f64>,
+    targets: PyReadonlyArray2<'_, f64>,
+    block: PyReadonlyArray1<'_, i64>,
+) -> PyResult<(Bound<'py, PyArray2<f64>>, f64)> {
+    let domain = domain(&low, &high, 1.0)?;
+    let (x, y) = points(orders, &positions, &targets)?;
+    let block = same_length("block", &block, x.len())?.to_vec();
+    let held = |block_of: i64| {
+        let mut out = (Vec::new(), Vec::new());
+        for (i, _) in block.iter().enumerate().filter(|(_, b)| **b == block_of) {
+            out.0.push(x[i]);
+            out.1.push(y[i]);
+        }
+        out
+    };
+    let (left, weakest) = py
+        .detach(|| {
+            let mut blocks = block.clone();
+            blocks.sort_unstable();
+            blocks.dedup();
+            let all = moments(orders, domain, (&x, &y))?;
+            let (mut left, mut worst) = (y.clone(), f64::INFINITY);
+            for own in blocks {
+                let (own_x, own_y) = held(own);
+                let mut others = all.clone();
+                others.absorb(&moments(orders, domain, (&own_x, &own_y))?, -1.0)?;
+                let seen = (0..x.len())
+                    .filter(|&i| block[i] != own)
+                    .map(|i| (x[i], y[i]));
+                let (found, weakest) = coefficients(orders, &domain, &others, seen)?;
+                worst = worst.min(weakest);
+                let fitted = Correction::new(orders, domain, &found)?;
+                for i in (0..x.len()).filter(|&i| block[i] == own) {
+                    let (predicted, _) = fitted.at(&x[i].into());
+                    left[i] = [0, 1, 2].map(|k| y[i][k] - predicted[k]);
+                }
+            }
+            Ok((left, worst))
+        })
+        .map_err(to_python)?;
+    let n = left.len();
+    Ok((shaped(py, left.into_flattened(), [n, 3])?, weakest))
 }
 
 /// Coefficients `(k, 3)` from values `(n_x, n_y, n_z, 3)` on a grid with the given axes (0 to 1), one small

@@ -2,12 +2,14 @@
 
 use crate::arrays::{Marked, fixed, marked, rows, shaped};
 use crate::errors::{shape, to_python};
-use crate::lanes::{Block, LANES, LaneMap, in_lanes};
+use crate::lanes::LaneMap;
+use crate::robot::many;
 use nalgebra::{Vector2, Vector3};
 use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use sherkit_core::Result;
 use sherkit_core::camera::{Camera as Core, Description, Face, PARAMETERS};
+use sherkit_core::numbers::wide::Wide;
 
 /// The face of this name.
 pub fn face(name: &str) -> PyResult<Face> {
@@ -23,8 +25,8 @@ struct Project<'a>(&'a Core);
 
 impl LaneMap<3, 2> for Project<'_> {
     #[inline(always)]
-    fn run(self, from: &Block<3>) -> (Block<2>, [bool; LANES]) {
-        self.0.project_lanes::<LANES>(from)
+    fn run<V: Wide>(self, from: [V; 3]) -> ([V; 2], V) {
+        self.0.project_lanes(from)
     }
 }
 
@@ -87,9 +89,7 @@ impl Camera {
         py: Python<'py>,
         points: PyReadonlyArray2<'_, f64>,
     ) -> PyResult<Marked<'py, PyArray2<f64>>> {
-        let points = rows::<3, _>("points", &points)?.to_vec();
-        let (found, seen) = py.detach(|| in_lanes(&points, Project(&self.0)));
-        marked(py, found, seen, 2)
+        many(py, "points", &points, Project(&self.0))
     }
 
     /// Derivatives of the pixels by point `(n, 2, 3)`, rotation vector and translation `(n, 2, 6)`, intrinsics

@@ -3,9 +3,9 @@
 use crate::arrays::{Marked, fixed, rows};
 use crate::bernstein::Bernstein;
 use crate::errors::{shape, to_python};
-use crate::lanes::{self, LANES, LaneMap};
+use crate::lanes::LaneMap;
 use crate::robot::{
-    self, Block, Both, Calibrated as _, Derivatives, Problem, Single, WithDerivative, both,
+    self, Block, Both, Calibrated as _, Derivatives, Single, WithDerivative, both,
     calibrated_class, each, many, model_class, now, one,
 };
 use crate::solver::Solver;
@@ -20,6 +20,7 @@ use sherkit_core::delta::{
     Model, Values,
 };
 use sherkit_core::flat::{BranchParts, write_delta};
+use sherkit_core::numbers::wide::Wide;
 
 /// The assembly mode of this name.
 fn assembly(name: &str) -> PyResult<Assembly> {
@@ -35,8 +36,8 @@ struct Forward<'a>(&'a Kinematics);
 
 impl LaneMap<3, 3> for Forward<'_> {
     #[inline(always)]
-    fn run(self, from: &lanes::Block<3>) -> (lanes::Block<3>, [bool; LANES]) {
-        self.0.forward_lanes::<LANES>(from)
+    fn run<V: Wide>(self, from: [V; 3]) -> ([V; 3], V) {
+        self.0.forward_lanes(from)
     }
 }
 
@@ -45,8 +46,8 @@ struct Inverse<'a>(&'a Kinematics);
 
 impl LaneMap<3, 3> for Inverse<'_> {
     #[inline(always)]
-    fn run(self, from: &lanes::Block<3>) -> (lanes::Block<3>, [bool; LANES]) {
-        self.0.inverse_lanes::<LANES>(from)
+    fn run<V: Wide>(self, from: [V; 3]) -> ([V; 3], V) {
+        self.0.inverse_lanes(from)
     }
 }
 

@@ -1,16 +1,17 @@
 //! Rows in, rows out: many poses side by side, with the widest vectors that the processor has, on all cores.
 
-/// Poses computed side by side.
-pub const LANES: usize = 8;
+use sherkit_core::numbers::wide::{Kernel, LANES, Wide, widest};
 
-/// `N` coordinates of [`LANES`] poses, side by side.
-pub type Block<const N: usize> = [[f64; LANES]; N];
-
-/// A map from `I` to `O` coordinates, [`LANES`] poses at once, and which of them it could compute. Implementations
-/// must be inlined whole, or they are not compiled for the wide vectors.
+/// A map from `I` to `O` coordinates, [`LANES`] poses at once. Implementations of `run` must be inlined whole, or they are
+/// not compiled for the wide vectors.
 pub trait LaneMap<const I: usize, const O: usize>: Copy + Sync + Send {
-    /// Maps one block.
-    fn run(self, from: &Block<I>) -> (Block<O>, [bool; LANES]);
+    /// Maps the poses; one for those it could compute, zero for the others.
+    fn run<V: Wide>(self, from: [V; I]) -> ([V; O], V);
+
+    /// What lanes leave to a computation of its own, where there is such a thing.
+    fn alone(self, _: &[f64; I]) -> Option<[f64; O]> {
+        None
+    }
 }
 
 /// Poses below which a second thread costs more than it brings.
@@ -19,10 +20,10 @@ const WORTH_A_THREAD: usize = 50_000;
 /// Runs the lanes, on all cores where there are many poses; what cannot be computed is NaN and `false`.
 pub fn in_lanes<const I: usize, const O: usize, M: LaneMap<I, O>>(
     input: &[[f64; I]],
+    out: &mut [[f64; O]],
+    reached: &mut [bool],
     map: M,
-) -> (Vec<f64>, Vec<bool>) {
-    let mut out = vec![0.0; input.len() * O];
-    let mut reached = vec![false; input.len()];
+) {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = cores.min(input.len() / WORTH_A_THREAD).max(1);
     let share = input
@@ -32,115 +33,75 @@ pub fn in_lanes<const I: usize, const O: usize, M: LaneMap<I, O>>(
         .max(LANES);
     let parts = input
         .chunks(share)
-        .zip(out.as_chunks_mut::<O>().0.chunks_mut(share))
-        .zip(reached.chunks_mut(share));
+        .zip(out.chunks_mut(share))
+        .zip(reached.chunks_mut(share))
+        .map(|((input, out), reached)| Part {
+            input,
+            out,
+            reached,
+            map,
+        });
     if threads == 1 {
-        for ((input, out), reached) in parts {
-            widest(input, out, reached, map);
-        }
+        parts.for_each(widest);
     } else {
         std::thread::scope(|scope| {
-            for ((input, out), reached) in parts {
-                scope.spawn(move || widest(input, out, reached, map));
+            for part in parts {
+                scope.spawn(move || widest(part));
             }
         });
     }
-    (out, reached)
 }
 
-/// Blocks that are turned from rows to lanes and back at a time; they stay in the first cache.
-const BLOCKS: usize = 32;
-
-/// Turns rows into lanes, runs the kernel, and turns the result back. The three steps are kept apart: only a loop
-/// that reads and writes lanes becomes vector instructions.
-fn widest<const I: usize, const O: usize, M: LaneMap<I, O>>(
-    input: &[[f64; I]],
-    out: &mut [[f64; O]],
-    reached: &mut [bool],
+/// The share of one thread.
+struct Part<'a, const I: usize, const O: usize, M> {
+    input: &'a [[f64; I]],
+    out: &'a mut [[f64; O]],
+    reached: &'a mut [bool],
     map: M,
-) {
-    let kernel = kernel::<I, O, M>();
-    let mut from = [[[0.0; LANES]; I]; BLOCKS];
-    let mut to = [[[0.0; LANES]; O]; BLOCKS];
-    let mut ok = [[false; LANES]; BLOCKS];
-    let chunks = input
-        .chunks(BLOCKS * LANES)
-        .zip(out.chunks_mut(BLOCKS * LANES))
-        .zip(reached.chunks_mut(BLOCKS * LANES));
-    for ((rows, out), reached) in chunks {
-        let used = rows.len().div_ceil(LANES);
-        for (rows, block) in rows.chunks(LANES).zip(&mut from) {
-            for (lane, row) in rows.iter().enumerate() {
-                for axis in 0..I {
-                    block[axis][lane] = row[axis];
-                }
-            }
-        }
-        kernel(&from[..used], &mut to[..used], &mut ok[..used], map);
-        let results = to.iter().zip(&ok);
-        let places = out.chunks_mut(LANES).zip(reached.chunks_mut(LANES));
-        for ((block, ok), (out, reached)) in results.zip(places) {
-            for (lane, (out, reached)) in out.iter_mut().zip(reached).enumerate() {
-                for axis in 0..O {
-                    out[axis] = if ok[lane] {
-                        block[axis][lane]
-                    } else {
-                        f64::NAN
-                    };
-                }
-                *reached = ok[lane];
-            }
-        }
-    }
 }
 
-type Kernel<const I: usize, const O: usize, M> =
-    fn(&[Block<I>], &mut [Block<O>], &mut [[bool; LANES]], M);
+impl<const I: usize, const O: usize, M: LaneMap<I, O>> Kernel for Part<'_, I, O, M> {
+    type Output = ();
 
-/// The kernel with the widest vectors that this processor has; every choice gives the same bits.
-fn kernel<const I: usize, const O: usize, M: LaneMap<I, O>>() -> Kernel<I, O, M> {
-    #[cfg(target_arch = "x86_64")]
-    {
-        #[target_feature(enable = "avx512f,avx512dq")]
-        fn avx512<const I: usize, const O: usize, M: LaneMap<I, O>>(
-            from: &[Block<I>],
-            to: &mut [Block<O>],
-            ok: &mut [[bool; LANES]],
-            map: M,
-        ) {
-            run(from, to, ok, map);
+    #[inline(always)]
+    fn run<V: Wide>(self) {
+        let (input, rest) = self.input.as_chunks::<LANES>();
+        let (out, rest_out) = self.out.as_chunks_mut::<LANES>();
+        let (reached, rest_reached) = self.reached.as_chunks_mut::<LANES>();
+        for ((input, out), reached) in input.iter().zip(out).zip(reached) {
+            block::<V, I, O, M>(input, out, reached, self.map);
         }
-        #[target_feature(enable = "avx2")]
-        fn avx2<const I: usize, const O: usize, M: LaneMap<I, O>>(
-            from: &[Block<I>],
-            to: &mut [Block<O>],
-            ok: &mut [[bool; LANES]],
-            map: M,
-        ) {
-            run(from, to, ok, map);
-        }
-        if std::arch::is_x86_feature_detected!("avx512f")
-            && std::arch::is_x86_feature_detected!("avx512dq")
-        {
-            // SAFETY: the processor was just asked for the features.
-            return |from, to, ok, map| unsafe { avx512(from, to, ok, map) };
-        }
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor was just asked for the feature.
-            return |from, to, ok, map| unsafe { avx2(from, to, ok, map) };
+        if !rest.is_empty() {
+            let (mut last, mut out, mut reached) =
+                ([[0.0; I]; LANES], [[0.0; O]; LANES], [false; LANES]);
+            last[..rest.len()].copy_from_slice(rest);
+            block::<V, I, O, M>(&last, &mut out, &mut reached, self.map);
+            rest_out.copy_from_slice(&out[..rest.len()]);
+            rest_reached.copy_from_slice(&reached[..rest.len()]);
         }
     }
-    run
 }
 
 #[inline(always)]
-fn run<const I: usize, const O: usize, M: LaneMap<I, O>>(
-    from: &[Block<I>],
-    to: &mut [Block<O>],
-    reached: &mut [[bool; LANES]],
+fn block<V: Wide, const I: usize, const O: usize, M: LaneMap<I, O>>(
+    input: &[[f64; I]; LANES],
+    out: &mut [[f64; O]; LANES],
+    reached: &mut [bool; LANES],
     map: M,
 ) {
-    for ((from, to), reached) in from.iter().zip(to).zip(reached) {
-        (*to, *reached) = map.run(from);
+    let (found, ok) = map.run(V::columns(input));
+    let none = V::splat(f64::NAN);
+    let mut told = found;
+    for v in &mut told {
+        *v = ok.above(V::splat(0.0), *v, none);
+    }
+    *out = V::rows(told);
+    *reached = ok.positive();
+    if reached.contains(&false) {
+        for (k, ok) in reached.iter_mut().enumerate().filter(|(_, ok)| !**ok) {
+            if let Some(found) = map.alone(&input[k]) {
+                (out[k], *ok) = (found, true);
+            }
+        }
     }
 }

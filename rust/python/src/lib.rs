@@ -9,6 +9,7 @@ mod filter;
 mod flips;
 mod lanes;
 mod noise;
+mod problem;
 mod robot;
 mod serial;
 mod solver;
@@ -51,6 +52,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(tool_calibration::register_points, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_basis, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_fit, m)?)?;
+    m.add_function(wrap_pyfunction!(bernstein::bernstein_held_out, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_fit_grid, m)?)?;
     m.add_function(wrap_pyfunction!(spherical::spherical_camera_placement, m)?)?;
     m.add_function(wrap_pyfunction!(flips::largest_under_flips, m)?)?;

@@ -4,10 +4,11 @@
 use crate::arrays::{Marked, Rows, fixed, marked, rows, rows_like, shaped};
 use crate::errors::{shape, to_python};
 use crate::lanes::{LaneMap, in_lanes};
-use crate::solver::{Solver, iterate};
+use crate::problem;
 use nalgebra::{SMatrix, SVector, Vector3};
 use numpy::{
-    PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
+    PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
+    PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -159,17 +160,17 @@ pub fn check_free<const P: usize>(free: &[usize]) -> PyResult<()> {
 }
 
 /// Columns that the readings of a robot have: what its sensor shows, and a distance where it can be read.
-fn columns<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize>() -> usize {
+pub fn columns<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize>() -> usize {
     M + usize::from(R::DISTANCES)
 }
 
 /// Where the readings of a row stand among the columns, and how many there are.
-fn place<const J: usize, const M: usize>(row: &Row<J>) -> (usize, usize) {
+pub fn place<const J: usize, const M: usize>(row: &Row<J>) -> (usize, usize) {
     if row.to.is_some() { (M, 1) } else { (0, M) }
 }
 
 /// The rows of a block of this robot.
-fn own_rows<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize>(
+pub fn own_rows<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize>(
     model: &R,
     block: &Block<'_>,
 ) -> PyResult<Vec<Row<J>>> {
@@ -228,28 +229,9 @@ where
     Chain<R, J, M, P>: Sync,
 {
     let chain = chain(model, values)?;
-    let (rows, width) = (
-        own_rows::<R, J, M, P>(model, block)?,
-        columns::<R, J, M, P>(),
-    );
-    let mut out = vec![0.0; rows.len() * width];
-    let mut reached = vec![false; rows.len()];
-    py.detach(|| {
-        for ((row, out), ok) in rows
-            .iter()
-            .zip(out.chunks_exact_mut(width))
-            .zip(&mut reached)
-        {
-            if let Ok(value) = chain.row_value(row) {
-                let (at, count) = place::<J, M>(row);
-                out[at..at + count].copy_from_slice(&value.as_slice()[..count]);
-                *ok = true;
-            } else {
-                out.fill(f64::NAN);
-            }
-        }
-    });
-    marked(py, out, reached, width)
+    let rows = own_rows::<R, J, M, P>(model, block)?;
+    let (out, reached) = py.detach(|| problem::predicted(&chain, &rows));
+    marked(py, out, reached, columns::<R, J, M, P>())
 }
 
 /// Derivatives by the parameters whose indices are given, by the joint readings and by a displacement of the measured
@@ -311,117 +293,6 @@ where
     ))
 }
 
-/// Rows to be fitted: the parameters that are free, the values of those that are not, readings and weights.
-pub struct Problem<'a, R, const J: usize, const P: usize> {
-    pub model: &'a R,
-    pub values: [f64; P],
-    pub free: Vec<usize>,
-    pub rows: Vec<Row<J>>,
-    pub readings: Vec<f64>,
-    pub weights: Vec<f64>,
-}
-
-impl<'a, R, const J: usize, const P: usize> Problem<'a, R, J, P> {
-    /// As it comes from Python; the solver must have as many parameters as are free.
-    pub fn new<const M: usize>(
-        model: &'a R,
-        solver: &Solver,
-        values: &PyReadonlyArray1<'_, f64>,
-        free: Vec<usize>,
-        block: &Block<'_>,
-        (readings, weights): (&PyReadonlyArray2<'_, f64>, &PyReadonlyArray2<'_, f64>),
-    ) -> PyResult<Self>
-    where
-        R: Robot<J, M, P>,
-    {
-        check_free::<P>(&free)?;
-        let expected = solver.trial_values().len();
-        if expected != free.len() {
-            return Err(shape("free", &format!("({expected},)"), &[free.len()]));
-        }
-        let rows = own_rows::<R, J, M, P>(model, block)?;
-        let (n, width) = (rows.len(), columns::<R, J, M, P>());
-        Ok(Self {
-            model,
-            values: fixed("values", values)?,
-            free,
-            rows,
-            readings: table("readings", readings, n, width)?.to_vec(),
-            weights: table("weights", weights, n, width)?.to_vec(),
-        })
-    }
-
-    /// Adds rows to the solver at its trial. `add` puts one row in, with its reading and weight, and says whether it could
-    /// be computed. Returns those that could not; errors that leave no robot make every row unreachable.
-    #[inline(always)]
-    pub fn fill<const M: usize>(
-        &self,
-        solver: &mut Solver,
-        mut add: impl FnMut(&Chain<R, J, M, P>, &Row<J>, &[f64], &[f64], &mut Solver) -> bool,
-    ) -> Vec<usize>
-    where
-        R: Robot<J, M, P>,
-    {
-        let mut values = self.values;
-        for (&k, &value) in self.free.iter().zip(solver.trial_values()) {
-            values[k] = value;
-        }
-        let Ok(chain) = self.model.with(&values) else {
-            return (0..self.rows.len()).collect();
-        };
-        let width = columns::<R, J, M, P>();
-        let numbers = self.readings.chunks_exact(width);
-        let numbers = numbers.zip(self.weights.chunks_exact(width));
-        let mut missing = Vec::new();
-        for (i, (row, (reading, weight))) in self.rows.iter().zip(numbers).enumerate() {
-            if weight.iter().all(|w| *w == 0.0) {
-                continue;
-            }
-            if !add(&chain, row, reading, weight, solver) {
-                missing.push(i);
-            }
-        }
-        missing
-    }
-
-    /// Adds the readings to the solver at its trial; returns the rows that cannot be computed there.
-    pub fn readings<const M: usize>(&self, solver: &mut Solver) -> Vec<usize>
-    where
-        R: Robot<J, M, P>,
-    {
-        let free = self.free.as_slice();
-        let wanted = Wanted::of(R::CATALOGUE, free);
-        let mut p = Prediction::new();
-        self.fill(solver, |chain, row, reading, weight, solver| {
-            if chain.row_predict_into(row, wanted, &mut p).is_err() {
-                return false;
-            }
-            let (at, count) = place::<J, M>(row);
-            let taken = reading[at..at + count].iter().zip(&weight[at..at + count]);
-            for (axis, (reading, weight)) in taken.enumerate() {
-                let residual = reading - p.value[axis];
-                let line = free.iter().map(|&k| p.by_parameters[(axis, k)]);
-                solver.add(line, residual, *weight);
-            }
-            true
-        })
-    }
-
-    /// Iterates to the minimum, `fill` adding the rows at each trial.
-    pub fn solve(
-        &self,
-        py: Python<'_>,
-        solver: &mut Solver,
-        priors: bool,
-        fill: impl Fn(&Self, &mut Solver) -> Vec<usize> + Send + Sync,
-    ) -> PyResult<(&'static str, Vec<usize>)>
-    where
-        R: Sync,
-    {
-        py.detach(|| iterate(solver, priors, |solver| Ok(fill(self, solver))))
-    }
-}
-
 /// A model class: its constructor and what it has beyond others in braces, what every model has from the frame.
 macro_rules! model_class {
     ($class:ident, $model:ty, $robot:ident, { $($own:tt)* }) => {
@@ -474,7 +345,7 @@ macro_rules! model_class {
                 weights: PyReadonlyArray2<'_, f64>,
             ) -> PyResult<Vec<usize>> {
                 let taken = (&readings, &weights);
-                let problem = Problem::new(&self.0, solver, &values, free, &block, taken)?;
+                let problem = $crate::problem::Problem::new(&self.0, solver, &values, free, &block, taken)?;
                 Ok(py.detach(|| problem.readings(solver)))
             }
 
@@ -493,7 +364,7 @@ macro_rules! model_class {
                 priors: bool,
             ) -> PyResult<(&'static str, Vec<usize>)> {
                 let taken = (&readings, &weights);
-                let problem = Problem::new(&self.0, solver, &values, free, &block, taken)?;
+                let problem = $crate::problem::Problem::new(&self.0, solver, &values, free, &block, taken)?;
                 problem.solve(py, solver, priors, |problem, solver| problem.readings(solver))
             }
 
@@ -533,10 +404,18 @@ pub fn many<'py, const N: usize, const O: usize>(
     array: &PyReadonlyArray2<'_, f64>,
     map: impl LaneMap<N, O>,
 ) -> PyResult<Marked<'py, PyArray2<f64>>> {
-    // others may write to the array meanwhile
-    let from = rows::<N, _>(name, array)?.to_vec();
-    let (found, reached) = py.detach(|| in_lanes(&from, map));
-    marked(py, found, reached, O)
+    let from = rows::<N, _>(name, array)?;
+    let n = from.len();
+    // SAFETY: nobody else knows the new arrays, and every number of both is written; not detached, so that nobody
+    // writes to `from` meanwhile
+    let (found, reached) = unsafe {
+        let found = PyArray2::<f64>::new(py, [n, O], false);
+        let reached = PyArray1::<bool>::new(py, [n], false);
+        let out = found.as_slice_mut()?.as_chunks_mut::<O>().0;
+        in_lanes(from, out, reached.as_slice_mut()?, map);
+        (found, reached)
+    };
+    Ok((found, reached))
 }
 
 /// Two matrices for each of many vectors `(n, R, A)` and `(n, R, B)`; where they cannot be computed they are NaN and marked.

@@ -3,8 +3,7 @@
 use crate::arrays::{Marked, Rows, fixed, marked, rows, shaped};
 use crate::errors::{shape, to_python};
 use crate::robot::{
-    Block, Derivatives, Problem, Single, WithDerivative, check_free, first, model_class, table,
-    vector,
+    Block, Derivatives, Single, WithDerivative, check_free, first, model_class, table, vector,
 };
 use crate::solver::Solver;
 use nalgebra::{Matrix3, SVector, Vector3};

@@ -7,7 +7,11 @@ use numpy::{
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use sherkit_core::fit::{Levenberg, Loss, Progress, Settings, Stack, levenberg_len, stack_len};
+use sherkit_core::fit::{
+    Descended, Descent, Fold, Levenberg, Loss, Progress, Settings, Stack, descent_len,
+    levenberg_len, stack_len,
+};
+use sherkit_core::numbers::wide::{LANES, Wide};
 
 /// Iterates to the minimum with rows that `evaluate` adds at the solver's trial. Returns how it ended and the rows
 /// that cannot be computed at the start, with which nothing is solved.
@@ -41,6 +45,8 @@ pub fn iterate(
 #[pyclass(module = "sherkit._core")]
 pub struct Solver {
     levenberg: Levenberg<Vec<f64>>,
+    /// The way to where the careful iteration begins, while it is gone.
+    descent: Option<Descent<Vec<f64>>>,
     stack: Stack<Vec<f64>>,
     loss: Loss,
     cost: f64,
@@ -51,13 +57,19 @@ pub struct Solver {
 impl Solver {
     /// Starts a new evaluation.
     pub fn begin(&mut self) {
-        self.stack.clear();
+        self.stack.clear_for(match self.descent {
+            Some(_) => Fold::Products,
+            None => Fold::Triangle,
+        });
         self.cost = 0.0;
     }
 
     /// The parameters at which rows are wanted.
     pub fn trial_values(&self) -> &[f64] {
-        self.levenberg.trial()
+        match &self.descent {
+            Some(descent) => descent.trial(),
+            None => self.levenberg.trial(),
+        }
     }
 
     /// Adds one reading: its derivatives, residual and 1/σ. Weight zero means not taken.
@@ -79,6 +91,38 @@ impl Solver {
         self.stack.push(self.row.iter().copied());
     }
 
+    /// [`Self::add`] for as many readings as there are lanes, with the derivatives of one `axis` among several; a residual
+    /// whose weight is zero may be no number.
+    #[inline(always)]
+    pub fn add_wide<V: Wide, const M: usize>(
+        &mut self,
+        derivatives: &[[V; M]],
+        axis: usize,
+        residual: V,
+        weight: V,
+    ) {
+        let counting = weight.numbers().iter().filter(|w| **w != 0.0).count();
+        let mut u = (residual * weight).where_any(weight);
+        let mut w = weight;
+        if self.loss == Loss::Linear {
+            self.cost += (u * u).sum();
+        } else {
+            let mut roots = [0.0; LANES];
+            for (root, u) in roots.iter_mut().zip(u.numbers()) {
+                let cost;
+                (*root, cost) = self.loss.root_weight_and_cost(u);
+                self.cost += cost;
+            }
+            (u, w) = (u * V::of(roots), w * V::of(roots));
+        }
+        let mut places = self.stack.next_wide(counting);
+        for (d, place) in derivatives.iter().zip(places.by_ref()) {
+            *place = (d[axis] * w).where_any(weight).numbers();
+        }
+        places.for_each(|place| *place = u.numbers());
+        self.stack.commit_wide();
+    }
+
     /// Marks the trial as impossible.
     pub fn fail_trial(&mut self) {
         self.cost = f64::INFINITY;
@@ -86,10 +130,21 @@ impl Solver {
 
     /// Ends the evaluation.
     pub fn step(&mut self) -> PyResult<Progress> {
-        let triangle = self.stack.triangle();
-        self.levenberg
-            .advance(triangle, self.cost)
-            .map_err(to_python)
+        let folded = self.stack.triangle();
+        let Some(descent) = &mut self.descent else {
+            return self.levenberg.advance(folded, self.cost).map_err(to_python);
+        };
+        let evaluations = descent.evaluations() + 1;
+        match descent.advance(folded, self.cost) {
+            Descended::Evaluate => return Ok(Progress::Evaluate),
+            Descended::Near => self.levenberg.begin_at(descent.trial(), evaluations),
+            Descended::Lost => {
+                let start = self.levenberg.start().to_vec();
+                self.levenberg.begin_at(&start, evaluations);
+            }
+        }
+        self.descent = None;
+        Ok(Progress::Evaluate)
     }
 
     /// Adds the rows of a prior: each parameter at zero, the drawing, give or take its plausible size.
@@ -97,7 +152,7 @@ impl Solver {
         let n = self.stack.columns();
         for k in 0..n {
             let size = self.levenberg.sizes()[k];
-            let deviation = -self.levenberg.trial()[k];
+            let deviation = -self.trial_values()[k];
             self.cost += (deviation / size).powi(2);
             let unit = (0..n).map(move |j| if j == k { 1.0 / size } else { 0.0 });
             self.stack
@@ -127,10 +182,17 @@ impl Solver {
             rank_tolerance,
             single_step,
         };
+        let (start, sizes) = (start.as_slice()?, sizes.as_slice()?);
         let storage = vec![0.0; levenberg_len(n)];
+        let levenberg = Levenberg::new(start, sizes, settings, storage).map_err(to_python)?;
+        let room = vec![0.0; descent_len(n)];
+        let descent =
+            Descent::new(start, sizes, 0.5 * step_tolerance.sqrt(), room).map_err(to_python)?;
+        // a single step, and a look at the start, are those of the careful iteration
+        let far = !single_step && max_evaluations > 1 && n > 0;
         Ok(Self {
-            levenberg: Levenberg::new(start.as_slice()?, sizes.as_slice()?, settings, storage)
-                .map_err(to_python)?,
+            levenberg,
+            descent: far.then_some(descent),
             stack: Stack::new(n, 1, vec![0.0; stack_len(n, 1)]).map_err(to_python)?,
             loss: Loss::from_name(loss)
                 .ok_or_else(|| shape("loss", "'linear', 'huber', 'cauchy' or 'tukey'", &[]))?,
@@ -142,7 +204,7 @@ impl Solver {
     /// Parameters at which to evaluate the rows; after the end, the estimate.
     #[getter]
     fn trial<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        PyArray1::from_slice(py, self.levenberg.trial())
+        PyArray1::from_slice(py, self.trial_values())
     }
 
     /// Forgets the rows of the previous trial.

@@ -4,9 +4,10 @@
 use crate::arrays::{Marked, Rows, fixed, rows};
 use crate::camera::face;
 use crate::errors::{shape, to_python};
-use crate::lanes::{self, LANES, LaneMap};
+use crate::lanes::LaneMap;
+use crate::problem::Problem;
 use crate::robot::{
-    self, Block, Both, Calibrated as _, Derivatives, Problem, Single, WithDerivative, both,
+    self, Block, Both, Calibrated as _, Derivatives, Single, WithDerivative, both,
     calibrated_class, check_free, copied, each, many, model_class, now, one, rows_of,
 };
 use crate::solver::Solver;
@@ -19,6 +20,7 @@ use sherkit_core::camera::{Camera, Description};
 use sherkit_core::chain::Robot;
 use sherkit_core::chain::effects::Wanted;
 use sherkit_core::flat::write_spherical;
+use sherkit_core::numbers::wide::Wide;
 use sherkit_core::spherical::vision::{self, Region};
 use sherkit_core::spherical::{
     self, Assembly, CATALOGUE, Calibrated as Core, Covariates, Elbows, GEOMETRIC, Geometry,
@@ -63,8 +65,12 @@ struct Forward<'a>(&'a Kinematics);
 
 impl LaneMap<2, 2> for Forward<'_> {
     #[inline(always)]
-    fn run(self, from: &lanes::Block<2>) -> (lanes::Block<2>, [bool; LANES]) {
-        self.0.forward_lanes::<LANES>(from)
+    fn run<V: Wide>(self, from: [V; 2]) -> ([V; 2], V) {
+        self.0.forward_lanes(from)
+    }
+
+    fn alone(self, joints: &[f64; 2]) -> Option<[f64; 2]> {
+        self.0.forward(&(*joints).into()).ok().map(Into::into)
     }
 }
 
@@ -73,8 +79,15 @@ struct Inverse<'a>(&'a Kinematics, Elbows);
 
 impl LaneMap<2, 2> for Inverse<'_> {
     #[inline(always)]
-    fn run(self, from: &lanes::Block<2>) -> (lanes::Block<2>, [bool; LANES]) {
-        self.0.inverse_lanes::<LANES>(from, self.1)
+    fn run<V: Wide>(self, from: [V; 2]) -> ([V; 2], V) {
+        self.0.inverse_lanes(from, self.1)
+    }
+
+    fn alone(self, angles: &[f64; 2]) -> Option<[f64; 2]> {
+        self.0
+            .inverse(&(*angles).into(), self.1)
+            .ok()
+            .map(Into::into)
     }
 }
 

@@ -139,14 +139,7 @@ def fit_polynomial(positions_mm: Floats, errors_mm: Floats, orders: Orders, fade
         raise FitError("positions and errors: a number is not finite")
     if len(x) == 0:
         raise FitError("a polynomial needs at least one pose, got none")
-    low, high = x.min(axis=0), x.max(axis=0)
-    for k, name in enumerate("xyz"):
-        if not 0 <= orders[k] <= MAX_ORDER:
-            raise FitError(f"order in {name}: expected 0 to {MAX_ORDER}, got {orders[k]}")
-        if orders[k] == 0:
-            low[k], high[k] = -np.inf, np.inf
-        elif high[k] - low[k] <= 0:
-            raise FitError(f"order {orders[k]} in {name} needs more than one {name}; all poses share {low[k]:g} mm")
+    low, high = _box(x, orders)
     coefficients, weakest = _core.bernstein_fit(orders, low, high, x, y)
     if not weakest > _DETERMINED:
         counts = ", ".join(f"{n} {len(np.unique(x[:, k].round(3)))}" for k, n in enumerate("xyz"))
@@ -157,6 +150,19 @@ def fit_polynomial(positions_mm: Floats, errors_mm: Floats, orders: Orders, fade
     span = (high - low)[np.isfinite(high - low)]
     fade = fade_mm if fade_mm is not None else (_FADE * float(span.max()) if len(span) else 1.0)
     return Correction(orders, low, high, fade, coefficients)
+
+
+def _box(positions_mm: Floats, orders: Orders) -> tuple[Floats, Floats]:
+    """Corners of the box of positions (n, 3), endless where an order is zero. Raises :class:`FitError`."""
+    low, high = positions_mm.min(axis=0), positions_mm.max(axis=0)
+    for k, name in enumerate("xyz"):
+        if not 0 <= orders[k] <= MAX_ORDER:
+            raise FitError(f"order in {name}: expected 0 to {MAX_ORDER}, got {orders[k]}")
+        if orders[k] == 0:
+            low[k], high[k] = -np.inf, np.inf
+        elif high[k] - low[k] <= 0:
+            raise FitError(f"order {orders[k]} in {name} needs more than one {name}; all poses share {low[k]:g} mm")
+    return low, high
 
 
 def fit_grid(axes: Sequence[Floats], errors_mm: Floats, orders: Orders, fade_mm: float | None = None) -> Correction:
@@ -293,15 +299,13 @@ def _held_out(left: Leftover, block: NDArray[np.int64], orders: Orders | None) -
     """Errors left at every row by a polynomial that did not see its block; None where it cannot be fitted."""
     if orders is None:
         return left.errors_mm
-    held = np.empty_like(left.errors_mm)
-    for b in np.unique(block):
-        inside = block == b
-        try:
-            fitted = fit_polynomial(left.positions_mm[~inside], left.errors_mm[~inside], orders, fade_mm=1e9)
-        except FitError:
-            return None
-        held[inside] = left.errors_mm[inside] - fitted(left.positions_mm[inside])
-    return held
+    try:
+        low, high = _box(left.positions_mm, orders)
+    except FitError:
+        return None
+    positions, errors = np.ascontiguousarray(left.positions_mm), np.ascontiguousarray(left.errors_mm)
+    held, weakest = _core.bernstein_held_out(orders, low, high, positions, errors, block)
+    return held if weakest > _DETERMINED else None
 
 
 def levels_of(heights: Floats, gap_mm: float = 3.0) -> Floats:

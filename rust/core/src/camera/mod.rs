@@ -181,22 +181,17 @@ impl Camera {
         (pixel, seen[2])
     }
 
-    /// [`Self::project`] for `L` points at once; lanes that are not in front of the camera are marked `false`.
+    /// [`Self::project`] for points side by side: pixels, and one for those in front of the camera, zero for the others.
     #[inline(always)]
     #[must_use]
-    pub fn project_lanes<const L: usize>(
-        &self,
-        points: &[[f64; L]; 3],
-    ) -> ([[f64; L]; 2], [bool; L]) {
-        use crate::numbers::math::Lanes;
-        let (pixel, depth) = self.formula([Lanes(points[0]), Lanes(points[1]), Lanes(points[2])]);
-        let mut seen = [false; L];
-        for lane in 0..L {
-            seen[lane] = (depth.0[lane] > 0.0)
-                & (pixel[0].0[lane].abs() < f64::INFINITY)
-                & (pixel[1].0[lane].abs() < f64::INFINITY);
+    pub fn project_lanes<T: Real>(&self, points: [T; 3]) -> ([T; 2], T) {
+        let (zero, far) = (T::splat(0.0), T::splat(f64::INFINITY));
+        let (pixel, depth) = self.formula(points);
+        let mut seen = depth.above(zero, T::splat(1.0), zero);
+        for coordinate in pixel {
+            seen = far.above(coordinate.size(), seen, zero);
         }
-        ([pixel[0].0, pixel[1].0], seen)
+        (pixel, seen)
     }
 
     /// Projects with derivatives.

@@ -37,6 +37,15 @@ impl Body {
         }
     }
 
+    /// Whether the point is where the mechanism puts it, and no derivative by an effect is wanted.
+    pub(crate) fn is_still<T: Table>(&self, wanted: Wanted) -> bool {
+        let zero = Vector3::zeros();
+        self.thermal == 0.0
+            && self.drift == zero
+            && self.slip == zero
+            && !wanted.any(T::AT.body.rows)
+    }
+
     /// The factor by which temperature scales a point about the origin of the base frame, and what time and slip add to
     /// it. An effect at zero does not ask for its covariate.
     #[inline]

@@ -1,8 +1,9 @@
 //! A sensor that shows coordinates: three lasers on a cube, a tracker.
 
 use super::effects::{Wanted, places, values_of};
-use super::{Look, Sensor, Table};
+use super::{Columns, Look, Sensor, Table};
 use crate::Result;
+use crate::numbers::math::{Real, Triple, dot, scale};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 places! { beam_alignment sensor_linearity datum }
@@ -99,4 +100,50 @@ impl Sensor<3> for Cartesian {
         }
         Ok((self.shown(&seen), by_point))
     }
+
+    #[inline(always)]
+    fn predict_many<T: Table, N: Real>(
+        &self,
+        points: Triple<N>,
+        wanted: Wanted,
+        to: &mut impl Columns<N, 3>,
+    ) -> Option<(Triple<N>, [Triple<N>; 3])> {
+        let (at, of) = (T::AT.cartesian, N::splat);
+        let nothing = [of(0.0); 3];
+        let (mut value, mut by_point) = (nothing, [nothing; 3]);
+        for axis in 0..3 {
+            let (mut beams, mut along) = (nothing, nothing);
+            for k in 0..3 {
+                let exact = if k == axis { 1.0 } else { 0.0 };
+                beams[k] = of(self.beams[(axis, k)]);
+                along[k] = of(exact + self.beams[(axis, k)]);
+            }
+            let seen = points[axis] + dot([0, 1, 2].map(|k| of(self.beams[(axis, k)])), points);
+            let t = seen / of(LINEARITY_SPAN_MM);
+            let cube = t * t * t;
+            let steep = of(1.0) + of(3.0 * self.linearity[axis] / LINEARITY_SPAN_MM) * t * t;
+            value[axis] = seen + of(self.linearity[axis]) * cube + of(self.datum[axis]);
+            by_point[axis] = scale(along, steep);
+            if let Some(place) = wanted.wants(at.datum) {
+                to.put(place.start + axis, of_axis(axis, of(1.0)));
+            }
+            if let Some(place) = wanted.wants(at.sensor_linearity) {
+                to.put(place.start + axis, of_axis(axis, cube));
+            }
+            if let Some(place) = wanted.wants(at.beam_alignment) {
+                for k in 0..3 {
+                    to.put(place.start + 3 * axis + k, of_axis(axis, steep * points[k]));
+                }
+            }
+        }
+        Some((value, by_point))
+    }
+}
+
+/// A column of what touches one axis alone.
+#[inline(always)]
+fn of_axis<N: Real>(axis: usize, gain: N) -> Triple<N> {
+    let mut column = [N::splat(0.0); 3];
+    column[axis] = gain;
+    column
 }

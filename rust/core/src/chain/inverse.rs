@@ -5,23 +5,27 @@ use nalgebra::{SMatrix, SVector};
 
 const ITERATIONS: usize = 30;
 
-/// Joint readings at which nothing is missed any more. `miss` gives what is still missed at joint readings, and the
-/// derivative of what is reached by them.
+/// What is still missed at joint readings, the derivative of what is reached by them, and whether both are exact: what is
+/// solved by iteration itself may come closer with each step of this one.
+pub(crate) type Missed<const J: usize> = (SVector<f64, J>, SMatrix<f64, J, J>, bool);
+
+/// Joint readings at which nothing is missed any more, as `miss` tells. Newton's iteration squares what is missed: where it
+/// is `near`, the step that is left is the last.
 ///
 /// # Errors
 /// Those of `miss`; [`Error::Singular`]; [`Error::NotConverged`] where the model folds over.
 pub(crate) fn inverse<const J: usize>(
     start: SVector<f64, J>,
-    miss: impl Fn(&SVector<f64, J>) -> Result<(SVector<f64, J>, SMatrix<f64, J, J>)>,
-    settled: impl Fn(&SVector<f64, J>) -> bool,
+    mut miss: impl FnMut(&SVector<f64, J>) -> Result<Missed<J>>,
+    near: impl Fn(&SVector<f64, J>) -> bool,
 ) -> Result<SVector<f64, J>> {
     let mut joints = start;
     for _ in 0..ITERATIONS {
-        let (missed, by_joints) = miss(&joints)?;
-        if settled(&missed) {
+        let (missed, by_joints, exact) = miss(&joints)?;
+        joints += by_joints.try_inverse().ok_or(Error::Singular)? * missed;
+        if exact && near(&missed) {
             return Ok(joints);
         }
-        joints += by_joints.try_inverse().ok_or(Error::Singular)? * missed;
     }
     Err(Error::NotConverged {
         iterations: ITERATIONS,

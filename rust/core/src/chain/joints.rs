@@ -97,6 +97,11 @@ impl<const J: usize> Joints<J> {
         out
     }
 
+    /// Whether joints are as they are read, and no derivative by an effect is wanted.
+    pub(crate) fn are_exact<T: Table>(&self, wanted: Wanted) -> bool {
+        self.exact && !wanted.any(T::AT.joints.rows)
+    }
+
     /// `θ = r + o + s (r - home) + a sin kr + b cos kr + w direction/2 - delay · velocity`, with `k` the wave of the
     /// encoder, or one for the eccentricity of its ring.
     #[inline]
@@ -119,7 +124,7 @@ impl<const J: usize> Joints<J> {
             by_reading: None,
             gains: [nothing; J],
         };
-        if self.exact && !wanted.any(at.rows) {
+        if self.are_exact::<T>(wanted) {
             return out;
         }
         let mut by_reading = [1.0; J];

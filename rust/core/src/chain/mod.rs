@@ -24,6 +24,7 @@ mod planar;
 mod row;
 mod tracker;
 
+use crate::numbers::math::{Real, Triple, add, dot};
 use crate::{Error, Result};
 use core::fmt::Debug;
 use effects::{Effect, Wanted};
@@ -50,16 +51,57 @@ pub trait Table: Copy + Debug {
     const AT: Places<Self::Own>;
 }
 
+/// Takes the columns of rows side by side: how `M` coordinates move with each parameter. A trait, since a closure is not
+/// always inlined.
+pub trait Columns<T, const M: usize> {
+    /// Takes that of a parameter.
+    fn put(&mut self, parameter: usize, column: [T; M]);
+}
+
+/// Columns of a point, carried on to the readings.
+struct Carried<'a, T, C, const M: usize> {
+    by_point: [Triple<T>; M],
+    to: &'a mut C,
+}
+
+impl<T: Real, C: Columns<T, M>, const M: usize> Columns<T, 3> for Carried<'_, T, C, M> {
+    #[inline(always)]
+    fn put(&mut self, parameter: usize, column: Triple<T>) {
+        let mut shown = [T::splat(0.0); M];
+        for axis in 0..M {
+            shown[axis] = dot(self.by_point[axis], column);
+        }
+        self.to.put(parameter, shown);
+    }
+}
+
 /// The link `structure`: from joints to the measured point, with what only this mechanism has.
 pub trait Mechanism<const J: usize, const P: usize>: Copy + Debug {
     /// A solved pose, from which every derivative follows.
     type Solved;
+    /// Solved poses side by side.
+    type Many<T: Real>;
 
     /// Solves the pose.
     ///
     /// # Errors
     /// Says why the joints make no pose, or one without derivatives.
     fn solve(&self, joints: &SVector<f64, J>) -> Result<Self::Solved>;
+
+    /// Puts the pose of these joints in the place of one nearby, if any: as far as one step goes. Whether that is all the
+    /// way is returned. Who iterates on the joints besides need not solve each pose to the end.
+    ///
+    /// # Errors
+    /// As [`Self::solve`].
+    #[inline]
+    fn solve_near(
+        &self,
+        joints: &SVector<f64, J>,
+        near: &mut Option<Self::Solved>,
+    ) -> Result<bool> {
+        *near = Some(self.solve(joints)?);
+        Ok(true)
+    }
 
     /// Measured point of a solved pose, base frame, mm.
     fn point(&self, solved: &Self::Solved) -> Vector3<f64>;
@@ -82,6 +124,30 @@ pub trait Mechanism<const J: usize, const P: usize>: Copy + Debug {
         wanted: Wanted,
         d: &mut SMatrix<f64, M, P>,
     ) -> SMatrix<f64, M, J>;
+
+    /// [`Self::solve`] for poses side by side: measured points, one for those that have one and derivatives, else zero.
+    /// None where the effects that act or are wanted must be computed one pose at a time.
+    #[inline(always)]
+    fn solve_many<T: Real>(
+        &self,
+        joints: [T; J],
+        wanted: Wanted,
+    ) -> Option<(Triple<T>, T, Self::Many<T>)> {
+        let _ = (joints, wanted);
+        None
+    }
+
+    /// Hands over its wanted columns, by which the measured points move.
+    #[inline(always)]
+    fn columns_many<T: Real>(
+        &self,
+        joints: [T; J],
+        solved: &Self::Many<T>,
+        wanted: Wanted,
+        to: &mut impl Columns<T, 3>,
+    ) {
+        let _ = (joints, solved, wanted, to);
+    }
 
     /// Azimuth about which angles of the measured point are counted, rad.
     #[inline]
@@ -119,6 +185,19 @@ pub trait Sensor<const M: usize>: Copy + Debug {
         wanted: Wanted,
         d: &mut SMatrix<f64, M, P>,
     ) -> Result<(SVector<f64, M>, SMatrix<f64, M, 3>)>;
+
+    /// Readings of points side by side with the derivative by the point, row by row; hands over its wanted columns. None
+    /// where points are looked at one at a time.
+    #[inline(always)]
+    fn predict_many<T: Table, N: Real>(
+        &self,
+        points: Triple<N>,
+        wanted: Wanted,
+        to: &mut impl Columns<N, M>,
+    ) -> Option<([N; M], [Triple<N>; M])> {
+        let _ = (points, wanted, to);
+        None
+    }
 }
 
 /// What of a robot's effects is no parameter.
@@ -200,6 +279,22 @@ pub struct Chain<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usi
     pub(crate) sensor: R::Sensor,
 }
 
+/// What an iteration on the joints remembers of the last ones: the pose, and room for what is predicted.
+pub(crate) struct Trail<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> {
+    solved: Option<<R::Structure as Mechanism<J, P>>::Solved>,
+    pub(crate) prediction: Prediction<J, M, P>,
+}
+
+impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Trail<R, J, M, P> {
+    /// Nothing yet.
+    pub(crate) fn new() -> Self {
+        Self {
+            solved: None,
+            prediction: Prediction::new(),
+        }
+    }
+}
+
 impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R, J, M, P> {
     /// What joins the joints to the measured point.
     #[must_use]
@@ -278,8 +373,44 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
     ) -> Result<()> {
         let joints = self.joints.at::<R>(readings, row, wanted);
         let solved = self.structure.solve(&joints.value)?;
+        self.shown(&joints, &solved, row, push, wanted, out)
+    }
+
+    /// Reading of one row with its derivative by the joints, from the pose that `trail` remembers, and whether the pose is
+    /// solved to the end ([`Mechanism::solve_near`]).
+    ///
+    /// # Errors
+    /// As [`Self::value`].
+    #[inline]
+    pub(crate) fn predict_near(
+        &self,
+        readings: &SVector<f64, J>,
+        row: &Covariates<J>,
+        trail: &mut Trail<R, J, M, P>,
+    ) -> Result<bool> {
+        let (wanted, still) = (Wanted::default(), Vector3::zeros());
+        let joints = self.joints.at::<R>(readings, row, wanted);
+        let settled = self
+            .structure
+            .solve_near(&joints.value, &mut trail.solved)?;
+        let solved = trail.solved.as_ref().ok_or(Error::Singular)?;
+        self.shown(&joints, solved, row, &still, wanted, &mut trail.prediction)?;
+        Ok(settled)
+    }
+
+    /// What is shown of a solved pose, with the wanted derivatives.
+    #[inline]
+    fn shown(
+        &self,
+        joints: &Turned<J>,
+        solved: &<R::Structure as Mechanism<J, P>>::Solved,
+        row: &Covariates<J>,
+        push: &Vector3<f64>,
+        wanted: Wanted,
+        out: &mut Prediction<J, M, P>,
+    ) -> Result<()> {
         let (growth, shift) = self.body.at(row);
-        let point = self.structure.point(&solved);
+        let point = self.structure.point(solved);
         let body = point * growth + shift + push;
         let look = self.look(&joints.value, row);
         let d = &mut out.by_parameters;
@@ -289,12 +420,39 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         let by_point = by_body * growth;
         let by_joints = self
             .structure
-            .columns(&joints.value, &solved, &by_point, wanted, d);
+            .columns(&joints.value, solved, &by_point, wanted, d);
         joints.columns::<R, M, P>(&by_joints, wanted, d);
         out.value = checked(value)?;
         out.by_joints = joints.by_readings(by_joints);
         out.by_body = by_body;
         Ok(())
+    }
+}
+
+impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R, J, M, P> {
+    /// [`Self::predict`] for rows side by side, `push` as there: readings, and one for the rows that have them, else zero;
+    /// hands over the wanted columns. None where the effects that act or are wanted are computed one row at a time.
+    #[inline(always)]
+    pub fn predict_many<T: Real>(
+        &self,
+        readings: [T; J],
+        push: Triple<T>,
+        wanted: Wanted,
+        to: &mut impl Columns<T, M>,
+    ) -> Option<([T; M], T)> {
+        if !self.joints.are_exact::<R>(wanted) || !self.body.is_still::<R>(wanted) {
+            return None;
+        }
+        let (point, mut reached, solved) = self.structure.solve_many(readings, wanted)?;
+        let seen = add(point, push);
+        let (value, by_point) = self.sensor.predict_many::<R, T>(seen, wanted, to)?;
+        for shown in value {
+            reached = T::splat(f64::MAX).at_least(shown.size(), reached, T::splat(0.0));
+        }
+        let mut carried = Carried { by_point, to };
+        self.structure
+            .columns_many(readings, &solved, wanted, &mut carried);
+        Some((value, reached))
     }
 }
 

@@ -130,6 +130,7 @@ impl Structure {
 
 impl Mechanism<2, PARAMETERS> for Structure {
     type Solved = Solved;
+    type Many<T: crate::numbers::math::Real> = ();
 
     fn solve(&self, joints: &Vector2<f64>) -> Result<Solved> {
         let along = [joints.x, joints.x + joints.y].map(|angle| {

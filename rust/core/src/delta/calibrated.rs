@@ -4,15 +4,23 @@
 //! allocates; an iteration is bounded. NaN input gives [`crate::Error::NotFinite`].
 
 use super::correction::{Correction, Domain};
-use super::model::{Chain, Covariates};
+use super::effects::PARAMETERS;
+use super::geometry::LIMBS;
+use super::model::{Chain, Covariates, READINGS};
+use super::nominal::Model;
 use crate::Result;
 use crate::chain::effects::Wanted;
-use crate::chain::inverse;
+use crate::chain::{self, inverse};
 use nalgebra::{Matrix3, Vector3};
 
-/// The inverse is iterated until the forward model misses by less than this, mm (a thousandth of the
-/// nanometre that is promised).
-const INVERSE_TOLERANCE_MM: f64 = 1e-9;
+/// The inverse takes its last step where the forward model misses by less than this, mm: what the step leaves is the square
+/// of it over millimetres, a millionth of the nanometre that is promised.
+const NEAR_MM: f64 = 1e-6;
+
+type Trail = chain::Trail<Model, LIMBS, READINGS, PARAMETERS>;
+
+/// Position, its derivative by the joints, and whether they are exact or one of Newton's steps towards it.
+type Reached = (Vector3<f64>, Matrix3<f64>, bool);
 
 /// A calibrated model of one region: identified robot with its effects, and what they leave.
 #[derive(Clone, Copy, Debug)]
@@ -35,14 +43,34 @@ impl Branch<'_> {
     ) -> Result<(Vector3<f64>, Matrix3<f64>)> {
         let still = Vector3::zeros();
         let predicted = self.chain.predict(joints, now, &still, Wanted::default())?;
-        let (position, by_joints) = (predicted.value, predicted.by_joints);
-        Ok(match &self.correction {
+        Ok(self.corrected(predicted.value, predicted.by_joints))
+    }
+
+    /// [`Self::forward`] from the pose that `trail` remembers, and whether it is solved to the end.
+    fn forward_near(
+        &self,
+        joints: &Vector3<f64>,
+        now: &Covariates,
+        trail: &mut Trail,
+    ) -> Result<Reached> {
+        let settled = self.chain.predict_near(joints, now, trail)?;
+        let predicted = &trail.prediction;
+        let (position, by_joints) = self.corrected(predicted.value, predicted.by_joints);
+        Ok((position, by_joints, settled))
+    }
+
+    fn corrected(
+        &self,
+        position: Vector3<f64>,
+        by_joints: Matrix3<f64>,
+    ) -> (Vector3<f64>, Matrix3<f64>) {
+        match &self.correction {
             None => (position, by_joints),
             Some(correction) => {
                 let (shift, by_position) = correction.at(&position);
                 (position + shift, by_joints + by_position * by_joints)
             }
-        })
+        }
     }
 }
 
@@ -65,21 +93,35 @@ impl Calibrated<'_> {
         joints: &Vector3<f64>,
         now: &Covariates,
     ) -> Result<(Vector3<f64>, Matrix3<f64>)> {
-        let (position, by_joints) = self.whole.forward(joints, now)?;
+        self.blended(|branch, _| {
+            let (position, by_joints) = branch.forward(joints, now)?;
+            Ok((position, by_joints, true))
+        })
+        .map(|(position, by_joints, _)| (position, by_joints))
+    }
+
+    /// What the whole model and, where it holds, the local one reach, with the derivative by the joints, and
+    /// whether both are exact.
+    fn blended(
+        &self,
+        mut reach: impl FnMut(&Branch<'_>, bool) -> Result<Reached>,
+    ) -> Result<Reached> {
+        let (position, by_joints, settled) = reach(&self.whole, false)?;
         let Some((local, region)) = &self.local else {
-            return Ok((position, by_joints));
+            return Ok((position, by_joints, settled));
         };
         let (share, gradient) = region.share(&position);
         if share == 0.0 {
-            return Ok((position, by_joints));
+            return Ok((position, by_joints, settled));
         }
-        let (inner, inner_by_joints) = local.forward(joints, now)?;
+        let (inner, inner_by_joints, also) = reach(local, true)?;
         let difference = inner - position;
         Ok((
             position + difference * share,
             by_joints
                 + (inner_by_joints - by_joints) * share
                 + difference * (gradient.transpose() * by_joints),
+            settled && also,
         ))
     }
 
@@ -89,11 +131,19 @@ impl Calibrated<'_> {
     /// [`crate::Error::OutOfReach`] names limb and distance; [`crate::Error::NotConverged`] where the model folds over.
     pub fn inverse(&self, position: &Vector3<f64>, now: &Covariates) -> Result<Vector3<f64>> {
         let start = self.whole.chain.rough_inverse(position)?;
+        let (mut of_whole, mut of_local) = (Trail::new(), Trail::new());
         let miss = |joints: &Vector3<f64>| {
-            let (reached, by_joints) = self.forward(joints, now)?;
-            Ok((position - reached, by_joints))
+            let (reached, by_joints, settled) = self.blended(|branch, is_local| {
+                let trail = if is_local {
+                    &mut of_local
+                } else {
+                    &mut of_whole
+                };
+                branch.forward_near(joints, now, trail)
+            })?;
+            Ok((position - reached, by_joints, settled))
         };
-        inverse(start, miss, |missed| missed.norm() < INVERSE_TOLERANCE_MM)
+        inverse(start, miss, |missed| missed.norm() < NEAR_MM)
     }
 }
 

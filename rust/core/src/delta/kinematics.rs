@@ -8,7 +8,7 @@
 
 use super::geometry::{Assembly, GEOMETRIC, Geometry, LIMBS, PER_LIMB};
 use super::trilateration::{culprit, meet};
-use crate::numbers::math::{Lanes, Real, Triple, dot, sin_cos, sqrt, subtract};
+use crate::numbers::math::{Real, Triple, cross, dot, scale, sin_cos, sqrt, subtract};
 use crate::{Error, Result};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
@@ -58,6 +58,16 @@ pub struct Pose {
     lengths: [f64; LIMBS],
     /// Column i: change of position when `(x - s_i)·dx` of limb i grows by one.
     answers: Matrix3<f64>,
+}
+
+/// [`Pose`] for many side by side.
+#[derive(Clone, Copy, Debug)]
+pub struct Poses<T> {
+    pub(super) position: Triple<T>,
+    /// One where the pose and its derivatives can be computed, else zero.
+    pub(super) reached: T,
+    pub(super) rods: [Triple<T>; LIMBS],
+    pub(super) answers: [Triple<T>; LIMBS],
 }
 
 impl Kinematics {
@@ -234,51 +244,33 @@ impl Kinematics {
         Ok(Vector3::from(meeting.point))
     }
 
-    /// [`Self::forward`] for `L` poses at once, laid out as lanes so that it vectorises.
+    /// [`Self::forward`] for poses side by side, without branches.
     ///
-    /// Returns the positions and which lanes are in reach; the position of any other lane has no meaning,
-    /// and [`Self::forward`] says why.
+    /// Returns the positions, and one for those in reach, zero for the others: their positions have no meaning, and
+    /// [`Self::forward`] says why.
     #[inline(always)]
     #[must_use]
-    pub fn forward_lanes<const L: usize>(
-        &self,
-        joints: &[[f64; L]; LIMBS],
-    ) -> ([[f64; L]; 3], [bool; L]) {
+    pub fn forward_lanes<T: Real>(&self, joints: [T; LIMBS]) -> (Triple<T>, T) {
         if self.lean == [[0.0; 2]; LIMBS] {
-            self.lanes::<L, true>(joints)
+            self.lanes::<T, true>(joints)
         } else {
-            self.lanes::<L, false>(joints)
+            self.lanes::<T, false>(joints)
         }
     }
 
     #[inline(always)]
-    fn lanes<const L: usize, const VERTICAL: bool>(
-        &self,
-        joints: &[[f64; L]; LIMBS],
-    ) -> ([[f64; L]; 3], [bool; L]) {
-        let joints = [Lanes(joints[0]), Lanes(joints[1]), Lanes(joints[2])];
-        let centres = self.centres_of::<_, VERTICAL>(joints);
+    fn lanes<T: Real, const VERTICAL: bool>(&self, joints: [T; LIMBS]) -> (Triple<T>, T) {
+        let (zero, sign) = (T::splat(0.0), T::splat(self.assembly.sign()));
+        let centres = self.centres_of::<T, VERTICAL>(joints);
         let meeting = meet(&centres, &self.rods, self.side);
-        let sign = self.assembly.sign();
-        let mut reached = [false; L];
-        // written with >= and <= so that a NaN is never in reach
-        for lane in 0..L {
-            reached[lane] = meeting.height_squared.0[lane] >= 0.0;
-        }
+        let mut reached = meeting.height_squared.at_least(zero, T::splat(1.0), zero);
         for i in 0..LIMBS {
             let up = subtract(meeting.point, centres[i]);
-            let rail = [
-                Lanes::splat(self.rails[i].x),
-                Lanes::splat(self.rails[i].y),
-                Lanes::splat(self.rails[i].z),
-            ];
-            let beyond = if VERTICAL { up[2].0 } else { dot(up, rail).0 };
-            for lane in 0..L {
-                reached[lane] &= sign * beyond[lane] <= 0.0;
-            }
+            let rail = [0, 1, 2].map(|axis| T::splat(self.rails[i][axis]));
+            let beyond = if VERTICAL { up[2] } else { dot(up, rail) };
+            reached = zero.at_least(sign * beyond, reached, zero);
         }
-        let [x, y, z] = meeting.point;
-        ([x.0, y.0, z.0], reached)
+        (meeting.point, reached)
     }
 
     /// Joint readings that bring the platform centre to `position`.
@@ -303,36 +295,24 @@ impl Kinematics {
         Ok(joints)
     }
 
-    /// [`Self::inverse`] for `L` poses at once; lanes out of reach are marked `false`.
+    /// [`Self::inverse`] for poses side by side, marked as by [`Self::forward_lanes`].
     #[inline(always)]
     #[must_use]
-    pub fn inverse_lanes<const L: usize>(
-        &self,
-        position: &[[f64; L]; 3],
-    ) -> ([[f64; L]; LIMBS], [bool; L]) {
-        let mut out = [[0.0; L]; LIMBS];
-        let mut reached = [true; L];
-        let sign = self.assembly.sign();
+    pub fn inverse_lanes<T: Real>(&self, position: Triple<T>) -> ([T; LIMBS], T) {
+        let zero = T::splat(0.0);
+        let (mut out, mut reached) = ([zero; LIMBS], T::splat(1.0));
+        let sign = T::splat(self.assembly.sign());
         for limb in 0..LIMBS {
-            let (origin, rail) = (&self.origins[limb], &self.rails[limb]);
-            let rod_squared = self.rods[limb] * self.rods[limb];
-            for lane in 0..L {
-                let v = [
-                    position[0][lane] - origin.x,
-                    position[1][lane] - origin.y,
-                    position[2][lane] - origin.z,
-                ];
-                let along = v[0] * rail.x + v[1] * rail.y + v[2] * rail.z;
-                let across = [
-                    v[0] - rail.x * along,
-                    v[1] - rail.y * along,
-                    v[2] - rail.z * along,
-                ];
-                let rise_squared = rod_squared - dot(across, across);
-                out[limb][lane] = along + sign * sqrt(rise_squared);
-                // the second test is false where the height is not finite
-                reached[lane] &= (rise_squared >= 0.0) & (along.abs() < f64::INFINITY);
-            }
+            let rail = [0, 1, 2].map(|axis| T::splat(self.rails[limb][axis]));
+            let origin = [0, 1, 2].map(|axis| T::splat(self.origins[limb][axis]));
+            let v = subtract(position, origin);
+            let along = dot(v, rail);
+            let across = subtract(v, scale(rail, along));
+            let rise_squared = T::splat(self.rods[limb] * self.rods[limb]) - dot(across, across);
+            out[limb] = along + sign * rise_squared.root();
+            reached = rise_squared.at_least(zero, reached, zero);
+            // not so where the height is not finite
+            reached = T::splat(f64::INFINITY).above(along.size(), reached, zero);
         }
         (out, reached)
     }
@@ -360,6 +340,38 @@ impl Kinematics {
         })
     }
 
+    /// [`Self::pose`] for poses side by side.
+    #[inline(always)]
+    pub(super) fn poses<T: Real>(&self, joints: [T; LIMBS]) -> Poses<T> {
+        let (position, reached) = self.forward_lanes(joints);
+        let centres = self.centres(joints);
+        let [a, b, c] = centres;
+        let rods = [
+            subtract(position, a),
+            subtract(position, b),
+            subtract(position, c),
+        ];
+        let crosses = [
+            cross(rods[1], rods[2]),
+            cross(rods[2], rods[0]),
+            cross(rods[0], rods[1]),
+        ];
+        let volume = dot(rods[0], crosses[0]);
+        let size_squared = dot(rods[0], rods[0]) * dot(rods[1], rods[1]) * dot(rods[2], rods[2]);
+        let least = T::splat(SINGULAR * SINGULAR) * size_squared;
+        let inverse = T::splat(1.0) / volume;
+        Poses {
+            position,
+            reached: (volume * volume).above(least, reached, T::splat(0.0)),
+            rods,
+            answers: [
+                scale(crosses[0], inverse),
+                scale(crosses[1], inverse),
+                scale(crosses[2], inverse),
+            ],
+        }
+    }
+
     /// Derivative of the position by the 18 geometric parameters (Eq. 8), one column each.
     #[must_use]
     pub fn by_parameters(&self, pose: &Pose) -> SMatrix<f64, 3, GEOMETRIC> {
@@ -381,6 +393,14 @@ impl Kinematics {
             }
         }
         d
+    }
+}
+
+impl<T: Real> Poses<T> {
+    /// What a movement of the sphere centre of a limb does to the position.
+    #[inline(always)]
+    pub(super) fn by_end(&self, limb: usize, end: Triple<T>) -> Triple<T> {
+        scale(self.answers[limb], dot(self.rods[limb], end))
     }
 }
 

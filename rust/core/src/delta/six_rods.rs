@@ -10,6 +10,8 @@ use nalgebra::{Matrix6, Rotation3, Vector3, Vector6};
 const ITERATIONS: usize = 60;
 /// Newton's steps are settled when no rod misses its length by more than this, mm.
 const TOLERANCE_MM: f64 = 1e-12;
+/// Newton squares what is missed, in units of the robot's size: from here on it is below [`TOLERANCE_MM`] after one step, mm.
+const SQUARED_MM: f64 = 1e-6;
 /// Pivot ratio below which the six rods do not fix the platform.
 const SINGULAR: f64 = 1e-12;
 /// The two rods of a limb, as they stand along its axis.
@@ -93,9 +95,51 @@ pub fn six_rods(
     start: &Vector3<f64>,
 ) -> Result<(Vector3<f64>, Tilted)> {
     let centres = kinematics.sphere_centres(joints);
-    let mut centre = *start;
-    let mut turn = Rotation3::identity();
+    let (mut centre, mut turn) = (*start, Rotation3::identity());
     for _ in 0..ITERATIONS {
+        let step = Step::at(kinematics, pairs, &centres, &centre, &turn)?;
+        if step.worst_mm <= TOLERANCE_MM {
+            let rods = step.rods;
+            return Ok((centre, Tilted { rods, turn }));
+        }
+        (centre, turn) = step.taken(&centre, &turn);
+    }
+    Err(Error::NotConverged {
+        iterations: ITERATIONS,
+    })
+}
+
+/// One of Newton's steps from a platform that stands near: its place, its rods as they were before the step, and whether
+/// what the step leaves is nothing.
+pub fn one_step(
+    kinematics: &Kinematics,
+    pairs: &Pairs,
+    joints: &Vector3<f64>,
+    near: (&Vector3<f64>, &Rotation3<f64>),
+) -> Result<(Vector3<f64>, Tilted, bool)> {
+    let centres = kinematics.sphere_centres(joints);
+    let step = Step::at(kinematics, pairs, &centres, near.0, near.1)?;
+    let (centre, turn) = step.taken(near.0, near.1);
+    let rods = step.rods;
+    Ok((centre, Tilted { rods, turn }, step.worst_mm <= SQUARED_MM))
+}
+
+/// The rods of a platform, with what it answers, and Newton's step from there.
+struct Step {
+    rods: [[Rod; 2]; LIMBS],
+    motion: Vector6<f64>,
+    /// By how much the worst rod misses its length, mm.
+    worst_mm: f64,
+}
+
+impl Step {
+    fn at(
+        kinematics: &Kinematics,
+        pairs: &Pairs,
+        centres: &[Vector3<f64>; LIMBS],
+        centre: &Vector3<f64>,
+        turn: &Rotation3<f64>,
+    ) -> Result<Self> {
         let mut system = [[0.0; 6]; 6];
         let mut miss = Vector6::zeros();
         let mut rods = [[Rod::default(); 2]; LIMBS];
@@ -113,29 +157,34 @@ pub fn six_rods(
                 miss[row] = 0.5 * (rod.length * rod.length - rod.vector.norm_squared());
             }
         }
-        let worst = miss.amax();
+        let worst_mm = miss.amax() / sqrt(rods[0][0].vector.norm_squared());
         let Inverse { rows, weakest } = inverse(system).ok_or(Error::Singular)?;
-        if weakest <= SINGULAR || !worst.is_finite() {
+        if weakest <= SINGULAR || !worst_mm.is_finite() {
             return Err(Error::Singular);
         }
         let inverse = Matrix6::from(rows).transpose();
-        if worst <= TOLERANCE_MM * sqrt(rods[0][0].vector.norm_squared()) {
-            for (limb, pair) in rods.iter_mut().enumerate() {
-                for (k, rod) in pair.iter_mut().enumerate() {
-                    let column = inverse.column(2 * limb + k);
-                    rod.answer = Motion {
-                        centre: column.fixed_rows::<3>(0).into_owned(),
-                        turn: column.fixed_rows::<3>(3).into_owned(),
-                    };
-                }
+        for (limb, pair) in rods.iter_mut().enumerate() {
+            for (k, rod) in pair.iter_mut().enumerate() {
+                let column = inverse.column(2 * limb + k);
+                rod.answer = Motion {
+                    centre: column.fixed_rows::<3>(0).into_owned(),
+                    turn: column.fixed_rows::<3>(3).into_owned(),
+                };
             }
-            return Ok((centre, Tilted { rods, turn }));
         }
-        let step = inverse * miss;
-        centre += step.fixed_rows::<3>(0);
-        turn = Rotation3::from_scaled_axis(step.fixed_rows::<3>(3).into_owned()) * turn;
+        Ok(Self {
+            rods,
+            motion: inverse * miss,
+            worst_mm,
+        })
     }
-    Err(Error::NotConverged {
-        iterations: ITERATIONS,
-    })
+
+    fn taken(
+        &self,
+        centre: &Vector3<f64>,
+        turn: &Rotation3<f64>,
+    ) -> (Vector3<f64>, Rotation3<f64>) {
+        let more = Rotation3::from_scaled_axis(self.motion.fixed_rows::<3>(3).into_owned());
+        (centre + self.motion.fixed_rows::<3>(0), more * turn)
+    }
 }

@@ -14,15 +14,15 @@
 
 use super::effects::{AT, PARAMETERS, Values};
 use super::geometry::{Geometry, IDENTIFIABLE, LIMBS, PER_LIMB};
-use super::kinematics::{Kinematics, answers};
+use super::kinematics::{Kinematics, Poses, answers};
 use super::nominal::Model;
-use super::six_rods::{Motion, Pairs, Rod, Tilted, mismatched, six_rods, twisted};
-use crate::chain::Mechanism;
+use super::six_rods::{Motion, Pairs, Rod, Tilted, mismatched, one_step, six_rods, twisted};
 use crate::chain::effects::{Wanted, values_of};
+use crate::chain::{Columns, Mechanism};
 use crate::numbers::inverse::{Inverse, inverse};
-use crate::numbers::math::sin_cos;
+use crate::numbers::math::{Real, Triple, add, scale, sin_cos};
 use crate::{Error, Result};
-use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, Rotation3, SMatrix, Vector3, Vector6};
 
 const ITERATIONS: usize = 60;
 /// Loads are settled when none changes by more than this, mm.
@@ -97,6 +97,7 @@ impl Structure {
 
 impl Mechanism<LIMBS, PARAMETERS> for Structure {
     type Solved = Solved;
+    type Many<T: Real> = Poses<T>;
 
     #[inline]
     fn solve(&self, joints: &Vector3<f64>) -> Result<Solved> {
@@ -114,6 +115,34 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
             return Ok(self.kinematics.forward(joints)? + self.extras.target);
         }
         Ok(self.solve(joints)?.point)
+    }
+
+    #[inline]
+    fn solve_near(&self, joints: &Vector3<f64>, near: &mut Option<Solved>) -> Result<bool> {
+        let (kinematics, extras) = (&self.kinematics, &self.extras);
+        if extras.pairs.are_parallel() || !extras.is_stiff() {
+            *near = Some(self.solve(joints)?);
+            return Ok(true);
+        }
+        // the platform stands beside the parallel one as it did nearby
+        let (beside, turn) = match near {
+            Some(Solved {
+                beside,
+                tilted: Some(tilted),
+                ..
+            }) => (*beside, tilted.turn),
+            _ => (Vector3::zeros(), Rotation3::identity()),
+        };
+        let solved = near.insert(Solved::parallel(kinematics, extras, joints)?);
+        let parallel = solved.point - solved.arm;
+        let (centre, tilted, settled) = one_step(
+            kinematics,
+            &extras.pairs,
+            joints,
+            (&(parallel + beside), &turn),
+        )?;
+        solved.tilt(kinematics, extras, &centre, &tilted)?;
+        Ok(settled)
     }
 
     #[inline]
@@ -178,6 +207,84 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
         }
         by_joints
     }
+
+    #[inline(always)]
+    fn solve_many<T: Real>(
+        &self,
+        joints: [T; LIMBS],
+        wanted: Wanted,
+    ) -> Option<(Triple<T>, T, Poses<T>)> {
+        let at = AT.structure;
+        // what tilts the platform or loads it is solved by iteration, or its derivatives are
+        let iterated = [
+            at.rod_mismatch,
+            at.limb_twist,
+            at.gravity_sag,
+            at.drive_compliance,
+        ];
+        let plain = self.extras.pairs.are_parallel() && self.extras.is_stiff();
+        if !plain
+            || iterated
+                .into_iter()
+                .any(|place| wanted.wants(place).is_some())
+        {
+            return None;
+        }
+        let poses = self.kinematics.poses(joints);
+        let point = add(poses.position, splat(&self.extras.target));
+        Some((point, poses.reached, poses))
+    }
+
+    #[inline(always)]
+    fn columns_many<T: Real>(
+        &self,
+        joints: [T; LIMBS],
+        poses: &Poses<T>,
+        wanted: Wanted,
+        to: &mut impl Columns<T, LIMBS>,
+    ) {
+        let at = AT.structure;
+        let limbs = [at.limb_1, at.limb_2, at.limb_3];
+        let platforms = [at.platform_1, at.platform_2, at.platform_3];
+        for limb in 0..LIMBS {
+            // where its joint is at zero; what grows with the joint is added
+            let by = self.kinematics.by_limb(limb, 0.0);
+            if wanted.wants(limbs[limb]).is_some() {
+                let first = limb * PER_LIMB;
+                let turned = scale(splat(&by.rail_by_angle), joints[limb]);
+                to.put(first, poses.by_end(limb, splat(&by.base_radius)));
+                to.put(
+                    first + 1,
+                    poses.by_end(limb, add(splat(&by.base_angle), turned)),
+                );
+                to.put(first + 2, poses.by_end(limb, splat(&by.joint)));
+                to.put(
+                    first + 3,
+                    scale(poses.answers[limb], T::splat(self.kinematics.rods()[limb])),
+                );
+            }
+            if wanted.wants(platforms[limb]).is_some() {
+                let first = limb * PER_LIMB + IDENTIFIABLE;
+                to.put(first, poses.by_end(limb, splat(&by.platform_radius)));
+                to.put(first + 1, poses.by_end(limb, splat(&by.platform_angle)));
+            }
+            if let Some(place) = wanted.wants(at.rail_lean) {
+                let height = joints[limb] + T::splat(self.kinematics.height(limb, 0.0));
+                for (k, rail) in self.kinematics.rail_by_lean(limb).iter().enumerate() {
+                    to.put(
+                        place.start + 2 * limb + k,
+                        poses.by_end(limb, scale(splat(rail), height)),
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// A vector the same everywhere.
+#[inline(always)]
+fn splat<T: Real>(v: &Vector3<f64>) -> Triple<T> {
+    [T::splat(v.x), T::splat(v.y), T::splat(v.z)]
 }
 
 impl Extras {
@@ -217,6 +324,8 @@ pub struct Solved {
     /// From the centre of the platform to its joints, and to the measured point, base frame.
     levers: [Vector3<f64>; LIMBS],
     arm: Vector3<f64>,
+    /// From the centre of the parallel platform to that of the tilted one.
+    beside: Vector3<f64>,
     tilted: Option<Tilted>,
     loaded: Option<Loaded>,
 }
@@ -248,30 +357,50 @@ impl Solved {
 
     #[inline]
     fn unloaded(kinematics: &Kinematics, extras: &Extras, joints: &Vector3<f64>) -> Result<Self> {
+        let mut solved = Self::parallel(kinematics, extras, joints)?;
+        if !extras.pairs.are_parallel() {
+            let start = solved.point - solved.arm;
+            let (centre, tilted) = six_rods(kinematics, &extras.pairs, joints, &start)?;
+            solved.tilt(kinematics, extras, &centre, &tilted)?;
+        }
+        Ok(solved)
+    }
+
+    /// The platform as if nothing tilted it.
+    #[inline]
+    fn parallel(kinematics: &Kinematics, extras: &Extras, joints: &Vector3<f64>) -> Result<Self> {
         let pose = kinematics.pose(joints)?;
-        let levers = [0, 1, 2].map(|limb| kinematics.platform_joint(limb));
-        let mut solved = Self {
+        Ok(Self {
             point: pose.position + extras.target,
             joints: *joints,
             rods: *pose.rods(),
             answers: *pose.answers(),
             lengths: *kinematics.rods(),
-            levers,
+            levers: [0, 1, 2].map(|limb| kinematics.platform_joint(limb)),
             arm: extras.target,
+            beside: Vector3::zeros(),
             tilted: None,
             loaded: None,
-        };
-        if !extras.pairs.are_parallel() {
-            let (centre, tilted) = six_rods(kinematics, &extras.pairs, joints, &pose.position)?;
-            let rods = &tilted.rods;
-            solved.rods = [0, 1, 2].map(|k| (rods[k][0].vector + rods[k][1].vector) * 0.5);
-            solved.answers = answers(&solved.rods)?;
-            solved.levers = levers.map(|lever| tilted.turn * lever);
-            solved.arm = tilted.turn * extras.target;
-            solved.point = centre + solved.arm;
-            solved.tilted = Some(tilted);
-        }
-        Ok(solved)
+        })
+    }
+
+    /// Takes the place of a tilted platform.
+    fn tilt(
+        &mut self,
+        kinematics: &Kinematics,
+        extras: &Extras,
+        centre: &Vector3<f64>,
+        tilted: &Tilted,
+    ) -> Result<()> {
+        self.beside = centre - (self.point - self.arm);
+        let rods = &tilted.rods;
+        self.rods = [0, 1, 2].map(|k| (rods[k][0].vector + rods[k][1].vector) * 0.5);
+        self.answers = answers(&self.rods)?;
+        self.levers = [0, 1, 2].map(|limb| tilted.turn * kinematics.platform_joint(limb));
+        self.arm = tilted.turn * extras.target;
+        self.point = centre + self.arm;
+        self.tilted = Some(*tilted);
+        Ok(())
     }
 
     /// Pull of each limb by its length: `Σ w_i μ_i = -ẑ`.

@@ -105,6 +105,17 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Levenberg<S> {
         })
     }
 
+    /// Begins where a descent from the same start got to, after that many evaluations.
+    pub fn begin_at(&mut self, place: &[f64], evaluations: usize) {
+        let n = self.n;
+        for slot in [BEST, TRIAL] {
+            for (own, new) in self.storage.as_mut()[slot * n..][..n].iter_mut().zip(place) {
+                *own = *new;
+            }
+        }
+        self.evaluations = evaluations;
+    }
+
     fn slot(&self, slot: usize) -> &[f64] {
         &self.storage.as_ref()[slot * self.n..][..self.n]
     }
@@ -161,9 +172,17 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Levenberg<S> {
     pub fn advance(&mut self, triangle: &[f64], cost: f64) -> Result<Progress> {
         let n = self.n;
         self.evaluations += 1;
-        let first = self.evaluations == 1;
+        let first = self.cost == f64::INFINITY;
         if first && !cost.is_finite() {
-            return Err(Error::NotFinite { index: 0 });
+            if self.slot(TRIAL) == self.slot(START) {
+                return Err(Error::NotFinite { index: 0 });
+            }
+            // the descent ended where nothing can be computed
+            let slots = self.storage.as_mut();
+            for slot in [BEST, TRIAL] {
+                slots.copy_within(START * n..(START + 1) * n, slot * n);
+            }
+            return Ok(Progress::Evaluate);
         }
         let (slots, room) = self.storage.as_mut().split_at_mut(5 * n);
         // a step that changes the cost by less than rounding is neither better nor worse: accept it

@@ -45,9 +45,10 @@ pub fn inverse<const N: usize>(mut a: [[f64; N]; N]) -> Option<Inverse<N>> {
         if pivot.is_nan() || pivot == 0.0 {
             return None;
         }
+        let scale = 1.0 / pivot;
         for j in 0..N {
-            a[k][j] /= pivot;
-            b[k][j] /= pivot;
+            a[k][j] *= scale;
+            b[k][j] *= scale;
         }
         let (ahead, beside) = (a[k], b[k]);
         for i in 0..N {

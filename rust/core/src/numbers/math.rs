@@ -48,6 +48,9 @@ pub trait Real:
     /// `yes` where this is greater than `other`, else `no`: a choice without a branch.
     #[must_use]
     fn above(self, other: Self, yes: Self, no: Self) -> Self;
+    /// `yes` where this is at least `other`, else `no`, also for a NaN.
+    #[must_use]
+    fn at_least(self, other: Self, yes: Self, no: Self) -> Self;
 }
 
 impl Real for f64 {
@@ -70,6 +73,10 @@ impl Real for f64 {
     #[inline(always)]
     fn above(self, other: Self, yes: Self, no: Self) -> Self {
         if self > other { yes } else { no }
+    }
+    #[inline(always)]
+    fn at_least(self, other: Self, yes: Self, no: Self) -> Self {
+        if self >= other { yes } else { no }
     }
 }
 
@@ -126,6 +133,17 @@ impl<const L: usize> Real for Lanes<L> {
     fn above(mut self, other: Self, yes: Self, no: Self) -> Self {
         for lane in 0..L {
             self.0[lane] = if self.0[lane] > other.0[lane] {
+                yes.0[lane]
+            } else {
+                no.0[lane]
+            };
+        }
+        self
+    }
+    #[inline(always)]
+    fn at_least(mut self, other: Self, yes: Self, no: Self) -> Self {
+        for lane in 0..L {
+            self.0[lane] = if self.0[lane] >= other.0[lane] {
                 yes.0[lane]
             } else {
                 no.0[lane]

@@ -9,3 +9,4 @@ pub mod rigid;
 pub mod trig;
 pub mod walsh;
 pub mod waves;
+pub mod wide;

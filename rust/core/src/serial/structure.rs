@@ -71,6 +71,7 @@ impl Structure {
 
 impl Mechanism<JOINTS, PARAMETERS> for Structure {
     type Solved = Solved;
+    type Many<T: crate::numbers::math::Real> = ();
 
     fn solve(&self, joints: &SVector<f64, JOINTS>) -> Result<Solved> {
         let mut coupled = *joints;

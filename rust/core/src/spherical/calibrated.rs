@@ -11,8 +11,8 @@ use crate::chain::{Robot, inverse};
 use core::f64::consts::PI;
 use nalgebra::{Matrix2, Vector2, Vector3};
 
-/// The inverse is iterated until the forward model misses by less than this, rad: 0.2 pm on a sphere of 200 mm.
-const TOLERANCE_RAD: f64 = 1e-12;
+/// The inverse takes its last step where the forward model misses by less than this, rad: what the step leaves is its square.
+const NEAR_RAD: f64 = 1e-7;
 
 /// An identified spherical robot: where its tool really points.
 ///
@@ -98,9 +98,9 @@ impl Calibrated {
             let (reached, by_joints) = self.forward(joints, now)?;
             let mut missed = angles - reached;
             missed.x = wrapped(missed.x);
-            Ok((missed, by_joints))
+            Ok((missed, by_joints, true))
         };
-        inverse(start, miss, |missed| missed.amax() < TOLERANCE_RAD)
+        inverse(start, miss, |missed| missed.amax() < NEAR_RAD)
     }
 
     /// Displacement of the remote centre of motion at joint readings.

@@ -8,7 +8,7 @@
 use super::cones::{Cones, Meeting};
 use super::geometry::{Elbows, Geometry, LIMBS};
 use super::pose::{Pose, SINGULAR};
-use crate::numbers::math::{Lanes, Real, dot, sin_cos, sqrt};
+use crate::numbers::math::{Real, dot, sin_cos, sqrt};
 use crate::numbers::trig;
 use crate::{Error, Result, Singularity};
 use core::f64::consts::PI;
@@ -115,43 +115,29 @@ impl Kinematics {
         Ok(Vector2::from(m.angles))
     }
 
-    /// [`Self::forward`] for `L` poses at once, laid out as lanes so that it vectorises.
+    /// [`Self::forward`] for poses side by side, without branches.
     ///
-    /// Returns φ, γ and which lanes can be computed; the angles of any other lane have no meaning, and
-    /// [`Self::forward`] says why.
+    /// Returns φ, γ, and one for those that can be computed, zero for the others: their angles have no meaning, and
+    /// [`Self::forward`] says why. Angles beyond [`trig::LARGEST_RAD`] are left to it too.
     #[inline(always)]
     #[must_use]
-    pub fn forward_lanes<const L: usize>(
-        &self,
-        joints: &[[f64; L]; LIMBS],
-    ) -> ([[f64; L]; 2], [bool; L]) {
-        let [a, b] = [
-            Lanes(joints[0]) + Lanes::splat(self.cones.offset[0]),
-            Lanes(joints[1]) + Lanes::splat(self.cones.offset[1]),
-        ];
-        let half = Lanes::splat(0.5) * (a - b);
-        let m = self
-            .cones
-            .meet(Lanes::splat(0.5) * (a + b), trig::sin_cos(half));
-        let mut out = [m.angles[0].0, m.angles[1].0];
-        let mut reached = [false; L];
-        let mut far = false;
-        for lane in 0..L {
-            // written so that a NaN is never reached
-            reached[lane] = (m.height_squared.0[lane] >= 0.0)
-                & (m.spread_squared.0[lane] >= SINGULAR * SINGULAR)
-                & (m.polar_squared.0[lane] >= SINGULAR * SINGULAR)
-                & (out[0][lane].abs() < f64::INFINITY);
-            far |= half.0[lane].abs() > trig::LARGEST_RAD;
+    pub fn forward_lanes<T: Real>(&self, joints: [T; LIMBS]) -> ([T; 2], T) {
+        let of = T::splat;
+        let [a, b] = [0, 1].map(|i| joints[i] + of(self.cones.offset[i]));
+        let half = of(0.5) * (a - b);
+        let m = self.cones.meet(of(0.5) * (a + b), trig::sin_cos(half));
+        // asked so that a NaN is never reached
+        let least = of(SINGULAR * SINGULAR);
+        let mut reached = m.height_squared.at_least(of(0.0), of(1.0), of(0.0));
+        for enough in [
+            (m.spread_squared, least),
+            (m.polar_squared, least),
+            (of(f64::MAX), m.angles[0].size()),
+            (of(trig::LARGEST_RAD), half.size()),
+        ] {
+            reached = enough.0.at_least(enough.1, reached, of(0.0));
         }
-        if far {
-            for lane in 0..L {
-                let found = self.forward(&Vector2::new(joints[0][lane], joints[1][lane]));
-                reached[lane] = found.is_ok();
-                [out[0][lane], out[1][lane]] = found.unwrap_or_default().into();
-            }
-        }
-        (out, reached)
+        (m.angles, reached)
     }
 
     /// Joint angles that bring the tool axis to φ, γ, rad, with the elbows on the given sides.
@@ -180,36 +166,25 @@ impl Kinematics {
         Ok(Vector2::from(joints))
     }
 
-    /// [`Self::inverse`] for `L` poses at once; lanes that cannot be computed are marked `false`.
+    /// [`Self::inverse`] for poses side by side, marked as by [`Self::forward_lanes`].
     #[inline(always)]
     #[must_use]
-    pub fn inverse_lanes<const L: usize>(
-        &self,
-        angles: &[[f64; L]; 2],
-        elbows: Elbows,
-    ) -> ([[f64; L]; LIMBS], [bool; L]) {
-        let gamma = Lanes(angles[1]);
-        let sines = trig::sin_cos(gamma);
-        let (joints, cosines, side) = self.cones.reach(Lanes(angles[0]), sines, elbows.signs());
-        let mut out = [joints[0].0, joints[1].0];
-        let mut reached = [false; L];
-        let mut far = false;
-        for lane in 0..L {
-            reached[lane] = (cosines[0].0[lane].abs() <= 1.0)
-                & (cosines[1].0[lane].abs() <= 1.0)
-                & (sines.0.0[lane].abs() >= SINGULAR)
-                & (self.cones.sign * side.0[lane] >= 0.0)
-                & (out[0][lane].abs() < f64::INFINITY);
-            far |= gamma.0[lane].abs() > trig::LARGEST_RAD;
+    pub fn inverse_lanes<T: Real>(&self, angles: [T; 2], elbows: Elbows) -> ([T; LIMBS], T) {
+        let of = T::splat;
+        let sines = trig::sin_cos(angles[1]);
+        let (joints, cosines, side) = self.cones.reach(angles[0], sines, elbows.signs());
+        let mut reached = of(1.0);
+        for enough in [
+            (of(1.0), cosines[0].size()),
+            (of(1.0), cosines[1].size()),
+            (sines.0.size(), of(SINGULAR)),
+            (of(self.cones.sign) * side, of(0.0)),
+            (of(f64::MAX), joints[0].size()),
+            (of(trig::LARGEST_RAD), angles[1].size()),
+        ] {
+            reached = enough.0.at_least(enough.1, reached, of(0.0));
         }
-        if far {
-            for lane in 0..L {
-                let found = self.inverse(&Vector2::new(angles[0][lane], angles[1][lane]), elbows);
-                reached[lane] = found.is_ok();
-                [out[0][lane], out[1][lane]] = found.unwrap_or_default().into();
-            }
-        }
-        (out, reached)
+        (joints, reached)
     }
 
     /// Solves the pose and keeps what its derivatives need. At γ = 0 the axis and its derivatives are given, φ is

@@ -100,6 +100,7 @@ impl Structure {
 
 impl Mechanism<LIMBS, PARAMETERS> for Structure {
     type Solved = Solved;
+    type Many<T: crate::numbers::math::Real> = ();
 
     #[inline]
     fn solve(&self, joints: &Vector2<f64>) -> Result<Solved> {
