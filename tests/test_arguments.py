@@ -84,6 +84,7 @@ def doors(folder: Path) -> dict[str, Door]:
              "priors": False, "linear": False, "correction": "none", "seed": 0},
         ),
         "diagnose": Door(sk.diagnose, {"fit": study.fit, "effects": (), "level": 0.01, "seed": 0}),
+        "fleet": Door(sk.fleet, {"runs": [path], "robot": EXAMPLE, "level": 0.01, "seed": 0}),
         "diagnose a robot": Door(sk.diagnose, {"fit": EXAMPLE, "data": data}),
         "identify": Door(sk.identify, {**fitted, "priors": False, "linear": False, "start": None, "noise": None}),
         "effect": Door(

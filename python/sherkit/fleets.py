@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from .arguments import Level, Seed, as_annotated
 from .data.given import RunLike
 from .data.noise import MAD
 from .diagnosis import diagnose
@@ -179,9 +180,10 @@ class Fleet:
         }
 
 
+@as_annotated
 def fleet(
     runs: Sequence[RunLike], robot: RobotLike, *, effects: Sequence[Effect | str] = (), own: Sequence[Effect] = (),
-    level: float = 0.01, seed: int = 0, executor: futures.Executor | None = None,
+    level: Level = 0.01, seed: Seed = 0, executor: futures.Executor | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Fleet:  # fmt: skip
     """Diagnoses runs of machines that are built alike, each by itself, and compares them.

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pickle
 import tempfile
+import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 import polars as pl
@@ -60,19 +61,30 @@ class _Spooled:
     def __call__(self) -> Iterator[Measurements]:
         return self._first() if self._places is None or self._file is None else self._again(self._file, self._places)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What parses: a copy has a file of its own."""
+        return vars(self) | {"_file": None, "_places": None}
+
     def _first(self) -> Iterator[Measurements]:
         file, places = tempfile.TemporaryFile(), list[int]()  # noqa: SIM115 (open as long as the stream is)
-        room = True
-        for block in self._parse():
-            if room:
-                try:
-                    places.append(file.tell())
-                    pickle.dump(block, file, protocol=pickle.HIGHEST_PROTOCOL)
-                except OSError:
-                    room = False
-            yield block
-        if room:
-            self._file, self._places = file, places
+        close = weakref.finalize(self, file.close)
+        whole = False
+        try:
+            room = True
+            for block in self._parse():
+                if room:
+                    try:
+                        places.append(file.tell())
+                        pickle.dump(block, file, protocol=pickle.HIGHEST_PROTOCOL)
+                    except OSError:
+                        room = False
+                yield block
+            whole = room
+        finally:
+            if whole:
+                self._file, self._places = file, places
+            else:
+                close()
 
     @staticmethod
     def _again(file: IO[bytes], places: list[int]) -> Iterator[Measurements]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -15,12 +16,13 @@ from ..fit.hold_out import blocks_of
 from ..fit.identify import Fit, identify
 from ..model.base import Derivatives, ModelWithEffects
 from ..model.effect import Effect
+from ..saved import Saved
 from ..types import Bools, Floats, Ints
 from .linearised import Linearised
 from .next_poses import Proposal, next_poses
 
 
-class FittedRun:
+class FittedRun(Saved):
     """A fit on its rows.
 
     ``names`` are those of the reading columns and ``axes`` the columns looked at: coordinates that were taken.
@@ -38,6 +40,10 @@ class FittedRun:
         if not self.axes:
             raise FitError(f"{data.source}: diagnosis needs coordinates; these rows are distances only")
         self._last: tuple[Ints, tuple[Effect, ...], Floats, Linearised] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what was asked for last: a copy computes it again."""
+        return super().__getstate__() | {"_last": None}
 
     @property
     def unit(self) -> str:

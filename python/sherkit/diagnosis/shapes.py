@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -193,21 +193,33 @@ def _of_input(waves: Waves, name: str, pattern: str) -> list[Shape]:
     return waves.shapes[name]
 
 
+# a recipe travels with what was found by it: a partial call of a function with a name can be sent, a lambda cannot
+
+
 def _itself(t: Floats) -> Function:
-    return lambda rows: t[rows]
+    return partial(_rows_of, t)
+
+
+def _rows_of(t: Floats, rows: slice) -> Floats:
+    return t[rows]
 
 
 def _product(t: Floats, u: Floats) -> Function:
-    return lambda rows: t[rows] * u[rows]
+    return partial(_rows_of_both, t, u)
+
+
+def _rows_of_both(t: Floats, u: Floats, rows: slice) -> Floats:
+    return t[rows] * u[rows]
 
 
 def _legendre(t: Floats, order: int) -> Function:
     """Legendre's polynomial of order 1 to 3."""
-    return (
-        _itself(t),
-        lambda rows: 1.5 * t[rows] ** 2 - 0.5,
-        lambda rows: (2.5 * t[rows] ** 2 - 1.5) * t[rows],
-    )[order - 1]
+    return partial(_rows_of_legendre, t, order)
+
+
+def _rows_of_legendre(t: Floats, order: int, rows: slice) -> Floats:
+    x = t[rows]
+    return (x, 1.5 * x**2 - 0.5, (2.5 * x**2 - 1.5) * x)[order - 1]
 
 
 #: Frequencies of a coordinate: from two waves over its range on.
@@ -217,11 +229,7 @@ _COARSE = np.arange(2 * int(OVERSAMPLING), int(OVERSAMPLING) * _MOST_WAVES + 1)
 def _wave(b: _Builder, name: str, period: float) -> None:
     """Sine and cosine of a variable at one period."""
     values = b.view.variables[name]
-    low = values.min()
-    both: tuple[Function, Function] = (
-        lambda rows: np.sin(TURN * (values[rows] - low) / period),
-        lambda rows: np.cos(TURN * (values[rows] - low) / period),
-    )
+    both = [partial(_rows_of_wave, one, values, float(values.min()), period) for one in (np.sin, np.cos)]
     pattern = b.view.pattern_of.get(name)
     if pattern is None:
         b.on_axes(tuple(b.function(one) for one in both), (name,), "periodic", period=period)
@@ -229,6 +237,10 @@ def _wave(b: _Builder, name: str, period: float) -> None:
         # along an input they are what an encoder adds to it, its mean as well
         dense = tuple(b.column(pattern, one, centred=False) for one in both)
         b.shapes.append(Shape((name,), "periodic", period=period, pattern=pattern, dense=dense))
+
+
+def _rows_of_wave(of: np.ufunc, values: Floats, low: float, period: float, rows: slice) -> Floats:
+    return np.asarray(of(TURN * (values[rows] - low) / period))
 
 
 def wave(values: Floats, period: float) -> tuple[Floats, Floats]:
@@ -272,7 +284,11 @@ def _steps(b: _Builder) -> None:
 
 
 def _after(cut: int) -> Function:
-    return lambda rows: (np.arange(rows.start, rows.stop) >= cut).astype(float)
+    return partial(_rows_after, cut)
+
+
+def _rows_after(cut: int, rows: slice) -> Floats:
+    return (np.arange(rows.start, rows.stop) >= cut).astype(float)
 
 
 def _unit(values: Floats) -> Floats:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -222,17 +222,17 @@ def stage_of(
 
 def _stepped(view: Linearised, place: slice, moment: float) -> Callable[[slice], Floats]:
     """Columns of an effect from a moment on."""
+    return partial(_rows_from, view, place, moment)
 
-    def columns(rows: slice) -> Floats:
-        assert view.time is not None, "a step has a moment"
-        return np.where((view.time[rows] >= moment)[:, None, None], view.effects_in(rows)[:, :, place], 0.0)
 
-    return columns
+def _rows_from(view: Linearised, place: slice, moment: float, rows: slice) -> Floats:
+    assert view.time is not None, "a step has a moment"
+    return np.where((view.time[rows] >= moment)[:, None, None], view.effects_in(rows)[:, :, place], 0.0)
 
 
 def _periodic(view: Linearised, frequency: float) -> Callable[[slice], Floats]:
     """Columns of waves of all inputs."""
-    return lambda rows: waves_of(view, frequency, rows)
+    return partial(waves_of, view, frequency)
 
 
 def testable(run: FittedRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -114,8 +114,7 @@ class ModelWithEffects(Saved, ABC):
     ) -> Callable[[slice], Derivatives]:
         """The same for any stretch of the rows: what gives them, without all of them at once where that is possible.
         Effects see all rows, so that stretches are parts of one whole."""
-        whole = self.linearised(data, values, effects)
-        return lambda rows: whole.on(rows)
+        return self.linearised(data, values, effects).on
 
     @property
     @abstractmethod

@@ -292,7 +292,6 @@ class ChainModel(ModelWithEffects):
         known = dict(zip((p.name for p in self.parameters), values.tolist(), strict=True))
         start = np.array([known.get(p.name, 0.0) for p in everything.parameters])
         fitted = np.array([p.name in known for p in everything.parameters[: len(everything.indices)]])
-        core, full, block = everything.core_for(data), everything.full(start), everything._plain_block(data)
         rows = everything.rows(data, start)
         own = [(e, e.columns(rows, start[everything.owns(e)], self.axes_of(e, data))) for e in everything.own]
         tried, refused = [], {}
@@ -304,21 +303,7 @@ class ChainModel(ModelWithEffects):
                 tried.append((effect, inner))
             except EffectError as error:
                 refused[effect.name] = str(error)
-        read = int(data.taken[:, : data.coordinates].any(axis=0).sum())
-
-        def of(some: slice) -> Derivatives:
-            part = tuple(None if one is None else one[some] for one in block)
-            columns, by_joints, by_body, _ = core.derivatives(full, part, everything.indices)
-
-            def carried(effect: Effect, inner: Floats) -> Floats:
-                return carry(effect, inner[some], data.is_distance[some], data.coordinates, by_joints, by_body)
-
-            parameters = np.concatenate([columns[:, :, fitted], *(carried(e, inner) for e, inner in own)], axis=2)
-            found = [(effect, columns[:, :, everything.owns(effect)]) for effect in built_in]
-            found += [(effect, carried(effect, inner)) for effect, inner in tried]
-            return Derivatives(parameters, found, by_joints, refused, read == by_body.shape[2])
-
-        return of
+        return _Stretches(everything, data, start, fitted, built_in, own, tried, refused)
 
     def own_columns(
         self, data: Measurements, rows: Rows, values: Floats, by_joints: Floats, by_body: Floats
@@ -393,6 +378,36 @@ class ChainModel(ModelWithEffects):
             "Check units and joint order, correct the geometry, or mark the rows as outliers "
             "(column 'outlier' = 1)."
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _Stretches:
+    """Derivatives for stretches of the rows of a run: the core computes each; what the user's effects, ``own`` in the
+    model and ``tried``, give at their links is there for all rows. ``fitted`` tells the core's columns that are."""
+
+    model: ChainModel
+    data: Measurements
+    values: Floats
+    fitted: Bools
+    built_in: Sequence[Effect]
+    own: Sequence[tuple[Effect, Floats]]
+    tried: Sequence[tuple[Effect, Floats]]
+    refused: dict[str, str]
+
+    def __call__(self, some: slice) -> Derivatives:
+        model, data = self.model, self.data
+        part = tuple(None if one is None else one[some] for one in model._plain_block(data))
+        core = model.core_for(data)
+        columns, by_joints, by_body, _ = core.derivatives(model.full(self.values), part, model.indices)
+
+        def carried(effect: Effect, inner: Floats) -> Floats:
+            return carry(effect, inner[some], data.is_distance[some], data.coordinates, by_joints, by_body)
+
+        parameters = np.concatenate([columns[:, :, self.fitted], *(carried(e, inner) for e, inner in self.own)], axis=2)
+        found = [(effect, columns[:, :, model.owns(effect)]) for effect in self.built_in]
+        found += [(effect, carried(effect, inner)) for effect, inner in self.tried]
+        read = int(data.taken[:, : data.coordinates].any(axis=0).sum())
+        return Derivatives(parameters, found, by_joints, self.refused, read == by_body.shape[2])
 
 
 def carry(

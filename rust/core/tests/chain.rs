@@ -115,7 +115,9 @@ proptest! {
         let model = model_of(&robot);
         let one_by_one = [BACKLASH, ENCODER_CYCLIC, JOINT_SCALE, DRIFT, SLIP, THERMAL_GROWTH, GRAVITY_SAG, DRIVE_COMPLIANCE, LIMB_TWIST, ROD_MISMATCH];
         let mut plain = values;
-        one_by_one.iter().for_each(|range| plain[range.clone()].fill(0.0));
+        for range in &one_by_one {
+            plain[range.clone()].fill(0.0);
+        }
         let free: Vec<usize> = (0..PARAMETERS).filter(|p| !one_by_one.iter().any(|range| range.contains(p))).collect();
         let (joints, push) = (robot.joints.into(), Vector3::from(push));
         let none = Covariates::NONE;

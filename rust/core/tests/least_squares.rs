@@ -202,10 +202,14 @@ proptest! {
             }
             wide.commit_wide();
             let alone = rest.len().min(usize::try_from(random.next() % 3).unwrap());
-            rest[..alone].iter().for_each(|row| wide.push(row.iter().copied()));
+            for row in &rest[..alone] {
+                wide.push(row.iter().copied());
+            }
             left = &rest[alone..];
         }
-        left.iter().for_each(|row| wide.push(row.iter().copied()));
+        for row in left {
+            wide.push(row.iter().copied());
+        }
         prop_assert_eq!((single.rows(), wide.rows()), (count, count));
         let expected = gram_of_rows(&rows, width);
         let products = single.triangle();
