@@ -10,8 +10,8 @@ import sherkit._core as _core
 from ..errors import FitError
 from ..types import Floats
 
-#: Part of the variance of the noise that is not worth a step: it would go by three hundredths of a deviation.
-_NOTHING = 1e-3
+#: Part of the variance of the noise that is not worth a step: it would go by a tenth of a deviation.
+_NOTHING = 1e-2
 #: So many steps that leave what the model can compute say that it ends on the way to the minimum.
 _EDGE = 12
 #: Evaluations after which a fit is asked whether it still gains.
