@@ -3,12 +3,16 @@ is a motion of its own, and runs come as files of columns."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
+
+from sherkit.data.columns import LAYOUTS
+from sherkit.model.kinds import KINDS, known_kinds
 
 Floats = NDArray[np.float64]
 
@@ -110,3 +114,15 @@ def run_of(
         | dict(zip(joints, q.T, strict=True))
         | dict(zip(readings, seen.T, strict=True))
     )
+
+
+@contextmanager
+def apart() -> Iterator[None]:
+    """What machines make known is forgotten at the end: other tests must not meet them."""
+    kinds, layouts = dict(known_kinds()), list(LAYOUTS)
+    try:
+        yield
+    finally:
+        KINDS.clear()
+        KINDS.update(kinds)
+        LAYOUTS[:] = layouts

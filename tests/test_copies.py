@@ -11,7 +11,8 @@ import pickle
 import re
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ import pytest
 import sherkit as sk
 import sherkit.errors as errors
 from laboratories import SPHERICAL, experiment, laboratory
-from second_machines import run_of
+from second_machines import apart, run_of
 from sherkit.cli.demo import EXAMPLE
 from sherkit.data.noise import noise_of
 from sherkit.lab.ports import write_ports
@@ -71,8 +72,10 @@ def seen_run(robot: Robot) -> sk.Measurements:
 
 
 @pytest.fixture(scope="module")
-def values(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+def values(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Any]]:
     """A value of each kind that the package makes, asked for what it computes."""
+    left = ExitStack()
+    left.enter_context(apart())
     folder = tmp_path_factory.mktemp("values")
     (folder / "my_effects.py").write_text(EFFECT)
     (effect,) = load_effects(folder / "my_effects.py")
@@ -116,7 +119,8 @@ def values(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
     ]  # fmt: skip
     for value in made:
         asked(value)
-    return made
+    yield made
+    left.close()
 
 
 def asked(value: Any) -> None:

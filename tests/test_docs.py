@@ -21,6 +21,7 @@ from typing import Any
 
 import pytest
 
+from second_machines import apart
 from sherkit import SherkitWarning, load_robot
 from sherkit.cli import main
 from sherkit.cli.demo import EXAMPLE
@@ -206,6 +207,11 @@ def test_the_gallery_is_what_its_script_draws(work: Path) -> None:
 def test_a_story_runs(story: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a tutorial that stops working half way, or that promises another verdict than sherkit gives."""
     monkeypatch.chdir(tmp_path)
+    with apart():
+        _run(story, tmp_path)
+
+
+def _run(story: str, tmp_path: Path) -> None:
     names: dict[str, Any] = {}
     said = ""
     quoted = 0

@@ -126,7 +126,7 @@ def test_a_tool_is_calibrated_by_driving_it_aside(tmp_path):
     force = frame.select("force_x_mn", "force_y_mn").to_numpy()
     assert 20.0 < np.linalg.norm(force, axis=1).max() < 500.0
     loads = Loads(force, depth, frame.select(FIBRES).to_numpy(), np.full(len(frame), np.nan))
-    found = calibrate_tool(FlexibleTool(gains=(((1.0,) * 3,) * 2,) * 2), loads)
+    found = calibrate_tool(FlexibleTool(gains=(((1000.0,) * 3,) * 2,) * 2), loads)
     assert found.unloaded == 6
     true, fitted = np.array(FlexibleTool().gains), np.array(found.tool.gains)
     assert np.abs(fitted - true).max() < 0.05 * np.abs(true).max()

@@ -6,6 +6,7 @@ import copy
 import pickle
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,14 +18,25 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import sherkit as sk
-from second_machines import MACHINES, run_of
+from second_machines import MACHINES, apart, run_of
 from sherkit.errors import FitError, RobotError
 from sherkit.robots.machine.derivative import steps_for
 from sherkit.robots.machine.file import load_machine
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "machines"
 FILES = sorted(EXAMPLES.glob("*.py"))
-MACHINE = {path.stem: load_machine(path) for path in FILES}
+NAMES = [path.stem for path in FILES]
+#: The examples, while the tests of this file run.
+MACHINE: dict[str, sk.Machine] = {}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def examples() -> Iterator[None]:
+    with apart():
+        MACHINE.update({path.stem: load_machine(path) for path in FILES})
+        yield
+        MACHINE.clear()
+
 
 #: What is hidden in a machine, with the effect that does it and those which these poses need not tell from it.
 HIDDEN: dict[str, list[tuple[dict[str, float], set[str]]]] = {
@@ -139,7 +151,7 @@ def test_an_effect_that_moves_a_point_needs_one() -> None:
 # -- derivatives -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", list(MACHINE))
+@pytest.mark.parametrize("name", NAMES)
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_derivatives_of_the_whole_chain_against_differences(name: str, seed: int) -> None:

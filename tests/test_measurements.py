@@ -112,7 +112,7 @@ FRAMES: dict[str, Callable[[dict[str, list[Any]]], Any]] = {
 
 def differences(a: Measurements, b: Measurements) -> list[str]:
     """Fields in which two runs differ, exactly; where they came from does not count."""
-    out = [] if a.layout is b.layout else ["layout"]
+    out = [] if a.layout == b.layout else ["layout"]
     for name in (f.name for f in fields(Measurements)):
         if name in ("source", "line", "counted", "order", "layout"):
             continue

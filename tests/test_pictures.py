@@ -97,9 +97,9 @@ def demo() -> Run:
 
 @pytest.fixture(scope="module")
 def plane() -> Run:
-    """24 poses of one plane, each read once: the noise is unknown."""
-    place = np.random.default_rng(3).uniform(-20, 20, (24, 2))
-    return Run(virtual().measure(np.column_stack([place, np.zeros(24)]), repeats=1, seed=6))
+    """32 poses of one plane, each read once: the noise is unknown."""
+    place = np.random.default_rng(3).uniform(-20, 20, (32, 2))
+    return Run(virtual().measure(np.column_stack([place, np.zeros(32)]), repeats=1, seed=6))
 
 
 @pytest.fixture(scope="module")

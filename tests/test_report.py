@@ -117,8 +117,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     dense = virtual(3, 0.0).measure(grid(18.0, 7, (-15.0, 0.0, 15.0)), repeats=2, order="shuffled", seed=1)
     waves = 0.05 * (pl.col("x_mm") / 2.1).sin()
     dense.to_frame().with_columns(pl.col("y_mm") + waves).write_csv(folder / "strange.csv")
-    place = np.random.default_rng(3).uniform(-20, 20, (24, 2))
-    plane = virtual(6, 8e-3).measure(np.column_stack([place, np.zeros(24)]), repeats=1, seed=6)
+    place = np.random.default_rng(3).uniform(-20, 20, (32, 2))
+    plane = virtual(6, 8e-3).measure(np.column_stack([place, np.zeros(len(place))]), repeats=1, seed=6)
     plane.save(folder / "plane.csv")
     return folder
 

@@ -101,7 +101,9 @@ def layout_of(names: Collection[str]) -> Layout:
 
     def named(one: Layout) -> tuple[float, int]:
         joints = sum(n in names for n in one.joints)
-        return joints + 0.5 * sum(n in names for n in one.readings), joints - len(one.joints)
+        # where none is named, the first kind is as good as any
+        missing = len(one.joints) - joints if joints else len(names)
+        return joints + 0.5 * sum(n in names for n in one.readings), -missing
 
     return max(known_layouts(), key=named)
 

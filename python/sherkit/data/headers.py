@@ -81,7 +81,13 @@ def renamed(frame: pl.DataFrame, columns: Columns, source: str) -> tuple[pl.Data
 
 def proposal(names: Sequence[str]) -> str:
     """What could be meant by foreign names, as a mapping to be looked at: for the sentence that refuses them."""
-    found = max((_matched(names, layout) for layout in known_layouts()), key=len, default={})
+
+    def named(layout: Layout) -> tuple[int, int]:
+        """How many columns would have a meaning, and how few of them by another name."""
+        meant = _matched(names, layout)
+        return len(meant) + sum(name in names for name in (*layout.joints, *layout.readings)), -len(meant)
+
+    found = _matched(names, max(known_layouts(), key=named))
     if not found:
         return ""
     said = ", ".join(f"{ours} = {_quoted(theirs)}" for ours, theirs in found.items())

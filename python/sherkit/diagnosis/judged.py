@@ -8,6 +8,7 @@ expected share of false ones (Benjamini and Hochberg, *J. R. Statist. Soc. B* 57
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 
 import numpy as np
@@ -186,7 +187,7 @@ class Judged:
             effects = self.view.effects_in(rows)[here, :, :last]
             full.append(np.concatenate([family.dense_in(rows)[here][:, :, dense], effects], axis=2))
         every = np.concatenate(full)
-        return np.concatenate(functions), every.reshape(-1, every.shape[2])
+        return np.concatenate(functions), every.reshape(math.prod(every.shape[:2]), every.shape[2])
 
     def _products(self, values: Floats) -> Floats:
         """Columns times others (b, m, k) where they are seen: (K, k); functions axis by axis before full ones."""
@@ -212,12 +213,21 @@ class Judged:
         if stepped is not None and stepped[0] < min(chance, np.log(_DESCRIBED)):
             self.has_step = True
             return self._new(self._after(stepped[1]))
-        return self._new(self._one(best)) if chance < np.log(_DESCRIBED) else None
+        if chance >= np.log(_DESCRIBED):
+            return None
+        # what differs within a pose is not in its mean: such a column would be the best again and again
+        self._free[best] = 0.0
+        return self._new(self._one(best))
 
     def _new(self, columns: Floats) -> Floats:
         """What columns (n, m, k) add to the basis."""
-        flat = self._down(columns).reshape(-1, columns.shape[2])
-        return orthonormal(flat - self.basis @ (self.basis.T @ flat))
+        new = self._down(columns).reshape(-1, columns.shape[2])
+        left = np.linalg.norm(new - self.basis @ (self.basis.T @ new), axis=0)
+        new = new[:, left > _ABSORBED * np.linalg.norm(new, axis=0)]
+        # once more, since of a new column little may be left, and what is left must stand across the others
+        for _ in range(2):
+            new = orthonormal(new - self.basis @ (self.basis.T @ new))
+        return new
 
     def _one(self, number: int) -> Floats:
         """One column (n, m, 1)."""

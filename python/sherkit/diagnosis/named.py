@@ -80,7 +80,7 @@ def _refusal(
     run: FittedRun, final: FittedRun, result: SearchResult, judged: Sequence[Earned], falls: bool
 ) -> tuple[str, str] | None:
     """The effect that must not be named, and why; None where each may."""
-    sizes = sizes_of(final)
+    sizes = sizes_of(final.fit)
     absurd = [c.name for c in result.added if (sizes[final.owns(c.effect)] > ABSURD).any()]
     if absurd:
         return absurd[-1], "its size would be absurd"

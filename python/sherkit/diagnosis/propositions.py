@@ -111,9 +111,9 @@ def _plausible(final: FittedRun, used: str) -> Claim:
     tested = "no parameter is absurdly large"
     if not len(final.fit.values):
         return Claim("plausible", tested, used, "there is none", holds=True)
-    sizes = sizes_of(final)
+    sizes = sizes_of(final.fit)
     worst = int(np.argmax(sizes))
-    told = largest(final, worst)
+    told = largest(final.fit, worst)
     return Claim(
         "plausible", tested, used, f"the largest is {told}", holds=bool(sizes[worst] <= ABSURD),
         fails=f"{told}: that is absurd",

@@ -120,7 +120,7 @@ def diagnose(
     claims = claims_of(final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes)
     verdict = verdict_of(claims, found.names)
     reservations = [str(unknown)] if unknown is not None and unknown.rivals else []
-    reservations += [told] if (told := implausible(final, found.names)) else []
+    reservations += [told] if (told := implausible(final.fit, found.names)) else []
     ties = _ties(found.result)
     reports = _candidate_reports(base_stage, gains, final, found.result)
     smallest: dict[str, tuple[float, float]] = {}

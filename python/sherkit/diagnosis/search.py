@@ -376,4 +376,4 @@ def plausible(explanation: Explanation) -> bool:
 
 def is_plausible(run: FittedRun, effect: Effect) -> bool:
     """Whether no parameter of an effect is far beyond its plausible size."""
-    return bool((sizes_of(run)[run.owns(effect)] <= PLAUSIBLE).all())
+    return bool((sizes_of(run.fit)[run.owns(effect)] <= PLAUSIBLE).all())

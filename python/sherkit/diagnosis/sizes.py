@@ -10,23 +10,21 @@ import numpy as np
 from ..errors import FitError, SherkitWarning
 from ..fit.identify import Fit
 from ..types import Floats
-from .fitted_run import FittedRun
 
 #: Plausible sizes up to which a parameter is plausible, and those from which on it is absurd and nothing is believed.
 PLAUSIBLE, ABSURD = 5.0, 500.0
 
 
-def sizes_of(run: FittedRun) -> Floats:
+def sizes_of(fit: Fit) -> Floats:
     """How many plausible sizes each parameter (p,) is at least, give or take two deviations."""
-    fit = run.fit
     size = np.array([p.size for p in fit.parameters])
     return np.maximum(np.abs(fit.values) - 2 * fit.std_from_readings, 0.0) / size
 
 
-def largest(run: FittedRun, k: int) -> str:
+def largest(fit: Fit, k: int) -> str:
     """A parameter by its number, beside what is usual."""
-    p = run.fit.parameters[k]
-    value = f"{p.name} = {run.fit.values[k]:.3g} ± {run.fit.std_from_readings[k]:.1g} {p.unit}".rstrip()
+    p = fit.parameters[k]
+    value = f"{p.name} = {fit.values[k]:.3g} ± {fit.std_from_readings[k]:.1g} {p.unit}".rstrip()
     return f"{value} where {p.size:.3g} is usual"
 
 
@@ -35,22 +33,21 @@ def refuse_absurd(fit: Fit, names: Sequence[str]) -> None:
 
     Raises :class:`~sherkit.errors.FitError`.
     """
-    run = FittedRun(fit)
-    told = implausible(run, names)
+    told = implausible(fit, names)
     if told is None:
         return
-    sizes = sizes_of(run)
-    if any(sizes[run.owns(e)].max() > ABSURD for e in fit.model.effects if e.name in names):
+    sizes = sizes_of(fit)
+    if any(sizes[fit.model.owns(e)].max() > ABSURD for e in fit.model.effects if e.name in names):
         raise FitError(f"{fit.data.source}: {told}; nothing that such a fit says can be believed")
     warnings.warn(f"{fit.data.source}: {told}", SherkitWarning, stacklevel=3)
 
 
-def implausible(final: FittedRun, names: Sequence[str]) -> str | None:
+def implausible(fit: Fit, names: Sequence[str]) -> str | None:
     """The named effect whose size is far beyond what is plausible, as a sentence; None where there is none."""
-    sizes = sizes_of(final)
-    for effect in final.model.effects:
-        place = final.owns(effect)
+    sizes = sizes_of(fit)
+    for effect in fit.model.effects:
+        place = fit.model.owns(effect)
         if effect.name in names and sizes[place].max() > PLAUSIBLE:
             k = place.start + int(np.argmax(sizes[place]))
-            return f"{largest(final, k)}: look for another cause, or for why it is so large"
+            return f"{largest(fit, k)}: look for another cause, or for why it is so large"
     return None

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from ..model.kinds import register
-from . import delta, serial, spherical
+from importlib import import_module
 
-for kind in (delta.KIND, spherical.KIND, serial.KIND):
-    register(kind)
+from ..model.kinds import register
+
+# one after the other: where columns fit none, messages speak of the first
+for name in ("delta", "spherical", "serial"):
+    register(import_module(f".{name}", __package__).KIND)

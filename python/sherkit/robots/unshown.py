@@ -96,7 +96,7 @@ class Unshown:
     def largest(self, model: ChainModel) -> tuple[float, float]:
         """How large it is: in plausible sizes of the effect's own parameters and of those that take of it, whichever is
         more, and in the unit of the coordinates."""
-        own = [p.size for p in model.catalogue[self.effect].parameters]
+        own = [p.size for p in model.known_effects[self.effect].parameters]
         others = np.array([[p.size] for p in model.parameters])
         errors = np.vstack([np.diag(1.0 / np.array(own)), self.absorbed / others])
         moves = self.corrected.reshape(-1, len(own))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from ...types import Bools, Floats
 
@@ -25,7 +25,7 @@ _SLACK = 0.02
 def starts(forward: Callable[[Floats], Floats], readings: Floats, box: Floats) -> Floats:
     """For each of the readings (n, m) the nearest place (n, k) of the joints, of many over their ``box`` (k, 2)."""
     low, high = box.T
-    joints = low + (high - low) * qmc.Halton(len(low), scramble=False).random(_PLACES + 1)[1:]
+    joints = low + (high - low) * scipy.stats.qmc.Halton(len(low), scramble=False).random(_PLACES + 1)[1:]
     shown = forward(joints)
     known = np.isfinite(shown).all(axis=1)
     joints, shown = joints[known], shown[known]

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from ...data import Measurements
 from ...data.columns import unit_in
@@ -82,7 +82,7 @@ class MachineModel(ChainModel):
     def reachable(self, data: Measurements, values: Floats) -> Reachable | None:
         """Joints spread evenly over where the run was, rounded to what a person types."""
         low, high = data.joints.min(axis=0), data.joints.max(axis=0)
-        spread = qmc.Halton(len(low), scramble=False).random(_POSES + 1)[1:]
+        spread = scipy.stats.qmc.Halton(len(low), scramble=False).random(_POSES + 1)[1:]
         digits = [_DIGITS.get(unit_in(name), 4) for name in self.robot.joint_names]
         joints = np.column_stack([np.round(c, d) for c, d in zip((low + (high - low) * spread).T, digits, strict=True)])
         rows = data.unmeasured(joints)
