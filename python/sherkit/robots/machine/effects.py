@@ -24,6 +24,7 @@ REFERENCE_TEMPERATURE_C = 20.0
 _SMALL = {"mm": 0.1, "um": 100.0, "m": 1e-4, "rad": 2e-3, "mrad": 2.0, "deg": 0.1, "px": 5.0, "arcsec": 300.0}
 _POINT = ("x_mm", "y_mm", "z_mm")
 _SCALE = 1e-3
+_METRE = 1000.0
 #: Machines with more joints than this have couplings of neighbours alone.
 _FEW_JOINTS = 3
 
@@ -107,7 +108,7 @@ def generic_effects(joints: Sequence[str], readings: Sequence[str], spans: Seque
         grows = (("coefficient", "1/°C", 1e-4),)
         out.append(Generic("thermal_growth", "body", grows, lambda x, at: _warmer(at)[:, None, None] * x[:, :, None],
                            ("temperature_c",)))  # fmt: skip
-        out.append(Generic("droop", "body", (("fall", "1/mm", 1e-6),), _droop))
+        out.append(Generic("droop", "body", (("fall_at_1_m", "mm", 1.0),), _droop))
         turns = tuple((f"turn_{axis}", "rad", 2e-3) for axis in "xyz")
         out.append(Generic("instrument_turned", "sensor", turns, _turned))
     per_hour = _each("rate", readings, [f"{u}/h" for u in read], seen)
@@ -195,7 +196,7 @@ def _late(at: Known) -> Floats:
 
 def _droop(x: NDArray[Any], _: Known) -> NDArray[Any]:
     out = np.zeros((len(x), 3, 1), dtype=x.dtype)
-    out[:, 2, 0] = -(x[:, 0] ** 2 + x[:, 1] ** 2)
+    out[:, 2, 0] = -(x[:, 0] ** 2 + x[:, 1] ** 2) / _METRE**2
     return out
 
 
@@ -224,7 +225,8 @@ _OWN = {
         workshop="Mount the ring without stress; use the encoder's own compensation.",
     ),
     "droop": Sentences(
-        physics="The machine gives way under its own weight the further it reaches from its axis.",
+        physics="The machine gives way under its own weight the further it reaches from its axis; the value is the "
+        "fall at a metre from it.",
         residuals="Downwards, with the square of the distance from the z axis.",
         workshop="Balance or stiffen the overhanging part; preload its bearing.",
     ),
