@@ -172,7 +172,9 @@ def test_a_number_out_of_range_is_refused_before_anything_is_done(known: dict[st
     """Catches a seed, a level or a count that goes down to NumPy, or that is taken as it is."""
     for one in known.values():
         for value in (-1, float("nan"), "1", 2.5) if name in one.good else ():
-            with pytest.raises(sk.errors.ArgumentError, match=rf"^\w+(\.\w+)?: {name}: expected a \w+ number above"):
+            with pytest.raises(
+                sk.errors.ArgumentError, match=rf"^\w+(\.\w+)?: {name}: expected a \w+ number (above|of at least)"
+            ):
                 one.call(**{**one.good, name: value})
 
 

@@ -39,8 +39,22 @@ class Above:
         return f"above {self.least:g}" + (f" and below {self.most:g}" if self.most < math.inf else "")
 
 
+@dataclass(frozen=True)
+class AtLeast:
+    """``least`` or more."""
+
+    least: float
+
+    def holds(self, value: Any) -> bool:
+        """Whether a number is as it must be."""
+        return bool(value >= self.least)
+
+    def __str__(self) -> str:
+        return f"of at least {self.least:g}"
+
+
 #: Where randomness starts.
-Seed = Annotated[int, Above(-1)]
+Seed = Annotated[int, AtLeast(0)]
 #: How many of something.
 Count = Annotated[int, Above(0, 1e9)]
 #: How often a true statement may be refused.

@@ -453,7 +453,7 @@ def joined(first: Measurements, second: Measurements) -> Measurements:
         warnings.warn(
             f"{first.source} and {second.source}: column {listed(lost)} is left out, since only one run has it",
             SherkitWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
     both = pl.concat([a.select(common), b.select(common)], how="vertical_relaxed")
     # directions are those of each run by itself
