@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import sherkit._core as _core
-from sherkit.errors import FitError
-from sherkit.fit.iterate import iterate
+from sherkit.fit.numpy_chain import NumpyChain
 from sherkit.model.chain import Block
 from sherkit.types import Bools, Floats
 
@@ -45,7 +43,7 @@ CATALOGUE: Sequence[dict[str, Any]] = (
 )
 
 
-class PlanarCore:
+class PlanarCore(NumpyChain):
     """The chain of one arm: ``lengths`` (2,) and ``height``, mm; ``home`` (2,), rad; moments, s; the period of
     the encoders, rad."""
 
@@ -106,35 +104,3 @@ class PlanarCore:
 
         by_joints, by_body = along(2, range(2), 1), along(3, range(3), 2)
         return along(len(values), free, 0), by_joints, by_body, self.predict(values, block)[1]
-
-    def accumulate(
-        self, solver: _core.Solver, values: Floats, free: Sequence[int], block: Block, readings: Floats, weights: Floats
-    ) -> list[int]:
-        """Gives the solver rows at its trial; returns those that cannot be computed there."""
-        values = values.copy()
-        values[list(free)] = solver.trial
-        predicted, reached = self.predict(values, block)
-        used = (weights > 0).any(axis=1)
-        columns = self.derivatives(values, block, free)[0]
-        left = np.where(weights > 0, readings - predicted, 0.0)
-        solver.push(np.ascontiguousarray(columns), left, weights)
-        return [int(k) for k in np.flatnonzero(used & ~reached)]
-
-    def solve(
-        self, solver: _core.Solver, values: Floats, free: Sequence[int], block: Block, readings: Floats,
-        weights: Floats, priors: bool,
-    ) -> tuple[str, list[int]]:  # fmt: skip
-        """Iterates to the minimum; how it ended, and the rows that cannot be computed at the start."""
-        missing: list[int] = []
-
-        def feed(_: Floats) -> None:
-            missing[:] = self.accumulate(solver, values, free, block, readings, weights)
-            if missing:
-                raise FitError("rows are out of reach")
-            if priors:
-                solver.push_priors()
-
-        try:
-            return iterate(solver, feed), []
-        except FitError:
-            return "exhausted", missing

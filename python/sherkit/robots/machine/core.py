@@ -14,10 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import sherkit._core as _core
-
-from ...errors import FitError
-from ...fit.iterate import iterate
+from ...fit.numpy_chain import NumpyChain
 from ...model.chain import Block
 from ...types import Bools, Floats
 from .effects import Generic, Known
@@ -29,7 +26,7 @@ _SAME = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class MachineCore:
+class MachineCore(NumpyChain):
     """The chain of one machine at the settings of its effects: ``wave``, one turn over the period of its encoders, and
     two moments, s."""
 
@@ -114,43 +111,6 @@ class MachineCore:
         by_push = by_shown if shown.shape[1] == 3 else np.zeros((*shown.shape, 3))
         reached = np.isfinite(self._link("sensor", shown, values, known)).all(axis=1)
         return out, by_joints, by_push, reached
-
-    def accumulate(
-        self, solver: _core.Solver, values: Floats, free: Sequence[int], block: Block, readings: Floats, weights: Floats
-    ) -> list[int]:
-        """Gives the solver rows at its trial; returns those that cannot be computed there."""
-        values = values.copy()
-        values[list(free)] = solver.trial
-        predicted, reached = self.predict(values, block)
-        used = np.asarray((weights > 0).any(axis=1))
-        missing = [int(k) for k in np.flatnonzero(used & ~reached)]
-        if missing:
-            return missing
-        columns = np.where(used[:, None, None], self.derivatives(values, block, free)[0], 0.0)
-        left = np.where(weights > 0, readings - predicted, 0.0)
-        solver.push(np.ascontiguousarray(columns), left, weights)
-        return []
-
-    def solve(
-        self, solver: _core.Solver, values: Floats, free: Sequence[int], block: Block, readings: Floats,
-        weights: Floats, priors: bool,
-    ) -> tuple[str, list[int]]:  # fmt: skip
-        """Iterates to the minimum; how it ended, and the rows that cannot be computed at the start."""
-        missing: list[int] = []
-
-        def feed(_: Floats) -> None:
-            missing[:] = self.accumulate(solver, values, free, block, readings, weights)
-            if missing:
-                raise FitError("rows are out of reach")
-            if priors:
-                solver.push_priors()
-
-        try:
-            return iterate(solver, feed), []
-        except FitError:
-            if not missing:  # the function itself has said what is wrong
-                raise
-            return "exhausted", missing
 
 
 def not_in(function: UserFunction, effects: Sequence[Generic]) -> tuple[Generic, ...]:
