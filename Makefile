@@ -35,7 +35,7 @@ $(BIN)/python: | check-tools
 
 # the wheel that a user would install, not the source tree; its dependencies come with it
 $(STAMP): $(BIN)/python $(SOURCES)
-	$(BIN)/python -m pip install --quiet 'maturin>=1.9,<2'
+	$(BIN)/python -m pip install --quiet 'maturin>=1.13,<2'
 	rm -f $(WHEELS)/sherkit-*.whl
 	$(BIN)/maturin build --quiet --release --locked --out $(WHEELS)
 	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps $(WHEELS)/sherkit-*.whl
