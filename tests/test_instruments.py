@@ -43,7 +43,8 @@ from sherkit.lab.emulators import (
 from sherkit.lab.instruments import Axis, Galil, Hyperion, Keyence, NetFT, Scale, Sm130, VideoCamera, fetch_scale
 from sherkit.lab.instruments.galil_line import parse_answer, parse_numbers
 from sherkit.lab.instruments.keyence import parse_reply, parse_value
-from sherkit.lab.instruments.transport import TcpPort, deadline_in, open_port
+from sherkit.lab.instruments.opening import open_port
+from sherkit.lab.instruments.transport import TcpPort, deadline_in
 
 LINKS = ("pty", "tcp")
 AXES = (

@@ -30,16 +30,19 @@ _POLITE = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(si
 @click.option("--accept", is_flag=True, help="With --resume: rows that were marked as in doubt are right.")
 @click.option("--live", "is_live", is_flag=True, help="Identify while the rows come in, and say when they are enough.")
 @click.option("--ports", type=click.Path(path_type=Path), help="Addresses by instrument, as 'sherkit lab' wrote them.")
+@output.OWN_INSTRUMENTS
 def measure(
-    experiment: Path, destination: Path | None, resume: bool, accept: bool, is_live: bool, ports: Path | None
-) -> None:
+    experiment: Path, destination: Path | None, resume: bool, accept: bool, is_live: bool, ports: Path | None,
+    python: tuple[Path, ...],
+) -> None:  # fmt: skip
     """Run EXPERIMENT (TOML): drive to each pose, read the instruments, store.
 
     Nothing moves before the controller has proven where its axes are ('sherkit home'), and the run ends where sensors
     and joints cannot both be right. Keys: p pauses after the present step and goes on, q ends after it. Ctrl-C stops
     the motors at once.
     """
-    chosen = load_experiment(experiment, ports)
+    output.say_that_code_runs(python)
+    chosen = load_experiment(experiment, ports, python=python)
     path = destination or chosen.run_path
     live = Live(chosen.robot, chosen.plan, chosen.goal, fitting=is_live)
     begin = RunFile.resume if resume else RunFile.create
