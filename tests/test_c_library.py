@@ -52,13 +52,18 @@ def tool(*names: str) -> str:
     pytest.skip(f"none of {', '.join(names)} is installed, so the C library cannot be tested")
 
 
-@pytest.fixture(scope="module")
-def archive() -> Path:
-    """The static library, built."""
+def built_archive() -> Path:
+    """The static library, built; skips where it cannot be."""
     tool("cc")
     command = [tool("cargo"), "build", "--quiet", "--locked", "--profile", "control", "-p", "sherkit-c"]
     run(*command, "--target-dir", TARGET, cwd=ROOT)
     return TARGET / "control" / "libsherkit.a"
+
+
+@pytest.fixture(scope="module")
+def archive() -> Path:
+    """The static library."""
+    return built_archive()
 
 
 def built(archive: Path, source: str, into: Path, *flags: str) -> Path:

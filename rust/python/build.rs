@@ -22,6 +22,7 @@ fn main() -> Done {
         "c/src",
         "c/include",
         "c/package",
+        "c/examples/wheel",
         "c/Cargo.toml",
         "core/src",
     ] {
@@ -95,14 +96,17 @@ fn package(c: &Path, built: &Path, to: &Path) -> Done {
     let (series, _) = version
         .rsplit_once('.')
         .ok_or("a version has three parts")?;
-    let (lib, include) = (to.join("lib"), to.join("include"));
+    let [lib, include, example] = ["lib", "include", "example"].map(|name| to.join(name));
     let (pkgconfig, cmake) = (lib.join("pkgconfig"), lib.join("cmake/sherkit"));
     // what an earlier build left
     let _ = fs::remove_dir_all(to);
-    for folder in [&lib, &include, &pkgconfig, &cmake] {
+    for folder in [&lib, &include, &example, &pkgconfig, &cmake] {
         fs::create_dir_all(folder)?;
     }
     fs::copy(c.join("include/sherkit.h"), include.join("sherkit.h"))?;
+    for name in ["loop.c", "CMakeLists.txt"] {
+        fs::copy(c.join("examples/wheel").join(name), example.join(name))?;
+    }
     for name in [
         "libsherkit.a",
         "libsherkit.so",
