@@ -1,13 +1,14 @@
 """Builds the documentation as a site and checks every link of it: ``python docs/build_site.py FOLDER``.
 
-The pages are laid out as they stand in the repository, so that a link which works there works here. What is checked of
-the pages that were made: every file, picture and heading that is linked to is there, and nothing is fetched from another
-host.
+The pages are laid out as they stand in the repository, so that a link which works there works here. What is checked
+of the pages that were made: every file, picture and heading that is linked to is there, and nothing is fetched from
+another host.
 """
 
 from __future__ import annotations
 
 import logging
+import re
 import shutil
 import sys
 from html.parser import HTMLParser
@@ -17,6 +18,8 @@ from urllib.parse import unquote, urlsplit
 HERE = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "CODE_OF_CONDUCT.md", "LICENSE",
          "benchmarks/README.md", "rust/c/README.md")  # fmt: skip
+WORKER = "site_worker.js"
+_FETCHED_WORKER = re.compile(r"https://[\w.]+/iframe-worker/shim")
 #: Attributes by which a browser fetches by itself; a link is followed by a person.
 _FETCHED = {
     ("script", "src"),
@@ -36,8 +39,9 @@ def lay_out(source: Path) -> None:
     for page in PAGES:
         (source / page).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(HERE / page, source / page)
-    for folder in ("docs", "examples"):
-        shutil.copytree(HERE / folder, source / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    # the scripts that make the documents are no documents
+    shutil.copytree(HERE / "docs", source / "docs", ignore=shutil.ignore_patterns("__pycache__", "*.py", "*.js"))
+    shutil.copytree(HERE / "examples", source / "examples", ignore=shutil.ignore_patterns("__pycache__"))
 
 
 def build(site: Path) -> list[str]:
@@ -55,7 +59,17 @@ def build(site: Path) -> list[str]:
         mkdocs_build(config)
     finally:
         logger.removeHandler(wrong)
+    own_worker(site)
     return wrong.said + checked(site)
+
+
+def own_worker(site: Path) -> None:
+    """What lets a site search that is opened as files, from the site itself: the theme's would be fetched."""
+    shutil.copy(HERE / "docs" / WORKER, site / "assets" / WORKER)
+    for path in site.rglob("*.html"):
+        above = "../" * (len(path.relative_to(site).parts) - 1)
+        text = _FETCHED_WORKER.sub(f"{above}assets/{WORKER}", path.read_text(encoding="utf-8"))
+        path.write_text(text, encoding="utf-8")
 
 
 class _Warnings(logging.Handler):

@@ -46,7 +46,7 @@ def test_documents_are_a_run(tmp_path, way):
         run = sk.from_bluesky(documents, columns=COLUMNS)
     np.testing.assert_allclose(run.joints, JOINTS)
     np.testing.assert_allclose(run.readings[:, :3], 1e-3 * PLACES_UM)
-    np.testing.assert_allclose(run.covariates["time_s"], [1.0, 2.0, 4.0])
+    np.testing.assert_allclose(run.time_s, [1.0, 2.0, 4.0])
 
 
 @pytest.mark.parametrize(
@@ -99,13 +99,14 @@ def test_what_bluesky_itself_gives_is_read():
 
 # -- ROS -------------------------------------------------------------------------------------------------------
 
-ARM = ("shoulder", "elbow")
+RAILS = ("rail_1", "rail_2", "rail_3")
+OURS = {f"q{k}_mm": name for k, name in enumerate(RAILS, 1)}
 STEP_S = 0.02
 
 
 def bag(folder, *, kind="geometry_msgs/msg/PoseStamped", gap=False):
-    """A bag of two joints that turn evenly, seen at every third of their messages and a bit later. Returns the angles
-    and places as they were."""
+    """A bag of three rails that slide evenly, seen at every third of their messages and a bit later. Returns times,
+    joints and places as they were, s and mm."""
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
     from rosbags.typesys import Stores, get_typestore
 
@@ -117,8 +118,8 @@ def bag(folder, *, kind="geometry_msgs/msg/PoseStamped", gap=False):
         stamp = made["builtin_interfaces/msg/Time"](sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
         return made["std_msgs/msg/Header"](stamp=stamp, frame_id="base")
 
-    def angles(time_s):
-        return np.array([0.3 + 0.5 * time_s, -0.2 + 1.5 * time_s])
+    def joints_mm(time_s):
+        return np.array([130.0 + 5.0 * time_s, 129.0 - 15.0 * time_s, 131.0])
 
     true = []
     with rosbag2.Writer(folder, version=9) as writer:
@@ -127,16 +128,16 @@ def bag(folder, *, kind="geometry_msgs/msg/PoseStamped", gap=False):
         for n in range(60):
             time_s = n * STEP_S
             if not (gap and 20 < n < 30):
-                q = angles(time_s)
+                q = 1e-3 * joints_mm(time_s)
                 message = made["sensor_msgs/msg/JointState"](
-                    header=header(100 + time_s), name=list(ARM[::-1]), position=q[::-1].copy(),
-                    velocity=np.zeros(2), effort=np.zeros(2),
+                    header=header(100 + time_s), name=list(RAILS[::-1]), position=q[::-1].copy(),
+                    velocity=np.zeros(3), effort=np.zeros(3),
                 )  # fmt: skip
                 writer.write(joints, n, store.serialize_cdr(message, "sensor_msgs/msg/JointState"))
             if n % 3 == 1:
                 at = time_s + 0.4 * STEP_S
                 place = np.array([0.1 + 0.01 * n, 0.2, 0.3])
-                true.append((at, angles(at), 1e3 * place))
+                true.append((at, joints_mm(at), 1e3 * place))
                 point = made["geometry_msgs/msg/Point"](*map(float, place))
                 turn = made["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
                 pose = made["geometry_msgs/msg/Pose"](position=point, orientation=turn)
@@ -154,29 +155,27 @@ def bag(folder, *, kind="geometry_msgs/msg/PoseStamped", gap=False):
 def test_a_bag_is_a_run(tmp_path, kind):
     """Catches metres read as mm, joints by their place in the message, and joints at the time of writing."""
     true = bag(tmp_path / "bag", kind=kind)
-    arm = {"q1_rad": "shoulder", "q2_rad": "elbow"}
-    run = sk.from_rosbag(tmp_path / "bag", arm, "/tracker", coordinates=("x_mm", "y_mm", "z_mm"))
+    run = sk.from_rosbag(tmp_path / "bag", OURS, "/tracker", coordinates=("x_mm", "y_mm", "z_mm"))
     assert len(run) == len(true)
     np.testing.assert_allclose(run.joints, [q for _, q, _ in true], atol=1e-8)
     np.testing.assert_allclose(run.readings[:, :3], [p for _, _, p in true])
-    with pytest.raises(MeasurementError, match=r"no joint 'shulder'.*shoulder"):
-        sk.from_rosbag(tmp_path / "bag", {"q1_rad": "shulder"}, "/tracker")
+    with pytest.raises(MeasurementError, match=r"no joint 'rial_1'.*rail_1"):
+        sk.from_rosbag(tmp_path / "bag", {"q1_mm": "rial_1"}, "/tracker")
     with pytest.raises(MeasurementError, match=r"no topic '/trakcer'.*/tracker"):
-        sk.from_rosbag(tmp_path / "bag", arm, "/trakcer")
+        sk.from_rosbag(tmp_path / "bag", OURS, "/trakcer")
     with pytest.raises(MeasurementError, match="no such bag"):
-        sk.from_rosbag(tmp_path / "nothing", arm, "/tracker")
+        sk.from_rosbag(tmp_path / "nothing", OURS, "/tracker")
     (tmp_path / "torn").mkdir()
     with pytest.raises(MeasurementError, match="no bag that can be read"):
-        sk.from_rosbag(tmp_path / "torn", arm, "/tracker")
+        sk.from_rosbag(tmp_path / "torn", OURS, "/tracker")
 
 
 def test_poses_that_no_joints_go_with_are_said(tmp_path):
     """Catches a pose that is given the joints of another time, and a row that is lost without a word."""
     true = bag(tmp_path / "bag", gap=True)
-    arm = {"q1_rad": "shoulder", "q2_rad": "elbow"}
     lost = sum(20 * STEP_S < at < 30 * STEP_S for at, _, _ in true)
     with pytest.warns(SherkitWarning, match=f"of {len(true)} poses were left out: {lost} without joint states"):
-        run = sk.from_rosbag(tmp_path / "bag", arm, "/tracker")
+        run = sk.from_rosbag(tmp_path / "bag", OURS, "/tracker")
     assert len(run) == len(true) - lost > 0
     with pytest.raises(MeasurementError, match="no pose"), pytest.warns(SherkitWarning, match="while a joint moved"):
-        sk.from_rosbag(tmp_path / "bag", arm, "/tracker", still_per_s=1.0)
+        sk.from_rosbag(tmp_path / "bag", OURS, "/tracker", still_per_s=10.0)

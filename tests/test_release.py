@@ -1,4 +1,4 @@
-"""What a release promises: one version, the wheel's C library, help that can be typed, a doctor that tells the truth."""
+"""What a release promises: one version, the wheel's C library, help that can be typed, a doctor that tells what is."""
 
 from __future__ import annotations
 

@@ -26,9 +26,6 @@ INSTRUMENTS = "docs/instruments.md"
 LOOP = "docs/howto_c.md"
 NEEDS = {"docs/other_programs.md": ("bluesky", "ophyd", "rosbags")}
 
-made = test_docs.made
-work = test_docs.work
-
 
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_runs(name: str, work: Path) -> None:
@@ -129,8 +126,7 @@ def test_no_path_of_a_machine(name: str) -> None:
 
 @pytest.mark.slow
 def test_the_site_is_built_and_every_link_leads_somewhere(tmp_path: Path) -> None:
-    """Catches a dead link, a renamed heading, a name of the reference that is gone, and a page that would fetch something
-    from another host."""
+    """Catches a dead link, a renamed heading, a name of the reference that is gone, and what is fetched elsewhere."""
     for module in ("mkdocs", "mkdocstrings", "material"):
         if importlib.util.find_spec(module) is None:
             pytest.skip(f"{module} is not installed")
