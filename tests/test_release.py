@@ -152,7 +152,7 @@ def test_where_the_library_is_can_be_asked(tmp_path, monkeypatch):
     (tmp_path / "c" / "lib" / "libsherkit.a").touch()
     monkeypatch.setattr(c_library.sys, "platform", "linux")
     shown = CliRunner().invoke(cli, ["c", "--cflags", "--libs"])
-    assert shlex.split(shown.output) == [f"-I{tmp_path}/c/include", f"{tmp_path}/c/lib/libsherkit.a", "-lm"]
+    assert shlex.split(shown.output) == [f"-I{tmp_path}/c/include", "-lm", f"{tmp_path}/c/lib/libsherkit.a"]
     shared = shlex.split(CliRunner().invoke(cli, ["c", "--libs", "--shared"]).output)
     assert f"-Wl,-rpath,{tmp_path}/c/lib" in shared
     assert CliRunner().invoke(cli, ["c", "--cmake"]).output.strip() == f"{tmp_path}/c/lib/cmake/sherkit"

@@ -53,8 +53,9 @@ def c_library(cflags: bool, libs: bool, shared: bool, cmake: bool, pkgconfig: bo
         words.append(f"-I{HOME / 'include'}")
     if libs:
         folder = static.parent
-        words += [f"-L{folder}", "-lsherkit", f"-Wl,-rpath,{folder}"] if shared else [str(static)]
+        # the system's own mathematics first: the static library has some of the same names
         words += [] if sys.platform == "win32" else ["-lm"]
+        words += [f"-L{folder}", "-lsherkit", f"-Wl,-rpath,{folder}"] if shared else [str(static)]
     if words:
         print(shlex.join(words))
     if cmake:

@@ -67,7 +67,7 @@ def findings() -> Iterator[Finding]:
 
 def _extras() -> dict[str, list[str]]:
     """Packages by extra, "" for those that sherkit cannot do without."""
-    out: dict[str, list[str]] = {"": []} | {name: [] for name in _PURPOSE}
+    out: dict[str, list[str]] = {name: [] for name in ("", *_PURPOSE)}
     try:
         lines = requires("sherkit") or []
     except PackageNotFoundError:

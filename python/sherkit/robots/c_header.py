@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from typing import Any
 
 from ..errors import CalibrationError
 from ..types import Floats
@@ -19,7 +20,7 @@ def calibration_header(calibration: Calibration, source: str = "calibrated.toml"
 
     Raises :class:`~sherkit.errors.CalibrationError` for a robot that the C library does not have.
     """
-    core = getattr(calibration, "core", None)
+    core: Any = getattr(calibration, "core", None)
     row: Floats | None = core.flat() if hasattr(core, "flat") else None
     kind = None if row is None else _TYPES.get(float(row[1]))
     if row is None or kind is None:
