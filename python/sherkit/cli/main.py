@@ -13,7 +13,6 @@ import sherkit._core as _core
 
 from ..errors import SherkitError
 from ..starting import loaded
-from .examples import epilog
 
 #: The verbs, and where each stands: a file here, loaded when its verb is typed, and the name in it.
 _VERBS = {
@@ -50,7 +49,7 @@ class _Verbs(click.Group):
             return None
         file, _, name = _VERBS[cmd_name].partition(".")
         command: click.Command = getattr(import_module(f".{file}", __package__), name)
-        command.epilog = epilog(cmd_name)
+        command.epilog = import_module(".examples", __package__).epilog(cmd_name)
         return command
 
 
