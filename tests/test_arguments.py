@@ -104,7 +104,7 @@ def doors(folder: Path) -> dict[str, Door]:
         ),
         "from_rosbag": Door(
             sk.from_rosbag,
-            {"path": folder / "no_bag", "joints": {"q1_mm": "rail_1"}, "poses": "/tracker", "joint_states": "/joint_states",
+            {"path": folder / "no_bag", "joints": {"q1_mm": "rail_1"}, "poses": "/tracker", "joint_states": "/js",
              "coordinates": ("x_mm",), "longest_gap_s": 0.05, "still_per_s": None},
         ),
         "read_measurements": Door(sk.read_measurements, {"path": path, "columns": None}),
