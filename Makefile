@@ -12,7 +12,7 @@ PYTHONS := python tests benchmarks examples docs
 export OPENBLAS_NUM_THREADS := 1
 SOURCES := Cargo.toml Cargo.lock pyproject.toml README.md $(shell find rust python -type f -not -name '*.so' -not -path '*/__pycache__/*')
 
-.PHONY: demo demo-lab test test-rust test-python test-slow lint no-std header header-check bench format clean check-tools
+.PHONY: demo demo-lab test test-rust test-python test-slow lint no-std header header-check bench site format clean check-tools
 
 demo: $(STAMP)
 	$(BIN)/sherkit demo
@@ -35,7 +35,7 @@ $(BIN)/python: | check-tools
 
 # the wheel that a user would install, not the source tree; its dependencies come with it
 $(STAMP): $(BIN)/python $(SOURCES)
-	$(BIN)/python -m pip install --quiet 'maturin>=1.9,<2'
+	$(BIN)/python -m pip install --quiet 'maturin>=1.13,<2'
 	rm -f $(WHEELS)/sherkit-*.whl
 	$(BIN)/maturin build --quiet --release --locked --out $(WHEELS)
 	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps $(WHEELS)/sherkit-*.whl
@@ -74,6 +74,10 @@ test-python: $(STAMP)
 test-slow: $(STAMP)
 	SHERKIT_RANDOM=1 cargo test --quiet --locked --release -p sherkit-core
 	SHERKIT_RANDOM=1 $(BIN)/python -m pytest -n 2 -m "slow or hypothesis"
+
+# the documentation as a site that needs no network, with every link checked
+site: $(STAMP)
+	$(BIN)/python docs/build_site.py target/site
 
 bench: $(STAMP)
 	$(BIN)/python -m pip install --quiet "$$(ls $(WHEELS)/sherkit-*.whl)[bench]"

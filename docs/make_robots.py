@@ -8,10 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sherkit import _core
 from sherkit.cli.demo import EXAMPLE
+from sherkit.robots.c_header import c_array
 
 #: Where the delta's rows of parameters stand.
 PLACES: dict[str, slice] = {}
@@ -55,13 +55,9 @@ def spherical() -> _core.SphericalCalibrated:
 
 
 def text() -> str:
-    def array(name: str, numbers: NDArray[np.float64]) -> str:
-        rows = [", ".join(repr(float(x)) for x in numbers[i : i + 6]) for i in range(0, len(numbers), 6)]
-        return f"static const double {name}[] = {{\n    " + ",\n    ".join(rows) + ",\n};\n"
-
     lines = ["/* Calibrations of two example robots, as sherkit's flat() writes them. Made by make_robots.py. */"]
-    lines += ["#ifndef ROBOTS_H", "#define ROBOTS_H", "", array("example_delta", delta().flat())]
-    lines += [array("example_spherical", spherical().flat()), "#endif", ""]
+    lines += ["#ifndef ROBOTS_H", "#define ROBOTS_H", "", c_array("example_delta", delta().flat()) + "\n"]
+    lines += [c_array("example_spherical", spherical().flat()) + "\n", "#endif", ""]
     return "\n".join(lines)
 
 

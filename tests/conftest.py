@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,6 +20,36 @@ settings.register_profile("same", deadline=None, derandomize=True, print_blob=Tr
 # `make test-slow` looks elsewhere each time
 settings.register_profile("random", deadline=None, print_blob=True, max_examples=500)
 settings.load_profile("random" if os.environ.get("SHERKIT_RANDOM") else "same")
+
+
+# What tests write need not outlive a power cut: in memory they do not wait for the disk, to which sherkit brings every
+# file before it goes on.
+_MEMORY = Path("/dev/shm")
+_ENOUGH = 4 << 30
+if _MEMORY.is_dir() and os.access(_MEMORY, os.W_OK) and shutil.disk_usage(_MEMORY).free > _ENOUGH:
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(_MEMORY))
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a reader has after ``make demo``, and the files that the documents name as the reader's own."""
+    from test_docs import sherkit
+    from test_klipper import SAVED, TRUE, config
+
+    folder = tmp_path_factory.mktemp("made")
+    sherkit(["demo"], folder)
+    shutil.copy(folder / "demo" / "robot.toml", folder / "robot.toml")
+    shutil.copy(folder / "demo" / "local.csv", folder / "run.csv")
+    (folder / "printer.cfg").write_text(config(TRUE, SAVED), encoding="utf-8")
+    return folder
+
+
+@pytest.fixture
+def work(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A fresh copy of it, as the current folder."""
+    shutil.copytree(made, tmp_path / "work")
+    monkeypatch.chdir(tmp_path / "work")
+    return tmp_path / "work"
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -21,6 +21,7 @@ from mutations import HANGS_S, at_most
 from sherkit.cli.demo import EXAMPLE
 from sherkit.model import Parameter
 from test_fuzz import lines_run
+from test_other_programs import told
 
 #: What a text is a path of lies in the folder of the test.
 _LETTERS = st.characters(exclude_characters="/.~")
@@ -98,6 +99,14 @@ def doors(folder: Path) -> dict[str, Door]:
              "physics": "", "residuals": "", "workshop": "", "search": None, "function": sway, "derivative": None},
         ),
         "from_frame": Door(sk.from_frame, {"frame": data.to_frame(), "source": "frame", "columns": None}),
+        "from_bluesky": Door(
+            sk.from_bluesky, {"documents": list(told()), "columns": None, "stream": "primary", "poses": False}
+        ),
+        "from_rosbag": Door(
+            sk.from_rosbag,
+            {"path": folder / "no_bag", "joints": {"q1_mm": "rail_1"}, "poses": "/tracker", "joint_states": "/js",
+             "coordinates": ("x_mm",), "longest_gap_s": 0.05, "still_per_s": None},
+        ),
         "read_measurements": Door(sk.read_measurements, {"path": path, "columns": None}),
         "load_robot": Door(sk.load_robot, {"path": folder / "robot.toml"}),
         "load_calibration": Door(sk.load_calibration, {"path": folder / "calibrated.toml"}),

@@ -52,13 +52,18 @@ def tool(*names: str) -> str:
     pytest.skip(f"none of {', '.join(names)} is installed, so the C library cannot be tested")
 
 
-@pytest.fixture(scope="module")
-def archive() -> Path:
-    """The static library, built."""
+def built_archive() -> Path:
+    """The static library, built; skips where it cannot be."""
     tool("cc")
     command = [tool("cargo"), "build", "--quiet", "--locked", "--profile", "control", "-p", "sherkit-c"]
     run(*command, "--target-dir", TARGET, cwd=ROOT)
     return TARGET / "control" / "libsherkit.a"
+
+
+@pytest.fixture(scope="module")
+def archive() -> Path:
+    """The static library."""
+    return built_archive()
 
 
 def built(archive: Path, source: str, into: Path, *flags: str) -> Path:
@@ -203,6 +208,21 @@ def test_nothing_in_the_library_can_panic(archive: Path) -> None:
     assert not re.findall(r".*(?:sherkit_has_a_path_to_a_panic|panicking|panic_fmt|unwind).*", symbols)
     # nor can it allocate, lock or wait
     assert not re.findall(r" U (?:malloc|calloc|free|pthread\w*|__rust_alloc\w*|futex)$", symbols, re.MULTILINE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", ["aarch64-unknown-linux-gnu", "thumbv7em-none-eabihf"])
+def test_nothing_in_the_library_can_panic_on_another_processor(target: str, tmp_path: Path) -> None:
+    """Catches a check that the compiler proves away for one processor alone: elsewhere the library would not link."""
+    found = run(tool("rustc"), "--print", "target-libdir", "--target", target).strip()
+    if not Path(found).is_dir():
+        pytest.skip(f"the standard library of {target} is not installed: rustup target add {target}")
+    command = [tool("cargo"), "rustc", "--quiet", "--locked", "--profile", "control", "-p", "sherkit-c", "--lib"]
+    run(*command, "--crate-type", "staticlib", "--target", target, "--target-dir", tmp_path, cwd=ROOT)
+    archive = tmp_path / target / "control" / "libsherkit.a"
+    symbols = subprocess.run([tool("nm"), str(archive)], capture_output=True, text=True, check=False).stdout
+    assert len(re.findall(r" T sherkit_", symbols)) >= 18
+    assert not re.findall(r".*(?:sherkit_has_a_path_to_a_panic|panicking|panic_fmt).*", symbols)
 
 
 def test_the_header_serves_c_and_cpp(tmp_path: Path) -> None:

@@ -8,13 +8,11 @@ import json
 import re
 import runpy
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
 import urllib.request
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +24,6 @@ from sherkit import SherkitWarning, load_robot
 from sherkit.cli import main
 from sherkit.cli.demo import EXAMPLE
 from sherkit.diagnosis import Diagnosis
-from test_klipper import SAVED, TRUE, config
 
 HERE = Path(__file__).parents[1]
 STORIES = ("docs/tutorial.md", "docs/spherical.md", "docs/tool.md", "docs/machine.md")
@@ -140,25 +137,6 @@ def run_python(block: Block, names: dict[str, Any]) -> str:
 def plain(text: str) -> str:
     """Text with every number as ``#``, without rules and boxes, and with single spaces."""
     return " ".join(_BOX.sub(" ", _NUMBER.sub("#", text)).split())
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a reader has after ``make demo``, and the files that the documents name as the reader's own."""
-    folder = tmp_path_factory.mktemp("made")
-    sherkit(["demo"], folder)
-    shutil.copy(folder / "demo" / "robot.toml", folder / "robot.toml")
-    shutil.copy(folder / "demo" / "local.csv", folder / "run.csv")
-    (folder / "printer.cfg").write_text(config(TRUE, SAVED), encoding="utf-8")
-    return folder
-
-
-@pytest.fixture
-def work(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A fresh copy of it, as the current folder."""
-    shutil.copytree(made, tmp_path / "work")
-    monkeypatch.chdir(tmp_path / "work")
-    return tmp_path / "work"
 
 
 # -- what they show runs -------------------------------------------------------------------------------------

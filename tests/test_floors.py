@@ -21,6 +21,7 @@ FLOORS = (
     ("__init__",),
     ("app",),
     ("cli",),
+    ("__main__",),
 )
 FLOOR = {room: k for k, rooms in enumerate(FLOORS) for room in rooms}
 

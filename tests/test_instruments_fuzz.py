@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sherkit.errors import InstrumentError
-from sherkit.lab.instruments import ati, camera, galil_line, keyence, micron_optics
+from sherkit.lab.instruments import ati, camera, galil_line, keyence, micron_optics, scpi
 
 FAST = 20_000
 SLOW = 1_000_000
@@ -36,6 +36,12 @@ def numbers_are_right(values, data):
     words = data.decode("latin-1").replace(",", " ").split(" ")
     assert list(values) == [float(w) for w in words if w]
     assert all(math.isfinite(v) for v in values)
+
+
+def scpi_is_right(values, data):
+    # each word between commas is what float says, and nothing that SCPI calls infinite
+    assert list(values) == [float(word) for word in data.decode("ascii").strip().split(",")]
+    assert all(abs(v) < 9.9e37 for v in values)
 
 
 def answer_is_right(text, data):
@@ -125,6 +131,11 @@ PARSERS = {
         lambda data: keyence.parse_value(data.decode("latin-1")),
         [b"+000.073", b"-12.3456", b"+FFFFFFF", b"XXXXXXXX"],
         value_is_right,
+    ),
+    "scpi numbers": (
+        lambda data: scpi.parse_numbers(data),
+        [b"+1.23456789E+00,-2.5,3\n", b"+9.90000000E+37\n", b"+9.91000000E+37,1\n"],
+        scpi_is_right,
     ),
     "sm130 length": (
         micron_optics.parse_length,

@@ -17,7 +17,7 @@ if _TYPE_CHECKING:
     from . import data, diagnosis, errors, fit, lab, model, planning, report
     from ._core import __version__
     from .calibration import calibrate
-    from .data import Measurements, from_frame, read_measurements
+    from .data import Measurements, from_bluesky, from_frame, from_rosbag, read_measurements
     from .diagnosis import diagnose
     from .errors import SherkitError, SherkitWarning
     from .fit import identify
@@ -31,9 +31,9 @@ if _TYPE_CHECKING:
 
 __all__ = [
     "Effect", "Machine", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__", "calibrate",
-    "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "fleet", "from_frame", "identify", "lab",
-    "load_calibration", "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "serial",
-    "spherical", "tool",
+    "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "fleet", "from_bluesky", "from_frame",
+    "from_rosbag", "identify", "lab", "load_calibration", "load_robot", "model", "planning", "read_measurements",
+    "report", "save_robot", "serial", "spherical", "tool",
 ]  # fmt: skip
 
 
@@ -56,7 +56,8 @@ if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not 
             "Effect": "model.effect", "Machine": "robots.machine", "Measurements": "data", "SherkitError": "errors",
             "SherkitWarning": "errors", "Study": "study", "__version__": "_core", "calibrate": "calibration",
             "diagnose": "diagnosis",
-            "effect": "model.effect", "fleet": "fleets", "from_frame": "data", "identify": "fit",
+            "effect": "model.effect", "fleet": "fleets", "from_bluesky": "data", "from_frame": "data",
+            "from_rosbag": "data", "identify": "fit",
             "load_calibration": "robots.files", "load_robot": "model.robot_file", "read_measurements": "data",
             "save_robot": "model.robot_file",
         },

@@ -19,13 +19,15 @@ from . import output
 @click.option("--at", metavar="Q1,Q2,…", help="Where the axes stand now, by you; left out: where the plan begins.")
 @click.option("--yes", is_flag=True, help="Do not ask: the way is free, or the robot stands where --at says.")
 @click.option("--ports", type=click.Path(path_type=Path), help="Addresses by instrument, as 'sherkit lab' wrote them.")
-def home(experiment: Path, at: str | None, yes: bool, ports: Path | None) -> None:
+@output.OWN_INSTRUMENTS
+def home(experiment: Path, at: str | None, yes: bool, ports: Path | None, python: tuple[Path, ...]) -> None:
     """Set the zero of the axes that EXPERIMENT (TOML) moves, and drive to where its plan begins.
 
     With home_at_mm (or _rad) in the file, the controller finds its home switches. Without, you bring the robot to a
     known place by hand or by its own panel, and say that it stands there.
     """
-    chosen = load_experiment(experiment, ports)
+    output.say_that_code_runs(python)
+    chosen = load_experiment(experiment, ports, python=python)
     names = kind_of(chosen.robot).layout.joints
     with chosen.motion() as motion:
         if motion.is_moving():

@@ -17,9 +17,12 @@ from ..starting import loaded
 #: The verbs, and where each stands: a file here, loaded when its verb is typed, and the name in it.
 _VERBS = {
     "app": "app.app",
+    "c": "c_library.c_library",
     "calibrate": "calibrate.calibrate",
     "demo": "demo.demo",
     "diagnose": "diagnose.diagnose",
+    "completion": "completion.completion",
+    "doctor": "doctor.doctor",
     "effects": "effects.effects",
     "estimate": "tool.estimate",
     "export": "measure.export",
@@ -46,6 +49,7 @@ class _Verbs(click.Group):
             return None
         file, _, name = _VERBS[cmd_name].partition(".")
         command: click.Command = getattr(import_module(f".{file}", __package__), name)
+        command.epilog = import_module(".examples", __package__).epilog(cmd_name)
         return command
 
 

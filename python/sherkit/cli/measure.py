@@ -14,8 +14,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from ..data.files import write_whole
 from ..lab.experiment import Control, Experiment, Live, RunFile, RunProgress, export_run, load_experiment, run
+from ..robots.c_header import calibration_header
+from ..robots.files import load_calibration
 from ..robots.tool.c_header import c_header
 from ..robots.tool.tool import load_tool
+from ..robots.tool_file import is_tool
 from . import keys, output
 
 #: Signals by which another program, or a closing terminal, asks for an end; not every system has both.
@@ -30,16 +33,19 @@ _POLITE = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(si
 @click.option("--accept", is_flag=True, help="With --resume: rows that were marked as in doubt are right.")
 @click.option("--live", "is_live", is_flag=True, help="Identify while the rows come in, and say when they are enough.")
 @click.option("--ports", type=click.Path(path_type=Path), help="Addresses by instrument, as 'sherkit lab' wrote them.")
+@output.OWN_INSTRUMENTS
 def measure(
-    experiment: Path, destination: Path | None, resume: bool, accept: bool, is_live: bool, ports: Path | None
-) -> None:
+    experiment: Path, destination: Path | None, resume: bool, accept: bool, is_live: bool, ports: Path | None,
+    python: tuple[Path, ...],
+) -> None:  # fmt: skip
     """Run EXPERIMENT (TOML): drive to each pose, read the instruments, store.
 
     Nothing moves before the controller has proven where its axes are ('sherkit home'), and the run ends where sensors
     and joints cannot both be right. Keys: p pauses after the present step and goes on, q ends after it. Ctrl-C stops
     the motors at once.
     """
-    chosen = load_experiment(experiment, ports)
+    output.say_that_code_runs(python)
+    chosen = load_experiment(experiment, ports, python=python)
     path = destination or chosen.run_path
     live = Live(chosen.robot, chosen.plan, chosen.goal, fitting=is_live)
     begin = RunFile.resume if resume else RunFile.create
@@ -127,18 +133,24 @@ def _ended_by_signals() -> Iterator[None]:
 
 
 @click.command()
-@click.argument("what", nargs=-1, required=True, metavar="RUN_FILE | c TOOL")
+@click.argument("what", nargs=-1, required=True, metavar="RUN_FILE | c CALIBRATION | c TOOL")
 @click.option("-o", "--output", "destination", type=click.Path(path_type=Path), required=True,
-              help="CSV or Parquet of a run; a C header of a tool.")  # fmt: skip
+              help="CSV or Parquet of a run; a C header of a calibrated robot or a tool.")  # fmt: skip
 def export(what: tuple[str, ...], destination: Path) -> None:
-    """Write the rows of RUN_FILE as CSV or Parquet, also while it is being measured; with c, a flexible TOOL as a C
-    header for the control loop."""
+    """Write the rows of RUN_FILE as CSV or Parquet, also while it is being measured; with c, a calibrated robot or a
+    flexible TOOL as a C header for the control loop."""
     if len(what) == 1:
         rows = export_run(Path(what[0]), destination)
         output.say(f"{rows} rows written to {destination}", destination)
         return
     if len(what) != 2 or what[0] != "c":
-        raise click.UsageError("expected the file of a run, or c and the file of a flexible tool")
+        raise click.UsageError("expected the file of a run, or c and the file of a calibration or a flexible tool")
+    if not is_tool(Path(what[1])):
+        write_whole(destination, calibration_header(load_calibration(what[1]), Path(what[1]).name))
+        output.say(
+            f"{destination} written; cc loop.c $(sherkit c --cflags --libs) links it (sherkit c --example FOLDER)"
+        )
+        return
     made = load_tool(what[1])
     if made.noise != "propagated":
         output.warn(
@@ -147,6 +159,6 @@ def export(what: tuple[str, ...], destination: Path) -> None:
     header = c_header(made, Path(what[1]).name)
     write_whole(destination, header)
     output.say(
-        f"{destination} written; a loop includes it and links libsherkit.a, which cargo build --profile control "
-        "-p sherkit-c makes. No CMake is needed: rust/c/examples/replay replays a CSV file with it"
+        f"{destination} written; a loop includes it: cc loop.c $(sherkit c --cflags --libs). In the source tree "
+        "rust/c/examples/replay replays a CSV file with it"
     )

@@ -31,6 +31,18 @@ out = Console(highlight=False, width=None if Console().is_terminal else _WIDTH)
 err = Console(stderr=True, highlight=False)
 
 
+#: For commands that drive an experiment: Python of the user's own, named here and nowhere else.
+OWN_INSTRUMENTS = click.option(
+    "--python", type=click.Path(path_type=Path), multiple=True, help="Python file of your instruments; it is run."
+)
+
+
+def say_that_code_runs(files: tuple[Path, ...]) -> None:
+    """Says which files are run with the rights of whoever named them."""
+    for file in files:
+        err.print(escape(f"{file} is run: it was named on the command line"), style="dim", soft_wrap=True)
+
+
 def fail(message: str) -> None:
     """An error, as one sentence."""
     err.print(f"[bold red]error:[/] {escape(message)}", soft_wrap=True)

@@ -76,7 +76,7 @@ def _laboratories(folder: Path) -> Schema:
     from ..lab.laboratory import load_laboratory
 
     def examples(kind: Kind, robot: str) -> Iterator[Mapping[str, Any]]:
-        shown = [n for n, row in INSTRUMENTS.items() if not row.place_unit or row.shows_place_of(kind.example)]
+        shown = [n for n, row in INSTRUMENTS.items() if row.emulator and row.sees(kind.example)]
         parts = [{"kind": name, "name": name} for name in shown]
         yield {"robot": robot, "instrument": parts, "tool": {}}
         yield {"robot": robot, "instrument": parts}

@@ -1,8 +1,10 @@
 """Rows of readings with units, repeats and covariates, from files and frames."""
 
 from .arrays import from_arrays
+from .bluesky import from_bluesky
 from .frames import from_frame
 from .reader import read_measurements
+from .ros import from_rosbag
 from .rows import Measurements, Repeatability
 from .stream import MeasurementStream, stream_measurements
 
@@ -11,7 +13,9 @@ __all__ = [
     "Measurements",
     "Repeatability",
     "from_arrays",
+    "from_bluesky",
     "from_frame",
+    "from_rosbag",
     "read_measurements",
     "stream_measurements",
 ]

@@ -190,6 +190,13 @@ class Table:
                 hint = nearest(key, self._known) or f"; known keys: {listed(sorted(self._known), 12)}"
                 raise self._error(f"{self._where}: unknown key {self._name(key)}{hint}")
 
+    def free(self, key: str) -> dict[str, Any]:
+        """A sub-table whose keys are its owner's own: texts, numbers, truths, lists of them; empty if left out."""
+        values = self._get(key, "a table", {}, {"type": "object"})
+        if not isinstance(values, Mapping) or not all(_is_plain(v) for v in values.values()):
+            raise self.fail(key, "a table of texts, numbers, true or false, and lists of them")
+        return dict(values)
+
     def pass_over(self, *keys: str) -> None:
         """Keys that are for people, and may be there."""
         self._known.update(keys)
@@ -342,6 +349,10 @@ class Table:
         ):
             raise self.fail(key, kind)
         return tuple(float(v) for v in value)
+
+
+def _is_plain(value: object) -> bool:
+    return all(map(_is_plain, value)) if isinstance(value, list) else isinstance(value, str | bool | int | float)
 
 
 def _is_number(value: object) -> bool:

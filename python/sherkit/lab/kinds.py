@@ -6,8 +6,9 @@ needs none.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from typing import Any
 
@@ -17,10 +18,11 @@ from numpy.typing import NDArray
 from ..data.toml import Table
 from ..errors import ExperimentError
 from ..model.kinds import Robot, kind_of
-from .instruments import Axis, Galil, Hyperion, Keyence, NetFT, Sm130, Snapshots, VideoCamera, fetch_scale
+from .instruments import Axis, Galil, Hyperion, Keyence, NetFT, Scpi, Sm130, Snapshots, VideoCamera, fetch_scale
 from .instruments.axes import LETTERS
 from .instruments.base import Instrument
 from .instruments.galil_reference import ZEROED
+from .instruments.own import Make, OwnAxes, OwnSensor
 
 #: Defaults by the unit of the joints: speed per s, acceleration per s², how near a target counts as there.
 _MOTION = {"mm": (5.0, 50.0, 0.01), "rad": (0.5, 5.0, 2e-4)}
@@ -36,6 +38,9 @@ class InstrumentSettings:
     settings: Mapping[str, Any]
     columns: tuple[str, ...]
     page: str = ""
+    #: What makes an instrument of the user's own, and the words for where its code stands.
+    make: Make | None = None
+    said: str = ""
 
     def meaning(self) -> dict[str, Any]:
         """What gives its numbers their meaning, for JSON: its kind, columns, and settings such as scale and zero."""
@@ -54,14 +59,16 @@ class InstrumentKind:
     numbers would mean something else: a run goes on only with the same.
 
     ``emulator`` names the module and class that plays it in a laboratory, on a port of one of the ``links`` (the first
-    unless another is named); ``emulated`` reads the emulator's keys of a laboratory (table, robot).
+    unless another is named); ``emulated`` reads the emulator's keys of a laboratory (table, robot). What is the user's
+    ``own`` Python has none.
     """
 
     settings: Callable[[Table, Robot, str], dict[str, Any]]
     driver: Callable[[InstrumentSettings, Robot], Instrument]
-    emulator: str
-    links: tuple[str, ...]
-    emulated: Callable[[Table, Robot], dict[str, Any]]
+    emulator: str = ""
+    links: tuple[str, ...] = ()
+    emulated: Callable[[Table, Robot], dict[str, Any]] = lambda *_: {}
+    own: bool = False
     moves: bool = False
     place_unit: str = ""
     has_page: bool = False
@@ -75,6 +82,10 @@ class InstrumentKind:
     def shows_place_of(self, robot: Robot) -> bool:
         """Whether it reads where such a robot is."""
         return self.place_unit == kind_of(robot).place_unit
+
+    def sees(self, robot: Robot) -> bool:
+        """Whether it has something to read at such a robot: its place, or what is no place."""
+        return not self.place_unit or self.shows_place_of(robot)
 
     def columns(self, settings: Mapping[str, Any], robot: Robot) -> tuple[str, ...]:
         """What its values are called unless the file says so: the robot's coordinates, where it reads all of them."""
@@ -117,15 +128,7 @@ def _galil_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
 def _galil(one: InstrumentSettings, robot: Robot) -> Galil:
     settings = dict(one.settings)
     scale, zeros = settings.pop("counts_per_unit"), settings.pop("zero_counts")
-    limits = robot.joint_limits
-    if limits is None:
-        raise ExperimentError(f"{one.name}: moves nothing without the limits of the joints in the robot file")
-    names = [name.rsplit("_", 1)[0] for name in kind_of(robot).layout.joints]
-    axes = [
-        Axis(letter, scale, limits, int(zero), name, robot.joint_unit)
-        for letter, zero, name in zip(LETTERS[: len(names)], zeros, names, strict=True)
-    ]
-    return Galil(one.address, axes, name=one.name, **settings)
+    return Galil(one.address, _axes_of(robot, one.name, scale, zeros), name=one.name, **settings)
 
 
 def _emulated_galil(table: Table, robot: Robot) -> dict[str, Any]:
@@ -145,6 +148,17 @@ def _emulated_galil(table: Table, robot: Robot) -> dict[str, Any]:
     if travel is not None:
         settings["travel"] = [travel] * joints
     return settings
+
+
+def _axes_of(robot: Robot, name: str, counts_per_unit: float, zeros: Sequence[float] = ()) -> list[Axis]:
+    """An axis for each joint, within the robot's limits."""
+    if robot.joint_limits is None:
+        raise ExperimentError(f"{name}: moves nothing without the limits of the joints in the robot file")
+    names = [joint.rsplit("_", 1)[0] for joint in kind_of(robot).layout.joints]
+    return [
+        Axis(letter, counts_per_unit, robot.joint_limits, int(zero), label, robot.joint_unit)
+        for letter, zero, label in zip(LETTERS, zeros or [0.0] * len(names), names, strict=False)
+    ]
 
 
 # -- lasers ----------------------------------------------------------------------------------------------------
@@ -173,6 +187,75 @@ def _emulated_keyence(table: Table, robot: Robot) -> dict[str, Any]:
         "decimals": table.whole("decimals", 4, least=0),
         "range_mm": table.number("range_mm", 1000.0, positive=True),
     }
+
+
+# -- instruments that answer one question ----------------------------------------------------------------------
+
+
+def _scpi_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
+    del robot, address
+    return {"question": table.words("ask", "READ?"), "unit": table.words("unit", "mm")}
+
+
+def _scpi(one: InstrumentSettings, robot: Robot) -> Scpi:
+    del robot
+    return Scpi(one.address, names=one.columns, name=one.name, **one.settings)
+
+
+def _emulated_scpi(table: Table, robot: Robot) -> dict[str, Any]:
+    del robot
+    return {
+        "question": table.words("ask", "READ?"),
+        "outputs": tuple(int(k) for k in table.some_numbers("outputs", (1.0, 2.0, 3.0))),
+        "noise_mm": table.number("noise_mm", 0.0),
+    }
+
+
+# -- the user's own --------------------------------------------------------------------------------------------
+
+
+def _own_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
+    del robot
+    given = table.free("with") | ({"address": address} if address else {})
+    return {"make": table.words("make"), "with": given}
+
+
+def _sensor_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
+    return {**_own_settings(table, robot, address), "fields": list(table.texts("fields", ()))}
+
+
+def _axes_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
+    unit = robot.joint_unit
+    speed, acceleration, within = _MOTION[unit]
+    return {
+        **_own_settings(table, robot, address),
+        "resolution": table.number(f"resolution_{unit}", 0.1 * within, positive=True),
+        "speed": table.number(f"speed_{unit}_s", speed, positive=True),
+        "acceleration": table.number(f"acceleration_{unit}_s2", acceleration, positive=True),
+        "arrived_within": table.number(f"arrived_within_{unit}", within, positive=True),
+        "settle_s": table.number("settle_s", 10.0, positive=True),
+    }
+
+
+def _made_by(one: InstrumentSettings) -> tuple[Make, dict[str, Any]]:
+    """What makes it with what its file gives, and the settings that are left."""
+    settings = dict(one.settings)
+    name, given = settings.pop("make"), settings.pop("with")
+    if one.make is None:
+        raise ExperimentError(f"{one.name}: '{name}' is made by Python code that was not given")
+    return partial(one.make, **given), settings
+
+
+def _own_sensor(one: InstrumentSettings, robot: Robot) -> OwnSensor:
+    del robot
+    make, settings = _made_by(one)
+    return OwnSensor(make, one.columns, said=one.said, name=one.name, **settings)
+
+
+def _own_axes(one: InstrumentSettings, robot: Robot) -> OwnAxes:
+    make, settings = _made_by(one)
+    axes = _axes_of(robot, one.name, 1.0 / settings.pop("resolution"))
+    return OwnAxes(make, axes, said=one.said, name=one.name, **settings)
 
 
 # -- gratings --------------------------------------------------------------------------------------------------
@@ -261,6 +344,10 @@ INSTRUMENTS: Mapping[str, InstrumentKind] = {
         _keyence_settings, _keyence, "keyence.KeyenceEmulator", _SERIAL, _emulated_keyence, place_unit="mm",
         meaning=("outputs", "unit"),
     ),
+    "scpi": InstrumentKind(
+        _scpi_settings, _scpi, "scpi.ScpiEmulator", ("tcp", "pty"), _emulated_scpi, place_unit="mm",
+        meaning=("question", "unit"),
+    ),
     "sm130": InstrumentKind(
         _grating_settings, _interrogator(Sm130), "micron_optics.Sm130Emulator", ("tcp",), _emulated_gratings,
         meaning=("gratings",),
@@ -275,4 +362,6 @@ INSTRUMENTS: Mapping[str, InstrumentKind] = {
     "camera": InstrumentKind(
         _camera_settings, _camera, "camera.NetworkCamera", ("http",), _emulated_camera, place_unit="px"
     ),
+    "python": InstrumentKind(_sensor_settings, _own_sensor, own=True, meaning=("make", "with", "fields")),
+    "python_axes": InstrumentKind(_axes_settings, _own_axes, own=True, moves=True, meaning=("make", "with")),
 }  # fmt: skip

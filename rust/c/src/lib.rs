@@ -40,3 +40,12 @@ fn panic(_: &PanicInfo<'_>) -> ! {
     // SAFETY: it cannot be called, because nothing that calls it can be linked.
     unsafe { sherkit_has_a_path_to_a_panic() }
 }
+
+// Where a program's own fmod is looked for here first, the linker finds that of Rust's compiler_builtins, whose objects name
+// a function for unwinding. Nothing unwinds; a definition that gives way to any other lets such a program link.
+#[cfg(not(any(windows, target_vendor = "apple")))]
+core::arch::global_asm!(
+    ".weak rust_eh_personality",
+    ".hidden rust_eh_personality",
+    ".set rust_eh_personality, 0",
+);

@@ -9,6 +9,7 @@
 //! carries a calibrated robot to a control loop. Beside them, for the flexible tool: [`tool`] (fibres, beam, their
 //! calibration, and the filters that a control loop runs).
 #![no_std]
+#![cfg_attr(doctest, doc = include_str!("../README.md"))]
 
 pub mod camera;
 pub mod chain;

@@ -10,6 +10,7 @@ from .galil import GalilEmulator
 from .keyence import KeyenceEmulator
 from .micron_optics import HyperionEmulator, Sm130Emulator
 from .profile import Profile
+from .scpi import ScpiEmulator
 from .server import Emulator
 from .world import StillRobot, VirtualRobot, World
 
@@ -25,6 +26,7 @@ __all__ = [
     "NetFtEmulator",
     "NetworkCamera",
     "Profile",
+    "ScpiEmulator",
     "Sm130Emulator",
     "StillRobot",
     "VirtualRobot",

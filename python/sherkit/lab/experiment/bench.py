@@ -10,6 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from ...data.headers import factor
 from ...errors import ExperimentError, Garbled, Implausible, OutOfRange
 from ...model.kinds import Robot, kind_of
 from ..clock import now_s
@@ -21,15 +22,8 @@ from .watch import Watch
 
 #: A reading that is to stand still is looked at again so soon, s.
 _STILL_POLL_S = 0.02
-_UNITS = {
-    ("um", "mm"): 1e-3,
-    ("µm", "mm"): 1e-3,
-    ("nm", "mm"): 1e-6,
-    ("N", "mN"): 1e3,
-    ("mN", "N"): 1e-3,
-    ("N", "mn"): 1e3,
-    ("mN", "mn"): 1.0,
-}
+#: Spellings of units that columns have, beside those of :mod:`sherkit.data.headers`.
+_UNITS = {("µm", "mm"): 1e-3, ("N", "mn"): 1e3, ("mN", "mn"): 1.0}
 
 
 @dataclass(frozen=True)
@@ -83,9 +77,10 @@ class Sensor:
         out = {}
         for name, value, unit in zip(columns, reading.values, reading.units, strict=True):
             wanted = name.rpartition("_")[2]
-            if wanted != unit and (unit, wanted) not in _UNITS:
+            by = _UNITS.get((unit, wanted)) or factor(unit, wanted)
+            if by is None:
                 raise ExperimentError(f"{reading.instrument}: gives {unit}; column '{name}' is in {wanted}")
-            out[name] = value * _UNITS.get((unit, wanted), 1.0)
+            out[name] = value * by
         return out
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +20,7 @@ from ...names import listed
 from ...types import Floats
 from ..instruments import AxisController
 from ..kinds import INSTRUMENTS, InstrumentSettings
+from ..own_code import OwnCode, run_code
 from ..ports import read_ports
 from .bench import Bench, Checks, Sensor, Settling
 from .live import GOALS, Goal
@@ -109,15 +110,18 @@ class Experiment:
 
 
 def load_experiment(
-    path: str | Path, ports: str | Path | None = None, *, robot: str | Path | None = None, offline: bool = False
-) -> Experiment:
+    path: str | Path, ports: str | Path | None = None, *, robot: str | Path | None = None, offline: bool = False,
+    python: Sequence[str | Path] = (),
+) -> Experiment:  # fmt: skip
     """Reads an experiment; ``ports`` (a file that ``sherkit lab`` wrote) gives addresses by the instruments' names.
 
     ``robot`` is another robot file than the one it names. ``offline`` is for planning: addresses may be missing.
+    ``python`` are files that define instruments of your own; they are run.
     Raises :class:`~sherkit.errors.ExperimentError` naming file, table and key, and where the robot cannot be where the
     plan sends it.
     """
     path = Path(path)
+    code = run_code(python)
     values = read_toml(path, "experiment", ExperimentError)
     table = Table(values, str(path), error=ExperimentError)
     named = table.words("robot")
@@ -148,7 +152,7 @@ def load_experiment(
     settling, checks, goal = _rules(table, made)
     with table.table("retry", optional=True) as r:
         attempts = r.whole("attempts", 1, least=1)
-    instruments = tuple(_instrument(one, known, path, offline, made) for one in table.tables("instrument"))
+    instruments = tuple(_instrument(one, known, path, offline, made, code) for one in table.tables("instrument"))
     table.finish()
     _check_instruments(instruments, path, made)
     low, high = limits
@@ -193,26 +197,28 @@ def _rules(table: Table, robot: Robot) -> tuple[Settling, Checks, Goal | None]:
 
 
 def _instrument(
-    table: Table, ports: Mapping[str, Mapping[str, Any]], path: Path, offline: bool, robot: Robot
+    table: Table, ports: Mapping[str, Mapping[str, Any]], path: Path, offline: bool, robot: Robot, code: OwnCode
 ) -> InstrumentSettings:
     kind = table.text("kind", tuple(INSTRUMENTS))
     row = INSTRUMENTS[kind]
     name = table.words("name", kind)
     found = ports.get(name, {})
     address = table.words("address", str(found.get("address", "")))
-    if not address and not offline:
+    if not address and not offline and not row.own:
         raise ExperimentError(
             f"{path}: instrument '{name}' has no address; give it one, or name the file of ports that 'sherkit lab' "
             f"wrote{f' (it has {listed(ports)})' if ports else ''}"
         )
     settings = row.settings(table, robot, address)
-    columns = () if row.moves else table.texts("columns", row.columns(settings, robot))
+    # what a user's own sensor reads, nobody else knows
+    columns = () if row.moves else table.texts("columns", None if row.own else row.columns(settings, robot))
     page = table.words("page", str(found.get("page", ""))) if row.has_page else ""
     settings["timeout_s"] = table.number("timeout_s", 2.0, positive=True)
     settings["retries"] = table.whole("retries", 2, least=0)
     if row.is_serial:
         settings["baud"] = table.whole("baud", 115200, least=1)
-    return InstrumentSettings(name, kind, address, settings, columns, page)
+    make, said = code.maker(settings["make"], str(path)) if row.own and not offline else (None, "")
+    return InstrumentSettings(name, kind, address, settings, columns, page, make, said)
 
 
 def _check_instruments(instruments: tuple[InstrumentSettings, ...], path: Path, robot: Robot) -> None:

@@ -12,6 +12,8 @@ from .camera import Frame, Snapshots, VideoCamera
 from .galil import Galil
 from .keyence import Keyence
 from .micron_optics import Hyperion, Sm130
+from .own import OwnAxes, OwnSensor
+from .scpi import Scpi
 
 __all__ = [
     "Axis",
@@ -23,9 +25,12 @@ __all__ = [
     "Instrument",
     "Keyence",
     "NetFT",
+    "OwnAxes",
+    "OwnSensor",
     "Reading",
     "Reference",
     "Scale",
+    "Scpi",
     "Sm130",
     "Snapshots",
     "VideoCamera",

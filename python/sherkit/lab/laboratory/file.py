@@ -103,7 +103,7 @@ def _tool(table: Table, folder: Path) -> ToolInHole:
 
 def _instrument(table: Table, robot: Robot) -> EmulatedInstrument:
     # of those that see where a robot is, only what sees this one
-    kinds = tuple(name for name, row in INSTRUMENTS.items() if not row.place_unit or row.shows_place_of(robot))
+    kinds = tuple(name for name, row in INSTRUMENTS.items() if row.emulator and row.sees(robot))
     kind = table.text("kind", kinds)
     row = INSTRUMENTS[kind]
     name = table.words("name", kind)

@@ -185,25 +185,35 @@ impl ToolFilter {
                 continue;
             }
             let others = self.bad & !all;
-            for k in 0..FIBRES {
+            let mut alone = self.alone;
+            for (k, misfit) in alone.iter_mut().enumerate() {
                 let found = self.unlikely(shifts, others | silent | (1 << (FIBRES * i + k)));
                 let held = if found < 4.0 * FAILS {
                     found
                 } else {
                     4.0 * FAILS
                 };
-                self.alone[k] += (held - self.alone[k]) / SINGLED_OUT;
+                *misfit += (held - *misfit) / SINGLED_OUT;
             }
+            self.alone = alone;
             self.alone_for = self.alone_for.saturating_add(1);
             if f64::from(self.alone_for) > 2.0 * SINGLED_OUT {
-                for k in 0..FIBRES {
-                    let rest = (0..FIBRES).filter(|j| *j != k);
-                    if self.alone[k] < 4.0 && rest.clone().all(|j| self.alone[j] > 12.0) {
-                        self.bad = others | (1 << (FIBRES * i + k));
-                        self.alone = [0.0; FIBRES];
-                        self.alone_for = 0;
-                        return;
-                    }
+                // by iterators: an index would keep its check on some processors, and with it a path to a panic
+                let is_lone = |k: usize| {
+                    let mut each = alone.iter().enumerate();
+                    each.all(|(j, misfit)| {
+                        if j == k {
+                            *misfit < 4.0
+                        } else {
+                            *misfit > 12.0
+                        }
+                    })
+                };
+                if let Some(k) = (0..FIBRES).find(|k| is_lone(*k)) {
+                    self.bad = others | (1 << (FIBRES * i + k));
+                    self.alone = [0.0; FIBRES];
+                    self.alone_for = 0;
+                    return;
                 }
             }
             return;

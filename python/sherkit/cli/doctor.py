@@ -1,0 +1,144 @@
+"""``sherkit doctor``: what is installed, what lacks for which purpose, and the one command that mends it."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.util import find_spec
+from pathlib import Path
+
+import click
+from rich.markup import escape
+
+import sherkit._core as _core
+
+from ..errors import SherkitError
+from . import output
+from .c_library import archive
+
+#: What each extra is for; their packages stand in the metadata of what is installed.
+_PURPOSE = {
+    "view": "pictures, the report, the page",
+    "vision": "cameras and pictures of a marker",
+    "lab": "serial ports",
+    "visa": "instruments at GPIB, USB and VXI (visa://)",
+    "ophyd": "devices of ophyd and ophyd-async",
+    "pymeasure": "instruments of PyMeasure",
+    "ros": "bags of ROS",
+}
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+_FIRST_OF = {"opencv-python-headless": "cv2", "pyserial": "serial"}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line: what was looked at, whether it is well, what was found, and the command that mends it."""
+
+    what: str
+    well: bool
+    found: str
+    mend: str = ""
+    needed: bool = False
+
+
+def findings() -> Iterator[Finding]:
+    """Everything that is looked at; nothing is opened, moved or fetched."""
+    yield Finding("sherkit", True, f"{_core.__version__} in {Path(__file__).resolve().parents[1]}")
+    yield Finding("Python", True, f"{platform.python_version()} ({platform.machine()}, {platform.system()})")
+    for extra, packages in _extras().items():
+        lacks = [name for name in packages if _version(name) is None]
+        found = ", ".join(f"{name} {_version(name)}" for name in packages if name not in lacks)
+        needed = extra == ""
+        title = "core" if needed else f"extra {extra}"
+        mend = (
+            "" if not lacks else f'pip install "sherkit[{extra}]"' if extra else "pip install --force-reinstall sherkit"
+        )
+        said = found if not lacks else f"lacks {', '.join(lacks)}" + ("" if needed else f", for {_PURPOSE[extra]}")
+        yield Finding(title, not lacks, said, mend, needed)
+    yield _browser()
+    yield _ports()
+    yield _c_library()
+
+
+def _extras() -> dict[str, list[str]]:
+    """Packages by extra, "" for those that sherkit cannot do without."""
+    out: dict[str, list[str]] = {name: [] for name in ("", *_PURPOSE)}
+    try:
+        lines = requires("sherkit") or []
+    except PackageNotFoundError:
+        # a source tree that was not installed
+        return {"": ["numpy", "scipy", "polars", "rich", "click", "tomli-w"]}
+    for line in lines:
+        needs, _, condition = line.partition(";")
+        name = needs.strip().split(" ")[0].split("[")[0]
+        for mark in "<>=!~(":
+            name = name.partition(mark)[0]
+        extra = condition.partition("extra ==")[2].strip().strip("'\"")
+        if extra in out and name != "sherkit":
+            out[extra].append(name)
+    return {extra: names for extra, names in out.items() if names}
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        module = _FIRST_OF.get(package, package.replace("-", "_"))
+        return "of unknown version" if find_spec(module) is not None else None
+
+
+def _browser() -> Finding:
+    found = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
+    if found is not None:
+        return Finding("browser", True, f"{found}: pictures as PNG and SVG")
+    mend = {"linux": "sudo apt-get install chromium", "darwin": "brew install --cask chromium"}.get(sys.platform, "")
+    said = "no Chromium: pictures are written as HTML, not as PNG and SVG"
+    return Finding("browser", False, said, mend or "install Chromium or Chrome")
+
+
+def _ports() -> Finding:
+    if find_spec("serial") is None:
+        return Finding("serial ports", False, "cannot be listed without pyserial", 'pip install "sherkit[lab]"')
+    from serial.tools.list_ports import comports
+
+    paths = sorted(port.device for port in comports())
+    closed = [path for path in paths if not os.access(path, os.R_OK | os.W_OK)] if os.name == "posix" else []
+    if closed:
+        mend = "sudo usermod -aG dialout $USER, then log in again"
+        return Finding("serial ports", False, f"{', '.join(closed)} cannot be opened by you", mend)
+    return Finding("serial ports", True, ", ".join(paths) or "none is plugged in")
+
+
+def _c_library() -> Finding:
+    try:
+        return Finding("C library", True, str(archive()))
+    except SherkitError:
+        return Finding(
+            "C library", False, "not shipped with this installation", "pip install --force-reinstall sherkit"
+        )
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
+def doctor(as_json: bool) -> int:
+    """Say what is installed, what lacks and for what, and the one command that mends it.
+
+    Ends with code 1 only where something lacks that nothing works without.
+    """
+    found = list(findings())
+    if as_json:
+        output.print_json([vars(one) for one in found])
+    else:
+        made = output.table("What is installed", "", "", "what was found", "to mend it")
+        for one in found:
+            mark = "well" if one.well else "MISSING" if one.needed else "lacks"
+            made.add_row(one.what, mark, escape(one.found), escape(one.mend))
+        for column in made.columns[1:]:
+            column.justify, column.overflow = "left", "fold"
+        output.out.print(made)
+    return int(any(one.needed and not one.well for one in found))

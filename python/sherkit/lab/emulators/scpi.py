@@ -1,0 +1,49 @@
+"""An emulated SCPI instrument: answers ``*IDN?``, and its question with the lasers of the world."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .faults import Fault
+from .server import LineEmulator
+from .world import World
+
+
+class ScpiEmulator(LineEmulator):
+    """Reads ``outputs`` of the world's lasers, mm, with a standard deviation of ``noise_mm``, where asked ``question``.
+
+    Whatever it does not know it does not answer, as SCPI wants it.
+    """
+
+    links = ("tcp", "pty")
+    ending = b"\n"
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        question: str = "READ?",
+        outputs: tuple[int, ...] = (1, 2, 3),
+        noise_mm: float = 0.0,
+        seed: int = 0,
+        **line: Any,
+    ) -> None:
+        super().__init__(world, seed=seed, **line)
+        self.question = question
+        self.outputs = outputs
+        self.noise_mm = noise_mm
+
+    def answer(self, command: bytes, fault: Fault | None) -> bytes:
+        """Numbers in the form of a multimeter, or nothing."""
+        asked = command.decode("latin-1").strip()
+        if asked == "*IDN?":
+            return b"SHERKIT,EMULATED,0,1.0\n"
+        if asked != self.question:
+            return b""
+        true = list(self.world.lasers_mm())
+        if fault is not None and fault.kind == "over_range":
+            return b",".join([b"+9.90000000E+37"] * len(self.outputs)) + b"\n"
+        values = [true[k - 1] + self.random.gauss(0.0, self.noise_mm) for k in self.outputs]
+        # NaN where the robot cannot be: SCPI has a number for it
+        words = ["+9.91000000E+37" if value != value else f"{value:+.8E}" for value in values]
+        return ",".join(words).encode("ascii") + b"\n"

@@ -1,0 +1,384 @@
+"""Instruments that a user brings as Python: a function, an object, or a device of bluesky, ophyd, ophyd-async.
+
+``make`` gives it when the port would be opened. What it may be:
+
+- a **sensor**: a callable without arguments that returns a number, several in the order of the columns, or a mapping
+  with them; a device of bluesky (``read``, ``describe``, and ``trigger`` where it has one), synchronous or not; or
+  another :class:`~sherkit.lab.instruments.base.Instrument`.
+- **axes**: one object for each joint, with ``position`` (a value or a method; or ``locate`` or ``read`` as bluesky has
+  them), ``set(value)`` (which returns a status, or returns when the axis stands) and ``stop()``.
+
+``close()`` of what has one is called at the end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Self
+
+from ...errors import Disconnected, Garbled, InstrumentError, OutOfRange, Timeout
+from ...names import listed
+from ..clock import now_s
+from .axes import Axis, AxisController, Reference
+from .base import Identity, Instrument, Reading
+from .waiting import begun, error_of, is_done, waited
+
+#: What gives an instrument: called without arguments.
+Make = Callable[[], Any]
+_POLL_S = 0.02
+#: Spellings of units that devices use.
+_SPELT = {"µm": "um", "micron": "um", "microns": "um", "millimeter": "mm", "degree": "deg", "degrees": "deg"}
+
+
+class _Own(Instrument):
+    """What sensors and axes share: made by Python when they are connected."""
+
+    kind = "Python"
+    _made: Any = None
+
+    def __init__(self, make: Make, said: str, *, name: str = "", timeout_s: float = 2.0, retries: int = 2) -> None:
+        super().__init__(said, name=name, timeout_s=timeout_s, retries=retries)
+        self._make = make
+
+    @property
+    def connected(self) -> bool:
+        """Whether it was made."""
+        return self._made is not None
+
+    def identify(self) -> Identity:
+        """What made it, and what it is; an instrument of sherkit's own says what it is itself."""
+        made = self._present()
+        if isinstance(made, Instrument):
+            return made.identify()
+        return Identity(self.kind, f"{self.address}, {_kind_of(made)}", self.address)
+
+    def _present(self) -> Any:
+        if self._made is None:
+            raise self.fail(Disconnected, "is not connected; call connect() first")
+        return self._made
+
+    def _called(self, what: str, function: Callable[[], Any]) -> Any:
+        """What a call of the user's code gives; whatever it raises becomes a sentence about this instrument."""
+        try:
+            return function()
+        except InstrumentError as error:
+            error.complete(instrument=self.name, port=self.address)
+            raise
+        except TimeoutError:
+            raise self.fail(Timeout, f"{what} did not end within {self.timeout_s:g} s") from None
+        except Exception as error:
+            raise self.fail(InstrumentError, f"{what} raised {type(error).__name__}: {error}") from error
+
+    def _of_device(self, device: Any, method: str, *arguments: Any) -> Any:
+        function = getattr(device, method)
+        return self._called(method, lambda: waited(device, function, *arguments, timeout_s=self.timeout_s))
+
+    def _begin(self, parts: Sequence[Any]) -> None:
+        """Connects and stages what wants that."""
+        for one in parts:
+            if isinstance(one, Instrument):
+                one.connect()
+            elif hasattr(one, "connect") and hasattr(one, "describe"):
+                self._of_device(one, "connect")
+            if hasattr(one, "stage") and not isinstance(one, Instrument):
+                self._of_device(one, "stage")
+
+    def _end(self, parts: Sequence[Any]) -> None:
+        for one in parts:
+            for method in ("unstage", "close"):
+                if callable(getattr(one, method, None)):
+                    with contextlib.suppress(InstrumentError):  # what is left in any case
+                        self._of_device(one, method)
+
+
+class OwnSensor(_Own):
+    """A sensor that ``make`` gives, whose values are called ``columns``; ``fields`` are theirs in a device's reading.
+
+    The unit of a value is what the device describes, or else the one that its column ends in. ``said`` names the code
+    in sentences and run files.
+    """
+
+    def __init__(
+        self, make: Make, columns: Sequence[str], *, fields: Sequence[str] = (), said: str = "Python", name: str = "",
+        timeout_s: float = 2.0, retries: int = 2,
+    ) -> None:  # fmt: skip
+        super().__init__(make, said, name=name, timeout_s=timeout_s, retries=retries)
+        self.columns = tuple(columns)
+        self.fields = tuple(fields)
+
+    def connect(self) -> Self:
+        """Calls ``make``. Raises :class:`~sherkit.errors.InstrumentError`."""
+        with self._lock:
+            made = self._called("what makes it", self._make)
+            if not (callable(made) or hasattr(made, "read")):
+                raise self.fail(
+                    InstrumentError, f"was given {_kind_of(made)}; expected a function that reads, or what has read()"
+                )
+            self._made = made
+            self._begin([made])
+        return self
+
+    def close(self) -> None:
+        """Closes what has a ``close``; twice does no harm."""
+        with self._lock:
+            made, self._made = self._made, None
+            if made is not None:
+                self._end([made])
+
+    def read(self) -> Reading:
+        """One reading. Raises :class:`~sherkit.errors.InstrumentError`, also for whatever the user's code raises."""
+        with self._lock:
+            made = self._present()
+            if isinstance(made, Instrument):
+                return made.read()
+            named, units = self._of_function(made) if not hasattr(made, "read") else self._of_readable(made)
+            time_s = now_s()
+        values = tuple(self._number(column, value) for column, value in zip(self.columns, named, strict=True))
+        return Reading(self.name, self.columns, values, units, time_s)
+
+    def _of_function(self, function: Callable[[], Any]) -> tuple[list[Any], tuple[str, ...]]:
+        units = tuple(map(_unit_of, self.columns))
+        return self._in_order(self._called("reading it", function)), units
+
+    def _of_readable(self, device: Any) -> tuple[list[Any], tuple[str, ...]]:
+        if hasattr(device, "trigger"):
+            self._of_device(device, "trigger")
+        found = self._of_device(device, "read")
+        if not (isinstance(found, Mapping) and all(isinstance(v, Mapping) and "value" in v for v in found.values())):
+            # a class of the user's own, whose read() gives plain values
+            return self._in_order(found), tuple(map(_unit_of, self.columns))
+        described = self._of_device(device, "describe") if hasattr(device, "describe") else {}
+        fields = self.fields or tuple(found)
+        absent = [field for field in fields if field not in found]
+        if absent:
+            raise self.fail(Garbled, f"has no field {listed(absent)}; it has {listed(found, 12)}")
+        if len(fields) != len(self.columns):
+            raise self.fail(
+                Garbled,
+                f"has the fields {listed(fields, 12)} for {len(self.columns)} columns; name them with fields = […]",
+            )
+        stated = [str(described.get(field, {}).get("units") or "") for field in fields]
+        units = tuple(_SPELT.get(u, u) or _unit_of(c) for u, c in zip(stated, self.columns, strict=True))
+        return [found[field]["value"] for field in fields], units
+
+    def _in_order(self, found: Any) -> list[Any]:
+        if isinstance(found, Mapping):
+            names = self.fields or self.columns
+            absent = [name for name in names if name not in found]
+            if absent:
+                raise self.fail(Garbled, f"gave no {listed(absent)}; it gave {listed(found, 12)}")
+            return [found[name] for name in names]
+        try:
+            values = list(found)
+        except TypeError:
+            values = [found]
+        if len(values) != len(self.columns):
+            raise self.fail(Garbled, f"gave {len(values)} values; [[instrument]] columns names {len(self.columns)}")
+        return values
+
+    def _number(self, column: str, value: Any) -> float:
+        if value is None:
+            return math.nan
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            raise self.fail(Garbled, f"gave {value!r} for '{column}'; expected a number") from None
+        if math.isinf(number):
+            raise self.fail(OutOfRange, f"gave {value!r} for '{column}'; expected a finite number, or NaN for none")
+        return number
+
+
+class OwnAxes(_Own, AxisController):
+    """Axes that ``make`` gives: one object for each of ``axes``, in their order.
+
+    Whether they were zeroed cannot be told of them: where they stand is held against limits, plan and sensors. Axes
+    whose ``set`` returns a status move together, others one after the other. A motion that takes more than the way at
+    ``speed`` and ``settle_s`` is stopped.
+    """
+
+    def __init__(
+        self, make: Make, axes: Sequence[Axis], *, speed: float, acceleration: float, arrived_within: float,
+        settle_s: float = 10.0, said: str = "Python", name: str = "", timeout_s: float = 2.0, retries: int = 2,
+    ) -> None:  # fmt: skip
+        super().__init__(make, said, name=name, timeout_s=timeout_s, retries=retries)
+        self.axes = tuple(axes)
+        self.unit = self.axes[0].unit
+        self.speed = speed
+        self.acceleration = acceleration
+        self.arrived_within = arrived_within
+        self.settle_s = settle_s
+        self.left_at = {}
+        self._moving = False
+
+    def connect(self) -> Self:
+        """Calls ``make``. Raises :class:`~sherkit.errors.InstrumentError`. Moves nothing."""
+        with self._lock:
+            made = self._called("what makes them", self._make)
+            parts = list(made) if isinstance(made, Sequence) else [made]
+            if len(parts) != len(self.axes):
+                raise self.fail(
+                    InstrumentError, f"{len(parts)} axes were given; expected {len(self.axes)}, one for each joint"
+                )
+            for axis, one in zip(self.axes, parts, strict=True):
+                lacks = [m for m in ("set", "stop") if not callable(getattr(one, m, None))]
+                if not any(hasattr(one, m) for m in ("position", "locate", "read")):
+                    lacks.append("position")
+                if lacks:
+                    raise self.fail(InstrumentError, f"{axis.label}: {_kind_of(one)} has no {listed(lacks)}")
+            self._made = parts
+            self._begin(parts)
+        return self
+
+    def close(self) -> None:
+        """Stops what this program moves, and closes what has a ``close``."""
+        with self._lock:
+            try:
+                if self._moving:
+                    self.stop()
+            finally:
+                made, self._made = self._made, None
+                if made is not None:
+                    self._end(made)
+
+    def identify(self) -> Identity:
+        """What made them, and what they are."""
+        kinds = listed(dict.fromkeys(_kind_of(one) for one in self._present()))
+        return Identity(self.kind, f"{self.address}, {kinds}", self.address)
+
+    def read(self) -> Reading:
+        """Where the axes stand, in their unit."""
+        values = tuple(self._position(a, one) for a, one in zip(self.axes, self._present(), strict=True))
+        return Reading(self.name, tuple(a.label for a in self.axes), values, (self.unit,) * len(values), now_s())
+
+    def _position(self, axis: Axis, one: Any) -> float:
+        if hasattr(one, "position"):
+            found = one.position
+            found = self._called("position", found) if callable(found) else found
+        elif hasattr(one, "locate"):
+            found = self._of_device(one, "locate")["readback"]
+        else:
+            found = next(iter(self._of_device(one, "read").values()))["value"]
+        try:
+            place = float(found)
+        except (TypeError, ValueError):
+            place = math.nan
+        if not math.isfinite(place):
+            raise self.fail(Garbled, f"{axis.label} stands at {found!r}; expected a number, in {self.unit}")
+        return place
+
+    def reference(self) -> Reference:
+        """Where they stand; nothing is known of their zero."""
+        every = (True,) * len(self.axes)
+        return Reference(False, None, self.read().values, every, every)
+
+    def set_reference(self, positions: Sequence[float]) -> Reference:
+        """Calls ``set_current_position`` of each axis, as EPICS motors have it."""
+        for one, place in zip(self._every("set_current_position", "its zero be set from here"), positions, strict=True):
+            self._of_device(one, "set_current_position", float(place))
+        self.left_at = {}
+        return self.reference()
+
+    def home(self) -> Reference:
+        """Calls ``home`` of each axis, one after the other."""
+        for one in self._every("home", "it be homed from here"):
+            self._of_device(one, "home")
+        self.left_at = {}
+        return self.reference()
+
+    def _every(self, method: str, what: str) -> list[Any]:
+        parts: list[Any] = self._present()
+        for axis, one in zip(self.axes, parts, strict=True):
+            if not callable(getattr(one, method, None)):
+                raise self.fail(
+                    InstrumentError,
+                    f"{axis.label} ({_kind_of(one)}) has no {method}(): nor can {what}; do so with its own program",
+                )
+        return parts
+
+    def check(self, target: Mapping[str, float] | Sequence[float]) -> dict[str, float]:
+        """The target by letters. Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
+        if not isinstance(target, Mapping):
+            if len(target) != len(self.axes):
+                raise self.fail(InstrumentError, f"a target of {len(target)} numbers; expected {len(self.axes)}")
+            target = {a.letter: q for a, q in zip(self.axes, target, strict=True)}
+        named = {word: a for a in self.axes for word in (a.letter, a.label)}
+        out = {}
+        for word, value in target.items():
+            if word not in named:
+                raise self.fail(InstrumentError, f"has no axis '{word}'; it has {listed(a.label for a in self.axes)}")
+            axis = named[word]
+            low, high = axis.limits
+            if not low <= value <= high:
+                raise self.fail(
+                    OutOfRange,
+                    f"axis {axis.label} was to go to {value:g} {self.unit}; its soft limits are {low:g} to {high:g}",
+                )
+            out[axis.letter] = float(value)
+        return out
+
+    def move(self, target: Mapping[str, float] | Sequence[float]) -> Reading:
+        """Moves there, and returns where the axes then stand. Any error, also Ctrl-C, stops them first."""
+        targets = self.check(target)
+        self.require_reference(limits=False)
+        parts = [(a, one) for a, one in zip(self.axes, self._present(), strict=True) if a.letter in targets]
+        way = max(abs(targets[a.letter] - self._position(a, one)) for a, one in parts)
+        longest_s = way / self.speed + self.speed / self.acceleration + self.settle_s
+        self.left_at = {}
+        self._moving = True
+        try:
+            under_way = [self._started(one, targets[a.letter]) for a, one in parts]
+            end = time.monotonic() + longest_s
+            while not all(is_done(status) for status in under_way):
+                if time.monotonic() > end:
+                    raise self.fail(Timeout, f"a motion did not end within {longest_s:.1f} s, and was stopped")
+                time.sleep(_POLL_S)
+            for (axis, _), status in zip(parts, under_way, strict=True):
+                if (error := error_of(status)) is not None:
+                    raise self.fail(InstrumentError, f"{axis.label} did not arrive: {type(error).__name__}: {error}")
+        except BaseException:
+            self.stop()
+            raise
+        self._moving = False
+        found = self.read()
+        self.left_at = {a.letter: q for a, q in zip(self.axes, found.values, strict=True)}
+        return found
+
+    def _started(self, one: Any, value: float) -> Any:
+        return self._called("set", lambda: begun(one, one.set, value, timeout_s=self.timeout_s))
+
+    def is_moving(self) -> bool:
+        """Whether any axis says so; those that cannot say stand, unless this program moves them."""
+        said = [getattr(one, "moving", False) for one in self._present()]
+        return self._moving or any(bool(one() if callable(one) else one) for one in said)
+
+    def stop(self) -> None:
+        """Stops every axis, the others also where one cannot be. Raises what went wrong first."""
+        wrong: list[InstrumentError] = []
+        for one in self._present():
+            try:
+                self._of_device(one, "stop")
+            except InstrumentError as error:
+                wrong.append(error)
+        self._moving = False
+        if wrong:
+            raise wrong[0]
+
+    def enable(self) -> None:
+        """Calls ``enable`` of the axes that have it."""
+        for one in self._present():
+            if callable(getattr(one, "enable", None)):
+                self._of_device(one, "enable")
+
+
+def _unit_of(column: str) -> str:
+    """The end of a column's name."""
+    return column.rpartition("_")[2]
+
+
+def _kind_of(made: Any) -> str:
+    kind = type(made)
+    name = getattr(made, "__qualname__", None) if callable(made) and not hasattr(made, "read") else None
+    return f"{made.__module__}.{name}" if name else f"{kind.__module__}.{kind.__qualname__}"

@@ -1,0 +1,72 @@
+"""A calibrated robot for a control loop in C: its row of numbers as a header (rust/c/include/sherkit.h)."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+from ..errors import CalibrationError
+from ..types import Floats
+from .calibrated import Calibration
+
+#: The type of the C library by the kind of robot that a row is of (rust/core/src/flat.rs), as its second number says.
+_TYPES = {1.0: "sherkit_delta", 2.0: "sherkit_spherical"}
+_IN_A_LINE = 6
+
+
+def calibration_header(calibration: Calibration, source: str = "calibrated.toml", name: str = "robot") -> str:
+    """The text of a C header that loads a calibration: ``<name>_init(&robot)``; every number without loss.
+
+    Raises :class:`~sherkit.errors.CalibrationError` for a robot that the C library does not have.
+    """
+    core: Any = getattr(calibration, "core", None)
+    row: Floats | None = core.flat() if hasattr(core, "flat") else None
+    kind = None if row is None else _TYPES.get(float(row[1]))
+    if row is None or kind is None:
+        raise CalibrationError(
+            f"{source}: a {calibration.robot.kind} robot runs in Python alone; the C library has deltas, spherical "
+            "robots and the flexible tool"
+        )
+    guard = f"{name.upper()}_H"
+    includes = ["#include <math.h>"] if not all(map(math.isfinite, row)) else []
+    lines = [
+        f"/* The calibrated {calibration.robot.kind} robot of {_comment(source)}, written by `sherkit export c`. "
+        "Lengths mm, angles rad. */",
+        f"#ifndef {guard}",
+        f"#define {guard}",
+        "",
+        *includes,
+        '#include "sherkit.h"',
+        "",
+        c_array(f"{name}_numbers", row),
+        "",
+        "/* Loads the calibration. Its numbers are not copied: they stand above for as long as the program runs. */",
+        f"static inline sherkit_result {name}_init({kind} *robot)",
+        "{",
+        f"    return {kind}_init(robot, {name}_numbers, sizeof {name}_numbers / sizeof *{name}_numbers);",
+        "}",
+        "",
+        "#endif",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def c_array(name: str, numbers: Floats) -> str:
+    """A C array of doubles. What is infinite needs ``math.h``: C has no literal for it."""
+    words = [c_number(float(x)) for x in numbers]
+    rows = [", ".join(words[i : i + _IN_A_LINE]) for i in range(0, len(words), _IN_A_LINE)]
+    return f"static const double {name}[] = {{\n    " + ",\n    ".join(rows) + ",\n};"
+
+
+def c_number(value: float) -> str:
+    """A double as C reads it, without loss."""
+    if math.isfinite(value):
+        return repr(value)
+    return "NAN" if math.isnan(value) else f"{'-' if value < 0 else ''}INFINITY"
+
+
+def _comment(text: str) -> str:
+    """A file's name cannot end a comment."""
+    return re.sub(r"[^\w. -]", "_", text)

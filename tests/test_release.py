@@ -1,0 +1,209 @@
+"""What a release promises: one version, the wheel's C library, help that can be typed, a doctor that tells what is."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import sherkit as sk
+from sherkit import _core
+from sherkit.cli import c_library, doctor
+from sherkit.cli.examples import EXAMPLES
+from sherkit.cli.main import _VERBS, cli
+from sherkit.errors import CalibrationError, SherkitError
+from sherkit.robots.c_header import c_array, calibration_header
+from test_c_library import LIBRARY, ROOT, built_archive, make_robots, run, tool
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def test_the_version_stands_in_one_place():
+    """Catches a release whose parts call themselves otherwise."""
+    version = tomllib.loads((ROOT / "Cargo.toml").read_text(encoding="utf-8"))["workspace"]["package"]["version"]
+    assert version == _core.__version__ == sk.__version__
+    assert "version" in PROJECT["project"]["dynamic"]
+    cited = re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE)
+    assert cited
+    assert cited[1] == version
+    for manifest in ROOT.glob("rust/*/Cargo.toml"):
+        assert tomllib.loads(manifest.read_text(encoding="utf-8"))["package"]["version"] == {"workspace": True}
+
+
+# -- help ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("verb", _VERBS)
+def test_help_ends_with_lines_that_can_be_typed(verb):
+    """Catches an example in a help that names an option or a verb that is gone."""
+    shown = CliRunner().invoke(cli, [verb, "--help"])
+    assert shown.exit_code == 0
+    assert set(EXAMPLES) == set(_VERBS)
+    for line in EXAMPLES[verb]:
+        assert line in shown.output
+        words = shlex.split(line)
+        assert words[:2] == ["sherkit", verb]
+        context = click.Context(cli, info_name="sherkit")
+        command, arguments = cli.get_command(context, verb), words[2:]
+        if isinstance(command, click.Group):
+            context = click.Context(command, info_name=verb, parent=context)
+            command, arguments = command.get_command(context, arguments[0]), arguments[1:]
+        assert command is not None
+        command.make_context(verb, arguments, parent=context)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_printed_for_every_shell(shell):
+    """Catches a script for the shell that runs the tests, whatever was asked for."""
+    shown = CliRunner().invoke(cli, ["completion", shell])
+    assert shown.exit_code == 0
+    assert f"_SHERKIT_COMPLETE={shell}_complete" in shown.output
+    told = CliRunner().invoke(cli, ["completion"], env={"SHELL": "/bin/tcsh"})
+    assert isinstance(told.exception, SherkitError)
+
+
+# -- doctor --------------------------------------------------------------------------------------------------------
+
+
+def test_the_doctor_knows_every_extra(monkeypatch):
+    """Catches an extra that nobody is told of, and one that is missing and called well."""
+    users = set(PROJECT["project"]["optional-dependencies"]) - {"test", "dev", "bench", "arms", "docs"}
+    assert set(doctor._PURPOSE) == users
+    monkeypatch.setattr(doctor, "requires", lambda _: ["numpy>=1.26", 'pyserial>=3.5 ; extra == "lab"'])
+    monkeypatch.setattr(doctor, "_version", lambda name: None if name == "pyserial" else "1.0")
+    found = {one.what: one for one in doctor.findings()}
+    assert found["core"].well
+    assert not found["extra lab"].well
+    assert found["extra lab"].mend == 'pip install "sherkit[lab]"'
+    assert CliRunner().invoke(cli, ["doctor", "--json"], standalone_mode=False).return_value == 0
+    monkeypatch.setattr(doctor, "_version", lambda name: None)
+    shown = CliRunner().invoke(cli, ["doctor"], standalone_mode=False)
+    assert shown.return_value == 1
+
+
+# -- C -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_calibration_becomes_a_header_that_compiles(tmp_path):
+    """Catches an infinite corner that C has no word for, a number that is rounded, and a name that ends the comment."""
+    row = np.array([3.0, 1.0, -np.inf, np.inf, 0.1, 1e-300])
+    text = c_array("numbers", row)
+    for compiler, language in (("cc", "c"), ("c++", "c++")):
+        source = tmp_path / f"check.{language}"
+        source.write_text(
+            f"#include <math.h>\n#include <stdio.h>\n{text}\nint main(void) {{ for (int k = 0; k < 6; k++) "
+            'printf("%.17g\\n", numbers[k]); }\n',
+            encoding="utf-8",
+        )
+        run(tool(compiler), "-Wall", "-Wextra", "-Werror", source, "-o", tmp_path / "check")
+        assert [float(word) for word in run(tmp_path / "check").split()] == row.tolist()
+
+    class Made:
+        robot = make_robots.EXAMPLE
+        core = make_robots.delta()
+
+    header = calibration_header(Made(), "a*/b.toml")  # type: ignore[arg-type]
+    assert "*/b" not in header
+    assert "sherkit_delta_init" in header
+
+    class Arm(Made):
+        core = object()
+
+    with pytest.raises(CalibrationError, match="runs in Python alone"):
+        calibration_header(Arm(), "arm.toml")  # type: ignore[arg-type]
+
+
+def test_the_loop_of_the_wheel_runs(tmp_path):
+    """Catches an example that a user cannot build, or that misses its targets."""
+
+    class Made:
+        robot = make_robots.EXAMPLE
+        core = make_robots.delta()
+
+    (tmp_path / "robot.h").write_text(calibration_header(Made()), encoding="utf-8")  # type: ignore[arg-type]
+    flags = [
+        "-std=c11",
+        "-O2",
+        "-Wall",
+        "-Wextra",
+        "-Wpedantic",
+        "-Werror",
+        f"-I{LIBRARY / 'include'}",
+        f"-I{tmp_path}",
+    ]
+    run(tool("cc"), *flags, LIBRARY / "examples/wheel/loop.c", built_archive(), "-lm", "-o", tmp_path / "loop")
+    assert ", 0 targets out of reach" in run(tmp_path / "loop", "0.2")
+
+
+def test_where_the_library_is_can_be_asked(tmp_path, monkeypatch):
+    """Catches flags for a folder that is not there, and a source tree that pretends to have a library."""
+    monkeypatch.setattr(c_library, "HOME", tmp_path / "c")
+    told = CliRunner().invoke(cli, ["c", "--cflags"])
+    assert isinstance(told.exception, SherkitError)
+    (tmp_path / "c" / "lib").mkdir(parents=True)
+    (tmp_path / "c" / "lib" / "libsherkit.a").touch()
+    monkeypatch.setattr(c_library.sys, "platform", "linux")
+    shown = CliRunner().invoke(cli, ["c", "--cflags", "--libs"])
+    assert shlex.split(shown.output) == [f"-I{tmp_path}/c/include", "-lm", f"{tmp_path}/c/lib/libsherkit.a"]
+    shared = shlex.split(CliRunner().invoke(cli, ["c", "--libs", "--shared"]).output)
+    assert f"-Wl,-rpath,{tmp_path}/c/lib" in shared
+    assert CliRunner().invoke(cli, ["c", "--cmake"]).output.strip() == f"{tmp_path}/c/lib/cmake/sherkit"
+
+
+@pytest.mark.slow
+def test_what_the_installed_wheel_ships_links(tmp_path):
+    """Catches a wheel without its library, a CMake or pkg-config file that leads nowhere."""
+    if not (c_library.HOME / "lib").is_dir():
+        pytest.skip("this sherkit is a source tree: it ships no C library")
+    runner = CliRunner()
+    assert runner.invoke(cli, ["c", "--example", str(tmp_path)]).exit_code == 0
+
+    class Made:
+        robot = make_robots.EXAMPLE
+        core = make_robots.delta()
+
+    (tmp_path / "robot.h").write_text(calibration_header(Made()), encoding="utf-8")  # type: ignore[arg-type]
+    for more in ([], ["--shared"]):
+        words = shlex.split(runner.invoke(cli, ["c", "--cflags", "--libs", *more]).output)
+        run(tool("cc"), tmp_path / "loop.c", *words, "-o", tmp_path / "loop")
+        run(tmp_path / "loop", "0.1")
+    if shutil.which("cmake"):
+        where = runner.invoke(cli, ["c", "--cmake"]).output.strip()
+        run("cmake", "-S", tmp_path, "-B", tmp_path / "build", f"-Dsherkit_DIR={where}")
+        run("cmake", "--build", tmp_path / "build")
+        run(tmp_path / "build" / "loop", "0.1")
+    if shutil.which("pkg-config"):
+        where = runner.invoke(cli, ["c", "--pkgconfig"]).output.strip()
+        flags = run("pkg-config", "--cflags", "--libs", "sherkit", env={"PKG_CONFIG_PATH": where, "PATH": "/usr/bin"})
+        assert "-lsherkit" in flags
+
+
+@pytest.mark.slow
+def test_the_crate_packages_clean():
+    """Catches a file that the crate needs and its package lacks, and a warning of cargo."""
+    done = subprocess.run(
+        [tool("cargo"), "package", "-p", "sherkit-core", "--allow-dirty", "--no-verify", "--offline"],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "warning" not in done.stderr, done.stderr
+
+
+def test_no_registry_is_named():
+    """Catches the host of a package registry in what is released."""
+    hosts = re.compile(r"pypi\.org|crates\.io|pythonhosted|npmjs|static\.rust-lang")
+    files = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if files.returncode != 0:
+        pytest.skip("no git tree")
+    for name in filter(None, files.stdout.split("\0")):
+        path = ROOT / name
+        if path.suffix in (".py", ".md", ".toml", ".yml", ".rs", ".cff") and path != Path(__file__):
+            assert not hosts.search(path.read_text(encoding="utf-8")), name
