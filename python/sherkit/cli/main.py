@@ -31,6 +31,7 @@ _VERBS = {
     "markers": "vision.markers",
     "measure": "measure.measure",
     "plan": "plan.plan",
+    "printer": "printer.printer",
     "register": "tool.register",
     "schema": "schema.schema",
     "simulate": "simulate.simulate",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
@@ -13,7 +14,12 @@ import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from ..data.files import write_whole
+from ..errors import SherkitError
 from ..lab.experiment import Control, Experiment, Live, RunFile, RunProgress, export_run, load_experiment, run
+from ..robots.calibrated import Calibration
+from ..robots.printer.back import commands, held, klipper_config
+from ..robots.printer.calibration import PrinterCalibration
+from ..robots.printer.robot import FIRMWARES
 from ..robots.tool.c_header import c_header
 from ..robots.tool.tool import load_tool
 from . import keys, output
@@ -127,18 +133,22 @@ def _ended_by_signals() -> Iterator[None]:
 
 
 @click.command()
-@click.argument("what", nargs=-1, required=True, metavar="RUN_FILE | c TOOL")
+@click.argument("what", nargs=-1, required=True, metavar="RUN_FILE | c TOOL | FIRMWARE CALIBRATION")
 @click.option("-o", "--output", "destination", type=click.Path(path_type=Path), required=True,
-              help="CSV or Parquet of a run; a C header of a tool.")  # fmt: skip
-def export(what: tuple[str, ...], destination: Path) -> None:
+              help="CSV or Parquet of a run; a C header of a tool; a printer.cfg or commands of a printer.")  # fmt: skip
+@click.option("--config", type=click.Path(path_type=Path), help="The printer.cfg to write the numbers into (Klipper).")
+def export(what: tuple[str, ...], destination: Path, config: Path | None) -> None:
     """Write the rows of RUN_FILE as CSV or Parquet, also while it is being measured; with c, a flexible TOOL as a C
-    header for the control loop."""
+    header for the control loop; with klipper, reprapfirmware or marlin, the CALIBRATION of a printer for its firmware."""
     if len(what) == 1:
         rows = export_run(Path(what[0]), destination)
         output.say(f"{rows} rows written to {destination}", destination)
         return
+    if len(what) == 2 and what[0] in FIRMWARES:
+        _export_printer(what[0], Path(what[1]), destination, config)
+        return
     if len(what) != 2 or what[0] != "c":
-        raise click.UsageError("expected the file of a run, or c and the file of a flexible tool")
+        raise click.UsageError("expected the file of a run, c and a flexible tool, or a firmware and a calibration")
     made = load_tool(what[1])
     if made.noise != "propagated":
         output.warn(
@@ -150,3 +160,27 @@ def export(what: tuple[str, ...], destination: Path) -> None:
         f"{destination} written; a loop includes it and links libsherkit.a, which cargo build --profile control "
         "-p sherkit-c makes. No CMake is needed: rust/c/examples/replay replays a CSV file with it"
     )
+
+
+def _export_printer(firmware: str, calibration: Path, destination: Path, config: Path | None) -> None:
+    """A calibrated printer for its firmware, and what that cannot hold."""
+    made = Calibration.load(calibration)
+    if not isinstance(made, PrinterCalibration):
+        raise SherkitError(
+            f"{calibration}: is of {made.robot.kind}; only the calibration of a printer goes into a firmware"
+        )
+    names = [p.name for p in made.whole.model(made.robot).parameters]
+    found = held(made.robot, dict(zip(names, made.whole.values.tolist(), strict=True)))
+    if firmware == "klipper":
+        if config is None:
+            raise SherkitError("--config: name the printer.cfg into which the numbers go")
+        write_whole(destination, klipper_config(config, found.towers))
+    else:
+        lines = commands(replace(made.robot, firmware=firmware), found.towers)
+        write_whole(destination, "\n".join(lines) + "\n")
+    output.say(f"{destination} written")
+    if made.whole.effects:
+        output.say(
+            f"{firmware} cannot hold {' and '.join(made.whole.effects)}: {1e3 * found.rms_mm:.0f} µm RMS of the height over "
+            f"the plate remain, {1e3 * found.largest_mm:.0f} µm at worst; put the machine right, then probe again"
+        )
