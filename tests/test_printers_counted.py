@@ -14,7 +14,8 @@ from sherkit import SherkitWarning
 from sherkit.printers import Examined, examine, files_of
 
 FIRMWARES = ("klipper", "reprapfirmware", "marlin")
-#: A fault shows where without noise it leaves more than this part of the noise, RMS, that no number of the firmware takes.
+#: A fault shows where without noise it leaves more than this part of the noise, RMS, that no number of the firmware
+#: takes.
 _SHOWS = 1.0
 
 
@@ -52,7 +53,9 @@ def counted(printers: int, folder: Path, seed: int, *, told: bool = False) -> Co
                 out["told apart" if apart else "not told apart"] += 1
             out[f"{kind} shown {fault}"] += shown
             if told:
-                print(number, fault, firmware, kind, "shown" if shown else "hidden", verdict, sorted(blamed), flush=True)
+                print(
+                    number, fault, firmware, kind, "shown" if shown else "hidden", verdict, sorted(blamed), flush=True
+                )
     return out
 
 
@@ -66,10 +69,12 @@ def held(out: Counter[str], printers: int) -> None:
 
 
 def test_a_twisted_frame_and_a_bent_plate(tmp_path: Path) -> None:
-    """Catches a frame that is twisted taken for a plate, or the reverse, once the plate was turned by a sixth of a turn;
-    and a third of a turn that would be believed to tell them apart."""
+    """Catches a frame that is twisted taken for a plate, or the reverse, once the plate was turned by a sixth of a
+    turn; and a third of a turn that would be believed to tell them apart."""
     twisted, bent = Trial.of("frame twisted", 5, 1), Trial.of("bent plate", 5, 2)
-    assert [s.names for s in examined(twisted, tmp_path, "klipper", (0.0, 60.0), 1).suspects] == [("rail_lean",)]
+    machine = [s.names for s in examined(twisted, tmp_path, "klipper", (0.0, 60.0), 1).suspects]
+    assert ("rail_lean",) in machine
+    assert not any("bed_shape" in names for names in machine)
     assert [s.names for s in examined(bent, tmp_path, "klipper", (0.0, 60.0), 1).suspects] == [("bed_shape",)]
     third = {n for s in examined(twisted, tmp_path, "klipper", (0.0, 120.0), 1).suspects for n in s.names}
     assert third >= {"rail_lean", "bed_shape"}

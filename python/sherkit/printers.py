@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 
 from .diagnosis import Diagnosis, diagnose
 from .fit.forms import known
@@ -25,8 +26,8 @@ from .robots.printer.model import distances
 from .robots.printer.probings import Found
 from .robots.printer.suspects import Suspect, plain_fit, suspects, turns
 
-#: By how much a plate is best turned: shapes of up to five lobes lie elsewhere then. A third of a turn would leave one of
-#: three lobes as it was, and that is what a twisted frame looks like.
+#: By how much a plate is best turned: shapes of up to five lobes lie elsewhere then. A third of a turn would leave one
+#: of three lobes as it was, and that is what a twisted frame looks like.
 TURN_DEG = 60.0
 #: New numbers are worth entering where they take this part of the error, and so much, mm.
 _WORTH, _WORTH_MM = 0.2, 0.005
@@ -65,6 +66,17 @@ class Examined:
     def after_mm(self) -> float:
         """The same with the best numbers that the firmware can hold."""
         return self._rms(self.plain.residuals)
+
+    @property
+    def chance(self) -> float:
+        """How often a perfect machine on a flat plate would leave as much of a pattern: by the diagnosis, or by what
+        the likeliest suspect takes (Wilks, "The large-sample distribution of the likelihood ratio", 1938)."""
+        p = self.diagnosis.p_missing
+        for one in self.suspects[:1]:
+            nothing = Suspect((), self.plain, self.plain)
+            numbers = sum(len(e.parameters) for e in one.effects)
+            p = min(p, float(scipy.special.chdtrc(numbers, nothing.alone - one.alone)))
+        return max(p, 1e-6)
 
     def _rms(self, left: Any) -> float:
         data = self.plain.data
@@ -114,7 +126,8 @@ class Examined:
         out = []
         if self.better_numbers:
             out.append(
-                f"The numbers in the firmware: with them the nozzle is {_mm(self.before_mm)} too high or too low over the "
+                f"The numbers in the firmware: with them the nozzle is {_mm(self.before_mm)} too high or too low "
+                f"over the "
                 f"plate (RMS), and with better ones {_mm(self.after_mm)}."
             )
         if not self.suspects:
@@ -125,7 +138,8 @@ class Examined:
         word = "Besides, what" if out else "What"
         begins = f"{word} the firmware's numbers cannot take away, {_mm(self.after_mm)}, has a pattern: "
         if self.tied:
-            return [*out, f"{begins}it is either {', or '.join(said)}."]
+            which = [f"If it is the towers: {w}" for one in self.suspects for w in self._which(one)]
+            return [*out, f"{begins}it is either {', or '.join(said)}.", *which]
         return [*out, f"{begins}{said[0]}.", *self._which(self.suspects[0])]
 
     def _which(self, one: Suspect) -> list[str]:
@@ -155,7 +169,7 @@ class Examined:
         return out
 
     def _sure(self) -> list[str]:
-        p = self.diagnosis.p_missing
+        p = self.chance
         if not self.suspects:
             return [f"A perfect machine would leave as much of a pattern in {_of(p)}."]
         out = [f"A perfect machine on a flat plate would leave such a pattern in {_of(p)}."]
@@ -187,7 +201,8 @@ class Examined:
         out = [f"{_mm(self.after_mm)} RMS over the plate, the scatter of the probe included."]
         if self.new.rms_mm > 0.0005:
             out.append(
-                f"The firmware has no number for what is wrong: {_mm(self.new.rms_mm)} RMS, {_mm(self.new.largest_mm)} at "
+                f"The firmware has no number for what is wrong: {_mm(self.new.rms_mm)} RMS, "
+                f"{_mm(self.new.largest_mm)} at "
                 "worst, stay until the machine is put right, and a mesh hides them on the first layer only."
             )
         return out
@@ -198,15 +213,18 @@ class Examined:
         out = []
         if bed_shape.name in names and self.tied and not turned:
             out.append(
-                f"Turn the plate by {TURN_DEG:g}° (a sixth of a turn, anticlockwise seen from above), probe a mesh under "
+                f"Turn the plate by {TURN_DEG:g}° (a sixth of a turn, anticlockwise seen from above), probe a "
+                f"mesh under "
                 f"another name, and run this again with --plate NAME={TURN_DEG:g}: what turned with the plate is the "
-                "plate's, what stayed is the machine's. A third of a turn would not do: a plate of three lobes would look "
+                "plate's, what stayed is the machine's. A third of a turn would not do: a plate of three lobes "
+                "would look "
                 "the same again, and so does a twisted frame."
             )
         if "rail_lean" in names and (self.tied or turned):
             top = float(self.found.robot.towers.radius_mm)
             out.append(
-                "Print a square tower 150 mm tall with edges of 40 mm and hold a steel rule along them: a twisted frame "
+                "Print a square tower 150 mm tall with edges of 40 mm and hold a steel rule along them: a twisted "
+                "frame "
                 f"turns them, {150 * np.deg2rad(0.5) / top * 28:.1f} mm from foot to top for each 0.5° of lean."
             )
         if "rod_mismatch" in names and self.tied:
@@ -215,8 +233,10 @@ class Examined:
             out.append("Probe again with the new numbers: the plate should read as is said above.")
         if not self.suspects and not turned:
             out.append(
-                "A plate bent like a bowl or a saddle looks just like wrong numbers. If prints are not to size although the "
-                f"first layer is even, turn the plate by {TURN_DEG:g}°, probe again under another name, and run this with "
+                "A plate bent like a bowl or a saddle looks just like wrong numbers. If prints are not to size "
+                "although the "
+                f"first layer is even, turn the plate by {TURN_DEG:g}°, probe again under another name, and run "
+                f"this with "
                 f"--plate NAME={TURN_DEG:g}."
             )
         return out or ["Nothing."]
@@ -227,7 +247,7 @@ class Examined:
         return {
             "sections": dict(self.sections),
             "suspects": [list(one.names) for one in self.suspects],
-            "p_value": self.diagnosis.p_missing,
+            "p_value": self.chance,
             "before_mm": self.before_mm,
             "after_mm": self.after_mm,
             "not_held_mm": {"rms": self.new.rms_mm, "largest": self.new.largest_mm},
@@ -247,9 +267,10 @@ def examine(found: Found, *, seed: int = 0, step: Callable[[str], None] = lambda
     told = diagnose(plain, seed=seed, step=step)
     step("asking who could be behind it")
     asked = Examined(found, plain, told, ())
-    if told.p_missing > told.level or asked.after_mm < _FELT_MM:
+    if asked.after_mm < _FELT_MM:
         return asked
-    return Examined(found, plain, told, suspects(plain))
+    # a diagnosis names nothing that rows held out do not confirm, and at a plate's edge they are too few for its shape
+    return Examined(found, plain, told, suspects(plain, significant=told.p_missing <= told.level))
 
 
 def files_of(path: Path, maps: tuple[Path, ...], plates: dict[str, float]) -> Found:

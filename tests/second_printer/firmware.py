@@ -51,8 +51,8 @@ def klipper_file(
     distances: Sequence[tuple[float, Floats, Floats]] = (),
     print_radius: float = 130.0,
 ) -> str:
-    """A ``printer.cfg``. ``meshes`` are x ticks, y ticks and heights (rows, columns), NaN where a round one was not probed;
-    ``heights`` and ``distances`` give motor travels (3,), mm, at 80 steps per mm."""
+    """A ``printer.cfg``. ``meshes`` are x ticks, y ticks and heights (rows, columns), NaN where a round one was not
+    probed; ``heights`` and ``distances`` give motor travels (3,), mm, at 80 steps per mm."""
     lines = ["[printer]", "kinematics: delta", f"print_radius: {print_radius}", ""]
     for name in "abc":
         lines += [f"[stepper_{name}]", "microsteps: 16", "rotation_distance: 40", ""]
@@ -129,7 +129,7 @@ def marlin_file(firmware: Firmware, mesh: tuple[Floats, Floats, Floats], *, offs
             arm, firmware.radius, height, *(a - n for a, n in zip(firmware.angle, (210.0, 330.0, 90.0), strict=True)),
             *(a - arm for a in firmware.arm),
         ),
-        "echo:  M851 X{:.2f} Y{:.2f} Z{:.2f} ; (mm)".format(offset[0], offset[1], -offset[2]),
+        f"echo:  M851 X{offset[0]:.2f} Y{offset[1]:.2f} Z{-offset[2]:.2f} ; (mm)",
     ]  # fmt: skip
     x, y, z = mesh
     out += [f">>> G29 L{x[0]:.2f} R{x[-1]:.2f} F{y[0]:.2f} B{y[-1]:.2f}", "Bilinear Leveling Grid:"]

@@ -16,10 +16,9 @@ class Machine:
 
     ``foot`` (3, 2) is where each tower stands at height zero, seen from the effector's joint of its arm, mm; ``lean``
     (3, 2) how far out from the middle (radially) and sideways (anticlockwise) it goes per mm of height; ``arm`` (3, 2)
-    the two rods of each; ``top`` (3,) the height of the carriages at their end stops; ``belt`` (3,) what a carriage moves
-    for each mm that its motor does. ``spacing`` is the distance of the rods of an arm, ``effector`` that of their joints
-    from the middle of the effector.
-    """
+    the two rods of each; ``top`` (3,) the height of the carriages at their end stops; ``belt`` (3,) what a carriage
+    moves for each mm that its motor does. ``spacing`` is the distance of the rods of an arm, ``effector`` that of their
+    joints from the middle of the effector."""
 
     foot: Floats
     lean: Floats

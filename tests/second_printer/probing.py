@@ -26,8 +26,8 @@ class Probe:
 def touched(
     machine: Machine, firmware: Firmware, plate: Plate, probe: Probe, at: Floats, rng: np.random.Generator | None = None
 ) -> tuple[Floats, Floats]:
-    """At which height (n,) above its zero the firmware believes the tip to be when it touches the plate at places (n, 2)
-    of the tip, and how far down (n, 3) the motors then are."""
+    """At which height (n,) above its zero the firmware believes the tip to be when it touches the plate at places (n,
+    2) of the tip, and how far down (n, 3) the motors then are."""
     nozzle = at - np.array(probe.offset[:2])
     tip = np.array([probe.offset[0], probe.offset[1], -probe.offset[2]]) + np.array(probe.wrong)
     z = np.full(len(at), probe.offset[2])

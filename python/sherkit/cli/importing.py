@@ -24,8 +24,9 @@ def import_group() -> None:
 _FOLDER = click.option(
     "-o", "--output", "folder", type=click.Path(path_type=Path), required=True, help="Folder to write to."
 )
-_PLATE = click.option("--plate", "plates", multiple=True, metavar="NAME=DEGREES",
-                      help="The plate was turned by so much, anticlockwise seen from above, under the mesh NAME.")  # fmt: skip
+_PLATE = click.option(
+    "--plate", "plates", multiple=True, metavar="NAME=DEGREES", help="How far the plate was turned under a mesh."
+)
 
 
 @import_group.command("klipper")

@@ -135,11 +135,11 @@ def _ended_by_signals() -> Iterator[None]:
 @click.command()
 @click.argument("what", nargs=-1, required=True, metavar="RUN_FILE | c TOOL | FIRMWARE CALIBRATION")
 @click.option("-o", "--output", "destination", type=click.Path(path_type=Path), required=True,
-              help="CSV or Parquet of a run; a C header of a tool; a printer.cfg or commands of a printer.")  # fmt: skip
+              help="CSV or Parquet of a run; a C header of a tool; what a printer's firmware takes.")  # fmt: skip
 @click.option("--config", type=click.Path(path_type=Path), help="The printer.cfg to write the numbers into (Klipper).")
 def export(what: tuple[str, ...], destination: Path, config: Path | None) -> None:
     """Write the rows of RUN_FILE as CSV or Parquet, also while it is being measured; with c, a flexible TOOL as a C
-    header for the control loop; with klipper, reprapfirmware or marlin, the CALIBRATION of a printer for its firmware."""
+    header for the control loop; with klipper, reprapfirmware or marlin, a printer's CALIBRATION for its firmware."""
     if len(what) == 1:
         rows = export_run(Path(what[0]), destination)
         output.say(f"{rows} rows written to {destination}", destination)
@@ -181,6 +181,6 @@ def _export_printer(firmware: str, calibration: Path, destination: Path, config:
     output.say(f"{destination} written")
     if made.whole.effects:
         output.say(
-            f"{firmware} cannot hold {' and '.join(made.whole.effects)}: {1e3 * found.rms_mm:.0f} µm RMS of the height over "
-            f"the plate remain, {1e3 * found.largest_mm:.0f} µm at worst; put the machine right, then probe again"
+            f"{firmware} cannot hold {' and '.join(made.whole.effects)}: {1e3 * found.rms_mm:.0f} µm RMS of the height "
+            f"over the plate remain, {1e3 * found.largest_mm:.0f} µm at worst; put the machine right, then probe again"
         )

@@ -16,8 +16,8 @@ _EXAMPLE = Printer.with_towers(
 )
 
 KIND = Kind(
-    "printer", Printer, PrinterModel, (PROBED,), PrinterCalibration, coordinates=POSITION, called="the linear delta printer",
-    example=_EXAMPLE,
+    "printer", Printer, PrinterModel, (PROBED,), PrinterCalibration, coordinates=POSITION,
+    called="the linear delta printer", example=_EXAMPLE,
 )  # fmt: skip
 
 __all__ = [

@@ -65,7 +65,8 @@ def _columns(rows: int) -> dict[str, Floats]:
 
 
 def towers_of(robot: Printer, errors: Mapping[str, float]) -> Towers:
-    """The firmware's numbers for errors of the geometry, exactly: any three upright towers have a circle through them."""
+    """The firmware's numbers for errors of the geometry, exactly: any three upright towers have a circle through
+    them."""
 
     def of(name: str) -> Floats:
         return np.array([errors.get(f"{name}_{k}", 0.0) for k in (1, 2, 3)])
@@ -115,8 +116,7 @@ def klipper_config(path: Path, towers: Towers) -> str:
             body[heads[-1] + 1 : heads[-1] + 1] = own
         else:
             body += ["", f"[{section}]", *own]
-    text = "\n".join([*above, "", *(f"{SAVED} {line}".rstrip() for line in body)]) + "\n"
-    return text
+    return "\n".join([*above, "", *(f"{SAVED} {line}".rstrip() for line in body)]) + "\n"
 
 
 def _set(

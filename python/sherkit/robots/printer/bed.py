@@ -15,8 +15,8 @@ from .columns import PLATE, PROBING
 
 #: Shapes are named by their height this far from the middle, mm.
 SPAN_MM = 100.0
-#: Smooth shapes of a plate: order in the distance from the middle, and how many lobes they have around it. Heights alone
-#: are read: a constant is the zero of the probing.
+#: Smooth shapes of a plate: order in the distance from the middle, and how many lobes they have around it. A constant
+#: is the zero of the probing.
 _SHAPES = ((1, 1), (2, 0), (2, 2), (3, 1), (3, 3), (4, 0), (4, 2), (4, 4))
 _NAMES = tuple(
     f"{kind}_{order}_{lobes}" if lobes else f"ring_{order}"
@@ -48,8 +48,8 @@ def _columns(rows: Any, p: SimpleNamespace) -> Floats:
     parameters=dict.fromkeys(_NAMES, ("mm", 0.1)),
     needs=(PLATE,),
     physics="The plate that is probed is not flat: bent, bowed or twisted, smoothly; it turns with the plate.",
-    workshop="Lay a straightedge and a feeler gauge across the plate, or turn it and probe again: what turns with it is "
-    "its own. A mesh in the firmware covers it for printing.",
+    workshop="Lay a straightedge and a feeler gauge across the plate, or turn it and probe again: what turns with it "
+    "is its own. A mesh in the firmware covers it for printing.",
     derivative=_columns,
 )
 def bed_shape(rows: Any, p: SimpleNamespace) -> Floats:

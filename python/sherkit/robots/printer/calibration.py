@@ -48,7 +48,6 @@ class PrinterCalibration(DeltaCalibration):
     """A calibrated printer, as :class:`~sherkit.robots.delta.DeltaCalibration`. The plate is none of it."""
 
     part: ClassVar = PrinterPart
-    parts: ClassVar = ("whole",)
 
     robot: Printer
 

@@ -2,9 +2,8 @@
 
 As in ``LinearDeltaKinematics.cpp``: X, Y, Z of M665 are degrees that tower A, B, C stands further round, anticlockwise
 seen from above; L is one diagonal or three; end stops are H plus M666 X, Y, Z; M666 A and B are the tilt of the bed in
-per cent: the towers' frame is at z + x·A/100 + y·B/100 where the bed's is at z. A height map (``Grid.cpp``) holds how high
-the bed is at a point, 0 without a decimal where it was not probed, row by row from the lowest y.
-"""
+per cent: the towers' frame is at z + x·A/100 + y·B/100 where the bed's is at z. A height map (``Grid.cpp``) holds how
+high the bed is at a point, 0 without a decimal where it was not probed, row by row from the lowest y."""
 
 from __future__ import annotations
 
@@ -24,8 +23,8 @@ _TITLE = "RepRapFirmware height map file"
 
 
 def import_duet(config: str | Path, maps: Sequence[str | Path], plates: Mapping[str, float] | None = None) -> Found:
-    """Reads a ``config.g`` (or ``config-override.g``) and height maps; ``plates`` says by how many degrees the plate was
-    turned under the map of that file name.
+    """Reads a ``config.g`` (or ``config-override.g``) and height maps; ``plates`` says by how many degrees the plate
+    was turned under the map of that file name.
 
     Raises :class:`~sherkit.errors.RobotError` for a printer that is no linear delta, and
     :class:`~sherkit.errors.MeasurementError` for a file that is no height map.

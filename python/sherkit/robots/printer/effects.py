@@ -10,7 +10,8 @@ from .bed import bed_shape, probing_zero
 
 _BELTS = replace(
     DELTA["joint_scale"],
-    physics="A belt moves its carriage a little more or less than the firmware believes: another pitch, a stretched belt.",
+    physics="A belt moves its carriage a little more or less than the firmware believes: it is stretched, or of "
+    "another pitch.",
     residuals="Grows with the travel of one carriage.",
     workshop="Send a carriage 300 mm down and measure with callipers or a steel rule how far it went; correct "
     "rotation_distance or the steps per millimetre of that tower.",
@@ -27,8 +28,11 @@ _LOOSE = replace(
     physics="A loose belt or pulley: where a carriage stops depends on the side from which it came.",
     workshop="Tighten the belt and the pulley's screw. A probe that always comes from above does not show it.",
 )
+#: How far the two rods of a printer's arm usually differ, mm.
+_RODS_MM = 0.2
 _ARMS = replace(
     DELTA["rod_mismatch"],
+    parameters=tuple(replace(p, size=_RODS_MM) for p in DELTA["rod_mismatch"].parameters),
     physics="The two rods of an arm differ in length, so the effector tilts as it moves, and a probe beside the nozzle "
     "is higher or lower than it.",
     workshop="Lay the two rods of each arm side by side on two pins and match their lengths.",

@@ -1,9 +1,8 @@
 """Klipper's ``printer.cfg`` of a linear delta: its saved calibration as a robot, all that it measured as a run.
 
-Klipper's ``delta_calibrate`` keeps probed heights and calliper distances as steps since the end stop, which no calibration
-changes (``klippy/extras/delta_calibrate.py``); of a bed mesh (``bed_mesh.py``) it keeps how much higher than expected the
-nozzle stood at each touch, by the calibration of then, at the coordinates of the probe.
-"""
+Klipper's ``delta_calibrate`` keeps probed heights and calliper distances as steps since the end stop, which no
+calibration changes (``klippy/extras/delta_calibrate.py``); of a bed mesh (``bed_mesh.py``) it keeps how much higher
+than expected the nozzle stood at each touch, by the calibration of then, at the coordinates of the probe."""
 
 from __future__ import annotations
 
@@ -138,9 +137,8 @@ def _mesh(config: KlipperConfig, name: str) -> list[tuple[float, float, float]]:
 def _probed(x: Floats, y: Floats, z: Floats) -> Bools:
     """Which points (rows, columns) of a mesh were probed.
 
-    Of a round mesh Klipper probes those within its radius, which is half its extent but for rounding, and fills each row
-    up with copies of its ends. Where what lies outside is no copy, the mesh is not round.
-    """
+    Of a round mesh Klipper probes those within its radius, which is half its extent but for rounding, and fills each
+    row up with copies of its ends. Where what lies outside is no copy, the mesh is not round."""
     everything = np.ones(z.shape, dtype=bool)
     centre = 0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1])
     radius = 0.5 * (x[-1] - x[0])

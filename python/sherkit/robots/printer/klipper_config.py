@@ -1,8 +1,7 @@
 """Klipper's configuration files: sections and options, included files, the block that SAVE_CONFIG writes.
 
-As in ``klippy/configfile.py``: an option above the SAVE_CONFIG block holds against the same one in it (SAVE_CONFIG itself
-turns what it replaces into comments), and a block with other lines behind it is not read.
-"""
+As in ``klippy/configfile.py``: an option above the SAVE_CONFIG block holds against the same one in it (SAVE_CONFIG
+itself turns what it replaces into comments), and a block with other lines behind it is not read."""
 
 from __future__ import annotations
 
@@ -67,7 +66,8 @@ class KlipperConfig:
                     self._values[section, key] = body[min(ends) + 1 :].strip()
 
     def _include(self, folder: Path, pattern: str) -> None:
-        # as Klipper does; what is not there may say nothing of the machine's measures, so only a missing option complains
+        # as Klipper does; what is not there may say nothing of the machine's measures, so only a missing option
+        # complains
         try:
             found = sorted(folder.glob(pattern)) if not Path(pattern).is_absolute() else [Path(pattern)]
         except (ValueError, NotImplementedError, OSError):

@@ -1,12 +1,11 @@
 """Marlin: what its terminal says to M503, G29 and G33, pasted into a text file.
 
-As in ``delta.cpp``: X, Y, Z of M665 are degrees that a tower stands further round, anticlockwise seen from above; A, B, C
-what its diagonal is longer than L; an end stop stands at H minus its number of M666, none of which is above zero. M851 is
-where the probe is from the nozzle. G29 prints how high the bed is on a grid, row by row from the front; it does not print
-where, so the command stands above with its limits, as typed: ``G29 L-100 R100 F-100 B100``. On a delta what lies outside
-the circle is extrapolated, not probed. G33 prints heights at the middle, before the towers (x, y, z) and between them, at
-the radius of the command: ``G33 R100``.
-"""
+As in ``delta.cpp``: X, Y, Z of M665 are degrees that a tower stands further round, anticlockwise seen from above; A, B,
+C what its diagonal is longer than L; an end stop stands at H minus its number of M666, none of which is above zero.
+M851 is where the probe is from the nozzle. G29 prints how high the bed is on a grid, row by row from the front; it does
+not print where, so the command stands above with its limits, as typed: ``G29 L-100 R100 F-100 B100``. On a delta what
+lies outside the circle is extrapolated, not probed. G33 prints heights at the middle, before the towers (x, y, z) and
+between them, at the radius of the command: ``G33 R100``."""
 
 from __future__ import annotations
 
@@ -75,7 +74,7 @@ def _reports(path: Path, lines: list[str]) -> Iterator[tuple[str, list[tuple[flo
     made = {"G29": 0, "G33": 0}
     k = 0
     while k < len(lines):
-        grid = []
+        grid: list[list[float]] = []
         while k < len(lines) and (row := _ROW.match(lines[k])) and int(row[1]) == len(grid):
             grid.append([float(v) if v[0] in "+-" else np.nan for v in row[2].split()])
             k += 1

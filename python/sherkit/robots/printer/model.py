@@ -86,7 +86,7 @@ class PrinterModel(DeltaModel):
         the robot file does not name."""
         super().require_own(data)
         ends = np.isfinite(data.to_joints)
-        half = ends.any(axis=1) & ~ends.all(axis=1)
+        half = np.asarray(ends.any(axis=1) & ~ends.all(axis=1))
         if half.any():
             raise FitError(f"{data.place(half)}: a distance needs all of {listed(PROBED.to_joints)}")
         several = len(self.robot.probings)
@@ -101,8 +101,8 @@ class PrinterModel(DeltaModel):
         return self.robot.forward_batch(data.joints).values
 
     def rows(self, data: Measurements, values: Floats) -> Rows:
-        """The rows, with the places to which the tip of the probe was sent: a plate is smooth, and how far the tip is from
-        there does not matter."""
+        """The rows, with the places to which the tip of the probe was sent: a plate is smooth, and how far the tip is
+        from there does not matter."""
         del values
         return Touches(data, lambda: self.tips(data))
 
@@ -120,5 +120,4 @@ class PrinterModel(DeltaModel):
 
 def distances(data: Measurements) -> Bools:
     """Which rows (n,) are distances between two places."""
-    both: Bools = np.isfinite(data.to_joints).all(axis=1)
-    return both
+    return np.asarray(np.isfinite(data.to_joints).all(axis=1))

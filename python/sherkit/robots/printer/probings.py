@@ -1,10 +1,9 @@
 """What was probed and measured of a printer, as the rows of a run.
 
-A firmware says at which height it believed the probe to touch the plate. The row has it as it was measured: the carriages
-where they are commanded for the touch at height zero, and as reading how high above the plate the tip would be there.
-Between that place and the touch lie tenths of a millimetre, over which a height commanded and one reached differ by parts
-in a thousand: below a micrometre.
-"""
+A firmware says at which height it believed the probe to touch the plate. The row has it as it was measured: the
+carriages where they are commanded for the touch at height zero, and as reading how high above the plate the tip would
+be there. Between that place and the touch lie tenths of a millimetre, over which a height commanded and one reached
+differ by parts in a thousand: below a micrometre."""
 
 from __future__ import annotations
 

@@ -12,9 +12,9 @@ from ...types import Floats
 from ..delta.robot import Delta, Triple
 from .towers import Towers
 
-#: What no firmware knows, as it usually is, mm: the distance of the two rods of an arm, and that of the arms' joints from
-#: the middle of the effector. They matter where an effector tilts alone: how far follows from the difference of two rods
-#: over their distance, so that another one is another difference and no other tilt.
+#: What no firmware knows, as it usually is, mm: the distance of the two rods of an arm, and that of the arms' joints
+#: from the middle of the effector. They matter where an effector tilts alone: how far follows from the difference of
+#: two rods over their distance, so that another one is another difference and no other tilt.
 ROD_SPACING_MM, EFFECTOR_MM = 50.0, 30.0
 FIRMWARES = ("klipper", "reprapfirmware", "marlin")
 
@@ -23,11 +23,10 @@ FIRMWARES = ("klipper", "reprapfirmware", "marlin")
 class Printer(Delta):
     """A linear delta printer.
 
-    A :class:`~sherkit.robots.delta.Delta` with towers A, B, C, carriages that are read from their motors, and the tip of
-    the probe, or the nozzle, as measured point. ``endstop_mm`` are the heights above the bed at which the firmware has
-    its end stops. ``tilt`` (x, y), mm/mm, is that of the bed which RepRapFirmware can hold besides. ``probings`` names
-    what was probed, each with a zero of its own: the probe's offset may have been set anew between them.
-    """
+    A :class:`~sherkit.robots.delta.Delta` with towers A, B, C, carriages that are read from their motors, and the tip
+    of the probe, or the nozzle, as measured point. ``endstop_mm`` are the heights above the bed at which the firmware
+    has its end stops. ``tilt`` (x, y), mm/mm, is that of the bed which RepRapFirmware can hold besides. ``probings``
+    names what was probed, each with a zero of its own: the probe's offset may have been set anew between them."""
 
     endstop_mm: Triple = (0.0, 0.0, 0.0)
     tilt: tuple[float, float] = (0.0, 0.0)
@@ -74,7 +73,7 @@ class Printer(Delta):
                 "tilt": tilt,
                 "probings": p.texts("probings"),
             }
-        return replace(made, **found)  # type: ignore[return-value, type-var]
+        return replace(made, **found)  # type: ignore[return-value]
 
     def to_tables(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""

@@ -1,11 +1,10 @@
 """What of a printer and its plate could stand behind what a calibration leaves: each is fitted, and those that come as
 near the data as the best are said together.
 
-A plate that is bent and a frame that is not square leave much the same on one mesh. So whatever is left is given to each
-of them in turn: the best is who leaves least, by the fit alone or with a price on each number (Schwarz, "Estimating the
-dimension of a model", 1978), and tied with it is whoever is not clearly worse by either (Kass and Raftery, "Bayes
-factors", JASA 1995). Whether anything is left at all the diagnosis says, at its level.
-"""
+A plate that is bent and a frame that is not square leave much the same on one mesh. So whatever is left is given to
+each of them in turn: the best is who leaves least, by the fit alone or with a price on each number (Schwarz,
+"Estimating the dimension of a model", 1978), and tied with it is whoever is not clearly worse by either (Kass and
+Raftery, "Bayes factors", JASA 1995). Whether anything is left at all the diagnosis says, at its level."""
 
 from __future__ import annotations
 
@@ -23,16 +22,19 @@ from .columns import PLATE
 from .model import PrinterModel, distances
 from .robot import Printer
 
+#: So many usual sizes are still plausible.
+_PLAUSIBLE = 5.0
 #: Difference of Schwarz's criterion that counts as clear.
 _CLEARLY = 6.0
 
 
 @dataclass(frozen=True, eq=False)
 class Suspect:
-    """One thing, or two together, that may be behind what is left; ``fit`` has it in the model."""
+    """One thing, or two together, that may be behind what the ``plain`` fit leaves; ``fit`` has it in the model."""
 
     effects: tuple[Effect, ...]
     fit: Fit
+    plain: Fit
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -44,11 +46,23 @@ class Suspect:
         """Whether it is the plate alone."""
         return self.names == (bed_shape.name,)
 
+    @property
+    def is_plausible(self) -> bool:
+        """Whether none of its numbers is far beyond what is usual, give or take two deviations."""
+        fit = self.fit
+        return all(
+            abs(fit.values[k]) - 2.0 * fit.std_from_readings[k] <= _PLAUSIBLE * p.size
+            for effect in self.effects
+            for k, p in enumerate(fit.parameters)
+            if p.name.startswith(f"{effect.name}.")
+        )
+
     @cached_property
     def alone(self) -> float:
         """Schwarz's criterion without a price on the numbers."""
         left = self.fit.residuals[self.fit.data.used]
-        return float(len(left) * np.log(np.mean(left**2)))
+        # what the plain fit has used up is no reading any more
+        return float((len(left) - self.plain.rank) * np.log(np.mean(left**2)))
 
     @cached_property
     def priced(self) -> float:
@@ -57,21 +71,25 @@ class Suspect:
         return self.alone + numbers * float(np.log(self.fit.data.used.sum()))
 
 
-def suspects(plain: Fit) -> tuple[Suspect, ...]:
+def suspects(plain: Fit, *, significant: bool) -> tuple[Suspect, ...]:
     """Those that explain what the ``plain`` fit leaves, the likeliest first, and tied with it the others; none where
-    nothing is clearly better than the plain fit."""
+    nothing is clearly better than the plain fit.
+
+    Where a diagnosis says that something ``significant`` is left, it is enough to take more of it than chance would;
+    else a suspect must be worth its numbers.
+    """
     model, data = plain.model, plain.data
-    nothing = Suspect((), plain)
+    nothing = Suspect((), plain, plain)
     tried, _ = model.can_be_tried(tuple(model.known_effects.values()), data)
     singles = _fitted(nothing, [(effect,) for effect in tried])
-    found = _leading(nothing, singles)
+    found = _leading(nothing, singles, significant=significant)
     others = [e for e in tried if e.name != bed_shape.name]
     plate = [e for e in tried if e.name == bed_shape.name]
     # plate and machine both, where that is clearly better than either, told by its numbers' worth
-    pairs = _fitted(nothing, [(one, *plate) for one in others if plate])
+    pairs = _fitted(nothing, [(one, *plate) for one in others if plate]) if found else []
     best = min((s.priced for s in found), default=np.inf)
-    clear = [p for p in pairs if p.priced < best - _CLEARLY]
-    return _leading(nothing, clear) if found and clear else found
+    clear = [p for p in pairs if p.is_plausible and p.priced < best - _CLEARLY]
+    return _leading(nothing, clear, significant=significant) if clear else found
 
 
 def _fitted(nothing: Suspect, sets: list[tuple[Effect, ...]]) -> list[Suspect]:
@@ -88,12 +106,16 @@ def _fitted(nothing: Suspect, sets: list[tuple[Effect, ...]]) -> list[Suspect]:
             continue
         # what has as many numbers as rows explains whatever there is
         if fit.data.used.sum() > fit.rank + len(effects[-1].parameters) // 2:
-            out.append(Suspect(effects, fit))
+            out.append(Suspect(effects, fit, nothing.fit))
     return out
 
 
-def _leading(nothing: Suspect, tried: list[Suspect]) -> tuple[Suspect, ...]:
-    better = [s for s in tried if s.priced < nothing.priced - _CLEARLY or s.alone < nothing.alone - _fair(s)]
+def _leading(nothing: Suspect, tried: list[Suspect], *, significant: bool) -> tuple[Suspect, ...]:
+    # who would have to be absurdly far off is none while somebody else would not
+    tried = [s for s in tried if s.is_plausible] or tried
+    better = [
+        s for s in tried if s.priced < nothing.priced - _CLEARLY or (significant and s.alone < nothing.alone - _fair(s))
+    ]
     if not better:
         return ()
     # who is no better than nothing by its price, having many numbers, may yet leave as little as the best
@@ -115,7 +137,8 @@ def plain_fit(robot: Printer, data: Measurements) -> Fit:
     numbers = len(PrinterModel(robot).parameters) - 3  # where the middle is and what it faces is no error
     if len(data) <= numbers:
         raise FitError(
-            f"{data.source}: {len(data)} measurements ({heights} heights, {len(data) - heights} distances) cannot tell the "
+            f"{data.source}: {len(data)} measurements ({heights} heights, {len(data) - heights} distances) cannot "
+            f"tell the "
             f"{numbers} numbers of a delta, let alone what is wrong beside them; probe a mesh of 7 by 7 points or more "
             "(BED_MESH_CALIBRATE, G29)"
         )

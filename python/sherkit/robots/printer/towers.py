@@ -1,10 +1,10 @@
 """What the firmware of a linear delta printer can hold: one radius; an angle, an arm and an end stop for each tower.
 
-Klipper (``klippy/kinematics/delta.py``), RepRapFirmware (``LinearDeltaKinematics.cpp``) and Marlin (``delta.cpp``) agree:
-tower i stands at ``radius · (cos angle_i, sin angle_i)``, degrees anticlockwise from +x seen from above, nominally 210
-(front left), 330 (front right) and 90 (back), and its carriage for the nozzle at (x, y, z) at ``z + sqrt(arm_i² − d²)``
-with d the horizontal distance. A carriage at its end stop stands at ``endstop_i + sqrt(arm_i² − radius²)``: Klipper's
-``position_endstop``; H plus the tower's number of M666 in RepRapFirmware; H minus it in Marlin.
+Klipper (``klippy/kinematics/delta.py``), RepRapFirmware (``LinearDeltaKinematics.cpp``) and Marlin (``delta.cpp``)
+agree: tower i stands at ``radius · (cos angle_i, sin angle_i)``, degrees anticlockwise from +x seen from above,
+nominally 210 (front left), 330 (front right) and 90 (back), and its carriage for the nozzle at (x, y, z) at ``z +
+sqrt(arm_i² − d²)`` with d the horizontal distance. A carriage at its end stop stands at ``endstop_i + sqrt(arm_i² −
+radius²)``: Klipper's ``position_endstop``; H plus the tower's number of M666 in RepRapFirmware; H minus it in Marlin.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class Towers:
     @classmethod
     def through(cls, feet: Floats, arms: Floats, tops: Floats, third_deg: float = 90.0) -> Self:
         """The same machine as towers at any three points ``feet`` (3, 2), mm, with these arms (3,) and carriage heights
-        at the end stops (3,): any triangle has a circle through its corners, and where the middle of the bed is and what
-        direction it faces is the firmware's own choice. Tower C is put at ``third_deg``."""
+        at the end stops (3,): any triangle has a circle through its corners, and where the middle of the bed is and
+        what direction it faces is the firmware's own choice. Tower C is put at ``third_deg``."""
         (ax, ay), (bx, by), (cx, cy) = feet
         d = 2.0 * (ax * (by - cy) + bx * (cy - ay) + cx * (ay - by))
         squares = (feet**2).sum(axis=1)
