@@ -38,9 +38,12 @@ _ARMS = replace(
     workshop="Lay the two rods of each arm side by side on two pins and match their lengths.",
 )
 
+_PLATE = replace(bed_shape, residuals="A smooth shape over the plate that turns with it.")
+_ZERO = replace(probing_zero, residuals="Constant over each probing.")
+
 #: What is tried of a printer.
 CATALOGUE: dict[str, Effect] = {
-    one.name: one for one in (_BELTS, _LOOSE, _LEAN, _ARMS, replace(bed_shape), replace(probing_zero))
+    one.name: one for one in (_BELTS, _LOOSE, _LEAN, _ARMS, _PLATE, _ZERO)
 }
 #: Effects that need the distance of the two rods of an arm.
 OF_RODS = ("rod_mismatch",)

@@ -104,8 +104,9 @@ def _fitted(nothing: Suspect, sets: list[tuple[Effect, ...]]) -> list[Suspect]:
             fit = identify(model, nothing.fit.data, noise=nothing.fit.noise, start=start)
         except SherkitError:
             continue
-        # what has as many numbers as rows explains whatever there is
-        if fit.data.used.sum() > fit.rank + len(effects[-1].parameters) // 2:
+        # what has as many numbers as rows explains whatever there is; short of that it counts, though it may fit noise:
+        # few points must not leave the plate out, and the machine alone to be blamed
+        if fit.data.used.sum() > fit.rank:
             out.append(Suspect(effects, fit, nothing.fit))
     return out
 
