@@ -7,6 +7,7 @@ from html import escape
 
 import numpy as np
 
+from ..fit.forms import known
 from ..printers import Examined
 from ..robots.printer.model import distances
 from ..types import Floats
@@ -77,7 +78,7 @@ def _plate(title: str, at: Floats, high: Floats, most: float) -> str:
             'stroke="#999" stroke-width="0.5"/>'
         )
     rms = float(np.sqrt(np.mean((high - high.mean()) ** 2))) if len(high) else 0.0
-    return _titled(title, parts, f"{1e3 * rms:.0f} µm RMS; orange is high, blue low, full colour {1e3 * most:.0f} µm")
+    return _titled(title, parts, f"{1e3 * rms:.0f} µm RMS; orange high, blue low, to {1e3 * most:.0f}")
 
 
 def _above(examined: Examined, lean: Floats) -> str:
@@ -88,17 +89,15 @@ def _above(examined: Examined, lean: Floats) -> str:
     parts = [f'<circle cx="150" cy="150" r="{plate / reach * 150:.1f}" fill="#eee" stroke="#999"/>']
     for k, (name, t) in enumerate(zip(_NAMES, turn, strict=True)):
         x, y = radius * np.cos(t), radius * np.sin(t)
-        # leans are drawn a hundred times as large as they are
-        dx, dy = 100.0 * (
-            lean[k, 0] * np.array([np.cos(t), np.sin(t)]) + lean[k, 1] * np.array([-np.sin(t), np.cos(t)])
-        )
+        # leans are drawn twenty times as large as they are
+        dx, dy = 20.0 * (lean[k, 0] * np.array([np.cos(t), np.sin(t)]) + lean[k, 1] * np.array([-np.sin(t), np.cos(t)]))
         parts.append(f'<circle cx="{_px(x, reach):.1f}" cy="{_px(-y, reach):.1f}" r="7" fill="#444"/>')
         parts.append(
             f'<line x1="{_px(x, reach):.1f}" y1="{_px(-y, reach):.1f}" x2="{_px(x + dx, reach):.1f}" '
             f'y2="{_px(-y - dy, reach):.1f}" stroke="rgb(213,94,0)" stroke-width="3"/>'
         )
         parts.append(f'<text x="{_px(1.25 * x, reach) - 5:.1f}" y="{_px(-1.25 * y, reach) + 5:.1f}">{name}</text>')
-    return _titled("from above, front below", parts, "orange: where a tower's top is, 100 mm of it for 1 mm of lean")
+    return _titled("from above, front below", parts, "orange: leans of the towers, 20 times as large")
 
 
 def _side(examined: Examined, lean: Floats) -> str:
@@ -115,18 +114,25 @@ def _side(examined: Examined, lean: Floats) -> str:
             'stroke="#444" stroke-width="4"/>'
         )
         parts.append(f'<text x="{145 + scale * x:.1f}" y="{272 - scale * top:.1f}">{name}</text>')
-    return _titled("from the front", parts, "leans drawn 20 times as large")
+    return _titled("from the front", parts, "leans 20 times as large")
 
 
 def _lean(examined: Examined) -> Floats:
-    """How far out and sideways (3, 2) the top of each tower is, mm: none unless leaning towers are the likeliest."""
-    for one in examined.suspects[:1]:
-        found = one.fit.by_name
-        if "rail_lean" in one.names:
-            top = float(examined.found.robot.towers.top_mm.mean())
-            kinds = ("radial", "tangential")
-            return top * np.array([[found[f"rail_lean.{kind}_{k}"] for kind in kinds] for k in (1, 2, 3)])
-    return np.zeros((3, 2))
+    """How far out and sideways (3, 2) the top of each tower is, mm, as far as that is known of the first suspect whose
+    towers lean; zero where there is none, or where no single tower can be told."""
+    out = np.zeros((3, 2))
+    top = float(examined.found.robot.towers.top_mm.mean())
+    for one in examined.suspects:
+        what = known(one.fit).get("rail_lean")
+        if what is None or what.form == "combination":
+            continue
+        signs = (1.0, -1.0) if what.form == "opposite" else (1.0, 1.0, 1.0)
+        for value in what.values:
+            kind = ("radial", "tangential").index(value.what.split()[0])
+            for tower, sign in zip(what.at, signs, strict=False):
+                out[tower - 1, kind] = sign * top * float(np.tan(np.deg2rad(value.value)))
+        break
+    return out
 
 
 def _px(value: float, reach: float) -> float:

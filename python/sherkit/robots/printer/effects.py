@@ -42,8 +42,6 @@ _PLATE = replace(bed_shape, residuals="A smooth shape over the plate that turns 
 _ZERO = replace(probing_zero, residuals="Constant over each probing.")
 
 #: What is tried of a printer.
-CATALOGUE: dict[str, Effect] = {
-    one.name: one for one in (_BELTS, _LOOSE, _LEAN, _ARMS, _PLATE, _ZERO)
-}
+CATALOGUE: dict[str, Effect] = {one.name: one for one in (_BELTS, _LOOSE, _LEAN, _ARMS, _PLATE, _ZERO)}
 #: Effects that need the distance of the two rods of an arm.
 OF_RODS = ("rod_mismatch",)
