@@ -71,7 +71,7 @@ def _printer(config: KlipperConfig) -> Printer:
     path = config.path
     kinematics = config.get("printer", "kinematics")
     if kinematics != "delta":
-        what = f"'{kinematics}'" if kinematics else "not said"
+        what = f"'{kinematics}'" if kinematics else "left out"
         raise RobotError(f"{path}: [printer] kinematics is not 'delta' but {what}; only linear deltas can be imported")
     radius = config.number("printer", "delta_radius")
     if radius <= 0:
