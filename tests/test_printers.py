@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from second_printer import Firmware, Machine, Plate, Probe, duet_files, klipper_file, marlin_file, mesh_points, touched
 from sherkit import SherkitError, identify, load_robot, read_measurements
 from sherkit.cli import main
+from sherkit.errors import RobotError
+from sherkit.fit.iterate import iterate
 from sherkit.model.effect import check_user_effect
 from sherkit.printers import examine, files_of
 from sherkit.robots.calibrated import Calibration
@@ -407,3 +409,36 @@ def test_marlin_g33(tmp_path: Path) -> None:
     assert (lobes[0.1][0] < 0) & (lobes[0.1][1] < 0)
     assert (lobes[0.4][0] > 0) & (lobes[0.4][1] > 0)
     assert lobes[0.6][1] == pytest.approx(-100.0, abs=1e-6)
+
+
+class _Solver:
+    """Asks three times, as the core's solver does, and counts what it was told."""
+
+    def __init__(self) -> None:
+        self.trial, self.asked, self.failed = np.zeros(1), 0, 0
+
+    def clear(self) -> None:
+        """Nothing is kept."""
+
+    def fail(self) -> None:
+        """The trial was none."""
+        self.failed += 1
+
+    def advance(self) -> str:
+        """What is to be done next."""
+        self.asked += 1
+        return "evaluate" if self.asked < 3 else "converged"
+
+
+def test_a_step_that_leaves_no_robot_is_damped() -> None:
+    """Catches a fit with an effect in NumPy that ends with "the rod length must be positive" at a wild step, where the
+    compiled one goes back."""
+    solver = _Solver()
+
+    def feed(trial: Floats) -> None:
+        del trial
+        if solver.asked == 1:
+            raise RobotError("limb 1: the rod length must be positive")
+
+    assert iterate(solver, feed) == "converged"  # type: ignore[arg-type]
+    assert solver.failed == 1

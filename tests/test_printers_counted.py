@@ -38,10 +38,10 @@ def left_without_noise(trial: Trial, folder: Path, turned: tuple[float, ...]) ->
     return float(np.sqrt(np.mean(left**2)))
 
 
-def counted(printers: int, folder: Path, seed: int, *, told: bool = False) -> Counter[str]:
-    """Verdicts on so many printers, each with one mesh and with the plate turned."""
+def counted(printers: int, folder: Path, seed: int, *, first: int = 0, told: bool = False) -> Counter[str]:
+    """Verdicts on so many printers from the ``first`` on, each with one mesh and with the plate turned."""
     out: Counter[str] = Counter()
-    for number in range(printers):
+    for number in range(first, first + printers):
         fault = list(FAULTS)[number % len(FAULTS)]
         firmware = FIRMWARES[number % len(FIRMWARES)]
         trial, right = Trial.of(fault, seed, number), FAULTS[fault]
@@ -106,7 +106,7 @@ if __name__ == "__main__":
 
     started = time.process_time()
     with tempfile.TemporaryDirectory() as made:
-        result = counted(int(sys.argv[1]), Path(made), int(sys.argv[2]), told=True)
+        result = counted(int(sys.argv[1]), Path(made), int(sys.argv[2]), first=int(sys.argv[3]), told=True)
     for key in sorted(result):
         print(key, result[key])
     print("CPU", np.round(time.process_time() - started, 1), "s")
