@@ -21,7 +21,7 @@ import sherkit as sk
 
 Floats = NDArray[np.float64]
 
-DATA = Path(__file__).parents[2] / "shared" / "data"
+DATA = Path(__file__).parents[1] / "tests" / "data"
 GEM = Path("gem_mount_pointing") / "gem_pointing.csv"
 MMT = Path("mmt_pointing") / "mmt_pointing.csv"
 

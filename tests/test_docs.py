@@ -28,7 +28,7 @@ from sherkit.diagnosis import Diagnosis
 HERE = Path(__file__).parents[1]
 STORIES = ("docs/tutorial.md", "docs/spherical.md", "docs/tool.md", "docs/machine.md")
 REFERENCE = ("docs/files.md", "docs/json.md", "docs/page.md", "docs/calibration.md", "docs/study.md", "docs/models.md",
-             "docs/accuracy.md", "docs/fleet.md")  # fmt: skip
+             "docs/accuracy.md", "docs/fleet.md", "docs/printer.md")  # fmt: skip
 DOCS = (
     "README.md", "CONTRIBUTING.md", "CHANGELOG.md", "benchmarks/README.md", "docs/laboratory.md", *REFERENCE, *STORIES,
 )  # fmt: skip

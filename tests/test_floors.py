@@ -15,7 +15,7 @@ FLOORS = (
     ("model", "vision"),
     ("fit",),
     ("robots", "diagnosis"),
-    ("planning", "calibration", "study_file", "fleets"),
+    ("planning", "calibration", "study_file", "fleets", "printers"),
     ("study",),
     ("report", "lab"),
     ("__init__",),

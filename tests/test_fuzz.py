@@ -27,9 +27,9 @@ from sherkit.lab.experiment import Plan, RunFile, export_run, load_experiment
 from sherkit.lab.experiment.bench import Point
 from sherkit.lab.laboratory import load_laboratory
 from sherkit.lab.ports import read_ports
-from sherkit.robots.delta.klipper import import_klipper
 from sherkit.robots.delta.poses import grid
 from sherkit.robots.delta.virtual import VirtualDelta
+from sherkit.robots.printer import import_klipper
 from sherkit.robots.tool.bench import read_loads
 from sherkit.robots.tool.runs import read_tool_run
 from sherkit.robots.tool.tool import FlexibleTool, load_tool

@@ -100,10 +100,11 @@ def test_a_function_is_not_hidden_by_the_file_it_stands_in() -> None:
         "from sherkit.data.columns import layout_of\nassert layout_of(['q1_mm', 'x_mm']).joints[0] == 'q1_mm'",
         "from sherkit.data import from_frame\n"
         "from_frame({k: [0.0, 1.0] for k in ('q1_mm', 'q2_mm', 'q3_mm', 'x_mm', 'y_mm', 'z_mm')})",
-        "from sherkit.model.kinds import known_kinds\nassert list(known_kinds()) == ['delta', 'spherical', 'serial']",
+        "from sherkit.model.kinds import known_kinds\n"
+        "assert list(known_kinds()) == ['delta', 'spherical', 'serial', 'printer']",
         "from sherkit.model.kinds import register, known_kinds\nfrom dataclasses import replace\n"
         "from sherkit.robots.delta import KIND\nregister(replace(KIND, name='own'))\n"
-        "assert list(known_kinds()) == ['delta', 'spherical', 'serial', 'own']",
+        "assert list(known_kinds()) == ['delta', 'spherical', 'serial', 'printer', 'own']",
     ],
 )
 def test_built_in_robots_are_known_from_every_side(code: str) -> None:

@@ -7,11 +7,13 @@ from pathlib import Path
 import click
 
 from ..model.robot_file import save_robot
-from ..robots.delta.klipper import import_klipper
+from ..robots.printer import import_duet, import_klipper, import_marlin
+from ..robots.printer.probings import Found
 from ..robots.serial import Serial
 from ..robots.serial.dh import CONVENTIONS, import_dh
 from ..robots.serial.urdf import import_urdf
 from . import output
+from .printer import turned
 
 
 @click.group("import")
@@ -19,17 +21,49 @@ def import_group() -> None:
     """Turn files of other programs into robot.toml and run.csv."""
 
 
+_FOLDER = click.option(
+    "-o", "--output", "folder", type=click.Path(path_type=Path), required=True, help="Folder to write to."
+)
+_PLATE = click.option(
+    "--plate", "plates", multiple=True, metavar="NAME=DEGREES", help="How far the plate was turned under a mesh."
+)
+
+
 @import_group.command("klipper")
 @click.argument("config", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "folder", type=click.Path(path_type=Path), required=True, help="Folder to write to.")
-def klipper(config: Path, folder: Path) -> None:
+@_PLATE
+@_FOLDER
+def klipper(config: Path, plates: tuple[str, ...], folder: Path) -> None:
     """A linear delta printer: its printer.cfg with a SAVE_CONFIG block."""
-    found = import_klipper(config)
+    _write_printer(import_klipper(config, turned(plates)), folder)
+
+
+@import_group.command("reprapfirmware")
+@click.argument("config", type=click.Path(path_type=Path))
+@click.argument("maps", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="HEIGHTMAP...")
+@_PLATE
+@_FOLDER
+def reprapfirmware(config: Path, maps: tuple[Path, ...], plates: tuple[str, ...], folder: Path) -> None:
+    """A linear delta printer: M665 and M666 of its config.g, and its heightmap.csv."""
+    _write_printer(import_duet(config, maps, turned(plates)), folder)
+
+
+@import_group.command("marlin")
+@click.argument("text", type=click.Path(path_type=Path))
+@_PLATE
+@_FOLDER
+def marlin(text: Path, plates: tuple[str, ...], folder: Path) -> None:
+    """A linear delta printer: what its terminal said to M503 and G29, as text."""
+    _write_printer(import_marlin(text, turned(plates)), folder)
+
+
+def _write_printer(found: Found, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     save_robot(found.robot, folder / "robot.toml")
     found.measurements.save(folder / "run.csv")
     output.say(f"{folder / 'robot.toml'}: the printer's own saved calibration")
-    output.say(f"{folder / 'run.csv'}: {len(found.measurements)} rows (heights, bed mesh, distances)")
+    probings = ", ".join(found.robot.probings)
+    output.say(f"{folder / 'run.csv'}: {len(found.measurements)} rows ({probings or 'distances'})")
 
 
 _ROBOT_FILE = click.option(

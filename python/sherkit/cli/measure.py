@@ -1,4 +1,4 @@
-"""``sherkit measure`` and ``sherkit export``: experiments, and what they leave."""
+"""``sherkit measure``: experiments, watched while they run."""
 
 from __future__ import annotations
 
@@ -12,13 +12,7 @@ from typing import NoReturn
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from ..data.files import write_whole
-from ..lab.experiment import Control, Experiment, Live, RunFile, RunProgress, export_run, load_experiment, run
-from ..robots.c_header import calibration_header
-from ..robots.files import load_calibration
-from ..robots.tool.c_header import c_header
-from ..robots.tool.tool import load_tool
-from ..robots.tool_file import is_tool
+from ..lab.experiment import Control, Experiment, Live, RunFile, RunProgress, load_experiment, run
 from . import keys, output
 
 #: Signals by which another program, or a closing terminal, asks for an end; not every system has both.
@@ -130,35 +124,3 @@ def _ended_by_signals() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-@click.command()
-@click.argument("what", nargs=-1, required=True, metavar="RUN_FILE | c CALIBRATION | c TOOL")
-@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), required=True,
-              help="CSV or Parquet of a run; a C header of a calibrated robot or a tool.")  # fmt: skip
-def export(what: tuple[str, ...], destination: Path) -> None:
-    """Write the rows of RUN_FILE as CSV or Parquet, also while it is being measured; with c, a calibrated robot or a
-    flexible TOOL as a C header for the control loop."""
-    if len(what) == 1:
-        rows = export_run(Path(what[0]), destination)
-        output.say(f"{rows} rows written to {destination}", destination)
-        return
-    if len(what) != 2 or what[0] != "c":
-        raise click.UsageError("expected the file of a run, or c and the file of a calibration or a flexible tool")
-    if not is_tool(Path(what[1])):
-        write_whole(destination, calibration_header(load_calibration(what[1]), Path(what[1]).name))
-        output.say(
-            f"{destination} written; cc loop.c $(sherkit c --cflags --libs) links it (sherkit c --example FOLDER)"
-        )
-        return
-    made = load_tool(what[1])
-    if made.noise != "propagated":
-        output.warn(
-            f"{what[1]}: noise '{made.noise}' is for comparisons; the loop in C runs the filter of 'propagated'"
-        )
-    header = c_header(made, Path(what[1]).name)
-    write_whole(destination, header)
-    output.say(
-        f"{destination} written; a loop includes it: cc loop.c $(sherkit c --cflags --libs). In the source tree "
-        "rust/c/examples/replay replays a CSV file with it"
-    )

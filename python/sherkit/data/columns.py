@@ -25,7 +25,8 @@ class Layout:
     ``joints`` name the readings of the joints, ``coordinates`` what instruments show of where it is; ``distance`` is a
     reading between two places, whose other end is at ``to_joints``. People read coordinates in ``unit``, of which one
     unit of the file has ``per_unit``. ``velocities`` are covariates by joint.
-    ``joints_tell_pose``: rows with the same joint readings stand at the same pose.
+    ``joints_tell_pose``: rows with the same joint readings stand at the same pose. ``follows``: readings move with the
+    joints; heights above a plate that is probed do not, and how little they vary says nothing of a mistake.
     """
 
     joints: tuple[str, ...]
@@ -36,6 +37,7 @@ class Layout:
     to_joints: tuple[str, ...] = ()
     velocities: tuple[str, ...] = ()
     joints_tell_pose: bool = True
+    follows: bool = True
 
     @cached_property
     def readings(self) -> tuple[str, ...]:
@@ -72,7 +74,7 @@ class Layout:
     @cached_property
     def all_in_mm(self) -> bool:
         """Whether joints and coordinates are all millimetres, and so of like size."""
-        return all(name.endswith("_mm") for name in (*self.joints, *self.coordinates))
+        return self.follows and all(name.endswith("_mm") for name in (*self.joints, *self.coordinates))
 
     @cached_property
     def names(self) -> tuple[str, ...]:

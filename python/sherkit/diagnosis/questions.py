@@ -111,7 +111,7 @@ def diagnose(
 
     if origin != "declared":
         sigma = _noise_left(final, sigma)
-    needed = not_needed(final, run.model.effects, sigma, deals, seed)
+    needed = not_needed(final, [e for e in run.model.effects if e.name not in run.model.within], sigma, deals, seed)
     fitness = lack_of_fit(final, level)
     numbers = sum(len(c.effect.parameters) for c in found.result.added)
     # many numbers imitate what is in no catalogue, as one effect or as several

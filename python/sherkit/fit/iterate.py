@@ -7,7 +7,7 @@ from typing import Any
 
 import sherkit._core as _core
 
-from ..errors import FitError
+from ..errors import FitError, RobotError
 from ..types import Floats
 
 #: Part of the variance of the noise that is not worth a step: it would go by a tenth of a deviation.
@@ -22,8 +22,9 @@ def iterate(solver: _core.Solver, feed: Callable[[Floats], None]) -> str:
     """Runs the solver to its end and says which: ``converged`` or ``exhausted``.
 
     ``feed`` gives the solver every row at the parameters asked for. A step that leaves what the model can compute
-    (:class:`~sherkit.errors.FitError`) is damped, until there were a dozen; where the start does already, the error is
-    raised. A fit that still steps after so many evaluations ends where next to nothing is left to gain.
+    (:class:`~sherkit.errors.FitError`, or :class:`~sherkit.errors.RobotError` where it leaves no robot) is damped,
+    until there were a dozen; where the start does already, the error is raised. A fit that still steps after so many
+    evaluations ends where next to nothing is left to gain.
     """
     evaluations, outside, over = 0, 0, ""
     while True:
@@ -34,7 +35,7 @@ def iterate(solver: _core.Solver, feed: Callable[[Floats], None]) -> str:
         else:
             try:
                 feed(solver.trial)
-            except FitError:
+            except (FitError, RobotError):
                 if not evaluations:
                     raise
                 solver.fail()

@@ -7,5 +7,5 @@ from importlib import import_module
 from ..model.kinds import register
 
 # one after the other: where columns fit none, messages speak of the first
-for name in ("delta", "spherical", "serial"):
+for name in ("delta", "spherical", "serial", "printer"):
     register(import_module(f".{name}", __package__).KIND)

@@ -68,6 +68,9 @@ def set_up_mistakes(model: ModelWithEffects, data: Measurements, values: Floats 
     """
     late = time_in_milliseconds(data)
     out = [Mistake(late)] if late else []
+    if not data.layout.follows:
+        # what is wrong is told by how far readings move
+        return tuple(out)
     if values is not None:
         still = dict(constant_by_mistake(model, data))
         if still:

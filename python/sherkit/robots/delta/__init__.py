@@ -5,7 +5,6 @@ from .calibration import DeltaCalibration
 from .columns import DELTA
 from .correction import Correction, choose_correction, fit_grid, fit_polynomial
 from .effects import CATALOGUE
-from .klipper import import_klipper
 from .model import DeltaModel
 from .paper import paper_local, paper_protocol, paper_whole
 from .pose_sets import AREAS, POSES
@@ -59,7 +58,6 @@ __all__ = [
     "fit_grid",
     "fit_polynomial",
     "grid",
-    "import_klipper",
     "paper_local",
     "paper_protocol",
     "paper_whole",

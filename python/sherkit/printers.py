@@ -1,0 +1,302 @@
+"""A printer examined: what is wrong, how sure that is, what to do, what accuracy remains, what to measure next.
+
+For somebody who has a probe and a screwdriver. What the sentences rest on is a diagnosis and the suspects behind it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+
+from .diagnosis import Diagnosis, diagnose
+from .fit.forms import known
+from .fit.identify import Fit
+from .robots.printer import import_duet, import_klipper, import_marlin
+from .robots.printer.back import Held, commands, held
+from .robots.printer.bed import bed_shape
+from .robots.printer.gcode import words
+from .robots.printer.klipper_config import text_of
+from .robots.printer.model import distances
+from .robots.printer.probings import Found
+from .robots.printer.suspects import Suspect, plain_fit, suspects, turns
+
+#: By how much a plate is best turned: shapes of up to five lobes lie elsewhere then. A third of a turn would leave one
+#: of three lobes as it was, and that is what a twisted frame looks like.
+TURN_DEG = 60.0
+#: New numbers are worth entering where they take this part of the error, and so much, mm.
+_WORTH, _WORTH_MM = 0.2, 0.005
+#: Less than this, mm RMS, no probe resolves and nobody feels.
+_FELT_MM = 0.003
+_TOWERS = {1: "A (front left)", 2: "B (front right)", 3: "C (back)"}
+#: What the owner of a printer calls a suspect.
+_CALLED = {
+    "rail_lean": "towers that lean",
+    "joint_scale": "a belt that moves its carriage too far or not far enough",
+    "rod_mismatch": "an effector that tilts, since the two rods of an arm differ",
+    "bed_shape": "a plate that is not flat",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """What the probing of a printer says; :attr:`sections` are its words."""
+
+    found: Found
+    plain: Fit
+    diagnosis: Diagnosis
+    suspects: tuple[Suspect, ...]
+
+    @property
+    def tied(self) -> bool:
+        """Whether several could be behind it."""
+        return len(self.suspects) > 1
+
+    @property
+    def before_mm(self) -> float:
+        """Height errors over the plate as the firmware has it, RMS, each probing about its own zero."""
+        return self._rms(self.plain.nominal_residuals)
+
+    @property
+    def after_mm(self) -> float:
+        """The same with the best numbers that the firmware can hold."""
+        return self._rms(self.plain.residuals)
+
+    @property
+    def chance(self) -> float:
+        """How often a perfect machine on a flat plate would leave as much of a pattern: by the diagnosis, or by what
+        the likeliest suspect takes (Wilks, "The large-sample distribution of the likelihood ratio", 1938)."""
+        p = self.diagnosis.p_missing
+        for one in self.suspects[:1]:
+            nothing = Suspect((), self.plain, self.plain)
+            numbers = sum(len(e.parameters) for e in one.effects)
+            p = min(p, float(scipy.special.chdtrc(numbers, nothing.alone - one.alone)))
+        return max(p, 1e-6)
+
+    def _rms(self, left: Any) -> float:
+        data = self.plain.data
+        rows = ~distances(data) & ~data.outlier
+        probing = data.covariates["probing"][rows]
+        values = left[rows, 0]
+        means = {k: values[probing == k].mean() for k in np.unique(probing).tolist()}
+        return float(np.sqrt(np.mean([(v - means[k]) ** 2 for v, k in zip(values, probing.tolist(), strict=True)])))
+
+    @cached_property
+    def new(self) -> Held:
+        """The numbers for the firmware: by the suspect that leads, where it leads alone, else by all heights as they
+        are, as the firmware's own calibration would."""
+        fit = self.suspects[0].fit if len(self.suspects) == 1 else self.plain
+        return held(self.found.robot, fit.by_name)
+
+    @property
+    def better_numbers(self) -> bool:
+        """Whether new numbers are worth entering."""
+        gain = self.before_mm - self.after_mm
+        return gain > _WORTH * self.before_mm and gain > _WORTH_MM
+
+    # -- words ---------------------------------------------------------------------------------------------
+
+    @property
+    def sections(self) -> list[tuple[str, list[str]]]:
+        """Titles, each with its sentences."""
+        return [
+            ("What was measured", [self._measured()]),
+            ("What is wrong", self._wrong()),
+            ("How sure", self._sure()),
+            ("What to do", self._do()),
+            ("What accuracy remains", self._remains()),
+            ("What to measure next", self._next()),
+        ]
+
+    def _measured(self) -> str:
+        data, robot = self.plain.data, self.found.robot
+        count = int(distances(data).sum())
+        lengths = f" and {count} distances" if count else ""
+        turned = [f"{t:g}°" for t in turns(data) if t]
+        plate = f", the plate turned by {' and '.join(turned)} in part of them" if turned else ""
+        names = ", ".join(robot.probings) or "callipers"
+        return f"{len(data) - count} heights{lengths} ({names}){plate}."
+
+    def _wrong(self) -> list[str]:
+        out = []
+        if self.better_numbers:
+            out.append(
+                f"The numbers in the firmware: with them the nozzle is {_mm(self.before_mm)} too high or too low "
+                f"over the "
+                f"plate (RMS), and with better ones {_mm(self.after_mm)}."
+            )
+        if not self.suspects:
+            if not out:
+                out.append("Nothing that this probing could show: what is left looks like the scatter of the probe.")
+            return out
+        said = [" together with ".join(_CALLED.get(n, n) for n in one.names) for one in self.suspects]
+        word = "Besides, what" if out else "What"
+        begins = f"{word} the firmware's numbers cannot take away, {_mm(self.after_mm)}, has a pattern: "
+        if self.tied:
+            which = [f"If it is the towers: {w}" for one in self.suspects for w in self._which(one)]
+            return [*out, f"{begins}it is either {', or '.join(said)}.", *which]
+        return [*out, f"{begins}{said[0]}.", *self._which(self.suspects[0])]
+
+    def _which(self, one: Suspect) -> list[str]:
+        """The tower, the direction, how far at its top."""
+        out = []
+        for name, what in known(one.fit).items():
+            if name != "rail_lean":
+                continue
+            top = float(self.found.robot.towers.top_mm.mean())
+            for value in what.values:
+                millimetres = float(np.tan(np.deg2rad(abs(value.value)))) * top
+                spread = float(np.deg2rad(value.std)) * top
+                far = f"{millimetres:.1f} ± {max(spread, 0.1):.1f} mm at its top, {top:.0f} mm up"
+                if what.form == "common" and value.what.startswith("tangential"):
+                    way = "anticlockwise" if value.value > 0 else "clockwise"
+                    out.append(
+                        f"All three towers lean the same way round, {way} seen from above, {far}: the frame is twisted."
+                    )
+                elif what.form == "one":
+                    way = _way(value.what.split()[0], what.at[0], value.value)
+                    out.append(f"Tower {_TOWERS[what.at[0]]} leans {way}, {far}.")
+                elif what.form == "opposite":
+                    a, b = (_TOWERS[k] for k in what.at)
+                    out.append(f"Towers {a} and {b} lean against each other, each {far}.")
+        if not out and "rail_lean" in one.names:
+            out.append("Which tower it is these heights do not say: check each with a level or a square.")
+        return out
+
+    def _sure(self) -> list[str]:
+        p = self.chance
+        if not self.suspects:
+            return [f"A perfect machine would leave as much of a pattern in {_of(p)}."]
+        out = [f"A perfect machine on a flat plate would leave such a pattern in {_of(p)}."]
+        if self.tied:
+            out.append("Which of them it is these heights cannot tell: all of them leave the same on the plate.")
+        return out
+
+    def _do(self) -> list[str]:
+        out = []
+        if self.better_numbers:
+            if self.found.robot.firmware == "klipper":
+                out.append(
+                    "Write the better numbers into printer.cfg: run this again with -o NEW.cfg, and use that file."
+                )
+            else:
+                out += [
+                    "Send these to the printer:",
+                    *(f"    {c}" for c in commands(self.found.robot, self.new.towers)),
+                ]
+        if self.tied:
+            out.append("Turn no screw yet: see below what tells them apart.")
+        for one in self.suspects if not self.tied else ():
+            out += [e.workshop for e in one.effects]
+        if any(bed_shape.name in one.names for one in self.suspects):
+            out.append("For printing meanwhile, let the firmware's mesh follow the plate.")
+        return out or ["Nothing."]
+
+    def _remains(self) -> list[str]:
+        out = [f"{_mm(self.after_mm)} RMS over the plate, the scatter of the probe included."]
+        if self.new.rms_mm > 0.0005:
+            out.append(
+                f"The firmware has no number for what is wrong: {_mm(self.new.rms_mm)} RMS, "
+                f"{_mm(self.new.largest_mm)} at "
+                "worst, stay until the machine is put right, and a mesh hides them on the first layer only."
+            )
+        return out
+
+    def _next(self) -> list[str]:
+        names = {n for one in self.suspects for n in one.names}
+        turned = len(turns(self.plain.data)) > 1
+        out = []
+        if bed_shape.name in names and self.tied and not turned:
+            out.append(
+                f"Turn the plate by {TURN_DEG:g}° (a sixth of a turn, anticlockwise seen from above), probe a "
+                f"mesh under "
+                f"another name, and run this again with --plate NAME={TURN_DEG:g}: what turned with the plate is the "
+                "plate's, what stayed is the machine's. A third of a turn would not do: a plate of three lobes "
+                "would look "
+                "the same again, and so does a twisted frame."
+            )
+        if "rail_lean" in names and (self.tied or turned):
+            top = float(self.found.robot.towers.radius_mm)
+            out.append(
+                "Print a square tower 150 mm tall with edges of 40 mm and hold a steel rule along them: a twisted "
+                "frame "
+                f"turns them, {150 * np.deg2rad(0.5) / top * 28:.1f} mm from foot to top for each 0.5° of lean."
+            )
+        if "rod_mismatch" in names and self.tied:
+            out.append("Lay the two rods of each arm side by side on two pins: do they have the same length?")
+        if self.better_numbers and not self.tied:
+            out.append("Probe again with the new numbers: the plate should read as is said above.")
+        if not self.suspects and not turned:
+            out.append(
+                "A plate bent like a bowl or a saddle looks just like wrong numbers. If prints are not to size "
+                "although the "
+                f"first layer is even, turn the plate by {TURN_DEG:g}°, probe again under another name, and run "
+                f"this with "
+                f"--plate NAME={TURN_DEG:g}."
+            )
+        return out or ["Nothing."]
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        towers = self.new.towers
+        return {
+            "sections": dict(self.sections),
+            "suspects": [list(one.names) for one in self.suspects],
+            "p_value": self.chance,
+            "before_mm": self.before_mm,
+            "after_mm": self.after_mm,
+            "not_held_mm": {"rms": self.new.rms_mm, "largest": self.new.largest_mm},
+            "firmware": {
+                "radius_mm": towers.radius_mm,
+                "angle_deg": list(towers.angle_deg),
+                "arm_mm": list(towers.arm_mm),
+                "endstop_mm": list(towers.endstop_mm),
+            },
+        }
+
+
+def examine(found: Found, *, seed: int = 0, step: Callable[[str], None] = lambda _: None) -> Examined:
+    """Examines a printer by what it probed. Raises :class:`~sherkit.errors.FitError` where that is too little."""
+    step("fitting what the firmware can hold")
+    plain = plain_fit(found.robot, found.measurements)
+    told = diagnose(plain, seed=seed, step=step)
+    step("asking who could be behind it")
+    asked = Examined(found, plain, told, ())
+    if asked.after_mm < _FELT_MM:
+        return asked
+    # a diagnosis names nothing that rows held out do not confirm, and at a plate's edge they are too few for its shape
+    return Examined(found, plain, told, suspects(plain, significant=told.p_missing <= told.level))
+
+
+def files_of(path: Path, maps: tuple[Path, ...], plates: dict[str, float]) -> Found:
+    """A printer by its files, whichever firmware wrote them. Raises :class:`~sherkit.errors.SherkitError`."""
+    if maps:
+        return import_duet(path, maps, plates)
+    # a printer.cfg may speak of M665 in a macro, but it has sections; a config.g without a map lacks one
+    lines = text_of(path, "a printer.cfg, or what Marlin's terminal said").splitlines()
+    if words(lines, "M665") and not any(line.startswith("[") for line in lines):
+        return import_duet(path, maps, plates) if path.suffix == ".g" else import_marlin(path, plates)
+    return import_klipper(path, plates)
+
+
+def _mm(value: float) -> str:
+    return f"{value:.3f} mm"
+
+
+def _of(p: float) -> str:
+    """A chance in words."""
+    return f"fewer than 1 of {1 / p:,.0f} probings" if p < 0.005 else f"{100 * p:.0f} of 100 probings"
+
+
+def _way(kind: str, tower: int, value: float) -> str:
+    if kind == "radial":
+        return "outwards, away from the middle" if value > 0 else "inwards, over the plate"
+    # anticlockwise seen from above, as somebody in front of the printer sees it
+    right = {1: "towards the front right", 2: "towards the back", 3: "to the left"}
+    left = {1: "towards the back left", 2: "towards the front left", 3: "to the right"}
+    return f"sideways, {(right if value > 0 else left)[tower]} seen from the front"

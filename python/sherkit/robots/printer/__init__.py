@@ -1,0 +1,32 @@
+"""Linear delta printers: what their firmware knows and probes, what is wrong with them, what goes back to it."""
+
+from ...model.kinds import Kind
+from ..delta.columns import POSITION
+from .calibration import PrinterCalibration
+from .columns import PROBED
+from .duet import import_duet
+from .klipper import import_klipper
+from .marlin import import_marlin
+from .model import PrinterModel
+from .robot import Printer
+from .towers import ANGLES, Towers
+
+_EXAMPLE = Printer.with_towers(
+    Towers(100.0, ANGLES, (220.0, 220.0, 220.0), (250.0, 250.0, 250.0)), workspace_radius_mm=80.0, probings=("default",)
+)
+
+KIND = Kind(
+    "printer", Printer, PrinterModel, (PROBED,), PrinterCalibration, coordinates=POSITION,
+    called="the linear delta printer", example=_EXAMPLE,
+)  # fmt: skip
+
+__all__ = [
+    "PROBED",
+    "Printer",
+    "PrinterCalibration",
+    "PrinterModel",
+    "Towers",
+    "import_duet",
+    "import_klipper",
+    "import_marlin",
+]

@@ -1,0 +1,69 @@
+"""The calibrated printer: where its nozzle is, and what of that its firmware can hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, cast
+
+import numpy as np
+
+from ...fit.identify import Fit
+from ...model.chain import ChainModel
+from ...model.kinds import Robot
+from ..calibration_run import CalibrationRun
+from ..delta.calibration import DeltaCalibration, DeltaPart
+from .model import distances
+from .robot import Printer
+
+
+@dataclass(frozen=True, eq=False)
+class PrinterPart(DeltaPart):
+    """One identified model of a printer."""
+
+    @classmethod
+    def of(cls, run: CalibrationRun) -> PrinterPart:
+        """The part that a run gives: heights say how far off it is, the same on every axis."""
+        fit = run.fit
+        left = 3.0 * float(np.nanmean(run.held_out**2)) * np.eye(3)
+        tips = fit.model.tips(fit.data)[~distances(fit.data) & ~fit.data.outlier]
+        where = tips if len(tips) else np.zeros((1, 3))
+        core = len(fit.model.indices)
+        return cls(
+            **cls.identified(fit),
+            covariance=(fit.covariance + fit.unobserved_covariance)[:core, :core],
+            residual_covariance=left,
+            low=where.min(axis=0),
+            high=where.max(axis=0),
+            uncorrected_covariance=left,
+            correction=None,
+        )
+
+    def model(self, robot: Robot) -> ChainModel:
+        """The model that was identified, without the zeros of its probings."""
+        return super().model(replace(cast(Printer, robot), probings=()))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PrinterCalibration(DeltaCalibration):
+    """A calibrated printer, as :class:`~sherkit.robots.delta.DeltaCalibration`. The plate is none of it."""
+
+    part: ClassVar = PrinterPart
+
+    robot: Printer
+
+    @classmethod
+    def of(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> PrinterCalibration:
+        """From a run of heights and distances."""
+        del local
+        return cls(robot=whole.fit.model.robot, whole=PrinterPart.of(whole))
+
+    @classmethod
+    def from_runs(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> PrinterCalibration:
+        """:meth:`of` these runs: what a probe does not show of an effect a printer's owner cannot ask."""
+        return cls.of(whole, local)
+
+    @classmethod
+    def may_correct(cls, fit: Fit) -> bool:
+        """A firmware has a mesh for that."""
+        del fit
+        return False

@@ -1,0 +1,152 @@
+"""Klipper's ``printer.cfg`` of a linear delta: its saved calibration as a robot, all that it measured as a run.
+
+Klipper's ``delta_calibrate`` keeps probed heights and calliper distances as steps since the end stop, which no
+calibration changes (``klippy/extras/delta_calibrate.py``); of a bed mesh (``bed_mesh.py``) it keeps how much higher
+than expected the nozzle stood at each touch, by the calibration of then, at the coordinates of the probe."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import MeasurementError, RobotError
+from ...names import listed
+from ...types import Bools, Floats
+from ..delta.robot import Triple
+from .klipper_config import KlipperConfig
+from .probings import Found, Rows
+from .robot import Printer
+from .towers import ANGLES, Towers
+
+STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
+_FULL_STEPS = 200.0
+_CALIBRATED = "DELTA_CALIBRATE"
+#: Klipper rounds the spacing of a round mesh down to this, mm.
+_ROUNDED = 0.01
+
+
+def import_klipper(path: str | Path, plates: Mapping[str, float] | None = None) -> Found:
+    """Reads a ``printer.cfg`` and what it includes; ``plates`` says by how many degrees, anticlockwise seen from above,
+    the plate was turned under a mesh of that name.
+
+    Raises :class:`~sherkit.errors.RobotError` for a printer that is no calibrated delta, and
+    :class:`~sherkit.errors.MeasurementError` where it holds no probing.
+    """
+    config = KlipperConfig(Path(path))
+    source = f"{config.path}:"
+    robot = _printer(config)
+    rows = Rows(robot, str(config.path))
+    per_mm = np.array([_steps_per_mm(config, s) for s in STEPPERS])
+
+    def carriages(key: str) -> Floats:
+        return robot.towers.top_mm - config.numbers("delta_calibrate", key, 3) / per_mm
+
+    z_offset = -robot.target_offset_mm[2]
+    for stem in ("height", "manual_height"):
+        for k in config.numbered("delta_calibrate", stem):
+            where = f"{source} [delta_calibrate] {stem}{k}_pos"
+            # heights are of the nozzle; the tip of the probe is lower by its offset
+            tip = config.number("delta_calibrate", f"{stem}{k}") - z_offset
+            rows.touch_at(carriages(f"{stem}{k}_pos"), tip, stem, _CALIBRATED, where)
+    for k in config.numbered("delta_calibrate", "distance"):
+        ends = [carriages(f"distance{k}_pos{end}") for end in (1, 2)]
+        rows.distance(ends[0], ends[1], config.number("delta_calibrate", f"distance{k}"))
+    turned = dict(plates or {})
+    names = config.sections("bed_mesh")
+    if unknown := [name for name in turned if name not in names]:
+        raise MeasurementError(f"{source} has no mesh '{unknown[0]}'; it has {listed(names) or 'none'}")
+    for name in names:
+        for x, y, z in _mesh(config, name):
+            rows.touch((x, y), z, name, turned.get(name, 0.0), f"{source} [bed_mesh {name}]")
+    return rows.found(
+        "holds no probing; expected [delta_calibrate] heights or a [bed_mesh default] in the SAVE_CONFIG block (run "
+        "DELTA_CALIBRATE or BED_MESH_CALIBRATE and SAVE_CONFIG)"
+    )
+
+
+def _printer(config: KlipperConfig) -> Printer:
+    path = config.path
+    kinematics = config.get("printer", "kinematics")
+    if kinematics != "delta":
+        what = f"'{kinematics}'" if kinematics else "left out"
+        raise RobotError(f"{path}: [printer] kinematics is not 'delta' but {what}; only linear deltas can be imported")
+    radius = config.number("printer", "delta_radius")
+    if radius <= 0:
+        raise RobotError(f"{path}: [printer] delta_radius: expected a number above zero, found {radius:g}")
+    # as in Klipper, the second and third tower are like the first where nothing else is said
+    arm = [config.number("stepper_a", "arm_length")]
+    arm += [config.number(s, "arm_length", arm[0]) for s in STEPPERS[1:]]
+    endstop = [config.number("stepper_a", "position_endstop")]
+    endstop += [config.number(s, "position_endstop", endstop[0]) for s in STEPPERS[1:]]
+    angle = [config.number(s, "angle", a) for s, a in zip(STEPPERS, ANGLES, strict=True)]
+    for stepper, length in zip(STEPPERS, arm, strict=True):
+        if length <= radius:
+            raise RobotError(f"{path}: [{stepper}] arm_length {length:g} is not longer than delta_radius {radius:g}")
+    probe = next(
+        (s for s in ("probe", "bltouch", "smart_effector", *_eddy(config)) if config.get(s, "z_offset")), "probe"
+    )
+    x, y, z = (config.number(probe, f"{axis}_offset", 0.0) for axis in "xyz")
+    return Printer.with_towers(
+        Towers(radius, _triple(angle), _triple(arm), _triple(endstop)),
+        target_offset_mm=(x, y, -z),
+        workspace_radius_mm=config.number("printer", "print_radius", radius),
+        firmware="klipper",
+    )
+
+
+def _eddy(config: KlipperConfig) -> list[str]:
+    return [f"probe_eddy_current {name}" for name in config.sections("probe_eddy_current")]
+
+
+def _triple(values: list[float]) -> Triple:
+    return (values[0], values[1], values[2])
+
+
+def _steps_per_mm(config: KlipperConfig, stepper: str) -> float:
+    if not any(config.numbered("delta_calibrate", stem) for stem in ("height", "manual_height", "distance")):
+        return 1.0
+    full = config.number(stepper, "full_steps_per_rotation", _FULL_STEPS)
+    steps = full * config.number(stepper, "microsteps") * config.gear_ratio(stepper)
+    travel = config.number(stepper, "rotation_distance")
+    if min(steps, travel) <= 0:
+        raise RobotError(f"{config.path}: [{stepper}] {steps:g} steps move {travel:g} mm; expected more than zero")
+    return steps / travel
+
+
+def _mesh(config: KlipperConfig, name: str) -> list[tuple[float, float, float]]:
+    """Probed points of a saved mesh, without the copies with which the file of a round one is filled up."""
+    section = f"bed_mesh {name}"
+    text = config.get(section, "points")
+    if text is None:
+        return []
+    try:
+        z = np.array([[float(v) for v in line.split(",")] for line in text.splitlines() if line.strip()])
+    except ValueError:
+        z = np.zeros(0)
+    if z.ndim != 2 or z.size == 0 or not np.isfinite(z).all():
+        raise MeasurementError(f"{config.path}: [{section}] points: expected rows of numbers, all of one length")
+    low, high = ([config.number(section, f"{end}_{axis}") for axis in "xy"] for end in ("min", "max"))
+    x, y = np.linspace(low[0], high[0], z.shape[1]), np.linspace(low[1], high[1], z.shape[0])
+    probed = _probed(x, y, z)
+    return [(float(x[i]), float(y[j]), float(z[j, i])) for j, i in np.argwhere(probed)]
+
+
+def _probed(x: Floats, y: Floats, z: Floats) -> Bools:
+    """Which points (rows, columns) of a mesh were probed.
+
+    Of a round mesh Klipper probes those within its radius, which is half its extent but for rounding, and fills each
+    row up with copies of its ends. Where what lies outside is no copy, the mesh is not round."""
+    everything = np.ones(z.shape, dtype=bool)
+    centre = 0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1])
+    radius = 0.5 * (x[-1] - x[0])
+    if z.shape[0] != z.shape[1] or z.shape[0] % 2 == 0 or not math.isclose(radius, 0.5 * (y[-1] - y[0]), abs_tol=0.1):
+        return everything
+    inside = np.hypot(x - centre[0], (y - centre[1])[:, None]) <= radius + _ROUNDED * (len(x) // 2)
+    for row, within in zip(z, inside, strict=True):
+        first, last = np.flatnonzero(within)[[0, -1]]
+        if (row[:first] != row[first]).any() or (row[last + 1 :] != row[last]).any():
+            return everything
+    return inside

@@ -1,0 +1,152 @@
+"""What of a printer and its plate could stand behind what a calibration leaves: each is fitted, and those that come as
+near the data as the best are said together.
+
+A plate that is bent and a frame that is not square leave much the same on one mesh. So whatever is left is given to
+each of them in turn: the best is who leaves least, by the fit alone or with a price on each number (Schwarz,
+"Estimating the dimension of a model", 1978), and tied with it is whoever is not clearly worse by either (Kass and
+Raftery, "Bayes factors", JASA 1995). Whether anything is left at all the diagnosis says, at its level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ...data import Measurements
+from ...errors import FitError, SherkitError
+from ...fit.identify import Fit, identify
+from ...model.effect import Effect
+from .bed import bed_shape
+from .columns import PLATE
+from .model import PrinterModel, distances
+from .robot import Printer
+
+#: So many usual sizes are still plausible.
+_PLAUSIBLE = 5.0
+#: Difference of Schwarz's criterion that counts as clear.
+_CLEARLY = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class Suspect:
+    """One thing, or two together, that may be behind what the ``plain`` fit leaves; ``fit`` has it in the model."""
+
+    effects: tuple[Effect, ...]
+    fit: Fit
+    plain: Fit
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its effects."""
+        return tuple(e.name for e in self.effects)
+
+    @property
+    def of_the_plate(self) -> bool:
+        """Whether it is the plate alone."""
+        return self.names == (bed_shape.name,)
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether none of its numbers is far beyond what is usual, give or take two deviations."""
+        fit = self.fit
+        return all(
+            abs(fit.values[k]) - 2.0 * fit.std_from_readings[k] <= _PLAUSIBLE * p.size
+            for effect in self.effects
+            for k, p in enumerate(fit.parameters)
+            if p.name.startswith(f"{effect.name}.")
+        )
+
+    @cached_property
+    def alone(self) -> float:
+        """Schwarz's criterion without a price on the numbers."""
+        left = self.fit.residuals[self.fit.data.used]
+        # what the plain fit has used up is no reading any more
+        return float((len(left) - self.plain.rank) * np.log(np.mean(left**2)))
+
+    @cached_property
+    def priced(self) -> float:
+        """Schwarz's criterion."""
+        numbers = sum(len(e.parameters) for e in self.effects)
+        return self.alone + numbers * float(np.log(self.fit.data.used.sum()))
+
+
+def suspects(plain: Fit, *, significant: bool) -> tuple[Suspect, ...]:
+    """Those that explain what the ``plain`` fit leaves, the likeliest first, and tied with it the others; none where
+    nothing is clearly better than the plain fit.
+
+    Where a diagnosis says that something ``significant`` is left, it is enough to take more of it than chance would;
+    else a suspect must be worth its numbers.
+    """
+    model, data = plain.model, plain.data
+    nothing = Suspect((), plain, plain)
+    tried, _ = model.can_be_tried(tuple(model.known_effects.values()), data)
+    singles = _fitted(nothing, [(effect,) for effect in tried])
+    found = _leading(nothing, singles, significant=significant)
+    others = [e for e in tried if e.name != bed_shape.name]
+    plate = [e for e in tried if e.name == bed_shape.name]
+    # plate and machine both, where that is clearly better than either, told by its numbers' worth
+    pairs = _fitted(nothing, [(one, *plate) for one in others if plate]) if found else []
+    best = min((s.priced for s in found), default=np.inf)
+    clear = [p for p in pairs if p.is_plausible and p.priced < best - _CLEARLY]
+    return _leading(nothing, clear, significant=significant) if clear else found
+
+
+def _fitted(nothing: Suspect, sets: list[tuple[Effect, ...]]) -> list[Suspect]:
+    out = []
+    for effects in sets:
+        model = nothing.fit.model
+        for effect in effects:
+            model = model.with_effect(effect)
+        try:
+            known = nothing.fit.by_name
+            start = [known.get(p.name, 0.0) for p in model.parameters]
+            fit = identify(model, nothing.fit.data, noise=nothing.fit.noise, start=start)
+        except SherkitError:
+            continue
+        # what has as many numbers as rows explains whatever there is; short of that it counts, though it may fit noise:
+        # few points must not leave the plate out, and the machine alone to be blamed
+        if fit.data.used.sum() > fit.rank:
+            out.append(Suspect(effects, fit, nothing.fit))
+    return out
+
+
+def _leading(nothing: Suspect, tried: list[Suspect], *, significant: bool) -> tuple[Suspect, ...]:
+    # who would have to be absurdly far off is none while somebody else would not
+    tried = [s for s in tried if s.is_plausible] or tried
+    better = [
+        s for s in tried if s.priced < nothing.priced - _CLEARLY or (significant and s.alone < nothing.alone - _fair(s))
+    ]
+    if not better:
+        return ()
+    # who is no better than nothing by its price, having many numbers, may yet leave as little as the best
+    alone, priced = min(s.alone for s in better), min(s.priced for s in better)
+    near = [s for s in tried if s.alone < alone + _CLEARLY or (s in better and s.priced < priced + _CLEARLY)]
+    return tuple(sorted(near, key=lambda s: s.priced))
+
+
+def _fair(one: Suspect) -> float:
+    """What so many numbers take of noise, and clearly more."""
+    numbers = sum(len(e.parameters) for e in one.effects)
+    return numbers + 2.0 * float(np.sqrt(2.0 * numbers)) + _CLEARLY
+
+
+def plain_fit(robot: Printer, data: Measurements) -> Fit:
+    """The printer with what its firmware can hold. Raises :class:`~sherkit.errors.FitError` where too little was
+    measured for that, in words."""
+    heights = int((~distances(data)).sum())
+    numbers = len(PrinterModel(robot).parameters) - 3  # where the middle is and what it faces is no error
+    if len(data) <= numbers:
+        raise FitError(
+            f"{data.source}: {len(data)} measurements ({heights} heights, {len(data) - heights} distances) cannot "
+            f"tell the "
+            f"{numbers} numbers of a delta, let alone what is wrong beside them; probe a mesh of 7 by 7 points or more "
+            "(BED_MESH_CALIBRATE, G29)"
+        )
+    return identify(robot, data)
+
+
+def turns(data: Measurements) -> tuple[float, ...]:
+    """By how many degrees the plate was turned in this run, each once."""
+    found = data.covariates.get(PLATE)
+    return () if found is None else tuple(np.unique(found % 360.0).tolist())
