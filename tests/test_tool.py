@@ -25,6 +25,7 @@ import sherkit._core as _core
 from second_tool import CONDITIONS, write_csv
 from sherkit.cli.main import cli
 from sherkit.errors import FitError, MeasurementError, RobotError, ShapeError
+from sherkit.robots.tool import places
 from sherkit.robots.tool.alignment import align, at_times
 from sherkit.robots.tool.applied import applied
 from sherkit.robots.tool.bench import read_loads
@@ -575,6 +576,28 @@ def test_effects_are_found_by_name(name: str) -> None:
     d = diagnosed(name, 1)
     assert name in {*d.effects, *(other for tie in d.ties for other in tie)}
     assert d.steps[-1].held_out_rms == pytest.approx(NOISE_MM, rel=0.06)
+
+
+def test_a_force_that_lags_is_explained() -> None:
+    """Catches a lag of which half is left: where the felt force stands still the true one goes on; seed 3."""
+    d = diagnosed("force_hysteresis", 3)
+    assert (d.verdict, d.effects) == ("explained", ("force_hysteresis",))
+
+
+def test_a_short_run_without_a_force_is_soon_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches fits that smooth the whole run at each of their steps: a free motion of 2 s took minutes."""
+    counted: list[int] = []
+    calmed = places.calmed
+
+    def counting(time_s: NDArray[np.float64]) -> Any:
+        counted.append(len(time_s))
+        return calmed(time_s)
+
+    monkeypatch.setattr(places, "calmed", counting)
+    run = VirtualTool(FlexibleTool()).free_motion(seconds=2.0, seed=1)
+    model = ToolModel(FlexibleTool(), run)
+    assert sk.diagnose(sk.identify(model, model.readings)).verdict in ("adequate", "unexplained", "partly explained")
+    assert len(counted) < 10
 
 
 def test_nothing_is_found_where_nothing_is() -> None:

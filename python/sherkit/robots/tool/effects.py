@@ -165,7 +165,7 @@ def fbg_temperature(at: Places, values: Floats) -> Floats:
     workshop="Load and unload slowly at one place; look for a loop.",
 )
 def force_hysteresis(at: Places, values: Floats) -> Floats:
-    return at.tip(at.tool, replace(at.felt, force_mn=at.felt.force_mn + float(values[0]) * at.changing))
+    return at.tip(at.tool, replace(at.felt, beside_mn=at.ahead(float(values[0]))))
 
 
 @_effect(
