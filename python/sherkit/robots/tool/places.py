@@ -16,7 +16,7 @@ import scipy
 from scipy.sparse import csr_array
 
 from ...types import Bools, Floats
-from .hole import hole_force
+from .hole import Hole, find_hole
 from .runs import ToolRun
 from .tool import FlexibleTool, rotation_of
 
@@ -81,28 +81,33 @@ class Places:
         if hole is None:
             return width_mn * way
         reach = np.maximum(np.linalg.norm(hole, axis=1), abs(width_mn))[:, None]
-        return width_mn * np.where(self._moving[:, None], way, hole / np.where(reach > 0, reach, 1.0))
+        return width_mn * np.where(self._moves[1][:, None], way, hole / np.where(reach > 0, reach, 1.0))
 
     @cached_property
     def _moves(self) -> tuple[Floats, Bools]:
         return _motion(self.run.time_s, self.felt)
 
-    @property
-    def _moving(self) -> Bools:
-        return self._moves[1]
-
     @cached_property
     def _dragged(self) -> tuple[Floats, Floats | None]:
         """Ways of the felt force (n, 2), and how far ahead of it that of the hole is (n, 2)."""
-        (moved, moving), felt = self._moves, self.felt
-        if not moving.any():
-            return np.zeros_like(moved), None
-        # at rest from one side to the other
+        felt, hole = self.felt, self.hole
+        return self._ways, None if hole is None else hole.force(self.tool, self.run, felt.depth_mm) - felt.force_mn
+
+    @cached_property
+    def _ways(self) -> Floats:
+        """Along which the force moves (n, 2), and at rest from one side to the other."""
+        moved, moving = self._moves
         at, time = np.flatnonzero(moving), self.run.time_s
+        if not len(at):
+            return np.zeros_like(moved)
         way = moved[at] / np.linalg.norm(moved[at], axis=1, keepdims=True)
-        ways = np.column_stack([np.interp(time, time[at], way[:, k]) for k in range(2)])
-        hole = hole_force(self.tool, self.run, felt.force_mn, felt.depth_mm, ways, moving)
-        return ways, None if hole is None else hole - felt.force_mn
+        return np.column_stack([np.interp(time, time[at], way[:, k]) for k in range(2)])
+
+    @cached_property
+    def hole(self) -> Hole | None:
+        """The hole, where one that stands still explains the force."""
+        felt = self.felt
+        return find_hole(self.tool, self.run, felt.force_mn, felt.depth_mm, self._ways, self._moves[1])
 
     def feel(self, tool: FlexibleTool, wavelengths_nm: Floats | None = None) -> Felt:
         """Force and smoothed depth as another tool, or from other wavelengths (n, 9); lost ones are bridged."""
@@ -255,7 +260,10 @@ def _own_gains(tool: FlexibleTool, section: int) -> Floats:
 def _moments(tool: FlexibleTool, wavelengths_nm: Floats, section: int) -> Floats:
     """Bending moments (n, 2), mN·mm (Eq. 1)."""
     fibres = slice(3 * section, 3 * section + 3)
-    return np.asarray((wavelengths_nm[:, fibres] - np.array(tool.reference_nm)[fibres]) @ _own_gains(tool, section).T)
+    own = _own_gains(tool, section)
+    # a part of the mean is what warmth makes of the differences
+    own = own - (own @ np.array(tool.warmth[section]))[:, None] / 3.0
+    return np.asarray((wavelengths_nm[:, fibres] - np.array(tool.reference_nm)[fibres]) @ own.T)
 
 
 def _smoothed(tool: FlexibleTool, run: ToolRun, weight: Floats, seen: Floats, led: Floats) -> Floats:
