@@ -584,6 +584,17 @@ def test_a_force_that_lags_is_explained() -> None:
     assert (d.verdict, d.effects) == ("explained", ("force_hysteresis",))
 
 
+def test_the_holes_width_is_found() -> None:
+    """Catches a hole whose width is that of its way to give, and one found where a needle bends a stopped tool."""
+    for experiment, found in (("vessels", True), ("bends", False)):
+        run = VirtualTool(FlexibleTool()).run(experiment, seconds=20.0, seed=1)
+        hole = Places(FlexibleTool(), run, run.time_s[:1]).hole
+        assert (hole is not None) == found
+        if hole is not None:
+            assert hole.clearance_mm == pytest.approx(2.2, abs=0.08)
+            assert hole.gives_mm_mn == pytest.approx(1.0 / 150.0, abs=2e-3)
+
+
 def test_a_short_run_without_a_force_is_soon_answered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches fits that smooth the whole run at each of their steps: a free motion of 2 s took minutes."""
     counted: list[int] = []
