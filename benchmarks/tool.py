@@ -55,7 +55,7 @@ def control_loop(bench: Bench) -> None:
     folder = f"{target}/loop"
     built("cmake", "-S", "rust/c/examples/loop", "-B", folder, f"-DSHERKIT_TARGET_DIR={target}")
     built("cmake", "--build", folder)
-    print("1 kHz loop in C++: fibres, depth, tip, joint filter and inverse kinematics in every step")
+    print("1 kHz loop in C++: fibres, the tool's filter, the paper's two and inverse kinematics in every step")
     said = built(f"{folder}/loop", "--seconds", "30", "--load", str(max(1, (os.cpu_count() or 2) - 1)))
     print(said)
     for name, us in re.findall(r"(p50|p99\.99|max\w*)\D*([\d.]+)", said):

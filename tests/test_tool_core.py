@@ -20,7 +20,7 @@ NOISE_NM = 2e-4
 SENSOR = _core.ToolSensor(GAINS, DISTANCES, REFERENCE, NOISE_NM)
 BEAM = _core.ToolBeam.ebrahimi_2020()
 LENGTH, STIFFNESS = 60.0, 3.39e6 / 3.0
-PROPAGATED = _core.FilterNoise.propagated((0.5, 2.0), (1e-3, 1e-4), 0.3)
+PROPAGATED = _core.FilterNoise.propagated((0.5, 2.0), (1e-3, 1e-4))
 PAPER = _core.FilterNoise.ebrahimi_2020()
 COUNTED = ("updated", "missing", "late", "not_finite", "no_force", "no_motion", "clock")
 
@@ -169,7 +169,6 @@ def filters(noise: _core.FilterNoise, run: dict[str, Any]) -> list[tuple[Any, tu
     return [
         (_core.DepthFilter(8.0, 4.0, 0.0, noise), (along,)),
         (_core.TipFilter(BEAM, pose, 1.0, 0.0, noise), (run["velocities"], run["poses"], run["depths"])),
-        (_core.DepthTipFilter(BEAM, 8.0, pose, (4.0, 1.0), 0.0, noise), (run["velocities"], run["poses"])),
     ]
 
 
@@ -191,10 +190,8 @@ def test_steps_and_a_whole_run_agree_to_the_last_bit(noise: _core.FilterNoise) -
             assert (last["nis_last"], last["nis_last_degrees"]) == (nis[i], degrees[i])
             if isinstance(single, _core.DepthFilter):
                 found, spread = np.array([single.depth_mm]), np.array([[single.variance]])
-            elif isinstance(single, _core.TipFilter):
-                found, spread = single.tip_mm, single.covariance
             else:
-                found, spread = np.concatenate([[single.depth_mm], single.tip_mm]), single.covariance
+                found, spread = single.tip_mm, single.covariance
             np.testing.assert_array_equal(found, means[i])
             np.testing.assert_array_equal(spread, covariances[i])
         assert single.statistics() == filter_.statistics()
@@ -223,62 +220,6 @@ def test_the_depth_filter_is_the_textbook_s() -> None:
             np.testing.assert_allclose(nis[i], (m[7] - x) ** 2 / s, rtol=1e-7, atol=1e-12)
             x, p = x + p / s * (m[7] - x), p * r / s
         np.testing.assert_allclose([means[i, 0], covariances[i, 0, 0]], [x, p], rtol=1e-9)
-
-
-def test_the_joint_filter_is_the_textbook_s() -> None:
-    """Catches a measurement row against the wrong column of the state, a noise block in the wrong place."""
-    run = recorded(300)
-    run["velocities"][~np.isfinite(run["velocities"])] = 0.0
-    filter_ = _core.DepthTipFilter(BEAM, 8.0, run["poses"][0], (4.0, 1.0), 0.0, PROPAGATED)
-    means, covariances, status, nis, _ = filter_.filter(
-        run["times"], run["velocities"], run["poses"], run["measurements"], run["present"]
-    )
-    x = np.concatenate([[8.0], run["poses"][0][9:]])
-    p, before = np.diag([4.0, 1.0, 1.0, 1.0]), 0.0
-    for i, t in enumerate(run["times"]):
-        rotation, shift = run["poses"][i][:9].reshape(3, 3), run["poses"][i][9:]
-        v = run["velocities"][i]
-        elapsed, before = t - before, t
-        q = np.diag([0.5, 2.0, 2.0, 2.0]) * elapsed
-        q[0, 1:] = q[1:, 0] = 0.3 * 0.5 * elapsed * rotation[:, 2]
-        x, p = x + np.concatenate([[v @ rotation[:, 2]], v]) * elapsed, p + q
-        if status[i] & _core.STATUS_UPDATED:
-            m = run["measurements"][i]
-            force = m[1:3]
-            c = BEAM.compliance_batch(x[:1])[0]
-            h = np.zeros((4, 4))
-            h[0, 0] = 1.0
-            h[1:, 1:] = rotation.T
-            h[1:3, 0] = -force * c[1]
-            expected = np.concatenate([x[:1], rotation.T @ (x[1:] - shift)])
-            z = np.concatenate([m[7:8], force * c[0], [0.0]])
-            r = np.zeros((4, 4))
-            r[0, 0] = m[8] + 1e-3
-            r[0, 1:3] = r[1:3, 0] = m[9:11] * c[0]
-            r[1:3, 1:3] = m[3:7].reshape(2, 2) * c[0] ** 2 + 1e-4 * np.eye(2)
-            keep = slice(1, 4) if status[i] & _core.STATUS_NO_FORCE else slice(0, 4)
-            h, left, r = h[keep], (z - expected)[keep], r[keep, keep]
-            s = h @ p @ h.T + r
-            gain = p @ h.T @ np.linalg.inv(s)
-            np.testing.assert_allclose(nis[i], left @ np.linalg.solve(s, left), rtol=1e-5, atol=1e-9)
-            x, p = x + gain @ left, p - gain @ h @ p
-        np.testing.assert_allclose(means[i], x, atol=1e-7)
-        np.testing.assert_allclose(covariances[i], p, atol=1e-7)
-
-
-def test_smoothing_ends_where_the_filter_ends_and_is_never_worse() -> None:
-    """Catches a smoother that moves the filter, or that runs over the wrong records."""
-    run = recorded(300)
-    for filter_, columns in filters(PROPAGATED, run):
-        rows = (run["times"], *columns, run["measurements"], run["present"])
-        smoothed, narrower = filter_.smooth(*rows)
-        assert filter_.time_s == 0.0
-        means, covariances, *_ = filter_.filter(*rows)
-        np.testing.assert_array_equal(smoothed[-1], means[-1])
-        np.testing.assert_array_equal(narrower[-1], covariances[-1])
-        variances = [np.diagonal(c, axis1=1, axis2=2) for c in (narrower, covariances)]
-        assert (variances[0] <= variances[1] + 1e-9).all()
-        assert (variances[0] < 0.9 * variances[1]).any()
 
 
 def test_calibration_finds_what_made_the_rows() -> None:
@@ -353,8 +294,6 @@ def test_what_makes_no_sense_is_refused_in_words() -> None:
         _core.ToolSensor(GAINS.reshape(2, 3, 2), DISTANCES, REFERENCE, NOISE_NM)
     with pytest.raises(RobotError, match="zero or more"):
         _core.FilterNoise.propagated((-1.0, 0.0), (0.0, 0.0))
-    with pytest.raises(RobotError, match="shared"):
-        _core.FilterNoise.propagated((1.0, 1.0), (0.0, 0.0), 1.5)
     with pytest.raises(RobotError, match="finite"):
         _core.DepthFilter(np.nan, 1.0, 0.0, PAPER)
     with pytest.raises(FitError, match="at least 3"):
@@ -378,7 +317,6 @@ def test_a_run_of_no_steps_and_a_clock_that_stands_or_runs_back() -> None:
     filter_ = _core.DepthFilter(8.0, 1.0, 0.0, PAPER)
     empty = filter_.filter(np.zeros(0), np.zeros(0), np.zeros((0, 11)))
     assert [a.shape for a in empty] == [(0, 1), (0, 1, 1), (0,), (0,), (0,)]
-    assert filter_.smooth(np.zeros(0), np.zeros(0), np.zeros((0, 11)))[0].shape == (0, 1)
     times = np.array([0.1, 0.05, np.nan, 0.1])
     _, _, status, _, _ = filter_.filter(times, np.ones(4), np.full((4, 11), np.nan), np.zeros(4, dtype=bool))
     missing, clock = _core.STATUS_MISSING, _core.STATUS_CLOCK
@@ -396,5 +334,4 @@ def test_noise_by_name_says_its_numbers() -> None:
     assert list(numbers["per_step"]) == [0.0025, 0.01]
     assert _core.FilterNoise.ebrahimi_2020_of_force().numbers()["of_force"]
     assert _core.FilterNoise.switched(50.0, (1e6, 10.0), (0.005, 0.002), (0.0025, 0.01)) == PAPER
-    assert PROPAGATED.numbers()["shared"] == 0.3
     assert PROPAGATED != PAPER

@@ -18,7 +18,7 @@ from sherkit.robots.tool.alignment import fibre_delay
 from sherkit.robots.tool.calibration import calibrate_tool
 from sherkit.robots.tool.filters import estimate
 from sherkit.robots.tool.tool import FlexibleTool, ToolDoubt, load_tool
-from tool_honesty import honest, loads_of, measured, run_of, tool_of
+from tool_honesty import honest, loads_of, measured, run_of, tool_of, warmed_of
 from tool_table_one import EXAMPLE, recorded, table_one
 
 #: Rows of the table of coverage whose truth the interval must cover in 93 to 97 of a hundred rows.
@@ -56,6 +56,31 @@ def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
         for signal in ("depth", "depth smoothed", "tip"):
             assert 0.88 < told[signal].coverage < 0.995, (name, signal, told[signal])
         assert told["depth"].mean_error_mm < 0.12
+
+
+def test_what_warms_an_untouched_tool_is_learnt() -> None:
+    """Catches answers to warmth of the wrong sign or fibre, deviations made up, and warmth learnt of nothing."""
+    world, seed = CONDITIONS["warm"], 3
+    tool, learnt = tool_of(world, seed), warmed_of(world, seed)
+    answers = 0.02 * np.random.default_rng([seed, 8]).standard_normal((3, 3))[:2]
+    answers = (1.0 + answers) / (1.0 + answers.mean(axis=1, keepdims=True)) - 1.0
+    assert 0.0 < learnt.doubt.warmth < 0.002
+    assert np.abs(np.array(learnt.warmth) - answers).max() < 4.0 * learnt.doubt.warmth
+    recorded = world.run("phantom", seconds=40.0, seed=seed)
+    before, after = (honest(estimate(one, run_of(recorded)), recorded)["depth"] for one in (tool, learnt))
+    assert after.mean_error_mm < 0.7 * before.mean_error_mm
+    assert after.largest < 5.0
+    still = warmed_of(replace(world, temperature_c=0.0), seed)
+    assert still.doubt.warmth == pytest.approx(tool.doubt.warmth, rel=0.2)
+
+
+def test_the_way_back_knows_how_the_eye_moves() -> None:
+    """Catches a smoother that comes back over a run as if the eye stood still until it learns better; 437 rows were
+    off by 5 deviations and more."""
+    recorded = CONDITIONS["eye"].run("phantom", seconds=60.0, seed=2)
+    smooth = honest(estimate(tool_of(CONDITIONS["eye"], 2), run_of(recorded)), recorded)["depth smoothed"]
+    assert smooth.beyond_5 == 0
+    assert smooth.coverage > 0.93
 
 
 def test_table_one_is_met_with_the_exact_rod(capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,6 +21,7 @@ from sherkit.errors import SherkitWarning
 from sherkit.robots.tool.bench import Loads, read_loads
 from sherkit.robots.tool.filters import Estimate, estimate
 from sherkit.robots.tool.runs import ToolRun, tool_run_of
+from sherkit.robots.tool.tare import tare
 from sherkit.robots.tool.tool import FlexibleTool, ToolDoubt, load_tool
 
 
@@ -40,6 +41,11 @@ def tool_of(world: World, seed: int = 0) -> FlexibleTool:
     spread = (world.gain_error * gains)[..., None] * (world.gain_error * gains)[..., None, :] * np.eye(3)
     doubt = ToolDoubt(gains=spread.tolist(), reference_nm=world.reference_error_nm)
     return replace(tool, bending="exact" if world.rod.exact else "small", doubt=doubt)
+
+
+def warmed_of(world: World, seed: int = 0) -> FlexibleTool:
+    """The same, whose fibres' answers to warmth were learnt while it warmed, untouched."""
+    return tare(tool_of(world, seed), run_of(world.run("warm_up", seed=seed)), untouched=True).tool
 
 
 def loads_of(world: World, seed: int = 0, **bench: float) -> Loads:
@@ -92,8 +98,12 @@ def main() -> None:
     warnings.simplefilter("ignore", SherkitWarning)
     names = ("depth", "depth smoothed", "tip", "tip of both")
     print(f"{'':<18}" + "".join(f"{n + ': 95 %, NEES, max':>30}{'>5':>8}{'mm':>8}" for n in names))
-    for name in asked.conditions or worlds:
-        told = measured(worlds[name], asked.seeds, asked.experiment)
+    rows = [(name, made) for name in asked.conditions or worlds for made in (tool_of, warmed_of)]
+    for name, made in rows:
+        if made is warmed_of and not worlds[name].temperature_c:
+            continue
+        told = measured(worlds[name], asked.seeds, asked.experiment, made=made)
+        name += ", learnt" if made is warmed_of else ""
         cells = [
             f"{h.coverage:>14.3f}{h.nees:>8.2f}{h.largest:>8.1f}{h.beyond_5:>8}{h.mean_error_mm:>8.3f}"
             for h in (told[n] for n in names if n in told)

@@ -25,7 +25,6 @@ __all__ = [
     "DeltaKinematics",
     "DeltaModel",
     "DepthFilter",
-    "DepthTipFilter",
     "FilterNoise",
     "SerialCalibrated",
     "SerialModel",
@@ -413,7 +412,6 @@ class FilterNoise:
     def propagated(
         per_second: tuple[float, float],
         floor: tuple[float, float],
-        shared: float = 0.0,
         per_step: tuple[float, float] = ...,
     ) -> FilterNoise: ...
     @staticmethod
@@ -423,36 +421,25 @@ class FilterNoise:
         above: tuple[float, float],
         per_step: tuple[float, float],
         per_second: tuple[float, float] = ...,
-        shared: float = 0.0,
         of_force: bool = False,
     ) -> FilterNoise: ...
     def numbers(self) -> dict[str, Any]: ...
 
 _Run = tuple[_Floats, _Floats, _Bytes, _Floats, _Bytes]
-_Smoothed = tuple[_Floats, _Floats]
 
 class _ToolFilter:
     """A filter of the flexible tool. ``step`` and ``filter`` run the same steps, to the last bit.
 
     ``step`` returns the status, a sum of the STATUS flags. ``filter``: as many steps as there are times; a measurement
     that ``present`` says is not there is missing. Returns estimates (n, k), covariances (n, k, k), status (n,), NIS
-    (n,) and its degrees of freedom (n,), and leaves the filter at the end. ``smooth``: estimates and covariances of the
-    same run from the filter's present state, which stays, each from all measurements. Velocities are mm/s, poses (n,
-    12) take the tool's frame to the base.
+    (n,) and its degrees of freedom (n,), and leaves the filter at the end. Velocities are mm/s, poses (n, 12) take the
+    tool's frame to the base.
     """
 
     @property
     def time_s(self) -> float: ...
     def statistics(self) -> dict[str, Any]: ...
     def copy(self) -> Self: ...
-
-class _WithTip(_ToolFilter):
-    """A filter whose state holds the tip, in the base frame."""
-
-    @property
-    def tip_mm(self) -> _Floats: ...
-    @property
-    def covariance(self) -> _Floats: ...
 
 @final
 class DepthFilter(_ToolFilter):
@@ -463,16 +450,13 @@ class DepthFilter(_ToolFilter):
     def filter(
         self, times_s: _Floats, velocities_mm_s: _Floats, measurements: _Floats, present: _Bools | None = None
     ) -> _Run: ...
-    def smooth(
-        self, times_s: _Floats, velocities_mm_s: _Floats, measurements: _Floats, present: _Bools | None = None
-    ) -> _Smoothed: ...
     @property
     def depth_mm(self) -> float: ...
     @property
     def variance(self) -> float: ...
 
 @final
-class TipFilter(_WithTip):
+class TipFilter(_ToolFilter):
     """The tip (3,), by Eqs. 10 to 14. Velocities (n, 3) are those of the unbent tip; ``depths`` (n, 2): mm, mm²."""
 
     def __new__(
@@ -495,56 +479,19 @@ class TipFilter(_WithTip):
         measurements: _Floats,
         present: _Bools | None = None,
     ) -> _Run: ...
-    def smooth(
-        self,
-        times_s: _Floats,
-        velocities_mm_s: _Floats,
-        poses: _Floats,
-        depths: _Floats,
-        measurements: _Floats,
-        present: _Bools | None = None,
-    ) -> _Smoothed: ...
-
-@final
-class DepthTipFilter(_WithTip):
-    """Depth and tip in one state (4,), with their correlation; velocities as for :class:`TipFilter`."""
-
-    def __new__(
-        cls,
-        beam: ToolBeam,
-        depth_mm: float,
-        pose: _Floats,
-        variances: tuple[float, float],
-        time_s: float,
-        noise: FilterNoise,
-    ) -> DepthTipFilter: ...
-    def step(self, time_s: float, velocity_mm_s: _Floats, pose: _Floats, measurement: _Floats | None = None) -> int: ...
-    def filter(
-        self,
-        times_s: _Floats,
-        velocities_mm_s: _Floats,
-        poses: _Floats,
-        measurements: _Floats,
-        present: _Bools | None = None,
-    ) -> _Run: ...
-    def smooth(
-        self,
-        times_s: _Floats,
-        velocities_mm_s: _Floats,
-        poses: _Floats,
-        measurements: _Floats,
-        present: _Bools | None = None,
-    ) -> _Smoothed: ...
     @property
-    def depth_mm(self) -> float: ...
+    def tip_mm(self) -> _Floats: ...
+    @property
+    def covariance(self) -> _Floats: ...
 
 @final
 class ToolFilter:
     """Depth and tip from wavelengths and poses, with a deviation that owns to what the calibration does not know.
 
-    ``gains`` (2, 2, 3), mN·mm/nm, and their covariance by rows (2, 2, 3, 3); ``doubts``: deviations of a reference
-    (nm), of the fibres' answer to warmth (relative), of clearance (mm) and sections (mm); ``start``: depth
-    (mm), its variance (mm²), time (s).
+    ``gains`` (2, 2, 3), mN·mm/nm, and their covariance by rows (2, 2, 3, 3); ``warmth`` (2, 3): how much more than its
+    section's mean each fibre answers to it; ``doubts``: deviations of a reference (nm), of the fibres' answers to
+    warmth among each other and of ``warmth``, of clearance and sections (mm); ``start``: depth (mm), its variance
+    (mm²), time (s).
     """
 
     def __new__(
@@ -554,9 +501,10 @@ class ToolFilter:
         distances_mm: _Floats,
         reference_nm: _Floats,
         noise_nm: float,
+        warmth: _Floats,
         beam: ToolBeam,
         beam_covariance: _Floats,
-        doubts: tuple[float, float, float, float],
+        doubts: tuple[float, float, float, float, float],
         clearance_mm: float,
         per_second_mm2: float,
         start: tuple[float, float, float],
@@ -586,6 +534,10 @@ class ToolFilter:
     def faulty(self) -> int: ...
     @property
     def time_s(self) -> float: ...
+    def statistics(self) -> dict[str, Any]: ...
+    def anew(self, start: tuple[float, float, float], pose: _Floats) -> ToolFilter:
+        """The same tool from another start, with what was learnt of how the eye moves: for a smoother."""
+
     def copy(self) -> ToolFilter: ...
 
 def tool_fit_gain(

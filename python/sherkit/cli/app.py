@@ -27,12 +27,19 @@ def app(
     robot: Path, run: Path, files: tuple[Path, ...], folder: Path | None, fresh: bool, run_typed: bool, follow: bool,
     address: str, port: int, no_open: bool,
 ) -> None:  # fmt: skip
-    """Open ROBOT (TOML) and the measurements RUN (CSV or Parquet) as a page: add effects, and watch the error fall."""
+    """Open ROBOT (TOML) and the measurements RUN (CSV or Parquet) as a page: add effects, and watch the error fall.
+
+    Of a flexible tool the page is the story of its run.
+    """
     reporting.require_view()
     if is_tool(robot):
-        raise SherkitError(
-            f"{robot}: the page shows robots; a flexible tool's story is sherkit tool … --report story.html"
-        )
+        if folder is not None or fresh or run_typed or follow:
+            raise SherkitError(f"{robot}: the page of a flexible tool's run is one file, beside RUN; give "
+                               "TOOL and RUN, and --effects for effects of your own")  # fmt: skip
+        from .tool_page import show_tool
+
+        show_tool(robot, run, files, opened=not no_open)
+        return
     from ..app.server import PageServer, is_loopback  # Bokeh takes a second to load
     from ..app.workbench import Workbench
 

@@ -23,6 +23,7 @@ from ..robots.tool.filters import estimate as run_filters
 from ..robots.tool.judge import judge
 from ..robots.tool.known import known
 from ..robots.tool.model import ToolModel
+from ..robots.tool.places import Places
 from ..robots.tool.runs import ToolRun, read_tool_run, require_camera
 from ..robots.tool.tare import Tare, tare
 from ..robots.tool.tool import FlexibleTool, load_tool
@@ -71,7 +72,8 @@ def tool_story(
         )
         step("unloaded seconds")
         tares = _tared(registered(calibration.tool, found), led, recorded)
-        made = tares[-1].tool
+        hole = Places(tares[-1].tool, recorded, recorded.time_s[:1]).hole
+        made = tares[-1].tool if hole is None else hole.in_tool(tares[-1].tool)
         step("depth and tip")
         before = run_filters(made, recorded)
         step("what is missing")
@@ -93,7 +95,12 @@ def tool_story(
     for one, source in zip(tares, (free, run), strict=False):
         output.say(
             f"   {one.seconds:.1f} s of {source.name} were unloaded: references moved by "
-            f"{1e3 * np.abs(one.shift_nm).max():.2f} pm at most"
+            f"{1e3 * np.abs(one.shift_nm).max():.2f} pm at most; fibres answer to warmth unlike by "
+            f"{100 * np.abs(one.tool.warmth).max():.1f} ± {100 * one.tool.doubt.warmth:.1f} %"
+        )
+    if hole is not None:
+        output.say(
+            f"   the hole is {hole.clearance_mm:.2f} ± {hole.clearance_std_mm:.2f} mm wider than the shaft all around"
         )
     _say("4. What is missing?", run)
     output.say(f"   Verdict: {diagnosis.headline}")

@@ -112,8 +112,6 @@ typedef struct sherkit_noise {
     double per_step[2];
     // Process noise per time, mm^2/s.
     double per_second[2];
-    // Share, 0 to 1, of the process noise that depth and tip have in common along the shaft.
-    double shared;
 } sherkit_noise;
 
 // What the fibres tell a filter at one time.
@@ -218,29 +216,6 @@ typedef struct sherkit_tip_estimate {
     sherkit_status status;
 } sherkit_tip_estimate;
 
-// The filter of depth and tip together. Its content is nobody's business.
-typedef struct sherkit_depth_tip_filter {
-    uint64_t words[160];
-} sherkit_depth_tip_filter;
-
-// Depth and tip after a step.
-typedef struct sherkit_depth_tip_estimate {
-    // Time of the estimate, s.
-    double time_s;
-    // Insertion depth, mm.
-    double depth_mm;
-    // The tip in the base frame, mm.
-    double tip_mm[3];
-    // Covariance of depth and tip, mm^2.
-    double covariance[4][4];
-    // Normalised innovation squared of this step; zero where it only predicted.
-    double nis;
-    // Its degrees of freedom.
-    uint32_t nis_degrees;
-    // What the step did.
-    sherkit_status status;
-} sherkit_depth_tip_estimate;
-
 // The fibres of a calibrated tool. Its content is nobody's business.
 typedef struct sherkit_sensor {
     uint64_t words[64];
@@ -292,6 +267,11 @@ typedef struct sherkit_tool {
     // Standard deviation of a reference wavelength, nm.
     double reference_doubt_nm;
     // How unlike fibres answer to warmth: standard deviation over the mean answer.
+    double warmth_unlike;
+    // How much more than the mean of its section each fibre of sections I and II answers to warmth, relative, and the
+    // standard deviation of that: `warmth_unlike` where nothing was learnt of it.
+    double warmth[2][3];
+    // See above.
     double warmth_doubt;
     // Covariance of length (mm) and stiffness (mN mm^2).
     double beam_covariance[2][2];
@@ -395,31 +375,6 @@ sherkit_result sherkit_tip_filter_step(struct sherkit_tip_filter *filter,
 // How often what happened since the filter was initialised.
 sherkit_result sherkit_tip_filter_statistics(const struct sherkit_tip_filter *filter,
                                              struct sherkit_statistics *statistics);
-
-// Starts at a depth (mm) with the unbent tip of a pose, with variances of the depth and of each axis of the tip (mm^2),
-// at a time (s). Where it fails the filter is not initialised.
-sherkit_result sherkit_depth_tip_filter_init(struct sherkit_depth_tip_filter *filter,
-                                             const struct sherkit_beam *beam,
-                                             double depth_mm,
-                                             const struct sherkit_pose *pose,
-                                             double depth_variance,
-                                             double tip_variance,
-                                             double time_s,
-                                             const struct sherkit_noise *noise);
-
-// One step to a time, with the velocity of the unbent tip in the base frame since the last step (3, mm/s), the pose
-// of the tool now, and what was measured; null where nothing was. What could not be used is said by the estimate's
-// status, not by the code.
-sherkit_result sherkit_depth_tip_filter_step(struct sherkit_depth_tip_filter *filter,
-                                             double time_s,
-                                             const double *velocity_mm_s,
-                                             const struct sherkit_pose *pose,
-                                             const struct sherkit_measurement *measurement,
-                                             struct sherkit_depth_tip_estimate *estimate);
-
-// How often what happened since the filter was initialised.
-sherkit_result sherkit_depth_tip_filter_statistics(const struct sherkit_depth_tip_filter *filter,
-                                                   struct sherkit_statistics *statistics);
 
 // The noise of Ebrahimi et al. 2020, for steps of 200 Hz.
 struct sherkit_noise sherkit_noise_ebrahimi_2020(void);

@@ -1,4 +1,4 @@
-//! The three filters: of the depth, of the tip, of both.
+//! The paper's two filters: of the depth, of the tip.
 //!
 //! Functions stand here one by one, because the header is made from what is written, not from what a macro makes; what
 //! they do is in [`init`], [`step`] and [`tell`].
@@ -11,9 +11,7 @@ use crate::storage::{Opaque, get, get_mut, given, init, opaque, wanted};
 use nalgebra::Vector3;
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::beam::Beam;
-use sherkit_core::tool::filters::{
-    DepthFilter, DepthTipFilter, Measurement, Noise, Status, TipFilter,
-};
+use sherkit_core::tool::filters::{DepthFilter, Measurement, Noise, Status, TipFilter};
 
 /// Steps a filter with what was measured, if anything was, and says where it is.
 ///
@@ -249,108 +247,6 @@ pub unsafe extern "C" fn sherkit_tip_filter_step(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_tip_filter_statistics(
     filter: *const sherkit_tip_filter,
-    statistics: *mut sherkit_statistics,
-) -> sherkit_result {
-    // SAFETY: pointers are null or valid.
-    unsafe { tell(filter, statistics, |f| sherkit_statistics::of(f.track())) }
-}
-
-/// The filter of depth and tip together. Its content is nobody's business.
-#[repr(C)]
-pub struct sherkit_depth_tip_filter {
-    words: [u64; 160],
-}
-
-opaque!(
-    sherkit_depth_tip_filter,
-    DepthTipFilter,
-    0x7368_6b6a_6f69_6e74,
-    160
-);
-
-/// Depth and tip after a step.
-#[repr(C)]
-#[derive(Clone, Copy)]
-pub struct sherkit_depth_tip_estimate {
-    /// Time of the estimate, s.
-    pub time_s: f64,
-    /// Insertion depth, mm.
-    pub depth_mm: f64,
-    /// The tip in the base frame, mm.
-    pub tip_mm: [f64; 3],
-    /// Covariance of depth and tip, mm^2.
-    pub covariance: [[f64; 4]; 4],
-    /// Normalised innovation squared of this step; zero where it only predicted.
-    pub nis: f64,
-    /// Its degrees of freedom.
-    pub nis_degrees: u32,
-    /// What the step did.
-    pub status: sherkit_status,
-}
-
-fn depth_tip_estimate(filter: &DepthTipFilter, status: Status) -> sherkit_depth_tip_estimate {
-    let track = filter.track();
-    sherkit_depth_tip_estimate {
-        time_s: track.time_s(),
-        depth_mm: filter.depth_mm(),
-        tip_mm: filter.tip().into(),
-        covariance: track.filter().covariance(),
-        nis: track.consistency().last,
-        nis_degrees: degrees(track),
-        status: u32::from(status.0),
-    }
-}
-
-/// Starts at a depth (mm) with the unbent tip of a pose, with variances of the depth and of each axis of the tip (mm^2),
-/// at a time (s). Where it fails the filter is not initialised.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn sherkit_depth_tip_filter_init(
-    filter: *mut sherkit_depth_tip_filter,
-    beam: *const sherkit_beam,
-    depth_mm: f64,
-    pose: *const sherkit_pose,
-    depth_variance: f64,
-    tip_variance: f64,
-    time_s: f64,
-    noise: *const sherkit_noise,
-) -> sherkit_result {
-    let made = || {
-        // SAFETY: pointers are null or valid.
-        let (beam, tool, noise) = unsafe { tool(beam, pose, noise)? };
-        let variances = [depth_variance, tip_variance];
-        coded(DepthTipFilter::new(
-            beam, depth_mm, &tool, variances, time_s, noise,
-        ))
-    };
-    // SAFETY: as above.
-    answer(unsafe { init(filter, made) })
-}
-
-/// One step to a time, with the velocity of the unbent tip in the base frame since the last step (3, mm/s), the pose
-/// of the tool now, and what was measured; null where nothing was. What could not be used is said by the estimate's
-/// status, not by the code.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn sherkit_depth_tip_filter_step(
-    filter: *mut sherkit_depth_tip_filter,
-    time_s: f64,
-    velocity_mm_s: *const f64,
-    pose: *const sherkit_pose,
-    measurement: *const sherkit_measurement,
-    estimate: *mut sherkit_depth_tip_estimate,
-) -> sherkit_result {
-    let advance = |f: &mut DepthTipFilter, m: Option<&Measurement>| {
-        // SAFETY: pointers are null or valid.
-        let (velocity, pose) = unsafe { motion(velocity_mm_s, pose)? };
-        Ok(f.step(time_s, &velocity, &pose, m))
-    };
-    // SAFETY: pointers are null or valid.
-    unsafe { step(filter, measurement, estimate, advance, depth_tip_estimate) }
-}
-
-/// How often what happened since the filter was initialised.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn sherkit_depth_tip_filter_statistics(
-    filter: *const sherkit_depth_tip_filter,
     statistics: *mut sherkit_statistics,
 ) -> sherkit_result {
     // SAFETY: pointers are null or valid.

@@ -27,8 +27,6 @@ pub struct sherkit_noise {
     pub per_step: [f64; 2],
     /// Process noise per time, mm^2/s.
     pub per_second: [f64; 2],
-    /// Share, 0 to 1, of the process noise that depth and tip have in common along the shaft.
-    pub shared: f64,
 }
 
 fn pair([depth, across]: [f64; 2]) -> Variances {
@@ -53,7 +51,6 @@ impl sherkit_noise {
             above: [above.depth, above.across],
             per_step: noise.per_step,
             per_second: noise.per_second,
-            shared: noise.shared,
         }
     }
 
@@ -75,7 +72,6 @@ impl sherkit_noise {
             trust,
             per_step: self.per_step,
             per_second: self.per_second,
-            shared: self.shared,
         })
     }
 }

@@ -24,6 +24,11 @@ pub struct sherkit_tool {
     /// Standard deviation of a reference wavelength, nm.
     pub reference_doubt_nm: f64,
     /// How unlike fibres answer to warmth: standard deviation over the mean answer.
+    pub warmth_unlike: f64,
+    /// How much more than the mean of its section each fibre of sections I and II answers to warmth, relative, and the
+    /// standard deviation of that: `warmth_unlike` where nothing was learnt of it.
+    pub warmth: [[f64; 3]; 2],
+    /// See above.
     pub warmth_doubt: f64,
     /// Covariance of length (mm) and stiffness (mN mm^2).
     pub beam_covariance: [[f64; 2]; 2],
@@ -43,6 +48,7 @@ impl sherkit_tool {
         let exact = self.exact != 0;
         Ok(Trusted {
             calibration: self.sensor.calibration(),
+            warmth: self.warmth,
             rod: Rod {
                 beam: self.beam.beam()?,
                 bending: if exact {
@@ -54,6 +60,7 @@ impl sherkit_tool {
             doubt: Doubt {
                 gains: self.gain_covariance.map(|rows| rows.map(matrix)),
                 reference_nm: self.reference_doubt_nm,
+                unlike: self.warmth_unlike,
                 warmth: self.warmth_doubt,
                 beam: Matrix2::from(self.beam_covariance).transpose(),
                 clearance_mm: self.clearance_doubt_mm,

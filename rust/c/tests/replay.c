@@ -88,31 +88,29 @@ static void run_spherical(size_t count, size_t rows)
     }
 }
 
-/* First the sensor's 24 numbers and the noise's 11, then rows: time, stamp, whether there is a measurement,
+/* First the sensor's 24 numbers and the noise's 10, then rows: time, stamp, whether there is a measurement,
  * wavelengths 9, velocity 3, pose 12, depth, its variance. */
 static void run_tool(size_t rows)
 {
     static sherkit_sensor sensor;
     static sherkit_depth_filter depth;
     static sherkit_tip_filter tip;
-    static sherkit_depth_tip_filter joint;
     static sherkit_tool_filter whole;
     const sherkit_beam beam = sherkit_beam_ebrahimi_2020();
     sherkit_sensor_calibration calibration;
-    double numbers[24], n[11];
+    double numbers[24], n[10];
     get(numbers, 24);
     memcpy(calibration.gains, numbers, sizeof calibration.gains);
     memcpy(calibration.distances_mm, numbers + 12, sizeof calibration.distances_mm);
     memcpy(calibration.reference_nm, numbers + 14, sizeof calibration.reference_nm);
     calibration.noise_nm = numbers[23];
-    get(n, 11);
+    get(n, 10);
     sherkit_noise noise = {(uint32_t)n[0],
                            n[1],
                            {n[2], n[3]},
                            {n[4], n[5]},
                            {n[6], n[7]},
-                           {n[8], n[9]},
-                           n[10]};
+                           {n[8], n[9]}};
     need(sherkit_sensor_init(&sensor, &calibration) == SHERKIT_OK, "the sensor");
     sherkit_tool tool = {0};
     tool.sensor = calibration;
@@ -123,7 +121,10 @@ static void run_tool(size_t rows)
             for (int k = 0; k < 3; k++)
                 tool.gain_covariance[s][a][k][k] = 100.0 * (k + 1);
     tool.reference_doubt_nm = 1e-4;
-    tool.warmth_doubt = 0.02;
+    tool.warmth_unlike = 0.02;
+    tool.warmth[0][0] = 0.01;
+    tool.warmth[0][2] = -0.01;
+    tool.warmth_doubt = 0.003;
     tool.beam_covariance[0][0] = 0.01;
     tool.beam_covariance[1][1] = 1e6;
     tool.distance_doubt_mm = 0.02;
@@ -135,7 +136,6 @@ static void run_tool(size_t rows)
         sherkit_measurement measured;
         sherkit_depth_estimate a;
         sherkit_tip_estimate b;
-        sherkit_depth_tip_estimate c;
         sherkit_pose pose;
         get(row, 29);
         memcpy(pose.rotation, row + 15, sizeof pose.rotation);
@@ -143,8 +143,6 @@ static void run_tool(size_t rows)
         if (i == 0) {
             need(sherkit_depth_filter_init(&depth, 8.0, 4.0, 0.0, &noise) == SHERKIT_OK, "the depth filter");
             need(sherkit_tip_filter_init(&tip, &beam, &pose, 1.0, 0.0, &noise) == SHERKIT_OK, "the tip filter");
-            need(sherkit_depth_tip_filter_init(&joint, &beam, 8.0, &pose, 4.0, 1.0, 0.0, &noise) == SHERKIT_OK,
-                 "the joint filter");
             need(sherkit_tool_filter_init(&whole, &tool, 8.0, 4.0, &pose, 0.0) == SHERKIT_OK, "the tool's filter");
         }
         sherkit_result read = sherkit_sensor_read(&sensor, row[1], row + 3, &measured);
@@ -153,7 +151,6 @@ static void run_tool(size_t rows)
         need(sherkit_depth_filter_step(&depth, row[0], row[14], given, &a) == SHERKIT_OK, "a depth step");
         need(sherkit_tip_filter_step(&tip, row[0], row + 12, &pose, row[27], row[28], given, &b) == SHERKIT_OK,
              "a tip step");
-        need(sherkit_depth_tip_filter_step(&joint, row[0], row + 12, &pose, given, &c) == SHERKIT_OK, "a joint step");
         put_one(measured.time_s);
         put(measured.force_mn, 2);
         put(&measured.force_covariance[0][0], 4);
@@ -170,26 +167,20 @@ static void run_tool(size_t rows)
         put_one(b.nis);
         put_one(b.nis_degrees);
         put_one(b.status);
+        sherkit_tool_estimate c;
+        need(sherkit_tool_filter_step(&whole, row[0], &pose, row[1], row[2] != 0.0 ? row + 3 : NULL, &c) == SHERKIT_OK,
+             "a step of the tool");
         put_one(c.depth_mm);
         put(c.tip_mm, 3);
         put(&c.covariance[0][0], 16);
-        put_one(c.nis);
-        put_one(c.nis_degrees);
+        put(c.force_mn, 2);
+        put_one(c.force_variance);
+        put_one(c.misfit);
+        put_one(c.faulty);
         put_one(c.status);
-        sherkit_tool_estimate d;
-        need(sherkit_tool_filter_step(&whole, row[0], &pose, row[1], row[2] != 0.0 ? row + 3 : NULL, &d) == SHERKIT_OK,
-             "a step of the tool");
-        put_one(d.depth_mm);
-        put(d.tip_mm, 3);
-        put(&d.covariance[0][0], 16);
-        put(d.force_mn, 2);
-        put_one(d.force_variance);
-        put_one(d.misfit);
-        put_one(d.faulty);
-        put_one(d.status);
     }
     sherkit_statistics s;
-    need(sherkit_depth_tip_filter_statistics(&joint, &s) == SHERKIT_OK, "the statistics");
+    need(sherkit_tool_filter_statistics(&whole, &s) == SHERKIT_OK, "the statistics");
     double counts[] = {(double)s.steps,    (double)s.updated,   (double)s.missing, (double)s.late,
                        (double)s.not_finite, (double)s.no_force, (double)s.no_motion, (double)s.clock,
                        (double)s.nis_count, (double)s.nis_degrees, s.nis_sum};

@@ -28,12 +28,10 @@ FENCED(sherkit_spherical, spherical);
 FENCED(sherkit_sensor, sensor);
 FENCED(sherkit_depth_filter, depth);
 FENCED(sherkit_tip_filter, tip);
-FENCED(sherkit_depth_tip_filter, joint);
 FENCED(sherkit_tool_filter, whole);
 FENCED(sherkit_measurement, measured);
 FENCED(sherkit_depth_estimate, of_depth);
 FENCED(sherkit_tip_estimate, of_tip);
-FENCED(sherkit_depth_tip_estimate, of_joint);
 FENCED(sherkit_tool_estimate, of_whole);
 
 static unsigned long long step;
@@ -145,8 +143,6 @@ static void start(const sherkit_beam *beam, double time_s)
     sherkit_noise noise = once_in(2) ? sherkit_noise_ebrahimi_2020() : sherkit_noise_propagated(0.5, 2.0, 1e-3, 1e-4);
     if (once_in(3))
         noise.kind = SHERKIT_NOISE_SWITCHED_OF_FORCE;
-    if (once_in(3))
-        noise.shared = uniform(0.0, 1.0);
     if (once_in(4))
         noise.above[0] = noise.above[1] = 0.0;
     if (once_in(4))
@@ -157,14 +153,13 @@ static void start(const sherkit_beam *beam, double time_s)
     while (!finite(pose.translation_mm, 3));
     need(sherkit_depth_filter_init(&depth.it, 8.0, 4.0, time_s, &noise) == SHERKIT_OK, "the depth filter");
     need(sherkit_tip_filter_init(&tip.it, beam, &pose, 1.0, time_s, &noise) == SHERKIT_OK, "the tip filter");
-    need(sherkit_depth_tip_filter_init(&joint.it, beam, 8.0, &pose, 4.0, 1.0, time_s, &noise) == SHERKIT_OK,
-         "the joint filter");
     sherkit_tool tool = {0};
     tool.sensor = calibration;
     tool.beam = *beam;
     tool.exact = once_in(2);
     tool.reference_doubt_nm = once_in(2) ? 0.0 : 2e-4;
-    tool.warmth_doubt = once_in(2) ? 0.0 : 0.02;
+    tool.warmth_unlike = tool.warmth_doubt = once_in(2) ? 0.0 : 0.02;
+    tool.warmth[1][1] = once_in(2) ? 0.0 : 0.03;
     tool.clearance_mm = 0.05;
     tool.per_second_mm2 = once_in(4) ? 0.0 : 0.01;
     do
@@ -245,13 +240,11 @@ int main(int argc, char **argv)
     FENCE_IN(sensor);
     FENCE_IN(depth);
     FENCE_IN(tip);
-    FENCE_IN(joint);
     FENCE_IN(whole);
     FENCE_IN(of_whole);
     FENCE_IN(measured);
     FENCE_IN(of_depth);
     FENCE_IN(of_tip);
-    FENCE_IN(of_joint);
     const sherkit_beam beam = sherkit_beam_ebrahimi_2020();
     refusals(&beam);
     need(sherkit_delta_init(&delta.it, example_delta, sizeof example_delta / sizeof(double)) == SHERKIT_OK, "delta");
@@ -292,30 +285,24 @@ int main(int argc, char **argv)
         const double d = spoilt(of_depth.it.depth_mm), p = spoilt(of_depth.it.variance);
         need(sherkit_tip_filter_step(&tip.it, now, v, &pose, d, p, given, &of_tip.it) == SHERKIT_OK, "a tip step");
         check_estimate(of_tip.it.tip_mm, &of_tip.it.covariance[0][0], 3, of_tip.it.nis, of_tip.it.status);
-        need(sherkit_depth_tip_filter_step(&joint.it, now, v, &pose, given, &of_joint.it) == SHERKIT_OK, "a joint step");
-        const double *at = of_joint.it.tip_mm;
-        const double both[4] = {of_joint.it.depth_mm, at[0], at[1], at[2]};
-        check_estimate(both, &of_joint.it.covariance[0][0], 4, of_joint.it.nis, of_joint.it.status);
         need(sherkit_tool_filter_step(&whole.it, now, &pose, stamp, once_in(10) ? NULL : w, &of_whole.it) == SHERKIT_OK,
              "a step of the tool");
         const double *tool_tip = of_whole.it.tip_mm;
         const double all[4] = {of_whole.it.depth_mm, tool_tip[0], tool_tip[1], tool_tip[2]};
         check_estimate(all, &of_whole.it.covariance[0][0], 4, 0.0, of_whole.it.status);
         need(of_whole.it.misfit >= 0.0 && isfinite(of_whole.it.force_variance), "a misfit or a force that is none");
-        updates += (of_joint.it.status & SHERKIT_STATUS_UPDATED) != 0;
+        updates += (of_whole.it.status & SHERKIT_STATUS_UPDATED) != 0;
         if (step % 4 == 0) {
             kinematics();
             moves++;
         }
         CHECK(depth);
         CHECK(tip);
-        CHECK(joint);
         CHECK(whole);
         CHECK(of_whole);
         CHECK(measured);
         CHECK(of_depth);
         CHECK(of_tip);
-        CHECK(of_joint);
     }
     CHECK(delta);
     CHECK(spherical);
@@ -325,9 +312,7 @@ int main(int argc, char **argv)
     check_sum(&s);
     need(sherkit_tip_filter_statistics(&tip.it, &s) == SHERKIT_OK, "statistics");
     check_sum(&s);
-    need(sherkit_depth_tip_filter_statistics(&joint.it, &s) == SHERKIT_OK, "statistics");
-    check_sum(&s);
-    printf("%llu steps of each filter (%llu starts), %llu updates of the joint one, %llu moves of each robot\n", steps,
+    printf("%llu steps of each filter (%llu starts), %llu updates of the tool's, %llu moves of each robot\n", steps,
            starts, updates, moves);
     return 0;
 }

@@ -8,7 +8,7 @@ use nalgebra::{Matrix2x3, Vector2, Vector3};
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::beam::Beam;
 use sherkit_core::tool::filters::noise::Variances;
-use sherkit_core::tool::filters::{DepthFilter, DepthTipFilter, Measurement, Noise, TipFilter};
+use sherkit_core::tool::filters::{DepthFilter, Measurement, Noise, TipFilter};
 use sherkit_core::tool::rod::{Bending, Rod};
 use sherkit_core::tool::sensing::{Calibration, Sensor};
 use sherkit_core::tool::tracker::{Doubt, ToolFilter, Trusted};
@@ -75,11 +75,13 @@ fn whole_filter(calibration: Calibration, beam: Beam, wavelengths: &[[[f64; 3]; 
     let (dt, tool) = (0.005, Rigid::identity());
     let doubt = Doubt {
         reference_nm: 2e-4,
+        unlike: 0.02,
         warmth: 0.02,
         ..Doubt::default()
     };
     let trusted = Trusted {
         calibration,
+        warmth: [[0.01, -0.02, 0.01]; 2],
         rod: Rod {
             beam,
             bending: Bending::Exact,
@@ -148,8 +150,6 @@ fn main() {
     for (name, noise) in noises {
         let mut depth = DepthFilter::new(5.0, 1.0, 0.0, noise).expect("a filter");
         let mut tip = TipFilter::new(beam, &tool, 0.5, 0.0, noise).expect("a filter");
-        let mut joint =
-            DepthTipFilter::new(beam, 5.0, &tool, [1.0, 0.5], 0.0, noise).expect("a filter");
         let stamped = |k: usize| {
             let mut m = measured[k % BATCH];
             m.time_s = (k + 1) as f64 * dt;
@@ -166,12 +166,6 @@ fn main() {
                 let m = black_box(stamped(k));
                 let given = black_box((5.0, 0.01));
                 black_box(tip.step(m.time_s, &velocity, black_box(&tool), given, Some(&m)));
-            })
-        });
-        println!("joint {name:11} {:5.1} ns", {
-            median(|k| {
-                let m = black_box(stamped(k));
-                black_box(joint.step(m.time_s, &velocity, black_box(&tool), Some(&m)));
             })
         });
     }

@@ -21,9 +21,7 @@ use sherkit_core::spherical;
 use sherkit_core::tool::beam::Beam;
 use sherkit_core::tool::calibration::{Bend, GainFit, Place, SlopeFit, fit_beam};
 use sherkit_core::tool::filters::noise::Variances;
-use sherkit_core::tool::filters::{
-    DepthFilter, DepthTipFilter, Measurement, Noise, TipFilter, smooth,
-};
+use sherkit_core::tool::filters::{DepthFilter, Measurement, Noise, TipFilter};
 use sherkit_core::tool::rod::{Bending, Rod};
 use sherkit_core::tool::sensing::{Calibration, Sensor};
 use sherkit_core::tool::tracker::{Doubt, ToolFilter, Trusted};
@@ -220,7 +218,7 @@ fn least_squares_allocate_nothing() {
     assert_eq!(found, 0);
 }
 
-/// As above, for the flexible tool: sensing, filters, smoother, registration, calibration.
+/// As above, for the flexible tool: sensing, filters, registration, calibration.
 #[test]
 fn the_flexible_tool_allocates_nothing() {
     let calibration = Calibration {
@@ -234,19 +232,15 @@ fn the_flexible_tool_allocates_nothing() {
         across: 1e-4,
     };
     let noise = Noise::propagated([0.5, 2.0], floor);
-    let mut records = vec![];
-    records.reserve_exact(500);
     let tool = Rigid::identity();
     let beam = Beam::ebrahimi_2020();
-    let mut smoothed = vec![];
-    smoothed.reserve_exact(500);
     let found = requests(|| {
         let sensor = Sensor::new(calibration).unwrap();
         let mut depth = DepthFilter::new(5.0, 1.0, 0.0, noise).unwrap();
         let mut tip = TipFilter::new(beam, &tool, 0.5, 0.0, noise).unwrap();
-        let mut joint = DepthTipFilter::new(beam, 5.0, &tool, [1.0, 0.5], 0.0, noise).unwrap();
         let trusted = Trusted {
             calibration,
+            warmth: [[0.01, -0.02, 0.01]; 2],
             rod: Rod {
                 beam,
                 bending: Bending::Exact,
@@ -275,15 +269,7 @@ fn the_flexible_tool_allocates_nothing() {
             black_box(depth.step(time, 1.0, m.as_ref()));
             let given = (depth.depth_mm(), depth.variance());
             black_box(tip.step(time, &still, &tool, given, m.as_ref()));
-            black_box(joint.step(time, &still, &tool, m.as_ref()));
-            records.push(*joint.track().record());
-            smoothed.push(joint.track().filter().estimate());
         }
-        let mut identity = [[0.0; 4]; 4];
-        for k in 0..4 {
-            identity[k][k] = 1.0;
-        }
-        smooth(&identity, &records, &mut smoothed).unwrap();
         let mut moments = Moments::default();
         let mut gains = GainFit::new(28.0).unwrap();
         let mut slope = SlopeFit::new(60.0).unwrap();

@@ -27,6 +27,7 @@ fn trusted(bending: Bending) -> Trusted {
             ],
             noise_nm: 1e-3,
         },
+        warmth: [[0.0; 3]; 2],
         rod: Rod {
             beam: Beam::ebrahimi_2020(),
             bending,

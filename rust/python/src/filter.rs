@@ -1,4 +1,4 @@
-//! `DepthFilter`, `TipFilter` and `DepthTipFilter`: one step in a loop, or a whole recorded run at once. Both run the
+//! `DepthFilter` and `TipFilter`: one step in a loop, or a whole recorded run at once. Both run the
 //! same steps of the core, and agree to the last bit.
 //!
 //! Bodies are generic over [`Stepped`]; the macro `filter_class!` holds what Python sees.
@@ -17,8 +17,7 @@ use pyo3::types::PyDict;
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::filters::track::Track;
 use sherkit_core::tool::filters::{
-    DepthFilter as CoreDepth, DepthTipFilter as CoreJoint, Estimate, Measurement, Record, Status,
-    TipFilter as CoreTip, smooth,
+    Consistency, Counts, DepthFilter as CoreDepth, Measurement, Status, TipFilter as CoreTip,
 };
 
 /// A number for each step.
@@ -64,47 +63,27 @@ impl Stepped<1> for CoreDepth {
     }
 }
 
-/// Velocity and pose of the unbent tip.
-impl Stepped<4> for CoreJoint {
-    type Input = (Vector3<f64>, Rigid);
-    type One<'a> = (Numbers<'a>, Numbers<'a>);
-    type All<'a> = (&'a Table<'a>, &'a Table<'a>);
-    fn advance(&mut self, time_s: f64, input: &Self::Input, m: Option<&Measurement>) -> Status {
-        self.step(time_s, &input.0, &input.1, m)
-    }
-    fn state(&self) -> &Track<4> {
-        self.track()
-    }
-    fn one((velocity, pose): Self::One<'_>) -> PyResult<Self::Input> {
-        let velocity = fixed("velocity_mm_s", &velocity)?;
-        Ok((velocity.into(), pose_of(&fixed("pose", &pose)?)))
-    }
-    fn all(given: Self::All<'_>, n: usize) -> PyResult<impl Fn(usize) -> Self::Input> {
-        let v = rows_like::<3>("velocities_mm_s", given.0, n)?;
-        let poses = rows_like::<POSE>("poses", given.1, n)?;
-        Ok(|i: usize| (v[i].into(), pose_of(&poses[i])))
-    }
-}
-
-/// The same, then depth and its variance.
+/// Velocity and pose of the unbent tip, depth and its variance.
 impl Stepped<3> for CoreTip {
-    type Input = (<CoreJoint as Stepped<4>>::Input, (f64, f64));
+    type Input = (Vector3<f64>, Rigid, (f64, f64));
     type One<'a> = (Numbers<'a>, Numbers<'a>, (f64, f64));
     type All<'a> = (&'a Table<'a>, &'a Table<'a>, &'a Table<'a>);
     fn advance(&mut self, time_s: f64, input: &Self::Input, m: Option<&Measurement>) -> Status {
-        let ((velocity, tool), depth) = input;
+        let (velocity, tool, depth) = input;
         self.step(time_s, velocity, tool, *depth, m)
     }
     fn state(&self) -> &Track<3> {
         self.track()
     }
     fn one((velocity, pose, depth): Self::One<'_>) -> PyResult<Self::Input> {
-        Ok((CoreJoint::one((velocity, pose))?, depth))
+        let velocity = fixed("velocity_mm_s", &velocity)?;
+        Ok((velocity.into(), pose_of(&fixed("pose", &pose)?), depth))
     }
     fn all((v, poses, depths): Self::All<'_>, n: usize) -> PyResult<impl Fn(usize) -> Self::Input> {
-        let motion = CoreJoint::all((v, poses), n)?;
+        let v = rows_like::<3>("velocities_mm_s", v, n)?;
+        let poses = rows_like::<POSE>("poses", poses, n)?;
         let depths = rows_like::<2>("depths", depths, n)?;
-        Ok(move |i: usize| (motion(i), depths[i].into()))
+        Ok(|i: usize| (v[i].into(), pose_of(&poses[i]), depths[i].into()))
     }
 }
 
@@ -204,45 +183,6 @@ fn run<'py, 'a, const N: usize, F: Stepped<N>>(
     ))
 }
 
-/// Estimates `(n, N)` and covariances `(n, N, N)`.
-type Smoothed<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>);
-
-/// The run from the filter's state, which stays as it is, and back.
-fn back<'py, 'a, const N: usize, F: Stepped<N>>(
-    py: Python<'py>,
-    mut filter: F,
-    recorded: Recorded<'a, F::All<'a>>,
-) -> PyResult<Smoothed<'py>> {
-    let n = recorded.times_s.len();
-    let (mut means, mut covariances) = (Vec::with_capacity(n * N), Vec::with_capacity(n * N * N));
-    let mut records: Vec<Record<N>> = Vec::with_capacity(n);
-    over(py, &mut filter, recorded, |_, state| {
-        records.push(*state.record());
-    })?;
-    py.detach(|| {
-        let mut unmoved = [[0.0; N]; N];
-        for k in 0..N {
-            unmoved[k][k] = 1.0;
-        }
-        let empty = Estimate {
-            mean: [0.0; N],
-            covariance: [[0.0; N]; N],
-        };
-        let mut smoothed = vec![empty; n];
-        smooth(&unmoved, &records, &mut smoothed)?;
-        for estimate in &smoothed {
-            means.extend_from_slice(&estimate.mean);
-            covariances.extend_from_slice(estimate.covariance.as_flattened());
-        }
-        Ok(())
-    })
-    .map_err(to_python)?;
-    Ok((
-        shaped(py, means, [n, N])?,
-        shaped(py, covariances, [n, N, N])?,
-    ))
-}
-
 /// One step, with a measurement that may be missing.
 fn step<const N: usize, F: Stepped<N>>(
     filter: &mut F,
@@ -266,11 +206,11 @@ fn covariance<'py, const N: usize>(
 }
 
 /// How often what happened, and the innovation statistics.
-fn statistics<'py, const N: usize>(
+pub fn statistics<'py>(
     py: Python<'py>,
-    state: &Track<N>,
+    counts: &Counts,
+    nis: &Consistency,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let (counts, nis) = (state.counts(), state.consistency());
     let out = PyDict::new(py);
     for (name, count) in [
         ("steps", counts.steps),
@@ -294,8 +234,7 @@ fn statistics<'py, const N: usize>(
     Ok(out)
 }
 
-/// A filter of the core as a class: `step` with what it takes for one step, `filter` and `smooth` with the columns of a
-/// run, and what is the filter's own.
+/// A filter of the core as a class: `step` with what it takes for one step, `filter` with the columns of a run, and what is the filter's own.
 macro_rules! filter_class {
     (
         $(#[$about:meta])*
@@ -339,28 +278,14 @@ macro_rules! filter_class {
                 run(py, &mut self.0, Recorded { times_s, inputs, measurements, present })
             }
 
-            /// The same run from the present state, which stays as it is; every estimate from all measurements.
-            #[pyo3(signature = (times_s, $($column,)+ measurements, present=None))]
-            fn smooth<'py>(
-                &self,
-                py: Python<'py>,
-                times_s: Column<'_>,
-                $($column: $all<'_>,)+
-                measurements: Table<'_>,
-                present: Option<PyReadonlyArray1<'_, bool>>,
-            ) -> PyResult<Smoothed<'py>> {
-                let (times_s, inputs, measurements) = (&times_s, ($(&$column,)+), &measurements);
-                let present = present.as_ref();
-                back(py, self.0, Recorded { times_s, inputs, measurements, present })
-            }
-
             #[getter]
             fn time_s(&self) -> f64 {
                 self.0.track().time_s()
             }
 
             fn statistics<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-                statistics(py, self.0.track())
+                let track = self.0.track();
+                statistics(py, track.counts(), track.consistency())
             }
 
             fn copy(&self) -> Self {
@@ -412,45 +337,6 @@ filter_class! {
         CoreTip::new(beam.beam(), &tool, variance, time_s, noise.noise())
             .map(Self)
             .map_err(to_python)
-    }
-
-    #[getter]
-    fn tip_mm<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        PyArray1::from_slice(py, self.0.tip().as_slice())
-    }
-
-    #[getter]
-    fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        covariance(py, self.0.track())
-    }
-}
-
-filter_class! {
-    /// Depth and tip in one state.
-    DepthTipFilter(CoreJoint);
-    step(velocity_mm_s: Numbers<'_>, pose: Numbers<'_>);
-    run(velocities_mm_s: Table, poses: Table);
-
-    /// `variances`: of the depth and of each axis of the tip, mm².
-    #[new]
-    fn new(
-        beam: &ToolBeam,
-        depth_mm: f64,
-        pose: Numbers<'_>,
-        variances: [f64; 2],
-        time_s: f64,
-        noise: &FilterNoise,
-    ) -> PyResult<Self> {
-        let tool = pose_of(&fixed("pose", &pose)?);
-        let (beam, noise) = (beam.beam(), noise.noise());
-        CoreJoint::new(beam, depth_mm, &tool, variances, time_s, noise)
-            .map(Self)
-            .map_err(to_python)
-    }
-
-    #[getter]
-    fn depth_mm(&self) -> f64 {
-        self.0.depth_mm()
     }
 
     #[getter]

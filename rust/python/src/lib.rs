@@ -41,7 +41,6 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<noise::FilterNoise>()?;
     m.add_class::<filter::DepthFilter>()?;
     m.add_class::<filter::TipFilter>()?;
-    m.add_class::<filter::DepthTipFilter>()?;
     m.add_class::<tool_filter::ToolFilter>()?;
     for (name, flag) in filter::STATUS {
         m.add(name, flag)?;

@@ -46,31 +46,21 @@ impl FilterNoise {
 
     /// From the covariance that the sensing carries, and `floor` on top of it; pairs are (depth, across or tip), mm².
     #[staticmethod]
-    #[pyo3(signature = (per_second, floor, shared=0.0, per_step=[0.0, 0.0]))]
-    fn propagated(
-        per_second: [f64; 2],
-        floor: [f64; 2],
-        shared: f64,
-        per_step: [f64; 2],
-    ) -> PyResult<Self> {
+    #[pyo3(signature = (per_second, floor, per_step=[0.0, 0.0]))]
+    fn propagated(per_second: [f64; 2], floor: [f64; 2], per_step: [f64; 2]) -> PyResult<Self> {
         let plain = Noise::propagated(per_second, pair(floor));
-        Self::checked(Noise {
-            per_step,
-            shared,
-            ..plain
-        })
+        Self::checked(Noise { per_step, ..plain })
     }
 
     /// One pair of variances below a force, another from it on, as the paper has it.
     #[staticmethod]
-    #[pyo3(signature = (at_mn, below, above, per_step, per_second=[0.0, 0.0], shared=0.0, of_force=false))]
+    #[pyo3(signature = (at_mn, below, above, per_step, per_second=[0.0, 0.0], of_force=false))]
     fn switched(
         at_mn: f64,
         below: [f64; 2],
         above: [f64; 2],
         per_step: [f64; 2],
         per_second: [f64; 2],
-        shared: f64,
         of_force: bool,
     ) -> PyResult<Self> {
         let trust = Trust::Switched {
@@ -83,7 +73,6 @@ impl FilterNoise {
             trust,
             per_step,
             per_second,
-            shared,
         })
     }
 
@@ -110,7 +99,6 @@ impl FilterNoise {
         }
         out.set_item("per_step", self.0.per_step)?;
         out.set_item("per_second", self.0.per_second)?;
-        out.set_item("shared", self.0.shared)?;
         Ok(out)
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::arrays::{fixed, rows, rows_like, same_length, shaped};
 use crate::errors::{shape, to_python};
+use crate::filter::statistics;
 use crate::tool::{POSE, ToolBeam, WAVELENGTHS, pose_of, sections};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3};
 use numpy::{
@@ -19,9 +20,10 @@ pub struct ToolFilter(Core);
 
 #[pymethods]
 impl ToolFilter {
-    /// `gains` `(2, 2, 3)` and their covariance by rows `(2, 2, 3, 3)`; `reference_nm` `(9,)`; `doubts`: deviations of a
-    /// reference (nm), of the fibres' answer to warmth (relative), of the clearance (mm), of the sections' distance (mm);
-    /// `beam_covariance` `(2, 2)` of length and stiffness; `start`: depth (mm), its variance (mm²), time (s).
+    /// `gains` `(2, 2, 3)` and their covariance by rows `(2, 2, 3, 3)`; `reference_nm` `(9,)`; `warmth`
+    /// `(2, 3)`: how much more than its section's mean each fibre answers to it; `doubts`: deviations of a reference (nm),
+    /// of the fibres' answers to warmth among each other and of `warmth`, of the clearance (mm), of the sections' distance
+    /// (mm);    /// `beam_covariance` `(2, 2)` of length and stiffness; `start`: depth (mm), its variance (mm²), time (s).
     #[new]
     #[allow(clippy::too_many_arguments, reason = "a tool has that many numbers")]
     fn new(
@@ -30,9 +32,10 @@ impl ToolFilter {
         distances_mm: PyReadonlyArray1<'_, f64>,
         reference_nm: PyReadonlyArray1<'_, f64>,
         noise_nm: f64,
+        warmth: PyReadonlyArray2<'_, f64>,
         beam: &ToolBeam,
         beam_covariance: PyReadonlyArray2<'_, f64>,
-        doubts: [f64; 4],
+        doubts: [f64; 5],
         clearance_mm: f64,
         per_second_mm2: f64,
         start: [f64; 3],
@@ -49,9 +52,13 @@ impl ToolFilter {
             ));
         }
         let k = fixed::<12, _>("gains", &gains)?;
-        let c = fixed::<36, _>("gain_covariance", &gain_covariance)?;
-        let row = |i: usize| Matrix3::from_row_slice(&c[9 * i..9 * i + 9]);
-        let [reference, warmth, clearance, distance] = doubts;
+        let spread = fixed::<36, _>("gain_covariance", &gain_covariance)?;
+        let row = |i: usize| Matrix3::from_row_slice(&spread[9 * i..9 * i + 9]);
+        if warmth.shape() != [2, 3] {
+            return Err(shape("warmth", "(2, 3)", warmth.shape()));
+        }
+        let [a, b, c, d, e, f] = fixed::<6, _>("warmth", &warmth)?;
+        let [reference, unlike, of_warmth, clearance, distance] = doubts;
         let trusted = Trusted {
             calibration: Calibration {
                 gains: [
@@ -62,11 +69,13 @@ impl ToolFilter {
                 reference_nm: sections(&fixed("reference_nm", &reference_nm)?),
                 noise_nm,
             },
+            warmth: [[a, b, c], [d, e, f]],
             rod: beam.rod(),
             doubt: Doubt {
                 gains: [[row(0), row(1)], [row(2), row(3)]],
                 reference_nm: reference,
-                warmth,
+                unlike,
+                warmth: of_warmth,
                 beam: Matrix2::from_row_slice(&fixed::<4, _>("beam_covariance", &beam_covariance)?),
                 clearance_mm: clearance,
                 distance_mm: distance,
@@ -216,6 +225,21 @@ impl ToolFilter {
     #[getter]
     fn time_s(&self) -> f64 {
         self.0.time_s()
+    }
+
+    /// The same tool from another `start` (depth, variance, time) and pose, with what was learnt of how the eye moves.
+    fn anew(&self, start: [f64; 3], pose: PyReadonlyArray1<'_, f64>) -> PyResult<Self> {
+        let [depth, variance, time_s] = start;
+        let pose = pose_of(&fixed("pose", &pose)?);
+        self.0
+            .anew(depth, variance, &pose, time_s)
+            .map(Self)
+            .map_err(to_python)
+    }
+
+    /// How often what happened, and the innovation statistics of the depth.
+    fn statistics<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        statistics(py, self.0.counts(), self.0.consistency())
     }
 
     fn copy(&self) -> Self {

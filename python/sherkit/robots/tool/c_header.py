@@ -30,6 +30,8 @@ def c_header(tool: FlexibleTool, source: str = "tool.toml") -> str:
         "exact": str(int(tool.bending == "exact")),
         "gain_covariance": _braced(doubt.gains),
         "reference_doubt_nm": _number(doubt.reference_nm),
+        "warmth_unlike": _number(doubt.unlike),
+        "warmth": _braced(tool.warmth),
         "warmth_doubt": _number(doubt.warmth),
         "beam_covariance": _braced(doubt.beam),
         "distance_doubt_mm": _number(doubt.distance_mm),

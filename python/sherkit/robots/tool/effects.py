@@ -16,7 +16,7 @@ from ...model.effect import Effect
 from ...model.parameter import Parameter
 from ...types import Floats
 from .places import Places
-from .tool import FlexibleTool, rotation_of
+from .tool import FlexibleTool, nested, rotation_of
 
 #: Where the tip is (k, 3), mm, robot's base, with parameters of these values.
 TipWith = Callable[[Places, Floats], Floats]
@@ -56,6 +56,10 @@ def _stronger(tool: FlexibleTool, values: Floats) -> FlexibleTool:
 def _crept(tool: FlexibleTool, values: Floats) -> FlexibleTool:
     shift = np.concatenate([_of_fibres(values)[0], np.zeros(3)])
     return replace(tool, reference_nm=tuple((np.array(tool.reference_nm) + shift).tolist()))
+
+
+def _unlike(tool: FlexibleTool, values: Floats) -> FlexibleTool:
+    return replace(tool, warmth=nested(np.array(tool.warmth) + _of_fibres(values).reshape(2, 3)))
 
 
 def _of_fibres(values: Floats) -> Floats:
@@ -151,6 +155,7 @@ def fbg_bias(at: Places, values: Floats) -> Floats:
     physics="The three fibres of a section answer unlike to warmth: taking out what is common leaves a rest.",
     residuals="Follow the common shift of the wavelengths: slow, as the tool warms in the eye.",
     workshop="Warm the unloaded tool and watch the moments; wait until it is warm before the run.",
+    tool=_unlike,
 )
 def fbg_temperature(at: Places, values: Floats) -> Floats:
     common = (at.waves_nm - np.array(at.tool.reference_nm)).reshape(-1, 3, 3).mean(axis=2)
@@ -165,7 +170,7 @@ def fbg_temperature(at: Places, values: Floats) -> Floats:
     workshop="Load and unload slowly at one place; look for a loop.",
 )
 def force_hysteresis(at: Places, values: Floats) -> Floats:
-    return at.tip(at.tool, replace(at.felt, force_mn=at.felt.force_mn + float(values[0]) * at.changing))
+    return at.tip(at.tool, replace(at.felt, beside_mn=at.ahead(float(values[0]))))
 
 
 @_effect(

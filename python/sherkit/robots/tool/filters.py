@@ -184,7 +184,7 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
         raise MeasurementError(f"{run.source}: no row has wavelengths; there is nothing to estimate from")
     check_wavelengths(waves, np.array(tool.reference_nm), run.source)
     stamps = np.ascontiguousarray(run.fibre_times_s - tool.fibre_delay_s)
-    measured = tool.sensor.measure_batch(stamps, waves)[0]
+    measured = tool.sensor.measure_batch(stamps, tool.as_if_cold(waves))[0]
     told = tool.tracker(float(run.time_s[0]), run.poses[0]).run(run.time_s, run.poses, stamps, waves, reading)
     together = Track(told["state"], told["covariance"], told["status"], told["nis"], told["degrees"])
     smooth = smoothed(tool, run, stamps, reading)
@@ -235,9 +235,11 @@ def smoothed(tool: FlexibleTool, run: ToolRun, stamps_s: Floats, reading: Bools)
     back = _ordered(
         -run.time_s[::-1], run.poses[::-1], -stamps_s[::-1], run.wavelengths_nm[::-1], reading[::-1], "right"
     )
-    first = tool.tracker(float(ahead[0][0]), ahead[1][0]).run(*ahead)
+    forwards = tool.tracker(float(ahead[0][0]), ahead[1][0])
+    first = forwards.run(*ahead)
     end = float(first["state"][-1, 0])
-    turned = tool.tracker(float(back[0][0]), back[1][0], depth_mm=end, std_mm=_UNKNOWN_MM).run(*back)
+    # how the eye moves is known by then
+    turned = forwards.anew((end, _UNKNOWN_MM**2, float(back[0][0])), back[1][0]).run(*back)
     here, there = first["noise"], turned["noise"][::-1]
     a, b = first["tied"], turned["tied"][::-1]
     alike = np.einsum("nk,nk->n", a, b)

@@ -13,8 +13,10 @@ from functools import cached_property
 
 import numpy as np
 import scipy
+from scipy.sparse import csr_array
 
-from ...types import Floats
+from ...types import Bools, Floats
+from .hole import Hole, find_hole
 from .runs import ToolRun
 from .tool import FlexibleTool, rotation_of
 
@@ -32,12 +34,18 @@ _LEAST_WANDER_MM2_S = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Felt:
-    """What the gratings say at the rows of the robot: ``force_mn`` (n, 2) in the tool's frame, ``depth_mm`` (n,);
-    ``noisy_mn`` (n, 2) is the force as it was read."""
+    """What the gratings say at the rows of the robot: ``noisy_mn`` (n, 2) is the force as it was read, in the tool's
+    frame, ``depth_mm`` (n,); ``beside_mn`` (n, 2) is a force that they do not feel."""
 
-    force_mn: Floats
-    depth_mm: Floats
+    time_s: Floats
     noisy_mn: Floats
+    depth_mm: Floats
+    beside_mn: Floats | None = None
+
+    @cached_property
+    def force_mn(self) -> Floats:
+        """The force (n, 2) without most of its noise."""
+        return calmed(self.time_s) @ self.noisy_mn
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,16 +66,48 @@ class Places:
         """The tip (k, 3) in the robot's base, as the tool file has it."""
         return self.tip(self.tool, self.felt)
 
-    @cached_property
+    @property
     def turn(self) -> Floats:
         """Tool to base (k, 3, 3)."""
-        return rotation_of(_between(self.run.time_s, self.run.turn_rad, self.moments_s))
+        return self._seen.turn
+
+    def ahead(self, width_mn: float) -> Floats:
+        """How far the true force (n, 2) is ahead of a felt one that it drags behind it on a rope of this width.
+
+        Where what is felt moves, the rope is tight. Where it stands still, the true force goes from one side to the
+        other: as the hole pushes, within the rope's reach, or, where no hole is known, evenly.
+        """
+        way, hole = self._dragged
+        if hole is None:
+            return width_mn * way
+        reach = np.maximum(np.linalg.norm(hole, axis=1), abs(width_mn))[:, None]
+        return width_mn * np.where(self._moves[1][:, None], way, hole / np.where(reach > 0, reach, 1.0))
 
     @cached_property
-    def changing(self) -> Floats:
-        """The way (n, 2) in which the force changes, of length one; between two motions it goes over from one to the
-        other."""
-        return _direction(self.run.time_s, self.felt.force_mn, self.felt.noisy_mn)
+    def _moves(self) -> tuple[Floats, Bools]:
+        return _motion(self.run.time_s, self.felt)
+
+    @cached_property
+    def _dragged(self) -> tuple[Floats, Floats | None]:
+        """Ways of the felt force (n, 2), and how far ahead of it that of the hole is (n, 2)."""
+        felt, hole = self.felt, self.hole
+        return self._ways, None if hole is None else hole.force(self.tool, self.run, felt.depth_mm) - felt.force_mn
+
+    @cached_property
+    def _ways(self) -> Floats:
+        """Along which the force moves (n, 2), and at rest from one side to the other."""
+        moved, moving = self._moves
+        at, time = np.flatnonzero(moving), self.run.time_s
+        if not len(at):
+            return np.zeros_like(moved)
+        way = moved[at] / np.linalg.norm(moved[at], axis=1, keepdims=True)
+        return np.column_stack([np.interp(time, time[at], way[:, k]) for k in range(2)])
+
+    @cached_property
+    def hole(self) -> Hole | None:
+        """The hole, where one that stands still explains the force."""
+        felt = self.felt
+        return find_hole(self.tool, self.run, felt.force_mn, felt.depth_mm, self._ways, self._moves[1])
 
     def feel(self, tool: FlexibleTool, wavelengths_nm: Floats | None = None) -> Felt:
         """Force and smoothed depth as another tool, or from other wavelengths (n, 9); lost ones are bridged."""
@@ -133,19 +173,40 @@ class Places:
         if not there.all():
             here = np.flatnonzero(there)
             force = np.column_stack([np.interp(run.time_s, run.time_s[here], force[here, k]) for k in range(2)])
-        return Felt(_calm(run.time_s, force), depth, force)
+        return Felt(run.time_s, force, depth)
 
     def tip(self, tool: FlexibleTool, felt: Felt, moments_s: Floats | None = None) -> Floats:
         """The tip (k, 3) of another tool, under another force, or at other moments."""
-        run, moments = self.run, self.moments_s if moments_s is None else moments_s
-        force, depth, turn, place = (
-            _between(run.time_s, v, moments) for v in (felt.force_mn, felt.depth_mm, run.turn_rad, run.position_mm)
-        )
-        poses = np.hstack([rotation_of(turn).reshape(-1, 9), place])
-        return tool.beam.tip_batch(*(np.ascontiguousarray(v) for v in (force, depth, poses)))
+        at = self._seen if moments_s is None else _Seen(self.run, moments_s, self._calmed)
+        force = at.calmed @ felt.noisy_mn
+        if felt.beside_mn is not None:
+            force = force + at.between @ felt.beside_mn
+        poses = np.hstack([at.turn.reshape(-1, 9), at.place])
+        return tool.beam.tip_batch(*(np.ascontiguousarray(v) for v in (force, at.between @ felt.depth_mm, poses)))
+
+    @cached_property
+    def _calmed(self) -> csr_array:
+        return calmed(self.run.time_s)
+
+    @cached_property
+    def _seen(self) -> _Seen:
+        return _Seen(self.run, self.moments_s, self._calmed)
 
 
-def _direction(time_s: Floats, force_mn: Floats, noisy_mn: Floats) -> Floats:
+class _Seen:
+    """The robot at moments (k,): ``between`` (k, n) takes what it has at its rows to them, ``calmed`` (k, n) a force;
+    ``turn`` (k, 3, 3) and ``place`` (k, 3) of the tool."""
+
+    def __init__(self, run: ToolRun, moments_s: Floats, calm: csr_array) -> None:
+        self.between = _between(run.time_s, moments_s)
+        self.calmed = self.between @ calm
+        self.turn = rotation_of(self.between @ run.turn_rad)
+        self.place = self.between @ run.position_mm
+
+
+def _motion(time_s: Floats, felt: Felt) -> tuple[Floats, Bools]:
+    """How the force changes (n, 2), mN over some hundredths of a second, and where that is more than noise (n,)."""
+    force_mn, noisy_mn = felt.force_mn, felt.noisy_mn
     step = float(np.median(np.diff(time_s)))
     half = max(1, round(_SMOOTHING_S / step / 2))
     total = np.cumsum(np.vstack([np.zeros((1, 2)), force_mn]), axis=0)
@@ -156,37 +217,38 @@ def _direction(time_s: Floats, force_mn: Floats, noisy_mn: Floats) -> Floats:
     before = (total[here] - total[behind]) / np.maximum(here - behind, 1)[:, None]
     before[behind == here] = force_mn[behind == here]
     moved = later - before
-    size = np.linalg.norm(moved, axis=1)
     # the scatter that noise alone gives such a difference, from what neighbouring rows differ by
     scatter = np.median(np.linalg.norm(np.diff(noisy_mn, axis=0), axis=1)) / np.sqrt(half)
-    moving = np.flatnonzero(size > _MOVES * scatter)
-    if not len(moving):
-        return np.zeros_like(force_mn)
-    way = moved[moving] / size[moving, None]
-    # at rest the true force goes from one side of the play to the other, unseen
-    return np.column_stack([np.interp(time_s, time_s[moving], way[:, k]) for k in range(2)])
+    return moved, np.linalg.norm(moved, axis=1) > _MOVES * scatter
 
 
-def _calm(time_s: Floats, force_mn: Floats) -> Floats:
-    """Forces (n, 2) without most of their noise: a local parabola. A picture lies between rows, and a delay that is
-    fitted would else choose rows whose noise suits it."""
+def calmed(time_s: Floats) -> csr_array:
+    """Takes forces at times (n,) to those without most of their noise, (n, n): a local parabola (Savitzky and Golay
+    1964). A picture lies between rows, and a delay that is fitted would else choose rows whose noise suits it."""
+    n = len(time_s)
     rows = 2 * round(_SMOOTHING_S / float(np.median(np.diff(time_s))) / 2) + 1
-    return np.asarray(scipy.signal.savgol_filter(force_mn, rows, 2, axis=0)) if 3 < rows <= len(time_s) else force_mn
+    if not 3 < rows <= n:
+        return csr_array(scipy.sparse.identity(n))
+    first = np.clip(np.arange(n) - rows // 2, 0, n - rows)
+    weights = np.array([scipy.signal.savgol_coeffs(rows, 2, pos=k, use="dot") for k in range(rows)])
+    columns = first[:, None] + np.arange(rows)
+    return csr_array((weights[np.arange(n) - first].ravel(), columns.ravel(), rows * np.arange(n + 1)), shape=(n, n))
 
 
-def _between(time_s: Floats, values: Floats, moments_s: Floats) -> Floats:
-    """Values (n,) or (n, k) at moments (m,), by cubic pieces whose slopes have no jump (Catmull and Rom 1974)."""
-    after = np.clip(np.searchsorted(time_s, moments_s, side="right"), 1, len(time_s) - 1)
-    rows = np.clip(after[:, None] + np.arange(-2, 2), 0, len(time_s) - 1)
-    t, v = time_s[rows], values[rows]
-    step = (t[:, 2] - t[:, 1]).reshape(-1, *[1] * (values.ndim - 1))
-    share = ((moments_s - t[:, 1]) / (t[:, 2] - t[:, 1])).reshape(step.shape)
-    slopes = [step * (v[:, k + 1] - v[:, k - 1]) / (t[:, k + 1] - t[:, k - 1]).reshape(step.shape) for k in (1, 2)]
+def _between(time_s: Floats, moments_s: Floats) -> csr_array:
+    """Takes values at times (n,) to moments (m,), by cubic pieces whose slopes have no jump (Catmull and Rom 1974)."""
+    n, m = len(time_s), len(moments_s)
+    after = np.clip(np.searchsorted(time_s, moments_s, side="right"), 1, n - 1)
+    rows = np.clip(after[:, None] + np.arange(-2, 2), 0, n - 1)
+    t = time_s[rows]
+    step = t[:, 2] - t[:, 1]
+    share = (moments_s - t[:, 1]) / step
     rest = 1.0 - share
-    return np.asarray(
-        (1.0 + 2.0 * share) * rest**2 * v[:, 1] + share**2 * (3.0 - 2.0 * share) * v[:, 2]
-        + share * rest * (rest * slopes[0] - share * slopes[1])
-    )  # fmt: skip
+    first, second = share * rest**2 * step / (t[:, 2] - t[:, 0]), share**2 * rest * step / (t[:, 3] - t[:, 1])
+    weights = np.column_stack(
+        [-first, (1.0 + 2.0 * share) * rest**2 + second, share**2 * (3.0 - 2.0 * share) + first, -second]
+    )
+    return csr_array((weights.ravel(), (np.repeat(np.arange(m), 4), rows.ravel())), shape=(m, n))
 
 
 def _own_gains(tool: FlexibleTool, section: int) -> Floats:
@@ -198,7 +260,10 @@ def _own_gains(tool: FlexibleTool, section: int) -> Floats:
 def _moments(tool: FlexibleTool, wavelengths_nm: Floats, section: int) -> Floats:
     """Bending moments (n, 2), mN·mm (Eq. 1)."""
     fibres = slice(3 * section, 3 * section + 3)
-    return np.asarray((wavelengths_nm[:, fibres] - np.array(tool.reference_nm)[fibres]) @ _own_gains(tool, section).T)
+    own = _own_gains(tool, section)
+    # a part of the mean is what warmth makes of the differences
+    own = own - (own @ np.array(tool.warmth[section]))[:, None] / 3.0
+    return np.asarray((wavelengths_nm[:, fibres] - np.array(tool.reference_nm)[fibres]) @ own.T)
 
 
 def _smoothed(tool: FlexibleTool, run: ToolRun, weight: Floats, seen: Floats, led: Floats) -> Floats:

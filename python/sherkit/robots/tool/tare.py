@@ -1,4 +1,9 @@
-"""The wavelengths of the unloaded tool, from seconds in which nothing touched it: a tare before each run."""
+"""The wavelengths of the unloaded tool, from seconds in which nothing touched it: a tare before each run.
+
+Where the tool warms meanwhile, the differences of three fibres follow their mean: the slopes are how unlike they answer
+to warmth. What was known of that before counts with its own variance, so where nothing warms nothing is learnt
+(Bayesian linear regression; Bishop, Pattern Recognition and Machine Learning, 2006, 3.3).
+"""
 
 from __future__ import annotations
 
@@ -9,18 +14,20 @@ import numpy as np
 from ...errors import MeasurementError
 from ...types import Bools, Floats
 from .runs import ToolRun
-from .tool import FlexibleTool
+from .tool import FlexibleTool, nested
 
 #: Forces up to this many deviations are none, where they are none for so long, s.
 _NO_FORCE, _STILL_S = 5.0, 0.5
 #: Seconds without which nothing is tared.
 _LEAST_S = 1.0
+#: Readings over whose means errors that last are seen.
+_LASTING = 100
 
 
 @dataclass(frozen=True, eq=False)
 class Tare:
-    """``tool`` with its new references, how far they moved ``shift_nm`` (9,), without what is common to a section, and
-    the ``seconds`` from which they come."""
+    """``tool`` with its new references and its fibres' own answers to warmth, how far the references moved ``shift_nm``
+    (9,), without what is common to a section, and the ``seconds`` from which they come."""
 
     tool: FlexibleTool
     shift_nm: Floats
@@ -42,11 +49,18 @@ def tare(tool: FlexibleTool, run: ToolRun, *, untouched: bool = False) -> Tare:
     if seconds < _LEAST_S and not untouched:
         return Tare(tool, np.zeros(9), 0.0)
     shift = run.wavelengths_nm[rows] - np.array(tool.reference_nm)
-    sections = shift.reshape(-1, 3, 3)
-    own = (sections - sections.mean(axis=2, keepdims=True)).reshape(-1, 9)
-    # a fibre that shows nothing leaves its section as it is
-    moved = np.nansum(own, axis=0) / np.isfinite(own).sum(axis=0).clip(1)
-    made = replace(tool, reference_nm=tuple((np.array(tool.reference_nm) + moved).tolist()))
+    known = [*np.array(tool.warmth), np.zeros(3)]
+    found = [
+        _unloaded_section(own, before, tool.doubt.warmth, tool.noise_nm)
+        for own, before in zip(shift.reshape(-1, 3, 3).transpose(1, 0, 2), known, strict=True)
+    ]
+    moved = np.concatenate([one.rest_nm for one in found])
+    made = replace(
+        tool,
+        reference_nm=tuple((np.array(tool.reference_nm) + moved).tolist()),
+        warmth=nested(np.array([one.warmth for one in found[:2]])),
+        doubt=replace(tool.doubt, warmth=max(one.warmth_std for one in found[:2])),
+    )
     if untouched:
         force, std = _forces(made, run)
         felt = float(np.quantile(np.linalg.norm(force[rows], axis=1), 0.99))
@@ -55,6 +69,42 @@ def tare(tool: FlexibleTool, run: ToolRun, *, untouched: bool = False) -> Tare:
                 f"{run.source}: something touched the tool ({felt:.1f} mN, where noise makes {std:.1f}); lead it freely"
             )
     return Tare(made, moved, seconds)
+
+
+@dataclass(frozen=True, eq=False)
+class _Section:
+    """Where three unloaded fibres stand without what they have in common (3,), nm, and how much more than their mean
+    each answers to warmth (3,), with one deviation."""
+
+    rest_nm: Floats
+    warmth: Floats
+    warmth_std: float
+
+
+def _unloaded_section(shift_nm: Floats, warmth: Floats, warmth_std: float, noise_nm: float) -> _Section:
+    """From shifts (n, 3) of one section; a fibre that shows nothing leaves it as it is."""
+    shift = shift_nm[np.isfinite(shift_nm).all(axis=1)]
+    n = len(shift)
+    if not n or not warmth_std > 0.0:
+        rest = (shift - shift.mean(axis=1, keepdims=True)).mean(axis=0) if n else np.zeros(3)
+        return _Section(rest, warmth, warmth_std)
+    common = shift.mean(axis=1)
+    own = shift - common[:, None]
+    middle, still = float(common.mean()), own.mean(axis=0)
+    # the mean's own noise warms nothing
+    spread = max(float(((common - middle) ** 2).sum()) - n * noise_nm**2 / 3.0, 0.0)
+    across = (common - middle) @ (own - still)
+    before, variance = 1.0 / warmth_std**2, noise_nm**2
+    blocks = n // _LASTING
+    for _ in range(2):
+        precision = before + spread / variance
+        slope = (before * warmth + across / variance) / precision
+        if blocks > 1:
+            left = own - still - np.outer(common - middle, slope)
+            means = left[: blocks * _LASTING].reshape(blocks, _LASTING, 3).mean(axis=1)
+            # two of three are free
+            variance = max(noise_nm**2, 1.5 * _LASTING * float((means**2).mean()))
+    return _Section(still - slope * middle, slope, float(1.0 / np.sqrt(precision)))
 
 
 def unloaded(tool: FlexibleTool, run: ToolRun) -> Bools:
@@ -71,7 +121,7 @@ def unloaded(tool: FlexibleTool, run: ToolRun) -> Bools:
 
 def _forces(tool: FlexibleTool, run: ToolRun) -> tuple[Floats, float]:
     """Forces (n, 2), and the deviation of one component, mN."""
-    measured = tool.sensor.measure_batch(run.time_s, np.ascontiguousarray(run.wavelengths_nm))[0]
+    measured = tool.sensor.measure_batch(run.time_s, tool.as_if_cold(run.wavelengths_nm))[0]
     there = np.flatnonzero(run.present)
     std = float(np.sqrt(0.5 * (measured[there[0], 3] + measured[there[0], 6]))) if len(there) else float("nan")
     return measured[:, 1:3], std

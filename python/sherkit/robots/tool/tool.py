@@ -45,15 +45,17 @@ class ToolDoubt:
     """What a calibration does not know; :func:`~sherkit.robots.tool.calibrate_tool` writes it into the tool file.
 
     ``gains`` (2, 2, 3, 3) is the covariance of each row of K_I and K_II, (mN·mm/nm)², ``reference_nm`` the deviation of
-    a reference wavelength, ``warmth`` how unlike the fibres answer to warmth (deviation over the mean answer),
-    ``beam`` (2, 2) the covariance of length (mm) and stiffness (mN·mm²), ``distance_mm`` the deviation of where the
-    sections stand. Nothing of it is white noise: the filters never average it away (Schmidt 1966).
+    a reference wavelength, ``unlike`` how unlike the fibres answer to warmth (deviation over the mean answer),
+    ``warmth`` what is not known of the tool's own ``warmth``: as much, where nothing was learnt of it. ``beam`` (2, 2)
+    is the covariance of length (mm) and stiffness (mN·mm²), ``distance_mm`` the deviation of where the sections stand.
+    Nothing of it is white noise: the filters never average it away (Schmidt 1966).
     """
 
     gains: tuple[tuple[tuple[Triple, ...], ...], ...] = tuple(
         tuple(tuple((0.0, 0.0, 0.0) for _ in range(3)) for _ in range(2)) for _ in range(2)
     )
     reference_nm: float = 0.0
+    unlike: float = 0.02
     warmth: float = 0.02
     beam: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
     distance_mm: float = 0.0
@@ -69,10 +71,12 @@ class ToolDoubt:
             return (v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8])
 
         beam = table.numbers("beam", 4, (0.0,) * 4)
+        warmth = table.number("warmth", d.warmth, least=0.0)
         return cls(
             gains=tuple(tuple(square(f"gain_{s}_{a}") for a in ("x", "y")) for s in ("I", "II")),
             reference_nm=table.number("reference_nm", d.reference_nm, least=0.0),
-            warmth=table.number("warmth", d.warmth, least=0.0),
+            unlike=table.number("unlike", warmth, least=0.0),
+            warmth=warmth,
             beam=((beam[0], beam[1]), (beam[2], beam[3])),
             distance_mm=table.number("distance_mm", d.distance_mm, least=0.0),
         )
@@ -83,6 +87,7 @@ class ToolDoubt:
         return {
             **{name: [x for row in matrix for x in row] for name, matrix in named.items()},
             "reference_nm": self.reference_nm,
+            "unlike": self.unlike,
             "warmth": self.warmth,
             "beam": [x for row in self.beam for x in row],
             "distance_mm": self.distance_mm,
@@ -95,9 +100,10 @@ class FlexibleTool(Saved):
 
     ``length_mm`` is the free length h, ``stiffness_mn_mm2`` the bending stiffness EI, ``distances_mm`` from the tip to
     the sections I and II, ``gains`` (2, 2, 3) K_I and K_II in mN·mm/nm, ``reference_nm`` (9,) the wavelengths of the
-    unloaded tool (sections I, II, III, three fibres each), ``noise_nm`` the standard deviation of one. ``camera_*``
-    take the camera's frame to the base: x_base = R(``camera_rotation_rad``) x_camera + ``camera_translation_mm``; its
-    clock stands ``camera_delay_s`` later than the robot's, and that of the fibres ``fibre_delay_s``. ``bending`` is
+    unloaded tool (sections I, II, III, three fibres each), ``noise_nm`` the standard deviation of one, ``warmth``
+    (2, 3) how much more than its section's mean each fibre of I and II answers to warmth, relative. ``camera_*`` take
+    the camera's frame to the base: x_base = R(``camera_rotation_rad``) x_camera + ``camera_translation_mm``; its clock
+    stands ``camera_delay_s`` later than the robot's, and that of the fibres ``fibre_delay_s``. ``bending`` is
     ``"exact"``, an elastica, or ``"small"``, the paper's cantilever, which is off by 0.03 mm and more above 150 mN.
     ``clearance_mm`` is how much wider than the shaft the hole is (radius). ``noise`` names what the filters trust:
     ``"propagated"`` follows the force and the calibration's ``doubt``, with ``per_second_mm2`` (depth, tip; the depth's
@@ -114,6 +120,7 @@ class FlexibleTool(Saved):
     )
     reference_nm: tuple[float, ...] = (1531.0, 1531.2, 1530.9, 1545.1, 1545.0, 1544.8, 1559.0, 1559.1, 1558.9)
     noise_nm: float = 1e-3
+    warmth: tuple[Triple, Triple] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     camera_rotation_rad: Triple = (0.0, 0.0, 0.0)
     camera_translation_mm: Triple = (0.0, 0.0, 0.0)
     camera_delay_s: float = 0.0
@@ -159,6 +166,9 @@ class FlexibleTool(Saved):
             )
             values["reference_nm"] = g.numbers("reference_nm", 9, positive=True)
             values["noise_nm"] = g.number("noise_nm", positive=True)
+            values["warmth"] = tuple(
+                g.numbers(f"warmth_{section}", 3, of) for section, of in zip(("I", "II"), d.warmth, strict=True)
+            )
             values["fibre_delay_s"] = g.number("delay_s", d.fibre_delay_s, least=0.0)
         with table.table("camera", optional=True) as c:
             values["camera_rotation_rad"] = c.numbers("rotation_rad", 3, d.camera_rotation_rad)
@@ -194,6 +204,8 @@ class FlexibleTool(Saved):
                 },
                 "reference_nm": list(self.reference_nm),
                 "noise_nm": self.noise_nm,
+                "warmth_I": list(self.warmth[0]),
+                "warmth_II": list(self.warmth[1]),
                 "delay_s": self.fibre_delay_s,
             },
             "camera": {
@@ -241,13 +253,21 @@ class FlexibleTool(Saved):
         """The filter that a control loop runs, started at a time and a pose (12,); depth as in the file if left out."""
         depth = self.start_depth_mm if depth_mm is None else depth_mm
         std = self.start_std_mm if std_mm is None else std_mm
-        doubts = (self.doubt.reference_nm, self.doubt.warmth, self.clearance_std_mm, self.doubt.distance_mm)
+        d = self.doubt
+        doubts = (d.reference_nm, d.unlike, d.warmth, self.clearance_std_mm, d.distance_mm)
         return _core.ToolFilter(
-            np.array(self.gains, dtype=float), np.array(self.doubt.gains, dtype=float), np.array(self.distances_mm),
-            np.array(self.reference_nm), self.noise_nm, self.beam,
-            np.array(self.doubt.beam, dtype=float), doubts, self.clearance_mm, self.per_second_mm2[0],
+            np.array(self.gains, dtype=float), np.array(d.gains, dtype=float), np.array(self.distances_mm),
+            np.array(self.reference_nm), self.noise_nm, np.array(self.warmth, dtype=float), self.beam,
+            np.array(d.beam, dtype=float), doubts, self.clearance_mm, self.per_second_mm2[0],
             (depth, std**2, time_s), np.ascontiguousarray(pose),
         )  # fmt: skip
+
+    def as_if_cold(self, wavelengths_nm: Floats) -> Floats:
+        """Wavelengths (n, 9) without what warmth makes of the differences of unlike fibres."""
+        rest = np.array(self.reference_nm)
+        common = (wavelengths_nm - rest).reshape(-1, 3, 3).mean(axis=2)
+        own = np.vstack([np.array(self.warmth), np.zeros(3)])
+        return np.ascontiguousarray(wavelengths_nm - (common[:, :, None] * own).reshape(-1, 9))
 
     @cached_property
     def filter_noise(self) -> _core.FilterNoise:

@@ -2,7 +2,7 @@
  *
  *   make -C rust/c/examples/bare run
  *
- * It steps the joint filter and the delta a thousand times and tells by its exit code whether all went well. On Linux
+ * It steps the tool's filter and the delta a thousand times and tells by its exit code whether all went well. On Linux
  * the first and the last instruction are the only ones that know of it; on a microcontroller they are the reset
  * handler and an endless loop, and the library is built for its target:
  *
@@ -52,7 +52,8 @@ int memcmp(const void *a, const void *b, size_t count)
 /* State of the loop: known when the program is linked. */
 static sherkit_delta robot;
 static sherkit_sensor sensor;
-static sherkit_depth_tip_filter filter;
+static sherkit_tool_filter filter;
+static sherkit_tool tool;
 
 static const sherkit_sensor_calibration calibration = {
     {{{8e3, -4e3, -4e3}, {0.0, 6.9e3, -6.9e3}}, {{8e3, -4e3, -4e3}, {0.0, 6.9e3, -6.9e3}}},
@@ -64,16 +65,17 @@ static const sherkit_sensor_calibration calibration = {
 static int run(void)
 {
     const sherkit_beam beam = sherkit_beam_ebrahimi_2020();
-    const sherkit_noise noise = sherkit_noise_propagated(0.5, 2.0, 1e-3, 1e-4);
     const sherkit_pose pose = {{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, {0, 0, 0}};
-    const double still[3] = {0, 0, 0};
     if (sherkit_delta_init(&robot, example_delta, sizeof example_delta / sizeof(double)) != SHERKIT_OK)
         return 1;
     if (sherkit_sensor_init(&sensor, &calibration) != SHERKIT_OK)
         return 2;
-    if (sherkit_depth_tip_filter_init(&filter, &beam, 5.0, &pose, 1.0, 1.0, 0.0, &noise) != SHERKIT_OK)
+    tool.sensor = calibration;
+    tool.beam = beam;
+    tool.per_second_mm2 = 0.01;
+    if (sherkit_tool_filter_init(&filter, &tool, 5.0, 1.0, &pose, 0.0) != SHERKIT_OK)
         return 3;
-    sherkit_depth_tip_estimate estimate;
+    sherkit_tool_estimate estimate;
     for (int k = 1; k <= 1000; k++) {
         const double time_s = 1e-3 * k;
         /* 100 mN along x, at a depth of 5 mm */
@@ -84,7 +86,7 @@ static int run(void)
         sherkit_measurement measured;
         if (sherkit_sensor_read(&sensor, time_s, wavelengths, &measured) != SHERKIT_OK)
             return 4;
-        if (sherkit_depth_tip_filter_step(&filter, time_s, still, &pose, &measured, &estimate) != SHERKIT_OK)
+        if (sherkit_tool_filter_step(&filter, time_s, &pose, time_s, wavelengths, &estimate) != SHERKIT_OK)
             return 5;
         double joints[3], back[3];
         const double target[3] = {1e-3 * k, -1e-3 * k, 0.0};

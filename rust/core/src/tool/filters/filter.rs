@@ -21,16 +21,6 @@ use super::ldl::Ldl;
 /// stands well above the rounding of one sum, because the factors carry that of the steps before.
 const ROUNDING: f64 = 1e-12;
 
-/// Mean and covariance.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[repr(C)]
-pub struct Estimate<const N: usize> {
-    /// Mean.
-    pub mean: [f64; N],
-    /// Covariance, symmetric.
-    pub covariance: [[f64; N]; N],
-}
-
 /// A state of `N` numbers: mean and factored covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
@@ -114,15 +104,6 @@ impl<const N: usize> Filter<N> {
             }
         }
         variances
-    }
-
-    /// Mean and covariance.
-    #[must_use]
-    pub fn estimate(&self) -> Estimate<N> {
-        Estimate {
-            mean: self.mean,
-            covariance: self.covariance(),
-        }
     }
 
     /// Whether all numbers are finite.

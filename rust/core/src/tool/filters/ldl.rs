@@ -1,7 +1,7 @@
 //! `L D Lᵀ` of a small positive semidefinite matrix, pivots of zero allowed.
 //!
 //! Source: Golub and Van Loan, *Matrix Computations*, 4.1.2 and 4.2.8. A covariance with an exact row has a zero
-//! pivot; its column of `L` is then zero, and a solve gives zero along it, the limit of a vanishing prior.
+//! pivot; its column of `L` is then zero.
 //!
 //! There is no pivoting: rows stay in the caller's order, and a definite matrix does not need it. One that is singular
 //! but for rounding can have a last pivot below zero, which is cut off: where a leading block is nearly singular too,
@@ -54,27 +54,6 @@ impl<const N: usize> Ldl<N> {
             for j in 0..i {
                 for k in 0..M {
                     rows[i][k] -= self.lower[i][j] * rows[j][k];
-                }
-            }
-        }
-    }
-
-    /// Solves for several right-hand sides (columns of `rows`) in place; zero along pivots of zero.
-    pub fn solve<const M: usize>(&self, rows: &mut [[f64; M]; N]) {
-        self.forward(rows);
-        for i in 0..N {
-            for k in 0..M {
-                rows[i][k] = if self.pivots[i] > 0.0 {
-                    rows[i][k] / self.pivots[i]
-                } else {
-                    0.0
-                };
-            }
-        }
-        for i in (0..N).rev() {
-            for j in i + 1..N {
-                for k in 0..M {
-                    rows[i][k] -= self.lower[j][i] * rows[j][k];
                 }
             }
         }

@@ -47,9 +47,6 @@ pub struct Noise {
     pub per_step: [f64; 2],
     /// Process noise per time, mm²/s: depth, and each axis of the tip.
     pub per_second: [f64; 2],
-    /// Share, 0 to 1, of the smaller process noise that depth and tip have in common along the shaft, being the
-    /// error of one robot velocity. The joint filter reads it.
-    pub shared: f64,
 }
 
 impl Noise {
@@ -71,7 +68,6 @@ impl Noise {
             },
             per_step: [0.0025, 0.01],
             per_second: [0.0; 2],
-            shared: 0.0,
         }
     }
 
@@ -94,14 +90,13 @@ impl Noise {
             trust: Trust::Propagated { floor },
             per_step: [0.0; 2],
             per_second,
-            shared: 0.0,
         }
     }
 
     /// Refuses noise that is none.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a variance that is negative or not finite, or a share outside 0 to 1.
+    /// [`Error::Invalid`] for a variance that is negative or not finite.
     pub fn check(&self) -> Result<()> {
         let variance = |x: f64| x >= 0.0 && x.is_finite();
         let pair = |v: &Variances| variance(v.depth) && variance(v.across);
@@ -118,11 +113,6 @@ impl Noise {
         if !trust || !process.copied().all(variance) {
             return Err(Error::Invalid {
                 what: "noise: variances must be zero or more, and finite",
-            });
-        }
-        if !(0.0..=1.0).contains(&self.shared) {
-            return Err(Error::Invalid {
-                what: "noise: the shared part must lie between 0 and 1",
             });
         }
         Ok(())
@@ -212,14 +202,5 @@ impl Noise {
             }
         }
         r
-    }
-
-    /// Covariance of the measured depth with the measured deflection, mm².
-    #[inline]
-    pub(super) fn of_both(&self, m: &Measurement, c: &Compliance) -> [f64; 2] {
-        match self.trust {
-            Trust::Switched { .. } => [0.0; 2],
-            Trust::Propagated { .. } => m.depth_with_force.map(|x| x * c.value),
-        }
     }
 }

@@ -2,7 +2,6 @@
 
 use super::filter::Filter;
 use super::measurement::{Content, Measurement};
-use super::smoother::Record;
 use super::status::{Consistency, Counts, Status};
 use crate::{Error, Result};
 
@@ -10,7 +9,6 @@ use crate::{Error, Result};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Track<const N: usize> {
     filter: Filter<N>,
-    record: Record<N>,
     time_s: f64,
     /// Time of the last measurement used.
     used_s: f64,
@@ -32,7 +30,6 @@ impl<const N: usize> Track<N> {
         }
         Ok(Self {
             filter,
-            record: Record::still(filter),
             time_s,
             used_s: f64::NEG_INFINITY,
             counts: Counts::default(),
@@ -64,12 +61,6 @@ impl<const N: usize> Track<N> {
         &self.consistency
     }
 
-    /// The last step, for [`super::smooth`].
-    #[must_use]
-    pub fn record(&self) -> &Record<N> {
-        &self.record
-    }
-
     /// One step to `time_s`: the state drifts with the velocity and the process noise (mm², of all of the step) that
     /// `motion` says for the time elapsed, then `fold` corrects it with a measurement that is good for something.
     #[inline]
@@ -91,7 +82,6 @@ impl<const N: usize> Track<N> {
             Ok((m, content)) => fold(self, m, content),
         };
         self.time_s = time_s;
-        self.record.filtered = self.filter;
         self.counts.add(moved | used);
         moved | used
     }
@@ -105,7 +95,6 @@ impl<const N: usize> Track<N> {
         if elapsed >= 0.0 && elapsed.is_finite() {
             return Some(elapsed);
         }
-        self.record = Record::still(self.filter);
         self.counts.add(Status::CLOCK);
         None
     }
@@ -120,8 +109,6 @@ impl<const N: usize> Track<N> {
             self.filter.drift(process, &[0.0; N]);
             status = Status::NO_MOTION;
         }
-        self.record.predicted = self.filter;
-        self.record.process = *process;
         status
     }
 

@@ -49,6 +49,18 @@ impl Drift {
         new
     }
 
+    /// Anew from a variance of the depth, with what was learnt of the pace.
+    pub fn anew(&self, variance: f64) -> Self {
+        Self {
+            off: [0.0; MODELS],
+            variance: [variance; MODELS],
+            squares: [0.0; MODELS],
+            product: [1.0; MODELS],
+            count: 0,
+            ..*self
+        }
+    }
+
     /// Time passes.
     #[inline]
     pub fn pass(&mut self, elapsed_s: f64) {

@@ -93,12 +93,24 @@ impl Interrogator {
             reference_nm: c.reference_nm,
             noise: c.noise_nm * c.noise_nm,
             reference: doubt.reference_nm * doubt.reference_nm,
-            warmth: doubt.warmth * doubt.warmth,
+            warmth: doubt.unlike * doubt.unlike,
             last: [[f64::NAN; FIBRES]; SECTIONS],
             repeats: [0; 4],
             slow: [0.0; SECTIONS],
             slow_size: 0.0,
             slow_count: 0.0,
+        }
+    }
+
+    /// Anew: nothing was read yet.
+    pub fn anew(&self) -> Self {
+        Self {
+            last: [[f64::NAN; FIBRES]; SECTIONS],
+            repeats: [0; 4],
+            slow: [0.0; SECTIONS],
+            slow_size: 0.0,
+            slow_count: 0.0,
+            ..*self
         }
     }
 

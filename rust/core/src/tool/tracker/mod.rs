@@ -112,6 +112,17 @@ fn possible(pose: &Rigid) -> bool {
     possible
 }
 
+/// The state at a start.
+fn first(depth_mm: f64, variance: f64, pose: &Rigid, time_s: f64) -> Result<State> {
+    let known = depth_mm.abs() < FARTHEST_MM && time_s.is_finite() && possible(pose);
+    if !(known && variance >= 0.0 && variance.is_finite()) {
+        return Err(Error::Invalid {
+            what: "tool: the first depth, pose and time must be finite, its variance zero or more",
+        });
+    }
+    Ok(State::start(time_s, pose, depth_mm, variance))
+}
+
 impl ToolFilter {
     /// Starts at a depth (mm) with a variance (mm²), with the tool at a pose (tool to base frame), at a time (s).
     ///
@@ -125,14 +136,8 @@ impl ToolFilter {
         time_s: f64,
     ) -> Result<Self> {
         trusted.check()?;
-        let first = depth_mm.abs() < FARTHEST_MM && time_s.is_finite() && possible(pose);
-        if !(first && variance >= 0.0 && variance.is_finite()) {
-            return Err(Error::Invalid {
-                what: "tool: the first depth, pose and time must be finite, its variance zero or more",
-            });
-        }
+        let state = first(depth_mm, variance, pose, time_s)?;
         let c = &trusted.calibration;
-        let state = State::start(time_s, pose, depth_mm, variance);
         let drift = Drift::new(trusted.per_second_mm2, variance);
         Ok(Self {
             rod: trusted.rod,
@@ -140,7 +145,7 @@ impl ToolFilter {
             distances_mm: c.distances_mm,
             clearance_mm: trusted.clearance_mm,
             unknowns: Unknowns::new(&trusted.doubt),
-            gains: Gains::new(c),
+            gains: Gains::new(c, &trusted.warmth),
             interrogator: Interrogator::new(c, &trusted.doubt),
             poses: Poses::new(Posed {
                 time_s,
@@ -163,6 +168,41 @@ impl ToolFilter {
             look: Look::default(),
             counts: Counts::default(),
             consistency: Consistency::default(),
+        })
+    }
+
+    /// The same tool from another start, as [`ToolFilter::new`], with what was learnt of how the eye moves and gives way:
+    /// for a smoother, which comes back over a run.
+    ///
+    /// # Errors
+    /// As [`ToolFilter::new`].
+    pub fn anew(&self, depth_mm: f64, variance: f64, pose: &Rigid, time_s: f64) -> Result<Self> {
+        let state = first(depth_mm, variance, pose, time_s)?;
+        let drift = self.drift.anew(variance);
+        Ok(Self {
+            interrogator: self.interrogator.anew(),
+            poses: Poses::new(Posed {
+                time_s,
+                pose: *pose,
+            }),
+            state,
+            drift,
+            pace: self.pace.anew(&state),
+            kept: Kept::new(&state, &drift),
+            used_s: f64::NEG_INFINITY,
+            bad: 0,
+            swapped: None,
+            silent: 0,
+            suspects: 0,
+            streak: 0,
+            good: 0,
+            alone: [0.0; FIBRES],
+            alone_for: 0,
+            refused: 0,
+            look: Look::default(),
+            counts: Counts::default(),
+            consistency: Consistency::default(),
+            ..*self
         })
     }
 

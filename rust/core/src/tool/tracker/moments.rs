@@ -9,7 +9,7 @@
 use super::interrogator::{Set, Shifts, of_section};
 use super::unknowns::{LENGTHS, differences};
 use crate::tool::sensing::{Calibration, FIBRES, SECTIONS};
-use nalgebra::{Matrix2x3, Vector2};
+use nalgebra::{Matrix2x3, Vector2, Vector3};
 
 /// A number of section I and one of section II.
 pub type Pair = [f64; 2];
@@ -56,6 +56,8 @@ pub struct Gains {
     fibres: [Matrix2x3<f64>; 2],
     /// Moment's component by difference.
     pub(super) by: [[Pair; 2]; 2],
+    /// Differences by mean, of warmth alone.
+    warmth: [Pair; 2],
     /// Variance of a wavelength, of a moment's component, and the latter's inverse.
     noise: f64,
     variance: Pair,
@@ -67,13 +69,14 @@ fn inverse(variance: f64) -> f64 {
 }
 
 impl Gains {
-    /// Of a calibration.
-    pub fn new(c: &Calibration) -> Self {
+    /// Of a calibration, and of how much more than its section's mean each fibre answers to warmth.
+    pub fn new(c: &Calibration, warmth: &[[f64; FIBRES]; 2]) -> Self {
         let fibres = c.gains.map(|k| {
             let mean = k.column_sum() / 3.0;
             Matrix2x3::from_columns(&[k.column(0) - mean, k.column(1) - mean, k.column(2) - mean])
         });
         let [one, two] = fibres.map(|k| k * differences().transpose());
+        let [w, v] = warmth.map(|more| differences() * Vector3::from(more));
         let noise = c.noise_nm * c.noise_nm;
         let variance = fibres.map(|k| k.norm_squared() / 2.0 * noise);
         Self {
@@ -82,6 +85,7 @@ impl Gains {
                 [[one.m11, two.m11], [one.m12, two.m12]],
                 [[one.m21, two.m21], [one.m22, two.m22]],
             ],
+            warmth: [[w.x, v.x], [w.y, v.y]],
             noise,
             variance,
             precision: variance.map(inverse),
@@ -103,10 +107,12 @@ impl Gains {
         for i in 0..2 {
             let [p, q, r] = shifts[i];
             let others = q + r;
-            let (d, e) = (a * (2.0 * p - others), b * (q - r));
+            let common = (p + others) * (1.0 / 3.0);
+            let d = a * (2.0 * p - others) - self.warmth[0][i] * common;
+            let e = b * (q - r) - self.warmth[1][i] * common;
             made.bends.differences[0][i] = d;
             made.bends.differences[1][i] = e;
-            made.bends.common_nm[i] = (p + others) * (1.0 / 3.0);
+            made.bends.common_nm[i] = common;
             made.x[i] = xd[i] * d + xe[i] * e;
             made.y[i] = yd[i] * d + ye[i] * e;
         }

@@ -44,6 +44,14 @@ impl Pace {
         }
     }
 
+    /// Anew from a state, with what was learnt.
+    pub(super) fn anew(&self, start: &State) -> Self {
+        Self {
+            since: *start,
+            ..*self
+        }
+    }
+
     /// Variance of a component of the force after a time, mN²: in proportion as long as it was taken over, and from one
     /// such time to the next as it comes.
     #[inline]

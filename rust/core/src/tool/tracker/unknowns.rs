@@ -34,6 +34,8 @@ pub struct Doubt {
     /// Standard deviation of a reference wavelength, nm.
     pub reference_nm: f64,
     /// How unlike fibres answer to warmth: standard deviation over the mean answer.
+    pub unlike: f64,
+    /// What is not known of a fibre's own answer ([`super::Trusted::warmth`]): the same, where nothing was learnt of it.
     pub warmth: f64,
     /// Covariance of length (mm) and stiffness (mN·mm²).
     pub beam: Matrix2<f64>,
@@ -48,6 +50,7 @@ impl Default for Doubt {
         Self {
             gains: [[Matrix3::zeros(); 2]; 2],
             reference_nm: 0.0,
+            unlike: 0.0,
             warmth: 0.0,
             beam: Matrix2::zeros(),
             clearance_mm: 0.0,
@@ -79,7 +82,8 @@ pub struct Unknowns {
     /// Of each row of the gains: its factor's three numbers, of both sections.
     gains: [[Pair; 3]; 2],
     reference_nm: f64,
-    /// See [`Doubt::warmth`].
+    /// See [`Doubt`].
+    unlike: f64,
     warmth: f64,
     /// Factor of the covariance of length and stiffness.
     pub(super) beam: Matrix2<f64>,
@@ -103,6 +107,7 @@ impl Unknowns {
         Self {
             gains: [rows(0), rows(1)],
             reference_nm: doubt.reference_nm,
+            unlike: doubt.unlike,
             warmth: doubt.warmth,
             beam: factor(&doubt.beam),
             clearance_mm: doubt.clearance_mm,
@@ -138,7 +143,7 @@ impl Unknowns {
         }
         if m.any_rebuilt {
             for s in 0..2 {
-                let unlike = self.warmth * m.common_nm[s].abs();
+                let unlike = self.unlike * m.common_nm[s].abs();
                 tied[REBUILT + s] = m.rebuilt[s].dot(way) * unlike * weights[s];
             }
         }
