@@ -242,6 +242,9 @@ class SerialCalibrated:
     """Where the target of a calibrated arm is in the base frame, mm. Covariates as those of others."""
 
     def __new__(cls, model: SerialModel, values: _Floats, low: _Floats, high: _Floats) -> SerialCalibrated: ...
+    def flat(self) -> _Floats:
+        """All that makes it as a row of numbers (n,), for a control loop in another language."""
+
     def forward(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats]:
         """The target (3,), and the derivative by the joints (3, k)."""
 

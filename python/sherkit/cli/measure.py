@@ -14,8 +14,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from ..data.files import write_whole
 from ..lab.experiment import Control, Experiment, Live, RunFile, RunProgress, export_run, load_experiment, run
+from ..robots.c_row import c_row
+from ..robots.files import load_calibration
 from ..robots.tool.c_header import c_header
 from ..robots.tool.tool import load_tool
+from ..robots.tool_file import is_tool
 from . import keys, output
 
 #: Signals by which another program, or a closing terminal, asks for an end; not every system has both.
@@ -127,26 +130,36 @@ def _ended_by_signals() -> Iterator[None]:
 
 
 @click.command()
-@click.argument("what", nargs=-1, required=True, metavar="RUN_FILE | c TOOL")
+@click.argument("what", nargs=-1, required=True, metavar="RUN_FILE | c CALIBRATION | c TOOL")
 @click.option("-o", "--output", "destination", type=click.Path(path_type=Path), required=True,
-              help="CSV or Parquet of a run; a C header of a tool.")  # fmt: skip
+              help="CSV or Parquet of a run; a C header of a calibration or tool.")  # fmt: skip
 def export(what: tuple[str, ...], destination: Path) -> None:
-    """Write the rows of RUN_FILE as CSV or Parquet, also while it is being measured; with c, a flexible TOOL as a C
-    header for the control loop."""
+    """Write the rows of RUN_FILE as CSV or Parquet, also while it is being measured; with c, a CALIBRATION or a
+    flexible TOOL as a C header for the control loop."""
     if len(what) == 1:
         rows = export_run(Path(what[0]), destination)
         output.say(f"{rows} rows written to {destination}", destination)
         return
     if len(what) != 2 or what[0] != "c":
-        raise click.UsageError("expected the file of a run, or c and the file of a flexible tool")
-    made = load_tool(what[1])
-    if made.noise != "propagated":
-        output.warn(
-            f"{what[1]}: noise '{made.noise}' is for comparisons; the loop in C runs the filter of 'propagated'"
-        )
-    header = c_header(made, Path(what[1]).name)
-    write_whole(destination, header)
+        raise click.UsageError("expected the file of a run, or c and the file of a calibration or flexible tool")
+    source = Path(what[1])
+    made, more = (_tool_in_c if is_tool(source) else _robot_in_c)(source)
+    write_whole(destination, made)
     output.say(
         f"{destination} written; a loop includes it and links libsherkit.a, which cargo build --profile control "
-        "-p sherkit-c makes. No CMake is needed: rust/c/examples/replay replays a CSV file with it"
+        f"-p sherkit-c makes.{more}"
     )
+
+
+def _robot_in_c(source: Path) -> tuple[str, str]:
+    """Its header, and what else to say."""
+    return c_row(load_calibration(source), source.name), ""
+
+
+def _tool_in_c(source: Path) -> tuple[str, str]:
+    """Its header, and what else to say."""
+    tool = load_tool(source)
+    if tool.noise != "propagated":
+        output.warn(f"{source}: noise '{tool.noise}' is for comparisons; the loop in C runs the filter of 'propagated'")
+    more = " No CMake is needed: rust/c/examples/replay replays a CSV file with it"
+    return c_header(tool, source.name), more

@@ -13,9 +13,10 @@ use numpy::{
 use pyo3::prelude::*;
 use sherkit_core::chain::effects::Wanted;
 use sherkit_core::chain::{Covariates, Robot};
+use sherkit_core::flat::write_serial;
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::serial::{
-    self, CATALOGUE, Calibrated as Core, JOINTS, Joint, Limits, Model, PARAMETERS,
+    self, CATALOGUE, Calibrated as Core, JOINTS, Joint, Limits, Model, PARAMETERS, Values,
 };
 
 /// Numbers of a rigid transform: its turn row by row, then its shift.
@@ -97,10 +98,16 @@ model_class!(SerialModel, Model, serial, {
 #[pyclass(frozen, module = "sherkit._core")]
 pub struct SerialCalibrated {
     core: Core,
-    home: SVector<f64, JOINTS>,
+    model: Model,
+    values: Values,
+    limits: Limits,
 }
 
 impl SerialCalibrated {
+    fn home(&self) -> [f64; JOINTS] {
+        self.model.joints.map(|joint| joint.home)
+    }
+
     /// What a control loop knows besides the joints: time s, temperature °C, a direction for each joint.
     fn now(&self, numbers: &[f64]) -> PyResult<Covariates<JOINTS>> {
         let k = self.core.joints();
@@ -161,8 +168,17 @@ impl SerialCalibrated {
         };
         Ok(Self {
             core: Core::new(&model.0, &values, &limits).map_err(to_python)?,
-            home: SVector::from(model.0.joints.map(|joint| joint.home)),
+            model: model.0,
+            values,
+            limits,
         })
+    }
+
+    /// All that makes it as a row of numbers `(n,)`, for a control loop in another language.
+    fn flat<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let mut numbers = Vec::new();
+        write_serial(&self.model, &self.values, &self.limits, |x| numbers.push(x));
+        PyArray1::from_vec(py, numbers)
     }
 
     /// Where its target is at joint readings `(3,)`, and the derivative by them `(3, k)`.
@@ -260,7 +276,7 @@ impl SerialCalibrated {
         let (x, now) = (vector("place", &place)?, self.now(&covariates)?);
         let start = match &start {
             Some(start) => self.one("start", start)?,
-            None => self.home,
+            None => SVector::from(self.home()),
         };
         let found = self.core.inverse(&x, &start, &now).map_err(to_python)?;
         Ok(PyArray1::from_slice(
@@ -283,7 +299,7 @@ impl SerialCalibrated {
         let (n, k) = (places.len(), self.core.joints());
         let starts = match &starts {
             Some(starts) => self.many("starts", starts)?,
-            None => vec![self.home.into(); n],
+            None => vec![self.home(); n],
         };
         if starts.len() != n {
             return Err(shape("starts", &format!("({n}, {k})"), &[starts.len(), k]));

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import sherkit._core as _core
 
-from ...model.batch import Batch
+from ...model.batch import Batch, matrix
 from ...types import Floats
 from ..accuracy import Planes
 from ..calibrated import Calibration
@@ -84,6 +84,12 @@ class SerialCalibration(Calibration):
         known = dict(zip((p.name for p in self.model.parameters), self.whole.values.tolist(), strict=True))
         turn = [known.get(f"frame_turn_{axis}", 0.0) for axis in "xyz"]
         return Rotation.from_rotvec(turn).as_matrix() @ of_rpy(np.deg2rad(self.robot.tracker_rpy_deg).tolist())
+
+    def from_tracker(self, readings_mm: ArrayLike) -> Floats:
+        """What the tracker shows (n, 3), mm, in the base frame, from where it was found to stand."""
+        known = dict(zip((p.name for p in self.model.parameters), self.whole.values.tolist(), strict=True))
+        shift = np.array(self.robot.tracker_mm) + [known.get(f"frame_{axis}", 0.0) for axis in "xyz"]
+        return (matrix(readings_mm, "readings") - shift) @ self.tracker_turn
 
     def inverse(
         self, coordinates: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None,

@@ -11,6 +11,7 @@ use super::model::{JOINTS, Model};
 use crate::Result;
 use crate::chain::Mechanism;
 use crate::chain::effects::{Wanted, values_of};
+use crate::numbers::rigid::Rigid;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 /// The arm with given errors: what joins its joints to the target.
@@ -32,6 +33,8 @@ pub struct Structure {
 #[derive(Clone, Copy, Debug)]
 pub struct Solved {
     places: [Place; JOINTS],
+    /// The frame behind the last joint.
+    flange: Rigid,
     point: Vector3<f64>,
     /// The joints as they follow one another, before they give way.
     coupled: SVector<f64, JOINTS>,
@@ -54,7 +57,7 @@ impl Structure {
         let follows = |i: usize| if i == 0 { 0.0 } else { share[i - 1] };
         Self {
             links: core::array::from_fn(link),
-            count: model.count,
+            count: model.count.min(JOINTS),
             tool: model.tool_mm + Vector3::from(values_of::<3, PARAMETERS>(at.tool, values)),
             home: model.joints.map(|joint| joint.home),
             follows: core::array::from_fn(follows),
@@ -64,8 +67,8 @@ impl Structure {
     }
 
     /// The frame behind the last joint, base frame.
-    pub(super) fn flange(&self, solved: &Solved) -> Matrix3<f64> {
-        solved.places[self.count - 1].behind.rotation
+    pub(super) fn flange(solved: &Solved) -> Matrix3<f64> {
+        solved.flange.rotation
     }
 }
 
@@ -75,21 +78,22 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
 
     fn solve(&self, joints: &SVector<f64, JOINTS>) -> Result<Solved> {
         let mut coupled = *joints;
-        for i in 1..self.count {
+        for i in 1..self.count.min(JOINTS) {
             coupled[i] += self.follows[i] * (joints[i - 1] - self.home[i - 1]);
         }
         let (mut values, mut carried) = (coupled, None);
         if self.yields.iter().any(|y| *y != 0.0) {
             let found = self.load.carried(&coupled);
-            for i in 0..self.count {
+            for i in 0..self.count.min(JOINTS) {
                 values[i] += self.yields[i] * found.0[i];
             }
             carried = Some(found);
         }
-        let places = stand(&self.links[..self.count], values.as_ref());
-        let point = places[self.count - 1].behind.apply(&self.tool);
+        let (places, flange) = stand(&self.links, self.count, values.as_ref());
+        let point = flange.apply(&self.tool);
         Ok(Solved {
             places,
+            flange,
             point,
             coupled,
             carried,
@@ -128,7 +132,7 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
         }
         if let Some(at) = wanted.wants(at.tool) {
             d.fixed_columns_mut::<3>(at.start)
-                .copy_from(&(by_point * self.flange(solved)));
+                .copy_from(&(by_point * Self::flange(solved)));
         }
         let wanted_yield = wanted.wants(at.joint_compliance);
         if solved.carried.is_some() || wanted_yield.is_some() {
@@ -136,7 +140,7 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
                 .carried
                 .unwrap_or_else(|| self.load.carried(&solved.coupled));
             let rigid = by_joints;
-            for i in 0..self.count {
+            for i in 0..self.count.min(JOINTS) {
                 let by_joint = rigid.column(i);
                 if let Some(at) = wanted_yield {
                     d.set_column(at.start + i, &(by_joint * load[i]));
@@ -146,7 +150,7 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
         }
         // each joint also moves the one that follows it
         let apart = by_joints;
-        for i in 1..self.count {
+        for i in 1..self.count.min(JOINTS) {
             if let Some(at) = wanted.wants(at.joint_coupling) {
                 let travel = joints[i - 1] - self.home[i - 1];
                 d.set_column(at.start + i - 1, &(apart.column(i) * travel));
