@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from sherkit.cli import main
-from sherkit.errors import OutOfReach, RobotError
+from sherkit.errors import ExperimentError, OutOfReach, RobotError
+from sherkit.lab.experiment import load_experiment
 from sherkit.model.kinds import kind_of, model_of, robot_from_tables
 from sherkit.robots.serial import KIND, Hidden, Joint, Serial, VirtualSerial, postures
 from sherkit.robots.serial.dh import import_dh
@@ -416,3 +417,38 @@ def test_the_story_of_an_arm(
     assert np.mean(errors["calibrated"]) < 0.1 < 1.0 < np.mean(errors["drawn"])
     promise = calibration.promise(calibration.forward(robot.home))
     assert 0.05 < promise.total_mm < 1.0
+
+
+# -- not fooled by many parameters ---------------------------------------------------------------------------------
+
+
+def test_more_parameters_than_rows_support_are_said(ur5: Serial) -> None:
+    """Catches a geometry of 27 parameters on 34 rough samples that is called a success: it fits better than the few
+    that the rows support and predicts worse, and plausible sizes make up for that."""
+    rough = {**PLAIN, "noise_um": 4000.0}
+    fitted: dict[bool, list[float]] = {False: [], True: []}
+    for seed in range(6):
+        virtual = VirtualSerial.simulated(ur5, seed, 1.0, rough)
+        data = virtual.measure(postures(ur5, 34, 0.5, seed), seed=seed)
+        new = replace(virtual, noise_mm=0.0).measure(postures(ur5, 100, 0.9, seed + 50), seed=1)
+        for priors in (False, True):
+            fit = sk.identify(ur5, data, priors=priors)
+            assert fit.crowded
+            assert f"34 rows support {fit.supported} of 27 parameters" in fit.crowded
+            assert ("--priors" in fit.crowded) is not priors
+            assert 6 <= fit.supported < 20
+            left = (new.readings - fit.model.predict(new, fit.values))[:, :3]
+            fitted[priors].append(float(np.sqrt(np.mean(left**2))))
+    assert np.mean(fitted[True]) < 0.8 * np.mean(fitted[False])
+    assert sk.identify(ur5, simulated(ur5, 1, 120)).crowded is None
+
+
+def test_an_experiment_says_what_it_cannot_drive(tmp_path: Path) -> None:
+    """Catches a key that is asked for and that the file of an arm or a machine cannot have."""
+    sk.save_robot(KIND.example, tmp_path / "arm.toml")
+    (tmp_path / "e.toml").write_text("robot = 'arm.toml'\n[plan]\nposes = 'whole'\n")
+    with pytest.raises(ExperimentError, match="by its own controller, and give the rows to sherkit diagnose"):
+        load_experiment(tmp_path / "e.toml")
+    gantry = Path(__file__).parents[1] / "examples" / "machines" / "gantry.py"
+    with pytest.raises(RobotError, match="is a Python file, which is not run here; sherkit diagnose"):
+        load_experiment(tmp_path / "e.toml", robot=gantry)
