@@ -11,14 +11,14 @@ use sherkit_core::{Result, flat};
 /// A calibrated serial arm. Its content is nobody's business.
 #[repr(C)]
 pub struct sherkit_serial {
-    words: [u64; 832],
+    words: [u64; 960],
 }
 
 // SAFETY: one array of so many words.
 unsafe impl Opaque for sherkit_serial {
     type Value = Calibrated;
     const MARK: u64 = 0x7368_6b73_6572_6961;
-    const WORDS: usize = 832;
+    const WORDS: usize = 960;
 }
 
 /// What a pose of the arm depends on beside its joints. NaN where it is not known; an effect that needs it then gives

@@ -12,8 +12,8 @@
 //! face ±1, gravity, home, time origin, slip time, period of the encoders, slip time of the
 //! camera, place of the elbows (0 open, 1 crossed, 2 ahead,
 //! 3 behind), the values of all parameters. Serial (kind 3): number of joints, of each its frame behind the one before it
-//! (turn row by row, shift), 1 where it slides, home, mass and the centre of it, lowest and highest reading; target,
-//! gravity, period of the encoders, time origin, slip time, the values of all parameters.
+//! (turn row by row, shift), 1 where it slides, by how much it follows the one before, home, mass and the centre of it, lowest and highest reading; 4 targets,
+//! 4 centres, gravity, period of the encoders, time origin, slip time, the values of all parameters.
 
 use crate::camera::{Description, Face};
 use crate::chain::Robot;
@@ -149,11 +149,14 @@ pub fn write_serial(
         let shift = joint.fixed.translation;
         shift.iter().copied().for_each(&mut put);
         put(if joint.prismatic { 1.0 } else { 0.0 });
-        [joint.home, joint.mass_kg].into_iter().for_each(&mut put);
+        [joint.follows, joint.home, joint.mass_kg]
+            .into_iter()
+            .for_each(&mut put);
         joint.centre_mm.iter().copied().for_each(&mut put);
         [*low, *high].into_iter().for_each(&mut put);
     }
-    model.tool_mm.iter().copied().for_each(&mut put);
+    let points = model.targets_mm.iter().chain(&model.centres_mm);
+    points.flatten().copied().for_each(&mut put);
     model.gravity.iter().copied().for_each(&mut put);
     put(model.encoder_period);
     put(model.time_origin_s);
@@ -190,6 +193,14 @@ impl<'a> Reader<'a> {
         } else {
             refuse("calibration: a number of the model is not finite")
         }
+    }
+
+    fn points<const N: usize>(&mut self) -> Result<[Vector3<f64>; N]> {
+        let mut out = [Vector3::zeros(); N];
+        for point in &mut out {
+            *point = Vector3::from(self.finite::<3>()?);
+        }
+        Ok(out)
     }
 
     fn flag(&mut self) -> Result<bool> {
@@ -363,14 +374,15 @@ pub fn read_serial(numbers: &[f64]) -> Result<serial::Calibrated> {
             translation: Vector3::from(row.finite::<3>()?),
         };
         joint.prismatic = row.flag()?;
-        [joint.home, joint.mass_kg] = row.finite()?;
+        [joint.follows, joint.home, joint.mass_kg] = row.finite()?;
         joint.centre_mm = Vector3::from(row.finite::<3>()?);
         [*low, *high] = row.finite()?;
     }
     let model = serial::Model {
         joints,
         count,
-        tool_mm: Vector3::from(row.finite::<3>()?),
+        targets_mm: row.points()?,
+        centres_mm: row.points()?,
         tracker: Rigid::identity(),
         gravity: Vector3::from(row.finite::<3>()?),
         encoder_period: row.finite::<1>()?[0],

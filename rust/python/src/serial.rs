@@ -21,8 +21,8 @@ use sherkit_core::serial::{
 
 /// Numbers of a rigid transform: its turn row by row, then its shift.
 const RIGID: usize = 12;
-/// Numbers of a joint: its frame, whether it slides, home, mass and its centre.
-const NUMBERS: usize = RIGID + 6;
+/// Numbers of a joint: its frame, whether it slides, how it follows the one before, home, mass and its centre.
+const NUMBERS: usize = RIGID + 7;
 
 fn rigid(numbers: &[f64]) -> Rigid {
     Rigid {
@@ -31,13 +31,30 @@ fn rigid(numbers: &[f64]) -> Rigid {
     }
 }
 
+/// As many points as there are, the others zero.
+fn points<const N: usize>(
+    name: &str,
+    array: &PyReadonlyArray2<'_, f64>,
+) -> PyResult<[Vector3<f64>; N]> {
+    let found = rows::<3, _>(name, array)?;
+    if found.len() > N {
+        return Err(shape(name, &format!("(up to {N}, 3)"), array.shape()));
+    }
+    let mut out = [Vector3::zeros(); N];
+    for (point, numbers) in out.iter_mut().zip(found) {
+        *point = Vector3::from(*numbers);
+    }
+    Ok(out)
+}
+
 fn joint(numbers: &[f64; NUMBERS]) -> Joint {
     Joint {
         fixed: rigid(numbers),
         prismatic: numbers[RIGID] != 0.0,
-        home: numbers[RIGID + 1],
-        mass_kg: numbers[RIGID + 2],
-        centre_mm: Vector3::from_column_slice(&numbers[RIGID + 3..]),
+        follows: numbers[RIGID + 1],
+        home: numbers[RIGID + 2],
+        mass_kg: numbers[RIGID + 3],
+        centre_mm: Vector3::from_column_slice(&numbers[RIGID + 4..]),
     }
 }
 
@@ -47,13 +64,15 @@ fn joint(numbers: &[f64; NUMBERS]) -> Joint {
 pub struct SerialModel(Model);
 
 model_class!(SerialModel, Model, serial, {
-    /// `joints` `(k, 18)`: of each its frame behind the one before it (turn row by row, shift in mm), 1 where it slides,
-    /// home reading, mass and the centre of it (mm); `tool` (mm); `tracker` `(12,)`: from base to tracker; `settings`:
+    /// `joints` `(k, 19)`: of each its frame behind the one before it (turn row by row, shift in mm), 1 where it slides,
+    /// by how much it follows the one before, home reading, mass and the centre of it (mm); `targets` `(1 to 4, 3)` behind the last joint and `centres` `(0 to 4,
+    /// 3)` of distances in the base frame (mm); `tracker` `(12,)`: from base to tracker; `settings`:
     /// direction of the weight (3), period of the encoders, time origin, slip times of target and tracker (s).
     #[new]
     fn new(
         joints: PyReadonlyArray2<'_, f64>,
-        tool: PyReadonlyArray1<'_, f64>,
+        targets: PyReadonlyArray2<'_, f64>,
+        centres: PyReadonlyArray2<'_, f64>,
         tracker: PyReadonlyArray1<'_, f64>,
         settings: PyReadonlyArray1<'_, f64>,
     ) -> PyResult<Self> {
@@ -81,7 +100,8 @@ model_class!(SerialModel, Model, serial, {
         let model = Model {
             joints: all,
             count: found.len(),
-            tool_mm: Vector3::from(fixed("tool", &tool)?),
+            targets_mm: points("targets", &targets)?,
+            centres_mm: points("centres", &centres)?,
             tracker: rigid(&fixed::<RIGID, _>("tracker", &tracker)?),
             gravity: Vector3::new(gx, gy, gz),
             encoder_period,

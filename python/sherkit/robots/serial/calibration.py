@@ -44,7 +44,8 @@ class SerialCalibration(Calibration):
         del local
         fit, held_out = whole.fit, whole.deployed(whole.held_out)
         count, size = len(fit.model.indices), len(POSITION)
-        use = fit.data.taken.all(axis=1) & ~fit.data.outlier & np.isfinite(held_out).all(axis=1)
+        counted = np.isfinite(held_out) & fit.data.used
+        use = counted[:, :size].all(axis=1)
         part = Part(
             **Part.identified(fit),
             covariance=(fit.covariance + fit.unobserved_covariance)[:count, :count],
@@ -54,14 +55,18 @@ class SerialCalibration(Calibration):
         )
         made = cls(fit.model.robot, part)
         # where the tracker saw it, in the axes of the base
-        missed = held_out[use] @ made.tracker_turn
-        where = made.forward_batch(fit.data.joints[use]).require("row")
+        missed = held_out[use][:, :size] @ made.tracker_turn
+        where = made.forward_batch(fit.data.joints[counted.any(axis=1)]).require("row")
+        spread = missed.T @ missed / max(len(missed), 1)
+        if not use.any() and counted.any():
+            # distances alone: their errors are along every direction
+            spread = np.eye(size) * float(np.mean(held_out[counted] ** 2))
         if len(where) == 0:
             where = np.zeros((1, size))
         settled = Part(
             **Part.identified(fit),
             covariance=part.covariance,
-            residual_covariance=missed.T @ missed / max(len(missed), 1),
+            residual_covariance=spread,
             low=where.min(axis=0),
             high=where.max(axis=0),
         )

@@ -56,6 +56,7 @@ impl Calibrated {
             at.sensor_scale,
             at.sensor_linearity,
             AT.joints.reading_delay,
+            AT.bar.bar_zero,
         ] {
             for value in measured
                 .and_then(|place| values.get_mut(place.range()))
