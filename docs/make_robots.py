@@ -1,4 +1,4 @@
-"""Writes ``rust/c/examples/robots.h``: calibrations of two example robots as C arrays.
+"""Writes ``rust/c/examples/robots.h``: calibrations of three example robots as C arrays.
 
 Run with sherkit installed whenever the layout of ``flat()`` changes: ``python docs/make_robots.py``.
 """
@@ -12,6 +12,7 @@ import numpy as np
 from sherkit import _core
 from sherkit.cli.demo import EXAMPLE
 from sherkit.robots.c_header import c_array
+from sherkit.robots.serial import KIND
 
 #: Where the delta's rows of parameters stand.
 PLACES: dict[str, slice] = {}
@@ -54,10 +55,28 @@ def spherical() -> _core.SphericalCalibrated:
     return _core.SphericalCalibrated(model, values)
 
 
+def serial() -> _core.SerialCalibrated:
+    """A six-axis arm with small errors of its geometry, and joints that give way and have play."""
+    random = np.random.default_rng(2)
+    arm, values = KIND.example, np.zeros(_core.SerialModel.PARAMETERS)
+    start = 0
+    for row in _core.SerialModel.CATALOGUE:
+        own = slice(start, start := start + len(row["parameters"]))
+        sizes = [p["size"] for p in row["parameters"]]
+        if row["base"] or row["name"] in ("joint_compliance", "joint_coupling", "backlash", "encoder_eccentricity"):
+            values[own] = 0.3 * random.normal(size=len(sizes)) * sizes
+    return _core.SerialCalibrated(arm.core(), values, *(np.ascontiguousarray(one) for one in arm.ranges))
+
+
 def text() -> str:
-    lines = ["/* Calibrations of two example robots, as sherkit's flat() writes them. Made by make_robots.py. */"]
+    lines = ["/* Calibrations of three example robots, as sherkit's flat() writes them. Made by make_robots.py. */"]
     lines += ["#ifndef ROBOTS_H", "#define ROBOTS_H", "", c_array("example_delta", delta().flat()) + "\n"]
-    lines += [c_array("example_spherical", spherical().flat()) + "\n", "#endif", ""]
+    lines += [
+        c_array("example_spherical", spherical().flat()) + "\n",
+        c_array("example_serial", serial().flat()) + "\n",
+        "#endif",
+        "",
+    ]
     return "\n".join(lines)
 
 

@@ -18,9 +18,11 @@ import pytest
 from click.testing import CliRunner
 from numpy.typing import NDArray
 
+import sherkit as sk
 from sherkit import _core
 from sherkit.cli.main import cli
 from sherkit.errors import NotFinite, OutOfReach
+from sherkit.robots.serial import KIND, VirtualSerial, postures
 from sherkit.robots.tool.filters import estimate
 from sherkit.robots.tool.tool import FlexibleTool, ToolDoubt
 from sherkit.robots.tool.virtual import VirtualTool
@@ -92,10 +94,19 @@ def spherical_rows() -> Floats:
     return np.hstack([joints, np.tile([10.0, 21.0, 1.0, -1.0], (200, 1)), angles])
 
 
-def single(function: Any, numbers: Floats, covariates: Floats, sizes: tuple[int, ...]) -> list[float]:
+def serial_rows() -> Floats:
+    random = np.random.default_rng(4)
+    low, high = KIND.example.ranges
+    joints, start = random.uniform(low, high, (2, 200, 6))
+    positions = KIND.example.forward_batch(random.uniform(low, high, (200, 6))).require()
+    joints[7], positions[9], start[11] = np.nan, [5000.0, 0.0, 0.0], np.nan
+    return np.hstack([joints, np.tile([10.0, 21.0, 1, -1, 0, 1, 1, -1], (200, 1)), positions, start])
+
+
+def single(function: Any, numbers: Floats, covariates: Floats, sizes: tuple[int, ...], *more: Floats) -> list[float]:
     """What the C program writes of a call: its code, and the numbers; zero where there are none."""
     try:
-        found = function(np.ascontiguousarray(numbers), list(covariates))
+        found = function(np.ascontiguousarray(numbers), list(covariates), *map(np.ascontiguousarray, more))
     except (NotFinite, OutOfReach) as error:
         return [CODES[type(error)], *np.zeros(sum(sizes))]
     parts = found if isinstance(found, tuple) else (found,)
@@ -179,14 +190,15 @@ def from_python(rows: Floats, noise: _core.FilterNoise) -> Floats:
 @pytest.mark.parametrize("noise", NOISES)
 def test_c_and_python_agree_to_the_last_bit(archive: Path, tmp_path: Path, noise: str) -> None:
     """Catches rows read as columns, a calibration that loses a number, another rounding in the two builds."""
-    delta, spherical, rows = delta_rows(), spherical_rows(), tool_rows()
-    robots = make_robots.delta(), make_robots.spherical()
+    delta, spherical, serial, rows = delta_rows(), spherical_rows(), serial_rows(), tool_rows()
+    robots = make_robots.delta(), make_robots.spherical(), make_robots.serial()
     flats = [robot.flat() for robot in robots]
     filter_noise, numbers = NOISES[noise]
-    head = [len(flats[0]), len(delta), len(flats[1]), len(spherical), len(rows)]
+    runs = (delta, spherical, serial)
+    head = [*(len(one) for pair in zip(flats, runs, strict=True) for one in pair), len(rows)]
     sensor = [*GAINS.ravel(), *DISTANCES, *REFERENCE, 2e-4]
-    parts = [head, flats[0], delta.ravel(), flats[1], spherical.ravel(), sensor, numbers, rows.ravel()]
-    np.concatenate([np.asarray(p, dtype=float) for p in parts]).tofile(tmp_path / "in")
+    parts = [head, *(one for pair in zip(flats, runs, strict=True) for one in pair), sensor, numbers, rows]
+    np.concatenate([np.ravel(np.asarray(p, dtype=float)) for p in parts]).tofile(tmp_path / "in")
     run(built(archive, "tests/replay.c", tmp_path, "-O2"), tmp_path / "in", tmp_path / "out")
     out = np.fromfile(tmp_path / "out")
     expected: list[float] = []
@@ -196,6 +208,9 @@ def test_c_and_python_agree_to_the_last_bit(archive: Path, tmp_path: Path, noise
     for row in spherical:
         expected += single(robots[1].forward, row[:2], row[2:6], (2, 4))
         expected += single(robots[1].inverse, row[6:], row[2:6], (2,))
+    for row in serial:
+        expected += single(robots[2].forward, row[:6], row[6:14], (3, 18))
+        expected += single(robots[2].inverse, row[14:17], row[6:14], (6,), row[17:])
     kinematics = np.array(expected)
     assert (kinematics == 3.0).any()
     assert (kinematics == 4.0).any()
@@ -293,3 +308,21 @@ def test_the_bare_program_needs_nothing_else(archive: Path) -> None:
     if not (sys.platform == "linux" and os.uname().machine == "x86_64"):
         pytest.skip("the bare example begins and ends as a Linux program for x86-64")
     run("make", "-C", LIBRARY / "examples" / "bare", "run", f"TARGET={TARGET}")
+
+
+def test_the_loop_of_the_page_on_arms_is_that_of_python(archive: Path, tmp_path: Path) -> None:
+    """Catches a calibration that loses a number on its way to C, and a page that shows C which does not build."""
+    page = (ROOT / "docs" / "arm.md").read_text(encoding="utf-8")
+    (tmp_path / "loop.c").write_text(re.findall(r"```c\n(.*?)```", page, re.DOTALL)[0], encoding="utf-8")
+    seen = VirtualSerial(KIND.example, noise_mm=0.05).measure(postures(KIND.example, 60, seed=1), seed=2)
+    made = sk.calibrate(KIND.example, seen, effects=["joint_compliance"]).calibration
+    made.save(tmp_path / "calibrated.toml")
+    arguments = ["export", "c", str(tmp_path / "calibrated.toml"), "-o", str(tmp_path / "robot.h")]
+    assert CliRunner().invoke(cli, arguments).exit_code == 0
+    run("cc", *STRICT, "-I", tmp_path, tmp_path / "loop.c", archive, "-lm", "-o", tmp_path / "loop")
+    joints = np.array([0.2, 0.4, -0.9, 0.1, 0.8, 0.0])
+    place = made.forward(joints)
+    for line in run(tmp_path / "loop").splitlines():
+        place += [1.0, 0.0, 0.0]
+        joints = made.inverse(place, start=joints)
+        np.testing.assert_array_equal([float(one) for one in line.split(",")], joints)

@@ -191,14 +191,18 @@ def residual(effect: sk.Effect, model: Any, data: sk.Measurements) -> float:
 
 
 def test_values_go_to_another_process(values: list[Any], tmp_path: Path) -> None:
-    """Catches a user's effect that is found in the process that read its file and in no other."""
+    """Catches a user's effect or machine that is found in the process that read its file and in no other."""
     effect, study = (
         next(v for v in values if isinstance(v, sk.Effect)),
         next(v for v in values if isinstance(v, sk.Study)),
     )
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         found = pool.apply(residual, (effect, study.model, study.data))
+        gantry = load_machine(Path(__file__).parents[1] / "examples" / "machines" / "gantry.py")
+        of_gantry = sk.Study(gantry, run_of("gantry", 1, poses=40))
+        there = pool.apply(residual, (effect, of_gantry.model, of_gantry.data))
     assert found == pytest.approx(residual(effect, study.model, study.data), rel=1e-12)
+    assert there == pytest.approx(residual(effect, of_gantry.model, of_gantry.data), rel=1e-12)
 
 
 # -- the interpreter's lock ----------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ from sherkit.cli.demo import EXAMPLE
 from sherkit.diagnosis import Diagnosis
 
 HERE = Path(__file__).parents[1]
-STORIES = ("docs/tutorial.md", "docs/spherical.md", "docs/tool.md", "docs/machine.md")
+STORIES = ("docs/tutorial.md", "docs/spherical.md", "docs/tool.md", "docs/machine.md", "docs/arm.md")
 REFERENCE = ("docs/files.md", "docs/json.md", "docs/page.md", "docs/calibration.md", "docs/study.md", "docs/models.md",
              "docs/accuracy.md", "docs/fleet.md", "docs/printer.md")  # fmt: skip
 DOCS = (
@@ -200,7 +200,8 @@ def _run(story: str, tmp_path: Path) -> None:
             calls = [command(line) for line in block.text.splitlines()]
             assert None not in calls, f"{block.place}: a line that is no call of sherkit"
             said = "\n".join(sherkit(arguments, tmp_path) for arguments in calls if arguments)
-        elif block.language == "toml":
+        elif block.language in ("toml", "xml", "c"):
+            # the first comment names the file
             (tmp_path / block.text.split()[1]).write_text(block.text, encoding="utf-8")
         else:
             assert block.language == "text", f"{block.place}: neither run nor compared"

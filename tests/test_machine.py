@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import pickle
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from scipy import stats
 import sherkit as sk
 from second_machines import MACHINES, apart, run_of
 from sherkit.errors import FitError, RobotError
+from sherkit.model.effect_file import load_effects
 from sherkit.robots.machine.derivative import steps_for
 from sherkit.robots.machine.file import load_machine
 
@@ -370,7 +372,24 @@ def test_files_that_make_no_machine_are_refused(text: str, tmp_path: Path) -> No
     path.write_text(text)
     with pytest.raises(RobotError, match=BROKEN[text]):
         load_machine(path)
-    assert "broken" not in sys.modules
+    assert not [name for name in sys.modules if "broken" in name]
+
+
+def test_a_file_named_like_a_module_hides_none(tmp_path: Path) -> None:
+    """Catches a machine or effects in json.py after which nobody reads JSON, and two files of one name that are one."""
+    text = (EXAMPLES / "gantry.py").read_text()
+    for folder, size in (("a", "0.001"), ("b", "0.002")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "json.py").write_text(text)
+        own = f"import sherkit as sk\n\n@sk.effect(at='body', parameters={{'a': ('mm', {size})}})\ndef bump(rows, p):\n"
+        (tmp_path / folder / "numpy.py").write_text(own + "    return p.a * rows.joints\n")
+    first, second = (load_effects(tmp_path / folder / "numpy.py")[0] for folder in "ab")
+    assert sys.modules["numpy"] is np
+    assert [pickle.loads(pickle.dumps(one)).parameters[0].size for one in (first, second)] == [0.001, 0.002]
+    machine = load_machine(tmp_path / "a" / "json.py")
+    assert sys.modules["json"] is json
+    assert machine.kind == "json"
+    assert pickle.loads(pickle.dumps(machine)) is machine
 
 
 def test_examples_are_short() -> None:

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from sherkit.cli import main
-from sherkit.errors import OutOfReach, RobotError
+from sherkit.errors import ExperimentError, OutOfReach, RobotError, ShapeError
+from sherkit.lab.experiment import load_experiment
 from sherkit.model.kinds import kind_of, model_of, robot_from_tables
 from sherkit.robots.serial import KIND, Hidden, Joint, Serial, VirtualSerial, postures
 from sherkit.robots.serial.dh import import_dh
@@ -69,6 +70,13 @@ def gantry() -> Serial:
         ),
         target_mm=(40.0, 10.0, 120.0),
     )
+
+
+def palletiser() -> Serial:
+    """A parallelogram keeps the fore arm's angle when the upper arm turns."""
+    joints = list(KIND.example.joints)
+    joints[2] = replace(joints[2], follows=-1.0)
+    return replace(KIND.example, joints=tuple(joints))
 
 
 # -- what is drawn -------------------------------------------------------------------------------------------------
@@ -158,6 +166,19 @@ def test_a_tip_is_asked_for_and_must_hang_on_the_base(tmp_path: Path) -> None:
         import_urdf(tmp_path / "small.urdf", tip="tipp")
 
 
+def test_a_parallelogram_turns_with_the_joint_before(tmp_path: Path) -> None:
+    """Catches a joint that follows with the wrong sign, or in the file alone; and a first joint that follows none."""
+    joints = postures(KIND.example, 20)
+    apart = joints.copy()
+    apart[:, 2] -= joints[:, 1]
+    np.testing.assert_allclose(
+        palletiser().forward_batch(joints).values, KIND.example.forward_batch(apart).values, atol=1e-9
+    )
+    assert robot_from_tables(tomllib.loads(as_toml(palletiser(), tmp_path)), "again") == palletiser()
+    with pytest.raises(ShapeError, match="joint_1: follows the one before it, and there is none"):
+        replace(KIND.example, joints=(replace(KIND.example.joints[0], follows=1.0), *KIND.example.joints[1:]))
+
+
 def test_turns_are_written_without_loss() -> None:
     """Catches roll and yaw that are lost where pitch is a right angle: most URDFs have such joints."""
     rng = np.random.default_rng(0)
@@ -243,7 +264,7 @@ def everything(arm: Serial, rng: np.random.Generator) -> tuple[VirtualSerial, di
     return VirtualSerial(arm, offset, shift, tilt, tool, stand, Hidden(**hidden)), names
 
 
-@pytest.mark.parametrize("arm", [KIND.example, gantry()], ids=["six axes", "gantry"])
+@pytest.mark.parametrize("arm", [KIND.example, palletiser(), gantry()], ids=["six axes", "parallelogram", "gantry"])
 def test_every_error_and_effect_is_that_of_the_second_simulator(arm: Serial) -> None:
     """Catches an effect of the wrong sign, unit, order or joint, in an arm that hangs askew before a turned tracker;
     and a derivative that is not that of the prediction."""
@@ -304,7 +325,7 @@ def test_a_tracker_may_stand_anywhere(ur5: Serial) -> None:
         wrong = data.readings.copy()
         wrong[:8] += 700.0
         robust = sk.identify(ur5, replace(data, readings=wrong), loss="tukey")
-        assert np.median(np.abs(robust.residuals)) < 2 * NOISE_MM
+        assert np.nanmedian(np.abs(robust.residuals)) < 2 * NOISE_MM
 
 
 # -- what is found -------------------------------------------------------------------------------------------------
@@ -416,3 +437,38 @@ def test_the_story_of_an_arm(
     assert np.mean(errors["calibrated"]) < 0.1 < 1.0 < np.mean(errors["drawn"])
     promise = calibration.promise(calibration.forward(robot.home))
     assert 0.05 < promise.total_mm < 1.0
+
+
+# -- not fooled by many parameters ---------------------------------------------------------------------------------
+
+
+def test_more_parameters_than_rows_support_are_said(ur5: Serial) -> None:
+    """Catches a geometry of 27 parameters on 34 rough samples that is called a success: it fits better than the few
+    that the rows support and predicts worse, and plausible sizes make up for that."""
+    rough = {**PLAIN, "noise_um": 4000.0}
+    fitted: dict[bool, list[float]] = {False: [], True: []}
+    for seed in range(6):
+        virtual = VirtualSerial.simulated(ur5, seed, 1.0, rough)
+        data = virtual.measure(postures(ur5, 34, 0.5, seed), seed=seed)
+        new = replace(virtual, noise_mm=0.0).measure(postures(ur5, 100, 0.9, seed + 50), seed=1)
+        for priors in (False, True):
+            fit = sk.identify(ur5, data, priors=priors)
+            assert fit.crowded
+            assert f"34 rows support {fit.supported} of 27 parameters" in fit.crowded
+            assert ("--priors" in fit.crowded) is not priors
+            assert 6 <= fit.supported < 20
+            left = (new.readings - fit.model.predict(new, fit.values))[:, :3]
+            fitted[priors].append(float(np.sqrt(np.mean(left**2))))
+    assert np.mean(fitted[True]) < 0.8 * np.mean(fitted[False])
+    assert sk.identify(ur5, simulated(ur5, 1, 120)).crowded is None
+
+
+def test_an_experiment_says_what_it_cannot_drive(tmp_path: Path) -> None:
+    """Catches a key that is asked for and that the file of an arm or a machine cannot have."""
+    sk.save_robot(KIND.example, tmp_path / "arm.toml")
+    (tmp_path / "e.toml").write_text("robot = 'arm.toml'\n[plan]\nposes = 'whole'\n")
+    with pytest.raises(ExperimentError, match="by its own controller, and give the rows to sherkit diagnose"):
+        load_experiment(tmp_path / "e.toml")
+    gantry = Path(__file__).parents[1] / "examples" / "machines" / "gantry.py"
+    with pytest.raises(RobotError, match="is a Python file, which is not run here; sherkit diagnose"):
+        load_experiment(tmp_path / "e.toml", robot=gantry)

@@ -228,19 +228,26 @@ class SphericalModel(_Model):
 class SerialModel(_Model):
     """A serial arm of k joints, at most nine; readings are x, y, z of its target, mm, in the frame of the tracker.
 
-    ``joints`` (k, 18): of each its frame behind the one before it (turn row by row, shift in mm), 1 where it slides,
-    home reading, mass and the centre of it (mm). ``tool`` (3,), mm; ``tracker`` (12,): from base to tracker.
+    ``joints`` (k, 19): of each its frame behind the one before it (turn row by row, shift in mm), 1 where it slides, by
+    how much it follows the one before, home reading, mass and the centre of it (mm). ``targets`` (t, 3) behind the last
+    joint and ``centres`` (c, 3) of distances in the base frame, mm, up to four of each; ``tracker`` (12,): from base to
+    tracker.
     ``settings``: direction of the weight (3), period of the encoders, origin of time, slip times of target and tracker
     (s).
     """
 
-    def __new__(cls, joints: _Floats, tool: _Floats, tracker: _Floats, settings: _Floats) -> SerialModel: ...
+    def __new__(
+        cls, joints: _Floats, targets: _Floats, centres: _Floats, tracker: _Floats, settings: _Floats
+    ) -> SerialModel: ...
 
 @final
 class SerialCalibrated:
     """Where the target of a calibrated arm is in the base frame, mm. Covariates as those of others."""
 
     def __new__(cls, model: SerialModel, values: _Floats, low: _Floats, high: _Floats) -> SerialCalibrated: ...
+    def flat(self) -> _Floats:
+        """All that makes it as a row of numbers (n,), for a control loop in another language."""
+
     def forward(self, joints: _Floats, covariates: list[float]) -> tuple[_Floats, _Floats]:
         """The target (3,), and the derivative by the joints (3, k)."""
 

@@ -85,6 +85,8 @@ def account(e: CalibrationRun, title: str) -> None:
         )
         for d in fit.unobserved:
             out.print(f"    {d}")
+    if fit.crowded:
+        out.print(f"  {fit.crowded}")
     if fit.badly_observed:
         out.print("  worst observed directions (one standard deviation):")
         for d in fit.badly_observed:

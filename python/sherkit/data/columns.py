@@ -24,7 +24,9 @@ class Layout:
 
     ``joints`` name the readings of the joints, ``coordinates`` what instruments show of where it is; ``distance`` is a
     reading between two places, whose other end is at ``to_joints``. People read coordinates in ``unit``, of which one
-    unit of the file has ``per_unit``. ``velocities`` are covariates by joint.
+    unit of the file has ``per_unit``. ``velocities`` are covariates by joint; ``apart`` are columns of numbers by which
+    readings at one pose are no repeats of each other, as those of several targets. ``from_fixed``: the other end of a
+    distance is no pose but a fixed place, which ``to_joints`` names by its number.
     ``joints_tell_pose``: rows with the same joint readings stand at the same pose. ``follows``: readings move with the
     joints; heights above a plate that is probed do not, and how little they vary says nothing of a mistake.
     """
@@ -38,6 +40,8 @@ class Layout:
     velocities: tuple[str, ...] = ()
     joints_tell_pose: bool = True
     follows: bool = True
+    apart: tuple[str, ...] = ()
+    from_fixed: bool = False
 
     @cached_property
     def readings(self) -> tuple[str, ...]:
@@ -154,7 +158,7 @@ def check_columns(names: list[str], where: str) -> Layout:
     if layout.distance is not None and layout.distance in names:
         for needed in layout.to_joints:
             if needed not in names:
-                what = "the joints at the other end of each distance"
+                what = "the other end of each distance"
                 raise MeasurementError(_missing(needed, names, where, what, layout))
     absent = [n for n in layout.known if n not in names]
     for name in (n for n in names if n not in layout.known):

@@ -45,14 +45,14 @@ class Repeatability:
 class Measurements:
     """Rows of readings of a machine. Arrays have one row per reading and are not to be written to.
 
-    ``layout`` names the columns and their units. ``joints`` (n, k), the machine's inputs; ``to_joints`` (n, k), NaN
-    where the row is no distance; ``readings`` (n, m), coordinates and then the distance, and ``taken`` (n, m) telling
-    which were taken; ``sigma`` (n, m), NaN where no noise was declared; ``outlier`` (n,) rows that the user marked as
-    wrong: kept, listed, not fitted. ``line`` (n,) is the line of the row in its file (``counted`` is ``"line"``) or its
-    number from 0 in a frame (``"row"``), for messages. ``direction`` (n, k) is the sign of the last motion of each
-    joint, from the columns ``direction_1`` … or from the order in time; NaN where neither is known. ``order`` (n,) is
-    the place of the row in the run it was taken from, by time where that is known. ``block`` (n,) says which rows are
-    held out together in validation; where it is None, neighbours are.
+    ``layout`` names the columns and their units. ``joints`` (n, k), the machine's inputs; ``to_joints`` (n, e), the
+    other ends of distances, NaN where the row is none; ``readings`` (n, m), coordinates and then the distance, and
+    ``taken`` (n, m) telling which were taken; ``sigma`` (n, m), NaN where no noise was declared; ``outlier`` (n,) rows
+    that the user marked as wrong: kept, listed, not fitted. ``line`` (n,) is the line of the row in its file
+    (``counted`` is ``"line"``) or its number from 0 in a frame (``"row"``), for messages. ``direction`` (n, k) is the
+    sign of the last motion of each joint, from the columns ``direction_1`` … or from the order in time; NaN where
+    neither is known. ``order`` (n,) is the place of the row in the run it was taken from, by time where that is known.
+    ``block`` (n,) says which rows are held out together in validation; where it is None, neighbours are.
     """
 
     joints: Floats
@@ -164,14 +164,14 @@ class Measurements:
         if self.layout.distance is not None:
             self._check_distances()
         if self.pose is not None and self.repeat is not None:
-            order = np.lexsort((self.repeat, self.pose))
-            pose, repeat = self.pose[order], self.repeat[order]
-            same = (pose[1:] == pose[:-1]) & (repeat[1:] == repeat[:-1])
+            keys = (self.repeat, *self.apart, self.pose)
+            order = np.lexsort(keys)
+            same = np.all([np.diff(key[order]) == 0 for key in keys], axis=0)
             if same.any():
                 # rows given twice stand beside each other, the first of them before the others
                 again = np.sort(order[1:][same])
                 row = again[0]
-                other = np.flatnonzero((self.pose == self.pose[row]) & (self.repeat == self.repeat[row]))[0]
+                other = np.flatnonzero(np.all([key == key[row] for key in keys], axis=0))[0]
                 raise MeasurementError(
                     f"{self.place(again)}: pose {self.pose[row]} repeat {self.repeat[row]} was given before "
                     f"({self.counted} {self.line[other]}); number repeats of a pose 1, 2, 3, …"
@@ -196,7 +196,8 @@ class Measurements:
         starts = np.flatnonzero(np.diff(sorted_pose, prepend=sorted_pose[0] - 1))
         numbers = sorted_pose[starts]
         apart = np.zeros(len(starts))
-        for end in (self.joints, self.to_joints) if np.isfinite(self.to_joints).any() else (self.joints,):
+        ends = not self.layout.from_fixed and bool(np.isfinite(self.to_joints).any())
+        for end in (self.joints, self.to_joints) if ends else (self.joints,):
             for column in end.T:
                 # rows that are no distances have no other end: NaN says nothing here
                 at = column if in_order else column[order]
@@ -343,13 +344,13 @@ class Measurements:
         return replace(
             made,
             joints=np.ascontiguousarray(joints),
-            to_joints=np.full_like(joints, np.nan),
+            to_joints=np.full((n, self.to_joints.shape[1]), np.nan),
             taken=np.tile(taken, (n, 1)),
             direction=np.ones_like(joints),
             outlier=np.zeros(n, dtype=bool),
             covariates={
-                # a robot warms and stays warm; other covariates come back
-                k: np.full(n, float(v[-1] if k == c.TEMPERATURE else v.mean()))
+                # a robot warms and stays warm; other covariates come back, numbers of things with the first of them
+                k: np.full(n, float(v[-1] if k == c.TEMPERATURE else 1.0 if k in self.layout.apart else v.mean()))
                 for k, v in self.covariates.items()
             },
         )
@@ -367,6 +368,13 @@ class Measurements:
         return self.to_joints if self.is_distance.any() else None
 
     @cached_property
+    def apart(self) -> tuple[Floats, ...]:
+        """Numbers that tell readings at one pose apart (n,), those that this run holds."""
+        ends = dict(zip(self.layout.to_joints, np.nan_to_num(self.to_joints.T), strict=False))
+        known = {**self.covariates, **ends}
+        return tuple(known[name] for name in self.layout.apart if name in known)
+
+    @cached_property
     def groups(self) -> Ints:
         """A number (n,) per row, equal for repeats of the same pose.
 
@@ -374,14 +382,19 @@ class Measurements:
         end of a distance: readings that were commanded come back exactly, those that were read never do.
         """
         if self.pose is not None:
-            return np.unique(self.pose, return_inverse=True)[1].ravel().astype(np.int64)
+            poses = np.unique(self.pose, return_inverse=True)[1].ravel().astype(np.int64)
+            if not self.apart:
+                return poses
+            told = np.column_stack([poses, *self.apart])
+            return np.unique(told, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
         if not self.layout.joints_tell_pose:
             return np.arange(len(self), dtype=np.int64)
         # The joints alone make a pose, as its number does where one is given. The side from which it was approached,
         # a payload, the temperature may differ between repeats: they move the point by much less than another pose
         # does, and what they do is seen best where nothing else changed. As poses of their own, such rows would be
         # held out apart, and a pose's own error would count once for each of them as if it were new.
-        inputs = np.column_stack([self.joints, np.where(np.isnan(self.to_joints), np.inf, self.to_joints)])
+        ends = np.where(np.isnan(self.to_joints), np.inf, self.to_joints)
+        inputs = np.column_stack([self.joints, ends, *self.apart])
         _, first, group = np.unique(inputs + 0.0, axis=0, return_index=True, return_inverse=True)
         # numbered as they come: without repeats, by row
         return np.argsort(np.argsort(first))[group.ravel()].astype(np.int64)

@@ -141,6 +141,31 @@ class Fit(Identified, Shown):
         return residuals(self.model, self.data, np.zeros(len(self.values)))
 
     @cached_property
+    def supported(self) -> int:
+        """How many combinations of parameters the readings tell better than plausible sizes do.
+
+        Along the others noise moves the values further than they can plausibly be: such a fit is nearer to its own rows
+        and further from new ones than one with fewer parameters, or with ``priors``.
+        """
+        size = np.array([p.size for p in self.parameters])
+        told = np.linalg.eigvalsh(self.covariance / np.outer(size, size))
+        # with priors a combination that both tell alike has half the variance of either
+        return self.rank - int(np.count_nonzero(told > (0.5 if self.priors else 1.0)))
+
+    @property
+    def crowded(self) -> str | None:
+        """A sentence on how many parameters the rows support, where that is not all they observe; else None."""
+        beyond = self.rank - self.supported
+        if not beyond:
+            return None
+        ways = "" if self.priors else ", or take plausible sizes as knowledge (priors=True, --priors)"
+        return (
+            f"{len(self.data)} rows support {self.supported} of {len(self.parameters)} parameters: along {beyond} "
+            f"combination{'s' if beyond > 1 else ''} noise moves them further than is plausible, which fits better and "
+            f"predicts worse. Free fewer, measure more{ways}"
+        )
+
+    @cached_property
     def outliers(self) -> NDArray[np.int64]:
         """Rows with a residual that noise does not explain: suspected, listed, never dropped.
 

@@ -38,6 +38,7 @@ def table_of(fit: Any) -> str:
         ("noise", f"{origin[fit.noise.origin]}; residuals are {fit.scale:.3g} times as large"
          if fit.noise.origin != "unknown" else origin["unknown"]),
         ("rank", f"{fit.rank} of {len(fit.parameters)}{condition}"),
+        *([("supported", fit.crowded)] if fit.crowded else []),
         ("converged", f"{'yes' if fit.converged else 'NO'}, {fit.evaluations} evaluations"),
     ]  # fmt: skip
     forms = known(fit)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import SimpleNamespace
@@ -17,6 +14,7 @@ from ..errors import EffectError, FitError
 from ..names import listed, nearest
 from ..types import Floats
 from .parameter import Parameter
+from .python_file import Named, named
 
 LINKS = ("joints", "structure", "body", "sensor")
 #: Links at which a NumPy function can act, and the columns of what it gives, one row for each row of the run.
@@ -66,13 +64,12 @@ class Effect:
         made = {one.name: getattr(self, one.name) for one in fields(self)}
         if self.function is None:
             return _made, (made,)
-        module, name = self.function.__module__, self.function.__qualname__
-        there = sys.modules.get(module)
-        own = getattr(there, name, None)
-        if not isinstance(own, Effect) or own.function is not self.function:
+        place = named(self.function.__module__, self.function.__qualname__)
+        own = None if place is None else place.found()
+        if place is None or not isinstance(own, Effect) or own.function is not self.function:
             return _made, (made,)
         others = {key: value for key, value in made.items() if value is not getattr(own, key)}
-        return _found, (module, getattr(there, "__file__", None), name, others)
+        return _found, (place, others)
 
     @property
     def is_periodic(self) -> bool:
@@ -143,19 +140,9 @@ def _made(values: dict[str, Any]) -> Effect:
     return Effect(**values)
 
 
-def _found(module: str, file: str | None, name: str, others: dict[str, Any]) -> Effect:
-    """The effect of this name in a module, which is loaded from its file where it cannot be imported."""
-    there = sys.modules.get(module)
-    if there is None:
-        try:
-            there = importlib.import_module(module)
-        except ImportError:
-            spec = None if file is None else importlib.util.spec_from_file_location(module, file)
-            if spec is None or spec.loader is None:
-                raise
-            there = sys.modules[module] = importlib.util.module_from_spec(spec)
-            spec.loader.exec_module(there)
-    return replace(getattr(there, name), **others)
+def _found(place: Named, others: dict[str, Any]) -> Effect:
+    """The effect of this place, but for what differs."""
+    return replace(place.found(), **others)
 
 
 def catalogue_of_core(table: Sequence[Mapping[str, Any]], sentences: Mapping[str, Sentences]) -> dict[str, Effect]:

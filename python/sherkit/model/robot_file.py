@@ -31,6 +31,11 @@ def load_robot(path: str | os.PathLike[str]) -> Robot:
     Settings that a kind of robot asks for and that the file leaves out are said in a
     :class:`~sherkit.errors.SherkitWarning` each, with what cannot be tried or is assumed without them.
     """
+    if Path(path).suffix == ".py":
+        raise RobotError(
+            f"{path}: is a Python file, which is not run here; sherkit diagnose, calibrate, effects and app run that "
+            "of a machine, and in Python it is imported"
+        )
     tables = read_toml(Path(path), "robot")
     _columns_in(tables, path)
     robot = robot_from_tables({key: value for key, value in tables.items() if key != _COLUMNS}, str(path))

@@ -11,7 +11,7 @@ from ..types import Floats
 from .calibrated import Calibration
 
 #: The type of the C library by the kind of robot that a row is of (rust/core/src/flat.rs), as its second number says.
-_TYPES = {1.0: "sherkit_delta", 2.0: "sherkit_spherical"}
+_TYPES = {1.0: "sherkit_delta", 2.0: "sherkit_spherical", 3.0: "sherkit_serial"}
 _IN_A_LINE = 6
 
 
@@ -26,7 +26,7 @@ def calibration_header(calibration: Calibration, source: str = "calibrated.toml"
     if row is None or kind is None:
         raise CalibrationError(
             f"{source}: a {calibration.robot.kind} robot runs in Python alone; the C library has deltas, spherical "
-            "robots and the flexible tool"
+            "robots, serial arms and the flexible tool"
         )
     guard = f"{name.upper()}_H"
     includes = ["#include <math.h>"] if not all(map(math.isfinite, row)) else []

@@ -233,6 +233,22 @@ typedef struct sherkit_sensor_calibration {
     double noise_nm;
 } sherkit_sensor_calibration;
 
+// A calibrated serial arm. Its content is nobody's business.
+typedef struct sherkit_serial {
+    uint64_t words[960];
+} sherkit_serial;
+
+// What a pose of the arm depends on beside its joints. NaN where it is not known; an effect that needs it then gives
+// SHERKIT_NOT_FINITE.
+typedef struct sherkit_serial_covariates {
+    // Time, s, on the clock of the calibration.
+    double time_s;
+    // Temperature, degrees Celsius.
+    double temperature_c;
+    // Direction of the last motion of each joint, 1, -1 or 0; those beyond its joints are not looked at.
+    double direction[9];
+} sherkit_serial_covariates;
+
 // A calibrated spherical robot. Its content is nobody's business.
 typedef struct sherkit_spherical {
     uint64_t words[192];
@@ -397,6 +413,30 @@ sherkit_result sherkit_sensor_read(const struct sherkit_sensor *sensor,
                                    double time_s,
                                    const double *wavelengths_nm,
                                    struct sherkit_measurement *measurement);
+
+// Loads a calibration: count numbers as sherkit writes them. They are copied. Where it fails the robot is not
+// initialised.
+sherkit_result sherkit_serial_init(struct sherkit_serial *robot, const double *numbers, size_t count);
+
+// How many joints it has, 1 to 9.
+sherkit_result sherkit_serial_joints(const struct sherkit_serial *robot, size_t *count);
+
+// Position (3, mm) of the target in the base frame for the readings of its joints (rad, or mm of those that slide), and
+// its derivative by them (3 times as many, row by row) unless jacobian is null. Covariates may be null.
+sherkit_result sherkit_serial_forward(const struct sherkit_serial *robot,
+                                      const double *joints,
+                                      const struct sherkit_serial_covariates *covariates,
+                                      double *position,
+                                      double *jacobian);
+
+// Readings of its joints within their limits at which the target is at a position (3, mm) of the base frame, to 1 nm: of
+// many postures that to which the smallest steps lead from start, which is where the arm stands. SHERKIT_OUT_OF_REACH
+// where they lead nowhere. Covariates may be null; joints and start may be the same array.
+sherkit_result sherkit_serial_inverse(const struct sherkit_serial *robot,
+                                      const double *position,
+                                      const double *start,
+                                      const struct sherkit_serial_covariates *covariates,
+                                      double *joints);
 
 // Loads a calibration: count numbers as sherkit writes them. They are copied. Where it fails the robot is not
 // initialised.

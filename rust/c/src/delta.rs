@@ -1,7 +1,7 @@
 //! The calibrated delta.
 
 use crate::result::sherkit_result;
-use crate::robot::{self, Robot};
+use crate::robot::{self, Read, Robot};
 use crate::storage::Opaque;
 use nalgebra::{Matrix3, Vector3};
 use sherkit_core::delta::{Calibrated, Covariates};
@@ -44,12 +44,14 @@ impl From<sherkit_delta_covariates> for Covariates {
     }
 }
 
-impl Robot<3> for sherkit_delta {
-    type Known = sherkit_delta_covariates;
-
+impl Read for sherkit_delta {
     fn read(numbers: &'static [f64]) -> Result<Self::Value> {
         flat::read_delta(numbers)
     }
+}
+
+impl Robot<3> for sherkit_delta {
+    type Known = sherkit_delta_covariates;
 
     fn forward_at(
         robot: &Self::Value,

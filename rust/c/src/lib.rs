@@ -23,6 +23,7 @@ mod noise;
 mod result;
 mod robot;
 mod sensing;
+mod serial;
 mod spherical;
 mod status;
 mod storage;

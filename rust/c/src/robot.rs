@@ -7,12 +7,16 @@ use nalgebra::{SMatrix, SVector};
 use sherkit_core::chain::Covariates;
 use sherkit_core::{Error, Result};
 
+/// What a row of numbers holds.
+pub trait Read: Opaque {
+    /// The robot of a row.
+    fn read(numbers: &'static [f64]) -> Result<Self::Value>;
+}
+
 /// A calibrated robot of as many coordinates as joints.
-pub trait Robot<const N: usize>: Opaque {
+pub trait Robot<const N: usize>: Read {
     /// What C says is known.
     type Known: Copy + Into<Covariates<N>>;
-    /// The robot that a row of numbers holds.
-    fn read(numbers: &'static [f64]) -> Result<Self::Value>;
     /// Where it is at joint readings, with the derivative by them.
     fn forward_at(
         robot: &Self::Value,
@@ -31,11 +35,7 @@ pub trait Robot<const N: usize>: Opaque {
 ///
 /// # Safety
 /// Pointers are null or valid; the numbers outlive the robot where it does not copy them.
-pub unsafe fn init<T: Robot<N>, const N: usize>(
-    robot: *mut T,
-    numbers: *const f64,
-    count: usize,
-) -> sherkit_result {
+pub unsafe fn init<T: Read>(robot: *mut T, numbers: *const f64, count: usize) -> sherkit_result {
     // SAFETY: pointers are null or valid.
     answer(unsafe {
         clear(robot);
@@ -100,7 +100,10 @@ pub unsafe fn inverse<T: Robot<N>, const N: usize>(
 }
 
 /// What is known, or nothing. A loop commands places, so velocities are zero.
-unsafe fn known<K: Copy + Into<Covariates<N>>, const N: usize>(
+///
+/// # Safety
+/// The pointer is null or valid.
+pub unsafe fn known<K: Copy + Into<Covariates<N>>, const N: usize>(
     covariates: *const K,
 ) -> Covariates<N> {
     // SAFETY: null or valid.

@@ -1,7 +1,7 @@
 //! The calibrated spherical robot.
 
 use crate::result::sherkit_result;
-use crate::robot::{self, Robot};
+use crate::robot::{self, Read, Robot};
 use crate::storage::Opaque;
 use nalgebra::{Matrix2, Vector2};
 use sherkit_core::spherical::{Calibrated, Covariates};
@@ -44,12 +44,14 @@ impl From<sherkit_spherical_covariates> for Covariates {
     }
 }
 
-impl Robot<2> for sherkit_spherical {
-    type Known = sherkit_spherical_covariates;
-
+impl Read for sherkit_spherical {
     fn read(numbers: &'static [f64]) -> Result<Self::Value> {
         flat::read_spherical(numbers)
     }
+}
+
+impl Robot<2> for sherkit_spherical {
+    type Known = sherkit_spherical_covariates;
 
     fn forward_at(
         robot: &Self::Value,

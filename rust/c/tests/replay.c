@@ -88,6 +88,30 @@ static void run_spherical(size_t count, size_t rows)
     }
 }
 
+/* Rows: joints, covariates 2 and one for each joint, position 3, start. */
+static void run_serial(size_t count, size_t rows)
+{
+    double *numbers = get_new(count);
+    static sherkit_serial robot;
+    size_t k;
+    need(sherkit_serial_init(&robot, numbers, count) == SHERKIT_OK, "the arm cannot be read");
+    free(numbers);
+    need(sherkit_serial_joints(&robot, &k) == SHERKIT_OK && k <= 9, "the arm has no joints");
+    for (size_t i = 0; i < rows; i++) {
+        double row[32], x[3] = {0}, j[27] = {0}, q[9] = {0};
+        sherkit_serial_covariates now = {0};
+        get(row, 5 + 3 * k);
+        now.time_s = row[k];
+        now.temperature_c = row[k + 1];
+        memcpy(now.direction, row + k + 2, k * sizeof *row);
+        put_one(sherkit_serial_forward(&robot, row, &now, x, j));
+        put(x, 3);
+        put(j, 3 * k);
+        put_one(sherkit_serial_inverse(&robot, row + 2 + 2 * k, row + 5 + 2 * k, &now, q));
+        put(q, k);
+    }
+}
+
 /* First the sensor's 24 numbers and the noise's 10, then rows: time, stamp, whether there is a measurement,
  * wavelengths 9, velocity 3, pose 12, depth, its variance. */
 static void run_tool(size_t rows)
@@ -193,11 +217,12 @@ int main(int argc, char **argv)
     in = fopen(argv[1], "rb");
     out = fopen(argv[2], "wb");
     need(in != NULL && out != NULL, "a file cannot be opened");
-    double counts[5];
-    get(counts, 5);
+    double counts[7];
+    get(counts, 7);
     run_delta((size_t)counts[0], (size_t)counts[1]);
     run_spherical((size_t)counts[2], (size_t)counts[3]);
-    run_tool((size_t)counts[4]);
+    run_serial((size_t)counts[4], (size_t)counts[5]);
+    run_tool((size_t)counts[6]);
     need(fclose(out) == 0, "the output cannot be written");
     fclose(in);
     return 0;

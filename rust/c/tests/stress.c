@@ -25,6 +25,7 @@
 
 FENCED(sherkit_delta, delta);
 FENCED(sherkit_spherical, spherical);
+FENCED(sherkit_serial, serial);
 FENCED(sherkit_sensor, sensor);
 FENCED(sherkit_depth_filter, depth);
 FENCED(sherkit_tip_filter, tip);
@@ -194,6 +195,23 @@ static void kinematics(void)
         if (sherkit_spherical_inverse(&spherical.it, x, &then, back) == SHERKIT_OK)
             need(finite(back, 2), "joints of the spherical robot");
     }
+    double turned[9], spin[27], there[9];
+    size_t joints = 0;
+    sherkit_serial_covariates last = {spoilt(0.0), spoilt(20.0), {1.0, spoilt(-1.0), 0.0}};
+    need(sherkit_serial_joints(&serial.it, &joints) == SHERKIT_OK && joints == 6, "the arm lost a joint");
+    for (size_t k = 0; k < 9; k++)
+        turned[k] = there[k] = k < joints ? spoilt(uniform(-3.0, 3.0)) : FENCE;
+    for (int k = 0; k < 3; k++)
+        x[k] = 0.0;
+    done = sherkit_serial_forward(&serial.it, turned, once_in(2) ? &last : NULL, x, once_in(2) ? spin : NULL);
+    need(done != SHERKIT_OK || finite(x, 3), "the arm stands nowhere");
+    for (int k = 0; k < 3; k++)
+        x[k] = once_in(2) ? x[k] : spoilt(uniform(-800.0, 800.0));
+    // a search is long: where it leads nowhere, it is not often begun
+    if (once_in(20) && sherkit_serial_inverse(&serial.it, x, turned, &last, there) == SHERKIT_OK)
+        need(finite(there, 6), "joints of the arm");
+    for (size_t k = joints; k < 9; k++)
+        need(there[k] == FENCE, "a joint that the arm has not is written");
 }
 
 static void check_sum(const sherkit_statistics *s)
@@ -237,6 +255,7 @@ int main(int argc, char **argv)
     seed = argc > 2 ? strtoull(argv[2], NULL, 10) : 1;
     FENCE_IN(delta);
     FENCE_IN(spherical);
+    FENCE_IN(serial);
     FENCE_IN(sensor);
     FENCE_IN(depth);
     FENCE_IN(tip);
@@ -251,6 +270,7 @@ int main(int argc, char **argv)
     need(sherkit_spherical_init(&spherical.it, example_spherical, sizeof example_spherical / sizeof(double)) ==
              SHERKIT_OK,
          "spherical robot");
+    need(sherkit_serial_init(&serial.it, example_serial, sizeof example_serial / sizeof(double)) == SHERKIT_OK, "arm");
     need(sherkit_sensor_init(&sensor.it, &calibration) == SHERKIT_OK, "sensor");
     unsigned long long updates = 0, moves = 0, starts = 0;
     double time_s = 0.0;
@@ -306,6 +326,7 @@ int main(int argc, char **argv)
     }
     CHECK(delta);
     CHECK(spherical);
+    CHECK(serial);
     CHECK(sensor);
     sherkit_statistics s;
     need(sherkit_depth_filter_statistics(&depth.it, &s) == SHERKIT_OK, "statistics");

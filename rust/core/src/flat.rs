@@ -11,21 +11,26 @@
 //! coefficients of its correction, or 0. Spherical (kind 2): assembly ±1, 6 geometric parameters, radius, the camera's 15,
 //! face ±1, gravity, home, time origin, slip time, period of the encoders, slip time of the
 //! camera, place of the elbows (0 open, 1 crossed, 2 ahead,
-//! 3 behind), the values of all parameters.
+//! 3 behind), the values of all parameters. Serial (kind 3): number of joints, of each its frame behind the one before it
+//! (turn row by row, shift), 1 where it slides, by how much it follows the one before, home, mass and the centre of it, lowest and highest reading; 4 targets,
+//! 4 centres, gravity, period of the encoders, time origin, slip time, the values of all parameters.
 
 use crate::camera::{Description, Face};
 use crate::chain::Robot;
 use crate::delta;
 use crate::delta::correction::{Correction, Domain, MAX_ORDER, coefficients_len};
 use crate::delta::{Branch, Calibrated};
+use crate::numbers::rigid::Rigid;
+use crate::serial::{self, Joint, Limits};
 use crate::spherical::{self, Elbows, Readings};
 use crate::{Error, Result};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 /// Version of the layout.
 const VERSION: f64 = 3.0;
 const DELTA: f64 = 1.0;
 const SPHERICAL: f64 = 2.0;
+const SERIAL: f64 = 3.0;
 
 /// What a branch of a calibrated delta is made from.
 #[derive(Clone, Copy, Debug)]
@@ -122,6 +127,43 @@ pub fn write_spherical(
     values.iter().copied().for_each(&mut put);
 }
 
+/// Writes a calibrated arm, number by number; the tracker that saw it is left out, as in the arm that is read.
+pub fn write_serial(
+    model: &serial::Model,
+    values: &serial::Values,
+    limits: &Limits,
+    mut put: impl FnMut(f64),
+) {
+    [
+        VERSION,
+        SERIAL,
+        serial::PARAMETERS as f64,
+        model.count as f64,
+    ]
+    .into_iter()
+    .for_each(&mut put);
+    let ranges = limits.low.iter().zip(&limits.high);
+    for (joint, (low, high)) in model.joints.iter().zip(ranges).take(model.count) {
+        let turn = joint.fixed.rotation.transpose();
+        turn.iter().copied().for_each(&mut put);
+        let shift = joint.fixed.translation;
+        shift.iter().copied().for_each(&mut put);
+        put(if joint.prismatic { 1.0 } else { 0.0 });
+        [joint.follows, joint.home, joint.mass_kg]
+            .into_iter()
+            .for_each(&mut put);
+        joint.centre_mm.iter().copied().for_each(&mut put);
+        [*low, *high].into_iter().for_each(&mut put);
+    }
+    let points = model.targets_mm.iter().chain(&model.centres_mm);
+    points.flatten().copied().for_each(&mut put);
+    model.gravity.iter().copied().for_each(&mut put);
+    put(model.encoder_period);
+    put(model.time_origin_s);
+    put(model.slip_time_s);
+    values.iter().copied().for_each(&mut put);
+}
+
 /// What is left of a row.
 struct Reader<'a>(&'a [f64]);
 
@@ -151,6 +193,14 @@ impl<'a> Reader<'a> {
         } else {
             refuse("calibration: a number of the model is not finite")
         }
+    }
+
+    fn points<const N: usize>(&mut self) -> Result<[Vector3<f64>; N]> {
+        let mut out = [Vector3::zeros(); N];
+        for point in &mut out {
+            *point = Vector3::from(self.finite::<3>()?);
+        }
+        Ok(out)
     }
 
     fn flag(&mut self) -> Result<bool> {
@@ -299,4 +349,48 @@ pub fn read_spherical(numbers: &[f64]) -> Result<spherical::Calibrated> {
     let values = row.finite()?;
     row.end()?;
     spherical::Calibrated::new(&model, &values, elbows)
+}
+
+/// Reads a calibrated arm.
+///
+/// # Errors
+/// [`Error::Invalid`] says what the row lacks; otherwise as [`Robot::with`].
+pub fn read_serial(numbers: &[f64]) -> Result<serial::Calibrated> {
+    let mut row = Reader(numbers);
+    row.head(SERIAL, serial::PARAMETERS)?;
+    let found = row.one()?;
+    let Some(count) = (1..=serial::JOINTS).find(|k| *k as f64 == found) else {
+        return refuse("calibration: an arm has one to nine joints");
+    };
+    let mut joints = [Joint::NONE; serial::JOINTS];
+    let mut limits = Limits {
+        low: [0.0; serial::JOINTS],
+        high: [0.0; serial::JOINTS],
+    };
+    let ranges = limits.low.iter_mut().zip(&mut limits.high);
+    for (joint, (low, high)) in joints.iter_mut().zip(ranges).take(count) {
+        joint.fixed = Rigid {
+            rotation: Matrix3::from_row_slice(&row.finite::<9>()?),
+            translation: Vector3::from(row.finite::<3>()?),
+        };
+        joint.prismatic = row.flag()?;
+        [joint.follows, joint.home, joint.mass_kg] = row.finite()?;
+        joint.centre_mm = Vector3::from(row.finite::<3>()?);
+        [*low, *high] = row.finite()?;
+    }
+    let model = serial::Model {
+        joints,
+        count,
+        targets_mm: row.points()?,
+        centres_mm: row.points()?,
+        tracker: Rigid::identity(),
+        gravity: Vector3::from(row.finite::<3>()?),
+        encoder_period: row.finite::<1>()?[0],
+        time_origin_s: row.finite::<1>()?[0],
+        slip_time_s: row.finite::<1>()?[0],
+        tracker_slip_time_s: 0.0,
+    };
+    let values = row.finite()?;
+    row.end()?;
+    serial::Calibrated::new(&model, &values, &limits)
 }

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3, Vector6};
 use proptest::prelude::*;
 use sherkit_core::Error;
 use sherkit_core::chain::effects::Wanted;
-use sherkit_core::chain::{Columns, Robot as _};
+use sherkit_core::chain::{Aim, Columns, Robot as _};
 use sherkit_core::delta::{CATALOGUE, Covariates, LIMBS, PARAMETERS, Row, Values};
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -60,7 +60,7 @@ proptest! {
         let model = model_of(&robot);
         let joints = [robot.joints.x, robot.joints.y, robot.joints.z];
         let to = std::array::from_fn(|i| joints[i] + moves[i]);
-        let row = |to| Row { joints, to, covariates: some_covariates(), push: Vector3::from(push) };
+        let row = |to| Row { joints, to, aim: Aim::default(), covariates: some_covariates(), push: Vector3::from(push) };
         let chain = model.with(&values).unwrap();
         // steps that move the reading by a few hundredths of a millimetre
         let place = chain.row_predict(&row(None), Wanted::ALL).unwrap();
@@ -181,7 +181,7 @@ proptest! {
         let sides = [robot.geometry.assembly.sign(); LIMBS];
         if let Some(to) = joints_at(&robot.geometry, &(robot.position + away), sides) {
             let joints = [robot.joints.x, robot.joints.y, robot.joints.z];
-            let row = Row { joints, to: Some([to.x, to.y, to.z]), covariates: nothing, push: still };
+            let row = Row { joints, to: Some([to.x, to.y, to.z]), aim: Aim::default(), covariates: nothing, push: still };
             let found = chain.row_value(&row).unwrap();
             prop_assert!((found - Vector3::new(away.norm(), 0.0, 0.0)).amax() < 1e-8);
         }
@@ -340,6 +340,7 @@ fn a_distance_of_zero_has_a_finite_derivative() {
     let row = Row {
         joints,
         to: Some(joints),
+        aim: Aim::default(),
         covariates: some_covariates(),
         push: Vector3::zeros(),
     };

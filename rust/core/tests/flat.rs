@@ -3,13 +3,18 @@
 mod common;
 
 use common::{Random, Robot, config, effects, model_of, robots, some_covariates};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{SVector, Vector2, Vector3};
 use proptest::prelude::*;
 use sherkit_core::camera::{Description, Face};
-use sherkit_core::chain::Robot as _;
+use sherkit_core::chain::{CENTRES, Robot as _};
 use sherkit_core::delta::correction::{Correction, Domain, coefficients_len};
 use sherkit_core::delta::{Branch, Calibrated, Values};
-use sherkit_core::flat::{BranchParts, read_delta, read_spherical, write_delta, write_spherical};
+use sherkit_core::flat::{
+    BranchParts, read_delta, read_serial, read_spherical, write_delta, write_serial,
+    write_spherical,
+};
+use sherkit_core::numbers::rigid::Rigid;
+use sherkit_core::serial::{self, JOINTS, Joint, Limits};
 use sherkit_core::spherical::{self, Elbows};
 
 /// What a random calibrated delta is made of.
@@ -114,6 +119,70 @@ proptest! {
             }
         }
     }
+}
+
+/// The same for an arm.
+#[test]
+fn an_arm_comes_back_to_the_last_bit() {
+    let mut joints = [Joint::NONE; JOINTS];
+    for (k, joint) in joints.iter_mut().enumerate().take(4) {
+        joint.fixed.rotation =
+            sherkit_core::camera::rotation_matrix(&Vector3::new(1.2, 0.3, 0.1 * k as f64));
+        joint.fixed.translation = Vector3::new(200.0, 30.0 * k as f64, 50.0);
+        (joint.prismatic, joint.home, joint.mass_kg) = (k == 2, 0.1 * k as f64, 3.0);
+        joint.follows = 0.5 * k as f64;
+        joint.centre_mm = Vector3::new(20.0, 40.0, 60.0);
+    }
+    let model = serial::Model {
+        joints,
+        count: 4,
+        targets_mm: [Vector3::new(10.0, 20.0, 30.0); serial::TARGETS],
+        centres_mm: [Vector3::new(-1.0, -2.0, -3.0); CENTRES],
+        tracker: Rigid::identity(),
+        gravity: -Vector3::z(),
+        encoder_period: 0.4,
+        time_origin_s: 1.0,
+        slip_time_s: 2.0,
+        tracker_slip_time_s: 3.0,
+    };
+    let limits = Limits {
+        low: std::array::from_fn(|k| -3.0 - k as f64),
+        high: [3.0; JOINTS],
+    };
+    let values = std::array::from_fn(|k| 1e-4 * (k as f64 - 40.0));
+    let mut row = Vec::new();
+    write_serial(&model, &values, &limits, |x| row.push(x));
+    let read = read_serial(&row).expect("what was written");
+    let made = serial::Calibrated::new(&model, &values, &limits).expect("an arm");
+    let now = serial::Covariates {
+        time_s: 3.0,
+        temperature_c: 21.0,
+        direction: [1.0; JOINTS],
+        velocity: [0.0; JOINTS],
+    };
+    let joints = SVector::from([0.3, -0.5, 20.0, 0.7, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    let found = made.forward(&joints, &now).expect("a place");
+    assert_eq!(read.forward(&joints, &now), Ok(found));
+    let start = SVector::zeros();
+    assert_eq!(
+        read.inverse(&found.0, &start, &now),
+        made.inverse(&found.0, &start, &now)
+    );
+    for end in 0..row.len() {
+        assert!(read_serial(&row[..end]).is_err());
+    }
+    for k in 0..row.len() {
+        for bad in [f64::NAN, f64::INFINITY, 1e300, -7.5] {
+            let mut spoilt = row.clone();
+            spoilt[k] = bad;
+            // what is read must answer, whatever it is
+            if let Ok(arm) = read_serial(&spoilt) {
+                assert!(bad.is_finite(), "{k}");
+                let _ = arm.forward(&joints, &now);
+            }
+        }
+    }
+    assert!(read_delta(&row).is_err());
 }
 
 /// The same for the spherical robot.

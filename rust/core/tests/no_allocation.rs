@@ -7,8 +7,8 @@ mod common;
 use common::{Robot, drawing, model_of, some_covariates};
 use nalgebra::{SMatrix, Vector3};
 use sherkit_core::camera::{Description, Face};
-use sherkit_core::chain::Robot as _;
 use sherkit_core::chain::effects::Wanted;
+use sherkit_core::chain::{Aim, Robot as _};
 use sherkit_core::delta::correction::{
     Correction, Domain, apply_axis, axis_scratch_len, project_axis, push,
 };
@@ -148,6 +148,7 @@ fn the_calibrated_robot_allocates_nothing() {
                 covariates: now,
                 push: Vector3::zeros(),
                 to: Some([200.0; 3]),
+                aim: Aim::default(),
             };
             let _ = black_box(chain.row_predict(&row, Wanted::ALL));
             let _ = black_box(chain.row_value(&row));
@@ -338,6 +339,7 @@ fn the_spherical_robot_allocates_nothing() {
                 let row = spherical::Row {
                     joints,
                     to: None,
+                    aim: Aim::default(),
                     covariates: now,
                     push: Vector3::zeros(),
                 };

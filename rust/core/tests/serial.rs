@@ -2,10 +2,10 @@
 
 use nalgebra::{Matrix3, SVector, Vector3};
 use sherkit_core::chain::effects::Wanted;
-use sherkit_core::chain::{Covariates, Robot, Row};
+use sherkit_core::chain::{Aim, CENTRES, Covariates, Prediction, Robot, Row};
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::serial::{
-    CATALOGUE, Calibrated, JOINTS, Joint, Limits, Model, PARAMETERS, Values,
+    CATALOGUE, Calibrated, JOINTS, Joint, Limits, Model, PARAMETERS, TARGETS, Values,
 };
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -25,6 +25,7 @@ fn joint(shift: [f64; 3], rotation: Matrix3<f64>, prismatic: bool, mass_kg: f64)
             translation: Vector3::from(shift),
         },
         prismatic,
+        follows: 0.0,
         home: if prismatic { 20.0 } else { 0.2 },
         mass_kg,
         centre_mm: Vector3::new(30.0, -40.0, 50.0),
@@ -39,10 +40,17 @@ fn arm() -> Model {
     joints[2] = joint([420.0, 0.0, 0.0], Matrix3::identity(), false, 2.0);
     joints[3] = joint([390.0, 30.0, 0.0], turn(1, -1.1), true, 3.0);
     joints[4] = joint([0.0, 95.0, 5.0], turn(0, -FRAC_PI_2), false, 1.0);
+    joints[2].follows = -1.0;
     Model {
         joints,
         count: 5,
-        tool_mm: Vector3::new(15.0, -20.0, 80.0),
+        targets_mm: [
+            Vector3::new(15.0, -20.0, 80.0),
+            Vector3::new(-60.0, 40.0, 30.0),
+            Vector3::new(70.0, 10.0, 50.0),
+            Vector3::new(0.0, 0.0, 120.0),
+        ],
+        centres_mm: [Vector3::new(300.0, 400.0, -200.0); CENTRES],
         tracker: Rigid {
             rotation: turn(2, 2.0) * turn(0, 0.3),
             translation: Vector3::new(1500.0, -700.0, 300.0),
@@ -59,6 +67,7 @@ fn row() -> Row<JOINTS> {
     Row {
         joints: [0.7, -0.9, 1.3, 60.0, 0.4, 0.0, 0.0, 0.0, 0.0],
         to: None,
+        aim: Aim::default(),
         covariates: Covariates {
             time_s: 700.0,
             temperature_c: 23.0,
@@ -95,13 +104,25 @@ fn derivatives_are_exact() {
         let miss = (column - other).norm() / column.norm().max(1.0);
         assert!(miss < 1e-8, "{what} {number}: {miss:e} {column} {other}");
     };
-    let (model, row) = (arm(), row());
-    let sizes = || CATALOGUE.iter().flat_map(|e| e.parameters);
-    for share in [0.0, 1.0] {
+    let (model, sizes) = (arm(), || CATALOGUE.iter().flat_map(|e| e.parameters));
+    let aims = [(0, None), (2, None), (0, Some(1)), (3, Some(2))];
+    let mut reused = Prediction::new();
+    for (share, (target, centre)) in [0.0, 1.0]
+        .into_iter()
+        .flat_map(|s| aims.map(|aim| (s, aim)))
+    {
+        let row = Row {
+            aim: Aim { target, centre },
+            ..row()
+        };
         let values = some(share);
         let chain = model.with(&values).unwrap();
         let found = chain.row_predict(&row, Wanted::ALL).unwrap();
         assert_eq!(found.value, chain.row_value(&row).unwrap());
+        // what an earlier row left, of another target, is gone
+        let all = Wanted::ALL;
+        chain.row_predict_into(&row, all, &mut reused).unwrap();
+        assert_eq!(found.by_parameters, reused.by_parameters);
         for (p, parameter) in sizes().enumerate() {
             let moved = |h: f64| {
                 let mut values = values;
@@ -133,6 +154,39 @@ fn derivatives_are_exact() {
     }
 }
 
+/// A target that is another one, and a distance that counts from somewhere else.
+#[test]
+fn targets_and_distances_are_where_they_are_drawn() {
+    let model = Model {
+        tracker: Rigid::identity(),
+        ..arm()
+    };
+    let chain = model.with(&some(0.0)).unwrap();
+    let at = |target: usize, centre: Option<usize>| {
+        let mut row = row();
+        row.covariates = Covariates::NONE;
+        row.aim = Aim { target, centre };
+        chain.row_value(&row).unwrap()
+    };
+    let push = row().push;
+    let flange = |k: usize| {
+        let mut one = model;
+        one.targets_mm = [model.targets_mm[k]; TARGETS];
+        let limits = Limits {
+            low: [-1e3; JOINTS],
+            high: [1e3; JOINTS],
+        };
+        let arm = Calibrated::new(&one, &some(0.0), &limits).unwrap();
+        let joints = SVector::from(row().joints);
+        arm.forward(&joints, &Covariates::NONE).unwrap().0 + push
+    };
+    for k in 0..TARGETS {
+        assert!((at(k, None) - flange(k)).norm() < 1e-12);
+        let distance = (flange(k) - model.centres_mm[1]).norm();
+        assert!((at(k, Some(1)) - Vector3::new(distance, 0.0, 0.0)).norm() < 1e-12);
+    }
+}
+
 /// A chain that is not the drawing where nothing is wrong: a planar arm whose elbow is a right angle, and its slide.
 #[test]
 fn it_is_the_drawing_without_effects() {
@@ -143,7 +197,7 @@ fn it_is_the_drawing_without_effects() {
     let model = Model {
         joints,
         count: 3,
-        tool_mm: Vector3::zeros(),
+        targets_mm: [Vector3::zeros(); TARGETS],
         tracker: Rigid::identity(),
         gravity: -Vector3::z(),
         ..arm()
@@ -166,7 +220,7 @@ fn it_gives_way_under_its_weight() {
     let model = Model {
         joints,
         count: 1,
-        tool_mm: Vector3::new(400.0, 0.0, 0.0),
+        targets_mm: [Vector3::new(400.0, 0.0, 0.0); TARGETS],
         tracker: Rigid::identity(),
         gravity: -Vector3::z(),
         ..arm()

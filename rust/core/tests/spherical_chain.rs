@@ -6,8 +6,8 @@ use common::{Random, config, derivative, plausible, range_of};
 use nalgebra::{Matrix3, Rotation3, SVector, Vector2, Vector3};
 use proptest::prelude::*;
 use sherkit_core::camera::{Camera, Description, Face};
-use sherkit_core::chain::Robot as _;
 use sherkit_core::chain::effects::Wanted;
+use sherkit_core::chain::{Aim, Robot as _};
 use sherkit_core::spherical::{
     Assembly, CATALOGUE, Chain, Covariates, Geometry, Kinematics, Limb, Model, PARAMETERS,
     Readings, Row, Values,
@@ -70,6 +70,7 @@ fn row(joints: [f64; 2]) -> Row {
     Row {
         joints,
         to: None,
+        aim: Aim::default(),
         covariates: Covariates {
             time_s: 5000.0,
             temperature_c: 24.0,

@@ -6,8 +6,8 @@
 use core::panic::PanicInfo;
 use nalgebra::{Vector2, Vector3};
 use sherkit_core::camera::{Description, Face};
-use sherkit_core::chain::Robot;
 use sherkit_core::chain::effects::Wanted;
+use sherkit_core::chain::{Aim, Robot};
 use sherkit_core::delta::{
     Assembly, Branch, Calibrated, Covariates, GEOMETRIC, Geometry, Model, PARAMETERS,
 };
@@ -78,6 +78,7 @@ pub extern "C" fn spherical_step(
     let row = spherical::Row {
         joints: *joints,
         to: None,
+        aim: Aim::default(),
         covariates: spherical::Covariates::NONE,
         push: Vector3::zeros(),
     };

@@ -185,7 +185,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Kernel
                 let (row, at) = (&rows[first + lane], (first + lane) * width);
                 joints[lane] = row.joints;
                 push[lane] = row.push.into();
-                if row.to.is_none() {
+                if !row.is_distance() {
                     reading[lane].copy_from_slice(&readings[at..at + M]);
                     weight[lane].copy_from_slice(&weights[at..at + M]);
                 }
@@ -201,7 +201,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Kernel
             };
             let reached_at = reached.positive();
             for lane in 0..count {
-                if rows[first + lane].to.is_some() || !reached_at[lane] {
+                if rows[first + lane].is_distance() || !reached_at[lane] {
                     left.push(first + lane);
                 }
             }
@@ -283,7 +283,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Kernel
             let (value, ok) = (V::rows(value), ok.positive());
             let lines = out.chunks_exact_mut(self.width).zip(reached);
             for (lane, (line, reached)) in lines.enumerate() {
-                *reached = ok[lane] && rows[lane].to.is_none();
+                *reached = ok[lane] && !rows[lane].is_distance();
                 if *reached {
                     line[..M].copy_from_slice(&value[lane]);
                 }

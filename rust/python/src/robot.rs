@@ -14,11 +14,12 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use sherkit_core::Result;
 use sherkit_core::chain::effects::{Effect, Wanted};
-use sherkit_core::chain::{Chain, Covariates, Prediction, Robot, Row};
+use sherkit_core::chain::{Aim, Chain, Covariates, Distances, Prediction, Robot, Row};
 
 /// A block of rows as it comes from Python: joints `(n, J)`, the other ends of distances `(n, J)`, covariates
-/// `(n, 2 + 2 J)` (time s, temperature °C, directions, velocities, which may be left out) and displacements of the
-/// measured point `(n, 3)`.
+/// `(n, 2 + 2 J)` (time s, temperature °C, directions, velocities, which may be left out, and the number of the target where
+/// there are several) and displacements of the measured point `(n, 3)`. Where distances are read from fixed centres, the
+/// other ends are their numbers `(n, 1)`.
 pub type Block<'py> = (
     PyReadonlyArray2<'py, f64>,
     Option<PyReadonlyArray2<'py, f64>>,
@@ -82,25 +83,42 @@ pub fn catalogue<'py>(py: Python<'py>, table: &[Effect]) -> PyResult<Bound<'py, 
 /// The rows of a block, copied, so that nobody else can write them while they are used. A row whose other end is NaN is
 /// no distance.
 pub fn rows_of<const J: usize>(block: &Block<'_>) -> PyResult<Vec<Row<J>>> {
-    rows_of_first(block, J)
+    rows_of_first(block, J, Distances::BetweenPlaces)
 }
 
 /// The same of a robot that has the first `k` joints alone: the others stand at zero.
-pub fn rows_of_first<const J: usize>(block: &Block<'_>, k: usize) -> PyResult<Vec<Row<J>>> {
+pub fn rows_of_first<const J: usize>(
+    block: &Block<'_>,
+    k: usize,
+    distances: Distances,
+) -> PyResult<Vec<Row<J>>> {
+    let fixed = distances == Distances::FromCentres;
+    let wide = if fixed { 1 } else { k };
     let n = block.0.shape().first().copied().unwrap_or(0);
     let joints = table("joints", &block.0, n, k)?;
-    let to = optional("to_joints", block.1.as_ref(), n, k)?;
-    let known = match &block.2 {
-        Some(c) if c.shape().last() == Some(&(2 + k)) => 2 + k,
-        _ => 2 + 2 * k,
-    };
+    let to = optional("to_joints", block.1.as_ref(), n, wide)?;
+    let given = block.2.as_ref().and_then(|c| c.shape().last().copied());
+    let known = given
+        .filter(|width| [2 + k, 3 + 2 * k].contains(width))
+        .unwrap_or(2 + 2 * k);
+    // numbers are counted from one
+    let counted = |number: f64| (number as usize).saturating_sub(1);
     let covariates = optional("covariates", block.2.as_ref(), n, known)?;
     let push = optional("push", block.3.as_ref(), n, 3)?;
     let row = |i: usize| Row {
         joints: first(&joints[k * i..], k),
         to: to
+            .filter(|_| !fixed)
             .map(|to| first(&to[k * i..], k))
             .filter(|to| !to[0].is_nan()),
+        aim: Aim {
+            target: covariates
+                .filter(|_| known > 2 + 2 * k)
+                .map_or(0, |c| counted(c[known * i + known - 1])),
+            centre: to
+                .filter(|to| fixed && !to[i].is_nan())
+                .map(|to| counted(to[i])),
+        },
         covariates: covariates.map_or(Covariates::NONE, |c| {
             let c = &c[known * i..];
             Covariates {
@@ -161,12 +179,12 @@ pub fn check_free<const P: usize>(free: &[usize]) -> PyResult<()> {
 
 /// Columns that the readings of a robot have: what its sensor shows, and a distance where it can be read.
 pub fn columns<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize>() -> usize {
-    M + usize::from(R::DISTANCES)
+    M + usize::from(R::DISTANCES != Distances::None)
 }
 
 /// Where the readings of a row stand among the columns, and how many there are.
 pub fn place<const J: usize, const M: usize>(row: &Row<J>) -> (usize, usize) {
-    if row.to.is_some() { (M, 1) } else { (0, M) }
+    if row.is_distance() { (M, 1) } else { (0, M) }
 }
 
 /// The rows of a block of this robot.
@@ -174,14 +192,14 @@ pub fn own_rows<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usiz
     model: &R,
     block: &Block<'_>,
 ) -> PyResult<Vec<Row<J>>> {
-    if let (false, Some(to)) = (R::DISTANCES, &block.1) {
+    if let (Distances::None, Some(to)) = (R::DISTANCES, &block.1) {
         return Err(shape(
             "to_joints",
             "None: this robot reads no distances",
             to.shape(),
         ));
     }
-    rows_of_first(block, model.joints())
+    rows_of_first(block, model.joints(), R::DISTANCES)
 }
 
 /// The robot with the given values of all its parameters.

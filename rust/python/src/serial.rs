@@ -13,15 +13,16 @@ use numpy::{
 use pyo3::prelude::*;
 use sherkit_core::chain::effects::Wanted;
 use sherkit_core::chain::{Covariates, Robot};
+use sherkit_core::flat::write_serial;
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::serial::{
-    self, CATALOGUE, Calibrated as Core, JOINTS, Joint, Limits, Model, PARAMETERS,
+    self, CATALOGUE, Calibrated as Core, JOINTS, Joint, Limits, Model, PARAMETERS, Values,
 };
 
 /// Numbers of a rigid transform: its turn row by row, then its shift.
 const RIGID: usize = 12;
-/// Numbers of a joint: its frame, whether it slides, home, mass and its centre.
-const NUMBERS: usize = RIGID + 6;
+/// Numbers of a joint: its frame, whether it slides, how it follows the one before, home, mass and its centre.
+const NUMBERS: usize = RIGID + 7;
 
 fn rigid(numbers: &[f64]) -> Rigid {
     Rigid {
@@ -30,13 +31,30 @@ fn rigid(numbers: &[f64]) -> Rigid {
     }
 }
 
+/// As many points as there are, the others zero.
+fn points<const N: usize>(
+    name: &str,
+    array: &PyReadonlyArray2<'_, f64>,
+) -> PyResult<[Vector3<f64>; N]> {
+    let found = rows::<3, _>(name, array)?;
+    if found.len() > N {
+        return Err(shape(name, &format!("(up to {N}, 3)"), array.shape()));
+    }
+    let mut out = [Vector3::zeros(); N];
+    for (point, numbers) in out.iter_mut().zip(found) {
+        *point = Vector3::from(*numbers);
+    }
+    Ok(out)
+}
+
 fn joint(numbers: &[f64; NUMBERS]) -> Joint {
     Joint {
         fixed: rigid(numbers),
         prismatic: numbers[RIGID] != 0.0,
-        home: numbers[RIGID + 1],
-        mass_kg: numbers[RIGID + 2],
-        centre_mm: Vector3::from_column_slice(&numbers[RIGID + 3..]),
+        follows: numbers[RIGID + 1],
+        home: numbers[RIGID + 2],
+        mass_kg: numbers[RIGID + 3],
+        centre_mm: Vector3::from_column_slice(&numbers[RIGID + 4..]),
     }
 }
 
@@ -46,13 +64,15 @@ fn joint(numbers: &[f64; NUMBERS]) -> Joint {
 pub struct SerialModel(Model);
 
 model_class!(SerialModel, Model, serial, {
-    /// `joints` `(k, 18)`: of each its frame behind the one before it (turn row by row, shift in mm), 1 where it slides,
-    /// home reading, mass and the centre of it (mm); `tool` (mm); `tracker` `(12,)`: from base to tracker; `settings`:
+    /// `joints` `(k, 19)`: of each its frame behind the one before it (turn row by row, shift in mm), 1 where it slides,
+    /// by how much it follows the one before, home reading, mass and the centre of it (mm); `targets` `(1 to 4, 3)` behind the last joint and `centres` `(0 to 4,
+    /// 3)` of distances in the base frame (mm); `tracker` `(12,)`: from base to tracker; `settings`:
     /// direction of the weight (3), period of the encoders, time origin, slip times of target and tracker (s).
     #[new]
     fn new(
         joints: PyReadonlyArray2<'_, f64>,
-        tool: PyReadonlyArray1<'_, f64>,
+        targets: PyReadonlyArray2<'_, f64>,
+        centres: PyReadonlyArray2<'_, f64>,
         tracker: PyReadonlyArray1<'_, f64>,
         settings: PyReadonlyArray1<'_, f64>,
     ) -> PyResult<Self> {
@@ -80,7 +100,8 @@ model_class!(SerialModel, Model, serial, {
         let model = Model {
             joints: all,
             count: found.len(),
-            tool_mm: Vector3::from(fixed("tool", &tool)?),
+            targets_mm: points("targets", &targets)?,
+            centres_mm: points("centres", &centres)?,
             tracker: rigid(&fixed::<RIGID, _>("tracker", &tracker)?),
             gravity: Vector3::new(gx, gy, gz),
             encoder_period,
@@ -97,10 +118,16 @@ model_class!(SerialModel, Model, serial, {
 #[pyclass(frozen, module = "sherkit._core")]
 pub struct SerialCalibrated {
     core: Core,
-    home: SVector<f64, JOINTS>,
+    model: Model,
+    values: Values,
+    limits: Limits,
 }
 
 impl SerialCalibrated {
+    fn home(&self) -> [f64; JOINTS] {
+        self.model.joints.map(|joint| joint.home)
+    }
+
     /// What a control loop knows besides the joints: time s, temperature °C, a direction for each joint.
     fn now(&self, numbers: &[f64]) -> PyResult<Covariates<JOINTS>> {
         let k = self.core.joints();
@@ -161,8 +188,17 @@ impl SerialCalibrated {
         };
         Ok(Self {
             core: Core::new(&model.0, &values, &limits).map_err(to_python)?,
-            home: SVector::from(model.0.joints.map(|joint| joint.home)),
+            model: model.0,
+            values,
+            limits,
         })
+    }
+
+    /// All that makes it as a row of numbers `(n,)`, for a control loop in another language.
+    fn flat<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let mut numbers = Vec::new();
+        write_serial(&self.model, &self.values, &self.limits, |x| numbers.push(x));
+        PyArray1::from_vec(py, numbers)
     }
 
     /// Where its target is at joint readings `(3,)`, and the derivative by them `(3, k)`.
@@ -260,7 +296,7 @@ impl SerialCalibrated {
         let (x, now) = (vector("place", &place)?, self.now(&covariates)?);
         let start = match &start {
             Some(start) => self.one("start", start)?,
-            None => self.home,
+            None => SVector::from(self.home()),
         };
         let found = self.core.inverse(&x, &start, &now).map_err(to_python)?;
         Ok(PyArray1::from_slice(
@@ -283,7 +319,7 @@ impl SerialCalibrated {
         let (n, k) = (places.len(), self.core.joints());
         let starts = match &starts {
             Some(starts) => self.many("starts", starts)?,
-            None => vec![self.home.into(); n],
+            None => vec![self.home(); n],
         };
         if starts.len() != n {
             return Err(shape("starts", &format!("({n}, {k})"), &[starts.len(), k]));

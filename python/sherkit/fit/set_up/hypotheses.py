@@ -70,10 +70,11 @@ def hypotheses(model: ModelWithEffects, data: Measurements) -> Iterator[SetUp]:
 def _joints_as(data: Measurements, order: Sequence[int], factor: Floats, offset: Floats) -> Measurements:
     """Each joint from the column that ``order`` names, times its factor, plus its offset."""
     o = list(order)
+    ends = data.to_joints if data.layout.from_fixed else data.to_joints[:, o] * factor + offset
     return replace(
         data,
         joints=np.ascontiguousarray(data.joints[:, o] * factor + offset),
-        to_joints=np.ascontiguousarray(data.to_joints[:, o] * factor + offset),
+        to_joints=np.ascontiguousarray(ends),
         direction=np.ascontiguousarray(data.direction[:, o] * np.sign(factor)),
     )
 

@@ -128,6 +128,12 @@ def load_experiment(
     robot_path = path.parent / named if robot is None else Path(robot)
     made = load_robot(robot_path)
     limits, unit = made.joint_limits, made.joint_unit
+    shown = kind_of(made).example
+    if limits is None and shown is not None and "joints" not in shown.to_tables():
+        raise ExperimentError(
+            f"{robot_path}: experiments drive robots whose joints share one range; bring this one to its poses by its "
+            "own controller, and give the rows to sherkit diagnose"
+        )
     if limits is None:
         raise ExperimentError(
             f"{robot_path}: [joints] limits_{'mm' if unit == 'mm' else 'deg'} is missing; nothing is moved without the "

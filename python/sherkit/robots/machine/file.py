@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
-import sys
 from pathlib import Path
+from types import ModuleType
 
-from ...errors import RobotError, SherkitError
+from ...errors import RobotError
 from ...model.kinds import Robot
+from ...model.python_file import run_python
 from ...model.robot_file import RobotLike, load_robot
 from ...names import listed
 from .machine import Machine
@@ -26,33 +26,15 @@ def load_machine(path: str | os.PathLike[str]) -> Machine:
 
     Raises :class:`~sherkit.errors.RobotError` where the file is not there, fails, or makes none or several.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise RobotError(f"{path}: there is no such file of a machine")
-    name = path.stem
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise RobotError(f"{path}: is not a Python file")
-    module = importlib.util.module_from_spec(spec)
-    before = sys.modules.get(name)
-    sys.modules[name] = module  # what it defines is found again by name: in copies, in other processes
-    try:
-        spec.loader.exec_module(module)
-        return _only(path, {key: value for key, value in vars(module).items() if isinstance(value, Machine)})
-    except (Exception, SystemExit) as error:
-        del sys.modules[name]
-        if before is not None:
-            sys.modules[name] = before
-        if isinstance(error, SherkitError):
-            raise
-        raise RobotError(f"{path}: {type(error).__name__}: {error}") from error
 
+    def take(module: ModuleType) -> Machine:
+        found = {key: value for key, value in vars(module).items() if isinstance(value, Machine)}
+        if len(found) != 1:
+            has = f"makes {listed(found)}" if found else "makes none"
+            raise RobotError(f"{path}: expected one machine at its top level, machine = sk.Machine(...); it {has}")
+        return next(iter(found.values()))
 
-def _only(path: Path, found: dict[str, Machine]) -> Machine:
-    if len(found) != 1:
-        has = f"makes {listed(found)}" if found else "makes none"
-        raise RobotError(f"{path}: expected one machine at its top level, machine = sk.Machine(...); it {has}")
-    return next(iter(found.values()))
+    return run_python(path, "a machine", take, RobotError)
 
 
 def robot_at(path: str | os.PathLike[str]) -> tuple[Robot, RobotLike]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from ...errors import RobotError
 from ...model.kinds import Kind, known_kinds, register
+from ...model.python_file import carried, portable
 from .described import Described
 from .kind import kind_for
 
@@ -45,7 +46,7 @@ class Machine(Described):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy is this machine where it is known already, so that what was made for it fits."""
-        return _known, tuple(getattr(self, one.name) for one in fields(self) if one.init)
+        return _known, tuple(portable(getattr(self, one.name)) for one in fields(self) if one.init)
 
     @cached_property
     def brings(self) -> Kind:
@@ -53,7 +54,8 @@ class Machine(Described):
         return kind_for(self)
 
 
-def _known(*described: Any) -> Machine:
+def _known(*given: Any) -> Machine:
+    described = tuple(carried(one) for one in given)
     held = known_kinds().get(described[-1])
     if held is not None and isinstance(held.robot, Machine):
         same = tuple(getattr(held.robot, one.name) for one in fields(held.robot) if one.init)

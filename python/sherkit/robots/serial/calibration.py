@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import sherkit._core as _core
 
-from ...model.batch import Batch
+from ...model.batch import Batch, matrix
 from ...types import Floats
 from ..accuracy import Planes
 from ..calibrated import Calibration
@@ -44,7 +44,8 @@ class SerialCalibration(Calibration):
         del local
         fit, held_out = whole.fit, whole.deployed(whole.held_out)
         count, size = len(fit.model.indices), len(POSITION)
-        use = fit.data.taken.all(axis=1) & ~fit.data.outlier & np.isfinite(held_out).all(axis=1)
+        counted = np.isfinite(held_out) & fit.data.used
+        use = counted[:, :size].all(axis=1)
         part = Part(
             **Part.identified(fit),
             covariance=(fit.covariance + fit.unobserved_covariance)[:count, :count],
@@ -54,14 +55,18 @@ class SerialCalibration(Calibration):
         )
         made = cls(fit.model.robot, part)
         # where the tracker saw it, in the axes of the base
-        missed = held_out[use] @ made.tracker_turn
-        where = made.forward_batch(fit.data.joints[use]).require("row")
+        missed = held_out[use][:, :size] @ made.tracker_turn
+        where = made.forward_batch(fit.data.joints[counted.any(axis=1)]).require("row")
+        spread = missed.T @ missed / max(len(missed), 1)
+        if not use.any() and counted.any():
+            # distances alone: their errors are along every direction
+            spread = np.eye(size) * float(np.mean(held_out[counted] ** 2))
         if len(where) == 0:
             where = np.zeros((1, size))
         settled = Part(
             **Part.identified(fit),
             covariance=part.covariance,
-            residual_covariance=missed.T @ missed / max(len(missed), 1),
+            residual_covariance=spread,
             low=where.min(axis=0),
             high=where.max(axis=0),
         )
@@ -84,6 +89,12 @@ class SerialCalibration(Calibration):
         known = dict(zip((p.name for p in self.model.parameters), self.whole.values.tolist(), strict=True))
         turn = [known.get(f"frame_turn_{axis}", 0.0) for axis in "xyz"]
         return Rotation.from_rotvec(turn).as_matrix() @ of_rpy(np.deg2rad(self.robot.tracker_rpy_deg).tolist())
+
+    def from_tracker(self, readings_mm: ArrayLike) -> Floats:
+        """What the tracker shows (n, 3), mm, in the base frame, from where it was found to stand."""
+        known = dict(zip((p.name for p in self.model.parameters), self.whole.values.tolist(), strict=True))
+        shift = np.array(self.robot.tracker_mm) + [known.get(f"frame_{axis}", 0.0) for axis in "xyz"]
+        return (matrix(readings_mm, "readings") - shift) @ self.tracker_turn
 
     def inverse(
         self, coordinates: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None,

@@ -1,4 +1,5 @@
-"""The columns of a run of a serial arm: its joints under their own names, and the target as a tracker shows it."""
+"""The columns of a run of a serial arm: its joints under their own names; where a tracker sees a target, or how far it
+is from a fixed centre."""
 
 from __future__ import annotations
 
@@ -7,9 +8,14 @@ from collections.abc import Sequence
 from ...data.columns import Layout
 
 POSITION = ("x_mm", "y_mm", "z_mm")
+#: Number of the target, from 1, where an arm carries several, and of the centre from which a distance counts.
+TARGET, CENTRE = "target", "centre"
 
 
 def layout_of_arm(joints: Sequence[tuple[str, str]]) -> Layout:
     """For joints by name and unit, rad or mm."""
     names = tuple(f"{name}_{unit}" for name, unit in joints)
-    return Layout(names, POSITION, "µm", 1e3, velocities=tuple(f"{name}_per_s" for name in names))
+    velocities = tuple(f"{name}_per_s" for name in names)
+    return Layout(
+        names, POSITION, "µm", 1e3, "distance_mm", (CENTRE,), velocities, apart=(TARGET, CENTRE), from_fixed=True
+    )

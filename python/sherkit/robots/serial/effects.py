@@ -42,6 +42,12 @@ _OWN = {
         residuals="The picture of the robot grows about the instrument.",
         workshop="Enter air temperature and pressure; check the instrument on a scale bar.",
     ),
+    "bar_zero": Sentences(
+        physics="Every distance is read too long or too short by the same length: the bar's zero, the radius of its "
+        "balls, the dead path of a wire or beam.",
+        residuals="The same in every distance, whatever its length and direction.",
+        workshop="Calibrate the bar on a gauge of known length.",
+    ),
     "reading_delay": Sentences(
         physics="A reading shows the robot a little earlier than the joints beside it: filters, transfer, buffers.",
         residuals="Proportional to the velocity of the joints; none where the robot stands still.",
@@ -71,6 +77,17 @@ def joint_of(name: str) -> int | None:
     return int(number) - 1 if number.isdigit() else None
 
 
+def has(robot: Serial, name: str) -> bool:
+    """Whether an arm has the instrument or target that a parameter or effect of the table belongs to by its name."""
+    kind, _, rest = name.partition("_")
+    if kind in ("target", "centre"):
+        there = robot.targets_mm if kind == "target" else robot.centres_mm
+        return int(rest[0]) <= len(there)
+    if name == "bar_zero":
+        return bool(robot.centres_mm)
+    return robot.has_tracker or kind not in ("frame", "tracker", "sensor")
+
+
 def parameter_of(parameter: Parameter, joints: Sequence[Joint]) -> Parameter | None:
     """A parameter of the table as an arm has it: in the unit of its joint; None where it has no such joint."""
     k = joint_of(parameter.name)
@@ -95,6 +112,8 @@ def effects_of(robot: Serial) -> Mapping[str, Effect]:
     loaded = _loaded(robot)
     slides = {joint.slides for joint in joints}
     for name, effect in SERIAL_CATALOGUE.items():
+        if not has(robot, name):
+            continue
         own = [one for p in effect.parameters if (one := parameter_of(p, joints)) is not None]
         if name == "encoder_eccentricity":
             # once per turn: what slides has none

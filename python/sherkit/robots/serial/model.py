@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -14,13 +15,14 @@ import sherkit._core as _core
 
 from ...data import Measurements
 from ...data.columns import Layout
+from ...errors import FitError, SherkitWarning
 from ...model.base import Reachable
-from ...model.chain import ChainModel
+from ...model.chain import Block, ChainModel
 from ...model.effect import Effect, parameters_of_core
 from ...model.parameter import Parameter
 from ...types import Floats
-from .columns import POSITION
-from .effects import SERIAL_CATALOGUE, effects_of, joint_of, parameter_of
+from .columns import CENTRE, POSITION, TARGET
+from .effects import SERIAL_CATALOGUE, effects_of, has, joint_of, parameter_of
 from .frames import of_rpy
 from .robot import Serial
 
@@ -30,7 +32,7 @@ _POSES = 200
 #: are drawn parallel are so to fewer digits than numbers have.
 _BEYOND = 1e-3
 #: What every arm is measured with comes first.
-_FIRST = ("frame", "tool")
+_FIRST = ("frame", "tool", "target", "centre")
 #: Poses from which the next ones are chosen.
 _NEXT = 500
 _JOINT_DIGITS = 5
@@ -42,13 +44,14 @@ _FEWEST, _ROUNDS, _FAR, _LINE = 6, 5, 5.0, 1e-3
 
 @dataclass(frozen=True)
 class SerialModel(ChainModel):
-    """A nominal serial arm with named errors and effects to identify. Readings are x, y, z of the target, mm, as a
-    tracker shows them.
+    """A nominal serial arm with named errors and effects to identify. Readings are x, y, z of a target, mm, as a
+    tracker shows them, or how far it is from a fixed centre; the columns ``target`` and ``centre`` hold their numbers.
 
     ``free`` names what is identified of where the tracker sees the base frame (``frame_x``, ``frame_turn_x``, …), of
-    the target (``tool_x`` …), of each joint's zero (``offset_2``), and of where its axis lies (``shift_x_2``,
-    ``shift_y_2``) and leans (``tilt_x_2``, ``tilt_y_2``), in its own frame, whose z is the axis. Left out, it is
-    :attr:`default`. ``period_rad``, or ``period_mm`` where every joint slides, is that of the encoders' cyclic error.
+    the targets (``tool_x`` … of the first, ``target_2_x`` …), of the centres (``centre_1_x`` …), of each joint's zero
+    (``offset_2``), and of where its axis lies (``shift_x_2``, ``shift_y_2``) and leans (``tilt_x_2``, ``tilt_y_2``), in
+    its own frame, whose z is the axis. Left out, it is :attr:`default`. ``period_rad``, or ``period_mm``
+    where every joint slides, is that of the encoders' cyclic error.
     """
 
     robot: Serial
@@ -76,7 +79,8 @@ class SerialModel(ChainModel):
     def base(self) -> tuple[Parameter, ...]:
         """What the table has for every arm, of the joints that it has."""
         every = (p for row in self.table if row["base"] for p in parameters_of_core(row, self.lever_mm))
-        return tuple(one for p in every if (one := parameter_of(p, self.robot.joints)) is not None)
+        mine = (p for p in every if has(self.robot, p.name))
+        return tuple(one for p in mine if (one := parameter_of(p, self.robot.joints)) is not None)
 
     @cached_property
     def core_parameters(self) -> tuple[Parameter, ...]:
@@ -121,15 +125,42 @@ class SerialModel(ChainModel):
         period = self.period_rad or self.period_mm or np.pi
         return self.robot.core((period, self.time_origin_s, self.slip_time_s, self.tracker_slip_time_s))
 
+    def block(self, data: Measurements, joints: Floats | None = None, push: Floats | None = None) -> Block:
+        """With the numbers of the targets, where the rows have them."""
+        q, ends, covariates, push = super().block(data, joints, push)
+        target = data.covariates.get(TARGET)
+        if target is not None:
+            n, k = data.joints.shape
+            known = np.full((n, 2 + 2 * k), np.nan) if covariates is None else covariates
+            covariates = np.ascontiguousarray(np.column_stack([known, target]))
+        return q, ends, covariates, push
+
+    def require_own(self, data: Measurements) -> None:
+        """Also refuses numbers of targets and centres that the arm has not."""
+        super().require_own(data)
+        given = {TARGET: data.covariates.get(TARGET), CENTRE: data.to_joints[:, 0] if data.is_distance.any() else None}
+        for name, there in ((TARGET, self.robot.targets_mm), (CENTRE, self.robot.centres_mm)):
+            numbers = given[name]
+            if name in data.labels:
+                raise FitError(f"{data.source}: column '{name}': expected numbers, 1 for the first in the robot file")
+            if numbers is None:
+                continue
+            wrong = np.isfinite(numbers) & ~np.isin(numbers, np.arange(1, len(there) + 1))
+            if wrong.any():
+                has_them = f"a number from 1 to {len(there)}" if there else f"none: the robot file has no [[{name}]]"
+                raise FitError(f"{data.place(wrong)}: {name}: expected {has_them}, found {numbers[wrong][0]:g}")
+
     def start(self, data: Measurements) -> Floats:
         """The drawing, seen from where the tracker must stand for most of these rows to be as they are: a tracker may
         stand anywhere, and a turn of half a circle is too far for steps from none."""
         self.require_own(data)
         out, names = super().start(data), [p.name for p in self.parameters]
-        rows = np.flatnonzero(data.taken.all(axis=1) & ~data.outlier)
+        rows = np.flatnonzero(data.taken[:, : data.coordinates].all(axis=1) & ~data.outlier)
         if not set(_FRAME) <= set(names) or len(rows) < _FEWEST:
             return out
-        drawn, read = self.robot.forward_batch(data.joints[rows]).values, data.readings[rows]
+        seen, nominal = data.select(rows), of_rpy(np.deg2rad(self.robot.tracker_rpy_deg).tolist())
+        shown, _ = self.core.predict(np.zeros(len(self.core_parameters)), self.block(seen))
+        drawn, read = (shown[:, :3] - self.robot.tracker_mm) @ nominal, seen.readings[:, :3]
         near = np.ones(len(rows), dtype=bool)
         for _ in range(_ROUNDS):
             a, b = drawn - drawn[near].mean(axis=0), read - read[near].mean(axis=0)
@@ -141,7 +172,6 @@ class SerialModel(ChainModel):
             missed = np.linalg.norm(b - a @ rotation.T, axis=1)
             near = missed <= _FAR * np.median(missed)
         shift = read[near].mean(axis=0) - rotation @ drawn[near].mean(axis=0) - np.array(self.robot.tracker_mm)
-        nominal = of_rpy(np.deg2rad(self.robot.tracker_rpy_deg).tolist())
         error = Rotation.from_matrix(rotation @ nominal.T).as_rotvec()
         out[[names.index(name) for name in _FRAME]] = [*error, *shift]
         return out
@@ -152,7 +182,11 @@ class SerialModel(ChainModel):
         low, high = data.joints.min(axis=0), data.joints.max(axis=0)
         joints = np.random.default_rng(0).uniform(low, high, (_NEXT, len(low))).round(_JOINT_DIGITS)
         targets = self.robot.forward_batch(joints).require("pose")
-        return Reachable(dict(zip(self.targets, targets.T, strict=True)), data.unmeasured(joints))
+        rows = data.unmeasured(joints)
+        if not self.robot.has_tracker:
+            taken = np.tile([name == rows.layout.distance for name in rows.layout.readings], (len(rows), 1))
+            rows = replace(rows, taken=taken, to_joints=np.ones((len(rows), 1)))
+        return Reachable(dict(zip(self.targets, targets.T, strict=True)), rows)
 
     def reason(self, data: Measurements, row: int, values: Floats) -> str:
         """Joints reach everywhere: it is a column."""
@@ -160,14 +194,30 @@ class SerialModel(ChainModel):
         return "an effect that is at work needs a column that these rows lack"
 
 
+def _every_reading(robot: Serial, joints: Floats) -> Measurements:
+    """Rows at these joints (n, k) of all that can be read of an arm: each target by the tracker, and its distances."""
+    seen = range(1, len(robot.targets_mm) + 1)
+    read = [(target, np.nan) for target in seen] if robot.has_tracker else []
+    read += [(target, float(centre)) for target in seen for centre in range(1, len(robot.centres_mm) + 1)]
+    target, centre = np.tile(read, (len(joints), 1)).T
+    layout, places = robot.layout, np.where(np.isnan(centre), 0.0, np.nan)
+    columns = dict(zip(layout.joints, np.repeat(joints, len(read), axis=0).T, strict=True))
+    columns |= dict.fromkeys(layout.coordinates, places)
+    columns |= {"distance_mm": np.where(np.isnan(centre), np.nan, 0.0), CENTRE: centre, TARGET: target}
+    with warnings.catch_warnings():
+        # readings that are all zero look as if they were in another unit
+        warnings.simplefilter("ignore", SherkitWarning)
+        return Measurements.from_columns(columns, "plan", layout=layout)
+
+
 @lru_cache(maxsize=32)
 def _told_apart(robot: Serial) -> tuple[str, ...]:
     """The parameters of the default, see :attr:`SerialModel.default`."""
     every = SerialModel(robot, free=("tool_x",))
+    low, high = robot.ranges
+    rows = _every_reading(robot, np.random.default_rng(0).uniform(low, high, (_POSES, len(low))))
     names = [p.name for p in every.base]
     whole = replace(every, free=tuple(names))
-    joints = np.random.default_rng(0).uniform(robot.ranges[0], robot.ranges[1], (_POSES, len(robot.joints)))
-    rows = Measurements.planned(joints, robot.layout)
     columns = whole.derivatives(rows, np.zeros(len(names))).reshape(-1, len(names))
     left = columns * [p.size for p in every.base]
     whole_size = np.linalg.norm(left, axis=0)

@@ -29,6 +29,8 @@ Pair = tuple[float, float]
 TYPES = ("revolute", "prismatic")
 #: Joints that the compiled arm has room for.
 MOST_JOINTS = 9
+#: Targets that it has room for, and centres of distances.
+MOST_POINTS = 4
 _ZERO: Triple = (0.0, 0.0, 0.0)
 #: Where a joint may stand if its file does not say it: a turn either way, or half a metre.
 _ANYWHERE = {"deg": 180.0, "mm": 500.0}
@@ -43,7 +45,9 @@ class Joint:
     ``axis`` about or along what it moves in that frame.
 
     ``limits`` and ``home``, about which encoder scales are counted, are degrees, or mm where it is prismatic.
-    ``mass_kg`` and ``centre_mm`` are those of the link that it moves, in its frame.
+    ``follows`` is the part of the reading of the joint before it, in both their units, by which it moves besides: one
+    or minus one where a parallelogram turns it. ``mass_kg`` and ``centre_mm`` are those of the link that it moves, in
+    its frame.
     """
 
     name: str
@@ -55,6 +59,7 @@ class Joint:
     home: float = 0.0
     mass_kg: float | None = None
     centre_mm: Triple = _ZERO
+    follows: float = 0.0
 
     @property
     def slides(self) -> bool:
@@ -106,7 +111,8 @@ class Joint:
         table.pass_over("mass_kg")
         vectors = [table.numbers(key, 3, _ZERO) for key in ("origin_mm", "rpy_deg", "centre_mm")]
         origin, rpy, centre = [(v[0], v[1], v[2]) for v in vectors]
-        return cls(name, kind, origin, rpy, (axis[0], axis[1], axis[2]), limits, home, mass, centre)
+        follows = table.number("follows", 0.0)
+        return cls(name, kind, origin, rpy, (axis[0], axis[1], axis[2]), limits, home, mass, centre, follows)
 
     def to_table(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
@@ -116,6 +122,8 @@ class Joint:
             made[f"limits_{self._in_file}"] = list(self.limits)
         if self.home:
             made[f"home_{self._in_file}"] = self.home
+        if self.follows:
+            made["follows"] = self.follows
         if self.mass_kg is not None:
             made |= {"mass_kg": self.mass_kg, "centre_mm": list(self.centre_mm)}
         return made
@@ -126,9 +134,12 @@ class Serial(Saved):
     """Nominal serial arm of one to nine joints. Lengths in mm, angles in degrees as in its file, joint readings rad or
     mm.
 
-    ``target_mm`` is the measured point in the frame of the last joint, ``tool_rpy_deg`` how the tool stands there.
+    ``target_mm`` is the measured point in the frame of the last joint, ``tool_rpy_deg`` how the tool stands there, and
+    ``more_targets_mm`` up to three other points, numbers 2 to 4 of the column ``target``. ``centres_mm`` are up to four
+    fixed places in the base frame from which distances are read: numbers of the column ``centre``.
     ``gravity`` is the direction of the weight in the base frame. The tracker sees the origin of the base frame at
     ``tracker_mm``, and its axes turned by ``tracker_rpy_deg``; what it really sees is identified.
+    ``has_tracker`` is False where distances alone are read.
     """
 
     joints: tuple[Joint, ...]
@@ -137,6 +148,9 @@ class Serial(Saved):
     gravity: Triple = (0.0, 0.0, -1.0)
     tracker_mm: Triple = _ZERO
     tracker_rpy_deg: Triple = _ZERO
+    more_targets_mm: tuple[Triple, ...] = ()
+    centres_mm: tuple[Triple, ...] = ()
+    has_tracker: bool = True
     kind: str = field(default="serial", init=False)
 
     def __post_init__(self) -> None:
@@ -146,8 +160,15 @@ class Serial(Saved):
         if len(set(names)) < len(names):
             twice = sorted({name for name in names if names.count(name) > 1})
             raise ShapeError(f"joint {listed(twice)}: a name is given twice")
+        if self.joints[0].follows:
+            raise ShapeError(f"joint {names[0]}: follows the one before it, and there is none")
         if not np.linalg.norm(self.gravity) > 0:
             raise ShapeError("gravity: expected a direction, got only zeros")
+        for what, points in (("targets", self.targets_mm), ("centres", self.centres_mm)):
+            if len(points) > MOST_POINTS:
+                raise ShapeError(f"{what}: an arm has at most {MOST_POINTS}, got {len(points)}")
+        if not (self.has_tracker or self.centres_mm):
+            raise ShapeError("nothing reads this arm: it has neither a tracker nor centres of distances")
         _ = self.nominal  # refuses numbers that are no arm
         know(self.layout)
 
@@ -162,24 +183,38 @@ class Serial(Saved):
             vectors |= {"target_mm": t.numbers("target_mm", 3, _ZERO), "tool_rpy_deg": t.numbers("rpy_deg", 3, _ZERO)}
         with table.table("base", optional=True) as b:
             vectors["gravity"] = b.numbers("gravity", 3, (0.0, 0.0, -1.0))
+        points = {name: _points(table, name) for name in ("target", "centre")}
+        seen = table.has("tracker") or not points["centre"]
         with table.table("tracker", optional=True) as t:
             vectors |= {
                 "tracker_mm": t.numbers("origin_mm", 3, _ZERO),
                 "tracker_rpy_deg": t.numbers("rpy_deg", 3, _ZERO),
             }
         try:
-            return cls(joints, **{name: (v[0], v[1], v[2]) for name, v in vectors.items()})
+            return cls(
+                joints,
+                **{name: (v[0], v[1], v[2]) for name, v in vectors.items()},
+                more_targets_mm=points["target"],
+                centres_mm=points["centre"],
+                has_tracker=seen,
+            )
         except ShapeError as error:
             raise table.fail("joint", str(error)) from None
 
     def to_tables(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
+        tracker = {"origin_mm": list(self.tracker_mm), "rpy_deg": list(self.tracker_rpy_deg)}
         return {
             "kind": self.kind,
             "joint": [joint.to_table() for joint in self.joints],
             "tool": {"target_mm": list(self.target_mm), "rpy_deg": list(self.tool_rpy_deg)},
             "base": {"gravity": list(self.gravity)},
-            "tracker": {"origin_mm": list(self.tracker_mm), "rpy_deg": list(self.tracker_rpy_deg)},
+            **{
+                name: [{"at_mm": list(point)} for point in points]
+                for name, points in (("target", self.more_targets_mm), ("centre", self.centres_mm))
+                if points
+            },
+            **({"tracker": tracker} if self.has_tracker else {}),
         }
 
     # -- what runs and experiments ask ---------------------------------------------------------------------
@@ -217,16 +252,21 @@ class Serial(Saved):
 
     # -- kinematics --------------------------------------------------------------------------------------
 
+    @property
+    def targets_mm(self) -> tuple[Triple, ...]:
+        """All its targets in the frame of the last joint, mm."""
+        return (self.target_mm, *self.more_targets_mm)
+
     @cached_property
-    def target(self) -> Floats:
-        """The target (3,), mm, in the frame of the last joint whose z is its axis."""
-        return self.joints[-1].turn.T @ np.array(self.target_mm)
+    def targets(self) -> Floats:
+        """The targets (t, 3), mm, in the frame of the last joint whose z is its axis."""
+        return np.array(self.targets_mm) @ self.joints[-1].turn
 
     @cached_property
     def reach_mm(self) -> Floats:
         """How far from each joint (k,) the target can be at most, mm, but for the travel of joints that slide."""
         steps = [float(np.linalg.norm(joint.frame[:3, 3])) for joint in self.joints[1:]]
-        behind = [*steps, float(np.linalg.norm(self.target_mm))]
+        behind = [*steps, float(np.linalg.norm(self.targets, axis=1).max())]
         return np.cumsum(behind[::-1])[::-1]
 
     @cached_property
@@ -240,7 +280,7 @@ class Serial(Saved):
             return masses, np.array([joint.turn.T @ np.array(joint.centre_mm) for joint in self.joints])
         # the frame of the next joint stands in that of the drawing, not in the turned one
         following = [a.turn.T @ b.frame[:3, 3] for a, b in pairwise(self.joints)]
-        ends = np.array([*following, self.target])
+        ends = np.array([*following, self.targets[0]])
         return np.linalg.norm(ends, axis=1) / 1000.0, 0.5 * ends
 
     def core(self, settings: tuple[float, float, float, float] = (np.pi, 0.0, 0.0, 0.0)) -> _core.SerialModel:
@@ -249,12 +289,16 @@ class Serial(Saved):
         for joint, mass, centre in zip(self.joints, *self.weights, strict=True):
             # a frame is given behind that of the drawing, which is turned from the one before
             turn, shift = before @ joint.frame[:3, :3], before @ joint.frame[:3, 3]
-            rows.append([*turn.ravel(), *shift, joint.slides, joint.reading(joint.home), mass, *centre])
+            numbers = (joint.slides, joint.follows, joint.reading(joint.home), mass)
+            rows.append([*turn.ravel(), *shift, *numbers, *centre])
             before = joint.turn.T
         pull = np.array(self.gravity) / np.linalg.norm(self.gravity)
         seen = of_rpy(np.deg2rad(self.tracker_rpy_deg).tolist())
         tracker = np.array([*seen.ravel(), *self.tracker_mm])
-        return _core.SerialModel(np.array(rows, dtype=float), self.target, tracker, np.array([*pull, *settings]))
+        centres = np.array(self.centres_mm, dtype=float).reshape(-1, 3)
+        return _core.SerialModel(
+            np.array(rows, dtype=float), self.targets.copy(), centres, tracker, np.array([*pull, *settings])
+        )
 
     @cached_property
     def nominal(self) -> _core.SerialCalibrated:
@@ -336,3 +380,9 @@ class Serial(Saved):
         x = matrix(positions_mm, "positions")
         q, reached = self.all_found_from(lambda x, q: self.nominal.inverse_batch(x, self._still, q), x, None)
         return Batch(q, reached, why(self.inverse, x, reached))
+
+
+def _points(table: Table, name: str) -> tuple[Triple, ...]:
+    """The places of tables ``[[name]]``."""
+    found = (one.numbers("at_mm", 3) for one in table.tables(name))
+    return tuple((v[0], v[1], v[2]) for v in found)

@@ -180,7 +180,9 @@ class _Tree:
                     f"{self.path}: joint '{one.name}' is {one.kind or 'of no type'}; an arm turns or slides"
                 )
             if one.element.find("mimic") is not None:
-                raise RobotError(f"{self.path}: joint '{one.name}' follows another (mimic), which an arm here cannot")
+                raise RobotError(
+                    f"{self.path}: joint '{one.name}' follows another (mimic): it has no reading of its own"
+                )
         return out[::-1]
 
     def joint(self, one: _Joint, folded: Floats, others: list[str]) -> Joint:

@@ -19,6 +19,7 @@ from ...data.toml import Table
 from ...errors import ShapeError
 from ...model.kinds import Option
 from ...types import Floats
+from .columns import CENTRE, TARGET
 from .robot import Serial
 
 _SECONDS_PER_POSE = 4.0
@@ -41,7 +42,7 @@ class Hidden:
     ``play`` (k,) its lost motion; ``ring`` (k, 2) sine and cosine of its encoder once per turn, ``lines`` (k, 2) those
     at ``per_turn`` per radian; ``warmth_per_c``, ``rate_mm_h`` (3,), ``step_mm`` (3,) half way through; ``knock`` (6,)
     turn and shift of the tracker then; ``zoom`` and ``bend_mm`` (3,) at a metre what the tracker misreads; ``late_s``
-    its delay.
+    its delay; ``bar_mm`` what is added to every distance.
     """
 
     scale: ArrayLike = 0.0
@@ -58,6 +59,7 @@ class Hidden:
     zoom: float = 0.0
     bend_mm: ArrayLike = 0.0
     late_s: float = 0.0
+    bar_mm: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -65,8 +67,9 @@ class VirtualSerial:
     """An arm that is not as drawn.
 
     ``offset`` (k,) are errors of the joints' zeros, ``shift_mm`` (k, 2) and ``tilt_rad`` (k, 2) how far each axis lies
-    beside its place and leans, in its frame; ``tool_mm`` (3,) moves the target, ``stand`` (6,) is a turn and a shift of
-    what the tracker sees, rad and mm. ``noise_mm`` is the standard deviation of a reading.
+    beside its place and leans, in its frame; ``tool_mm`` (3,) or (t, 3) moves the targets, ``centres_mm`` (c, 3) the
+    centres of distances, ``stand`` (6,) is a turn and a shift of what the tracker sees, rad and mm. ``noise_mm`` is the
+    standard deviation of a reading, ``distance_noise_mm`` that of a distance, the same unless it is given.
     """
 
     robot: Serial
@@ -77,6 +80,8 @@ class VirtualSerial:
     stand: ArrayLike = 0.0
     effects: Hidden = field(default_factory=Hidden)
     noise_mm: float = 0.0
+    centres_mm: ArrayLike = 0.0
+    distance_noise_mm: float | None = None
 
     OPTIONS: ClassVar[Mapping[str, Option]] = {
         "noise_um": Option(50.0, "of a reading"),
@@ -96,15 +101,21 @@ class VirtualSerial:
             play=1e-3 * sizes["play_mrad"] * slide * rng.uniform(0.5, 1.5, k),
             ring=1e-3 * sizes["ring_mrad"] * (slide == 1.0)[:, None] * rng.normal(size=(k, 2)),
         )
+        tools, centres = drawn["tool"][0], np.zeros((len(robot.centres_mm), 3))
+        if more := len(robot.more_targets_mm):
+            tools = np.vstack([tools, errors * _SIZES["tool"] * rng.normal(size=(more, 3))])
+        if len(centres):
+            centres = errors * _SIZES["tool"] * rng.normal(size=centres.shape)
         return cls(
             robot,
             drawn["offset"][:, 0] * slide,
             drawn["shift"][:, :2],
             drawn["tilt"][:, :2],
-            drawn["tool"][0],
+            tools,
             np.concatenate([drawn["turn"][0], drawn["stand"][0]]),
             hidden,
             1e-3 * sizes["noise_um"],
+            centres,
         )
 
     @classmethod
@@ -120,7 +131,10 @@ class VirtualSerial:
     def truth(self) -> dict[str, Any]:
         """The hidden errors, for TOML: mm and rad."""
         k = len(self.robot.joints)
-        shapes = {"offset": (k,), "shift_mm": (k, 2), "tilt_rad": (k, 2), "tool_mm": (3,), "stand": (6,)}
+        shapes = {"offset": (k,), "shift_mm": (k, 2), "tilt_rad": (k, 2), "stand": (6,)}
+        shapes["tool_mm"] = (1 + len(self.robot.more_targets_mm), 3) if self.robot.more_targets_mm else (3,)
+        if self.robot.centres_mm:
+            shapes["centres_mm"] = (len(self.robot.centres_mm), 3)
         own = {name: np.broadcast_to(getattr(self, name), shape).tolist() for name, shape in shapes.items()}
         more = {name: np.asarray(value, dtype=float).tolist() for name, value in vars(self.effects).items()}
         return {**own, "effects": more}
@@ -170,8 +184,8 @@ class VirtualSerial:
             out[i] = -slope / most if most > 0 else 0.0
         return out
 
-    def true_target(self, read: Floats, came: Floats, velocity: Floats) -> Floats:
-        """The target (3,), mm, base frame, for joints that are read (k,), with the direction from which they came."""
+    def true_target(self, read: Floats, came: Floats, velocity: Floats, number: int = 0) -> Floats:
+        """A target (3,), mm, base frame, for joints that are read (k,), with the direction from which they came."""
         k, hidden = len(read), self.effects
         home = np.array([np.deg2rad(j.home) if not j.slides else j.home for j in self.robot.joints])
 
@@ -184,14 +198,15 @@ class VirtualSerial:
         angle = hidden.per_turn * read
         real = real + lines[:, 0] * np.sin(angle) + lines[:, 1] * np.cos(angle)
         real = real + each(hidden.play) * came / 2 - hidden.late_s * velocity
+        drawn = np.array([joint.follows for joint in self.robot.joints])
         before = np.concatenate([[0.0], (real - home)[:-1]])
-        real = real + each(hidden.follows) * before
+        led = np.concatenate([[0.0], real[:-1]])
+        real = real + drawn * led + each(hidden.follows) * before
         if np.any(each(hidden.gives)):
             real = real + each(hidden.gives) * self._carried(real)
-        target = np.asarray(self.robot.target_mm, dtype=float)
-        moved = _aligning(self.robot.joints[-1].axis).as_matrix() @ np.broadcast_to(
-            np.asarray(self.tool_mm, dtype=float), 3
-        )
+        target = np.asarray(self.robot.targets_mm[number], dtype=float)
+        tools = np.broadcast_to(np.asarray(self.tool_mm, dtype=float), (len(self.robot.targets_mm), 3))
+        moved = _aligning(self.robot.joints[-1].axis).as_matrix() @ tools[number]
         return (self._frames(real)[-1] @ [*(target + moved), 1.0])[:3]
 
     def seen(self, point: Floats, late: bool) -> Floats:
@@ -204,6 +219,12 @@ class VirtualSerial:
         there = there + np.asarray(self.robot.tracker_mm) + stand[3:]
         bend = np.asarray(self.effects.bend_mm, dtype=float)
         return there * (1.0 + self.effects.zoom) + bend * (there / 1000.0) ** 3
+
+    def distance(self, point: Floats, number: int) -> Floats:
+        """How far a point is from a centre, mm, as the first of three numbers."""
+        off = np.broadcast_to(np.asarray(self.centres_mm, dtype=float), (len(self.robot.centres_mm), 3))[number]
+        centre = np.asarray(self.robot.centres_mm[number]) + off
+        return np.array([float(np.sqrt(np.sum((point - centre) ** 2))) + self.effects.bar_mm, 0.0, 0.0])
 
     def noise_free(self, joints: ArrayLike) -> Floats:
         """What a run without noise, time and motion would hold (n, 3), mm."""
@@ -229,19 +250,35 @@ class VirtualSerial:
         came = np.sign(np.diff(read, axis=0, prepend=read[:1] - 0.1))
         velocity = rng.normal(size=read.shape) * np.ptp(read, axis=0) / 10.0 if hidden.late_s else np.zeros_like(read)
         warmth = 20.0 + 3.0 * (1.0 - np.exp(-2.0 * np.arange(n) / max(n - 1, 1)))
+        targets, centres = range(len(self.robot.targets_mm)), range(len(self.robot.centres_mm))
+        reads: list[tuple[int, int | None]] = [(t, None) for t in targets] if self.robot.has_tracker else []
+        reads += [(t, c) for t in targets for c in centres]
         shown = []
         for k in range(n):
             late = k >= n // 2
-            point = self.true_target(read[k], came[k], velocity[k]) * (1.0 + hidden.warmth_per_c * (warmth[k] - 20.0))
-            point = point + np.asarray(hidden.rate_mm_h) * time[k] / 3600.0 + np.asarray(hidden.step_mm) * late
-            shown.append(self.seen(point, late))
-        reading = np.array(shown) + self.noise_mm * rng.normal(size=(n, 3))
+            for target, centre in reads:
+                point = self.true_target(read[k], came[k], velocity[k], target)
+                point = point * (1.0 + hidden.warmth_per_c * (warmth[k] - 20.0))
+                point = point + np.asarray(hidden.rate_mm_h) * time[k] / 3600.0 + np.asarray(hidden.step_mm) * late
+                shown.append(self.seen(point, late) if centre is None else self.distance(point, centre))
+        reading = np.array(shown) + self.noise_mm * rng.normal(size=(len(shown), 3))
         layout = self.robot.layout
         columns: dict[str, Any] = {"time_s": time, "temperature_c": warmth, "pose": pose + 1}
         columns |= {"repeat": np.repeat(np.arange(repeats), len(poses)) + 1}
-        columns |= dict(zip((*layout.joints, *layout.coordinates), (*read.T, *reading.T), strict=True))
+        columns |= dict(zip(layout.joints, read.T, strict=True))
         if hidden.late_s:
             columns |= dict(zip(layout.velocities, velocity.T, strict=True))
+        columns = {name: np.repeat(values, len(reads), axis=0) for name, values in columns.items()}
+        if len(targets) > 1:
+            columns[TARGET] = np.tile([target + 1 for target, _ in reads], n)
+        if centres:
+            far_from = np.tile([np.nan if c is None else c + 1.0 for _, c in reads], n)
+            noise = self.noise_mm if self.distance_noise_mm is None else self.distance_noise_mm
+            far = np.array(shown)[:, 0] + noise * rng.normal(size=len(shown))
+            is_place = np.isnan(far_from)
+            columns |= {CENTRE: far_from, "distance_mm": np.where(is_place, np.nan, far)}
+            reading = np.where(is_place[:, None], reading, np.nan)
+        columns |= dict(zip(layout.coordinates, reading.T, strict=True))
         return Measurements.from_columns(columns, "simulation", layout=layout)
 
 

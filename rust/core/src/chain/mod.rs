@@ -12,6 +12,7 @@
 //! no other way to say that the sizes of arrays belong to a robot.
 
 mod angles;
+mod bar;
 mod body;
 mod camera;
 mod cartesian;
@@ -33,12 +34,13 @@ use places::Places;
 
 pub use angles::Angles;
 pub(crate) use angles::{angles_by_axis, angles_of};
+pub use bar::{Bars, CENTRES};
 pub use body::{Body, REFERENCE_TEMPERATURE_C};
 pub use camera::Eye;
 pub use cartesian::{Cartesian, LINEARITY_SPAN_MM};
 pub(crate) use inverse::inverse;
 pub use joints::{Joints, Turned};
-pub use row::{Covariates, Prediction, Row};
+pub use row::{Aim, Covariates, Prediction, Row};
 pub use tracker::Tracker;
 
 /// Where a robot's parameters stand.
@@ -106,6 +108,13 @@ pub trait Mechanism<const J: usize, const P: usize>: Copy + Debug {
     /// Measured point of a solved pose, base frame, mm.
     fn point(&self, solved: &Self::Solved) -> Vector3<f64>;
 
+    /// The same pose with another of the targets that a robot may carry as the measured point.
+    #[inline]
+    fn aimed(&self, solved: Self::Solved, target: usize) -> Self::Solved {
+        let _ = target;
+        solved
+    }
+
     /// The measured point without what its derivatives need; the same bits as by [`Self::solve`].
     ///
     /// # Errors
@@ -113,6 +122,16 @@ pub trait Mechanism<const J: usize, const P: usize>: Copy + Debug {
     #[inline]
     fn point_at(&self, joints: &SVector<f64, J>) -> Result<Vector3<f64>> {
         Ok(self.point(&self.solve(joints)?))
+    }
+
+    /// [`Self::point_at`] of another target.
+    ///
+    /// # Errors
+    /// As [`Self::solve`].
+    #[inline]
+    fn target_at(&self, joints: &SVector<f64, J>, target: usize) -> Result<Vector3<f64>> {
+        let _ = target;
+        self.point_at(joints)
     }
 
     /// Writes its wanted columns, carried on by the derivative of the readings by the point; returns that by the joints.
@@ -213,6 +232,17 @@ pub struct Settings<const J: usize> {
     pub slip_time_s: f64,
 }
 
+/// Distances that a robot's rows can hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Distances {
+    /// None.
+    None,
+    /// Between two of its places: readings are coordinates in one frame.
+    BetweenPlaces,
+    /// Between a target and a fixed centre.
+    FromCentres,
+}
+
 /// A nominal robot and the settings of its effects: what the drawing and the user say.
 pub trait Robot<const J: usize, const M: usize, const P: usize>: Table {
     /// What joins its joints to the measured point.
@@ -220,13 +250,19 @@ pub trait Robot<const J: usize, const M: usize, const P: usize>: Table {
     /// What it is measured with.
     type Sensor: Sensor<M>;
 
-    /// Whether distances between two of its places can be read: readings are coordinates in one frame.
-    const DISTANCES: bool = false;
+    /// Which distances can be read of it.
+    const DISTANCES: Distances = Distances::None;
 
     /// How many of its joints it has; the others stand still and are not read.
     #[inline]
     fn joints(&self) -> usize {
         J
+    }
+
+    /// The fixed centres from which distances are read, base frame, mm.
+    #[inline]
+    fn centres(&self) -> [Vector3<f64>; CENTRES] {
+        [Vector3::zeros(); CENTRES]
     }
 
     /// Settings of the effects that are no parameters.
@@ -266,6 +302,7 @@ pub trait Robot<const J: usize, const M: usize, const P: usize>: Table {
             structure: self.structure(values)?,
             body: Body::new::<Self, J, P>(values, &settings),
             sensor: self.sensor(values)?,
+            bars: Bars::new::<Self, P>(&self.centres(), values),
         })
     }
 }
@@ -277,6 +314,7 @@ pub struct Chain<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usi
     pub(crate) structure: R::Structure,
     pub(crate) body: Body,
     pub(crate) sensor: R::Sensor,
+    pub(crate) bars: Bars,
 }
 
 /// What an iteration on the joints remembers of the last ones: the pose, and room for what is predicted.
@@ -335,10 +373,23 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         row: &Covariates<J>,
         push: &Vector3<f64>,
     ) -> Result<SVector<f64, M>> {
+        self.value_by(&self.sensor, readings, row, push, 0)
+    }
+
+    /// What an instrument reads of a target.
+    #[inline]
+    pub(super) fn value_by(
+        &self,
+        sensor: &impl Sensor<M>,
+        readings: &SVector<f64, J>,
+        row: &Covariates<J>,
+        push: &Vector3<f64>,
+        target: usize,
+    ) -> Result<SVector<f64, M>> {
         let joints = self.joints.at::<R>(readings, row, Wanted::default());
         let (growth, shift) = self.body.at(row);
-        let point = self.structure.point_at(&joints.value)? * growth + shift + push;
-        checked(self.sensor.value(&point, self.look(&joints.value, row))?)
+        let point = self.structure.target_at(&joints.value, target)? * growth + shift + push;
+        checked(sensor.value(&point, self.look(&joints.value, row))?)
     }
 
     /// Reading of one row with the wanted derivatives. A column whose covariate is missing is NaN.
@@ -371,9 +422,29 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         wanted: Wanted,
         out: &mut Prediction<J, M, P>,
     ) -> Result<()> {
+        self.predict_by(&self.sensor, readings, row, push, 0, wanted, out)
+    }
+
+    /// [`Self::predict_into`] of what an instrument reads of a target.
+    #[inline]
+    #[allow(
+        clippy::too_many_arguments,
+        reason = "one argument for each thing that a reading depends on"
+    )]
+    pub(super) fn predict_by(
+        &self,
+        sensor: &impl Sensor<M>,
+        readings: &SVector<f64, J>,
+        row: &Covariates<J>,
+        push: &Vector3<f64>,
+        target: usize,
+        wanted: Wanted,
+        out: &mut Prediction<J, M, P>,
+    ) -> Result<()> {
         let joints = self.joints.at::<R>(readings, row, wanted);
         let solved = self.structure.solve(&joints.value)?;
-        self.shown(&joints, &solved, row, push, wanted, out)
+        let solved = self.structure.aimed(solved, target);
+        self.shown(sensor, &joints, &solved, row, push, wanted, out)
     }
 
     /// Reading of one row with its derivative by the joints, from the pose that `trail` remembers, and whether the pose is
@@ -394,14 +465,20 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
             .structure
             .solve_near(&joints.value, &mut trail.solved)?;
         let solved = trail.solved.as_ref().ok_or(Error::Singular)?;
-        self.shown(&joints, solved, row, &still, wanted, &mut trail.prediction)?;
+        let out = &mut trail.prediction;
+        self.shown(&self.sensor, &joints, solved, row, &still, wanted, out)?;
         Ok(settled)
     }
 
     /// What is shown of a solved pose, with the wanted derivatives.
     #[inline]
+    #[allow(
+        clippy::too_many_arguments,
+        reason = "one argument for each thing that a reading depends on"
+    )]
     fn shown(
         &self,
+        sensor: &impl Sensor<M>,
         joints: &Turned<J>,
         solved: &<R::Structure as Mechanism<J, P>>::Solved,
         row: &Covariates<J>,
@@ -414,7 +491,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         let body = point * growth + shift + push;
         let look = self.look(&joints.value, row);
         let d = &mut out.by_parameters;
-        let (value, by_body) = self.sensor.predict::<R, P>(&body, look, wanted, d)?;
+        let (value, by_body) = sensor.predict::<R, P>(&body, look, wanted, d)?;
         self.body
             .columns::<R, J, M, P>(&point, row, &by_body, wanted, d);
         let by_point = by_body * growth;

@@ -1,6 +1,6 @@
 //! Where the effects of a robot stand, link by link.
 
-use super::{angles, body, camera, cartesian, joints, tracker};
+use super::{angles, bar, body, camera, cartesian, joints, tracker};
 
 /// Where all effects of a robot stand, link by link; `Own` are those of its mechanism.
 #[derive(Clone, Copy, Debug)]
@@ -12,6 +12,7 @@ pub struct Places<Own> {
     pub(crate) camera: camera::At,
     pub(crate) angles: angles::At,
     pub(crate) tracker: tracker::At,
+    pub(crate) bar: bar::At,
 }
 
 impl<Own: Copy> Places<Own> {
@@ -26,6 +27,7 @@ impl<Own: Copy> Places<Own> {
             camera: camera::At::NONE,
             angles: angles::At::NONE,
             tracker: tracker::At::NONE,
+            bar: bar::At::NONE,
         }
     }
 }

@@ -6,7 +6,9 @@
 
 use super::effects::{Effect, OWN_LEVER, Wanted, effects, places, values_of};
 use super::places::Places;
-use super::{Cartesian, Covariates, Mechanism, Prediction, Robot, Row, Settings, Table};
+use super::{
+    Aim, Cartesian, Covariates, Distances, Mechanism, Prediction, Robot, Row, Settings, Table,
+};
 use crate::numbers::math::sin_cos;
 use crate::{Error, Result};
 use nalgebra::{Matrix3x2, SMatrix, Vector2, Vector3};
@@ -78,7 +80,7 @@ impl Table for Arm {
 impl Robot<2, 3, PARAMETERS> for Arm {
     type Structure = Structure;
     type Sensor = Cartesian;
-    const DISTANCES: bool = true;
+    const DISTANCES: Distances = Distances::BetweenPlaces;
 
     fn settings(&self) -> Settings<2> {
         Settings {
@@ -178,6 +180,10 @@ const ARM: Arm = Arm {
 const ROW: Row<2> = Row {
     joints: [0.4, 0.9],
     to: None,
+    aim: Aim {
+        target: 0,
+        centre: None,
+    },
     covariates: Covariates {
         time_s: 700.0,
         temperature_c: 23.0,
@@ -268,6 +274,7 @@ fn it_is_the_drawing_without_effects() {
     let row = Row {
         joints,
         to: None,
+        aim: Aim::default(),
         covariates: Covariates::NONE,
         push: Vector3::zeros(),
     };

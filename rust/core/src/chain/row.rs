@@ -29,6 +29,15 @@ impl<const J: usize> Covariates<J> {
     };
 }
 
+/// What of a robot was read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Aim {
+    /// Which of its targets, from 0.
+    pub target: usize,
+    /// The fixed centre from which the distance of the target was read, instead of its place.
+    pub centre: Option<usize>,
+}
+
 /// A row: where the joints were, what else is known, what was read there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row<const J: usize> {
@@ -36,6 +45,8 @@ pub struct Row<const J: usize> {
     pub joints: [f64; J],
     /// Joint readings at the other end, where a distance was read instead of the place.
     pub to: Option<[f64; J]>,
+    /// Which target, and from where.
+    pub aim: Aim,
     /// Time, temperature, directions, velocities.
     pub covariates: Covariates<J>,
     /// Added to the measured point before the sensor sees it, mm: a user's own effect.
@@ -74,6 +85,15 @@ impl<const J: usize, const M: usize, const P: usize> Default for Prediction<J, M
     }
 }
 
+impl<const J: usize> Row<J> {
+    /// Whether one distance was read, instead of a place.
+    #[inline]
+    #[must_use]
+    pub fn is_distance(&self) -> bool {
+        self.to.is_some() || self.aim.centre.is_some()
+    }
+}
+
 impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R, J, M, P> {
     /// Measured point of a row, base frame, mm.
     ///
@@ -88,7 +108,16 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
     /// # Errors
     /// As [`Chain::value`].
     pub fn row_value(&self, row: &Row<J>) -> Result<SVector<f64, M>> {
-        let at = |q: &[f64; J]| self.value(&SVector::from(*q), &row.covariates, &row.push);
+        let at = |q: &[f64; J]| {
+            let (joints, known) = (SVector::from(*q), &row.covariates);
+            match row.aim.centre {
+                None => self.value_by(&self.sensor, &joints, known, &row.push, row.aim.target),
+                Some(centre) => {
+                    let bar = self.bars.at(centre);
+                    self.value_by(&bar, &joints, known, &row.push, row.aim.target)
+                }
+            }
+        };
         let value = at(&row.joints)?;
         match &row.to {
             None => Ok(value),
@@ -108,12 +137,34 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         wanted: Wanted,
         out: &mut Prediction<J, M, P>,
     ) -> Result<()> {
-        if row.to.is_none() {
-            let joints = SVector::from(row.joints);
-            return self.predict_into(&joints, &row.covariates, &row.push, wanted, out);
+        if !row.is_distance() {
+            return self.predict_aimed(&row.joints, row, wanted, out);
         }
         *out = self.row_predict(row, wanted)?;
         Ok(())
+    }
+
+    /// What is read with the joints of a row, or with others.
+    fn predict_aimed(
+        &self,
+        joints: &[f64; J],
+        row: &Row<J>,
+        wanted: Wanted,
+        out: &mut Prediction<J, M, P>,
+    ) -> Result<()> {
+        let (joints, known) = (SVector::from(*joints), &row.covariates);
+        let target = row.aim.target;
+        match row.aim.centre {
+            None => {
+                // no distance: what an earlier row left in the columns of the bars is cleared
+                super::bar::clear::<R, M, P>(wanted, &mut out.by_parameters);
+                self.predict_by(&self.sensor, &joints, known, &row.push, target, wanted, out)
+            }
+            Some(centre) => {
+                let bar = self.bars.at(centre);
+                self.predict_by(&bar, &joints, known, &row.push, target, wanted, out)
+            }
+        }
     }
 
     /// [`Self::row_predict_into`] as a value of its own.
@@ -121,8 +172,11 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
     /// # Errors
     /// As [`Chain::predict`].
     pub fn row_predict(&self, row: &Row<J>, wanted: Wanted) -> Result<Prediction<J, M, P>> {
-        let at =
-            |q: &[f64; J]| self.predict(&SVector::from(*q), &row.covariates, &row.push, wanted);
+        let at = |q: &[f64; J]| {
+            let mut out = Prediction::new();
+            self.predict_aimed(q, row, wanted, &mut out)?;
+            Ok(out)
+        };
         let Some(to) = &row.to else {
             return at(&row.joints);
         };
@@ -144,7 +198,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
     }
 }
 
-fn first<const M: usize>(distance: f64) -> SVector<f64, M> {
+pub(super) fn first<const M: usize>(distance: f64) -> SVector<f64, M> {
     SVector::from_fn(|axis, _| if axis == 0 { distance } else { 0.0 })
 }
 

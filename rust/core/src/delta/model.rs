@@ -6,7 +6,7 @@ use super::nominal::Model;
 use super::structure::Structure;
 use crate::chain::effects::Effect;
 use crate::chain::places::Places;
-use crate::chain::{self, Cartesian, Robot, Settings, Table};
+use crate::chain::{self, Cartesian, Distances, Robot, Settings, Table};
 use crate::{Error, Result};
 use core::f64::consts::TAU;
 
@@ -31,7 +31,7 @@ impl Table for Model {
 impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
     type Structure = Structure;
     type Sensor = Cartesian;
-    const DISTANCES: bool = true;
+    const DISTANCES: Distances = Distances::BetweenPlaces;
 
     fn settings(&self) -> Settings<LIMBS> {
         Settings {

@@ -2,8 +2,9 @@
 
 use super::effects::{AT, Values};
 use super::model::{Chain, Covariates, JOINTS, Model, Prediction};
-use crate::chain::Robot;
+use super::structure::Structure;
 use crate::chain::effects::Wanted;
+use crate::chain::{Mechanism, Robot};
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
@@ -55,6 +56,7 @@ impl Calibrated {
             at.sensor_scale,
             at.sensor_linearity,
             AT.joints.reading_delay,
+            AT.bar.bar_zero,
         ] {
             for value in measured
                 .and_then(|place| values.get_mut(place.range()))
@@ -91,7 +93,7 @@ impl Calibrated {
     /// How many joints it has.
     #[must_use]
     pub fn joints(&self) -> usize {
-        self.count
+        self.count.min(JOINTS)
     }
 
     /// Where the target is, mm, with its derivative by the joints.
@@ -126,10 +128,9 @@ impl Calibrated {
     /// # Errors
     /// As [`Chain::value`].
     pub fn flange(&self, joints: &SVector<f64, JOINTS>, now: &Covariates) -> Result<Matrix3<f64>> {
-        use crate::chain::Mechanism;
         let turned = self.chain.joints.at::<Model>(joints, now, Wanted::NONE);
         let solved = self.chain.structure.solve(&turned.value)?;
-        Ok(self.chain.structure.flange(&solved))
+        Ok(Structure::flange(&solved))
     }
 
     /// Joint readings within the limits at which the target is at `place`, to 1 nm or better: those to which the smallest
@@ -183,7 +184,7 @@ impl Calibrated {
     ) -> SVector<f64, JOINTS> {
         let mut weights = self.weights;
         let mut step = SVector::zeros();
-        for _ in 0..self.count {
+        for _ in 0..self.joints() {
             let weighted = SMatrix::<f64, JOINTS, JOINTS>::from_diagonal(&weights);
             let back = weighted * by_joints.transpose();
             let mut square = by_joints * back;
@@ -196,7 +197,7 @@ impl Calibrated {
             };
             step = back * inverse * missed;
             let mut freed = false;
-            for i in 0..self.count {
+            for i in 0..self.joints() {
                 let beyond = joints[i] + step[i];
                 let stuck = (joints[i] <= self.limits.low[i] && beyond < self.limits.low[i])
                     || (joints[i] >= self.limits.high[i] && beyond > self.limits.high[i]);
@@ -210,7 +211,7 @@ impl Calibrated {
             }
         }
         let mut longest = 0.0_f64;
-        for i in 0..self.count {
+        for i in 0..self.joints() {
             if self.weights[i] > 0.0 {
                 longest = longest.max(step[i].abs() / libm::sqrt(self.weights[i]));
             }

@@ -10,7 +10,7 @@ const LEVER: f64 = 500.0;
 
 // what the mechanism computes itself, in `structure.rs`
 places! {
-    joint_shift joint_tilt tool joint_coupling joint_compliance
+    joint_shift joint_tilt tool targets joint_coupling joint_compliance
 }
 
 effects! { At;
@@ -38,6 +38,16 @@ effects! { At;
     // where the target is on the flange
     tool: Structure by structure (base) {
         tool_x, tool_y, tool_z: "mm", 5.0, 1.0;
+    }
+    // where other targets are on the flange
+    targets: Structure by structure (base) {
+        target_2_x, target_2_y, target_2_z, target_3_x, target_3_y, target_3_z, target_4_x, target_4_y,
+        target_4_z: "mm", 5.0, 1.0;
+    }
+    // where the fixed centres are in the base frame, from which distances are read
+    centres: Sensor by bar (base) {
+        centre_1_x, centre_1_y, centre_1_z, centre_2_x, centre_2_y, centre_2_z, centre_3_x, centre_3_y, centre_3_z,
+        centre_4_x, centre_4_y, centre_4_z: "mm", 20.0, 1.0;
     }
     // relative scale error of each encoder, about its home reading
     joint_scale: Joints by joints {
@@ -89,6 +99,10 @@ effects! { At;
     // cubic error of each coordinate read, a metre from the middle
     sensor_linearity: Sensor by tracker {
         cubic_x, cubic_y, cubic_z: "mm", 0.2, 1.0;
+    }
+    // what a bar or wire adds to every distance
+    bar_zero: Sensor by bar {
+        length: "mm", 0.5, 1.0;
     }
     // how much earlier the reading shows the robot
     reading_delay: Sensor by joints needs "velocity" {

@@ -87,8 +87,13 @@ impl Place {
     }
 }
 
-/// Where all of `links` stand, one behind another; places beyond them are those of none.
-pub(super) fn stand(links: &[Link], values: &[f64; JOINTS]) -> [Place; JOINTS] {
+/// Where the first `count` of `links` stand, one behind another, and the frame behind the last; places beyond are those of
+/// none.
+pub(super) fn stand(
+    links: &[Link; JOINTS],
+    count: usize,
+    values: &[f64; JOINTS],
+) -> ([Place; JOINTS], Rigid) {
     let nothing = Place {
         before: Matrix3::identity(),
         lean_y: Vector3::y(),
@@ -99,9 +104,9 @@ pub(super) fn stand(links: &[Link], values: &[f64; JOINTS]) -> [Place; JOINTS] {
     };
     let mut out = [nothing; JOINTS];
     let mut behind = Rigid::identity();
-    for ((link, value), out) in links.iter().zip(values).zip(&mut out) {
+    for ((link, value), out) in links.iter().zip(values).zip(&mut out).take(count) {
         *out = link.place(&behind, *value);
         behind = out.behind;
     }
-    out
+    (out, behind)
 }

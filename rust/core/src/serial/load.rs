@@ -58,18 +58,20 @@ impl Load {
 
     /// What the joints carry at these values.
     pub(super) fn carried(&self, values: &SVector<f64, JOINTS>) -> Carried {
-        let places = stand(&self.links[..self.count], values.as_ref());
+        // no more than there is room for, so that no index can be proved wrong
+        let count = self.count.min(JOINTS);
+        let (places, _) = stand(&self.links, count, values.as_ref());
         let (mut load, mut by_joints) = (SVector::zeros(), SMatrix::zeros());
         // the weight behind each joint, and its moment about the base
         let mut behind = [(0.0, Vector3::zeros()); JOINTS];
         let (mut weight, mut moment) = (0.0, Vector3::zeros());
-        for k in (0..self.count).rev() {
+        for k in (0..count).rev() {
             let joint = &self.joints[k];
             weight += joint.mass_kg;
             moment += places[k].behind.apply(&joint.centre_mm) * joint.mass_kg;
             behind[k] = (weight, moment - places[k].origin * weight);
         }
-        for i in 0..self.count {
+        for i in 0..count {
             let scale = self.greatest[i];
             let (place, (weight, moment)) = (&places[i], behind[i]);
             load[i] = scale
@@ -78,7 +80,7 @@ impl Load {
                 } else {
                     place.axis.dot(&moment.cross(&self.gravity))
                 };
-            for j in 0..self.count {
+            for j in 0..count {
                 by_joints[(i, j)] = scale * self.change(i, j, &places, &behind);
             }
         }

@@ -15,5 +15,5 @@ mod structure;
 
 pub use calibrated::{Calibrated, Limits};
 pub use effects::{CATALOGUE, PARAMETERS, Values};
-pub use model::{Chain, Covariates, JOINTS, Joint, Model, Prediction, READINGS, Row};
+pub use model::{Chain, Covariates, JOINTS, Joint, Model, Prediction, READINGS, Row, TARGETS};
 pub use structure::Structure;

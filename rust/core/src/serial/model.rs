@@ -4,7 +4,7 @@ use super::effects::{AT, At, CATALOGUE, PARAMETERS, Values};
 use super::structure::Structure;
 use crate::chain::effects::Effect;
 use crate::chain::places::Places;
-use crate::chain::{self, Robot, Settings, Table, Tracker};
+use crate::chain::{self, CENTRES, Distances, Robot, Settings, Table, Tracker};
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
 use core::f64::consts::TAU;
@@ -16,6 +16,9 @@ pub const JOINTS: usize = 9;
 pub const READINGS: usize = 3;
 /// How far the columns of a turn may be from a right angle or one.
 const SQUARE: f64 = 1e-6;
+
+/// Targets that an arm may carry.
+pub const TARGETS: usize = 4;
 
 /// What a row of an arm brings besides its readings.
 pub type Covariates = chain::Covariates<JOINTS>;
@@ -33,6 +36,9 @@ pub struct Joint {
     pub fixed: Rigid,
     /// Whether it slides.
     pub prismatic: bool,
+    /// Part of the reading of the joint before it by which it moves besides, as drawn: one or minus one behind a
+    /// parallelogram.
+    pub follows: f64,
     /// Reading about which scale errors turn, rad or mm.
     pub home: f64,
     /// Mass of the link behind it, kg, or in any other unit that is the same for all.
@@ -49,6 +55,7 @@ impl Joint {
             translation: Vector3::new(0.0, 0.0, 0.0),
         },
         prismatic: true,
+        follows: 0.0,
         home: 0.0,
         mass_kg: 0.0,
         centre_mm: Vector3::new(0.0, 0.0, 0.0),
@@ -62,8 +69,10 @@ pub struct Model {
     pub joints: [Joint; JOINTS],
     /// How many it has.
     pub count: usize,
-    /// The target in the frame behind the last joint, mm.
-    pub tool_mm: Vector3<f64>,
+    /// Its targets in the frame behind the last joint, mm; the first is what it brings somewhere.
+    pub targets_mm: [Vector3<f64>; TARGETS],
+    /// The fixed centres from which distances are read, base frame, mm.
+    pub centres_mm: [Vector3<f64>; CENTRES],
     /// From the base frame to that of the tracker, mm.
     pub tracker: Rigid,
     /// Direction of the weight, base frame, of length one.
@@ -94,8 +103,14 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
     type Structure = Structure;
     type Sensor = Tracker;
 
+    const DISTANCES: Distances = Distances::FromCentres;
+
     fn joints(&self) -> usize {
         self.count
+    }
+
+    fn centres(&self) -> [Vector3<f64>; CENTRES] {
+        self.centres_mm
     }
 
     fn settings(&self) -> Settings<JOINTS> {
@@ -115,7 +130,7 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
         }
         for (limb, joint) in mine.iter().enumerate() {
             let numbers = joint.fixed.translation.iter().chain(&joint.centre_mm);
-            let mut numbers = numbers.chain([&joint.home, &joint.mass_kg]);
+            let mut numbers = numbers.chain([&joint.follows, &joint.home, &joint.mass_kg]);
             if numbers.any(|v| !v.is_finite()) || !is_square(&joint.fixed) {
                 return refuse(
                     limb,
@@ -132,7 +147,8 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
             self.tracker_slip_time_s,
             self.encoder_period,
         ];
-        let settings = times.iter().chain(&self.tool_mm).chain(&self.gravity);
+        let points = self.targets_mm.iter().chain(&self.centres_mm);
+        let settings = times.iter().chain(points.flatten()).chain(&self.gravity);
         let mut settings = settings.chain(&self.tracker.translation);
         if let Some(index) = settings.position(|v| !v.is_finite()) {
             return Err(Error::NotFinite { index });

@@ -1,16 +1,18 @@
 //! The structure link: from the joints to the target, and what the joints do to each other on the way.
 //!
-//! A joint follows the one before it by a share, `v_i = q_i + s_i (q_{i-1} - home)`, and gives way under the weight behind
+//! A joint follows the one before it as drawn and by a share that is its error,
+//! `v_i = q_i + f_i q_{i-1} + s_i (q_{i-1} - home)`, and gives way under the weight behind
 //! it, `w_i = v_i + y_i T_i(v)`, with `T` of [`super::load`]. Then frames follow one another, and every small error moves
 //! the target as a joint in its place would.
 
 use super::effects::{AT, PARAMETERS, Values};
 use super::frames::{Link, Place, stand};
 use super::load::{Carried, Load};
-use super::model::{JOINTS, Model};
+use super::model::{JOINTS, Model, TARGETS};
 use crate::Result;
 use crate::chain::Mechanism;
 use crate::chain::effects::{Wanted, values_of};
+use crate::numbers::rigid::Rigid;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 /// The arm with given errors: what joins its joints to the target.
@@ -18,10 +20,11 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 pub struct Structure {
     links: [Link; JOINTS],
     count: usize,
-    /// The target behind the last joint, mm.
-    tool: Vector3<f64>,
+    /// The targets behind the last joint, mm.
+    targets: [Vector3<f64>; TARGETS],
     home: [f64; JOINTS],
-    /// Share by which each joint follows the one before it.
+    /// Share by which each joint follows the one before it beyond what is drawn, and with that.
+    share: [f64; JOINTS],
     follows: [f64; JOINTS],
     /// How far each joint gives way, rad or mm.
     yields: [f64; JOINTS],
@@ -32,6 +35,10 @@ pub struct Structure {
 #[derive(Clone, Copy, Debug)]
 pub struct Solved {
     places: [Place; JOINTS],
+    /// The frame behind the last joint.
+    flange: Rigid,
+    /// Which of the targets is measured.
+    target: usize,
     point: Vector3<f64>,
     /// The joints as they follow one another, before they give way.
     coupled: SVector<f64, JOINTS>,
@@ -47,25 +54,34 @@ impl Structure {
         let lean: [f64; 2 * JOINTS] = values_of(at.joint_tilt, values);
         let share: [f64; JOINTS - 1] = values_of(at.joint_coupling, values);
         let two = |of: &[f64; 2 * JOINTS], i: usize| [of[2 * i], of[2 * i + 1]];
+        let mut targets = model.targets_mm;
+        let others: [f64; 3 * TARGETS - 3] = values_of(at.targets, values);
+        let tool: [f64; 3] = values_of(at.tool, values);
+        let off = core::iter::once(&tool).chain(others.as_chunks::<3>().0);
+        for (target, off) in targets.iter_mut().zip(off) {
+            *target += Vector3::from(*off);
+        }
         let link = |i: usize| {
             let joint = &model.joints[i];
             Link::new(&joint.fixed, joint.prismatic, two(&shift, i), two(&lean, i))
         };
-        let follows = |i: usize| if i == 0 { 0.0 } else { share[i - 1] };
+        let share: [f64; JOINTS] =
+            core::array::from_fn(|i| if i == 0 { 0.0 } else { share[i - 1] });
         Self {
             links: core::array::from_fn(link),
-            count: model.count,
-            tool: model.tool_mm + Vector3::from(values_of::<3, PARAMETERS>(at.tool, values)),
+            count: model.count.min(JOINTS),
+            targets,
             home: model.joints.map(|joint| joint.home),
-            follows: core::array::from_fn(follows),
+            share,
+            follows: core::array::from_fn(|i| model.joints[i].follows + share[i]),
             yields: values_of(at.joint_compliance, values),
             load: Load::new(model),
         }
     }
 
     /// The frame behind the last joint, base frame.
-    pub(super) fn flange(&self, solved: &Solved) -> Matrix3<f64> {
-        solved.places[self.count - 1].behind.rotation
+    pub(super) fn flange(solved: &Solved) -> Matrix3<f64> {
+        solved.flange.rotation
     }
 }
 
@@ -75,25 +91,43 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
 
     fn solve(&self, joints: &SVector<f64, JOINTS>) -> Result<Solved> {
         let mut coupled = *joints;
-        for i in 1..self.count {
-            coupled[i] += self.follows[i] * (joints[i - 1] - self.home[i - 1]);
+        for i in 1..self.count.min(JOINTS) {
+            coupled[i] += self.follows[i] * joints[i - 1] - self.share[i] * self.home[i - 1];
         }
         let (mut values, mut carried) = (coupled, None);
         if self.yields.iter().any(|y| *y != 0.0) {
             let found = self.load.carried(&coupled);
-            for i in 0..self.count {
+            for i in 0..self.count.min(JOINTS) {
                 values[i] += self.yields[i] * found.0[i];
             }
             carried = Some(found);
         }
-        let places = stand(&self.links[..self.count], values.as_ref());
-        let point = places[self.count - 1].behind.apply(&self.tool);
+        let (places, flange) = stand(&self.links, self.count, values.as_ref());
+        let [first, ..] = &self.targets;
+        let point = flange.apply(first);
         Ok(Solved {
             places,
+            flange,
+            target: 0,
             point,
             coupled,
             carried,
         })
+    }
+
+    fn aimed(&self, solved: Solved, target: usize) -> Solved {
+        match self.targets.get(target) {
+            Some(own) if target > 0 => Solved {
+                target,
+                point: solved.flange.apply(own),
+                ..solved
+            },
+            _ => solved,
+        }
+    }
+
+    fn target_at(&self, joints: &SVector<f64, JOINTS>, target: usize) -> Result<Vector3<f64>> {
+        Ok(self.aimed(self.solve(joints)?, target).point)
     }
 
     fn point(&self, solved: &Solved) -> Vector3<f64> {
@@ -126,9 +160,17 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
                 }
             }
         }
-        if let Some(at) = wanted.wants(at.tool) {
-            d.fixed_columns_mut::<3>(at.start)
-                .copy_from(&(by_point * self.flange(solved)));
+        // a row shows one target: what an earlier row left in the columns of the others is cleared
+        let first = wanted.wants(at.tool).map(|at| (at.start, 0));
+        let others = wanted.wants(at.targets);
+        let others = others.map(|at| (1..TARGETS).map(move |k| (at.start + 3 * (k - 1), k)));
+        for (start, target) in first.into_iter().chain(others.into_iter().flatten()) {
+            let mut own = d.fixed_columns_mut::<3>(start);
+            if target == solved.target {
+                own.copy_from(&(by_point * Self::flange(solved)));
+            } else {
+                own.fill(0.0);
+            }
         }
         let wanted_yield = wanted.wants(at.joint_compliance);
         if solved.carried.is_some() || wanted_yield.is_some() {
@@ -136,7 +178,7 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
                 .carried
                 .unwrap_or_else(|| self.load.carried(&solved.coupled));
             let rigid = by_joints;
-            for i in 0..self.count {
+            for i in 0..self.count.min(JOINTS) {
                 let by_joint = rigid.column(i);
                 if let Some(at) = wanted_yield {
                     d.set_column(at.start + i, &(by_joint * load[i]));
@@ -146,7 +188,7 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
         }
         // each joint also moves the one that follows it
         let apart = by_joints;
-        for i in 1..self.count {
+        for i in 1..self.count.min(JOINTS) {
             if let Some(at) = wanted.wants(at.joint_coupling) {
                 let travel = joints[i - 1] - self.home[i - 1];
                 d.set_column(at.start + i - 1, &(apart.column(i) * travel));

@@ -1,0 +1,157 @@
+"""What is read of a serial arm besides one target: several targets, distances from fixed centres, all in one run."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sherkit as sk
+from sherkit.errors import FitError, MeasurementError, RobotError
+from sherkit.model.kinds import model_of, robot_from_tables
+from sherkit.robots.serial import KIND, Hidden, Serial, VirtualSerial, postures
+
+PLAIN = {"noise_um": 50.0, "yield_mrad": 0.0, "play_mrad": 0.0, "ring_mrad": 0.0}
+
+
+def arm(targets: int, centres: int, *, tracker: bool = True) -> Serial:
+    """The example with so many targets and centres."""
+    more = ((-80.0, 40.0, 20.0), (60.0, -70.0, 30.0), (0.0, 0.0, 150.0))[: targets - 1]
+    fixed = ((600.0, 300.0, 0.0), (-500.0, 400.0, 100.0), (200.0, -700.0, 50.0), (0.0, 0.0, 1500.0))[:centres]
+    return replace(KIND.example, more_targets_mm=more, centres_mm=fixed, has_tracker=tracker)
+
+
+def run_of(robot: Serial, seed: int, rows: int, *, bars: float = 0.01, **hidden: Any) -> sk.Measurements:
+    """A run of an arm with geometric errors of plausible size."""
+    virtual = VirtualSerial.simulated(robot, seed, 1.0, PLAIN).with_hidden(**hidden)
+    poses = postures(robot, rows, 0.9, seed)
+    return replace(virtual, distance_noise_mm=bars).measure(poses, repeats=2, seed=seed + 5)
+
+
+@pytest.mark.parametrize(("targets", "centres", "tracker"), [(3, 0, True), (1, 2, True), (2, 4, False), (2, 1, True)])
+def test_every_reading_is_that_of_the_second_simulator(
+    targets: int, centres: int, tracker: bool, tmp_path: Path
+) -> None:
+    """Catches a target or centre that is another one's, an error in the wrong frame, a derivative that is not that of
+    the prediction, and a file that loses one of them."""
+    robot = arm(targets, centres, tracker=tracker)
+    sk.save_robot(robot, tmp_path / "arm.toml")
+    assert robot_from_tables(tomllib.loads((tmp_path / "arm.toml").read_text()), "again") == robot
+    rng = np.random.default_rng(5)
+    tools, fixed = rng.normal(size=(targets, 3)), rng.normal(size=(centres, 3))
+    offset = 1e-3 * rng.normal(size=6)
+    effects = Hidden(rate_mm_h=(0.5, 0.2, -0.3), bar_mm=0.4 if centres else 0.0)
+    virtual = VirtualSerial(robot, offset, tool_mm=tools, centres_mm=fixed, effects=effects)
+    data = virtual.measure(postures(robot, 12), seed=1)
+    data.save(tmp_path / "run.csv")
+    data = sk.read_measurements(tmp_path / "run.csv")
+    model = model_of(robot)
+    added = [model.known_effects[name] for name in ("drift", "bar_zero") if name in model.known_effects]
+    model = replace(model, free=tuple(p.name for p in model.base), effects=tuple(added))
+    names = {f"offset_{i + 1}": offset[i] for i in range(6)} | {"bar_zero.length": 0.4}
+    for a, axis in enumerate("xyz"):
+        names |= {f"tool_{axis}": tools[0, a], f"drift.rate_{axis}": effects.rate_mm_h[a]}  # type: ignore[index]
+        names |= {f"target_{k + 1}_{axis}": tools[k, a] for k in range(1, targets)}
+        names |= {f"centre_{k + 1}_{axis}": fixed[k, a] for k in range(centres)}
+    values = np.array([names.get(p.name, 0.0) for p in model.parameters])
+    predicted = model.predict(data, values)
+    np.testing.assert_allclose(predicted[data.taken], data.readings[data.taken], atol=1e-7)
+    columns = model.derivatives(data, values)
+    for k, p in enumerate(model.parameters):
+        step = np.where(np.arange(len(values)) == k, 1e-3 * min(p.size, 10.0), 0.0)
+        change = model.predict(data, values + step) - model.predict(data, values - step)
+        np.testing.assert_allclose(columns[:, :, k] * 2 * step[k], change, rtol=1e-4, atol=1e-8, err_msg=p.name)
+
+
+def test_more_targets_tell_the_last_joints_apart() -> None:
+    """Catches a default that stays as it is with one target: two more tell how the last axis leans and where it is."""
+    one, three = (model_of(arm(count, 0)) for count in (1, 3))
+    assert len(one.free) == 27
+    assert {name[:9] for name in three.free} >= {"target_2_", "target_3_"}
+    fit = sk.identify(three, run_of(arm(3, 0), 1, 60))
+    # six for the frame and four for each joint, two targets beyond what the first axis shows of its three numbers
+    assert fit.rank == len(fit.values) == len(three.free)
+    assert fit.scale == pytest.approx(1.0, rel=0.15)
+
+
+def test_distances_alone_calibrate_an_arm() -> None:
+    """Catches a tracker that is asked for where there is none, and distances that are not those of the base frame."""
+    robot = arm(1, 3, tracker=False)
+    data = run_of(robot, 3, 60, gives=1e-3)
+    assert not any(name.startswith("frame") for name in model_of(robot).free)
+    with pytest.raises(FitError, match="diagnosis needs coordinates; these rows are distances only"):
+        sk.diagnose(robot, data)
+    made = sk.calibrate(robot, data, effects=["joint_compliance"]).calibration
+    virtual = VirtualSerial.simulated(robot, 3, 1.0, PLAIN).with_hidden(gives=1e-3)
+    fit = sk.identify(robot, data, effects=["joint_compliance"])
+    known = dict(zip((p.name for p in fit.parameters), fit.values.tolist(), strict=True))
+    centres = np.array(robot.centres_mm) + [[known.get(f"centre_{k}_{a}", 0.0) for a in "xyz"] for k in (1, 2, 3)]
+    still = np.zeros(6)
+    for joints in postures(robot, 20, 0.8, seed=8):
+        real = virtual.true_target(joints, still, still)
+        told = np.linalg.norm(made.forward(joints) - centres, axis=1)
+        shown = [virtual.distance(real, k)[0] for k in range(3)]
+        np.testing.assert_allclose(told, shown, atol=0.06)
+
+
+def test_a_mixed_run_weighs_each_reading_by_its_own_noise() -> None:
+    """Catches a bar of 10 µm that counts as much as a tracker of 50, and repeats of two targets that are one noise."""
+    robot = arm(2, 1)
+    virtual = replace(VirtualSerial.simulated(robot, 2, 1.0, PLAIN), distance_noise_mm=0.01)
+    fit = sk.identify(robot, virtual.measure(postures(robot, 40, 0.9, 2), repeats=2, seed=4))
+    assert fit.data.repeatability is not None
+    sigma = fit.data.repeatability.sigma
+    assert sigma["distance_mm"] == pytest.approx(0.01, rel=0.25)
+    assert sigma["x_mm"] == pytest.approx(0.05, rel=0.25)
+    left = fit.residuals[fit.data.taken[:, 3], 3]
+    assert np.sqrt(np.mean(left**2)) < 0.015
+
+
+def test_a_length_of_all_bars_is_identified() -> None:
+    """Catches a zero of the bars that is taken for geometry, as the places of their centres."""
+    data = run_of(arm(1, 2), 4, 60, bar_mm=0.08)
+    without, fit = (sk.identify(arm(1, 2), data, effects=effects) for effects in ([], ["bar_zero"]))
+    assert without.rms()["distance_mm"] > 15.0
+    assert fit.rms()["distance_mm"] == pytest.approx(10.0, rel=0.2)
+    assert fit.by_name["bar_zero.length"] == pytest.approx(0.08, abs=4 * fit.std[-1])
+    assert fit.std[-1] < 0.01
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"target": 3.0}, "target: expected a number from 1 to 2, found 3"),
+        ({"target": 1.5}, "target: expected a number from 1 to 2, found 1.5"),
+        ({"centre": 2.0}, "centre: expected a number from 1 to 1, found 2"),
+    ],
+)
+def test_numbers_that_name_nothing_are_refused(change: dict[str, float], said: str) -> None:
+    """Catches a row that is read as another target's or centre's."""
+    robot = arm(2, 1)
+    data = run_of(robot, 1, 30)
+    frame = {name: data.to_frame()[name].to_numpy().copy() for name in data.to_frame().columns}
+    for name, number in change.items():
+        frame[name] = np.where(np.arange(len(data)) == int(np.argmax(data.is_distance)), number, frame[name])
+    with pytest.raises(FitError, match=said):
+        sk.identify(robot, sk.from_frame(frame))
+
+
+def test_half_a_distance_is_refused() -> None:
+    """Catches a distance without a centre, which would count from nowhere."""
+    data = run_of(arm(1, 1), 1, 10)
+    frame = {name: data.to_frame()[name].to_numpy().copy() for name in data.to_frame().columns}
+    frame["centre"] = np.full(len(data), np.nan)
+    with pytest.raises(MeasurementError, match="a distance needs distance_mm and all of centre"):
+        sk.from_frame(frame)
+
+
+def test_an_arm_that_nothing_reads_is_refused(tmp_path: Path) -> None:
+    """Catches a fifth target that is lost without a word."""
+    tables = arm(4, 4).to_tables()
+    tables["target"].append({"at_mm": [1.0, 2.0, 3.0]})
+    with pytest.raises(RobotError, match="targets: an arm has at most 4, got 5"):
+        robot_from_tables(tables, "robot.toml")
