@@ -133,6 +133,7 @@ def test_round_trip_is_lossless(data: st.DataObject, tmp_path_factory: pytest.Te
         workspace_radius_mm=data.draw(st.none() | length),
         workspace_z_mm=data.draw(st.none() | st.tuples(between(-100.0, -1e-3), between(0.0, 100.0))),
         region_half_width_mm=data.draw(st.none() | length),
+        required_um=data.draw(st.none() | length),
     )
     path = tmp_path_factory.getbasetemp() / NAME
     save_robot(robot, path)

@@ -128,7 +128,8 @@ class Serial(Saved):
 
     ``target_mm`` is the measured point in the frame of the last joint, ``tool_rpy_deg`` how the tool stands there.
     ``gravity`` is the direction of the weight in the base frame. The tracker sees the origin of the base frame at
-    ``tracker_mm``, and its axes turned by ``tracker_rpy_deg``; what it really sees is identified.
+    ``tracker_mm``, and its axes turned by ``tracker_rpy_deg``; what it really sees is identified. ``required_um`` is
+    the accuracy that the arm is for.
     """
 
     joints: tuple[Joint, ...]
@@ -137,6 +138,7 @@ class Serial(Saved):
     gravity: Triple = (0.0, 0.0, -1.0)
     tracker_mm: Triple = _ZERO
     tracker_rpy_deg: Triple = _ZERO
+    required_um: float | None = None
     kind: str = field(default="serial", init=False)
 
     def __post_init__(self) -> None:
@@ -167,8 +169,10 @@ class Serial(Saved):
                 "tracker_mm": t.numbers("origin_mm", 3, _ZERO),
                 "tracker_rpy_deg": t.numbers("rpy_deg", 3, _ZERO),
             }
+        with table.table("workspace", optional=True) as w:
+            required = w.positive("required_um")
         try:
-            return cls(joints, **{name: (v[0], v[1], v[2]) for name, v in vectors.items()})
+            return cls(joints, required_um=required, **{name: (v[0], v[1], v[2]) for name, v in vectors.items()})
         except ShapeError as error:
             raise table.fail("joint", str(error)) from None
 
@@ -180,6 +184,7 @@ class Serial(Saved):
             "tool": {"target_mm": list(self.target_mm), "rpy_deg": list(self.tool_rpy_deg)},
             "base": {"gravity": list(self.gravity)},
             "tracker": {"origin_mm": list(self.tracker_mm), "rpy_deg": list(self.tracker_rpy_deg)},
+            **({"workspace": {"required_um": self.required_um}} if self.required_um else {}),
         }
 
     # -- what runs and experiments ask ---------------------------------------------------------------------
