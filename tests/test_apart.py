@@ -94,7 +94,7 @@ def test_effects_apart_give_what_they_give_here(bench: Workbench) -> None:
         ("import os; os._exit(3)", "", "exit code 3"),
         ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "", "SIGSEGV"),
         ("import sys; sys.exit()", "", "SystemExit"),
-        ("hog = []\n    while True: hog.append(np.ones(10_000_000))", "", "more than 2 GB of memory"),
+        ("hog = []\n    while True: hog.append(np.empty(50_000_000))", "", "more than 2 GB of memory"),
         ("pass", "import sys; sys.exit(1)\n", "SystemExit"),
     ],
     ids=["endless", "endless at once", "exit", "crash", "sys.exit", "memory", "sys.exit at once"],

@@ -22,14 +22,14 @@ from types import SimpleNamespace
 from typing import Any
 
 from ..data import Measurements
-from ..errors import EffectError
+from ..errors import EffectError, SherkitError
 from ..model.effect import Effect
 from ..model.effect_file import load_effects
 from ..model.rows import Rows, run_of
 from ..types import Floats
 
-#: How long one look at all rows may compute, how many times longer it may take where other work has the machine, and how
-#: often a person's wish to end it is looked for, s.
+#: How long one look at all rows may compute, how many times longer it may take where other work has the machine, and
+#: how often a person's wish to end it is looked for, s.
 PATIENCE_S, _WAITING, _LOOK_S = 20.0, 30.0, 0.05
 #: What the lines may ask for beside what Python needs for itself, bytes.
 _MEMORY = 2 * 2**30
@@ -89,16 +89,15 @@ class Apart:
             raise
 
 
-@dataclass(frozen=True)
 class _Asked:
     """A function that is elsewhere."""
 
-    apart: Apart
-    name: str
-    which: str
+    def __init__(self, apart: Apart, name: str, which: str) -> None:
+        self._apart, self._name, self._which = apart, name, which
+        self.__qualname__ = name
 
     def __call__(self, rows: Rows, p: SimpleNamespace) -> Floats:
-        return self.apart.ask(self.name, self.which, rows, p)
+        return self._apart.ask(self._name, self._which, rows, p)
 
 
 @dataclass(frozen=True)
@@ -169,14 +168,14 @@ class _Process:
             if kind == "ready":  # what Python needs to begin is not the lines' own
                 computed = _computed_s(self._process.pid)
             elif kind == "position" and rows is not None:
-                self._send(("position", rows.position))
+                self._send(_position(rows))
             elif kind == "failed":
                 raise EffectError(value)
             else:
                 return value
 
     def _gone(self) -> _Ended:
-        self._process.join(2.0)
+        self._process.join(10.0)
         code = self._process.exitcode
         if code is None or code >= 0:
             return _Ended(f"ended their own process (exit code {code or 0})")
@@ -190,6 +189,13 @@ class _Process:
         self._process.kill()
         self._process.join()
         self._line.close()
+
+
+def _position(rows: Rows) -> tuple[str, Any]:
+    try:
+        return "position", rows.position
+    except SherkitError as error:
+        return "failed", str(error)
 
 
 def _computed_s(pid: int | None) -> float | None:
@@ -240,7 +246,10 @@ def _serve(line: Connection, source: str) -> None:
 def _called(line: Connection, effect: Effect, which: str, data: Measurements, values: dict[str, float]) -> Any:
     def position() -> Any:
         line.send(("position", None))
-        return line.recv()[1]
+        kind, value = line.recv()
+        if kind == "failed":
+            raise EffectError(value)
+        return value
 
     function = effect.function if which == "function" else effect.derivative
     assert function is not None  # only what there is was told of

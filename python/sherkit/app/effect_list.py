@@ -76,12 +76,14 @@ class _Place:
 
     def __init__(self, pressed: Callable[[str], object]) -> None:
         self._name = ""
-        self._button = Button(width=_BUTTON, stylesheets=[TYPE])
+        self._button = Button(width=_BUTTON, margin=(4, 5, 0, 5), stylesheets=[TYPE])
         self._button.on_click(lambda: pressed(self._name))
         self._button.js_on_change("label", CustomJS(args={"button": self._button}, code=_KEEP_FOCUS))
-        self._text = Div(width=_WIDTH - _BUTTON - 12, styles={"font-size": "15px", "line-height": "1.15"})
-        self._card = Div(width=_WIDTH - 8, stylesheets=[_CARD])
-        self.root = column(row(self._button, self._text), self._card, width=_WIDTH)
+        self._text = Div(
+            width=_WIDTH - _BUTTON - 12, margin=(5, 0, 0, 2), styles={"font-size": "15px", "line-height": "1.15"}
+        )
+        self._card = Div(width=_WIDTH - 8, margin=(0, 0, 0, 5), stylesheets=[_CARD])
+        self.root = column(row(self._button, self._text, margin=0), self._card, width=_WIDTH, margin=0, spacing=0)
 
     def show(self, name: str, moment: Moment) -> None:
         found, inside = moment.diagnosis, name in moment.effects

@@ -252,7 +252,11 @@ class StudyPage:
         if found is None:
             self._headline.text, self._findings.text = rows, ""
             return
-        self._headline.text = f'<b id="verdict">{escape(found.headline)}</b><br>{rows}'
+        missing = ""
+        if found.effects:
+            would, names = number(found.steps[-1].held_out_rms), escape(" and ".join(found.effects))
+            missing = f"<br>Missing in the model: {names}; with it {would} {escape(found.unit)} would be left."
+        self._headline.text = f'<b id="verdict">{escape(found.headline)}</b>{missing}<br>{rows}'
         said = [
             *sentences(data, found.outliers),
             *(f"these rows cannot tell {' from '.join(tie)}" for tie in found.ties),

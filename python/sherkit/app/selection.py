@@ -35,7 +35,7 @@ class Selection:
         self._mark.on_click(self._marked)
         self._suspects = button(_SUSPECTS, "suspects", disabled=True, width=220)
         self._suspects.on_click(lambda: do(bench.mark_suspects))
-        self._typed = TextInput(name="typed_rows", width=400, stylesheets=[TYPE])
+        self._typed = TextInput(name="typed_rows", width=450, stylesheets=[TYPE])
         self._typed.on_change("value", lambda attr, old, new: self._select_typed())
         buttons = row(
             self._typed,

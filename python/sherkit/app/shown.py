@@ -20,9 +20,9 @@ from ..report.style import MUTED, quantity
 from .controls import TYPE, button
 from .moment import Moment
 
-_WIDTH, _FALL_HEIGHT = 960, 232
+_WIDTH, _FALL_HEIGHT = 1000, 232
 #: The colour scale stands beside the panels of the map.
-_BESIDE = 80
+_BESIDE = 160
 _SCALES = [("shared", "one scale for both"), ("own", "each its own scale"), ("noise", "in units of the noise")]
 _SHORT = (("added ", "+ "), ("removed ", "− "), ("the geometric model", "geometry"), (" marked as outliers", " marked"))
 
