@@ -483,10 +483,11 @@ def joined(first: Measurements, second: Measurements) -> Measurements:
             raise MeasurementError(f"{second.source}: its {len(second)} rows are in {first.source} already")
         begins, ended = float(second.time_s.min()), float(first.time_s.max())
         pause = float(np.median(np.diff(np.sort(first.time_s)))) if len(first) > 1 else 1.0
-        second = replace(second, time_s=second.time_s - begins + ended + max(pause, 1e-3))
+        goes_on = ended + max(pause, 1e-3)
+        second = replace(second, time_s=second.time_s - begins + goes_on)
         warnings.warn(
             f"{second.source}: its time starts at {begins:g} s, before {first.source} ends ({ended:g} s), so it is "
-            f"taken to have been measured later and goes on at {float(second.time_s.min()):g} s; how long the pause "
+            f"taken to have been measured later and goes on at {goes_on:g} s; how long the pause "
             "really was is not known, and drift over it is not either",
             SherkitWarning,
             stacklevel=4,
@@ -522,7 +523,7 @@ def _within(first: Measurements, second: Measurements) -> bool:
     if second.joints.shape[1] != first.joints.shape[1] or second.readings.shape[1] != first.readings.shape[1]:
         return False
     a, b = (np.nan_to_num(np.hstack([run.joints, run.readings]), nan=np.inf) for run in (first, second))
-    starts = np.flatnonzero((a[: max(len(a) - len(b) + 1, 0)] == b[0]).all(axis=1)) if len(b) else []
+    starts = np.flatnonzero((a[: max(len(a) - len(b) + 1, 0)] == b[0]).all(axis=1))
     return any(np.array_equal(a[k : k + len(b)], b) for k in starts)
 
 

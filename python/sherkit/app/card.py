@@ -55,5 +55,5 @@ def _values(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> str:
         lines += (
             f"<tr><td>{escape(one['name'])}</td><td>{value} ± {std}</td><td>{usual}</td><td>{escape(unit)}</td></tr>"
         )
-    head = "<tr><th>value</th><th>fitted</th><th>plausible</th><th></th></tr>"
+    head = "<tr><th>value</th><th>fitted</th><th>plausible</th><th>unit</th></tr>"
     return f"<table>{head}{lines}</table>"

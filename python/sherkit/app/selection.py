@@ -152,7 +152,7 @@ def _table(moment: Moment, chosen: Sequence[int]) -> str:
     return (
         f"<b>{len(chosen)} row{'s' if len(chosen) > 1 else ''}</b>{more}"
         "<table style='border-spacing:14px 2px'>"
-        f"<tr><th>{escape(left.counted)}</th>{head}<th></th></tr>{body}</table>"
+        f"<tr><th>{escape(left.counted)}</th>{head}<th>mark</th></tr>{body}</table>"
     )
 
 
