@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import os
 import stat
@@ -10,7 +11,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tornado.ioloop import IOLoop
 
 from sherkit import save_robot
 from sherkit.app.server import PageServer
@@ -31,11 +31,12 @@ def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     made: list[PageServer] = []
 
     def serve() -> None:
-        loop = IOLoop()
-        loop.make_current()
+        loop = asyncio.new_event_loop()
+        asyncio.set_event_loop(loop)
         bench = Workbench.open(folder / "robot.toml", folder / "run.csv", folder / "study")
         made.append(PageServer(bench, port=0, command="sherkit app robot.toml run.csv"))
         made[0].run(ready.set)
+        loop.close()
 
     thread = threading.Thread(target=serve)
     thread.start()
@@ -50,8 +51,11 @@ def answer(url: str, path: str | None = None, host: str | None = None) -> tuple[
     where, _, own = url.removeprefix("http://").partition("/")
     line = http.client.HTTPConnection(where, timeout=600)
     line.request("GET", path or f"/{own}", headers={"Host": host or where})
-    got = line.getresponse()
-    return got.status, got.read().decode()
+    try:
+        got = line.getresponse()
+        return got.status, got.read().decode()
+    finally:
+        line.close()
 
 
 @pytest.mark.parametrize("name", ["localhost", "127.0.0.1", "[::1]"])
