@@ -113,7 +113,7 @@ def test_the_readme_shows_the_example(tmp_path: Path) -> None:
     """Catches a page whose robot file is refused."""
     shown = re.search(r"```toml\n(kind = .*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     assert shown is not None
-    assert load_robot(saved(tmp_path, shown[1])) == EXAMPLE
+    assert load_robot(saved(tmp_path, shown[1])) == replace(EXAMPLE, required_um=20.0)
 
 
 def test_windows_files_are_read(tmp_path: Path) -> None:
