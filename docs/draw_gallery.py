@@ -85,9 +85,8 @@ ITEMS = [
          "Every step of a study: filled on poses that the fit had not seen, open on those it was fitted to. The "
          "further apart the two, the more the fit learned by heart. Dotted is the noise, below which nothing can be "
          "gained; dashed the accuracy that is needed.",
-         "from sherkit.robots.accuracy import REQUIREMENT_UM\n"
          "from sherkit.report.error_history import error_history, error_history_of\n"
-         "error_history(error_history_of(study, found, REQUIREMENT_UM))"),
+         "error_history(error_history_of(study, found))"),
     Item("candidates", "Candidates",
          "What each effect would bring if it were added: the error that would remain on poses held out, with two "
          "standard errors. Blue is what the diagnosis names, a cross helps only at a size that is not plausible.",
@@ -115,7 +114,7 @@ ITEMS = [
          "The radius around a commanded position that holds 95 of 100, at three heights. The outline is the region "
          "that meets the requirement; hatched is where no pose was measured, so that the figure is extrapolated.",
          "from sherkit.report.workspace import accuracy_map, accuracy_of\n"
-         "accuracy_map(accuracy_of(study.calibration(), REQUIREMENT_UM))"),
+         "accuracy_map(accuracy_of(study.calibration()))"),
     Item("next_poses", "Poses to measure next",
          "Where tied effects differ most, numbered in the order to measure them, from above and from the side. Here "
          "for the run of one plane and 20 rows: the run of the demo leaves nothing tied.",

@@ -39,7 +39,7 @@ def main() -> None:
 def draw(url: str) -> None:
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=browser(), args=["--no-sandbox"])
-        page = chromium.new_page(viewport={"width": 1720, "height": 1080})
+        page = chromium.new_page(viewport={"width": 1440, "height": 900})
         page.goto(url)
         page.get_by_role("button", name="+ rail_lean").wait_for()
         page.wait_for_timeout(2000)

@@ -41,7 +41,7 @@ COMMANDS = {
         "--exclude",
         "--without-outliers",
     ],
-    "demo": ["--seed", "--output"],
+    "demo": ["--seed", "--output", "--tables"],
     "simulate": ["--poses", "--repeats", "--noise-um", "--truth", "--output", "--order"],
     "import klipper": ["--output", "CONFIG"],
 }
@@ -379,7 +379,7 @@ def test_brackets_in_file_names_are_letters(name: str, work: Path) -> None:
 
 def test_demo_shows_the_tables_of_the_paper(tmp_path: Path) -> None:
     """Catches a simulated figure that could pass for a measured one, a missing table, silence on what is not known."""
-    done = sherkit(tmp_path, "demo")
+    done = sherkit(tmp_path, "demo", "--tables")
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("SIMULATION.")
     titles = re.findall(r"^Table (I+) — simulation: .*, (whole workspace|local)\s*$", done.stdout, re.MULTILINE)
@@ -396,6 +396,24 @@ def test_demo_shows_the_tables_of_the_paper(tmp_path: Path) -> None:
     cells = re.search(r"after geometry\s*│([^│]*)±[^│]*│([^│]*)±[^│]*│([^│]*)±", done.stdout)
     assert cells is not None
     assert [float(c) for c in cells.groups()] == pytest.approx([after[a] for a in "xyz"], abs=0.051)
+
+
+def test_demo_tells_its_story_on_one_screen(tmp_path: Path) -> None:
+    """Catches a story that does not fit a screen of 80 columns, tells its parts in another order, or names one thing
+    by two numbers."""
+    done = sherkit(tmp_path, "demo")
+    lines = done.stdout.splitlines()
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 80
+    heads = [line for line in lines if re.match(r"\d\. ", line)]
+    assert [head.split()[0] for head in heads] == ["1.", "2.", "3.", "4.", "5."]
+    left = re.search(r"(\S+) µm at places it was not fitted to", done.stdout)
+    falls = re.search(r"the geometric model +█+ (\S+) µm", done.stdout)
+    assert left is not None
+    assert falls is not None
+    assert left[1] == falls[1]
+    assert "rail_lean" in done.stdout
+    assert "sherkit app demo/robot.toml demo/whole.csv" in done.stdout
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -9,7 +9,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "python" / "sherkit"
 #: From the top down; CONTRIBUTING says what each is for. Rooms of one floor do not know each other.
 FLOORS = (
-    ("errors", "names", "types", "notebook", "saved", "starting", "built_in", "doors", "_core"),
+    ("errors", "names", "figures", "types", "notebook", "saved", "starting", "built_in", "doors", "_core"),
     ("arguments",),
     ("data",),
     ("model", "vision"),

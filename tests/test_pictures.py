@@ -8,7 +8,7 @@ import json
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,13 @@ from sherkit.diagnosis import Diagnosis
 from sherkit.report import style
 from sherkit.report.atlas import atlas_of, signature_atlas
 from sherkit.report.candidates import candidates
-from sherkit.report.error_history import error_history, error_history_of
+from sherkit.report.error_history import (
+    ErrorHistory,
+    ErrorOfStep,
+    current_path,
+    error_history,
+    error_history_of,
+)
 from sherkit.report.estimate import EstimateOverTime, estimate_picture
 from sherkit.report.export import save_picture
 from sherkit.report.noise import noise_picture
@@ -36,12 +42,12 @@ from sherkit.report.parameters import correlations, directions, parameters
 from sherkit.report.picture import Picture
 from sherkit.report.reprojection import Reprojection, reprojection
 from sherkit.report.residual_against import ResidualAgainst, residual_against
-from sherkit.report.residual_map import Change, residual_map
+from sherkit.report.residual_map import SCALES, Change, residual_map
 from sherkit.report.residuals import Residuals, residuals_of
 from sherkit.report.run import run_in_time
 from sherkit.report.workspace import NextPoses, accuracy_map, accuracy_of, next_poses
-from sherkit.robots.accuracy import REQUIREMENT_UM
 from sherkit.robots.delta.paper import paper_whole
+from sherkit.study import StudyStep
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]
@@ -59,7 +65,7 @@ class Run:
 
     @cached_property
     def study(self) -> sk.Study:
-        study = sk.Study(EXAMPLE, self.data)
+        study = sk.Study(replace(EXAMPLE, required_um=20.0), self.data)
         self.found = study.diagnose()
         self.fit = study.fit
         for name in self.found.effects:
@@ -119,13 +125,13 @@ PICTURES: dict[str, Callable[[Run], Picture[Any]]] = {
     "planes_across": lambda r: residual_map(change(r), planes_across=True, width_px=800),
     "against": lambda r: residual_against(ResidualAgainst(r.after, "q1_mm", r.before)),
     "against_plain": lambda r: residual_against(ResidualAgainst(r.before, "direction_1")),
-    "fall": lambda r: error_history(error_history_of(r.study, r.found, REQUIREMENT_UM)),
+    "fall": lambda r: error_history(error_history_of(r.study, r.found)),
     "candidates": lambda r: candidates(r.found),
     "atlas": lambda r: signature_atlas(atlas_of(r.fit)),
     "parameters": lambda r: parameters(r.study.fit),
     "correlations": lambda r: correlations(r.study.fit),
     "directions": lambda r: directions(r.study.fit),
-    "accuracy": lambda r: accuracy_map(accuracy_of(r.calibration, REQUIREMENT_UM)),
+    "accuracy": lambda r: accuracy_map(accuracy_of(r.calibration)),
     "next_poses": lambda r: next_poses(NextPoses(r.found.next_poses, r.before)),
     "noise": lambda r: noise_picture(r.after),
     "run": lambda r: run_in_time(r.after),
@@ -467,7 +473,7 @@ def test_run_in_time(many: Run) -> None:
 
 def test_fall_is_the_history(demo: Run) -> None:
     """Catches steps in another order, fitted for held out, and lines of noise or need that are off the picture."""
-    made = error_history(error_history_of(demo.study, demo.found, 20.0))
+    made = error_history(error_history_of(demo.study, demo.found))
     t = table(made, "steps")
     assert [str(s).split(". ", 1)[1] for s in t["step"]] == [s.action for s in demo.study.history]
     for axis in "xyz":
@@ -479,6 +485,51 @@ def test_fall_is_the_history(demo: Run) -> None:
     values = [v for k, column in t.items() if k.startswith(("held", "fit")) for v in column]
     assert figure.y_range.start < min(values + lines)
     assert figure.y_range.end > max(values + lines)
+
+
+def test_the_path_leaves_out_what_was_taken_back() -> None:
+    """Catches a step of the path that is folded, an undone one that is drawn, and numbers where names have room."""
+
+    def step(action: str, effects: tuple[str, ...], left: float, rows: int = 9) -> StudyStep:
+        return StudyStep(action, effects, {"x_mm": left}, {"x_mm": left}, {}, rows, None)
+
+    plain, lean = step("the geometric model", (), 130.0), step("added rail_lean", ("rail_lean",), 5.0)
+    marked = step("1 rows marked as outliers", ("rail_lean",), 4.9)
+    undone, slip = step("undone: added rail_lean", (), 130.0), step("added slip", ("slip",), 120.0)
+    assert current_path([plain, lean, marked]) == [0, 1, 2]
+    assert current_path([plain, lean, undone]) == [0]
+    assert current_path([plain, lean, marked, step("undone", ("rail_lean",), 5.0)]) == [0, 1]
+    assert current_path([plain, slip, undone, lean, marked]) == [0, 3, 4]
+    assert current_path([plain, lean, step("redone: added rail_lean", ("rail_lean",), 5.0)]) == [0, 1]
+    many = ErrorHistory([ErrorOfStep(f"step {k}", {"x": 9.0 - 0.1 * k}, {"x": 8.0}) for k in range(23)], {}, "µm")
+    made = error_history(many)
+    assert plots(made)[0].x_range.factors == [str(k) for k in range(23)]
+    assert table(made, "steps")["action"][22] == "step 22"
+    made.show(ErrorHistory(many.steps[:3], {}, "µm"))
+    assert plots(made)[0].x_range.factors == ["0. step 0", "1. step 1", "2. step 2"]
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_each_scale_says_what_it_shows(demo: Run, scale: str) -> None:
+    """Catches arrows after that are no longer than a point on their own scale, a bar that belongs to the other moment,
+    a unit that is not the one drawn, and numbers on hover that change with the scale."""
+    made = residual_map(replace(change(demo), scale=scale))
+    before, after = table(made, "before_0"), table(made, "after_0")
+    keys = {moment: table(made, f"{moment}_0_key") for moment in ("before", "after")}
+    lengths = {m: np.hypot(t["x1"] - t["x"], t["y1"] - t["y"]) for m, t in (("before", before), ("after", after))}
+    if scale == "shared":
+        assert lengths["after"].max() < 0.2 * lengths["before"].max()
+    else:
+        assert lengths["after"].max() > 0.4 * lengths["before"].max()
+    shared = table(residual_map(change(demo)), "after_0")
+    np.testing.assert_allclose(after["ex"], shared["ex"], rtol=1e-5)
+    noise = float(demo.after.noise[0]) if scale == "noise" else 1.0
+    for moment, t in (("before", before), ("after", after)):
+        key = keys[moment]
+        bar = float(key["bar_text"][0].split()[0])
+        per_unit = (key["bar_x1"][0] - key["bar_x0"][0]) / bar
+        np.testing.assert_allclose(t["x1"] - t["x"], per_unit * t["ex"] / noise, atol=1e-3 * lengths[moment].max())
+        assert key["bar_text"][0].endswith("σ" if scale == "noise" else "µm")
 
 
 def test_bracket_holds_what_is_tied(plane: Run, demo: Run) -> None:
@@ -552,7 +603,7 @@ def test_quantiles_of_the_noise(demo: Run, plane: Run) -> None:
 
 def test_accuracy_map_is_the_calibration(demo: Run) -> None:
     """Catches swapped axes, an outline around what misses the requirement, and hatching of what was measured."""
-    state = accuracy_of(demo.calibration, 20.0)
+    state = accuracy_of(demo.calibration)
     assert EXAMPLE.workspace_z_mm is not None
     z = np.linspace(EXAMPLE.workspace_z_mm[1], EXAMPLE.workspace_z_mm[0], 3)
     rng = np.random.default_rng(0)

@@ -113,7 +113,7 @@ def test_the_readme_shows_the_example(tmp_path: Path) -> None:
     """Catches a page whose robot file is refused."""
     shown = re.search(r"```toml\n(kind = .*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     assert shown is not None
-    assert load_robot(saved(tmp_path, shown[1])) == EXAMPLE
+    assert load_robot(saved(tmp_path, shown[1])) == replace(EXAMPLE, required_um=20.0)
 
 
 def test_windows_files_are_read(tmp_path: Path) -> None:
@@ -133,6 +133,7 @@ def test_round_trip_is_lossless(data: st.DataObject, tmp_path_factory: pytest.Te
         workspace_radius_mm=data.draw(st.none() | length),
         workspace_z_mm=data.draw(st.none() | st.tuples(between(-100.0, -1e-3), between(0.0, 100.0))),
         region_half_width_mm=data.draw(st.none() | length),
+        required_um=data.draw(st.none() | length),
     )
     path = tmp_path_factory.getbasetemp() / NAME
     save_robot(robot, path)

@@ -146,6 +146,53 @@ def test_undo_goes_back_to_the_start(leaning: sk.Measurements) -> None:
         study.undo()
 
 
+def test_redo_makes_again_what_was_undone(leaning: sk.Measurements) -> None:
+    """Catches a redo of another change than the one undone last, one that survives a new change, a wrong name."""
+    study = sk.Study(EXAMPLE, leaning)
+    assert (study.undoes, study.redoes) == ("", "")
+    study.add("drift")
+    study.mark_outliers([1])
+    study.undo()
+    assert (study.undoes, study.redoes) == ("added drift", "1 rows marked as outliers")
+    study.undo()
+    assert (study.undoes, study.redoes) == ("", "added drift")
+    study.redo()
+    assert study.effects == ("drift",)
+    step = study.redo()
+    assert study.data.outlier.sum() == 1
+    assert step.action == "redone: 1 rows marked as outliers"
+    same(step.held_out_rms, held_out_um(study.model, study.data))
+    with pytest.raises(sk.errors.EffectError, match="nothing to do again"):
+        study.redo()
+    study.undo()
+    study.add("rail_lean")
+    assert (study.undoes, study.redoes) == ("added rail_lean", "")
+
+
+def test_without_is_the_error_of_the_rest(leaning: sk.Measurements) -> None:
+    """Catches a study that asking changes, and the error of another model."""
+    study = sk.Study(EXAMPLE, leaning)
+    plain = study.history[0].held_out
+    study.add("rail_lean")
+    assert study.without("rail_lean").held_out == pytest.approx(plain, rel=1e-9)
+    assert (study.effects, len(study.history)) == (("rail_lean",), 2)
+    with pytest.raises(sk.errors.EffectError, match="not in the model"):
+        study.without("drift")
+
+
+def test_a_run_whose_clock_began_anew_was_measured_later() -> None:
+    """Catches a second run that is refused or woven into the first because it starts at zero, silence on that, and the
+    same run joined twice."""
+    first, second = run(2, {}), run(3, {})
+    with pytest.warns(sk.errors.SherkitWarning, match="measured later and goes on at"):
+        both = joined(first, second)
+    assert both.time_s is not None
+    assert first.time_s is not None
+    assert both.time_s[len(first) :].min() > first.time_s.max()
+    with pytest.raises(sk.errors.MeasurementError, match="rows are in"):
+        joined(first, first)
+
+
 def test_a_change_that_fails_changes_nothing(leaning: sk.Measurements) -> None:
     """Catches a study left between two states by an error: every row marked, so that nothing is left to fit."""
     study = sk.Study(EXAMPLE, leaning)

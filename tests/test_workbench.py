@@ -66,10 +66,15 @@ def test_a_change_is_shown_then_diagnosed_and_saved(bench: Workbench, tmp_path: 
         before.effects = ("slip",)  # type: ignore[misc]
     assert sk.Study.load(tmp_path / "study").effects == ("rail_lean",)
     np.testing.assert_allclose(moments[0].now.values, 1e3 * moments[0].history[-1].fit.residuals[:, :3])
+    assert moments[-1].without["rail_lean"] == pytest.approx(before.history[0].held_out, rel=1e-9)
     bench.toggle("rail_lean")
     bench.undo()
     settled(bench)
     assert bench.moment.effects == ("rail_lean",)
+    assert (bench.moment.undoes, bench.moment.redoes) == ("added rail_lean", "removed rail_lean")
+    bench.redo()
+    settled(bench)
+    assert bench.moment.effects == ()
 
 
 def test_errors_are_sentences_and_change_nothing(bench: Workbench, tmp_path: Path) -> None:
@@ -79,20 +84,24 @@ def test_errors_are_sentences_and_change_nothing(bench: Workbench, tmp_path: Pat
     bench.undo()
     bench.mark_outliers([10_000])
     bench.mark_suspects()
+    bench.add_measurements("empty.csv", b"")
     bench.add_measurements("bad.csv", b"q1_mm,q2_mm,q3_mm,x_mm\n1,2,3,four\n")
     bench.type_effect("raise SystemExit(3)")
     bench.type_effect(
         "import sherkit as sk\n@sk.effect(at='body', parameters={'a': 'mm'})\ndef f(rows, p):\n    return 1\n"
     )
     settled(bench)
-    errors = [value for kind, value in told if kind == "error"]
-    assert len(errors) == 7, errors
+    errors = [value.text for kind, value in told if kind == "error"]
+    about = [value.about for kind, value in told if kind == "error"]
+    assert about == ["no_such_effect", "history", "rows", "rows", "files", "files", "lines", "lines"]
+    assert len(errors) == 8, errors
     assert "no_such_effect" in errors[0]
     assert "nothing to undo" in errors[1]
     assert "there is no row 10000" in errors[2]
     assert "lists no rows as gross errors" in errors[3]
-    assert errors[4].startswith("bad.csv: line 2")
-    assert "SystemExit" in errors[5]
+    assert errors[4].startswith("empty.csv: is empty")
+    assert errors[5].startswith("bad.csv: line 2")
+    assert "SystemExit" in errors[6]
     assert bench.moment.effects == ()
     assert len(bench.moment.history) == 1
     assert not list((tmp_path / "study").glob("added*"))
@@ -142,7 +151,7 @@ def test_a_study_is_reopened_only_for_the_same_files(
     bench.close()
     again = Workbench.open(*files, tmp_path / "study")
     assert again.moment.effects == ("rail_lean",)
-    assert again.moment.can_undo
+    assert again.moment.undoes == "added rail_lean"
     again.undo()
     settled(again)
     assert again.moment.effects == ()
@@ -168,7 +177,7 @@ def test_a_run_that_was_rewritten_is_refused(files: tuple[Path, Path], bench: Wo
     files[1].write_text("".join([lines[0], *lines[2:], *[line.replace(",2,", ",3,") for line in lines[2:]]]))
     bench.follow(files[1])
     settled(bench)
-    errors = [value for kind, value in told if kind == "error"]
+    errors = [value.text for kind, value in told if kind == "error"]
     assert len(errors) == 1, errors
     error = errors[0]
     assert "no longer those that were read before" in error or "was given before" in error

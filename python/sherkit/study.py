@@ -71,6 +71,8 @@ class _Before:
     model: ChainModel
     data: Measurements
     step: StudyStep | None = None
+    #: What the change was; empty where the study was saved before that was kept.
+    action: str = ""
 
 
 class Study(Shown):
@@ -100,6 +102,7 @@ class Study(Shown):
         self.own: dict[str, Effect] = {}
         self.history: list[StudyStep] = []
         self._undone: list[_Before] = []
+        self._redone: list[_Before] = []
         self._diagnosis: Diagnosis | None = None
         for effect in effects:
             self._register(effect)
@@ -119,12 +122,17 @@ class Study(Shown):
         return tuple(e.name for e in self.model.effects)
 
     def _record(self, action: str) -> StudyStep:
-        fit = identify(self.model, self.data, loss=self.loss)
-        held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss, start=fit.values)
+        step, fit = self._looked_at(self.model, action)
+        return self._take(step, fit)
+
+    def _looked_at(self, model: ChainModel, action: str) -> tuple[StudyStep, Fit]:
+        """What a model leaves of the rows of today, and its fit."""
+        fit = identify(model, self.data, loss=self.loss)
+        held = hold_out(model, self.data, seed=self.seed, loss=self.loss, start=fit.values)
         names = [p.name for p in fit.parameters]
         step = StudyStep(
             action=action,
-            effects=self.effects,
+            effects=tuple(e.name for e in model.effects),
             training_rms=fit.rms(),
             held_out_rms=fit.rms(held.residuals),
             unit=self.data.layout.unit,
@@ -132,7 +140,7 @@ class Study(Shown):
             rows=len(self.data),
             fit=fit,
         )
-        return self._take(step, fit)
+        return step, fit
 
     def _take(self, step: StudyStep, fit: Fit) -> StudyStep:
         """Makes a step the last one of the history, and its fit the current one."""
@@ -142,7 +150,7 @@ class Study(Shown):
         return step
 
     def _change(self, model: ChainModel, data: Measurements, action: str) -> StudyStep:
-        before = _Before(self.model, self.data, self.history[-1])
+        before = _Before(self.model, self.data, self.history[-1], action)
         self.model, self.data = model, data
         try:
             step = self._record(action)
@@ -150,6 +158,7 @@ class Study(Shown):
             self.model, self.data = before.model, before.data
             raise
         self._undone.append(before)
+        self._redone.clear()
         return step
 
     # -- what a person does ------------------------------------------------------------------------------
@@ -200,28 +209,57 @@ class Study(Shown):
             raise EffectError(f"'{name}' is not in the model; it has {listed(self.effects) or 'no effects'}")
         return self._change(self.model.without_effect(name), self.data, f"removed {name}")
 
+    def without(self, name: str) -> StudyStep:
+        """What the rest of the model would leave without one of its effects; the study stays as it is.
+
+        Raises :class:`~sherkit.errors.EffectError` where the effect is not in the model.
+        """
+        if name not in self.effects:
+            raise EffectError(f"'{name}' is not in the model; it has {listed(self.effects) or 'no effects'}")
+        return self._looked_at(self.model.without_effect(name), f"without {name}")[0]
+
     @property
     def can_undo(self) -> bool:
         """Whether there is a change to take back."""
         return bool(self._undone)
 
+    @property
+    def undoes(self) -> str:
+        """What :meth:`undo` would take back, in words; empty where there is nothing."""
+        return (self._undone[-1].action or "the last change") if self._undone else ""
+
+    @property
+    def redoes(self) -> str:
+        """What :meth:`redo` would make again, in words; empty where there is nothing."""
+        return self._redone[-1].action if self._redone else ""
+
     def undo(self) -> StudyStep:
         """Takes the last change back. Raises :class:`~sherkit.errors.EffectError` where there is none."""
         if not self._undone:
             raise EffectError("there is nothing to undo")
+        action = self.undoes
         before = self._undone.pop()
-        self.model, self.data = before.model, before.data
-        if before.step is None or before.step.fit is None:
-            return self._record("undone")
-        return self._take(replace(before.step, action="undone"), before.step.fit)
+        self._redone.append(_Before(self.model, self.data, self.history[-1], action))
+        return self._return_to(before, f"undone: {action}")
+
+    def redo(self) -> StudyStep:
+        """Makes the change again that was taken back last, until something else is changed or the study is saved and
+        read. Raises :class:`~sherkit.errors.EffectError` where there is none."""
+        if not self._redone:
+            raise EffectError("there is nothing to do again")
+        after = self._redone.pop()
+        self._undone.append(_Before(self.model, self.data, self.history[-1], after.action))
+        return self._return_to(after, f"redone: {after.action}")
+
+    def _return_to(self, state: _Before, action: str) -> StudyStep:
+        self.model, self.data = state.model, state.data
+        if state.step is None or state.step.fit is None:
+            return self._record(action)
+        return self._take(replace(state.step, action=action), state.step.fit)
 
     @as_annotated
     def extend(self, more: Measurements) -> StudyStep:
-        """Joins new measurements to the study and refits.
-
-        Raises :class:`~sherkit.errors.MeasurementError` where the new run starts before the old one ends; warns of
-        columns that only one of them has.
-        """
+        """Joins new measurements to the study and refits: :func:`joined`."""
         return self._change(self.model, joined(self.data, more), f"{len(more)} rows joined")
 
     @as_annotated
@@ -309,7 +347,12 @@ class Study(Shown):
             **_model_state(self.model),
             # rows are only ever added, and marked
             "undo": [
-                {**_model_state(u.model), "rows": len(u.data), "outliers": np.flatnonzero(u.data.outlier).tolist()}
+                {
+                    **_model_state(u.model),
+                    "action": u.action,
+                    "rows": len(u.data),
+                    "outliers": np.flatnonzero(u.data.outlier).tolist(),
+                }
                 for u in self._undone
             ],
             "seed": self.seed,
@@ -343,14 +386,15 @@ class Study(Shown):
             study.robot = robot_from_table(r)
         study.seed, study.loss = state.whole("seed", least=0), state.text("loss", LOSSES)
         study.data = read_rows(folder, state)
-        study.own, study._undone, study._diagnosis = {}, [], None
+        study.own, study._undone, study._redone, study._diagnosis = {}, [], [], None
         for effect in effects:
             study._register(effect)
         study.model = study._model_from(state)
         for undone in state.tables("undo"):
             before = study._data_from(undone)
+            action = undone.words("action", empty=True) if undone.has("action") else ""
             try:
-                study._undone.append(_Before(study._model_from(undone), before))
+                study._undone.append(_Before(study._model_from(undone), before, action=action))
             except EffectError:  # an effect of the user's that is no longer given: what lies before it is out of reach
                 study._undone.clear()
         study._fit = identify(study.model, study.data, loss=study.loss)
@@ -430,13 +474,23 @@ def _model_state(model: ChainModel) -> dict[str, Any]:
 def joined(first: Measurements, second: Measurements) -> Measurements:
     """Both runs as one, the second after the first. Poses of the second get numbers of their own.
 
-    Raises :class:`~sherkit.errors.MeasurementError` where time does not go on; warns of columns that are left out
-    because only one run has them.
+    A second run whose clock began anew is taken to have been measured later: its time goes on where the first ends, as
+    if no time lay between. Warns of that, and of columns that are left out because only one run has them. Raises
+    :class:`~sherkit.errors.MeasurementError` where such a run is one that the first has already.
     """
     if first.time_s is not None and second.time_s is not None and second.time_s.min() <= first.time_s.max():
-        raise MeasurementError(
-            f"{second.source}: starts at {second.time_s.min():g} s, before {first.source} ends "
-            f"({first.time_s.max():g} s); count its time_s on from there, or drift and direction would be wrong"
+        if _within(first, second):
+            raise MeasurementError(f"{second.source}: its {len(second)} rows are in {first.source} already")
+        begins, ended = float(second.time_s.min()), float(first.time_s.max())
+        pause = float(np.median(np.diff(np.sort(first.time_s)))) if len(first) > 1 else 1.0
+        goes_on = ended + max(pause, 1e-3)
+        second = replace(second, time_s=second.time_s - begins + goes_on)
+        warnings.warn(
+            f"{second.source}: its time starts at {begins:g} s, before {first.source} ends ({ended:g} s), so it is "
+            f"taken to have been measured later and goes on at {goes_on:g} s; how long the pause "
+            "really was is not known, and drift over it is not either",
+            SherkitWarning,
+            stacklevel=4,
         )
     a, b = first.to_frame(), second.to_frame()
     if first.pose is not None or second.pose is None:
@@ -462,6 +516,15 @@ def joined(first: Measurements, second: Measurements) -> Measurements:
         if np.isfinite(direction).all():
             both = both.with_columns(pl.Series(f"direction_{k + 1}", direction))
     return from_frame(both, first.source)
+
+
+def _within(first: Measurements, second: Measurements) -> bool:
+    """Whether the rows of ``second`` stand one after another in ``first``, whatever the clock says."""
+    if second.joints.shape[1] != first.joints.shape[1] or second.readings.shape[1] != first.readings.shape[1]:
+        return False
+    a, b = (np.nan_to_num(np.hstack([run.joints, run.readings]), nan=np.inf) for run in (first, second))
+    starts = np.flatnonzero((a[: max(len(a) - len(b) + 1, 0)] == b[0]).all(axis=1))
+    return any(np.array_equal(a[k : k + len(b)], b) for k in starts)
 
 
 def _numbered(run: Measurements) -> Ints:

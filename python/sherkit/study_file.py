@@ -31,7 +31,7 @@ def write_study(folder: Path, state: Mapping[str, Any], data: Measurements) -> N
     moment leaves the old study or the new one.
     """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # who measured decides who reads it
     except OSError as error:
         raise NotWritten(folder, error) from None
     held = io.BytesIO()

@@ -28,7 +28,7 @@ def hold(folder: Path) -> IO[str] | None:
     except ImportError:  # not on Windows
         return None
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         held = (folder / _LOCK).open("a")
     except OSError as error:
         raise SherkitError(f"{folder}: the study cannot be kept here: {error.strerror}") from None

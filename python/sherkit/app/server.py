@@ -16,13 +16,18 @@ import tempfile
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document
-from bokeh.server.server import Server
-from tornado.httputil import HTTPHeaders
+from bokeh.server.server import BaseServer
+from bokeh.server.tornado import BokehTornado
+from bokeh.server.util import bind_sockets
+from tornado.httpserver import HTTPServer
+from tornado.httputil import HTTPHeaders, HTTPMessageDelegate, HTTPServerRequest
 from tornado.ioloop import IOLoop
+from tornado.routing import Router
 from tornado.web import OutputTransform, RequestHandler
 
 from ..errors import SherkitError
@@ -67,21 +72,24 @@ class PageServer:
         self.bench = bench
         token = secrets.token_urlsafe(12)
         links = "".join(f'<a href="/{token}/{name}" download>{text}</a><br>' for name, text in _LINKS)
-        application = Application(FunctionHandler(lambda document: _make(document, bench, links, follow)))
+        application = Application(FunctionHandler(lambda document: _make(document, bench, links, command, follow)))
         shared = {"bench": bench, "command": command}
         # Other machines call this one by names that it does not know, and Bokeh knows no IPv6; there the path that
         # nobody can guess is what keeps strangers out.
         trusted = is_loopback(address) and ":" not in address
         origins = {address, "localhost", "127.0.0.1"} if trusted else {"*"}
         try:
-            port = port or _free_port(address)
-            self.server = Server(
-                {"/": application}, address=address, port=port, prefix=f"/{token}",
+            sockets, port = bind_sockets(address, port)
+            tornado = BokehTornado(
+                {"/": application}, prefix=f"/{token}",
                 extra_patterns=[(f"/{name}", _Download, {**shared, "name": name}) for name, _ in _LINKS],
-                allow_websocket_origin=[f"{host}:{port}" for host in origins],
-                transforms=[_Locked], io_loop=IOLoop.current(), session_token_expiration=3600,
-                websocket_max_message_size=200 * 2**20,
+                extra_websocket_origins=[f"{host}:{port}" for host in origins],
+                transforms=[_Locked], session_token_expiration=3600, websocket_max_message_size_bytes=200 * 2**20,
+                default_handler_class=_Elsewhere, default_handler_args={"command": command},
             )  # fmt: skip
+            http = HTTPServer(_ByName(tornado, address, trusted))
+            http.add_sockets(sockets)
+            self.server = BaseServer(IOLoop.current(), tornado, http)
         except OSError as error:
             if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
                 raise SherkitError(f"{address} is no address of this machine ({error.strerror})") from None
@@ -89,7 +97,7 @@ class PageServer:
                 f"port {port} on {address} cannot be used: {error.strerror}; give another --port"
             ) from None
         host = f"[{address}]" if ":" in address else address
-        self.url = f"http://{host}:{self.server.port}/{token}/"
+        self.url = f"http://{host}:{port}/{token}/"
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Serves until interrupted; ``ready`` is called once the page can be opened."""
@@ -102,6 +110,58 @@ class PageServer:
         finally:
             self.server.stop()
             self.bench.close()
+
+
+class _ByName(Router):
+    """Answers only to names of this machine: a page from elsewhere whose own name leads here gets nothing.
+
+    Addresses are no such names. Source: DNS rebinding (Jackson et al., "Protecting browsers from DNS rebinding
+    attacks", CCS 2007).
+    """
+
+    def __init__(self, application: BokehTornado, address: str, loopback: bool) -> None:
+        self._application = application
+        own = set() if loopback else {socket.gethostname(), socket.getfqdn(), f"{socket.gethostname()}.local"}
+        self._names = {name.lower() for name in (address, "localhost", *own)}
+
+    def find_handler(self, request: HTTPServerRequest, **_: Any) -> HTTPMessageDelegate | None:
+        """The page's own answer, or a refusal."""
+        name = request.host_name.strip("[]").lower()
+        if name in self._names or _is_address(name):
+            return self._application.find_handler(request)
+        return self._application.get_handler_delegate(request, _Refused)
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+class _Refused(RequestHandler):
+    """To a name that is not this machine's."""
+
+    def prepare(self) -> None:
+        self.set_status(421)
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish("This server does not answer to that name; open the page by the address that sherkit app printed.")
+
+
+class _Elsewhere(RequestHandler):
+    """Where there is no page: most often the address of a page that was started anew since."""
+
+    def initialize(self, command: str) -> None:
+        self.command = command
+
+    def prepare(self) -> None:
+        self.set_status(404)
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(
+            "There is no page here. Each start of sherkit app has an address of its own: open the one that it printed "
+            "last in its terminal. Nothing is lost; the study is in its folder."
+        )
 
 
 class _Locked(OutputTransform):
@@ -119,16 +179,8 @@ class _Locked(OutputTransform):
         return status_code, headers, chunk
 
 
-def _free_port(address: str) -> int:
-    """A port that is free now."""
-    family = socket.AF_INET6 if ":" in address else socket.AF_INET
-    with socket.socket(family) as probe:
-        probe.bind((address, 0))
-        return int(probe.getsockname()[1])
-
-
-def _make(document: Document, bench: Workbench, links: str, follow: Path | None) -> None:
-    StudyPage(document, bench, links)
+def _make(document: Document, bench: Workbench, links: str, command: str, follow: Path | None) -> None:
+    StudyPage(document, bench, links, command)
     if follow is not None:
 
         def look() -> None:

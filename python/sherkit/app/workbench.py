@@ -6,15 +6,13 @@ no later work changes.
 
 from __future__ import annotations
 
-import ast
 import copy
 import getpass
 import json
-import threading
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, TypeVar
 from weakref import WeakKeyDictionary
@@ -24,51 +22,21 @@ import numpy as np
 from ..data import Measurements, read_measurements
 from ..data.files import write_whole
 from ..data.headers import Columns
-from ..diagnosis import Diagnosis
-from ..errors import EffectError, MeasurementError, SherkitError, SherkitWarning
-from ..model.effect import Effect
+from ..errors import MeasurementError, SherkitError, SherkitWarning
 from ..model.effect_file import load_effects
+from ..model.kinds import required_um
 from ..model.robot_file import columns_of
-from ..names import listed
 from ..report.residuals import Residuals, residuals_of
 from ..robots.machine.file import is_machine, robot_at
-from ..study import Study, StudyStep
+from ..study import Study
 from .folder import SOURCES, TYPED, begun_from, hold, require_effects, require_same
 from .growing import read_as, read_so_far
+from .moment import EXPORTS, FILES, HISTORY, LINES, ROWS, Moment, Said
+from .typed import Typed
+from .worker import Worker
 
 T = TypeVar("T")
 Progress = Callable[[str], None]
-
-
-class Cancelled(SherkitError):
-    """Work that a person stopped."""
-
-
-@dataclass(frozen=True, eq=False)
-class Moment:
-    """The study as it stands: model, rows and history, what is left at every step that is known, and a diagnosis
-    where it is done.
-
-    ``residuals`` (one for each step of the history) are None where the rows of that step are no longer those of today.
-    """
-
-    data: Measurements
-    effects: tuple[str, ...]
-    own: tuple[str, ...]
-    #: Names of the built-in effects of this robot.
-    catalogue: tuple[str, ...]
-    history: tuple[StudyStep, ...]
-    residuals: tuple[Residuals | None, ...]
-    diagnosis: Diagnosis | None
-    can_undo: bool
-    number: int
-
-    @property
-    def now(self) -> Residuals:
-        """What the current model leaves."""
-        last = self.residuals[-1]
-        assert last is not None  # the current step always has a fit
-        return last
 
 
 class Workbench:
@@ -79,23 +47,19 @@ class Workbench:
 
     def __init__(
         self, study: Study, folder: Path, sources: Sequence[Path] = (), *, trusted: bool = True,
-        typed: Sequence[str] = (), columns: Columns | None = None, lock: IO[str] | None = None,
+        typed: Typed | None = None, columns: Columns | None = None, lock: IO[str] | None = None,
     ) -> None:  # fmt: skip
         self.folder = folder
         self.trusted = trusted
         self.sources = list(sources)
         self.columns = columns
         self._study = study
-        self._worker = ThreadPoolExecutor(1, thread_name_prefix="study")
         self._listeners: list[Callable[[str, Any], None]] = []
-        self._stop = threading.Event()
-        #: Work that is not done, and changes among it that have not begun.
-        self._pending = 0
-        self._waiting = 0
-        self._lock = threading.Lock()
+        self._worker = Worker(lambda: self._say("progress", ""))
+        self._typed = typed or Typed(folder / TYPED)
+        self._typed.look = self._worker.look
         self._residuals: WeakKeyDictionary[Any, Residuals] = WeakKeyDictionary()
         self._number = 0
-        self._typed = set(typed)
         self._warned: set[str] = set()
         self._followed: tuple[int, int] | None = None
         #: Rows that the run had when it was followed last.
@@ -121,7 +85,7 @@ class Workbench:
         nominal, _ = robot_at(robot)
         columns = {} if is_machine(robot) else columns_of(robot)
         own = [e for path in files for e in load_effects(path)]
-        again: list[Effect] = []
+        lines = Typed(folder / TYPED)
         sources = [robot, run, *files]
         if folder.exists() and not folder.is_dir():
             raise SherkitError(f"{folder}: is a file, expected the folder of a study; give --study with another name")
@@ -129,11 +93,9 @@ class Workbench:
             data = read_so_far(run, columns) if follow else read_measurements(run, columns=columns)
             require_same(folder, robot, run, follow=follow)
             held = hold(folder)
-            typed = folder / TYPED
-            if typed.exists() and run_typed:
-                again = list(load_effects(typed))
+            again = lines.again() if run_typed else ()
             try:
-                require_effects(folder, {e.name for e in (*own, *again)}, typed)
+                require_effects(folder, {e.name for e in (*own, *again)}, lines.path)
                 study = Study.load(folder, effects=[*own, *again])
             except SherkitError:
                 raise
@@ -151,7 +113,7 @@ class Workbench:
                 study.save(folder)
             except OSError as error:
                 raise SherkitError(f"{folder}: the study cannot be kept here: {error.strerror}") from None
-        return cls(study, folder, sources, columns=columns, trusted=trusted, typed=[e.name for e in again], lock=held)
+        return cls(study, folder, sources, columns=columns, trusted=trusted, typed=lines, lock=held)
 
     def listen(self, listener: Callable[[str, Any], None]) -> Callable[[], None]:
         """Tells ``listener`` of ``moment``, ``progress``, ``error`` and ``warning``, as (kind, value).
@@ -163,8 +125,8 @@ class Workbench:
 
     def close(self) -> None:
         """Stops the work and waits for it."""
-        self._stop.set()
-        self._worker.shutdown(wait=True)
+        self._worker.close()
+        self._typed.end()
         if self._held is not None:
             self._held.close()
 
@@ -172,19 +134,14 @@ class Workbench:
 
     def ask(self, what: str, work: Callable[[Study, Progress], T]) -> Future[T]:
         """Runs ``work`` on the study when its turn comes; errors go to the caller, not to the listeners."""
-        return self._submit(lambda: work(self._study, self._step(what)))
+        return self._worker.submit(lambda: work(self._study, self._step(what)))
 
-    def change(self, what: str, work: Callable[[Study, Progress], object]) -> Future[None]:
-        """Runs a change; then the study is saved, shown, and diagnosed anew. A diagnosis under way gives way."""
-        with self._lock:
-            self._waiting += 1
+    def change(self, what: str, work: Callable[[Study, Progress], object], *, about: str = "") -> Future[None]:
+        """Runs a change; then the study is saved, shown, and diagnosed anew. A diagnosis under way gives way.
 
-        def run() -> None:
-            with self._lock:
-                self._waiting -= 1
-            self._apply(what, work)
-
-        done = self._submit(run)
+        What goes wrong is said beside the control that the change is ``about``.
+        """
+        done = self._worker.submit(lambda: self._apply(what, work, about), first=True)
         self.diagnose()
         return done
 
@@ -192,60 +149,54 @@ class Workbench:
         """Asks what is missing now; other changes that wait go first."""
 
         def run() -> None:
-            if self._waiting or self.moment.diagnosis is not None:
+            if self._worker.unwanted or self.moment.diagnosis is not None:
                 return
             try:
-                found = self._study.diagnose(step=self._step("diagnosing", gives_way=True))
-                self.moment = replace(self.moment, diagnosis=found)
+                step = self._step("diagnosing")
+                found = self._study.diagnose(step=step)
+                without = {}
+                for name in self.moment.effects:
+                    step(f"without {name}")
+                    without[name] = self._study.without(name).held_out
+                self.moment = replace(self.moment, diagnosis=found, without=without)
                 self._say("moment", self.moment)
-            except Cancelled:
-                return
             except BaseException as error:
-                self._say("error", _sentence(error))
+                self._told_of(error, "diagnosing", HISTORY)
 
-        return self._submit(run)
+        return self._worker.submit(run, gives_way=True)
 
-    def tell(self, error: BaseException) -> None:
+    def tell(self, error: BaseException, about: str = EXPORTS) -> None:
         """Shows an error on every page."""
-        self._say("error", _sentence(error))
+        self._say("error", Said(_sentence(error), about))
 
-    def _submit(self, run: Callable[[], T]) -> Future[T]:
-        """Queues work; when nothing is left to do, there is no progress to tell of."""
-        with self._lock:
-            self._pending += 1
+    def _told_of(self, error: BaseException, what: str, about: str) -> None:
+        """Says what ended work: nothing where it gave way by itself."""
+        if self._worker.cancelled:
+            self._say("warning", Said(f"cancelled: {what}; nothing was changed", about))
+        elif not self._worker.unwanted:
+            self._say("error", Said(_sentence(error), about))
 
-        def work() -> T:
-            self._stop.clear()
-            try:
-                return run()
-            finally:
-                with self._lock:
-                    self._pending -= 1
-                    last = not self._pending
-                if last:
-                    self._say("progress", "")
-
-        return self._worker.submit(work)
-
-    def _apply(self, what: str, work: Callable[[Study, Progress], object]) -> None:
+    def _apply(self, what: str, work: Callable[[Study, Progress], object], about: str) -> None:
         """All of a change, or nothing of it: where it cannot be saved, it did not happen either."""
-        before = _copy(self._study), list(self.sources), set(self._typed)
+        before, sources, typed = _copy(self._study), list(self.sources), self._typed.state
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             try:
-                work(self._study, self._step(what))
+                work(self._study, step := self._step(what))
+                step("")  # what was cancelled meanwhile did not happen
                 self._save()
                 self.moment = self._moment()
             except BaseException as error:  # whatever a user's effect raises is shown, and nothing is lost
-                self._study, self.sources, self._typed = before
-                self._say("error", _sentence(error))
+                self._study, self.sources = before, sources
+                self._typed.restore(typed)
+                self._told_of(error, what, about)
                 return
         self._say("moment", self.moment)
         for one in said:
             text = str(one.message)
             if issubclass(one.category, SherkitWarning) and text not in self._warned:
                 self._warned.add(text)
-                self._say("warning", text)
+                self._say("warning", Said(text, about))
 
     def _save(self) -> None:
         try:
@@ -258,16 +209,15 @@ class Workbench:
     @property
     def typed_path(self) -> Path:
         """Where lines that were typed into the page are kept."""
-        return self.folder / TYPED
+        return self._typed.path
 
     def cancel(self) -> None:
-        """Stops the work at its next step; the study stays as it was."""
-        self._stop.set()
+        """Cancels all that was asked for; the study stays as it was."""
+        self._worker.cancel()
 
-    def _step(self, what: str, *, gives_way: bool = False) -> Progress:
+    def _step(self, what: str) -> Progress:
         def step(name: str) -> None:
-            if self._stop.is_set() or (gives_way and self._waiting):
-                raise Cancelled(f"{what}: stopped")
+            self._worker.look()
             self._say("progress", f"{what}: {name}" if name else what)
 
         step("")
@@ -278,26 +228,32 @@ class Workbench:
     def toggle(self, effect: str) -> Future[None]:
         """Adds an effect, or takes it out where it is in the model."""
         if effect in self.moment.effects:
-            return self.change(f"removing {effect}", lambda study, _: study.remove(effect))
-        return self.change(f"adding {effect}", lambda study, _: study.add(effect))
+            return self.change(f"removing {effect}", lambda study, _: study.remove(effect), about=effect)
+        return self.change(f"adding {effect}", lambda study, _: study.add(effect), about=effect)
 
     def undo(self) -> Future[None]:
         """Takes the last change back."""
-        return self.change("undoing", lambda study, _: study.undo())
+        return self.change("undoing", lambda study, _: study.undo(), about=HISTORY)
+
+    def redo(self) -> Future[None]:
+        """Makes the change again that was taken back last."""
+        return self.change("doing again", lambda study, _: study.redo(), about=HISTORY)
 
     def mark_suspects(self) -> Future[None]:
         """Marks the rows that the diagnosis lists as gross errors."""
-        return self.change("marking the suspected rows", lambda study, _: study.mark_outliers())
+        return self.change("marking the suspected rows", lambda study, _: study.mark_outliers(), about=ROWS)
 
     def mark_outliers(self, rows: Sequence[int]) -> Future[None]:
         """Marks rows (from 0) as outliers."""
         count = f"{len(rows)} row{'s' if len(rows) != 1 else ''}"
-        return self.change(f"marking {count}", lambda study, _: study.mark_outliers(rows))
+        return self.change(f"marking {count}", lambda study, _: study.mark_outliers(rows), about=ROWS)
 
     def add_measurements(self, name: str, content: bytes) -> Future[None]:
         """Joins a CSV or Parquet file, given by name and bytes; a copy stays in the folder."""
 
         def work(study: Study, _: Progress) -> None:
+            if not content:
+                raise MeasurementError(f"{name}: is empty; expected a CSV or Parquet file with the run's columns")
             path = self.folder / f"added_{len(study.history)}_{Path(name).name}"
             write_whole(path, content)
             try:
@@ -308,7 +264,7 @@ class Workbench:
                 raise
             self.sources.append(path)
 
-        return self.change(f"joining {name}", work)
+        return self.change(f"joining {name}", work, about=FILES)
 
     def type_effect(self, source: str) -> Future[None]:
         """Runs lines that define effects, with the rights of who started the page, and tries what they define.
@@ -319,30 +275,9 @@ class Workbench:
         def work(study: Study, _: Progress) -> None:
             if not self.trusted:
                 raise SherkitError("effects cannot be typed here: this page can be reached from other machines")
-            path = self.folder / TYPED
-            trial = self.folder / f"next.{TYPED}"
-            write_whole(trial, source)
-            known = dict(study.own)
-            try:
-                effects = _loaded(trial)
-                used = self._typed & set(study.effects)
-                if used and not _contains(source, path.read_text(encoding="utf-8")):
-                    # the model would go on with the old lines, and the study come back with the new ones
-                    raise EffectError(
-                        f"{listed(sorted(used))} is in the model: remove it before you change its lines; "
-                        "you can add to them"
-                    )
-                for effect in effects:
-                    if effect.name not in used:
-                        study.register(effect)
-            except BaseException:
-                study.own = known
-                trial.unlink()
-                raise
-            trial.replace(path)
-            self._typed = {e.name for e in effects}
+            self._typed.run(source, study)
 
-        return self.change("running your lines", work)
+        return self.change("running your lines", work, about=LINES)
 
     def follow(self, run: Path) -> Future[None] | None:
         """Reads the run again where its file has changed; returns None where it has not.
@@ -350,7 +285,7 @@ class Workbench:
         Rows that come wait for what a person does, and for a diagnosis that is under way: else a run that grows every
         second would never be diagnosed. A last line that is not complete is left for the next time.
         """
-        if self._pending:
+        if self._worker.pending:
             return None
         try:
             now = (run.stat().st_size, run.stat().st_mtime_ns)
@@ -368,13 +303,13 @@ class Workbench:
                     data = read_so_far(run, self.columns)
                 fresh = self._new_rows(data)
             except BaseException as error:
-                self._say("error", _sentence(error))
+                self._told_of(error, "reading new rows", FILES)
                 return
             if fresh:
-                self._apply("reading new rows", lambda study, _: study.follow(data))
+                self._apply("reading new rows", lambda study, _: study.follow(data), FILES)
                 self.diagnose()
 
-        return self._submit(read)
+        return self._worker.submit(read)
 
     def _new_rows(self, data: Measurements) -> bool:
         """Whether a run that is followed has rows that the study lacks.
@@ -419,12 +354,14 @@ class Workbench:
             data=study.data,
             effects=study.effects,
             own=tuple(study.own),
-            catalogue=tuple(study.model.known_effects),
+            known={**study.model.known_effects, **study.own},
             history=tuple(study.history),
             residuals=tuple(residuals),
             diagnosis=None,
-            can_undo=study.can_undo,
+            undoes=study.undoes,
+            redoes=study.redoes,
             number=self._number,
+            required_um=required_um(study.robot),
         )
 
     def _say(self, kind: str, value: Any) -> None:
@@ -432,14 +369,6 @@ class Workbench:
             self.progress = value
         for listener in list(self._listeners):
             listener(kind, value)
-
-
-def _loaded(path: Path) -> tuple[Effect, ...]:
-    """Effects from lines that were typed: the page has no file to speak of."""
-    try:
-        return load_effects(path)
-    except EffectError as error:
-        raise EffectError(str(error).replace(str(path), "your lines")) from error
 
 
 def rights_of() -> str:
@@ -461,8 +390,3 @@ def _copy(study: Study) -> Study:
         if isinstance(value, (list, dict)):
             setattr(made, name, copy.copy(value))
     return made
-
-
-def _contains(source: str, old: str) -> bool:
-    """Whether every statement of the old lines is in the new ones, comments and spaces aside."""
-    return {ast.dump(s) for s in ast.parse(old).body} <= {ast.dump(s) for s in ast.parse(source).body}

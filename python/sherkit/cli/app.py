@@ -7,9 +7,13 @@ from pathlib import Path
 
 import click
 
+from ..data.files import write_whole
 from ..errors import SherkitError
 from ..robots.tool_file import is_tool
 from . import output, reporting
+
+#: The file in the study's folder by which a browser finds the page.
+_LEADS = ".page.html"
 
 
 @click.command()
@@ -56,8 +60,20 @@ def app(
         output.warn(
             f"{address} can be reached from other machines: whoever knows the address above can change this study"
         )
-    server.run(lambda: None if no_open else _open(server.url))
+    leads = folder / _LEADS
+    try:
+        server.run(lambda: None if no_open else _open(server.url, leads))
+    finally:
+        leads.unlink(missing_ok=True)
 
 
-def _open(url: str) -> None:
-    webbrowser.open(url)
+def _open(url: str, leads: Path) -> None:
+    """Opens the page by a file that only its owner reads: the address is its key, and command lines are for all."""
+    leads.unlink(missing_ok=True)
+    leads.touch(mode=0o600)
+    write_whole(
+        leads,
+        '<!doctype html><meta charset="utf-8"><meta name="referrer" content="no-referrer">'
+        f'<meta http-equiv="refresh" content="0; url={url}"><a href="{url}">the page</a>',
+    )
+    webbrowser.open(leads.resolve().as_uri())

@@ -21,7 +21,7 @@ from ..robots.delta.paper import paper_local, paper_whole
 from ..robots.delta.robot import Delta
 from ..robots.delta.virtual import VirtualDelta
 from ..study import Study
-from . import diagnosis_tables, output, reporting, tables
+from . import demo_story, diagnosis_tables, output, reporting, tables
 
 EXAMPLE: Delta = delta.KIND.example
 
@@ -29,7 +29,8 @@ EXAMPLE: Delta = delta.KIND.example
 @click.command()
 @click.option("-o", "--output", "folder", type=click.Path(path_type=Path), default=Path("demo"), show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), default=6, show_default=True)
-def demo(folder: Path, seed: int) -> None:
+@click.option("--tables", "with_tables", is_flag=True, help="Print the paper's tables and the diagnosis too.")
+def demo(folder: Path, seed: int, with_tables: bool) -> None:
     """Simulate the paper's experiments, calibrate, find the effect that is missing, and add it."""
     folder.mkdir(parents=True, exist_ok=True)
     save_robot(EXAMPLE, folder / "robot.toml")
@@ -50,10 +51,18 @@ def demo(folder: Path, seed: int) -> None:
         calibration = study.calibration()
         calibration.save(folder / "calibrated.toml")
         report = _report(folder, study, found, calibration, result, step)
+    missed = _misses(virtual, robot, calibration)
+    demo_story.story(study, found, missed, len(paper_whole()), folder, report)
+    if with_tables:
+        _tables(result, found, study, calibration)
+
+
+def _tables(result: Result, found: Diagnosis, study: Study, calibration: Calibration) -> None:
+    """Those of the paper, and of the diagnosis."""
+    output.out.rule("The paper's tables")
     output.out.print(
-        "[bold]SIMULATION.[/] A virtual delta with planted errors of the size of the paper's Table II, 5 µm noise, "
-        "and one effect that the geometric model does not know.\nThe geometry is an example; the paper's figures (dim) "
-        "are of its own robot, so sizes may be compared and values may not.\n"
+        "SIMULATION: the geometry is an example; the paper's figures (dim) are of its own robot, so sizes may be "
+        "compared and values may not.\n"
     )
     tables.result(result, demo=True)
     output.out.rule("What is missing?")
@@ -61,17 +70,6 @@ def demo(folder: Path, seed: int) -> None:
     output.out.rule("With it in the model")
     output.out.print(_history(study))
     tables.accuracy(calibration)
-    missed = _misses(virtual, robot, calibration)
-    output.out.print(
-        f"Commanded to {len(paper_whole())} places, the robot as drawn misses by {missed[0]:.0f} µm RMS; "
-        f"commanded through calibrated.toml, by {missed[1]:.1f} µm."
-    )
-    if report is not None:
-        output.say(f"\nThe same to look at: {report}")
-    output.say(
-        f"\nrobot.toml, whole.csv, local.csv and calibrated.toml are in {folder}/. Try:\n"
-        f"  sherkit calibrate {folder}/robot.toml {folder}/whole.csv --local {folder}/local.csv"
-    )
 
 
 def _report(

@@ -68,7 +68,8 @@ def table(title: str, *columns: str, note: str | None = None) -> Table:
     made = Table(title=escape(title), title_justify="left", title_style="bold", caption_justify="left")
     made.caption = escape(note) if note else None
     for k, column in enumerate(columns):
-        made.add_column(escape(column), justify="left" if k == 0 else "right")
+        # a name is broken rather than cut
+        made.add_column(escape(column), justify="left" if k == 0 else "right", overflow="fold")
     return made
 
 

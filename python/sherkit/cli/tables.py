@@ -9,8 +9,9 @@ from rich.table import Table
 
 from ..calibration import Result
 from ..errors import SherkitError
+from ..figures import in_people_units, with_error
+from ..model.kinds import required_um
 from ..names import listed
-from ..robots.accuracy import REQUIREMENT_UM
 from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from ..robots.delta import paper
@@ -45,11 +46,9 @@ def parameters(e: CalibrationRun, title: str) -> Table:
     note = "± readings: what the readings leave.  ± total: with what they do not tell, from plausible sizes."
     made = table(title, "parameter", "", "identified error", "± readings", "± total", "unit", note=note)
     for p, v, r, s in zip(fit.parameters, fit.values, fit.std_from_readings, fit.std, strict=True):
-        angle = p.unit == "rad"
-        factor = np.rad2deg(1.0) if angle else 1.0
-        digits = 4 if angle else 3
-        cells = [f"{x * factor:.{digits}f}" for x in (v, r, s)]
-        made.add_row(p.name, p.symbol, f"{v * factor:+.{digits}f}", *cells[1:], "deg" if angle else p.unit)
+        unit, factor = in_people_units(p.unit)
+        value, readings, total = with_error(*(factor * x for x in (v, r, s)))
+        made.add_row(p.name, p.symbol, value, readings, total, unit)
     return made
 
 
@@ -114,16 +113,18 @@ _NOISE = {
 
 
 def accuracy(calibration: Calibration) -> None:
-    """Predicted accuracy at the centre and at the rims, against what injection needs: what the poses show, what could
+    """Predicted accuracy at the centre and at the rims, against what the robot is for: what the poses show, what could
     hide between them, and what to measure against that."""
+    needed = required_um(calibration.robot)
     made = table(
-        f"Predicted accuracy, 95 % (retinal injection needs {REQUIREMENT_UM:.0f} µm)",
+        f"Predicted accuracy{f' (needed: {needed:g} µm)' if needed else ''}",
         "at",
         *(name.rpartition("_")[0] + ", " + name.rpartition("_")[2] for name in calibration.coordinates),
-        "within, µm",
+        "95 % within, µm",
         "of it unseen",
         "",
-        note="of it unseen: what effects of plausible size could do there that the poses of the run could not show.",
+        note="95 % within: so far from the command lie 95 of 100 readings there, the instrument's noise with them.  "
+        "of it unseen: what effects of plausible size could do there that the poses of the run could not show.",
     )
     narrowing: dict[str, str] = {}
     for name, place in calibration.places():

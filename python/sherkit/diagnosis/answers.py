@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..figures import stated
 from ..fit.forms import Known, known
 from ..fit.identify import Fit
 from ..notebook import Shown
@@ -161,7 +162,7 @@ def largest(found: Diagnosis, one: CandidateReport) -> str:
     if one.effect in found.known:
         return found.known[one.effect].short
     worst = max(one.parameters, key=lambda q: abs(q["value"]) / max(q["std"], 1e-300))
-    return f"{worst['name']} = {worst['value']:.3g} ± {worst['std']:.1g} {worst['unit']}"
+    return f"{worst['name']} = {stated(worst['value'], worst['std'], worst['unit'])}"
 
 
 def _finite(value: float) -> float | None:

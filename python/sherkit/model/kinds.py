@@ -75,6 +75,12 @@ class Robot(Protocol):
         ...
 
 
+def required_um(robot: object) -> float | None:
+    """The accuracy that a robot is for, µm, where its file says so (``required_um`` in ``[workspace]``)."""
+    stated: float | None = getattr(robot, "required_um", None)
+    return stated
+
+
 @dataclass(frozen=True)
 class Option:
     """The size of an error that a user chooses for a virtual robot: its ``default``, and what it is, in words."""

@@ -58,3 +58,8 @@ class Rows:
             known = ["joints", "time", "direction", "position", *self._data.covariates]
             raise EffectError(f"these rows have no '{name}'{nearest(name, known)}; they have {listed(known, 20)}")
         return self._data.covariates[found]
+
+
+def run_of(rows: Rows) -> Measurements:
+    """The run itself; as an attribute its name would hide a column of the file."""
+    return rows._data

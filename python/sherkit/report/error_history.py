@@ -10,22 +10,27 @@ import numpy as np
 from bokeh.models import FactorRange, Label, Range1d, Span
 
 from ..diagnosis import Diagnosis
-from ..study import Study
+from ..model.kinds import required_um
+from ..study import Study, StudyStep
 from .picture import Picture, Tables, single, sources_of
 from .style import COLOURS, FONT, FONT_SIZE, INK, MARKERS, figure, hover, legend
 
 _HEIGHT = 380
-#: More steps than this have their names aslant.
-_LEVEL = 4
+#: More steps than this have their names aslant, and more than that their numbers alone: hover says the names.
+_LEVEL, _NAMED = 4, 9
 
 
 @dataclass(frozen=True)
 class ErrorOfStep:
-    """One step: what was done, and the error it left on each axis, held out and fitted, in the unit of the fall."""
+    """One step: what was done, and the error it left on each axis, held out and fitted, in the unit of the fall.
+
+    ``short`` is what stands at the axis, where that is another name.
+    """
 
     action: str
     held_out: Mapping[str, float]
     fitted: Mapping[str, float]
+    short: str = ""
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,26 @@ class ErrorHistory:
     required: float | None = None
 
 
-def error_history_of(study: Study, found: Diagnosis | None = None, required: float | None = None) -> ErrorHistory:
+def current_path(history: Sequence[StudyStep]) -> list[int]:
+    """Steps (numbers) that lead to where a study stands: what was taken back, or done and undone, is left out.
+
+    A step that leaves the same as an earlier one stands for that one, with nothing between them.
+    """
+    path: list[int] = []
+    states: list[tuple[Any, ...]] = []
+    for k, step in enumerate(history):
+        left = tuple((name, f"{value:.6g}") for name, value in step.training_rms.items())
+        state = (frozenset(step.effects), step.rows, left)
+        if state in states:
+            place = states.index(state)
+            del path[place + 1 :], states[place + 1 :]
+        else:
+            path.append(k)
+            states.append(state)
+    return path
+
+
+def error_history_of(study: Study, found: Diagnosis | None = None) -> ErrorHistory:
     """The fall of a study, with the noise that a diagnosis knows."""
     steps = [
         ErrorOfStep(
@@ -51,11 +75,11 @@ def error_history_of(study: Study, found: Diagnosis | None = None, required: flo
     known = found is not None and found.noise_origin != "unknown"
     unit = study.data.layout.unit
     # an accuracy in µm says nothing of pixels
-    needed = required if unit == "µm" else None
+    needed = required_um(study.robot) if unit == "µm" else None
     return ErrorHistory(steps, found.noise if found is not None and known else {}, unit, needed)
 
 
-def error_history(state: ErrorHistory) -> Picture[ErrorHistory]:
+def error_history(state: ErrorHistory, *, height_px: int = _HEIGHT) -> Picture[ErrorHistory]:
     """RMS of single readings at every step on a logarithmic scale.
 
     Filled marks are errors on blocks of poses that the fit had not seen, open ones those on the rows it was fitted to.
@@ -63,11 +87,11 @@ def error_history(state: ErrorHistory) -> Picture[ErrorHistory]:
     names = _names(state)
     sources = sources_of(_tables(state))
     made = figure(
-        height=_HEIGHT, sizing_mode="stretch_width", y_axis_type="log", x_range=FactorRange(*_steps(state)),
+        height=height_px, sizing_mode="stretch_width", y_axis_type="log", x_range=FactorRange(*_steps(state)),
         y_range=Range1d(*_reach(state)),
     )  # fmt: skip
     made.yaxis.axis_label = f"RMS error, {state.unit}"
-    made.xaxis.major_label_orientation = 0.0 if len(state.steps) <= _LEVEL else 0.5
+    made.xaxis.major_label_orientation = _slant(state)
     renderers = []
     for k, name in enumerate(names):
         colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
@@ -99,7 +123,7 @@ def error_history(state: ErrorHistory) -> Picture[ErrorHistory]:
     def tune(new: ErrorHistory) -> None:
         made.x_range.factors = _steps(new)
         made.y_range.start, made.y_range.end = _reach(new)
-        made.xaxis.major_label_orientation = 0.0 if len(new.steps) <= _LEVEL else 0.5
+        made.xaxis.major_label_orientation = _slant(new)
 
     note = ("Filled: on blocks of poses that the fit had not seen. Open: on the rows it was fitted to.") + (
         " Dotted: the noise of each axis; below it nothing can be gained." if state.noise else ""
@@ -129,7 +153,13 @@ def _reach(state: ErrorHistory) -> tuple[float, float]:
 
 
 def _steps(state: ErrorHistory) -> list[str]:
-    return [f"{k}. {step.action}" for k, step in enumerate(state.steps)]
+    if len(state.steps) > _NAMED:
+        return [str(k) for k in range(len(state.steps))]
+    return [f"{k}. {step.short or step.action}" for k, step in enumerate(state.steps)]
+
+
+def _slant(state: ErrorHistory) -> float:
+    return 0.5 if _LEVEL < len(state.steps) <= _NAMED else 0.0
 
 
 def _tables(state: ErrorHistory) -> Tables:

@@ -14,7 +14,6 @@ from bokeh.models import Div
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
 from ..fit.identify import Fit
-from ..robots.accuracy import REQUIREMENT_UM
 from ..robots.calibrated import Calibration
 from ..study import Study
 from .candidates import candidates
@@ -44,7 +43,7 @@ def pictures_of(value: Any) -> list[Picture[Any]]:
         shown: list[Picture[Any]] = [candidates(value)] if value.candidates else []
         return [*shown, residual_map(change)]
     if isinstance(value, Calibration):
-        return [accuracy_map(accuracy_of(value, REQUIREMENT_UM))]
+        return [accuracy_map(accuracy_of(value))]
     if isinstance(value, Fit):
         left = residuals_of(value)
         return [residual_map(Change(left, left, "left by the fit", "left by the fit")), parameters(value)]

@@ -1,7 +1,8 @@
 """Residual map: where in the workspace the model is wrong, and in which direction.
 
 An arrow per pose (the mean of its repeats) along the error in the first two readings, the third as colour; a panel per
-plane. Before and after share one scale. The circle shows how far noise alone would carry 95 of 100 arrows.
+plane. Before and after share one scale unless each is to have its own. The circle shows how far noise alone would carry
+95 of 100 arrows.
 """
 
 from __future__ import annotations
@@ -18,9 +19,12 @@ from numpy.typing import NDArray
 
 from ..types import Bools, Floats
 from .picture import Picture, Table, Tables, sources_of, stacked
-from .residuals import Residuals
+from .residuals import Residuals, in_noise
 from .style import DIVERGING, FONT, FONT_SIZE, INK, MUTED, colour_bar, figure, hover, number, padded, quantity
 
+#: One scale for before and after; each its own, so that what is left is seen too; its own, counted in the noise of each
+#: reading (where that is not known, as ``own``).
+SCALES = ("shared", "own", "noise")
 #: More arrows than this in one panel become the means of cells.
 _MOST_ARROWS = 300
 _CELLS = 15
@@ -51,6 +55,8 @@ class Change:
     after: Residuals
     before_title: str = "before"
     after_title: str = "after"
+    #: How arrows and colours are scaled, one of :data:`SCALES`.
+    scale: str = "shared"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,18 +84,30 @@ def residual_map(change: Change, *, planes_across: bool = False, width_px: int =
     width = max(width_px // columns, _NARROWEST) - _AROUND
     scale = _Scale(change, panels, width)
     sources = sources_of(_tables(change, panels, scale))
-    mapper = LinearColorMapper(palette=DIVERGING, low=-scale.colour, high=scale.colour)
-    order = [(moment, k) for k in range(count) for moment in ("before", "after")]
+    mappers = {m: LinearColorMapper(palette=DIVERGING) for m in _MOMENTS}
+    order = [(moment, k) for k in range(count) for moment in _MOMENTS]
     if planes_across:
         order.sort(key=lambda one: one[0] == "after")
     ranges = scale.ranges
-    figures = [_panel(sources, k, moment, panels, mapper, ranges, change.before, width) for moment, k in order]
-    ticker = FixedTicker(ticks=[-scale.colour, 0.0, scale.colour])
+    figures = [_panel(sources, k, moment, panels, mappers[moment], ranges, change.before, width) for moment, k in order]
+    tickers = {m: FixedTicker() for m in _MOMENTS}
+    named = []
     if len(change.before.names) != 2:
-        unit = f"{change.before.names[2 if len(change.before.names) > 2 else 0]}, {change.before.unit}"
-        # beside what is always seen: a page hides what was before where nothing is compared
-        colour_bar(figures[-1 if planes_across else 1], mapper, unit, ticker=ticker)
+        # beside what is always seen; where rows of panels are moments, each has its own
+        ends = {"before": count - 1, "after": -1} if planes_across else {"after": 1}
+        named = [colour_bar(figures[k], mappers[m], "", ticker=tickers[m]) for m, k in ends.items()]
     current = scale
+
+    def colour(state: Change) -> None:
+        for moment, mapper in mappers.items():
+            high = current.colours[moment]
+            mapper.low, mapper.high = -high, high
+            tickers[moment].ticks = [-high, 0.0, high]
+        left = _shown(state)[0]
+        for title in named:
+            title.text = f"{left.names[2 if len(left.names) > 2 else 0]}, {left.unit}"
+
+    colour(change)
 
     def tables(state: Change) -> Tables:
         return _tables(state, panels, current)
@@ -97,8 +115,7 @@ def residual_map(change: Change, *, planes_across: bool = False, width_px: int =
     def tune(state: Change) -> None:
         nonlocal current
         current = _Scale(state, panels, width)
-        mapper.low, mapper.high = -current.colour, current.colour
-        ticker.ticks = [-current.colour, 0.0, current.colour]
+        colour(state)
         for one, new in zip(ranges, current.ranges, strict=True):
             one.start, one.end = new.start, new.end
         for made in figures:
@@ -123,41 +140,61 @@ def _note(change: Change) -> str:
         if change.before.noise_origin != "unknown"
         else ""
     )
-    return f"{arrow}{colour}{many}. All panels have one scale.{circle}"
+    return f"{arrow}{colour}{many}. {_SAID[change.scale]}{circle}"
+
+
+_MOMENTS = ("before", "after")
+_SAID = {
+    "shared": "All panels have one scale.",
+    "own": "Before and after each have a scale of their own.",
+    "noise": "Counted in the noise of each reading, σ; before and after each have a scale of their own.",
+}
 
 
 class _Scale:
-    """One scale for every panel and both moments: length of an arrow per unit of error, colour, bar."""
+    """The scale of every panel: length of an arrow per unit of error, colour and bar of each moment."""
 
     def __init__(self, change: Change, panels: _Panels, width: int) -> None:
         left = change.before
-        arrows = [_arrows(side, panels, m) for side in (change.before, change.after) for m in panels.rows]
-        length = np.concatenate([np.hypot(a["ex"], a["ey"]) for a in arrows]) if arrows else np.zeros(1)
-        colour = np.concatenate([np.abs(a["ez"]) for a in arrows]) if arrows else np.zeros(1)
+        each = {m: [_arrows(side, panels, rows) for rows in panels.rows]
+                for m, side in zip(_MOMENTS, _shown(change), strict=True)}  # fmt: skip
+        arrows = [a for m in _MOMENTS for a in each[m]]
         self.coloured = len(left.names) != 2
         number = max(max((len(a["x"]) for a in arrows), default=1), 1)
         span_x, span_y = np.ptp(panels.x) or 1.0, np.ptp(panels.y) or np.ptp(panels.x) or 1.0
         spacing = np.sqrt(span_x * span_y / number)
-        typical = float(np.quantile(length, 0.95)) if len(length) else 0.0
-        self.per_unit = 1.3 * spacing / typical if typical > 0 else 1.0
-        self.colour = float(round_number(np.quantile(colour, 0.98) if len(colour) else 1.0, up=True)) or 1.0
-        noise = left.noise[: min(2, len(left.names))]
+        self.per_unit: dict[str, float] = {}
+        self.colours: dict[str, float] = {}
+        typical: dict[str, float] = {}
+        for moment in _MOMENTS:
+            counted = arrows if change.scale == "shared" else each[moment]
+            length = np.concatenate([np.hypot(a["ex"], a["ey"]) for a in counted]) if counted else np.zeros(0)
+            colour = np.concatenate([np.abs(a["ez"]) for a in counted]) if counted else np.zeros(0)
+            typical[moment] = float(np.quantile(length, 0.95)) if len(length) else 0.0
+            self.per_unit[moment] = 1.3 * spacing / typical[moment] if typical[moment] > 0 else 1.0
+            high = float(np.quantile(colour, 0.98)) if len(colour) else 1.0
+            self.colours[moment] = round_number(high, up=True) or 1.0
+        noise = _shown(change)[0].noise[: min(2, len(left.names))]
         self.noise = float(np.sqrt(np.mean(noise**2))) if left.noise_origin != "unknown" else 0.0
-        self.circles = [self._circle(left, m) for m in panels.rows]
-        self.ranges = _ranges(panels, arrows, self.per_unit, max(self.circles, default=0.0), width)
+        self.circles = {m: [self._circle(left, rows) * self.per_unit[m] for rows in panels.rows] for m in _MOMENTS}
+        largest = max((c for circles in self.circles.values() for c in circles), default=0.0)
+        scaled = [(a, self.per_unit[m]) for m in _MOMENTS for a in each[m]]
+        self.ranges = _ranges(panels, scaled, largest, width)
         x, y = self.ranges
         #: Of the workspace, in a pixel: titles and keys keep their size.
         self.pixel = (float(x.end) - float(x.start)) / width
         self.height_px = round((float(y.end) - float(y.start)) / self.pixel)
         self.letters = int((width - 2 * _EDGE) / _LETTER)
         # as long as the longest arrows, and long enough to be compared with
-        self.bar = round_number(max(typical, _SHORTEST_BAR * self.pixel / self.per_unit), up=True)
+        self.bars = {
+            m: round_number(max(typical[m], _SHORTEST_BAR * self.pixel / self.per_unit[m]), up=True) for m in _MOMENTS
+        }
 
     def _circle(self, left: Residuals, mask: Bools) -> float:
-        """Radius that holds 95 of 100 means of repeats that are noise alone, as long as arrows are drawn."""
+        """Radius that holds 95 of 100 means of repeats that are noise alone."""
         use = _used(left, mask)
         repeats = max(int(use.sum()) / max(len(np.unique(left.group[use])), 1), 1.0)
-        return float((_CIRCLE if len(left.names) > 1 else _INTERVAL) * self.noise / np.sqrt(repeats) * self.per_unit)
+        return float((_CIRCLE if len(left.names) > 1 else _INTERVAL) * self.noise / np.sqrt(repeats))
 
 
 def round_number(value: float, *, up: bool = False) -> float:
@@ -275,38 +312,46 @@ def _lines(lines: NDArray[np.int64], most: int = 6) -> str:
 
 def _tables(change: Change, panels: _Panels, scale: _Scale) -> Tables:
     out: Tables = {}
-    for moment, left, title in (
-        ("before", change.before, change.before_title),
-        ("after", change.after, change.after_title),
-    ):
+    titles = (change.before_title, change.after_title)
+    moments = zip(_MOMENTS, (change.before, change.after), _shown(change), titles, strict=True)
+    for moment, plain, left, title in moments:
+        per_unit = scale.per_unit[moment]
         for k, mask in enumerate(panels.rows):
             a = _arrows(left, panels, mask)
+            # numbers on hover stay in the unit of the run
+            hovered = a if left is plain else _arrows(plain, panels, mask)
             colour = a["ez"] if scale.coloured else np.zeros(len(a["x"]))
             out[f"{moment}_{k}"] = {
                 "x": _f(a["x"]), "y": _f(a["y"]),
-                "x1": _f(a["x"] + scale.per_unit * a["ex"]), "y1": _f(a["y"] + scale.per_unit * a["ey"]),
-                "ex": _f(a["ex"]), "ey": _f(a["ey"]), "ez": _f(a["ez"]), "colour": _f(colour),
+                "x1": _f(a["x"] + per_unit * a["ex"]), "y1": _f(a["y"] + per_unit * a["ey"]),
+                "ex": _f(hovered["ex"]), "ey": _f(hovered["ey"]), "ez": _f(hovered["ez"]), "colour": _f(colour),
                 "n": a["n"], "lines": a["lines"], "rows": a["rows"],
             }  # fmt: skip
             use = mask & ~left.outlier
             rms = float(np.sqrt(np.nanmean(left.values[use] ** 2))) if use.any() else 0.0
-            out[f"{moment}_{k}_key"] = _key(panels, scale, left, title, panels.names[k], rms, k)
+            out[f"{moment}_{k}_key"] = _key(scale, moment, left, title, panels.names[k], rms, k)
     return out
 
 
-def _key(panels: _Panels, scale: _Scale, left: Residuals, title: str, plane: str, rms: float, panel: int) -> Table:
+def _shown(change: Change) -> tuple[Residuals, Residuals]:
+    """Both moments in the unit in which they are drawn."""
+    counted = change.scale == "noise" and change.before.noise_origin != "unknown"
+    return (in_noise(change.before), in_noise(change.after)) if counted else (change.before, change.after)
+
+
+def _key(scale: _Scale, moment: str, left: Residuals, title: str, plane: str, rms: float, panel: int) -> Table:
     """Title, scale bar and noise circle of one panel: a table with a single row."""
     x_range, y_range = scale.ranges
     x0, y0, x1, y1 = (float(v) for v in (x_range.start, y_range.start, x_range.end, y_range.end))
     edge = _EDGE * scale.pixel
     figure_of = f"{plane + ': ' if plane else ''}{number(rms)} {left.unit} RMS"
     heading = f"{_short(title, scale.letters)}\n{figure_of}"
-    bar = scale.bar * scale.per_unit
-    circle = scale.circles[panel]
+    bar = scale.bars[moment] * scale.per_unit[moment]
+    circle = scale.circles[moment][panel]
     return {
         "title": [heading], "title_x": [x0 + edge], "title_y": [y1 - edge],
         "bar_x0": [x1 - edge - bar], "bar_x1": [x1 - edge], "bar_y": [y0 + edge],
-        "bar_text": [f"{scale.bar:g} {left.unit}"], "bar_text_x": [x1 - edge], "bar_text_y": [y0 + 1.6 * edge],
+        "bar_text": [f"{scale.bars[moment]:g} {left.unit}"], "bar_text_x": [x1 - edge], "bar_text_y": [y0 + 1.6 * edge],
         "noise_x": [x0 + edge + circle], "noise_y": [y0 + max(circle + edge, 1.8 * edge)], "noise_r": [circle],
         "noise_text": ["noise" if scale.noise else ""], "noise_text_x": [x0 + 1.8 * edge + 2 * circle],
     }  # fmt: skip
@@ -322,13 +367,15 @@ def _short(text: str, most: int) -> str:
 
 
 def _ranges(
-    panels: _Panels, arrows: Sequence[Table], per_unit: float, circle: float, width: int
+    panels: _Panels, arrows: Sequence[tuple[Table, float]], circle: float, width: int
 ) -> tuple[Range1d, Range1d]:
     """Room for poses and heads of arrows, and for title and keys above and below.
 
     A millimetre is as long upwards as across.
     """
-    heads = [np.concatenate([a[at] + per_unit * a[by] for a in arrows]) for at, by in (("x", "ex"), ("y", "ey"))]
+    heads = [
+        np.concatenate([a[at] + per_unit * a[by] for a, per_unit in arrows]) for at, by in (("x", "ex"), ("y", "ey"))
+    ]
     x, y = (
         padded(min(v.min(), h.min(initial=v.min())), max(v.max(), h.max(initial=v.max())), 0.04)
         for v, h in zip((panels.x, panels.y), heads, strict=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -70,6 +70,11 @@ def residuals_of(fit: Fit) -> Residuals:
         counted=data.counted,
         outlier=data.outlier[rows],
     )
+
+
+def in_noise(left: Residuals) -> Residuals:
+    """The same, counted in the noise of each reading: σ."""
+    return replace(left, unit="σ", values=left.values / left.noise, noise=np.ones(len(left.names)))
 
 
 def _directions(data: Measurements, rows: Ints) -> dict[str, Floats]:

@@ -26,10 +26,11 @@ from ..calibration import Result
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis, sentence
 from ..errors import SherkitError
+from ..figures import in_people_units, stated, with_error
 from ..fit.forms import known
 from ..fit.identify import Fit
+from ..model.kinds import required_um
 from ..names import listed
-from ..robots.accuracy import REQUIREMENT_UM
 from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from ..study import Study
@@ -101,7 +102,14 @@ def html(story: Story) -> str:
         loader=PackageLoader("sherkit.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters |= {"number": number, "p": _p, "quantity": quantity, "listed": listed, "rms": _rms}
+    environment.filters |= {
+        "number": number,
+        "p": _p,
+        "quantity": quantity,
+        "listed": listed,
+        "rms": _rms,
+        "known": stated,
+    }
     return environment.get_template("story.html").render(
         story=story,
         found=story.found,
@@ -126,7 +134,7 @@ def html(story: Story) -> str:
         titles=list(enumerate(swaps["titles"])) if swaps else [],
         still=_still(story),
         machine=_in_script(story.found.to_json()),
-        required=REQUIREMENT_UM,
+        required=required_um(story.study.robot),
         versions=[("sherkit", _core.__version__), ("Python", platform.python_version()),
                   *((name, version(name)) for name in ("numpy", "scipy", "polars", "bokeh"))],
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -163,13 +171,13 @@ def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | N
     if found.candidates:
         out["candidates"] = candidates(found)
         out["atlas"] = signature_atlas(atlas_of(base, tuple(study.own.values())))
-    out["fall"] = error_history(error_history_of(study, found, REQUIREMENT_UM))
+    out["fall"] = error_history(error_history_of(study, found))
     out["parameters"] = parameters(study.fit)
     out["correlations"] = correlations(study.fit)
     if getattr(study.fit, "badly_observed", ()):
         out["directions"] = directions(study.fit)
     if story.calibration is not None:
-        out["accuracy"] = accuracy_map(accuracy_of(story.calibration, REQUIREMENT_UM))
+        out["accuracy"] = accuracy_map(accuracy_of(story.calibration))
     if found.next_poses:
         out["next_poses"] = next_poses(NextPoses(found.next_poses, before))
     out["noise_before"], out["noise_after"] = noise_picture(before), noise_picture(after)
@@ -278,16 +286,15 @@ def _parameter_lines(story: Story) -> list[tuple[str, str, str, str, str, str]]:
     for p, v, r, s in zip(fit.parameters, fit.values, fit.std_from_readings, fit.std, strict=True):
         name = p.name.partition(".")[0]
         if one := forms.pop(name, None):
-            cells = [f"{value.std:.4g}" for value in one.values]
-            lines = zip(one.values, cells, strict=True)
-            out += [(f"{name}: {one.where} {w.what}", "", f"{w.value:+.5g}", c, c, w.unit) for w, c in lines]
+            for known_value in one.values:
+                value, std = with_error(known_value.value, known_value.std)
+                out.append((f"{name}: {one.where} {known_value.what}", "", value, std, std, known_value.unit))
             told.add(name)
         if "." in p.name and name in told:
             continue
-        angle = p.unit == "rad"
-        factor, unit = (float(np.rad2deg(1.0)), "°") if angle else (1.0, p.unit)
-        cells = [f"{x * factor:.4g}" for x in (r, s)]
-        out.append((p.name, p.symbol, f"{v * factor:+.5g}", cells[0], cells[1], unit))
+        unit, factor = in_people_units(p.unit)
+        value, readings, total = with_error(*(factor * x for x in (v, r, s)))
+        out.append((p.name, p.symbol, value, readings, total, unit))
     return out
 
 

@@ -9,6 +9,8 @@ from bokeh.models import BasicTickFormatter, ColorBar, FixedTicker, HoverTool, L
 from bokeh.palettes import interp_palette
 from bokeh.plotting import figure as bokeh_figure
 
+from ..figures import number as number
+
 #: One size for everything that is read, large enough for a projector.
 FONT_SIZE = "16px"
 FONT = "sans-serif"
@@ -68,18 +70,18 @@ def legend(made: Any, place: str = "right") -> None:
         made.add_layout(one, place)
 
 
-def colour_bar(made: Any, mapper: Any, text: str, **settings: Any) -> None:
-    """The meaning of colours on the right of a figure, named like an axis."""
+def colour_bar(made: Any, mapper: Any, text: str, **settings: Any) -> Title:
+    """The meaning of colours on the right of a figure, named like an axis by what is returned."""
     made.add_layout(
         ColorBar(color_mapper=mapper, width=14, major_label_text_font_size=FONT_SIZE, major_label_text_font=FONT,
                  major_label_text_color=INK, **settings),
         "right",
     )  # fmt: skip
-    made.add_layout(
-        Title(text=text, align="center", text_font_size=FONT_SIZE, text_font=FONT, text_font_style="normal",
-              text_color=INK),
-        "right",
-    )  # fmt: skip
+    title = Title(
+        text=text, align="center", text_font_size=FONT_SIZE, text_font=FONT, text_font_style="normal", text_color=INK
+    )
+    made.add_layout(title, "right")
+    return title
 
 
 def padded(low: float, high: float, part: float = 0.06) -> Range1d:
@@ -88,14 +90,6 @@ def padded(low: float, high: float, part: float = 0.06) -> Range1d:
         low, high = 0.0, 1.0
     room = part * (high - low) or max(abs(high), 1.0) * part
     return Range1d(low - room, high + room)
-
-
-def number(value: float) -> str:
-    """A size with about three figures, the last one meant."""
-    if not np.isfinite(value):
-        return "–"
-    size = abs(value)
-    return f"{value:.0f}" if size >= 100 else f"{value:.1f}" if size >= 10 else f"{value:.2f}"
 
 
 def quantity(name: str) -> str:

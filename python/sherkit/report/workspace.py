@@ -12,6 +12,7 @@ from bokeh.models import LinearColorMapper, Range1d
 from numpy.typing import NDArray
 
 from ..diagnosis.next_poses import SEPARATION
+from ..model.kinds import required_um
 from ..robots.calibrated import Calibration
 from ..types import Floats
 from .picture import Picture, Tables, sources_of, stacked
@@ -37,10 +38,10 @@ class AccuracyMap:
     value_um: Floats
     unseen_um: Floats
     measured: NDArray[np.bool_]
-    required_um: float
+    required_um: float | None
 
 
-def accuracy_of(calibration: Calibration, required_um: float) -> AccuracyMap:
+def accuracy_of(calibration: Calibration) -> AccuracyMap:
     """The accuracy of a calibration over the workspace, or over what was measured."""
     planes = calibration.planes(_PER_SIDE)
     value, unseen = np.full((2, len(planes.grid)), np.nan)
@@ -50,19 +51,19 @@ def accuracy_of(calibration: Calibration, required_um: float) -> AccuracyMap:
     shape = (len(planes.titles), len(planes.y), len(planes.x))
     return AccuracyMap(
         planes.x, planes.y, planes.labels, planes.titles, value.reshape(shape), unseen.reshape(shape),
-        measured.reshape(shape), required_um,
+        measured.reshape(shape), required_um(calibration.robot),
     )  # fmt: skip
 
 
 def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
-    """A panel for each height: radius that holds 95 of 100 positions; the region within the requirement outlined.
+    """A panel for each height: radius that holds 95 of 100 readings; the region within the requirement outlined.
 
     Hatched where no pose was measured: there it is extrapolation and holds only as far as the model does.
     """
     known = state.value_um[np.isfinite(state.value_um)]
     high = float(np.quantile(known, 0.99)) if len(known) else 0.0
     # from zero to beyond the requirement: a nearly even map must look even
-    mapper = LinearColorMapper(palette=SEQUENTIAL, low=0.0, high=max(high, 1.5 * state.required_um))
+    mapper = LinearColorMapper(palette=SEQUENTIAL, low=0.0, high=max(high, 1.5 * (state.required_um or 0.0)) or 1.0)
     mapper.nan_color = "rgba(0, 0, 0, 0)"
     sources = sources_of(_tables(state))
     x_range, y_range = padded(state.x[0], state.x[-1], 0.03), padded(state.y[0], state.y[-1], 0.03)
@@ -91,12 +92,15 @@ def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
         )
         figures.append(made)
     colour_bar(figures[-1], mapper, "95 % within, µm")
-    met = int((known <= state.required_um).sum())
     hidden = state.unseen_um[np.isfinite(state.unseen_um)]
     unseen = f" Of it up to {hidden.max():.1f} µm is what the poses could not show." if len(hidden) else ""
+    outlined = ""
+    if state.required_um:
+        met = 100 * float(np.mean(known <= state.required_um)) if len(known) else 0.0
+        outlined = f" Outlined: {state.required_um:g} µm or better ({met:.0f} % of what can be reached)."
     note = (
-        f"Radius around a commanded position within which 95 of 100 lie. Outlined: {state.required_um:g} µm or better "
-        f"({100 * met / max(len(known), 1):.0f} % of what can be reached). Hatched: no pose was measured there.{unseen}"
+        "Radius around a commanded position within which 95 of 100 readings there lie, the instrument's noise with "
+        f"them.{outlined} Hatched: no pose was measured there.{unseen}"
     )
     return Picture("accuracy", stacked("accuracy", figures, columns=len(figures)), sources, _tables, note=note)
 
@@ -112,7 +116,7 @@ def _tables(state: AccuracyMap) -> Tables:
             "x": [x0], "y": [y0], "dw": [dw], "dh": [dh],
         }  # fmt: skip
         out[f"beyond_{k}"] = _runs(state.x, state.y, ~state.measured[k] & np.isfinite(value))
-        out[f"outline_{k}"] = _outline(state.x, state.y, value <= state.required_um)
+        out[f"outline_{k}"] = _outline(state.x, state.y, value <= (state.required_um or 0.0))
     return out
 
 

@@ -17,8 +17,6 @@ from .promise import Hiding, Promise, Promises
 from .unshown import Unshown, at_rest, by_effect
 from .unshown_fit import Asked
 
-#: Accuracy that subretinal injection needs, µm (Xiao et al., ISMR 2022).
-REQUIREMENT_UM = 20.0
 #: Places at which a calibration is asked what it could not see.
 _ASKED = 80
 

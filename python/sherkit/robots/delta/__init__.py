@@ -26,6 +26,7 @@ _EXAMPLE = Delta(
     workspace_radius_mm=30.0,
     workspace_z_mm=(-22.0, 22.0),
     region_half_width_mm=10.0,
+    required_um=20.0,  # what subretinal injection needs (Xiao et al., ISMR 2022)
 )
 
 KIND = Kind(

@@ -44,7 +44,7 @@ class Delta(Saved):
     distance of the two rods of a limb, ``pole_pitch_mm`` the period of the encoders' scales; both are 0 where there is
     none, None where nobody said. ``assembly_mode`` is ``"below"`` where the platform hangs under its
     carriages, ``"above"`` where it stands on them. Joint readings are carriage heights along +z;
-    ``joint_limits_mm`` (low, high) are those that no motor may leave.
+    ``joint_limits_mm`` (low, high) are those that no motor may leave, ``required_um`` the accuracy that it is for.
     """
 
     base_radius_mm: Triple
@@ -58,6 +58,7 @@ class Delta(Saved):
     workspace_radius_mm: float | None = None
     workspace_z_mm: tuple[float, float] | None = None
     region_half_width_mm: float | None = None
+    required_um: float | None = None
     joint_limits_mm: tuple[float, float] | None = None
     assembly_mode: str = "below"
     kind: str = field(default="delta", init=False)
@@ -88,6 +89,7 @@ class Delta(Saved):
         with table.table("workspace", optional=True) as w:
             radius = w.positive("radius_mm")
             z = w.heights("z_mm")
+            required = w.positive("required_um")
         with table.table("region_of_interest", optional=True) as r:
             half = r.positive("half_width_mm")
         return cls(
@@ -96,6 +98,7 @@ class Delta(Saved):
             workspace_radius_mm=radius,
             workspace_z_mm=z,
             region_half_width_mm=half,
+            required_um=required,
             joint_limits_mm=limits,
         )
 
@@ -120,13 +123,15 @@ class Delta(Saved):
             joints["limits_mm"] = list(self.joint_limits_mm)
         if joints:
             tables["joints"] = joints
-        if self.workspace_radius_mm or self.workspace_z_mm:
-            workspace: dict[str, Any] = {}
+        workspace: dict[str, Any] = {}
+        if self.workspace_radius_mm:
+            workspace["radius_mm"] = self.workspace_radius_mm
+        if self.workspace_z_mm:
+            workspace["z_mm"] = list(self.workspace_z_mm)
+        if self.required_um:
+            workspace["required_um"] = self.required_um
+        if workspace:
             tables["workspace"] = workspace
-            if self.workspace_radius_mm:
-                workspace["radius_mm"] = self.workspace_radius_mm
-            if self.workspace_z_mm:
-                workspace["z_mm"] = list(self.workspace_z_mm)
         if self.region_half_width_mm:
             tables["region_of_interest"] = {"half_width_mm": self.region_half_width_mm}
         return tables

@@ -139,7 +139,7 @@ class Serial(Saved):
     fixed places in the base frame from which distances are read: numbers of the column ``centre``.
     ``gravity`` is the direction of the weight in the base frame. The tracker sees the origin of the base frame at
     ``tracker_mm``, and its axes turned by ``tracker_rpy_deg``; what it really sees is identified.
-    ``has_tracker`` is False where distances alone are read.
+    ``has_tracker`` is False where distances alone are read. ``required_um`` is the accuracy that the arm is for.
     """
 
     joints: tuple[Joint, ...]
@@ -151,6 +151,7 @@ class Serial(Saved):
     more_targets_mm: tuple[Triple, ...] = ()
     centres_mm: tuple[Triple, ...] = ()
     has_tracker: bool = True
+    required_um: float | None = None
     kind: str = field(default="serial", init=False)
 
     def __post_init__(self) -> None:
@@ -190,6 +191,8 @@ class Serial(Saved):
                 "tracker_mm": t.numbers("origin_mm", 3, _ZERO),
                 "tracker_rpy_deg": t.numbers("rpy_deg", 3, _ZERO),
             }
+        with table.table("workspace", optional=True) as w:
+            required = w.positive("required_um")
         try:
             return cls(
                 joints,
@@ -197,6 +200,7 @@ class Serial(Saved):
                 more_targets_mm=points["target"],
                 centres_mm=points["centre"],
                 has_tracker=seen,
+                required_um=required,
             )
         except ShapeError as error:
             raise table.fail("joint", str(error)) from None
@@ -215,6 +219,7 @@ class Serial(Saved):
                 if points
             },
             **({"tracker": tracker} if self.has_tracker else {}),
+            **({"workspace": {"required_um": self.required_um}} if self.required_um else {}),
         }
 
     # -- what runs and experiments ask ---------------------------------------------------------------------

@@ -40,7 +40,7 @@ class Spherical(Saved):
     ``working_mode`` tells on which side of the tool each elbow is (``"open"``: joint 1 ahead, joint 2 behind).
     ``gravity`` is the direction of the weight, ``home_deg`` the joint readings about which encoder scales are counted.
     ``phi_deg`` and ``gamma_deg`` are the limits of the workspace, ``joint_limits_deg`` (low, high) those that no motor
-    may leave. Joint readings are angles about z.
+    may leave, ``required_um`` the accuracy that it is for. Joint readings are angles about z.
     """
 
     alpha_deg: float
@@ -54,6 +54,7 @@ class Spherical(Saved):
     phi_deg: Pair | None = None
     gamma_deg: Pair | None = None
     joint_limits_deg: Pair | None = None
+    required_um: float | None = None
     kind: str = field(default="spherical", init=False)
 
     def __post_init__(self) -> None:
@@ -89,13 +90,14 @@ class Spherical(Saved):
             limits = j.heights("limits_deg")
         with table.table("workspace", optional=True) as w:
             phi, gamma = w.heights("phi_deg"), w.heights("gamma_deg")
+            required = w.positive("required_um")
         camera = None
         if table.has("camera"):
             with table.table("camera") as c:
                 camera = CameraView.from_table(c)
         return cls(
             **geometry, camera=camera, home_deg=(home[0], home[1]), phi_deg=phi, gamma_deg=gamma,
-            joint_limits_deg=limits,
+            joint_limits_deg=limits, required_um=required,
         )  # fmt: skip
 
     def to_tables(self) -> dict[str, Any]:
@@ -115,7 +117,9 @@ class Spherical(Saved):
         if self.joint_limits_deg is not None:
             tables["joints"]["limits_deg"] = list(self.joint_limits_deg)
         limits = {"phi_deg": self.phi_deg, "gamma_deg": self.gamma_deg}
-        workspace = {name: list(value) for name, value in limits.items() if value is not None}
+        workspace: dict[str, Any] = {name: list(value) for name, value in limits.items() if value is not None}
+        if self.required_um:
+            workspace["required_um"] = self.required_um
         if workspace:
             tables["workspace"] = workspace
         if self.camera is not None:

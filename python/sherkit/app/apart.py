@@ -1,0 +1,299 @@
+"""Lines that define effects, run in a process of their own: whatever they do, it can be ended, and the page lives.
+
+The process holds the functions; here stand effects of the same names, whose functions ask it. It is sent the rows once
+and then only parameters, and answers arrays.
+"""
+
+from __future__ import annotations
+
+import itertools
+import multiprocessing
+import os
+import signal
+import tempfile
+import time
+import weakref
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from ..data import Measurements
+from ..errors import EffectError, SherkitError
+from ..model.effect import Effect
+from ..model.effect_file import load_effects
+from ..model.rows import Rows, run_of
+from ..types import Floats
+
+#: How long one look at all rows may compute, how many times longer it may take where other work has the machine, and
+#: how often a person's wish to end it is looked for, s.
+PATIENCE_S, _WAITING, _LOOK_S = 20.0, 30.0, 0.05
+#: What the lines may ask for beside what Python needs for itself, bytes.
+_MEMORY = 2 * 2**30
+#: Runs that the process keeps: every fold of a cross-validation is one.
+_KEPT = 12
+
+
+class Apart:
+    """The effects of some lines. ``look`` is called while their process works; what it raises ends the process.
+
+    ``effects`` are what the lines define; an effect that is asked after the end of the process begins another one.
+    Raises :class:`~sherkit.errors.EffectError` where the lines fail, define no effect, or do not end.
+    """
+
+    def __init__(self, source: str, look: Callable[[], None], patience_s: float = PATIENCE_S) -> None:
+        self._source, self._look, self._patience_s = source, look, patience_s
+        #: Why the lines are not asked again.
+        self._broken = ""
+        try:
+            self._process: _Process | None = self._begun()
+        except _Ended as ended:
+            raise EffectError(f"your lines were not run: {ended}") from None
+        self.effects = tuple(self._effect(one) for one in self._process.effects)
+
+    def end(self) -> None:
+        """Ends the process, whatever it does."""
+        if self._process is not None:
+            self._process.end()
+            self._process = None
+
+    def _begun(self) -> _Process:
+        return _Process(self._source, self._look, self._patience_s)
+
+    def _effect(self, described: _Described) -> Effect:
+        name = described.effect.name
+        return replace(
+            described.effect,
+            function=_Asked(self, name, "function"),
+            derivative=_Asked(self, name, "derivative") if described.has_derivative else None,
+        )
+
+    def ask(self, name: str, which: str, rows: Rows, p: SimpleNamespace) -> Floats:
+        """What a function of the lines gives. Raises :class:`~sherkit.errors.EffectError` where it gives nothing."""
+        if self._broken:
+            raise EffectError(self._broken)
+        try:
+            self._process = self._process or self._begun()
+            return self._process.ask(name, which, rows, p)
+        except _Ended as ended:
+            self.end()
+            self._broken = f"effect '{name}': its lines {ended}; take it out of the model and mend them"
+            raise EffectError(self._broken) from None
+        except EffectError:
+            raise
+        except BaseException:  # a person no longer wants it
+            self.end()
+            raise
+
+
+class _Asked:
+    """A function that is elsewhere."""
+
+    def __init__(self, apart: Apart, name: str, which: str) -> None:
+        self._apart, self._name, self._which = apart, name, which
+        self.__qualname__ = name
+
+    def __call__(self, rows: Rows, p: SimpleNamespace) -> Floats:
+        return self._apart.ask(self._name, self._which, rows, p)
+
+
+@dataclass(frozen=True)
+class _Described:
+    """An effect without its functions, as it travels."""
+
+    effect: Effect
+    has_derivative: bool
+
+
+class _Ended(Exception):
+    """The process is gone, or had to be ended."""
+
+
+class _Process:
+    """The process, from its beginning to its end."""
+
+    def __init__(self, source: str, look: Callable[[], None], patience_s: float) -> None:
+        self._look, self._patience_s = look, patience_s
+        self._sent: OrderedDict[int, weakref.ref[Measurements]] = OrderedDict()
+        self._number = itertools.count()
+        context = multiprocessing.get_context("spawn")
+        self._line, far = context.Pipe()
+        self._process = context.Process(target=_serve, args=(far, source), daemon=True)
+        self._process.start()
+        far.close()
+        try:
+            self.effects: tuple[_Described, ...] = self._answer()
+        except BaseException:
+            self.end()
+            raise
+
+    def ask(self, name: str, which: str, rows: Rows, p: SimpleNamespace) -> Floats:
+        self._send(("call", name, which, self._key(run_of(rows)), vars(p)))
+        out: Floats = self._answer(rows)
+        return out
+
+    def _key(self, data: Measurements) -> int:
+        for key, known in self._sent.items():
+            if known() is data:
+                return key
+        key = next(self._number)
+        if len(self._sent) >= _KEPT:
+            self._send(("forget", self._sent.popitem(last=False)[0]))
+        self._send(("rows", key, data))
+        self._sent[key] = weakref.ref(data)
+        return key
+
+    def _send(self, message: tuple[Any, ...]) -> None:
+        try:
+            self._line.send(message)
+        except OSError:
+            raise self._gone() from None
+
+    def _answer(self, rows: Rows | None = None) -> Any:
+        begun, computed = time.monotonic(), _computed_s(self._process.pid)
+        while True:
+            try:
+                if not self._line.poll(_LOOK_S):
+                    self._look()
+                    took = (time.monotonic() - begun) / (_WAITING if computed is not None else 1.0)
+                    if max(took, (_computed_s(self._process.pid) or 0.0) - (computed or 0.0)) > self._patience_s:
+                        raise _Ended(f"did not end within {self._patience_s:g} s, and were ended")
+                    continue
+                kind, value = self._line.recv()
+            except (EOFError, OSError):
+                raise self._gone() from None
+            if kind == "ready":  # what Python needs to begin is not the lines' own
+                computed = _computed_s(self._process.pid)
+            elif kind == "position" and rows is not None:
+                self._send(_position(rows))
+            elif kind == "failed":
+                raise EffectError(value)
+            else:
+                return value
+
+    def _gone(self) -> _Ended:
+        self._process.join(10.0)
+        code = self._process.exitcode
+        if code is None or code >= 0:
+            return _Ended(f"ended their own process (exit code {code or 0})")
+        try:
+            name = signal.Signals(-code).name
+        except ValueError:
+            name = f"signal {-code}"
+        return _Ended(f"crashed their process ({name})")
+
+    def end(self) -> None:
+        self._process.kill()
+        self._process.join()
+        self._line.close()
+
+
+def _position(rows: Rows) -> tuple[str, Any]:
+    try:
+        return "position", rows.position
+    except SherkitError as error:
+        return "failed", str(error)
+
+
+def _computed_s(pid: int | None) -> float | None:
+    """Processor time of a process; None where this system does not tell."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError, AttributeError):
+        return None
+
+
+# -- in the process ----------------------------------------------------------------------------------------------
+
+
+def _serve(line: Connection, source: str) -> None:
+    """What the process does: runs the lines, and answers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page, which ends this process
+    _end_with_parent()
+    _bound_memory()
+    line.send(("ready", None))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "your_lines.py"
+        path.write_text(source, encoding="utf-8")
+        try:
+            effects = {one.name: one for one in load_effects(path)}
+        except BaseException as error:
+            line.send(("failed", _said(error).replace(str(path), "your lines")))
+            return
+    told = tuple(
+        _Described(replace(one, function=None, derivative=None), one.derivative is not None) for one in effects.values()
+    )
+    line.send(("effects", told))
+    known: dict[int, Measurements] = {}
+    while True:
+        try:
+            kind, *what = line.recv()
+        except (EOFError, OSError):
+            return
+        if kind == "rows":
+            known[what[0]] = what[1]
+        elif kind == "forget":
+            known.pop(what[0], None)
+        else:
+            name, which, key, values = what
+            line.send(_called(line, effects[name], which, known[key], values))
+
+
+def _called(line: Connection, effect: Effect, which: str, data: Measurements, values: dict[str, float]) -> Any:
+    def position() -> Any:
+        line.send(("position", None))
+        kind, value = line.recv()
+        if kind == "failed":
+            raise EffectError(value)
+        return value
+
+    function = effect.function if which == "function" else effect.derivative
+    assert function is not None  # only what there is was told of
+    try:
+        return "array", _plain(function(Rows(data, position), SimpleNamespace(**values)))
+    except EffectError as error:
+        return "failed", str(error)
+    except MemoryError:
+        return "failed", f"effect '{effect.name}' failed: it asked for more than {_MEMORY / 2**30:g} GB of memory"
+    except BaseException as error:  # sys.exit too
+        return "failed", f"effect '{effect.name}' failed: {_said(error)}"
+
+
+def _plain(value: Any) -> Any:
+    import numpy as np
+
+    return np.asarray(value, dtype=float)
+
+
+def _said(error: BaseException) -> str:
+    return str(error) if isinstance(error, EffectError) else f"{type(error).__name__}: {error}"
+
+
+def _end_with_parent() -> None:
+    """Lines that never end do not outlive the page, however that ends."""
+    import threading
+    from multiprocessing.connection import wait
+
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _bound_memory() -> None:
+    """Memory that Python cannot have is an error in the lines; that of the whole machine would end other work."""
+    try:
+        import resource
+
+        used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[5]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_DATA, (used + _MEMORY, used + _MEMORY))
+    except (ImportError, OSError, ValueError):  # not on Linux
+        return

@@ -1,0 +1,132 @@
+"""The effects, in the order of what each would leave, with a switch and a card for each.
+
+A place in the list shows whatever effect belongs there: nothing is laid out anew where the order changes, and the order
+in which Tab goes is the one that is seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from html import escape
+
+from bokeh.layouts import column, row
+from bokeh.models import Button, CustomJS, Div
+
+from ..report.style import MUTED, number
+from .card import card
+from .controls import TYPE
+from .moment import Moment
+
+_BUTTON, _WIDTH = 190, 356
+_CARD = """
+details { font-size: 15px; margin: 0 0 6px 6px; color: #222; } summary { cursor: pointer; color: #005a8e; }
+summary:focus-visible { outline: 3px solid #0072b2; } p { margin: 4px 0; line-height: 1.3; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 14px; }
+th, td { text-align: right; padding: 1px 8px 1px 0; } th:first-child, td:first-child { text-align: left; }
+"""
+#: Bokeh makes a button anew where its label changes: who works with the keyboard must not lose the effect.
+_KEEP_FOCUS = """
+if (window.focusedEffect == button.label.slice(2)) setTimeout(() => {
+    const free = document.activeElement == null || document.activeElement == document.body
+    if (free) Bokeh.index.find_one(button)?.shadow_el?.querySelector("button")?.focus()
+}, 50)
+"""
+
+
+class EffectList:
+    """Switches for all effects; ``pressed`` is told which one a person wants in the model, or out of it."""
+
+    def __init__(self, pressed: Callable[[str], object]) -> None:
+        self._pressed = pressed
+        self._places: list[_Place] = []
+        #: What each would leave, as a diagnosis said last: until there is a new one the order stays.
+        self._would: dict[str, float] = {}
+        self.root = column(width=_WIDTH)
+
+    def show(self, moment: Moment) -> None:
+        """Draws the list of a moment."""
+        if moment.diagnosis is not None:
+            self._would = {c.effect: c.held_out_rms for c in moment.diagnosis.candidates}
+        names = ordered(moment, self._would)
+        while len(self._places) < len(names):
+            self._places.append(_Place(self._pressed))
+        if len(self.root.children) != len(names):
+            self.root.children = [place.root for place in self._places[: len(names)]]
+        for name, place in zip(names, self._places, strict=False):
+            place.show(name, moment)
+
+
+def ordered(moment: Moment, would: Mapping[str, float]) -> list[str]:
+    """Effects in the model, then those that are named as missing, then by what each ``would`` leave."""
+    found = moment.diagnosis
+    names = [name for name in moment.known if name != "datum"]
+
+    def order(name: str) -> tuple[int, float]:
+        if name in moment.effects:
+            return 0, moment.effects.index(name)
+        if found is not None and name in found.effects:
+            return 1, found.effects.index(name)
+        return (2, would[name]) if name in would else (3, names.index(name))
+
+    return sorted(names, key=order)
+
+
+class _Place:
+    """A place in the list, and the effect that it shows now."""
+
+    def __init__(self, pressed: Callable[[str], object]) -> None:
+        self._name = ""
+        self._button = Button(width=_BUTTON, margin=(4, 5, 0, 5), stylesheets=[TYPE])
+        self._button.on_click(lambda: pressed(self._name))
+        self._button.js_on_change("label", CustomJS(args={"button": self._button}, code=_KEEP_FOCUS))
+        self._text = Div(
+            width=_WIDTH - _BUTTON - 12, margin=(5, 0, 0, 2), styles={"font-size": "15px", "line-height": "1.15"}
+        )
+        self._card = Div(width=_WIDTH - 8, margin=(0, 0, 0, 5), stylesheets=[_CARD])
+        self.root = column(row(self._button, self._text, margin=0), self._card, width=_WIDTH, margin=0, spacing=0)
+
+    def show(self, name: str, moment: Moment) -> None:
+        found, inside = moment.diagnosis, name in moment.effects
+        known, self._name = name == self._name, name
+        lead = found is not None and name in found.effects
+        label = f"✓ {name}" if inside else f"+ {name}"
+        if self._button.label != label:
+            self._button.label = label
+        kind = "primary" if inside else "success" if lead else "default"
+        if self._button.button_type != kind:
+            self._button.button_type = kind
+        self._button.disabled = not inside and found is not None and name in found.untestable
+        said = _said(name, moment)
+        if self._text.text != said:
+            self._text.text = said
+        if known and found is None:
+            return  # a card that is being read stays until there is more to say
+        shown = card(moment.known[name], moment.history[-1].fit, found, opened=lead)
+        if self._card.text != shown:
+            self._card.text = shown
+
+
+def _said(name: str, moment: Moment) -> str:
+    """What stands beside a switch."""
+    found, unit = moment.diagnosis, escape(moment.now.unit)
+    if name in moment.effects:
+        idle = found is not None and name in found.not_needed
+        if name not in moment.without:
+            return "in the model"
+        return f"without it <b>{number(moment.without[name])}</b> {unit}{' · not needed' if idle else ''}"
+    if found is None:
+        return ""
+    if name in found.untestable:
+        return f'<span style="color:{MUTED}">{escape(found.untestable[name])}</span>'
+    would = next((c for c in found.candidates if c.effect == name), None)
+    if would is None:
+        return ""
+    scale = found.steps[0].held_out_rms
+    part = 100 * min(would.held_out_rms / scale, 1.0) if scale > 0 else 100
+    tied = any(name in tie for tie in found.ties)
+    note = " · tied" if tied else "" if would.plausible else " · implausible"
+    return (
+        f"leaves <b>{number(would.held_out_rms)}</b> {unit}{note}"
+        f'<div style="background:#e5e5e5;height:5px;width:130px"><div style="background:#0072b2;height:5px;'
+        f'width:{part:.0f}%"></div></div>'
+    )

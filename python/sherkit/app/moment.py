@@ -1,0 +1,56 @@
+"""What a page shows: the study at one moment, and what is said to a person."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from ..data import Measurements
+from ..diagnosis import Diagnosis
+from ..model.effect import Effect
+from ..report.residuals import Residuals
+from ..study import StudyStep
+
+
+@dataclass(frozen=True)
+class Said:
+    """A sentence, beside the control that it is ``about``: the name of an effect, or one of those below."""
+
+    text: str
+    about: str = ""
+
+
+#: Controls that a sentence may be about.
+HISTORY, LINES, FILES, ROWS, EXPORTS = "history", "lines", "files", "rows", "exports"
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """The study as it stands: model, rows and history, what is left at every step that is known, and a diagnosis
+    where it is done.
+
+    ``residuals`` (one for each step of the history) are None where the rows of that step are no longer those of today.
+    ``without`` is the error held out that the model would leave without each of its effects, known with the diagnosis.
+    """
+
+    data: Measurements
+    effects: tuple[str, ...]
+    own: tuple[str, ...]
+    #: The built-in effects of this robot, and the user's own.
+    known: Mapping[str, Effect]
+    history: tuple[StudyStep, ...]
+    residuals: tuple[Residuals | None, ...]
+    diagnosis: Diagnosis | None
+    undoes: str
+    redoes: str
+    number: int
+    #: The accuracy that the robot is for, µm, where its file says so.
+    required_um: float | None = None
+    without: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def now(self) -> Residuals:
+        """What the current model leaves."""
+        last = self.residuals[-1]
+        assert last is not None  # the current step always has a fit
+        return last

@@ -1,0 +1,193 @@
+"""The pictures of the page: maps before and after, what is left against a column, the fall, the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from html import escape
+from typing import Any
+
+from bokeh.layouts import column, row
+from bokeh.models import Div, Select
+
+from ..report.error_history import ErrorHistory, ErrorOfStep, current_path, error_history
+from ..report.parameters import parameters
+from ..report.picture import Picture
+from ..report.residual_against import ResidualAgainst, residual_against
+from ..report.residual_against import note as against_note
+from ..report.residual_map import Change, residual_map
+from ..report.residuals import Residuals
+from ..report.style import MUTED, quantity
+from .controls import TYPE, button
+from .moment import Moment
+
+_WIDTH, _FALL_HEIGHT = 1000, 232
+#: The colour scale stands beside the panels of the map.
+_BESIDE = 160
+_SCALES = [("shared", "one scale for both"), ("own", "each its own scale"), ("noise", "in units of the noise")]
+_SHORT = (("added ", "+ "), ("removed ", "− "), ("the geometric model", "geometry"), (" marked as outliers", " marked"))
+
+
+class Maps:
+    """Two states of the study beside one another, as a person chose them."""
+
+    def __init__(self, selected: Callable[[], None], watch: Callable[[dict[str, Picture[Any]]], None]) -> None:
+        self._selected, self._watch = selected, watch
+        self._moment: Moment | None = None
+        self._pictures: dict[str, Picture[Any]] = {}
+        #: What the pictures were built for; other rows need new ones.
+        self._built_for: tuple[Any, ...] = ()
+        self._drawn: tuple[Any, ...] = ()
+        self._history: tuple[Any, ...] = ()
+        self._filling = False
+        self._before = Select(title="Compare", name="before", width=250, stylesheets=[TYPE])
+        self._after = Select(title="with", name="after", width=250, stylesheets=[TYPE])
+        self._scale = Select(
+            title="Arrows", name="scale", width=200, options=_SCALES, value="shared", stylesheets=[TYPE]
+        )
+        self._variable = Select(title="Residual against", name="variable", width=200, stylesheets=[TYPE])
+        for one in (self._before, self._after, self._scale, self._variable):
+            one.on_change("value", lambda attr, old, new: self._draw())
+        self.choices = row(self._before, self._after, self._scale, styles={"flex-wrap": "wrap"})
+        self.map = column(name="map", width=_WIDTH)
+        self.variable = row(self._variable)
+        self.against = column(name="against", width=_WIDTH)
+
+    def show(self, moment: Moment) -> None:
+        """Goes to the state of a moment, where that is another one."""
+        self._moment = moment
+        if self._history != moment.history:
+            self._history = moment.history
+            self._fill(moment)
+            self._draw()
+
+    def _fill(self, moment: Moment) -> None:
+        known = [k for k in current_path(moment.history) if moment.residuals[k]]
+        steps = [(str(k), f"{place}. {moment.history[k].action}") for place, k in enumerate(known)]
+        self._before.options, self._after.options = steps, steps
+        self._quiet(self._before, steps[0][0])
+        self._quiet(self._after, steps[-1][0])
+        variables = list(moment.now.variables)
+        self._variable.options = [(name, quantity(name)) for name in variables]
+        if self._variable.value not in variables:
+            found = moment.diagnosis
+            first = [d.variable for d in found.where if d.variable in variables] if found is not None else variables
+            self._quiet(self._variable, (first or variables)[0])
+
+    def _quiet(self, select: Select, value: str) -> None:
+        """Values set here must not redraw one after the other."""
+        self._filling = True
+        select.value = value
+        self._filling = False
+
+    def _draw(self) -> None:
+        moment = self._moment
+        if moment is None or self._filling:
+            return
+        before, after = self._left(moment, self._before.value), self._left(moment, self._after.value)
+        # a browser says again what it was told to show
+        wanted = (before, after, self._variable.value, self._scale.value)
+        if before is None or after is None or wanted == self._drawn:
+            return
+        self._drawn = wanted
+        titles = dict(self._after.options)
+        change = Change(
+            before, after, titles[self._before.value], titles[self._after.value], str(self._scale.value)
+        )  # fmt: skip
+        lines = ResidualAgainst(after, str(self._variable.value), before if before is not after else None)
+        key = (len(after), tuple(after.names), tuple(after.place))
+        if self._built_for != key:
+            self._built_for = key
+            self._place("map", self.map, residual_map(change, planes_across=True, width_px=_WIDTH - _BESIDE))
+            self._place("against", self.against, residual_against(lines))
+            self._watch(self._pictures)
+        else:
+            self._pictures["map"].show(change)
+            self._pictures["against"].show(lines)
+        for one in self._pictures["map"].before:
+            if one.visible != (before is not after):
+                one.visible = before is not after
+        self._selected()
+
+    @staticmethod
+    def _left(moment: Moment, which: str) -> Residuals | None:
+        return moment.residuals[int(which)] if which else None
+
+    def _place(self, name: str, place: Any, picture: Picture[Any]) -> None:
+        self._pictures[name] = picture
+        note = against_note(self._moment.now) if name == "against" and self._moment else picture.note
+        _name(picture, name)
+        place.children = [
+            picture.root, Div(text=escape(note), width=_WIDTH, styles={"font-size": "14px", "color": MUTED})
+        ]  # fmt: skip
+
+
+class Fall:
+    """The fall of the error along the steps that led to where the study stands, and how well parameters are known."""
+
+    def __init__(self) -> None:
+        self._moment: Moment | None = None
+        self._pictures: dict[str, Picture[Any]] = {}
+        self._built_for: tuple[Any, ...] = ()
+        self._all = False
+        self.fall = column(name="fall", sizing_mode="stretch_width")
+        self.parameters = column(name="parameters", width=_WIDTH)
+        self.unfold = button("", "unfold", width=250, visible=False)
+        self.unfold.on_click(self._unfolded)
+
+    def _unfolded(self) -> None:
+        self._all = not self._all
+        if self._moment is not None:
+            self.show(self._moment)
+
+    def show(self, moment: Moment) -> None:
+        """Draws the fall of a moment."""
+        self._moment = moment
+        path = current_path(moment.history)
+        folded = len(moment.history) - len(path)
+        self.unfold.visible = bool(folded)
+        count = f"{folded} step{'s' if folded > 1 else ''}"
+        self.unfold.label = f"Fold the {count} taken back" if self._all else f"Show {count} taken back"
+        chosen = [s for k, s in enumerate(moment.history) if self._all or k in path]
+        steps = [
+            ErrorOfStep(s.action, {k.rsplit("_", 1)[0]: v for k, v in s.held_out_rms.items()},
+                 {k.rsplit("_", 1)[0]: v for k, v in s.training_rms.items()}, _short(s.action))
+            for s in chosen
+        ]  # fmt: skip
+        left = moment.now
+        known = left.noise_origin != "unknown"
+        noise = dict(zip(left.names, left.noise.tolist(), strict=True)) if known else {}
+        state = ErrorHistory(steps, noise, left.unit, moment.required_um if left.unit == "µm" else None)
+        fit = moment.history[-1].fit
+        units = tuple(dict.fromkeys(p.unit for p in fit.parameters)) if fit is not None else ()
+        if self._built_for != (tuple(noise), units):
+            self._built_for = (tuple(noise), units)
+            self._pictures["fall"] = error_history(state, height_px=_FALL_HEIGHT)
+            _name(self._pictures["fall"], "fall")
+            self.fall.children = [self._pictures["fall"].root]
+            if fit is not None:
+                self._pictures["parameters"] = parameters(fit)
+                _name(self._pictures["parameters"], "parameters")
+                self.parameters.children = [self._pictures["parameters"].root]
+        else:
+            self._pictures["fall"].show(state)
+            if fit is not None:
+                self._pictures["parameters"].show(fit)
+
+
+def _short(action: str) -> str:
+    for long, short in _SHORT:
+        action = action.replace(long, short)
+    return action
+
+
+#: What a canvas shows, for those who do not see it.
+_CALLED = {
+    "map": "maps of the error at every pose, before and after",
+    "against": "what is left against a chosen column",
+    "fall": "the fall of the error, step by step",
+    "parameters": "identified parameters with their intervals",
+}
+
+
+def _name(picture: Picture[Any], name: str) -> None:
+    picture.root.html_attributes = {"role": "group", "aria-label": _CALLED[name]}

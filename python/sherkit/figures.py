@@ -1,0 +1,49 @@
+"""Figures as people read them: as many digits as are known, angles in degrees, no unit where there is none."""
+
+from __future__ import annotations
+
+import math
+
+#: Digits after the point beyond which a figure is written with a power of ten.
+_MOST_DECIMALS = 7
+
+
+def in_people_units(unit: str) -> tuple[str, float]:
+    """The unit in which people read a quantity of ``unit``, and how many of these make one of it."""
+    if unit == "1":
+        return "", 1.0
+    first, slash, rest = unit.partition("/")
+    if first == "rad" and rest != "rad":
+        return f"°{slash}{rest}", math.degrees(1.0)
+    return unit, 1.0
+
+
+def with_error(value: float, std: float, *others: float) -> tuple[str, ...]:
+    """A value and its standard deviation, rounded to two figures of that; ``others`` to the same place.
+
+    Source: JCGM 100:2008 (GUM), 7.2.6.
+    """
+    if not (math.isfinite(value) and math.isfinite(std) and std > 0):
+        return tuple(f"{v:.3g}" for v in (value, std, *others))
+    decimals = 1 - math.floor(math.log10(float(f"{std:.1e}")))
+    if decimals > _MOST_DECIMALS:
+        return tuple(f"{v:.{max(1, decimals + math.floor(math.log10(max(abs(v), std))))}e}"
+                     for v in (value, std, *others))  # fmt: skip
+    shown = max(decimals, 0)
+    return tuple(f"{round(v, decimals) + 0.0:.{shown}f}" for v in (value, std, *others))
+
+
+def stated(value: float, std: float, unit: str) -> str:
+    """``value ± std unit`` in the unit in which people read it."""
+    shown, factor = in_people_units(unit)
+    number, error = with_error(factor * value, factor * std)
+    gap = "" if shown.startswith("°") or not shown else " "
+    return f"{number} ± {error}{gap}{shown}"
+
+
+def number(value: float) -> str:
+    """A size with about three figures, the last one meant."""
+    if not math.isfinite(value):
+        return "–"
+    size = abs(value)
+    return f"{value:.0f}" if size >= 100 else f"{value:.1f}" if size >= 10 else f"{value:.2f}"

@@ -1,0 +1,186 @@
+"""Lines that a person types run in a process of their own: whatever they do, the page lives and loses nothing."""
+
+from __future__ import annotations
+
+import multiprocessing
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sherkit as sk
+from sherkit import save_robot
+from sherkit.app.apart import Apart
+from sherkit.app.typed import Typed
+from sherkit.app.workbench import Workbench
+from sherkit.app.worker import Cancelled
+from sherkit.cli.demo import EXAMPLE
+from sherkit.errors import EffectError
+from sherkit.robots.delta.poses import grid
+from sherkit.robots.delta.virtual import VirtualDelta
+
+_WAIT_S = 600.0
+_HEAD = "import numpy as np\nimport sherkit as sk\n"
+_EFFECT = """
+@sk.effect(at="body", parameters={"a": "mm"})
+def ramp(rows, p):
+    "A ramp."
+    %s
+    return p.a * np.outer(np.sin(rows.position[:, 0] / 7.0), [0, 0, 1])
+"""
+#: Fails only once the effect is asked for a value that is not zero, as a mistake in a formula does.
+_LATE = "if p.a != 0: %s"
+
+
+def lines(inside: str = "pass", before: str = "") -> str:
+    return _HEAD + before + _EFFECT % inside
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Workbench]:
+    """A workbench on a small run, whose patience with typed lines is short."""
+    save_robot(EXAMPLE, tmp_path / "robot.toml")
+    virtual = VirtualDelta.draw(EXAMPLE, 6, rail_lean_rad=8e-3, noise_mm=0.005)
+    virtual.measure(grid(20.0, 4, (-18.0, 0.0, 18.0)), repeats=2, seed=1).save(tmp_path / "run.csv")
+    made = Workbench.open(tmp_path / "robot.toml", tmp_path / "run.csv", tmp_path / "study")
+    yield made
+    made.close()
+    assert not multiprocessing.active_children()
+
+
+def patient(bench: Workbench, patience_s: float) -> None:
+    """Lines that are typed from now on may take so long."""
+    bench._typed = Typed(bench.typed_path, patience_s)
+    bench._typed.look = bench._worker.look
+
+
+def done(bench: Workbench) -> None:
+    """Waits until all work that was asked for is done."""
+    bench.ask("waiting", lambda study, step: None).result(_WAIT_S)
+
+
+def errors(bench: Workbench) -> list[str]:
+    """The sentences that are told from now on."""
+    out: list[str] = []
+    bench.listen(lambda kind, value: out.append(value.text) if kind in ("error", "warning") else None)
+    return out
+
+
+def test_effects_apart_give_what_they_give_here(bench: Workbench) -> None:
+    """Catches rows that arrive changed, a parameter in another's place, a position that is another model's."""
+    study = sk.Study(EXAMPLE, bench.moment.data)
+    made = Apart(lines(), lambda: None)
+
+    @sk.effect(at="body", parameters={"a": "mm"})
+    def ramp(rows: object, p: object) -> object:
+        return p.a * np.outer(np.sin(rows.position[:, 0] / 7.0), [0, 0, 1])  # type: ignore[attr-defined]
+
+    here = sk.Study(EXAMPLE, bench.moment.data)
+    study.add(made.effects[0])
+    here.add(ramp)
+    made.end()
+    np.testing.assert_allclose(study.fit.values, here.fit.values, rtol=1e-9, atol=1e-12)
+    assert study.history[-1].held_out == pytest.approx(here.history[-1].held_out, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("inside", "before", "said"),
+    [
+        ("while True: pass", "", "did not end within 2 s"),
+        ("pass", "while True: pass\n", "did not end within 2 s"),
+        ("import os; os._exit(3)", "", "exit code 3"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "", "SIGSEGV"),
+        ("import sys; sys.exit()", "", "SystemExit"),
+        ("hog = []\n    while True: hog.append(np.empty(50_000_000))", "", "more than 2 GB of memory"),
+        ("pass", "import sys; sys.exit(1)\n", "SystemExit"),
+    ],
+    ids=["endless", "endless at once", "exit", "crash", "sys.exit", "memory", "sys.exit at once"],
+)
+def test_lines_that_misbehave_are_ended(bench: Workbench, inside: str, before: str, said: str) -> None:
+    """Catches lines that take the page with them, one that is silent on what happened, and half a change."""
+    patient(bench, 2.0)
+    told = errors(bench)
+    bench.type_effect(lines(inside, before))
+    done(bench)
+    assert len(told) == 1, told
+    assert said in told[0]
+    assert bench.moment.own == ()
+    assert not bench.typed_path.exists()
+    bench.toggle("rail_lean")
+    done(bench)
+    assert bench.moment.effects == ("rail_lean",)
+
+
+def test_an_effect_that_crashes_in_the_fit_leaves_the_study_as_it_was(bench: Workbench) -> None:
+    """Catches an effect that passed its trial at zero, crashes when it is fitted, and stays in the model."""
+    told = errors(bench)
+    bench.type_effect(lines(_LATE % "import os; os._exit(7)"))
+    done(bench)
+    assert bench.moment.own == ("ramp",)
+    bench.toggle("ramp")
+    done(bench)
+    assert bench.moment.effects == ()
+    assert any("ended their own process" in one or "exit code 7" in one for one in told), told
+    # once mended they run
+    bench.type_effect(lines())
+    bench.toggle("ramp")
+    done(bench)
+    assert bench.moment.effects == ("ramp",)
+    bench.undo()
+    bench.redo()
+    done(bench)
+    assert bench.moment.effects == ("ramp",)
+
+
+def test_cancel_ends_lines_that_run(bench: Workbench) -> None:
+    """Catches a Cancel that waits for an endless loop, and one after which the work goes on by itself."""
+    told = errors(bench)
+    begun = threading.Event()
+    bench.listen(lambda kind, value: begun.set() if kind == "progress" and "your lines" in str(value) else None)
+    before = bench.moment
+    bench.type_effect(lines("while True: pass"))
+    assert begun.wait(_WAIT_S)
+    bench.cancel()
+    done(bench)
+    assert told == ["cancelled: running your lines; nothing was changed"]
+    assert bench.moment is before or bench.moment.own == ()
+    assert not bench.typed_path.exists()
+
+
+def test_what_is_cancelled_before_it_begins_never_begins(bench: Workbench) -> None:
+    """Catches work that was waiting when a person cancelled, and that is done all the same."""
+    told = errors(bench)
+    hold, held = threading.Event(), threading.Event()
+
+    def wait(study: sk.Study, step: object) -> None:
+        held.set()
+        hold.wait(_WAIT_S)
+
+    bench.ask("waiting", wait)
+    assert held.wait(_WAIT_S)
+    bench.toggle("rail_lean")
+    bench.toggle("drift")
+    bench.cancel()
+    hold.set()
+    bench.toggle("slip")
+    done(bench)
+    assert bench.moment.effects == ("slip",)
+    assert [one.split(";")[0] for one in told if one.startswith("cancelled")] == [
+        "cancelled: adding rail_lean", "cancelled: adding drift",
+    ]  # fmt: skip
+
+
+def test_lines_are_ended_with_the_one_who_asks(tmp_path: Path) -> None:
+    """Catches what a look raises lost in the lines' own errors, and a process that is left behind."""
+    asked = time.monotonic()
+
+    def look() -> None:
+        if time.monotonic() - asked > 3.0:
+            raise Cancelled("enough")
+
+    with pytest.raises((Cancelled, EffectError)):
+        Apart(lines(before="while True: pass\n"), look)
+    assert not multiprocessing.active_children()
