@@ -1,7 +1,7 @@
 //! Builds the C library that a wheel ships, under the feature `c-library`, which `pyproject.toml` turns on.
 //!
 //! It is a library without std, of another profile, so it cannot be a dependency: cargo is called for it, with a target
-//! folder of its own in `OUT_DIR`. Libraries, header, and the files of pkg-config and CMake then stand in `OUT_DIR/c`, as
+//! folder of its own in `OUT_DIR`. Libraries, header, and what pkg-config and `CMake` read then stand in `OUT_DIR/c`, as
 //! they will stand in the wheel.
 
 use std::env;
