@@ -27,6 +27,9 @@ pub type Block<'py> = (
     Option<PyReadonlyArray2<'py, f64>>,
 );
 
+/// Targets and centres are numbered up to here.
+const MOST: usize = 16;
+
 /// By parameters, joint readings and a displacement of the measured point, and which rows could be computed.
 pub type Derivatives<'py> = (
     Bound<'py, PyArray3<f64>>,
@@ -102,7 +105,7 @@ pub fn rows_of_first<const J: usize>(
         .filter(|width| [2 + k, 3 + 2 * k].contains(width))
         .unwrap_or(2 + 2 * k);
     // numbers are counted from one
-    let counted = |number: f64| (number as usize).saturating_sub(1);
+    let counted = |number: f64| (0..MOST).find(|k| (k + 1) as f64 == number).unwrap_or(0);
     let covariates = optional("covariates", block.2.as_ref(), n, known)?;
     let push = optional("push", block.3.as_ref(), n, 3)?;
     let row = |i: usize| Row {
