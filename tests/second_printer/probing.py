@@ -43,4 +43,4 @@ def touched(
 def mesh_points(radius: float, count: int) -> tuple[Floats, Floats]:
     """Ticks (count,) of a round mesh, whose spacing Klipper rounds down to hundredths, and which are in it."""
     ticks = np.floor(2 * radius / (count - 1) * 100) / 100 * (np.arange(count) - count // 2)
-    return ticks, np.hypot(ticks[:, None], ticks[None, :]) <= radius
+    return ticks, np.hypot(ticks[:, None], ticks[None, :]) <= radius + 1e-9
