@@ -29,6 +29,7 @@ from ..report.residual_against import ResidualAgainst, residual_against
 from ..report.residual_against import note as against_note
 from ..report.residual_map import Change, residual_map
 from ..report.residuals import Residuals
+from ..report.scene import script as scenes
 from ..report.style import INK, MUTED, REFUSED, number, quantity
 from ..robots.accuracy import REQUIREMENT_UM
 from .workbench import Moment, Workbench, rights_of
@@ -170,7 +171,9 @@ class StudyPage:
             self.document.add_root(root)
         self.document.template = _TEMPLATE
         nonce = fresh_nonce()
-        self.document.template_variables.update(nonce=nonce, policy=policy(nonce, served=True), numbered=numbered)
+        self.document.template_variables.update(
+            nonce=nonce, policy=policy(nonce, served=True), numbered=numbered, scenes=scenes
+        )
 
     def _typed_before(self) -> str:
         path = self.bench.typed_path

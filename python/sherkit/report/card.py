@@ -32,7 +32,7 @@ from .style import number
 from .svg import Panel, residual_maps, round_bar
 
 _STYLE = """<style>
-.effect-card { display: grid; grid-template-columns: minmax(300px, 11fr) minmax(260px, 9fr); gap: 6px 26px;
+.effect-card { display: grid; grid-template-columns: minmax(0, 11fr) minmax(0, 10fr); gap: 6px 26px;
   font: 16px/1.42 sans-serif; border: 1px solid #9aa; border-radius: 5px; padding: 10px 16px 12px; margin: 0.8em 0;
   break-inside: avoid; color: inherit; max-width: 1040px; box-sizing: border-box }
 .effect-card h3 { grid-column: 1 / -1; margin: 0; font-size: 19px }
@@ -40,10 +40,10 @@ _STYLE = """<style>
 .effect-card h4 { margin: 0.55em 0 0; font-size: 15px } .effect-card h4:first-child { margin-top: 0 }
 .effect-card p { margin: 0.1em 0 } .effect-card .note { opacity: 0.75; font-size: 14px }
 .effect-card table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 15px; display: table }
-.effect-card td, .effect-card th { text-align: right; padding: 0 0 0 14px; border: 0; white-space: nowrap }
+.effect-card td, .effect-card th { text-align: right; padding: 0 0 0 9px; border: 0; white-space: nowrap }
 .effect-card td:first-child, .effect-card th:first-child { text-align: left; padding-left: 0 }
 .effect-card svg { max-width: 100%; height: auto }
-@media (max-width: 640px) { .effect-card { grid-template-columns: 1fr } }
+@media (max-width: 640px) { .effect-card { grid-template-columns: minmax(0, 1fr) } }
 </style>"""
 #: So many parameters are listed; what limbs have in common stands in words above them.
 _MOST_LISTED = 9

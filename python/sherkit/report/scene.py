@@ -28,6 +28,7 @@ _VIEW = (0.3, 0.38)
 _ROOM = 1.16
 #: How far beyond the places of errors the machine around them is shown, by their width.
 _ERRORS_FILL = 0.55
+_TYPE = 'font-size="15" font-family="sans-serif"'
 #: Width, colour and radius of dots in the still picture, by look.
 _LOOK = {
     "guide": (1, "#c8c8c8", 0), "frame": (3, "#777", 0), "axis": (1, "#777", 0), "rod": (2.2, "#0072b2", 0),
@@ -234,6 +235,8 @@ def _still_arrows(
         out.append(f'<path d="{path}" stroke="{colour}" stroke-width="1.3" fill="none"/>')
     long, y = a.bar_mm * _times(a, size) * scale, frame[1] - 20
     out.append(f'<path d="M14 {y:.0f}h{long:.1f}" stroke="#222" stroke-width="2"/>')
+    for k, (title, ink) in enumerate(((a.titles[0], "#b5622a"), (a.titles[-1], "#0072b2"))):
+        out.append(f'<text x="14" y="{24 + 20 * k}" {_TYPE} fill="{ink}">{escape(title)}</text>')
     bar = f"{a.bar_mm * a.per_mm:g} {a.unit}"
     out.append(
         f'<text x="{20 + long:.0f}" y="{y + 5:.0f}" font-size="15" font-family="sans-serif">{escape(bar)}</text>'

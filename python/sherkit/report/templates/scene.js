@@ -45,7 +45,7 @@ class Scene extends HTMLElement {
     if (s.arrows) s.arrows = {...s.arrows, where: floats(s.arrows.where), errors: s.arrows.errors.map(floats),
       line: floats(s.arrows.line), worst: s.arrows.worst.map(floats)}
     if (s.field) s.field = {...s.field, where: floats(s.field.where), value: floats(s.field.value)}
-    this.at = s.begin; this.moment = 0; this.slab = -1; this.showField = true
+    this.at = s.begin; this.moment = 0; this.slab = -1; this.showField = false
     this.controls()
     this.listen()
     new ResizeObserver(() => this.ask()).observe(this.canvas)
@@ -76,12 +76,12 @@ class Scene extends HTMLElement {
     const a = s.arrows
     if (a && a.errors.length > 1)
       this.control(a.titles[0], this.range(0, a.errors.length - 1, 0.02, this.moment, v => { this.moment = v }),
-        () => this.moment % 1 < 1e-9 ? a.titles[this.moment] : "…")
+        () => a.titles[a.titles.length - 1])
     if (a && a.slabs.length > 1)
       this.control(a.height, this.range(-1, a.slabs.length - 1, 1, -1, v => { this.slab = v }),
         () => this.slab < 0 ? "all" : a.slabs[this.slab][2])
     if (s.field) {
-      const box = Object.assign(document.createElement("input"), {type: "checkbox", checked: true})
+      const box = Object.assign(document.createElement("input"), {type: "checkbox"})
       box.addEventListener("input", () => { this.showField = box.checked })
       this.control(s.field.title, box, () => `${digits(s.field.low)} to ${digits(s.field.high)} ${s.field.unit}`)
     }
@@ -190,7 +190,7 @@ class Scene extends HTMLElement {
     for (let i = 0; i < f.value.length; i++) {
       if (!this.inSlab(f.where[3 * i + 2])) continue
       const t = Math.min(1, Math.max(0, (f.value[i] - f.low) / (f.high - f.low || 1)))
-      g.fillStyle = `rgba(${Math.round(86 + 127 * t)},${Math.round(180 - 86 * t)},${Math.round(233 - 233 * t)},0.28)`
+      g.fillStyle = `rgba(${Math.round(150 - 75 * t)},${Math.round(205 - 159 * t)},${Math.round(220 - 89 * t)},0.45)`
       g.fillRect(xy[2 * i] - size / 2, xy[2 * i + 1] - size / 2, size, size)
     }
   }
