@@ -21,6 +21,7 @@ from browsing import browser, needs_browser
 from second_simulator import NOMINAL_CONFIG, Robot, grid, make_plan, platform_pose, simulate, truth
 from second_simulator.effects import EFFECTS as SIMULATED
 from second_simulator.effects import draw_effect
+from sherkit.cli import main
 from sherkit.data import Measurements
 from sherkit.model.effect import Effect
 from sherkit.model.kinds import kind_of, known_kinds, model_of
@@ -332,6 +333,44 @@ def test_bokeh_stands_once_in_a_notebook(study: sk.Study, monkeypatch: pytest.Mo
     assert len(again) > 1e6
     assert first.startswith('<pre hidden id="sherkit-bokeh">')
     assert "srcdoc" in second
+
+
+@needs_browser
+def test_cells_borrow_bokeh(study: sk.Study, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Catches a cell that stays empty because what the first one brought lacks a part, and a frame that is too low."""
+    from playwright.sync_api import sync_playwright
+
+    where = iter(["one", "two"])
+    monkeypatch.setattr(notebook, "_cell_that_runs", lambda: next(where))
+    monkeypatch.setattr(notebook._Bringer, "cell", None)
+    cells = f"{study._repr_html_()}<hr>{study.fit._repr_html_()}<hr>{EXAMPLE._repr_html_()}"
+    file = tmp_path / "notebook.html"
+    file.write_text(f"<!DOCTYPE html><meta charset='utf-8'>{cells}", encoding="utf-8")
+    with sync_playwright() as play:
+        chromium = play.chromium.launch(executable_path=browser(), args=["--no-sandbox"])
+        page = chromium.new_page(viewport={"width": 1200, "height": 900})
+        page.set_default_timeout(300_000)
+        page.goto(file.resolve().as_uri())
+        for frame in page.frames[1:3]:
+            frame.wait_for_selector(".bk-Figure canvas", state="attached")
+        page.frames[3].wait_for_selector("sherkit-scene canvas")
+        page.wait_for_timeout(1500)
+        for frame, held in zip(page.frames[1:], page.query_selector_all("iframe"), strict=True):
+            high = held.bounding_box()
+            assert high is not None
+            assert 0 <= high["height"] - frame.evaluate("document.documentElement.offsetHeight") < 40
+        chromium.close()
+
+
+def test_the_command_draws_a_card(tmp_path: Path) -> None:
+    """Catches a command that draws another robot than the effect's, and a page without its drawing."""
+    for name in ("rail_lean", "axis_offset", "joint_coupling", "tool_stiffness"):
+        with pytest.raises(SystemExit) as ended:
+            main(["effects", name, "--picture", str(tmp_path / f"{name}.html")])
+        assert ended.value.code == 0
+        page = (tmp_path / f"{name}.html").read_text(encoding="utf-8")
+        assert name in page
+        assert ('<sherkit-scene data-scene="{' in page) == (name != "tool_stiffness")
 
 
 @pytest.mark.parametrize("kind", BUILT_IN)

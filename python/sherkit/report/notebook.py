@@ -13,7 +13,7 @@ from typing import Any
 
 from bokeh.layouts import column
 from bokeh.models import Div
-from bokeh.resources import INLINE
+from bokeh.resources import Resources
 
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
@@ -48,6 +48,7 @@ _BORROW = """
 """
 #: A frame is as high as its page, now and when this changes.
 _FIT = """
+<style>html, body { height: auto !important }</style>
 <script nonce="NONCE">
 if (window.frameElement) {
   const fit = () => { window.frameElement.style.height = document.documentElement.offsetHeight + 24 + "px" }
@@ -118,7 +119,8 @@ def _with_bokeh(value: Any, pictures: list[Picture[Any]]) -> str:
     page = page_of(column(*parts, sizing_mode="stretch_width"), "", nonce, borrowed)
     brings = ""
     if here is not None and _Bringer.asks(here):
-        brings = f'<pre hidden id="{_BROUGHT}">{escape(INLINE.js_raw[0])}</pre>'
+        source = ";\n".join(Resources(mode="inline", components=["bokeh", "bokeh-widgets"]).js_raw)
+        brings = f'<pre hidden id="{_BROUGHT}">{escape(source)}</pre>'
     return brings + _framed(page, nonce)
 
 
