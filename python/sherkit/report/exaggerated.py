@@ -93,7 +93,10 @@ def exaggerated(
     nominal = drawn(row, 0.0)
     points = nominal.points_mm[0]
     size = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
-    factors, drawings, off, last = [], [], [], 0.0
+    factors: list[float] = []
+    drawings: list[Drawing] = []
+    off: list[float] = []
+    last = 0.0
     for factor in FACTORS:
         try:
             one = drawn(row, factor)

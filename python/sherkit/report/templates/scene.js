@@ -223,12 +223,15 @@ class Scene extends HTMLElement {
     const inks = ["#56b4e9", "#3a95cf", "#0072b2", "#8a6a6a", "#d55e00", "#c03000"]
     groups.forEach((group, k) => {
       g.strokeStyle = g.fillStyle = inks[k]
-      g.lineWidth = 1.5
+      g.lineWidth = n > 1000 ? 1 : 1.5
+      // round ends of thousands of lines are most of what drawing them costs
+      g.lineCap = "butt"
+      g.lineJoin = "bevel"
       g.beginPath()
       for (const i of group) {
         const x = to[2 * i], y = to[2 * i + 1], dx = x - from[2 * i], dy = y - from[2 * i + 1], l = Math.hypot(dx, dy)
         g.moveTo(from[2 * i], from[2 * i + 1]); g.lineTo(x, y)
-        if (l > 5) {
+        if (l > (n > 1000 ? 9 : 5)) {
           const b = Math.min(6, 0.4 * l) / l
           g.moveTo(x - b * (dx + 0.5 * dy), y - b * (dy - 0.5 * dx)); g.lineTo(x, y)
           g.lineTo(x - b * (dx - 0.5 * dy), y - b * (dy + 0.5 * dx))
