@@ -39,7 +39,8 @@ _STYLE = """<style>
 .effect-card h3 small { font-weight: normal; opacity: 0.75; font-size: 15px; margin-left: 0.6em }
 .effect-card h4 { margin: 0.55em 0 0; font-size: 15px } .effect-card h4:first-child { margin-top: 0 }
 .effect-card p { margin: 0.1em 0 } .effect-card .note { opacity: 0.75; font-size: 14px }
-.effect-card table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 15px; display: table }
+.effect-card table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 15px;
+  display: block; overflow-x: auto; max-width: 100% }
 .effect-card td, .effect-card th { text-align: right; padding: 0 0 0 9px; border: 0; white-space: nowrap }
 .effect-card td:first-child, .effect-card th:first-child { text-align: left; padding-left: 0 }
 .effect-card svg { max-width: 100%; height: auto }
