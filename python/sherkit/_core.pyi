@@ -92,6 +92,9 @@ class _Model:
     def predict(self, values: _Floats, block: _Block) -> tuple[_Floats, _Bools]:
         """Readings (n, m); what does not apply to a row is zero."""
 
+    def parts(self, values: _Floats, block: _Block) -> tuple[_Floats, _Bools]:
+        """Points (n, k, 3) of the mechanism's parts, mm, in an order of its own; the measured point is the last."""
+
     def derivatives(self, values: _Floats, block: _Block, free: list[int]) -> tuple[_Floats, _Floats, _Floats, _Bools]:
         """By the parameters in ``free`` (n, m, free), the joints (n, m, k), a displacement of the point (n, m, 3)."""
 
@@ -159,6 +162,10 @@ class Camera:
     @property
     def position(self) -> _Floats:
         """Optical centre (3,), mm."""
+
+    @property
+    def rotation(self) -> _Floats:
+        """From the base frame to its own, x right, y down, z forward (3, 3)."""
 
     def project(self, point: _Floats) -> _Floats:
         """Pixel (2,) of a point (3,)."""

@@ -22,6 +22,7 @@ from ..diagnosis import sentence, template
 from ..diagnosis.outliers import sentences
 from ..names import listed
 from ..report.policy import fresh_nonce, numbered, policy
+from ..report.scene import script as scenes
 from ..report.style import number
 from .controls import TYPE, Notices, button, text
 from .effect_list import EffectList
@@ -124,7 +125,9 @@ class StudyPage:
             self.document.add_root(root)
         self.document.template = _TEMPLATE
         nonce = fresh_nonce()
-        self.document.template_variables.update(nonce=nonce, policy=policy(nonce, served=True), numbered=numbered)
+        self.document.template_variables.update(
+            nonce=nonce, policy=policy(nonce, served=True), numbered=numbered, scenes=scenes
+        )
 
     def _own_lines(self) -> Any:
         """The field in which effects are typed, folded."""

@@ -10,6 +10,7 @@ from ..data.files import write_whole
 from ..errors import SherkitError
 from ..model.effect import Effect, effects_by_name
 from ..model.kinds import Robot, catalogue_of, known_kinds
+from ..report.card import card_page, effect_card
 from ..report.signature import signature_map
 from ..robots.machine.file import robot_at
 from ..robots.tool.effects import TOOL_CATALOGUE
@@ -23,7 +24,11 @@ _OF_TOOL = "the flexible tool and its camera"
 @click.command()
 @click.argument("name", required=False)
 @click.option("--robot", type=click.Path(path_type=Path), help="The robot to draw the effect on; default: an example.")
-@click.option("--picture", type=click.Path(path_type=Path), help="Draw what the effect leaves on this robot (SVG).")
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path),
+    help="Draw the effect on this robot: its card (.html), or what it leaves at the poses (.svg).",
+)
 def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
     """List the physical effects that can be found and added; with NAME, show one."""
     nominal = None
@@ -46,7 +51,16 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
         effects_by_name({k: v for catalogue in catalogues.values() for k, v in catalogue.items()}, (name,))
     for kind in holders:
         _show(catalogues[kind][name], _title(kind) if len(holders) > 1 else "")
-    if picture is not None and name != "datum":
+    if picture is not None and picture.suffix.lower() == ".html":
+        cards = []
+        for kind in holders:
+            drawn_on = (
+                nominal if nominal is not None else known_kinds()[kind].example if kind in known_kinds() else None
+            )
+            cards.append(effect_card(catalogues[kind][name], drawn_on))
+        write_whole(picture, card_page(name, cards))
+        output.say(f"{name} is drawn in {picture}")
+    elif picture is not None and name != "datum":
         if nominal is None and EXAMPLE.kind not in holders:
             raise SherkitError(
                 f"'{name}' is an effect of another kind ({holders[0]}); --picture draws on a {EXAMPLE.kind} alone"

@@ -246,6 +246,14 @@ class ChainModel(ModelWithEffects):
             out[:, : data.coordinates] += added
         return out
 
+    def parts(self, data: Measurements, values: Floats) -> Floats:
+        """Points (n, k, 3) of the mechanism's parts, mm, base frame, in the order of its core; the last is the measured
+        point. Raises :class:`FitError` naming rows out of reach."""
+        full = self.full(values)
+        out, reached = self.core_for(data).parts(full, self._own_block(data, full, values)[0])
+        self.require(data, np.flatnonzero(~reached), values)
+        return np.asarray(out)
+
     def derivatives(self, data: Measurements, values: Floats) -> Floats:
         """Derivatives (n, m, p) of the readings by the identified parameters. Raises as :meth:`predict`."""
         full = self.full(values)

@@ -12,6 +12,7 @@ import numpy as np
 from ..arguments import as_annotated
 from ..errors import EffectError, FitError
 from ..names import listed, nearest
+from ..notebook import Shown
 from ..types import Floats
 from .parameter import Parameter
 from .python_file import Named, named
@@ -39,7 +40,7 @@ class Sentences:
 
 
 @dataclass(frozen=True)
-class Effect:
+class Effect(Shown):
     """A physical effect at one link of the measurement chain.
 
     ``parameters`` carry unit and plausible size; inside a model their names are prefixed (``rail_lean.radial_1``).
@@ -145,7 +146,11 @@ def _found(place: Named, others: dict[str, Any]) -> Effect:
     return replace(place.found(), **others)
 
 
-def catalogue_of_core(table: Sequence[Mapping[str, Any]], sentences: Mapping[str, Sentences]) -> dict[str, Effect]:
+class Catalogue(dict[str, Effect], Shown):
+    """Effects by name, in the order of the chain; a notebook shows them as a table."""
+
+
+def catalogue_of_core(table: Sequence[Mapping[str, Any]], sentences: Mapping[str, Sentences]) -> Catalogue:
     """The effects of a compiled table by name, in its order, each with its three sentences.
 
     A row that every model has (geometry, datum) is an effect only where there are sentences for it. Raises
@@ -154,7 +159,7 @@ def catalogue_of_core(table: Sequence[Mapping[str, Any]], sentences: Mapping[str
     rows = {row["name"]: row for row in table if not row["base"] or row["name"] in sentences}
     if differing := set(rows) ^ set(sentences):
         raise EffectError(f"effects of the core and their sentences differ: {listed(sorted(differing), 12)}")
-    return {
+    made = {
         name: Effect(
             name=name,
             link=row["link"],
@@ -167,6 +172,7 @@ def catalogue_of_core(table: Sequence[Mapping[str, Any]], sentences: Mapping[str
         )
         for name, row in rows.items()
     }
+    return Catalogue(made)
 
 
 def parameters_of_core(

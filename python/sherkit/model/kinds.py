@@ -24,6 +24,7 @@ from .any import Extended, Model
 from .base import ModelWithEffects
 from .batch import Batch
 from .chain import ChainModel
+from .drawing import Draw, drawing_of_readings
 from .effect import Effect
 
 #: What a plan may ask of a set of poses: more nobody measures, and no memory holds.
@@ -183,6 +184,7 @@ class Kind:
     ``asks`` are the settings of its file that are asked for where they are left out. ``example`` is a robot of this
     kind, whole, to show what its files hold; ``spelt`` are other ways to write tables of its file. ``own_layouts`` are
     those of one robot, where its columns are not those of every other of its kind, as the joints of an arm are not.
+    ``drawing`` gives its mechanism for each row of a run, by its model and the values of its parameters.
     """
 
     name: str
@@ -202,6 +204,7 @@ class Kind:
     example: Any = None
     spelt: tuple[Mapping[str, Mapping[str, Any]], ...] = ()
     own_layouts: Callable[[Any], tuple[Layout, ...]] | None = None
+    drawing: Draw = drawing_of_readings
 
     @property
     def title(self) -> str:
@@ -308,6 +311,15 @@ def model_of(model: Robot | Model | ModelWithEffects, free: Sequence[str] = ()) 
     raise FitError(
         f"expected a robot, or a model with parameters, predict, derivatives and covariates; got {type(model).__name__}"
     )
+
+
+def draw_of(model: ModelWithEffects) -> Draw:
+    """How the machine of a model is drawn: as its kind says, as a model with a ``drawing`` of its own says, or by its
+    readings."""
+    if model.robot is not None:
+        return kind_of(model.robot).drawing
+    own: Draw | None = getattr(getattr(model, "plain", None), "drawing", None)
+    return own or drawing_of_readings
 
 
 def catalogue_of(robot: Robot) -> Mapping[str, Effect]:

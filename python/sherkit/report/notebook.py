@@ -1,31 +1,76 @@
-"""What a fit, a diagnosis, a study and a calibration show of themselves in a notebook.
+"""What values show of themselves in a notebook: fits, diagnoses, studies, calibrations, robots, effects and catalogues.
 
-Every cell is a page of its own in a frame: it needs no extension, no network, and nothing of the other cells.
+Every cell is a page of its own in a frame, as high as what it shows: it needs no extension and no network. Bokeh, which
+is large, stands once in a notebook, as text in the first cell that needs it; the frames of all cells read it there.
 """
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from html import escape
 from typing import Any
 
 from bokeh.layouts import column
 from bokeh.models import Div
+from bokeh.resources import Resources
 
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
 from ..fit.identify import Fit
+from ..model.effect import Catalogue, Effect
+from ..model.kinds import Robot, known_kinds
 from ..robots.calibrated import Calibration
 from ..study import Study
 from .candidates import candidates
+from .card import card_page, effect_card
 from .error_history import error_history, error_history_of
+from .mechanism import scene_of_robot
 from .parameters import parameters
 from .picture import Picture
-from .policy import page_of
+from .policy import fresh_nonce, page_of
 from .residual_map import Change, residual_map
 from .residuals import residuals_of
 from .workspace import accuracy_map, accuracy_of
 
+#: Where the frames find Bokeh.
+_BROUGHT = "sherkit-bokeh"
+_BORROW = """
+<script nonce="NONCE">
+(function borrow(left) {
+  const held = window.parent.document.getElementById("BROUGHT")
+  if (held) (0, eval)(held.textContent)
+  else if (left) setTimeout(borrow, 100, left - 1)
+  else document.body.prepend("The cell that brought Bokeh to this notebook is gone: restart the kernel, run again.")
+})(100)
+</script>
+"""
+#: A frame is as high as its page, now and when this changes.
+_FIT = """
+<style>html, body { height: auto !important }</style>
+<script nonce="NONCE">
+if (window.frameElement) {
+  const fit = () => { window.frameElement.style.height = document.documentElement.offsetHeight + 24 + "px" }
+  new ResizeObserver(fit).observe(document.documentElement)
+  fit()
+}
+</script>
+"""
+#: Where a frame may not ask for its height.
 _HEIGHT_PX = 560
+
+
+class _Bringer:
+    """Which cell of the running notebook holds Bokeh."""
+
+    cell: str | None = None
+
+    @classmethod
+    def asks(cls, here: str) -> bool:
+        """Whether the cell ``here`` is to hold it: the first one that asked, each time that it is run."""
+        if cls.cell is None:
+            cls.cell = here
+        return cls.cell == here
 
 
 def pictures_of(value: Any) -> list[Picture[Any]]:
@@ -53,11 +98,67 @@ def pictures_of(value: Any) -> list[Picture[Any]]:
 def cell(value: Any) -> str | None:
     """HTML of a value for a notebook: its text, then its pictures; None where it has none to show."""
     try:
-        pictures = pictures_of(value)
+        if isinstance(value, Catalogue):
+            return _framed(card_page("", [_table(value)]))
+        if isinstance(value, Effect):
+            return _framed(card_page("", [effect_card(value, _example_with(value))]))
+        if isinstance(value, Study | Diagnosis | Calibration | Fit):
+            return _with_bokeh(value, pictures_of(value))
+        return _framed(card_page("", [_text(value), scene_of_robot(value).html()]))
     except SherkitError:
         return None
-    parts: list[Any] = [Div(text=f"<pre style='font-size:14px;white-space:pre-wrap'>{escape(str(value))}</pre>")]
+
+
+def _with_bokeh(value: Any, pictures: list[Picture[Any]]) -> str:
+    parts: list[Any] = [Div(text=_text(value))]
     for one in pictures:
         parts += [one.root, Div(text=f"<p style='font-size:14px;color:#555'>{escape(one.note)}</p>", width=900)]
-    page = page_of(column(*parts, sizing_mode="stretch_width"), "")
+    here, nonce = _cell_that_runs(), fresh_nonce()
+    borrowed = "" if here is None else _BORROW.replace("NONCE", nonce).replace("BROUGHT", _BROUGHT)
+    page = page_of(column(*parts, sizing_mode="stretch_width"), "", nonce, borrowed)
+    brings = ""
+    if here is not None and _Bringer.asks(here):
+        source = ";\n".join(Resources(mode="inline", components=["bokeh", "bokeh-widgets"]).js_raw)
+        brings = f'<pre hidden id="{_BROUGHT}">{escape(source)}</pre>'
+    return brings + _framed(page, nonce)
+
+
+def _framed(page: str, nonce: str = "") -> str:
+    """A page in a frame as high as it is; its scripts have this number, or that which the page says."""
+    nonce = nonce or page.split("'nonce-", 1)[1].split("'", 1)[0]
+    page = page.replace("</body>", _FIT.replace("NONCE", nonce) + "</body>")
     return f'<iframe srcdoc="{escape(page)}" style="width:100%;height:{_HEIGHT_PX}px;border:none"></iframe>'
+
+
+def _cell_that_runs() -> str | None:
+    """What the notebook calls the cell that is run; None where none is, or nobody says which."""
+    # in a notebook it is loaded
+    ask: Callable[[], Any] = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)
+    shell = ask()
+    header = getattr(shell, "parent_header", None) or {}
+    told = header.get("metadata", {}).get("cellId") if isinstance(header, dict) else None
+    return str(told) if told else None
+
+
+def _text(value: Any) -> str:
+    return f"<pre style='font-size:14px;white-space:pre-wrap'>{escape(str(value))}</pre>"
+
+
+def _example_with(effect: Effect) -> Robot | None:
+    """A robot to draw a built-in effect on: the example of the first kind that has it."""
+    for kind in known_kinds().values():
+        if kind.model.catalogue.get(effect.name) == effect and kind.example is not None:
+            robot: Robot = kind.example
+            return robot
+    return None
+
+
+def _table(catalogue: Catalogue) -> str:
+    rows = "".join(
+        f"<tr><td><b>{escape(e.name)}</b></td><td>{escape(e.link)}</td><td>{escape(e.physics)}</td>"
+        f"<td>{escape(e.residuals)}</td></tr>"
+        for e in catalogue.values()
+    )
+    style = "td, th { text-align: left; vertical-align: top; padding: 2px 14px 6px 0 } table { font-size: 15px }"
+    head = "".join(f"<th>{text}</th>" for text in ("effect", "link", "what it is", "how it shows"))
+    return f"<style>{style}</style><table><tr>{head}</tr>{rows}</table>"

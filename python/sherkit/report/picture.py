@@ -79,6 +79,8 @@ def stacked(
 def in_one_document(roots: Mapping[str, LayoutDOM]) -> dict[str, LayoutDOM]:
     """The same drawings in one document, made in one go: Bokeh would go through all of them again for each."""
     document = Document()
+    # Bokeh looks for mistakes of who draws, among thousands of models: tests draw every picture, a reader waits
+    document.validate = lambda: None
     with document.models.freeze():
         for root in roots.values():
             document.add_root(root)

@@ -16,7 +16,7 @@ from bokeh.resources import INLINE
 #: Bokeh's own page with a policy.
 _PAGE = """
 {% block preamble %}<meta http-equiv="Content-Security-Policy" content="{{ policy }}">{% endblock %}
-{% block js_resources %}{{ numbered(bokeh_js, nonce) | safe }}{% endblock %}
+{% block js_resources %}{{ (borrowed or numbered(bokeh_js, nonce)) | safe }}{% endblock %}
 {% block inner_body %}
 {{ self.contents() }}
 {{ numbered(plot_script, nonce) | safe }}
@@ -58,11 +58,12 @@ def numbered(scripts: str, nonce: str) -> str:
     return _OPENING.sub(rf'\1<script nonce="{nonce}"', scripts)
 
 
-def page_of(root: UIElement, title: str, nonce: str = "") -> str:
+def page_of(root: UIElement, title: str, nonce: str = "", borrowed: str = "") -> str:
     """A page of what Bokeh draws, under the policy of a file that asks nothing of a network.
 
-    Scripts that are added to it need its ``nonce``, which is fresh unless given.
+    Scripts that are added to it need its ``nonce``, which is fresh unless given. ``borrowed`` are scripts that bring
+    Bokeh where the page shall not hold it itself.
     """
     nonce = nonce or fresh_nonce()
-    known = {"nonce": nonce, "policy": policy(nonce), "numbered": numbered}
+    known = {"nonce": nonce, "policy": policy(nonce), "numbered": numbered, "borrowed": borrowed}
     return file_html(root, INLINE, title, template=_PAGE, template_variables=known)

@@ -23,7 +23,8 @@ from .residual_against import Windows, gained, means, points, shown
 from .residual_map import Change
 from .residuals import Residuals, residuals_of
 
-_MOST_SINGLE = 14
+#: Effects that a reader can see added alone: those that would bring most.
+_MOST_SINGLE = 5
 
 
 @dataclass(frozen=True, eq=False)

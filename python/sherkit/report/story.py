@@ -34,8 +34,9 @@ from ..names import listed
 from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from ..study import Study
-from .atlas import atlas_of, signature_atlas
+from .atlas import Atlas, atlas_of, signature_atlas
 from .candidates import candidates
+from .card import effect_card
 from .drawn import drawn, said
 from .error_history import error_history, error_history_of
 from .noise import noise_picture
@@ -46,10 +47,15 @@ from .residual_against import ResidualAgainst, residual_against
 from .residual_map import Change, planes_of, residual_map
 from .residuals import Residuals, residuals_of
 from .run import run_in_time
+from .scene import script as scene_script
+from .space import space_of
 from .states import State, packed, states_of, title_of
 from .style import number, quantity
 from .svg import Panel, residual_maps, round_bar
 from .workspace import NextPoses, accuracy_map, accuracy_of, next_poses
+
+#: Cards of effects that cannot be told from those that are named.
+_MOST_TIED = 3
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,9 @@ def write_report(story: Story, path: str | Path) -> None:
 
 def html(story: Story) -> str:
     """The report as HTML. Every text from files is escaped."""
-    pictures, swaps = _pictures(story)
+    pictures, swaps, atlas = _pictures(story)
+    cards, other_cards = _cards(story, atlas)
+    cause, cure = answer(story.found)
     nonce = fresh_nonce()
     script, places = components(in_one_document({name: one.root for name, one in pictures.items()}))
     resources = Resources(mode="inline", components=["bokeh"])
@@ -114,6 +122,12 @@ def html(story: Story) -> str:
         story=story,
         found=story.found,
         study=story.study,
+        cause=cause,
+        cure=cure,
+        cards=cards,
+        other_cards=other_cards,
+        space=_space(story),
+        scene_script=scene_script(),
         lines=_error_lines(story),
         parameters=_parameter_lines(story),
         directions=[str(d) for d in getattr(story.study.fit, "badly_observed", ())],
@@ -154,13 +168,72 @@ def _p(value: float) -> str:
     return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
 
 
-def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | None]:
-    """All pictures that these rows allow, and the tables to switch them by."""
+def answer(found: Diagnosis) -> tuple[str, str]:
+    """What is wrong and what to do about it: two sentences, before any evidence."""
+    first, last = number(found.steps[0].held_out_rms), number(found.steps[-1].held_out_rms)
+    unit = found.unit
+    if not found.effects:
+        if found.verdict == "adequate":
+            return (
+                f"The model describes this machine: on poses that it was not fitted to it is off by {first} {unit}, "
+                "and nothing that was tried would make that less.",
+                "Use the calibration as it is; only better or more readings could tell more.",
+            )
+        return (
+            f"The model is off by {first} {unit}, and no effect that is known explains it: what is left has a pattern.",
+            "Look at the pattern below, ask what could leave it, and add that as an effect of your own.",
+        )
+    causes = [effect for effect in found.fit.model.effects if effect.name in found.effects]
+    physics = " ".join(_first_sentence(e.physics) for e in causes)
+    whole = "" if found.verdict == "explained" else " That is not all: the rest has a pattern, too."
+    doubt = f" With a reservation: {found.reservation}." if found.reservation else ""
+    tied = f" These poses cannot tell it from {listed(found.ties[0][1:])}." if found.ties else ""
+    repair = " ".join(found.known[e.name].workshop if e.name in found.known else e.workshop for e in causes)
+    return (
+        f"The model lacks {listed(found.effects)}{': ' if physics else '.'}{physics[:1].lower()}{physics[1:]}{tied}",
+        f"With that in the model the error falls from {first} to {last} {unit} on poses that the fit had not seen."
+        + whole
+        + doubt
+        + (f" To be rid of it in the machine: {repair[:1].lower()}{repair[1:]}" if repair else ""),
+    )
+
+
+def _first_sentence(text: str) -> str:
+    return text.partition(". ")[0].rstrip(".") + "." if text else ""
+
+
+def _cards(story: Story, atlas: Atlas | None) -> tuple[list[str], list[tuple[str, str]]]:
+    """The cards of the effects that are missing; by name, those of effects that these poses cannot tell from them."""
+    found, study = story.found, story.study
+    every = {**found.base.model.known_effects, **study.own}
+    inside = {e.name: e for e in study.fit.model.effects}
+
+    def card(name: str) -> str:
+        fit = study.fit if name in inside else found.fit
+        machine = fit.model.robot or getattr(fit.model, "plain", None)
+        return effect_card(inside.get(name, every[name]), machine, fit=fit, found=found, atlas=atlas)
+
+    tied = [name for tie in found.ties for name in tie if name not in found.effects]
+    others = [name for name in dict.fromkeys(tied) if name in every][:_MOST_TIED]
+    return [card(name) for name in found.effects if name in every], [(name, card(name)) for name in others]
+
+
+def _space(story: Story) -> str:
+    """The errors before and after in three dimensions; nothing where the run says no places."""
+    base, last = story.found.base, story.study.fit
+    titles = ("as it came", title_of(story.study.effects) if story.study.effects else "as it is now")
+    scene = space_of(base, last, titles, story.calibration)
+    return "" if scene is None else scene.html()
+
+
+def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | None, Atlas | None]:
+    """All pictures that these rows allow, the tables to switch them by, and what the effects look like."""
     study, found = story.study, story.found
     base, last = drawn(found.base), drawn(study.fit)
     before, after = residuals_of(base), residuals_of(last)
     out: dict[str, Picture[Any]] = {}
     swaps: dict[str, Any] | None = None
+    atlas: Atlas | None = None
     states, now = _states(story, base)
     chosen = states[now]
     out["residual_map"] = residual_map(Change(before, chosen.left, states[0].title, chosen.title))
@@ -170,7 +243,8 @@ def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | N
         swaps = packed(states, out["residual_map"]) | {"start": list(before.variables).index(variable), "state": now}
     if found.candidates:
         out["candidates"] = candidates(found)
-        out["atlas"] = signature_atlas(atlas_of(base, tuple(study.own.values())))
+        atlas = atlas_of(base, tuple(study.own.values()))
+        out["atlas"] = signature_atlas(atlas)
     out["fall"] = error_history(error_history_of(study, found))
     out["parameters"] = parameters(study.fit)
     out["correlations"] = correlations(study.fit)
@@ -185,7 +259,7 @@ def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | N
     for name in ("residual_map", "against", "atlas", "next_poses", "noise_before", "noise_after", "run"):
         if name in out:
             out[name].note += said(len(base.data), len(found.base.data))
-    return out, swaps
+    return out, swaps, atlas
 
 
 def _states(story: Story, base: Fit) -> tuple[list[State], int]:

@@ -74,6 +74,16 @@ impl Camera {
         PyArray1::from_slice(py, self.0.position().as_slice())
     }
 
+    /// From the base frame to its own, x right, y down, z forward `(3, 3)`.
+    #[getter]
+    fn rotation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        shaped(
+            py,
+            self.0.rotation().transpose().as_slice().to_vec(),
+            [3, 3],
+        )
+    }
+
     fn project<'py>(
         &self,
         py: Python<'py>,

@@ -255,6 +255,42 @@ where
     marked(py, out, reached, columns::<R, J, M, P>())
 }
 
+/// Points of the mechanism's parts at each row `(n, k, 3)`, the measured point last, and which rows could be computed.
+pub fn parts<'py, R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize>(
+    py: Python<'py>,
+    model: &R,
+    values: &PyReadonlyArray1<'_, f64>,
+    block: &Block<'_>,
+) -> PyResult<Marked<'py, PyArray3<f64>>>
+where
+    Chain<R, J, M, P>: Sync,
+{
+    let chain = chain(model, values)?;
+    let rows = own_rows::<R, J, M, P>(model, block)?;
+    let found: Vec<Option<Vec<f64>>> = py.detach(|| {
+        let of = |row| {
+            let mut points = Vec::new();
+            let put = |p: Vector3<f64>| points.extend_from_slice(p.as_slice());
+            chain.row_parts(row, put).ok().map(|()| points)
+        };
+        rows.iter().map(of).collect()
+    });
+    // as many at every pose; none is known where no row can be computed
+    let width = found.iter().flatten().next().map_or(0, Vec::len);
+    let mut out = vec![f64::NAN; rows.len() * width];
+    let mut reached = vec![false; rows.len()];
+    for (i, points) in found.iter().enumerate() {
+        if let Some(points) = points {
+            out[i * width..][..width].copy_from_slice(points);
+            reached[i] = true;
+        }
+    }
+    Ok((
+        shaped(py, out, [rows.len(), width / 3, 3])?,
+        PyArray1::from_vec(py, reached),
+    ))
+}
+
 /// Derivatives by the parameters whose indices are given, by the joint readings and by a displacement of the measured
 /// point, and which rows could be computed.
 pub fn derivatives<'py, R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize>(
@@ -338,6 +374,16 @@ macro_rules! model_class {
                 block: Block<'_>,
             ) -> PyResult<Marked<'py, PyArray2<f64>>> {
                 $crate::robot::predict(py, &self.0, &values, &block)
+            }
+
+            /// Points of the mechanism's parts `(n, k, 3)`, mm, the measured point last, and which rows could be computed.
+            fn parts<'py>(
+                &self,
+                py: Python<'py>,
+                values: PyReadonlyArray1<'_, f64>,
+                block: Block<'_>,
+            ) -> PyResult<Marked<'py, numpy::PyArray3<f64>>> {
+                $crate::robot::parts(py, &self.0, &values, &block)
             }
 
             /// Derivatives by the parameters whose indices are given `(n, m, free)`, by the joint readings `(n, m, J)`,

@@ -4,6 +4,7 @@ from ...model.kinds import Asked, Kind
 from .calibration import DeltaCalibration
 from .columns import DELTA
 from .correction import Correction, choose_correction, fit_grid, fit_polynomial
+from .drawing import drawing
 from .effects import CATALOGUE
 from .model import DeltaModel
 from .paper import paper_local, paper_protocol, paper_whole
@@ -33,6 +34,7 @@ KIND = Kind(
     "delta", Delta, DeltaModel, (DELTA,), DeltaCalibration, VirtualDelta,
     coordinates=DELTA.coordinates, poses=POSES, grid="grid", areas=AREAS, signature=signature,
     called="the linear delta", choices={"assembly_mode": ASSEMBLY_MODES}, example=_EXAMPLE,
+    drawing=drawing,
     asks=(
         Asked(
             "geometry", "rod_spacing_mm",

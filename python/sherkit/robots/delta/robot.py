@@ -18,6 +18,7 @@ import sherkit._core as _core
 from ...data.toml import Table
 from ...errors import ShapeError, Singular
 from ...model.batch import Batch, matrix, vector, why
+from ...notebook import Shown
 from ...saved import Saved
 from ...types import Floats
 
@@ -37,7 +38,7 @@ LIMB_PARAMETERS = (
 
 
 @dataclass(frozen=True)
-class Delta(Saved):
+class Delta(Saved, Shown):
     """Nominal linear delta. Lengths in mm, angles in degrees as on a drawing, one value per limb.
 
     ``target_offset_mm`` points from the platform centre to the measured point. ``rod_spacing_mm`` is the

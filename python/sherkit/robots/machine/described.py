@@ -18,6 +18,7 @@ from ...errors import NotConverged, RobotError
 from ...model.batch import Batch, matrix, vector
 from ...model.parameter import Parameter
 from ...names import listed
+from ...notebook import Shown
 from ...saved import Saved
 from ...types import Floats
 from .core import not_in
@@ -38,7 +39,7 @@ Parameters = Mapping[str, tuple[str, float]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Described(Saved):
+class Described(Saved, Shown):
     """A machine as a function of its joints and parameters, with their names; see :class:`sherkit.Machine`."""
 
     function: Forward

@@ -3,6 +3,7 @@
 from ...model.kinds import Kind
 from .calibration import SerialCalibration
 from .columns import POSITION, layout_of_arm
+from .drawing import drawing
 from .model import SerialModel
 from .pose_sets import AREAS, postures
 from .robot import MOST_JOINTS, Joint, Serial
@@ -28,6 +29,7 @@ _COMMON = tuple(layout_of_arm([(f"joint_{i + 1}", "rad") for i in range(count)])
 KIND = Kind(
     "serial", Serial, SerialModel, _COMMON, SerialCalibration, VirtualSerial, coordinates=POSITION, areas=AREAS,
     called="the serial arm", example=_EXAMPLE, own_layouts=lambda robot: (robot.layout,),
+    drawing=drawing,
 )  # fmt: skip
 
 __all__ = ["MOST_JOINTS", "Hidden", "Joint", "Serial", "SerialCalibration", "SerialModel", "VirtualSerial", "postures"]

@@ -19,6 +19,7 @@ from ...data.toml import Table
 from ...errors import OutOfReach, ShapeError
 from ...model.batch import Batch, matrix, vector, why
 from ...names import listed
+from ...notebook import Shown
 from ...saved import Saved
 from ...types import Bools, Floats
 from .columns import layout_of_arm
@@ -130,7 +131,7 @@ class Joint:
 
 
 @dataclass(frozen=True)
-class Serial(Saved):
+class Serial(Saved, Shown):
     """Nominal serial arm of one to nine joints. Lengths in mm, angles in degrees as in its file, joint readings rad or
     mm.
 

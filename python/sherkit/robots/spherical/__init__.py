@@ -8,6 +8,7 @@ from .calibration import SphericalCalibration
 from .camera import CameraView
 from .camera_placement import camera_placement, picture_half_angle
 from .columns import SPHERICAL_ANGLES, SPHERICAL_PIXELS
+from .drawing import drawing
 from .effects import SPHERICAL_CATALOGUE
 from .model import SphericalModel
 from .paper import TaskError, identify_joints, task_error
@@ -28,7 +29,7 @@ _EXAMPLE = Spherical(
 KIND = Kind(
     "spherical", Spherical, SphericalModel, (SPHERICAL_PIXELS, SPHERICAL_ANGLES), SphericalCalibration,
     VirtualSpherical, coordinates=SPHERICAL_ANGLES.coordinates, poses=POSES, areas=AREAS,
-    called="the spherical robot and its camera", example=_EXAMPLE,
+    called="the spherical robot and its camera", example=_EXAMPLE, drawing=drawing,
     spelt=({"camera": {**_LENS, **_PLACED}},),
     choices={"assembly_mode": ASSEMBLY_MODES, "working_mode": WORKING_MODES},
     asks=(

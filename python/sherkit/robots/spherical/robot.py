@@ -20,6 +20,7 @@ import sherkit._core as _core
 from ...data.toml import Table
 from ...errors import RobotError, ShapeError, SherkitError
 from ...model.batch import Batch, matrix, vector, why
+from ...notebook import Shown
 from ...saved import Saved
 from ...types import Floats
 from .camera import CameraView
@@ -32,7 +33,7 @@ WORKING_MODES = ("open", "crossed", "ahead", "behind")
 
 
 @dataclass(frozen=True)
-class Spherical(Saved):
+class Spherical(Saved, Shown):
     """Nominal spherical robot. Angles in degrees as on a drawing, lengths in mm.
 
     ``alpha_deg`` and ``beta_deg`` are the arcs of the proximal and distal links, ``radius_mm`` the distance of the

@@ -10,18 +10,21 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...data import Measurements, from_arrays
 from ...errors import FitError, MeasurementError, RobotError
+from ...model.drawing import Drawing
 from ...model.effect import Effect
 from ...model.parameter import Parameter
 from ...model.rows import Rows
 from ...saved import Saved
 from ...types import Floats
 from .alignment import at_times
+from .drawing import drawing
 from .effects import TOOL_CATALOGUE, ToolEffect
 from .places import Places
 from .plausible import check_camera, check_wavelengths
@@ -124,6 +127,23 @@ class ToolModel(Saved):
         if data.time_s is not None:
             out["time_s"] = data.time_s
         return out
+
+    def drawing(self, model: Any, data: Measurements, values: Floats, readings: Floats | None = None) -> Drawing:
+        """The tool at the pictures of these rows, with the effects of ``model`` and their ``values``; where it is seen
+        is what ``model`` predicts, or ``readings``. Effects of the camera leave the tool where it is."""
+        places, rows, moments = self._places, self._rows(data), self.moments_s
+        shown = model.predict(data, values)
+        machine = tuple(e for e in model.effects if e.link != "sensor")
+        without = replace(model, effects=machine)
+        names = [p.name for p in model.parameters]
+        own = [names.index(p.name) for p in without.parameters]
+        kept = np.where([p.name.startswith("camera_") for p in without.parameters], 0.0, values[own])
+        tip = without.predict(data, kept)
+        origin = at_times(self.run.time_s, self.run.position_mm, moments)[rows]
+        depth = at_times(self.run.time_s, places.felt.depth_mm, moments)[rows]
+        return drawing(
+            self.tool, places.turn[rows], origin, depth, tip, shown[:, :3] if readings is None else readings[:, :3]
+        )
 
     @cached_property
     def candidates(self) -> tuple[Effect, ...]:

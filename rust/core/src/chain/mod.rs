@@ -134,6 +134,12 @@ pub trait Mechanism<const J: usize, const P: usize>: Copy + Debug {
         self.point_at(joints)
     }
 
+    /// Hands over the points of its parts at a solved pose, base frame, mm, in an order of its own: what a drawing joins by
+    /// lines. As many at every pose; the measured point is the last.
+    fn parts(&self, solved: &Self::Solved, put: &mut impl FnMut(Vector3<f64>)) {
+        put(self.point(solved));
+    }
+
     /// Writes its wanted columns, carried on by the derivative of the readings by the point; returns that by the joints.
     fn columns<const M: usize>(
         &self,

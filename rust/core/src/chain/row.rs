@@ -2,7 +2,7 @@
 //! in which the datum cancels.
 
 use super::effects::Wanted;
-use super::{Chain, Robot};
+use super::{Chain, Mechanism, Robot};
 use crate::Result;
 use nalgebra::{SMatrix, SVector, Vector3};
 
@@ -101,6 +101,23 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
     /// As [`Chain::point`].
     pub fn row_point(&self, row: &Row<J>) -> Result<Vector3<f64>> {
         self.point(&SVector::from(row.joints), &row.covariates, &row.push)
+    }
+
+    /// Hands over the points of the mechanism's parts at a row ([`Mechanism::parts`]), then the measured point where the
+    /// body link takes it; base frame, mm.
+    ///
+    /// # Errors
+    /// As [`Chain::point`].
+    pub fn row_parts(&self, row: &Row<J>, mut put: impl FnMut(Vector3<f64>)) -> Result<()> {
+        let readings = SVector::from(row.joints);
+        let joints = self
+            .joints
+            .at::<R>(&readings, &row.covariates, Wanted::default());
+        let solved = self.structure.solve(&joints.value)?;
+        let (growth, shift) = self.body.at(&row.covariates);
+        self.structure.parts(&solved, &mut put);
+        put(self.structure.point(&solved) * growth + shift + row.push);
+        Ok(())
     }
 
     /// Predicts a row without derivatives; a distance fills the first component alone.

@@ -15,7 +15,7 @@ const SQUARED_MM: f64 = 1e-6;
 /// Pivot ratio below which the six rods do not fix the platform.
 const SINGULAR: f64 = 1e-12;
 /// The two rods of a limb, as they stand along its axis.
-const SIDES: [f64; 2] = [1.0, -1.0];
+pub(super) const SIDES: [f64; 2] = [1.0, -1.0];
 
 /// The rods of each limb.
 #[derive(Clone, Copy, Debug)]

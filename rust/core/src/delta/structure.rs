@@ -16,7 +16,7 @@ use super::effects::{AT, PARAMETERS, Values};
 use super::geometry::{Geometry, IDENTIFIABLE, LIMBS, PER_LIMB};
 use super::kinematics::{Kinematics, Poses, answers};
 use super::nominal::Model;
-use super::six_rods::{Motion, Pairs, Rod, Tilted, mismatched, one_step, six_rods, twisted};
+use super::six_rods::{Motion, Pairs, Rod, SIDES, Tilted, mismatched, one_step, six_rods, twisted};
 use crate::chain::effects::{Wanted, values_of};
 use crate::chain::{Columns, Mechanism};
 use crate::numbers::inverse::{Inverse, inverse};
@@ -25,6 +25,8 @@ use crate::{Error, Result};
 use nalgebra::{Matrix3, Matrix6, Rotation3, SMatrix, Vector3, Vector6};
 
 const ITERATIONS: usize = 60;
+/// How far a rail is drawn above and below the height about which it leans, by the length of its limb's rods.
+const RAIL_BY_ROD: f64 = 0.75;
 /// Loads are settled when none changes by more than this, mm.
 const TOLERANCE_MM: f64 = 1e-12;
 /// Pivot ratio below which loads run away.
@@ -143,6 +145,32 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
         )?;
         solved.tilt(kinematics, extras, &centre, &tilted)?;
         Ok(settled)
+    }
+
+    /// Limb by limb the foot and the head of its rail, the ends of its rods at the carriage, the same at the platform; then
+    /// the platform's centre and the measured point.
+    fn parts(&self, solved: &Solved, put: &mut impl FnMut(Vector3<f64>)) {
+        let (k, pairs) = (&self.kinematics, &self.extras.pairs);
+        let centre = solved.point - solved.arm;
+        for limb in 0..LIMBS {
+            let on_platform = centre + solved.levers[limb];
+            let carriage = on_platform - solved.rods[limb];
+            let (rail, reach) = (k.rails()[limb], RAIL_BY_ROD * k.rods()[limb]);
+            let pivot = carriage - rail * k.height(limb, solved.joints[limb]);
+            put(pivot - rail * reach);
+            put(pivot + rail * reach);
+            for side in SIDES {
+                put(carriage + pairs.half_carriage[limb] * side);
+            }
+            let half = solved.tilted.map_or(pairs.half_platform[limb], |t| {
+                t.turn * pairs.half_platform[limb]
+            });
+            for side in SIDES {
+                put(on_platform + half * side);
+            }
+        }
+        put(centre);
+        put(solved.point);
     }
 
     #[inline]

@@ -134,6 +134,17 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
         solved.point
     }
 
+    /// Joint by joint a point of its axis, the same one millimetre along the axis, and where what it carries is; then the
+    /// target.
+    fn parts(&self, solved: &Solved, put: &mut impl FnMut(Vector3<f64>)) {
+        for place in &solved.places[..self.count] {
+            put(place.origin);
+            put(place.origin + place.axis);
+            put(place.behind.translation);
+        }
+        put(solved.point);
+    }
+
     fn columns<const M: usize>(
         &self,
         joints: &SVector<f64, JOINTS>,

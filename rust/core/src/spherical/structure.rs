@@ -112,6 +112,23 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
         solved.marker
     }
 
+    /// The pole, where the actuated axis leaves the sphere of the marker; limb by limb the point of its elbow axis nearest to
+    /// the centre, and its elbow on the sphere; the platform's centre, the end of the tool axis, the marker.
+    fn parts(&self, solved: &Solved, put: &mut impl FnMut(Vector3<f64>)) {
+        let (pose, extras) = (&solved.pose, &self.extras);
+        put(Vector3::z() * extras.radius);
+        for i in 0..LIMBS {
+            let [across, along] = extras.misses[i];
+            let nearest = pose.normals[i] * across + pose.tangents[i] * along;
+            put(nearest);
+            put(nearest + pose.elbows[i] * extras.radius);
+        }
+        let centre = centre(&pose.normals, &pose.tangents, &extras.misses);
+        put(centre);
+        put(centre + pose.axis * extras.radius);
+        put(solved.marker);
+    }
+
     #[inline]
     fn columns<const M: usize>(
         &self,

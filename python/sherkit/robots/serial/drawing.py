@@ -1,0 +1,44 @@
+"""The serial arm as it is drawn: its links from joint to joint, the axes, the target."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...data import Measurements
+from ...model.drawing import Drawing, Part, line, with_target
+from ...types import Floats
+from .frames import of_rpy
+from .model import SerialModel
+
+#: Half the length of a drawn axis, and of the axes of the base, by the reach of the arm.
+_AXIS, _BASE = 0.06, 0.12
+
+
+def drawing(model: SerialModel, data: Measurements, values: Floats, readings: Floats | None = None) -> Drawing:
+    """The arm at each row, or with ``readings`` (n, m) as what is read. Raises as
+    :meth:`~sherkit.model.chain.ChainModel.predict`."""
+    robot, points = model.robot, model.parts(data, values)
+    read = (model.predict(data, values) if readings is None else readings)[:, :3]
+    # what the tracker shows, seen from the base as the drawing places both
+    shown = (read - np.array(robot.tracker_mm)) @ of_rpy(np.deg2rad(robot.tracker_rpy_deg).tolist())
+    reach = float(robot.reach_mm[0])
+    base = _BASE * reach * np.eye(3)
+    parts = [Part(f"{axis} of the base", "guide", line(np.zeros(3), base[k])) for k, axis in enumerate("xyz")]
+    behind = np.zeros_like(points[:, 0])
+    for k in range(1, len(robot.joints) + 1):
+        # of a joint the core hands over a point of its axis, a second one along it, and where what it carries is
+        origin, along, carried = (points[:, 3 * (k - 1) + i] for i in range(3))
+        half = _AXIS * reach * (along - origin)
+        parts += [
+            Part(f"link {k - 1}" if k > 1 else "base", "link", line(behind, origin)),
+            Part(f"axis {k}", "axis", line(origin - half, origin + half)),
+            Part(f"slide {k}", "rod", line(origin, carried)),
+            Part(f"joint {k}", "joint", line(origin)),
+        ]
+        behind = carried
+    tip, target = points[:, -2], points[:, -1]
+    parts += [
+        Part("tool", "platform", line(behind, tip)),
+        Part("from the tool's end to the target", "ray", line(tip, target)),
+    ]
+    return with_target(parts, target, shown)
