@@ -1,4 +1,5 @@
-"""An effect's card: what it is, how it shows, what to do about it, and its values beside plausible ones."""
+"""An effect's card: the machine with it, what it is, how it shows, what to do about it, and its values beside plausible
+ones."""
 
 from __future__ import annotations
 
@@ -11,10 +12,15 @@ from ..figures import in_people_units, with_error
 from ..fit.identify import Fit
 from ..model.effect import Effect
 from ..names import listed
+from ..report.card import drawing_of
 
 
 def card(effect: Effect, fit: Fit | None, found: Diagnosis | None, *, opened: bool = False) -> str:
-    """The card as HTML, folded unless ``opened``; every text from files is escaped."""
+    """The card as HTML, folded unless ``opened``; every text from files is escaped.
+
+    The machine is drawn where the card stands open, and with what is in the model: the others would cost the page a
+    tenth of a second at every click.
+    """
     told = (("", effect.physics), ("How it shows. ", effect.residuals), ("In the workshop. ", effect.workshop))
     parts = [f"<p><b>{head}</b>{escape(said)}</p>" for head, said in told if said]
     parts += [_values(effect, rows) for rows in [_of(effect, fit, found)] if rows]
@@ -25,6 +31,8 @@ def card(effect: Effect, fit: Fit | None, found: Diagnosis | None, *, opened: bo
         parts += [f"<p>On these poses it hides almost entirely in {escape(listed(hidden))}.</p>"] if hidden else []
     if not parts:
         return ""
+    if fit is not None and (opened or effect.name in {e.name for e in fit.model.effects}):
+        parts.insert(0, drawing_of(effect, fit.model, fit))
     return f"<details{' open' if opened else ''}><summary>what it is</summary>{''.join(parts)}</details>"
 
 

@@ -62,7 +62,7 @@ def effect_card(
     leave without it.
     """
     values = _fitted(effect, fit)
-    left = [_drawing(effect, machine, fit, values)]
+    left = [drawing_of(effect, machine, fit)]
     one = None if fit is None or values is None else known(fit).get(effect.name)
     right = [
         f"<h4>{title}</h4><p>{escape(text)}</p>"
@@ -111,11 +111,11 @@ def _fitted(effect: Effect, fit: Fit | None) -> tuple[Floats, Floats] | None:
     return np.asarray(fit.values[place]), np.asarray(fit.std[place])
 
 
-def _drawing(
-    effect: Effect, machine: Robot | Model | None, fit: Fit | None, values: tuple[Floats, Floats] | None
-) -> str:
+def drawing_of(effect: Effect, machine: Robot | Model | None, fit: Fit | None) -> str:
+    """The machine with and without the effect, of which a slider says how far it is exaggerated, as HTML."""
     if machine is None:
         return ""
+    values = _fitted(effect, fit)
     own = None if values is None else values[0]
     try:
         setting = None if values is None or fit is None else fit.model.setting_of(effect)
