@@ -21,6 +21,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "export": (
         "sherkit export experiment.sqlite -o run.csv",
         "sherkit export c calibrated.toml -o robot.h",
+        "sherkit export klipper calibrated.toml --config printer.cfg -o new.cfg",
     ),
     "fleet": ("sherkit fleet machine_*.csv --robot robot.toml",),
     "home": ("sherkit home experiment.toml", "sherkit home experiment.toml --at 128.9,128.9,128.9"),
@@ -39,6 +40,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "sherkit measure experiment.toml --python my_lab.py --resume",
     ),
     "plan": ("sherkit plan robot.toml experiment.toml", "sherkit plan robot.toml experiment.toml --noise-um 2"),
+    "printer": (
+        "sherkit printer printer.cfg --report printer.html",
+        "sherkit printer printer.cfg --plate turned=60 -o new.cfg",
+    ),
     "register": ("sherkit register tool.toml camera.csv -o registered.toml",),
     "schema": ("sherkit schema experiment",),
     "simulate": ("sherkit simulate robot.toml -o run.csv --seed 3",),
