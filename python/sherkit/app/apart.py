@@ -22,6 +22,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from ..data import Measurements
+from ..data.files import write_whole
 from ..errors import EffectError, SherkitError
 from ..model.effect import Effect
 from ..model.effect_file import load_effects
@@ -218,7 +219,7 @@ def _serve(line: Connection, source: str) -> None:
     line.send(("ready", None))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "your_lines.py"
-        path.write_text(source, encoding="utf-8")
+        write_whole(path, source)
         try:
             effects = {one.name: one for one in load_effects(path)}
         except BaseException as error:

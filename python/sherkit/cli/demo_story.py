@@ -21,8 +21,8 @@ def story(
     study: Study, found: Diagnosis, missed_um: tuple[float, float], targets: int, folder: Path, report: Path | None
 ) -> None:
     """Prints it. ``missed_um`` are distances (RMS) from the ``targets`` commanded places, as drawn and calibrated."""
-    out.print("[bold]SIMULATION.[/] A virtual delta robot that was built a little wrong, with rails that lean, is")
-    out.print(f"measured at {targets} places by an instrument with a noise of 5 µm.\n")
+    out.print("[bold]SIMULATION.[/] A virtual delta robot, built a little wrong, with rails that lean,")
+    out.print(f"is measured at {targets} places by an instrument with a noise of 5 µm.\n")
     unit = study.data.layout.unit
     noise = float(np.sqrt(np.mean(np.square(list(found.noise.values())))))
     needed = required_um(study.robot)

@@ -167,5 +167,8 @@ def joints_over(robot: Any, kind: Kind) -> Floats:
             )
         except SherkitError:
             return np.asarray(robot.inverse(robot.middle))[None]
-    low, high = np.asarray(robot.box).T
+    box = getattr(robot, "box", None)
+    if box is None:
+        return np.asarray(robot.inverse(robot.middle))[None]
+    low, high = np.asarray(box).T
     return np.asarray(np.random.default_rng(0).uniform(low, high, (_POSES, len(low))))
