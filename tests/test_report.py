@@ -23,6 +23,7 @@ import sherkit as sk
 from browsing import needs_browser, opened, settled, source
 from sherkit import save_robot
 from sherkit.cli import main
+from sherkit.figures import in_people_units, with_error
 from sherkit.model.effect import effects_by_name
 from sherkit.report.estimate import EstimateOverTime
 from sherkit.report.style import number
@@ -163,7 +164,7 @@ def test_report_says_what_the_json_says(demo: Path) -> None:
             agrees(error, c["held_out_rms_um"])
             agrees(std, c["held_out_std_um"])
             assert row[4] == ("plausible" if c["plausible"] else "implausible")
-            agrees(row[5].split()[1], c["parameters"][0]["value"])
+            agrees(row[5].split()[1], in_people_units(c["parameters"][0]["unit"])[1] * c["parameters"][0]["value"])
         assert [row[0] for row in cells(page, "where")] == [d["variable"] for d in found["where"]]
         for row, one in zip(cells(page, "fall"), (plain, last), strict=True):
             for cell, axis in zip(row[1:], "xyz", strict=True):
@@ -334,8 +335,8 @@ def test_calibration_with_a_local_run_an_effect_and_a_loss(runs: Path) -> None:
     )
     text = report(runs, "calibrated.html", *arguments)
     told = json.loads(done(runs, *arguments, "--json"))
-    value = next(p for p in told["whole"]["parameters"] if p["name"] == "rod_length_1")["value"]
-    assert f"rod_length_1 δl₁ {value:+.5g}" in text
+    rod = next(p for p in told["whole"]["parameters"] if p["name"] == "rod_length_1")
+    assert f"rod_length_1 δl₁ +{with_error(rod['value'], rod['std'])[0]}" in text
     assert "the region of interest" in text
     assert f"{number(told['local']['rms_um']['before']['x'])} ±" in text
     assert "adequate: no effect added" in text

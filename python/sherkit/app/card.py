@@ -19,7 +19,7 @@ def card(effect: Effect, fit: Fit | None, found: Diagnosis | None, *, opened: bo
     """The card as HTML, folded unless ``opened``; every text from files is escaped.
 
     The machine is drawn where the card stands open, and with what is in the model: the others would cost the page a
-    tenth of a second at every click.
+    tenth of a second at every click. What was typed is not asked while the page waits.
     """
     told = (("", effect.physics), ("How it shows. ", effect.residuals), ("In the workshop. ", effect.workshop))
     parts = [f"<p><b>{head}</b>{escape(said)}</p>" for head, said in told if said]
@@ -31,7 +31,7 @@ def card(effect: Effect, fit: Fit | None, found: Diagnosis | None, *, opened: bo
         parts += [f"<p>On these poses it hides almost entirely in {escape(listed(hidden))}.</p>"] if hidden else []
     if not parts:
         return ""
-    if fit is not None and (opened or effect.name in {e.name for e in fit.model.effects}):
+    if fit is not None and effect.function is None and (opened or effect.name in {e.name for e in fit.model.effects}):
         parts.insert(0, drawing_of(effect, fit.model, fit))
     return f"<details{' open' if opened else ''}><summary>what it is</summary>{''.join(parts)}</details>"
 

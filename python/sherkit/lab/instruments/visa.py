@@ -1,7 +1,7 @@
 """Ports by VISA: ``visa://RESOURCE``, as ``visa://TCPIP0::10.0.0.5::inst0::INSTR``, for any driver (pyvisa).
 
 After an ``@`` stands the library of pyvisa where it is not the vendor's: ``visa://ASRL/dev/ttyUSB0::INSTR@py``
-(pyvisa-py), ``visa://USB::0x1111::0x2222::0x1234::INSTR@devices.yaml@sim`` (pyvisa-sim).
+(pyvisa-py), ``visa://USB::0x1111::0x2222::0x1234::INSTR@devices@sim`` (pyvisa-sim).
 """
 
 from __future__ import annotations
