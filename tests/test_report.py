@@ -336,7 +336,7 @@ def test_calibration_with_a_local_run_an_effect_and_a_loss(runs: Path) -> None:
     text = report(runs, "calibrated.html", *arguments)
     told = json.loads(done(runs, *arguments, "--json"))
     rod = next(p for p in told["whole"]["parameters"] if p["name"] == "rod_length_1")
-    assert f"rod_length_1 δl₁ +{with_error(rod['value'], rod['std'])[0]}" in text
+    assert f"rod_length_1 δl₁ {with_error(rod['value'], rod['std'])[0]}" in text
     assert "the region of interest" in text
     assert f"{number(told['local']['rms_um']['before']['x'])} ±" in text
     assert "adequate: no effect added" in text
