@@ -126,7 +126,8 @@ def _with_bokeh(value: Any, pictures: list[Picture[Any]]) -> str:
 def _framed(page: str, nonce: str = "") -> str:
     """A page in a frame as high as it is; its scripts have this number, or that which the page says."""
     nonce = nonce or page.split("'nonce-", 1)[1].split("'", 1)[0]
-    page = page.replace("</body>", _FIT.replace("NONCE", nonce) + "</body>")
+    head, _, tail = page.rpartition("</body>")  # Bokeh's own text has another
+    page = f"{head}{_FIT.replace('NONCE', nonce)}</body>{tail}"
     return f'<iframe srcdoc="{escape(page)}" style="width:100%;height:{_HEIGHT_PX}px;border:none"></iframe>'
 
 
