@@ -6,7 +6,6 @@ import json
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import polars as pl
 import pytest
 from numpy.typing import NDArray
 
+from second_printer.firmware import Firmware
 from sherkit import Measurements, SherkitError, identify, load_robot, read_measurements
 from sherkit.cli import main
 from sherkit.printers import examine
@@ -28,24 +28,8 @@ REAL = Path(__file__).parent / "data" / "delta_flsun_v400_b"
 # -- a printer, written from Klipper's documentation and not from the importer -------------------------------
 
 
-@dataclass(frozen=True)
-class Printer:
+class Printer(Firmware):
     """A delta as Klipper sees it: one radius; angle, arm and end stop per tower."""
-
-    radius: float
-    angle: tuple[float, float, float]
-    arm: tuple[float, float, float]
-    endstop: tuple[float, float, float]
-
-    @property
-    def towers(self) -> Floats:
-        """Feet of the towers (3, 2), mm."""
-        return self.radius * np.stack([np.cos(np.deg2rad(self.angle)), np.sin(np.deg2rad(self.angle))], axis=1)
-
-    @property
-    def top(self) -> Floats:
-        """Heights of the carriages at their end stops (3,), mm."""
-        return np.array(self.endstop) + np.sqrt(np.square(self.arm) - self.radius**2)
 
     def carriages(self, at: Floats) -> Floats:
         """Heights of the carriages (3,) with the nozzle at ``at`` (3,), mm."""
