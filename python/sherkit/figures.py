@@ -37,8 +37,18 @@ def stated(value: float, std: float, unit: str) -> str:
     """``value ± std unit`` in the unit in which people read it."""
     shown, factor = in_people_units(unit)
     number, error = with_error(factor * value, factor * std)
-    gap = "" if shown.startswith("°") or not shown else " "
-    return f"{number} ± {error}{gap}{shown}"
+    return f"{number} ± {error}{_behind(shown)}"
+
+
+def sized(value: float, unit: str) -> str:
+    """``value unit`` to three figures, in the unit in which people read it."""
+    shown, factor = in_people_units(unit)
+    return f"{factor * value:.3g}{_behind(shown)}"
+
+
+def _behind(unit: str) -> str:
+    """A unit as it stands behind a number."""
+    return unit if unit.startswith("°") or not unit else f" {unit}"
 
 
 def number(value: float) -> str:

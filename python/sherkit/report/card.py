@@ -16,6 +16,7 @@ import numpy as np
 
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
+from ..figures import sized, stated
 from ..fit.forms import known
 from ..fit.identify import Fit
 from ..model.any import Model
@@ -174,16 +175,11 @@ def _numbers(effect: Effect, values: tuple[Floats, Floats] | None, known: str) -
 
 
 def _with_std(value: float, std: float | None, unit: str) -> str:
-    """A number rounded to its deviation; angles in degrees, as everywhere in a report."""
-    factor, shown = (float(np.rad2deg(1.0)), "°") if unit == "rad" else (1.0, unit)
-    gap = "" if shown in ("", "1") else "" if shown == "°" else f" {escape(shown)}"
-    gap = "°" if shown == "°" else gap
-    value *= factor
+    """A number as everywhere in a report: rounded to its deviation where it has one."""
     if std is None or not np.isfinite(std) or std <= 0:
-        return f"{value:.3g}{gap}"
-    std *= factor
-    digits = min(9, max(0, 1 - int(np.floor(np.log10(std)))))
-    return f"{value:+.{digits}f} ± {std:.{digits}f}{gap}"
+        return escape(sized(value, unit))
+    said = stated(value, std, unit)
+    return escape(said if said.startswith("-") else f"+{said}")
 
 
 def _ties(effect: Effect, found: Diagnosis | None) -> str:
