@@ -30,8 +30,9 @@ class VisaPort(Transport):
         self._lost: type[Exception] = pyvisa.errors.VisaIOError
         self._no_answer: int = pyvisa.constants.StatusCode.error_timeout
         try:
-            self._manager: Any = pyvisa.ResourceManager(library)
-            self._resource: Any = self._manager.open_resource(resource, open_timeout=int(1e3 * timeout_s))
+            manager: Any = pyvisa.ResourceManager(library)  # its resources differ in what they have
+            self._manager = manager
+            self._resource = self._manager.open_resource(resource, open_timeout=int(1e3 * timeout_s))
             if not hasattr(self._resource, "read_raw"):
                 raise ValueError(f"{resource} is no resource that messages can be sent to")
         # VISA libraries raise what they like: their own errors, of the system, of what lacks
