@@ -17,8 +17,10 @@ from .data.columns import OUTLIER, POSE, REPEAT, Layout
 from .data.given import RunLike
 from .data.toml import Table
 from .diagnosis import Diagnosis, diagnose
+from .diagnosis.fitted_run import FittedRun
+from .diagnosis.held_out import held_out_by_reading
 from .diagnosis.setting import setting_for
-from .errors import EffectError, MeasurementError, SherkitError, SherkitWarning
+from .errors import EffectError, FitError, MeasurementError, SherkitError, SherkitWarning
 from .fit.hold_out import hold_out
 from .fit.identify import Fit, identify
 from .fit.robust import LOSSES
@@ -128,19 +130,26 @@ class Study(Shown):
     def _looked_at(self, model: ChainModel, action: str) -> tuple[StudyStep, Fit]:
         """What a model leaves of the rows of today, and its fit."""
         fit = identify(model, self.data, loss=self.loss)
-        held = hold_out(model, self.data, seed=self.seed, loss=self.loss, start=fit.values)
         names = [p.name for p in fit.parameters]
         step = StudyStep(
             action=action,
             effects=tuple(e.name for e in model.effects),
             training_rms=fit.rms(),
-            held_out_rms=fit.rms(held.residuals),
+            held_out_rms=self._held_out_rms(fit),
             unit=self.data.layout.unit,
             parameters=dict(zip(names, fit.values.tolist(), strict=True)),
             rows=len(self.data),
             fit=fit,
         )
         return step, fit
+
+    def _held_out_rms(self, fit: Fit) -> dict[str, float]:
+        """As the diagnosis has it; by refits without each block where the rows are too few or of a kind for one."""
+        try:
+            return held_out_by_reading(FittedRun(fit), self.seed)
+        except FitError:
+            held = hold_out(fit.model, self.data, seed=self.seed, loss=self.loss, start=fit.values)
+            return fit.rms(held.residuals)
 
     def _take(self, step: StudyStep, fit: Fit) -> StudyStep:
         """Makes a step the last one of the history, and its fit the current one."""

@@ -12,15 +12,18 @@ from html import escape
 from bokeh.layouts import column, row
 from bokeh.models import Button, CustomJS, Div
 
+from ..diagnosis import Diagnosis
+from ..fit.identify import Fit
+from ..model.effect import Effect
+from ..report.card import drawing_of, its_numbers, ties, what_it_is
 from ..report.style import MUTED, number
-from .card import card
 from .controls import TYPE
 from .moment import Moment
 
 _BUTTON, _WIDTH = 190, 356
 _CARD = """
 details { font-size: 15px; margin: 0 0 6px 6px; color: #222; } summary { cursor: pointer; color: #005a8e; }
-summary:focus-visible { outline: 3px solid #0072b2; } p { margin: 4px 0; line-height: 1.3; }
+summary:focus-visible { outline: 3px solid #0072b2; } p { margin: 2px 0; line-height: 1.3; } h4 { margin: 5px 0 0; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 14px; }
 th, td { text-align: right; padding: 1px 8px 1px 0; } th:first-child, td:first-child { text-align: left; }
 """
@@ -101,9 +104,22 @@ class _Place:
             self._text.text = said
         if known and found is None:
             return  # a card that is being read stays until there is more to say
-        shown = card(moment.known[name], moment.history[-1].fit, found, opened=lead)
+        shown = _card(moment.known[name], moment.history[-1].fit, found, opened=lead)
         if self._card.text != shown:
             self._card.text = shown
+
+
+def _card(effect: Effect, fit: Fit | None, found: Diagnosis | None, *, opened: bool) -> str:
+    """What it is, folded unless ``opened``.
+
+    The machine is drawn where the card stands open, and with what is in the model: the others would cost the page a
+    tenth of a second at every click. What was typed is not asked while the page waits.
+    """
+    parts = [what_it_is(effect, fit), its_numbers(effect, fit, found), ties(effect, found)]
+    inside = fit is not None and effect.name in {e.name for e in fit.model.effects}
+    if fit is not None and effect.function is None and (opened or inside):
+        parts.insert(0, drawing_of(effect, fit.model, fit))
+    return f"<details{' open' if opened else ''}><summary>what it is</summary>{''.join(parts)}</details>"
 
 
 def _said(name: str, moment: Moment) -> str:

@@ -20,10 +20,10 @@ class HeldOutError:
     std: float
 
 
-def held_out(stage: Stage, block: Ints) -> list[HeldOutError]:
+def held_out(stage: Stage, fold: Ints) -> list[HeldOutError]:
     """Held-out error (in the unit of the run, axes together) with each candidate of a stage that is not thorough.
 
-    ``block`` (n,) is the fold of each row.
+    ``fold`` (deals, n) is the fold of each row in each deal of blocks.
     """
     view, sigma = stage.view, stage.sigma[None, :, None]
 
@@ -32,7 +32,7 @@ def held_out(stage: Stage, block: Ints) -> list[HeldOutError]:
         # in the unit of the readings, so that axes count by their error
         return np.concatenate(parts, axis=2) * sigma
 
-    folds = Folds.of(columns, view.residual * stage.sigma, np.unique(block, return_inverse=True)[1].reshape(1, -1))
+    folds = Folds.of(columns, view.residual * stage.sigma, fold)
     counts = [len(stage.scan.numbers(c.columns)) for c in stage.candidates]
     ends = np.cumsum([stage.scan.fitted, *counts]).tolist()
     fitted = range(stage.scan.fitted)
@@ -40,10 +40,11 @@ def held_out(stage: Stage, block: Ints) -> list[HeldOutError]:
 
 
 def _error(folds: Folds, unit: float) -> HeldOutError:
-    """What blocks left out in turn show."""
-    squares, count = folds.held_out, int(folds.counts.sum())
+    """What blocks left out in turn show. Every deal is of the same rows: it is known no better than from one."""
+    deals, squares, count = len(folds.place), folds.held_out, int(folds.counts.sum())
     rms = float(np.sqrt(max(float(squares.sum()), 0.0) / count))
     apart = squares - rms**2 * folds.counts
-    variance = float((apart**2).sum()) * len(folds) / max(len(folds) - 1, 1) / count**2
+    of_deal = len(folds) / deals
+    variance = float((apart**2).sum()) * of_deal / max(of_deal - 1, 1) * deals / count**2
     # the error of a mean square is twice the root's size
     return HeldOutError(unit * rms, unit * np.sqrt(variance) / (2 * rms) if rms > 0 else 0.0)

@@ -24,6 +24,7 @@ from ..model.effect import Effect
 from ..types import Floats, Ints
 from .fitted_run import FittedRun
 from .folds import Folds, roots_of
+from .held_out import folds_of, rms, squares_of
 from .linearised import Linearised
 from .scan import FLIPS, codes_of
 from .stage import testable
@@ -82,8 +83,8 @@ def earned(
         plain = less.linearised(rows, tuple(rivals or ()), scale)
     except SherkitError:
         return Earned(effect.name, np.inf, 0.0, 1.0 / FLIPS, 1.0)
-    with_it, of_more = _squares(more, fold)
-    without, _ = _squares(plain, fold)
+    with_it, of_more = squares_of(more, fold)
+    without, _ = squares_of(plain, fold)
     chosen = np.ones(fold.shape, dtype=bool)
     if rivals or periods:
         others = [(rival, place) for rival, place in plain.effects if rival.name != effect.name]
@@ -95,15 +96,15 @@ def earned(
                 view = less.refit([(others[int(k)][0], None)]).linearised(rows, (), scale)
             except SherkitError:
                 continue
-            exact.append(_scores(_folds(view, fold)))
+            exact.append(_scores(folds_of(view, fold)))
         best = np.concatenate([np.stack(exact), linear]).min(axis=0)
         chosen = (exact[0] <= best)[of_more.place]
     gain = (without.sum(axis=2) - with_it.sum(axis=2)) * chosen
     p = flipped(gain.mean(axis=0), more.group, seed)
     return Earned(
         effect.name,
-        without=_rms(without, scale) * run.per_unit,
-        with_it=_rms(with_it, scale) * run.per_unit,
+        without=rms(without, scale) * run.per_unit,
+        with_it=rms(with_it, scale) * run.per_unit,
         p=p,
         again=float(chosen.mean()),
     )
@@ -115,30 +116,6 @@ def flipped(gain: Floats, group: Ints, seed: int) -> float:
     sums = np.bincount(codes_of(int(pose.max()) + 1, seed)[pose], gain, FLIPS).astype(np.float64)
     total = float(sums.sum())
     return float((1 + (walsh_hadamard(sums)[1:] >= total).sum()) / FLIPS)
-
-
-def held_out_rms(run: FittedRun, sigma: Floats, deals: Sequence[Ints]) -> float:
-    """RMS of single readings held out, in the unit of the run, as :func:`earned` has it."""
-    rows = testable(run, np.flatnonzero(run.whole))
-    scale = sigma[list(run.axes)]
-    view = run.linearised(rows, (), scale)
-    squares, _ = _squares(view, np.stack([deal[rows] for deal in deals]))
-    return _rms(squares, scale) * run.per_unit
-
-
-def _rms(squares: Floats, scale: Floats) -> float:
-    return float(np.sqrt(np.mean(squares * scale**2)))
-
-
-def _folds(view: Linearised, fold: Ints) -> Folds:
-    return Folds.of(lambda rows: view.fitted(rows), view.residual, fold)
-
-
-def _squares(view: Linearised, fold: Ints) -> tuple[Floats, Folds]:
-    """Squared errors (deals, n, m) of rows that were held out in turn, and the folds."""
-    folds = _folds(view, fold)
-    parts = [folds.errors(view.fitted(rows), view.residual[rows], rows) for rows in view.blocks]
-    return np.concatenate(parts, axis=1) ** 2, folds
 
 
 def _scores(folds: Folds) -> Floats:

@@ -84,6 +84,14 @@ class FittedRun(Saved):
             sigma[a] = float(np.sqrt(np.mean(noise.sigma[self.used[:, a], a] ** 2)))
         return sigma, noise.origin
 
+    @cached_property
+    def scatter(self) -> Floats:
+        """What the fit leaves per reading column (columns,), its standard deviation: never zero."""
+        sigma = np.ones(len(self.names))
+        for a in self.axes:
+            sigma[a] = max(float(np.std(self.residuals[self.used[:, a], a])), 1e-12)
+        return sigma
+
     def blocks(self, folds: int, seed: int) -> Ints:
         """A fold (n,) for every row; neighbours stay together."""
         return blocks_of(self.data, self.model.place(self.data, self.fit.predicted), folds, seed)

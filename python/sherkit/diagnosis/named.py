@@ -11,8 +11,9 @@ import numpy as np
 from ..model.effect import Effect
 from ..types import Floats, Ints
 from .answers import StepReport
-from .earned import Earned, earned, held_out_rms
+from .earned import Earned, earned
 from .fitted_run import FittedRun
+from .held_out import held_out_rms
 from .search import Search, SearchResult, refit
 from .setting import on_all_rows
 from .sizes import ABSURD, sizes_of

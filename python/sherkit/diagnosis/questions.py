@@ -22,6 +22,7 @@ from .answers import CandidateReport, Diagnosis
 from .claims import verdict_of
 from .crossvalidation import HeldOutError, held_out
 from .fitted_run import FittedRun
+from .held_out import deals_of
 from .hiding import hides_in
 from .lack_of_fit import lack_of_fit
 from .linearised import orthonormal
@@ -39,9 +40,6 @@ from .stage import Candidate, Stage, stage_of
 from .where import neighbour_correlation, where
 
 LEVEL = 0.01
-#: Blocks that are held out in turn, and how often they are dealt anew so that no verdict hangs on one deal.
-_FOLDS = 6
-_DEALS = 5
 #: Numbers up to which a single effect is taken by its name without asking what an unknown would look like.
 _FEW = 6
 _SMALLEST_P = 1e-300
@@ -92,12 +90,12 @@ def diagnose(
     rows = np.flatnonzero(run.whole)
     notes += sentences(run.data, wild)
     if origin == "unknown":
-        sigma = _residual_sigma(run)
+        sigma = run.scatter
         notes.append(
             "neither repeats nor a declared noise: how much of the rest is noise cannot be known, only whether "
             "it has structure; repeat some poses or add sigma columns"
         )
-    deals = [run.blocks(_FOLDS, _DEALS * seed + k) for k in range(_DEALS)]
+    deals = deals_of(run, seed)
     found = searched(run, every, rows, sigma, deals, level=level, seed=seed, step=step, look=not mistakes)
     final, rho = found.final, found.search.rho
     notes += found.notes
@@ -107,7 +105,7 @@ def diagnose(
     at = periods_shown(found.search, found.result)
     base_stage = stage_of(run, every, rows, sigma, rho=rho, thorough=False, at=at)
     stage = stage_of(final, every, rows, sigma, rho=rho, thorough=False, at=at) if found.names else base_stage
-    gains = held_out(base_stage, deals[0][base_stage.rows])
+    gains = held_out(base_stage, np.stack([deal[base_stage.rows] for deal in deals]))
 
     if origin != "declared":
         sigma = _noise_left(final, sigma)
@@ -186,13 +184,6 @@ def _noise_left(run: FittedRun, sigma: Floats) -> Floats:
         else:
             out[a] = left.std()
     return out
-
-
-def _residual_sigma(run: FittedRun) -> Floats:
-    sigma = np.ones(len(run.names))
-    for a in run.axes:
-        sigma[a] = max(float(np.std(run.residuals[run.used[:, a], a])), 1e-12)
-    return sigma
 
 
 def _ties(found: SearchResult) -> tuple[tuple[str, ...], ...]:

@@ -17,7 +17,7 @@ import numpy as np
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
 from ..figures import sized, stated
-from ..fit.forms import known
+from ..fit.forms import Known, known
 from ..fit.identify import Fit
 from ..model.any import Model
 from ..model.effect import Effect
@@ -62,22 +62,8 @@ def effect_card(
     ``atlas`` its pattern; ``without`` is the error on poses held out, in the unit of the diagnosis, that a model would
     leave without it.
     """
-    values = _fitted(effect, fit)
     left = [drawing_of(effect, machine, fit)]
-    one = None if fit is None or values is None else known(fit).get(effect.name)
-    right = [
-        f"<h4>{title}</h4><p>{escape(text)}</p>"
-        for title, text in (
-            ("What it is", effect.physics), ("How it shows", effect.residuals),
-            ("In the workshop", effect.workshop if one is None else one.workshop),
-        )
-        if text
-    ]  # fmt: skip
-    right += [
-        _brings(effect, found, without),
-        _numbers(effect, values, "" if one is None else one.short),
-        _ties(effect, found),
-    ]
+    right = [what_it_is(effect, fit), _brings(effect, found, without), its_numbers(effect, fit), ties(effect, found)]
     tile = None if atlas is None else next((t for t in atlas.tiles if t.title == effect.name), None)
     if atlas is not None and tile is not None:
         left.append(_pattern(atlas, tile))
@@ -110,6 +96,20 @@ def _fitted(effect: Effect, fit: Fit | None) -> tuple[Floats, Floats] | None:
         return None
     place = fit.model.owns(effect)
     return np.asarray(fit.values[place]), np.asarray(fit.std[place])
+
+
+def what_it_is(effect: Effect, fit: Fit | None) -> str:
+    """What it is, how it shows and what to do about it, as HTML."""
+    one = _known(effect, fit)
+    told = (
+        ("What it is", effect.physics), ("How it shows", effect.residuals),
+        ("In the workshop", effect.workshop if one is None else one.workshop),
+    )  # fmt: skip
+    return "".join(f"<h4>{title}</h4><p>{escape(text)}</p>" for title, text in told if text)
+
+
+def _known(effect: Effect, fit: Fit | None) -> Known | None:
+    return None if fit is None or _fitted(effect, fit) is None else known(fit).get(effect.name)
 
 
 def drawing_of(effect: Effect, machine: Robot | Model | None, fit: Fit | None) -> str:
@@ -159,10 +159,12 @@ def _brings(effect: Effect, found: Diagnosis | None, without: float | None) -> s
     return f"<h4>What it brings</h4><p>{escape(said)}, on poses held out.</p>" if said else ""
 
 
-def _numbers(effect: Effect, values: tuple[Floats, Floats] | None, known: str) -> str:
-    """What is ``known`` in words; fitted values beside plausible sizes, the latter alone where nothing was fitted."""
+def its_numbers(effect: Effect, fit: Fit | None, found: Diagnosis | None = None) -> str:
+    """What is known in words; values beside plausible sizes, the latter alone where there are none, as HTML. Values are
+    those of the fit that has it in its model, else those with which ``found`` tried it."""
     if not effect.parameters:
         return ""
+    values, one = _fitted(effect, fit) or _tried(effect, found), _known(effect, fit)
     head = "<tr><th></th>" + ("<th>fitted</th>" if values else "") + "<th>plausible size</th></tr>"
     rows = []
     for k, p in enumerate(effect.parameters[:_MOST_LISTED]):
@@ -170,8 +172,17 @@ def _numbers(effect: Effect, values: tuple[Floats, Floats] | None, known: str) -
         rows.append(f"<tr><td>{escape(p.name)}</td>{cell}<td>± {_with_std(p.size, None, p.unit)}</td></tr>")
     more = len(effect.parameters) - len(rows)
     rest = f'<p class="note">and {more} more</p>' if more > 0 else ""
-    form = f"<p>{escape(known)}</p>" if known else ""
+    form = f"<p>{escape(one.short)}</p>" if one is not None and one.short else ""
     return f"<h4>Its numbers</h4>{form}<table>{head}{''.join(rows)}</table>{rest}"
+
+
+def _tried(effect: Effect, found: Diagnosis | None) -> tuple[Floats, Floats] | None:
+    """Values and deviations of its parameters, as a diagnosis tried it."""
+    named = () if found is None else found.candidates
+    rows = next((c.parameters for c in named if c.effect == effect.name), ())
+    if len(rows) != len(effect.parameters):
+        return None
+    return np.array([row["value"] for row in rows]), np.array([row["std"] for row in rows])
 
 
 def _with_std(value: float, std: float | None, unit: str) -> str:
@@ -182,13 +193,15 @@ def _with_std(value: float, std: float | None, unit: str) -> str:
     return escape(said if said.startswith("-") else f"+{said}")
 
 
-def _ties(effect: Effect, found: Diagnosis | None) -> str:
+def ties(effect: Effect, found: Diagnosis | None) -> str:
+    """What the poses of a diagnosis cannot tell it from, as HTML."""
     if found is None:
         return ""
     others = sorted({name for tie in found.ties if effect.name in tie for name in tie} - {effect.name})
-    if not others:
-        return ""
-    return f"<h4>What it ties with</h4><p>These poses cannot tell it from {escape(listed(others))}.</p>"
+    hidden = found.hides_in.get(effect.name, ())
+    told = [f"These poses cannot tell it from {listed(others)}."] if others else []
+    told += [f"On these poses it hides almost entirely in {listed(hidden)}."] if hidden else []
+    return f"<h4>What it ties with</h4><p>{escape(' '.join(told))}</p>" if told else ""
 
 
 def _pattern(atlas: Atlas, tile: Tile) -> str:

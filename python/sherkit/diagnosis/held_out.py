@@ -1,0 +1,71 @@
+"""The held-out error that people are shown, wherever they see it: every row predicted by a fit that did not see its
+block, in several deals of blocks.
+
+All is linear around the full fit, so that a fit without a block is a subtraction of Gram matrices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..errors import FitError
+from ..types import Floats, Ints
+from .fitted_run import FittedRun
+from .folds import Folds
+from .linearised import Linearised
+from .stage import testable
+
+#: Blocks that are held out in turn, and how often they are dealt anew so that nothing hangs on one deal.
+_FOLDS = 6
+_DEALS = 5
+
+
+def deals_of(run: FittedRun, seed: int) -> list[Ints]:
+    """Folds (n,) of all rows, of each deal."""
+    return [run.blocks(_FOLDS, _DEALS * seed + k) for k in range(_DEALS)]
+
+
+def held_out_rms(run: FittedRun, sigma: Floats, deals: Sequence[Ints]) -> float:
+    """RMS of single readings held out, in the unit of the run. ``sigma`` (columns,) weighs them."""
+    scale = sigma[list(run.axes)]
+    return rms(_all_squares(run, scale, deals), scale) * run.per_unit
+
+
+def held_out_by_reading(run: FittedRun, seed: int) -> dict[str, float]:
+    """The same of each reading column by its name.
+
+    Raises :class:`~sherkit.errors.FitError` for too few rows that have all readings, or readings beside coordinates.
+    """
+    data = run.data
+    if data.used[:, data.coordinates :].any():
+        raise FitError(f"{data.source}: has distances; only coordinates are held out in this way")
+    sigma, origin = run.noise
+    scale = (run.scatter if origin == "unknown" else sigma)[list(run.axes)]
+    squares = _all_squares(run, scale, deals_of(run, seed))
+    error = run.per_unit * scale * np.sqrt(np.mean(squares, axis=(0, 1)))
+    return dict(zip((run.data.layout.readings[a] for a in run.axes), error.tolist(), strict=True))
+
+
+def rms(squares: Floats, scale: Floats) -> float:
+    """Of squared errors (…, m) over the noise ``scale`` (m,)."""
+    return float(np.sqrt(np.mean(squares * scale**2)))
+
+
+def folds_of(view: Linearised, fold: Ints) -> Folds:
+    """What was fitted, by folds (deals, n)."""
+    return Folds.of(lambda rows: view.fitted(rows), view.residual, fold)
+
+
+def squares_of(view: Linearised, fold: Ints) -> tuple[Floats, Folds]:
+    """Squared errors (deals, n, m) of rows that were held out in turn, and the folds."""
+    folds = folds_of(view, fold)
+    parts = [folds.errors(view.fitted(rows), view.residual[rows], rows) for rows in view.blocks]
+    return np.concatenate(parts, axis=1) ** 2, folds
+
+
+def _all_squares(run: FittedRun, scale: Floats, deals: Sequence[Ints]) -> Floats:
+    rows = testable(run, np.flatnonzero(run.whole))
+    view = run.linearised(rows, (), scale)
+    return squares_of(view, np.stack([deal[rows] for deal in deals]))[0]
