@@ -9,6 +9,7 @@ import os
 import random
 import sqlite3
 import tomllib
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +23,7 @@ import tomli_w
 import sherkit as sk
 from laboratories import SPHERICAL, experiment, laboratory, spherical_laboratory
 from mutations import Campaign, as_json, damaged_bytes, damaged_tree, in_memory, plain, watched
+from second_printer.trials import Trial
 from sherkit.cli.demo import EXAMPLE
 from sherkit.lab.experiment import Plan, RunFile, export_run, load_experiment
 from sherkit.lab.experiment.bench import Point
@@ -30,11 +32,18 @@ from sherkit.lab.ports import read_ports
 from sherkit.robots.delta.poses import grid
 from sherkit.robots.delta.virtual import VirtualDelta
 from sherkit.robots.printer import import_klipper
+from sherkit.robots.printer.duet import import_duet
+from sherkit.robots.printer.marlin import import_marlin
+from sherkit.robots.serial import Serial
+from sherkit.robots.serial.dh import import_dh
+from sherkit.robots.serial.urdf import import_urdf
 from sherkit.robots.tool.bench import read_loads
 from sherkit.robots.tool.runs import read_tool_run
 from sherkit.robots.tool.tool import FlexibleTool, load_tool
 from sherkit.robots.tool.virtual import VirtualTool
 from test_klipper import SAVED, TRUE, config
+from test_other_programs import COLUMNS, OURS, bag, told
+from test_serial import UR5, URDF
 from trials import forked
 
 FAST = 150
@@ -118,6 +127,33 @@ def study_is_read(path: Path) -> None:
     assert repr(study)
 
 
+def printer_is_read(path: Path) -> None:
+    found = import_klipper(path)
+    if found.measurements is not None:
+        finite(found.measurements.joints)
+
+
+def arm_is_read(arm: Serial) -> None:
+    finite(arm.forward(np.zeros(len(arm.joints))))
+    assert tomli_w.dumps(arm.to_tables())
+
+
+def documents_are_read(path: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", sk.SherkitWarning)
+        run = sk.from_bluesky(path, columns=COLUMNS)
+    finite(run.joints)
+    finite(run.readings)
+
+
+def bag_is_read(path: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", sk.SherkitWarning)
+        run = sk.from_rosbag(path.parent, OURS, "/tracker")
+    finite(run.joints)
+    finite(run.readings)
+
+
 def lines_run() -> sk.Measurements:
     virtual = VirtualDelta.draw(EXAMPLE, 6, noise_mm=0.005)
     return virtual.measure(grid(20.0, 3, (-15.0, 15.0)), repeats=2, seed=1)
@@ -168,6 +204,13 @@ def formats(folder: Path) -> dict[str, Format]:
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as db:
         db.execute("PRAGMA journal_mode = DELETE")
     (folder / "printer.cfg").write_text(config(TRUE, SAVED))
+    printer = Trial.of("bent plate", 1, 1)
+    for firmware in ("reprapfirmware", "marlin"):
+        printer.write(folder, firmware, (0.0,), 1)
+    (folder / "dh.csv").write_text(UR5)
+    (folder / "small.urdf").write_text(URDF)
+    (folder / "run.jsonl").write_text("\n".join(json.dumps(pair) for pair in told()))
+    bag(folder / "bag")
 
     def of(name: str, reads: Callable[[Path], object]) -> Format:
         path = folder / name
@@ -194,13 +237,22 @@ def formats(folder: Path) -> dict[str, Format]:
         "ports": of("lab/ports.json", read_ports),
         "run file": of("run.sqlite", lambda p: run_file_is_read(p, chosen.plan, chosen.about())),
         "study": of("study/study.json", study_is_read),
-        "printer": of("printer.cfg", import_klipper),
+        "printer": of("printer.cfg", printer_is_read),
+        "config.g": of("config.g", lambda path: import_duet(path, [folder / "at0.csv"])),
+        "height map": of("at0.csv", lambda path: import_duet(folder / "config.g", [path])),
+        "Marlin": of("marlin.txt", import_marlin),
+        "DH": of("dh.csv", lambda path: arm_is_read(import_dh(path))),
+        "URDF": of("small.urdf", lambda path: arm_is_read(import_urdf(path, tip="tip"))),
+        "bluesky": of("run.jsonl", documents_are_read),
+        "bag": of(next((folder / "bag").glob("*.db3")).relative_to(folder).as_posix(), bag_is_read),
+        "bag's index": of("bag/metadata.yaml", bag_is_read),
     }
 
 
 NAMES = (
     "run", "decimal commas", "parquet", "delta", "spherical", "tool", "tool run", "loads", "calibration", "laboratory",
     "experiment", "experiment of a camera", "laboratory of a camera", "ports", "run file", "study", "printer",
+    "config.g", "height map", "Marlin", "DH", "URDF", "bluesky", "bag", "bag's index",
 )  # fmt: skip
 
 

@@ -58,10 +58,7 @@ def _tool(file: Path, destination: Path) -> None:
         output.warn(f"{file}: noise '{made.noise}' is for comparisons; the loop in C runs the filter of 'propagated'")
     header = c_header(made, file.name)
     write_whole(destination, header)
-    output.say(
-        f"{destination} written; a loop includes it: cc loop.c $(sherkit c --cflags --libs). In the source tree "
-        "rust/c/examples/replay replays a CSV file with it"
-    )
+    output.say(f"{destination} written; a loop includes it: cc loop.c $(sherkit c --cflags --libs)")
 
 
 def _printer(firmware: str, calibration: Path, destination: Path, config: Path | None) -> None:
