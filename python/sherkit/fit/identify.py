@@ -18,11 +18,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+import sherkit._core as _core
+
 from ..arguments import as_annotated
 from ..data import Measurements
 from ..data.given import RunLike
 from ..data.noise import MAD, Noise, noise_of
-from ..errors import FitError
+from ..errors import FitError, RobotError
 from ..model.any import Model
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect, named_effects
@@ -259,6 +261,8 @@ def identify(
             loose, _ = problem.solve(weights, values, linear=linear)
             weights = weights / max(scale(problem.left(loose.trial), weights, loose.result()["rank"], loss), 1e-12)
         solver, ended = problem.solve(weights, values, priors=priors, linear=linear)
+        if not reached(ended, solver.result()):
+            solver, ended = _over_the_wall(problem, weights, solver, ended, priors=priors)
     except FitError as error:
         mistakes = set_up_mistakes(model, data) if start is None else ()
         if not mistakes:
@@ -307,6 +311,23 @@ def identify(
     # predicted for the scale already
     vars(fit)["predicted"] = problem.predicted(values)
     return fit
+
+
+def _over_the_wall(
+    problem: LeastSquares, weights: Floats, solver: _core.Solver, ended: str, *, priors: bool
+) -> tuple[_core.Solver, str]:
+    """Goes on from behind a small step of the cost, where a model is not smooth: a whole step from where every damped
+    one went up. Where that leads nowhere better, all stays."""
+    there = problem.solve(weights, solver.trial, priors=priors, linear=True)[0].trial
+    try:
+        other, how = problem.solve(weights, there, priors=priors)
+    except (FitError, RobotError):
+        return solver, ended
+    before, after = solver.result(), other.result()
+    variance = before["cost"] / max(before["rows"] - before["rank"], 1)
+    # where the cost jumps, a minimum may lie a little above the point beside the wall
+    better = after["cost"] <= before["cost"] + (variance if reached(how, after) else 0.0)
+    return (other, how) if better else (solver, ended)
 
 
 def extended_by(model: ModelWithEffects, effects: Sequence[str | Effect]) -> ModelWithEffects:

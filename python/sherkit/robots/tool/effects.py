@@ -202,7 +202,8 @@ def camera_delay(at: Places, values: Floats) -> Floats:
 
 @_effect(
     "sensor",
-    _p("delay", "s", 0.02),
+    # slow ones are late by 0.3 s
+    _p("delay", "s", 0.06),
     physics="The interrogator is later than its setting says: a force is felt after it was there.",
     residuals="Along the force, in proportion to how fast it changes.",
     workshop="Let robot and interrogator see one sharp touch; set [gratings] delay_s, or write fbg_time_s.",
