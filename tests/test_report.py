@@ -149,6 +149,9 @@ def test_report_says_what_the_json_says(demo: Path) -> None:
     plain = json.loads(done(demo, "calibrate", "demo/robot.toml", "demo/whole.csv", "--json"))["whole"]
     added = [a for name in found["effects"] for a in ("--effect", name)]
     last = json.loads(done(demo, "calibrate", "demo/robot.toml", "demo/whole.csv", *added, "--json"))["whole"]
+    study = sk.Study(demo / "demo" / "robot.toml", demo / "demo" / "whole.csv")
+    for name in found["effects"]:
+        study.add(name)
     with opened(demo / "demo" / "report.html") as page:
         verdict = page.inner_text("#verdict")
         assert verdict.startswith(found["verdict"] + ":")
@@ -166,11 +169,15 @@ def test_report_says_what_the_json_says(demo: Path) -> None:
             assert row[4] == ("plausible" if c["plausible"] else "implausible")
             agrees(row[5].split()[1], in_people_units(c["parameters"][0]["unit"])[1] * c["parameters"][0]["value"])
         assert [row[0] for row in cells(page, "where")] == [d["variable"] for d in found["where"]]
-        for row, one in zip(cells(page, "fall"), (plain, last), strict=True):
+        for row, one, step in zip(cells(page, "fall"), (plain, last), study.history, strict=True):
             for cell, axis in zip(row[1:], "xyz", strict=True):
                 held, fitted = cell.rstrip(")").split(" (")
-                agrees(held, one["rms_um"]["held_out"][axis])
+                agrees(held, step.held_out_rms[f"{axis}_mm"])
+                # another deal of blocks
+                assert float(held) == pytest.approx(one["rms_um"]["held_out"][axis], rel=0.1)
                 agrees(fitted, one["rms_um"]["after"][axis])
+        assert study.history[0].held_out == pytest.approx(found["steps"][0]["held_out_rms_um"], rel=1e-9)
+        assert study.history[-1].held_out == pytest.approx(found["steps"][-1]["held_out_rms_um"], rel=1e-3)
         rows = cells(page, "parameters")
         assert [row[0] for row in rows] == [p["name"] for p in last["parameters"]]
         for row, p in zip(rows, last["parameters"], strict=True):
