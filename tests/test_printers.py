@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from second_printer import Firmware, Machine, Plate, Probe, duet_files, klipper_file, marlin_file, mesh_points, touched
+from second_printer.trials import Trial
 from sherkit import SherkitError, identify, load_robot, read_measurements
 from sherkit.cli import main
 from sherkit.errors import RobotError
@@ -268,6 +269,19 @@ def test_a_twist_is_said_in_its_direction_and_size(tmp_path: Path) -> None:
     assert 0.01 < left.rms_mm < left.largest_mm < 0.3
     text = json.dumps(e.to_json())
     assert "retina" not in text
+
+
+def test_a_turn_that_nobody_told_is_asked_for(tmp_path: Path) -> None:
+    """Catches "nothing is wrong" where a bent plate was turned and two probings disagree."""
+    trial = Trial.of("bent plate", 5, 1)
+    (config,) = trial.write(tmp_path, "klipper", (0.0, 60.0), 5)
+    e = examine(import_klipper(config))
+    said = dict(e.sections)
+    assert "a pattern that neither this plate nor a known fault of the machine makes" in " ".join(said["What is wrong"])
+    assert "--plate at60=DEGREES" in " ".join(said["What to measure next"])
+    told = examine(import_klipper(config, {"at60": 60.0}))
+    assert [s.names for s in told.suspects] == [("bed_shape",)]
+    assert "DEGREES" not in " ".join(dict(told.sections)["What to measure next"])
 
 
 def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

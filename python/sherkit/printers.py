@@ -99,6 +99,12 @@ class Examined:
         gain = self.before_mm - self.after_mm
         return gain > _WORTH * self.before_mm and gain > _WORTH_MM
 
+    @property
+    def unknown(self) -> bool:
+        """Whether there is a pattern of which nobody is suspected."""
+        told = self.diagnosis
+        return not self.suspects and told.p_missing <= told.level and self.after_mm >= _FELT_MM
+
     # -- words ---------------------------------------------------------------------------------------------
 
     @property
@@ -129,6 +135,12 @@ class Examined:
                 f"The numbers in the firmware: with them the nozzle is {_mm(self.before_mm)} too high or too low "
                 f"over the "
                 f"plate (RMS), and with better ones {_mm(self.after_mm)}."
+            )
+        if self.unknown:
+            word = "Besides, what" if out else "What"
+            out.append(
+                f"{word} the firmware's numbers cannot take away, {_mm(self.after_mm)}, has a pattern that neither "
+                "this plate nor a known fault of the machine makes."
             )
         if not self.suspects:
             if not out:
@@ -231,7 +243,15 @@ class Examined:
             out.append("Lay the two rods of each arm side by side on two pins: do they have the same length?")
         if self.better_numbers and not self.tied:
             out.append("Probe again with the new numbers: the plate should read as is said above.")
-        if not self.suspects and not turned:
+        probings = self.found.robot.probings
+        if self.unknown and len(probings) > 1 and not turned:
+            out.append(
+                f"If the plate was turned between {' and '.join(probings)}, say by how much: run this again with "
+                f"--plate {probings[-1]}=DEGREES."
+            )
+        elif self.unknown:
+            out.append("Probe the same points again: what does not come back is the probe's, or something is loose.")
+        elif not self.suspects and not turned:
             out.append(
                 "A plate bent like a bowl or a saddle looks just like wrong numbers. If prints are not to size "
                 "although the "
