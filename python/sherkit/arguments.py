@@ -173,4 +173,4 @@ def _words(hint: Any) -> str:
         return f"{'an' if kind.__name__[0] in 'AEIO' else 'a'} {kind.__name__}"
     if kind is tuple and inner[-1] is not ...:
         return f"({', '.join(map(_words, inner))})"
-    return f"a list, each {_words(inner[0])}"
+    return "a list" if inner[0] is Any else f"a list, each {_words(inner[0])}"

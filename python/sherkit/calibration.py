@@ -71,6 +71,9 @@ def calibrate(
     of the paper's protocol, and is refused for robots without one.
     ``step`` is told what is being done. Raises :class:`~sherkit.errors.FitError`, and
     :class:`~sherkit.errors.CalibrationError` for a robot whose kind has no calibration.
+
+        result = sk.calibrate("demo/robot.toml", "demo/whole.csv", effects=["rail_lean"])
+        result.calibration.save("calibrated.toml")
     """
     if correction not in CORRECTIONS:
         raise FitError(f"correction: '{correction}' is not known; choose {', '.join(CORRECTIONS)}")

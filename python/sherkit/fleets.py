@@ -195,6 +195,9 @@ def fleet(
 
     A run that cannot be used is a machine that says why. Raises :class:`~sherkit.errors.FitError` where there is no
     run, or two of one name; :class:`~sherkit.errors.RobotError` for a robot that is none.
+
+        machines = sk.fleet(["demo/whole.csv", "demo/local.csv"], "demo/robot.toml")
+        print(machines)
     """
     columns = columns_of(robot) if isinstance(robot, str | os.PathLike) else None
     nominal = robot_of(robot)

@@ -80,7 +80,9 @@ class Trial:
             machine = replace(machine, arm=machine.arm + apart * np.array([0.5, -0.5]))
             probe = replace(probe, offset=beside)
         machine = replace(machine, lean=lean)
-        return cls(fault, firmware, machine, plate, probe, 0.85 * size, int(rng.choice([7, 9])))
+        # no further out than the arms of all towers reach with the probe
+        reached = 0.97 * machine.arm.min() - machine.foot.max() - np.hypot(*probe.offset[:2])
+        return cls(fault, firmware, machine, plate, probe, min(0.85 * size, reached), int(rng.choice([7, 9])))
 
     def mesh(self, turned_deg: float, rng: np.random.Generator | None) -> tuple[Floats, Floats, Floats]:
         """Ticks and heights of a round mesh, NaN where it was not probed; without noise where ``rng`` is None."""

@@ -31,6 +31,10 @@ def from_bluesky(
     others by our names, ``{"q1_mm": "rails_q1"}``, as in :func:`~sherkit.data.read_measurements`.
 
     Raises :class:`~sherkit.errors.MeasurementError` naming document, stream, key, and what was expected.
+
+        names = {"q1_mm": "rails_q1", "q2_mm": "rails_q2", "q3_mm": "rails_q3"}
+        names |= {"x_mm": "laser_out1", "y_mm": "laser_out2", "z_mm": "laser_out3"}
+        run = sk.from_bluesky("run.jsonl", columns=names)
     """
     source, pairs = _pairs(documents)
     begun, keys, rows = _events(pairs, stream, source)

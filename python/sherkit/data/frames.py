@@ -29,6 +29,9 @@ def from_frame(frame: Any, source: str = "frame", *, columns: Columns | None = N
     Null (polars) and NaN (pandas, NumPy) mean "not taken" in reading columns and are refused elsewhere. ``columns`` as
     in :func:`~sherkit.data.read_measurements`. Raises
     :class:`~sherkit.errors.MeasurementError` naming row (from 0) and column.
+
+        frame = polars.read_csv("demo/whole.csv")
+        run = sk.from_frame(frame.filter(polars.col("repeat") == 1))
     """
     return clean(to_polars(frame), source, None, "row", columns)
 

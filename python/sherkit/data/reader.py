@@ -38,6 +38,9 @@ def read_measurements(path: str | Path, *, columns: Columns | None = None) -> Me
     brackets or at its end, what it holds is converted, and that is said in a :class:`~sherkit.errors.SherkitWarning`.
 
     Raises :class:`~sherkit.errors.MeasurementError` naming file, line, column and what was expected.
+
+        run = sk.read_measurements("demo/whole.csv")
+        print(len(run), run.layout.readings)
     """
     path = checked(path)
     if path.suffix.lower() in PARQUET:

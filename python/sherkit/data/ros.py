@@ -47,6 +47,9 @@ def from_rosbag(
 
     Raises :class:`~sherkit.errors.MeasurementError` for a bag that is none, and for a topic, message or joint that is
     not there.
+
+        joints = {"q1_mm": "rail_1", "q2_mm": "rail_2", "q3_mm": "rail_3"}
+        run = sk.from_rosbag("bag", joints, "/tracker")
     """
     path = Path(path)
     if not joints:

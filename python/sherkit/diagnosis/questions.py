@@ -64,6 +64,9 @@ def diagnose(
     ``effects`` are the user's own, beside the catalogue or the model's candidates. Raises
     :class:`~sherkit.errors.FitError` where there is too little to diagnose, and
     :class:`~sherkit.errors.EffectError` for a user's effect that is none.
+
+        found = sk.diagnose("demo/robot.toml", "demo/whole.csv")
+        print(found.headline)
     """
     if not isinstance(fit, Fit):
         fit = identify(fit, data)

@@ -242,6 +242,9 @@ def identify(
 
     Raises :class:`~sherkit.errors.FitError` for rows out of reach, an unknown loss, or too few readings, and
     :class:`~sherkit.errors.EffectError` for an effect that is not known.
+
+        fit = sk.identify("demo/robot.toml", "demo/whole.csv", effects=["rail_lean"])
+        print(fit.by_name["rail_lean.radial_1"], fit.rms())
     """
     given = load_robot(robot) if isinstance(robot, str | PathLike) else robot
     model = extended_by(model_of(given, free), effects)

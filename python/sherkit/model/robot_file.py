@@ -30,6 +30,9 @@ def load_robot(path: str | os.PathLike[str]) -> Robot:
 
     Settings that a kind of robot asks for and that the file leaves out are said in a
     :class:`~sherkit.errors.SherkitWarning` each, with what cannot be tried or is assumed without them.
+
+        robot = sk.load_robot("demo/robot.toml")
+        print(robot.forward([130.0, 130.0, 130.0]))
     """
     if Path(path).suffix == ".py":
         raise RobotError(
@@ -71,7 +74,11 @@ def _columns_in(tables: dict[str, Any], path: str | os.PathLike[str]) -> Columns
 @as_annotated
 def save_robot(robot: Robot, path: str | os.PathLike[str]) -> None:
     """Writes a robot file that :func:`load_robot` reads. Raises :class:`~sherkit.errors.NotWritten`, and
-    :class:`~sherkit.errors.RobotError` for what is no robot."""
+    :class:`~sherkit.errors.RobotError` for what is no robot.
+
+        robot = sk.load_robot("demo/robot.toml")
+        sk.save_robot(robot, "copy.toml")
+    """
     write_whole(path, tomli_w.dumps(robot_of(robot).to_tables()))
 
 
