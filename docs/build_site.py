@@ -15,6 +15,9 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+sys.path.insert(0, str(Path(__file__).parent))
+from make_notebooks import make as make_notebooks
+
 HERE = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "CODE_OF_CONDUCT.md", "LICENSE",
          "benchmarks/README.md", "rust/c/README.md")  # fmt: skip
@@ -40,7 +43,9 @@ def lay_out(source: Path) -> None:
         (source / page).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(HERE / page, source / page)
     # the scripts that make the documents are no documents
-    shutil.copytree(HERE / "docs", source / "docs", ignore=shutil.ignore_patterns("__pycache__", "*.py", "*.js"))
+    shutil.copytree(
+        HERE / "docs", source / "docs", ignore=shutil.ignore_patterns("__pycache__", "*.py", "*.js", "notebooks")
+    )
     shutil.copytree(HERE / "examples", source / "examples", ignore=shutil.ignore_patterns("__pycache__"))
 
 
@@ -51,6 +56,7 @@ def build(site: Path) -> list[str]:
 
     source = site.with_name(f"{site.name}_source")
     lay_out(source)
+    make_notebooks(source / "docs" / "notebooks")
     wrong = _Warnings()
     logger = logging.getLogger("mkdocs")
     logger.addHandler(wrong)

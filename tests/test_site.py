@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import re
 import runpy
@@ -179,3 +180,31 @@ def test_the_checker_of_links_sees_what_is_wrong(tmp_path: Path) -> None:
     said = script["checked"](tmp_path)
     assert len(said) == 4
     assert all(any(word in one for one in said) for word in ("#nowhere", "c.html", "fetches https", "x.js"))
+
+
+# -- notebooks -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["delta", "serial", "spherical", "tool"])
+def test_a_notebook_runs(name: str, notebooks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a cell that stops, and one whose value shows nothing; cell by cell, as a kernel would."""
+    monkeypatch.chdir(notebooks)
+    names: dict[str, Any] = {}
+    shown = 0
+    made = runpy.run_path(str(HERE / "docs" / "make_notebooks.py"))["cells"](HERE / "docs/notebooks" / f"{name}.py")
+    for cell in made.cells:
+        if cell.cell_type == "code":
+            *body, last = ast.parse(cell.source).body
+            exec(compile(ast.Module(body, []), name, "exec"), names)
+            value = eval(compile(ast.Expression(last.value), name, "eval"), names)  # type: ignore[attr-defined]
+            shown += value is not None and "<iframe" in (value._repr_html_() or "")
+    assert shown >= 2
+
+
+@pytest.fixture(scope="module")
+def notebooks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What notebooks read."""
+    pytest.importorskip("nbclient")
+    folder = tmp_path_factory.mktemp("notebooks")
+    runpy.run_path(str(HERE / "docs" / "make_notebooks.py"))["simulated"](folder)
+    return folder

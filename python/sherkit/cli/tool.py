@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 import numpy as np
@@ -24,19 +23,11 @@ from ..robots.tool.judge import Errors, Judgement, judge
 from ..robots.tool.known import Knowledge, known
 from ..robots.tool.runs import read_tool_run, require_camera, summary
 from ..robots.tool.tool import NOISES, FlexibleTool, load_tool
-from ..types import Floats
 from . import output, reporting
 
-if TYPE_CHECKING:
-    from ..report.estimate import EstimateOverTime as Drawn
-
-#: The force below which the paper trusts no depth, drawn for orientation.
-_THRESHOLD_MN = 50.0
 #: Beyond this share of the variance a truth says more about the camera than about the tip.
 _COARSE = 0.8
 _KNOWLEDGE = ("rows", "95 % cover", "NEES", "99 % band", "largest / σ", "verdict")
-#: Innovations are drawn as their mean over this, s.
-_MEAN_S = 1.0
 
 
 @click.command()
@@ -64,10 +55,10 @@ def estimate(
     if destination is not None:
         write_table(_frame(result), destination)
     if picture is not None:
-        from ..report.estimate import estimate_picture
+        from ..report.estimate import depth_over_time, estimate_picture
         from ..report.export import save_picture
 
-        save_picture(estimate_picture(drawn(result)), picture)
+        save_picture(estimate_picture(depth_over_time(result)), picture)
     if as_json:
         output.print_json(_json(result, judged, truths))
         return
@@ -225,28 +216,6 @@ def _frame(e: Estimate) -> pl.DataFrame:
     return pl.DataFrame(columns).with_columns(pl.col(pl.Float64).fill_nan(None))
 
 
-def drawn(e: Estimate) -> Drawn:
-    """The depth over time, for the picture."""
-    from ..report.estimate import EstimateOverTime as Drawn
-
-    others = {"gratings": e.fibre_depth_mm}
-    if e.run.depth_mm is not None:
-        others["truth"] = e.run.depth_mm
-    return Drawn(
-        time_s=e.run.time_s, estimate=e.depth.value[:, 0], std=e.depth.std[:, 0], name="insertion depth", unit="mm",
-        others=others, force_mN=np.linalg.norm(np.nan_to_num(e.force_mn), axis=1), threshold_mN=_THRESHOLD_MN,
-        innovation=_innovations(e),
-    )  # fmt: skip
-
-
-def _innovations(e: Estimate) -> Floats:
-    """NIS of the depth per degree of freedom, mean over a while (n,); NaN where nothing was measured."""
-    rows = max(1, round(_MEAN_S / float(np.median(np.diff(e.run.time_s)))))
-    window = np.ones(min(rows, len(e.run)))
-    total, degrees = (np.convolve(v.astype(float), window, mode="same") for v in (e.depth.nis, e.depth.degrees))
-    return np.where(degrees > 0.5, total / np.maximum(degrees, 1.0), np.nan)
-
-
 def calibrate_tool(tool: Path, loads: Path, destination: Path | None) -> None:
     """Gains, stiffness and length from a bench of known loads, printed and written."""
     result = run_calibration(load_tool(tool), read_loads(loads))
@@ -322,7 +291,8 @@ def sentences_of(told: Applied) -> list[str]:
 
 def write_tool_report(path: Path, title: str, found: Diagnosis, e: Estimate, told: Applied) -> None:
     """The story of a run as one HTML file."""
-    from ..report.tool import Rows  # Bokeh takes a second to load
+    from ..report.estimate import depth_over_time  # Bokeh takes a second to load
+    from ..report.tool import Rows
     from ..report.tool import write_tool_report as write
 
     errors = [(f"{j.quantity}, {x.signal}", *_error_cells(x)) for j in judge(e) for x in j.errors]
@@ -332,7 +302,15 @@ def write_tool_report(path: Path, title: str, found: Diagnosis, e: Estimate, tol
         Rows("Does the filter know its own errors?", ("", *_KNOWLEDGE), tuple(truths)),
     ]
     said = [*sentences_of(told), *(str(fault) for fault in e.faults)]
-    write(path, title, found, drawn(e), said, tables=[t for t in tables if t.cells], command=output.command_line())
+    write(
+        path,
+        title,
+        found,
+        depth_over_time(e),
+        said,
+        tables=[t for t in tables if t.cells],
+        command=output.command_line(),
+    )
 
 
 def print_alignment(found: Aligned) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from bokeh.models import Span
 from numpy.typing import NDArray
 
+from ..robots.tool.filters import Estimate
 from ..types import Floats
 from .picture import Picture, Tables, sources_of, stacked
 from .style import ADDED, COLOURS, INK, MUTED, PLAIN, figure, hover, legend
@@ -18,6 +19,10 @@ _HEIGHT, _BELOW = 320, 190
 #: More steps than this are drawn as the extremes of equal stretches, so that no spike of any line is lost.
 _MOST = 4000
 _TWO_SIDED_95 = 1.959964
+#: The force below which the paper trusts no depth, drawn for orientation.
+_THRESHOLD_MN = 50.0
+#: Innovations are drawn as their mean over this, s.
+_MEAN_S = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +43,26 @@ class EstimateOverTime:
     force_mN: Floats | None = None
     threshold_mN: float | None = None
     innovation: Floats | None = None
+
+
+def depth_over_time(e: Estimate) -> EstimateOverTime:
+    """The depth of a tool's run, for the picture."""
+    others = {"gratings": e.fibre_depth_mm}
+    if e.run.depth_mm is not None:
+        others["truth"] = e.run.depth_mm
+    return EstimateOverTime(
+        time_s=e.run.time_s, estimate=e.depth.value[:, 0], std=e.depth.std[:, 0], name="insertion depth", unit="mm",
+        others=others, force_mN=np.linalg.norm(np.nan_to_num(e.force_mn), axis=1), threshold_mN=_THRESHOLD_MN,
+        innovation=_innovations(e),
+    )  # fmt: skip
+
+
+def _innovations(e: Estimate) -> Floats:
+    """NIS of the depth per degree of freedom, mean over a while (n,); NaN where nothing was measured."""
+    rows = max(1, round(_MEAN_S / float(np.median(np.diff(e.run.time_s)))))
+    window = np.ones(min(rows, len(e.run)))
+    total, degrees = (np.convolve(v.astype(float), window, mode="same") for v in (e.depth.nis, e.depth.degrees))
+    return np.where(degrees > 0.5, total / np.maximum(degrees, 1.0), np.nan)
 
 
 def estimate_picture(state: EstimateOverTime) -> Picture[EstimateOverTime]:

@@ -1,4 +1,5 @@
-"""What values show of themselves in a notebook: fits, diagnoses, studies, calibrations, robots, effects and catalogues.
+"""What values show of themselves in a notebook: fits, diagnoses, studies, calibrations, estimates of a tool, robots,
+effects and catalogues.
 
 Every cell is a page of its own in a frame, as high as what it shows: it needs no extension and no network. Bokeh, which
 is large, stands once in a notebook, as text in the first cell that needs it; the frames of all cells read it there.
@@ -21,10 +22,12 @@ from ..fit.identify import Fit
 from ..model.effect import Catalogue, Effect
 from ..model.kinds import Robot, known_kinds
 from ..robots.calibrated import Calibration
+from ..robots.tool.filters import Estimate
 from ..study import Study
 from .candidates import candidates
 from .card import card_page, effect_card
 from .error_history import error_history, error_history_of
+from .estimate import depth_over_time, estimate_picture
 from .mechanism import scene_of_robot
 from .parameters import parameters
 from .picture import Picture
@@ -92,6 +95,8 @@ def pictures_of(value: Any) -> list[Picture[Any]]:
     if isinstance(value, Fit):
         left = residuals_of(value)
         return [residual_map(Change(left, left, "left by the fit", "left by the fit")), parameters(value)]
+    if isinstance(value, Estimate):
+        return [estimate_picture(depth_over_time(value))]
     raise TypeError(f"no picture is known for {type(value).__name__}")
 
 
@@ -102,7 +107,7 @@ def cell(value: Any) -> str | None:
             return _framed(card_page("", [_table(value)]))
         if isinstance(value, Effect):
             return _framed(card_page("", [effect_card(value, _example_with(value))]))
-        if isinstance(value, Study | Diagnosis | Calibration | Fit):
+        if isinstance(value, Study | Diagnosis | Calibration | Fit | Estimate):
             return _with_bokeh(value, pictures_of(value))
         return _framed(card_page("", [_text(value), scene_of_robot(value).html()]))
     except SherkitError:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 import sherkit._core as _core
 
 from ...errors import MeasurementError
+from ...notebook import Shown
 from ...types import Bools, Floats
 from .gratings import Fault, faults_of
 from .plausible import check_wavelengths
@@ -86,7 +87,7 @@ def consistency(total: float, degrees: int) -> Consistency:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class Estimate(Shown):
     """A run with everything that was estimated on it. All arrays have the rows of ``run``.
 
     ``measurements`` are the gratings alone (Eqs. 1, 2): ``force_mn`` (n, 2), ``fibre_depth_mm`` (n,) with
@@ -109,6 +110,15 @@ class Estimate:
     smooth_depth: tuple[Floats, Floats]
     smooth_together: tuple[Floats, Floats]
     faulty: NDArray[np.uint16]
+
+    def __repr__(self) -> str:
+        depth = self.depth.value[:, 0]
+        truth = self.run.depth_mm
+        told = "" if truth is None else f", {np.sqrt(np.nanmean((depth - truth) ** 2)):.3f} mm off"
+        return (
+            f"Estimate({self.run.source}: {len(self.run)} rows; depth {depth.min():.2f} to {depth.max():.2f} mm{told}, "
+            f"± {np.median(self.depth.std[:, 0]):.3f}; {self.depth.consistency.verdict})"
+        )
 
     @property
     def faulty_sections(self) -> Bools:

@@ -46,6 +46,9 @@ class ToolRun:
     def __len__(self) -> int:
         return len(self.time_s)
 
+    def __repr__(self) -> str:
+        return f"ToolRun({self.source}: {len(self)} rows, {len(self.camera_time_s)} of the camera)"
+
     @cached_property
     def rotations(self) -> Floats:
         """Tool to base (n, 3, 3)."""
