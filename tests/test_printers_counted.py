@@ -43,7 +43,7 @@ def counted(printers: int, folder: Path, seed: int, *, first: int = 0, told: boo
     out: Counter[str] = Counter()
     for number in range(first, first + printers):
         fault = list(FAULTS)[number % len(FAULTS)]
-        firmware = FIRMWARES[number % len(FIRMWARES)]
+        firmware = FIRMWARES[number // len(FAULTS) % len(FIRMWARES)]
         trial, right = Trial.of(fault, seed, number), FAULTS[fault]
         for turned in ((0.0,), (0.0, 60.0)):
             kind = "turned" if len(turned) > 1 else "one"
