@@ -78,7 +78,7 @@ def _plate(title: str, at: Floats, high: Floats, most: float) -> str:
             'stroke="#999" stroke-width="0.5"/>'
         )
     rms = float(np.sqrt(np.mean((high - high.mean()) ** 2))) if len(high) else 0.0
-    return _titled(title, parts, f"{1e3 * rms:.0f} µm RMS; orange high, blue low, to {1e3 * most:.0f}")
+    return _titled(title, parts, f"{1e3 * rms:.0f} µm RMS; orange high, blue low, to ± {1e3 * most:.0f} µm")
 
 
 def _above(examined: Examined, lean: Floats) -> str:
