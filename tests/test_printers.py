@@ -304,6 +304,8 @@ def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     out = tmp_path / "calibrated.toml"
     assert command("calibrate", str(robot), str(run), "--effect", "rail_lean", "-o", str(out)) == 0
     assert Calibration.load(out).whole.effects == ("rail_lean",)
+    # of the height: where on its plate a printer prints is no error, and no probe tells
+    assert 0.01 < Calibration.load(out).accuracy([0.0, 0.0, 0.0]) < 0.1
     capsys.readouterr()
     assert command("export", "klipper", str(out), "--config", str(cfg), "-o", str(new)) == 0
     assert "klipper cannot hold rail_lean" in capsys.readouterr().out

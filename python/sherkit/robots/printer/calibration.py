@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, cast
 
@@ -10,6 +11,8 @@ import numpy as np
 from ...fit.identify import Fit
 from ...model.chain import ChainModel
 from ...model.kinds import Robot
+from ...types import Floats
+from ..calibrated import Note
 from ..calibration_run import CalibrationRun
 from ..delta.calibration import DeltaCalibration, DeltaPart
 from .model import distances
@@ -24,7 +27,7 @@ class PrinterPart(DeltaPart):
     def of(cls, run: CalibrationRun) -> PrinterPart:
         """The part that a run gives: heights say how far off it is, the same on every axis."""
         fit = run.fit
-        left = 3.0 * float(np.nanmean(run.held_out**2)) * np.eye(3)
+        left = float(np.nanmean(run.held_out**2)) * np.eye(3)
         tips = fit.model.tips(fit.data)[~distances(fit.data) & ~fit.data.outlier]
         where = tips if len(tips) else np.zeros((1, 3))
         core = len(fit.model.indices)
@@ -61,6 +64,18 @@ class PrinterCalibration(DeltaCalibration):
     def from_runs(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> PrinterCalibration:
         """:meth:`of` these runs: what a probe does not show of an effect a printer's owner cannot ask."""
         return cls.of(whole, local)
+
+    def spread(self, coordinates: Floats, joints: Floats) -> Floats:
+        """Covariance (n, 3, 3), mm², of the height alone: along the plate a probe sees nothing, and where on it a print
+        stands is no error."""
+        out = super().spread(coordinates, joints)
+        out[:, :2] = out[:, :, :2] = 0.0
+        return out
+
+    def notes(self) -> Sequence[Note]:
+        """Of what it is known how far it is off."""
+        said = "of the height over the plate; how true the sizes of prints are callipers tell"
+        return (Note("predicted accuracy", said, {}),)
 
     @classmethod
     def may_correct(cls, fit: Fit) -> bool:
