@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 import sherkit as sk
 from second_simulator import Robot, draw_geometric_errors, grid, make_plan, scaled_effect, simulate, truth
+from sherkit.data.joined import joined
 from sherkit.fit.hold_out import spatial_blocks
-from sherkit.study import joined
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from ..data.files import write_whole
+from ..data.joined import joined
 from ..diagnosis import Diagnosis, template
 from ..diagnosis import diagnose as run_diagnosis
 from ..errors import SherkitError
@@ -19,7 +20,7 @@ from ..model.kinds import model_of
 from ..model.robot_file import run_for
 from ..robots.machine.file import robot_at
 from ..robots.tool_file import is_tool
-from ..study import Study, joined
+from ..study import Study
 from . import output, reporting
 from .diagnosis_tables import diagnosis as print_diagnosis
 from .reporting import report_option
