@@ -266,7 +266,7 @@ def without(stem: str) -> Change:
     ("change", "says"),
     [
         (swap("kinematics: delta", "kinematics: corexy"), "[printer] kinematics is not 'delta'"),
-        (lambda _: "", "[printer] kinematics is not 'delta'"),
+        (lambda _: "", "has no 'kinematics' in a section [printer]; expected the printer.cfg"),
         (without("delta_radius"), "[printer] delta_radius is missing"),
         (swap("delta_radius = 100.000000", "delta_radius = 0"), "[printer] delta_radius: expected a number above zero"),
         (without("arm_length"), "[stepper_a] arm_length is missing"),

@@ -70,9 +70,15 @@ def import_klipper(path: str | Path, plates: Mapping[str, float] | None = None) 
 def _printer(config: KlipperConfig) -> Printer:
     path = config.path
     kinematics = config.get("printer", "kinematics")
+    if kinematics is None:
+        raise RobotError(
+            f"{path}: has no 'kinematics' in a section [printer]; expected the printer.cfg of a linear delta (Klipper), "
+            "a config.g (RepRapFirmware), or what a terminal said to M503 and G29 (Marlin)"
+        )
     if kinematics != "delta":
-        what = f"'{kinematics}'" if kinematics else "left out"
-        raise RobotError(f"{path}: [printer] kinematics is not 'delta' but {what}; only linear deltas can be imported")
+        raise RobotError(
+            f"{path}: [printer] kinematics is not 'delta' but '{kinematics}'; only linear deltas can be imported"
+        )
     radius = config.number("printer", "delta_radius")
     if radius <= 0:
         raise RobotError(f"{path}: [printer] delta_radius: expected a number above zero, found {radius:g}")
