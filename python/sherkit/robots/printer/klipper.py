@@ -72,8 +72,8 @@ def _printer(config: KlipperConfig) -> Printer:
     kinematics = config.get("printer", "kinematics")
     if kinematics is None:
         raise RobotError(
-            f"{path}: has no 'kinematics' in a section [printer]; expected the printer.cfg of a linear delta (Klipper), "
-            "a config.g (RepRapFirmware), or what a terminal said to M503 and G29 (Marlin)"
+            f"{path}: has no 'kinematics' in a section [printer]; expected the printer.cfg of a linear delta "
+            "(Klipper), a config.g (RepRapFirmware), or what a terminal said to M503 and G29 (Marlin)"
         )
     if kinematics != "delta":
         raise RobotError(
