@@ -57,6 +57,11 @@ def test_documents_are_a_run(tmp_path, way):
         (lambda: told(), {"stream": "baseline"}, "no event of the stream 'baseline'; streams are baseline, primary"),
         (lambda: [*told(), *told()], {}, "holds 2 runs"),
         (lambda: [("start", {})], {}, "lacks or garbles 'time'"),
+        (
+            lambda: [(n, d | {"data_keys": {"rails_q1": 2.0}} if n == "descriptor" else d) for n, d in told()],
+            {},
+            "'descriptor' lacks or garbles",
+        ),
         (lambda: [("event",)], {}, "document 1 is no pair"),
         (lambda: 5, {}, "got int"),
     ],

@@ -377,6 +377,7 @@ def test_files_that_lack_something(change: Callable[[str], str], says: str, tmp_
         ("config.g", "R150.000000", "", "M665 R is missing"),
         ("heightmap.csv", "RepRapFirmware", "Some", "is no height map"),
         ("heightmap.csv", ",7,7", ",7,6", "expected 6 rows of 7 heights"),
+        ("heightmap.csv", ",7,7", f",7,{400 * '9'}", "line 3: expected a number for num1, found '999"),
         ("marlin.txt", "M665", "M667", "has no M665"),
         ("marlin.txt", "G29 L", "G28 L", "G29 L is missing"),
         ("marlin.txt", "Bilinear", "M503\nNothing", None),

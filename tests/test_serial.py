@@ -118,6 +118,20 @@ def test_hayati_leans_an_axis_that_is_nearly_parallel(tmp_path: Path) -> None:
     np.testing.assert_allclose(import_dh(tmp_path / "t.csv").forward(q), expected, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("d_mm,a_mm,alpha_deg\n89,159,0,90\n", "row 1 has more cells than there are columns"),
+        ("d_mm,d_mm,a_mm,alpha_deg\n1,2,3,4\n", "column 'd_mm' is there twice"),
+    ],
+)
+def test_a_table_that_is_none_is_refused(text: str, said: str, tmp_path: Path) -> None:
+    """Catches a decimal comma that moves every cell, and a column that hides another."""
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(RobotError, match=said):
+        import_dh(tmp_path / "t.csv")
+
+
 def test_a_urdf_is_folded_and_weighed(tmp_path: Path) -> None:
     """Catches metres taken for millimetres, a fixed joint that is lost, an axis of no unit length, a mass that hangs on
     the wrong joint or from the wrong place, and limits of another unit."""

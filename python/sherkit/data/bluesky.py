@@ -108,9 +108,11 @@ def _events(
             elif name == "descriptor":
                 streams[document["uid"]] = document.get("name", "primary")
                 if streams[document["uid"]] == stream:
-                    keys.update(document["data_keys"])
+                    keys |= {str(key): dict(about) for key, about in document["data_keys"].items()}
             elif name in ("event", "event_page") and streams.get(document["descriptor"]) == stream:
-                rows += _of_page(document) if name == "event_page" else [(float(document["time"]), document["data"])]
+                rows += (
+                    _of_page(document) if name == "event_page" else [(float(document["time"]), dict(document["data"]))]
+                )
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise MeasurementError(f"{source}: a document of kind '{name}' lacks or garbles {error}") from None
     if len(started) != 1:

@@ -79,10 +79,10 @@ def _map(path: Path) -> list[tuple[float, float, float]]:
 
     def of(*names: str) -> float:
         text = next((named[name] for name in names if name in named), "")
-        try:
-            return float(text)
-        except ValueError:
-            raise MeasurementError(f"{path}: line 3: expected a number for {names[0]}, found '{text}'") from None
+        found = _number(text)
+        if found is None:
+            raise MeasurementError(f"{path}: line 3: expected a number for {names[0]}, found '{text[:40]}'")
+        return found
 
     low = of("min0", "xmin"), of("min1", "ymin")
     step = of("spacing0", "xspacing", "spacing"), of("spacing1", "yspacing", "spacing")
@@ -95,14 +95,14 @@ def _map(path: Path) -> list[tuple[float, float, float]]:
         for i, cell in enumerate(cells):
             if cell in ("0", "*"):
                 continue
-            height = _height(cell)
+            height = _number(cell)
             if height is None:
                 raise MeasurementError(f"{path}: line {j + 4}: expected a height, found '{cell}'")
             out.append((low[0] + i * step[0], low[1] + j * step[1], height))
     return out
 
 
-def _height(cell: str) -> float | None:
+def _number(cell: str) -> float | None:
     try:
         value = float(cell)
     except ValueError:

@@ -100,7 +100,11 @@ def _rows(path: Path) -> list[dict[str, str]]:
         with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file, restval="", skipinitialspace=True)
             names = [name.strip() for name in reader.fieldnames or ()]
-            rows = [dict(zip(names, (v or "" for v in row.values()), strict=False)) for row in reader]
+            rows = []
+            for k, row in enumerate(reader, 1):
+                if None in row:
+                    raise RobotError(f"{path}: row {k} has more cells than there are columns; a comma for a point?")
+                rows.append({name: row[own] or "" for name, own in zip(names, reader.fieldnames or (), strict=True)})
     except OSError as error:
         raise RobotError(f"{path}: cannot be read: {error.strerror}") from None
     except (UnicodeDecodeError, csv.Error) as error:
@@ -110,6 +114,8 @@ def _rows(path: Path) -> list[dict[str, str]]:
             raise RobotError(
                 f"{path}: column '{name}' is not known{nearest(name, _KNOWN)}; there are {listed(_KNOWN, 12)}"
             )
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise RobotError(f"{path}: column '{twice[0]}' is there twice")
     if lacking := [name for name in _NEEDED if name not in names]:
         raise RobotError(f"{path}: column {listed(lacking)} is missing")
     if not 1 <= len(rows) <= MOST_JOINTS:
