@@ -74,8 +74,7 @@ class Examined:
         p = self.diagnosis.p_missing
         for one in self.suspects[:1]:
             nothing = Suspect((), self.plain, self.plain)
-            numbers = sum(len(e.parameters) for e in one.effects)
-            p = min(p, float(scipy.special.chdtrc(numbers, nothing.alone - one.alone)))
+            p = min(p, float(scipy.special.chdtrc(one.numbers, nothing.alone - one.alone)))
         return max(p, 1e-6)
 
     def _rms(self, left: Any) -> float:

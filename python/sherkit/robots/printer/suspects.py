@@ -2,9 +2,10 @@
 near the data as the best are said together.
 
 A plate that is bent and a frame that is not square leave much the same on one mesh. So whatever is left is given to
-each of them in turn: the best is who leaves least, by the fit alone or with a price on each number (Schwarz,
-"Estimating the dimension of a model", 1978), and tied with it is whoever is not clearly worse by either (Kass and
-Raftery, "Bayes factors", JASA 1995). Whether anything is left at all the diagnosis says, at its level."""
+each of them in turn: the best is who leaves least, with each number priced at what it takes of noise in the mean, or
+at what it must bring to be worth it (Schwarz, "Estimating the dimension of a model", 1978), and tied with it is
+whoever is not clearly worse by either (Kass and Raftery, "Bayes factors", JASA 1995). Whether anything is left at all
+the diagnosis says, at its level."""
 
 from __future__ import annotations
 
@@ -64,11 +65,20 @@ class Suspect:
         # what the plain fit has used up is no reading any more
         return float((len(left) - self.plain.rank) * np.log(np.mean(left**2)))
 
-    @cached_property
+    @property
+    def numbers(self) -> int:
+        """How many its effects have."""
+        return sum(len(e.parameters) for e in self.effects)
+
+    @property
+    def fair(self) -> float:
+        """Schwarz's criterion with each number at what it takes of noise in the mean."""
+        return self.alone + self.numbers
+
+    @property
     def priced(self) -> float:
         """Schwarz's criterion."""
-        numbers = sum(len(e.parameters) for e in self.effects)
-        return self.alone + numbers * float(np.log(self.fit.data.used.sum()))
+        return self.alone + self.numbers * float(np.log(self.fit.data.used.sum()))
 
 
 def suspects(plain: Fit, *, significant: bool) -> tuple[Suspect, ...]:
@@ -119,16 +129,16 @@ def _leading(nothing: Suspect, tried: list[Suspect], *, significant: bool) -> tu
     ]
     if not better:
         return ()
-    # who is no better than nothing by its price, having many numbers, may yet leave as little as the best
-    alone, priced = min(s.alone for s in better), min(s.priced for s in better)
-    near = [s for s in tried if s.alone < alone + _CLEARLY or (s in better and s.priced < priced + _CLEARLY)]
+    # who is no better than nothing by its price, having many numbers, may yet leave as little as the best, but for what
+    # so many numbers take of noise
+    fair, priced = min(s.fair for s in better), min(s.priced for s in better)
+    near = [s for s in tried if s.fair < fair + _CLEARLY or (s in better and s.priced < priced + _CLEARLY)]
     return tuple(sorted(near, key=lambda s: s.priced))
 
 
 def _fair(one: Suspect) -> float:
     """What so many numbers take of noise, and clearly more."""
-    numbers = sum(len(e.parameters) for e in one.effects)
-    return numbers + 2.0 * float(np.sqrt(2.0 * numbers)) + _CLEARLY
+    return one.numbers + 2.0 * float(np.sqrt(2.0 * one.numbers)) + _CLEARLY
 
 
 def plain_fit(robot: Printer, data: Measurements) -> Fit:
