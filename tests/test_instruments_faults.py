@@ -332,3 +332,18 @@ def test_empty_cells_stay_empty_when_confirmed():
         k.empty = False
         with pytest.raises(OutOfRange):
             k.read_confirmed(0.001)
+
+
+def test_an_answer_of_another_question_is_no_identity(monkeypatch):
+    """Catches a late answer that makes the controller another one, and a run that is refused for it."""
+    with GalilEmulator(World((130.0, 130.0, 130.0))) as rails, Galil(rails.address, AXES, timeout_s=5.0) as galil:
+        known, asked = galil.identify(), Galil.command
+        late = {"\x12\x16": ["4183.0000"], "MG _BN": ["DMC4183 Rev 1.3a"]}
+
+        def answered(self, text, timeout_s=None):
+            data = asked(self, text, timeout_s)
+            return late[text].pop() if late.get(text) else data
+
+        monkeypatch.setattr(Galil, "command", answered)
+        assert galil.identify() == known
+        assert not any(late.values())

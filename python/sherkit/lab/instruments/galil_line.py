@@ -18,7 +18,7 @@ from .transport import deadline_in
 #: A line that the controller takes.
 _LONGEST_LINE = 80
 LARGEST_COUNT = (1 << 31) - 1
-_NUMBER = re.compile(r"-?\d{1,10}(\.\d{1,4})?", re.ASCII)
+NUMBER = re.compile(r"-?\d{1,10}(\.\d{1,4})?", re.ASCII)
 _REFUSAL = re.compile(r" ?(\d{1,3}) ?(.*)", re.ASCII)
 _PROMPTS = (b":", b"?")
 #: Numbers that mark where answers are in step again; any controller can print them.
@@ -51,7 +51,7 @@ def parse_numbers(data: str, count: int) -> tuple[float, ...]:
     # a comma may have spaces around it, or none: both forms are printed by the same controller
     words = data.replace(",", " ").split(" ")
     words = [w for w in words if w]
-    if len(words) != count or not all(_NUMBER.fullmatch(w) for w in words):
+    if len(words) != count or not all(NUMBER.fullmatch(w) for w in words):
         received = data.encode("ascii", "replace")
         raise Garbled(f"expected {count} decimal number{'s' if count > 1 else ''}", received=received)
     return tuple(float(w) for w in words)

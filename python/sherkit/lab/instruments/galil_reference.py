@@ -16,7 +16,7 @@ from ...names import listed
 from ..clock import now_s
 from .axes import Axis, AxisController, Reference
 from .base import Identity, Reading
-from .galil_line import LARGEST_COUNT, GalilLine
+from .galil_line import LARGEST_COUNT, NUMBER, GalilLine
 
 #: The controller's variable that says that its zero was set.
 ZEROED = "zeroed"
@@ -39,13 +39,20 @@ class GalilReference(GalilLine, AxisController):
     def identify(self) -> Identity:
         """Model, firmware and serial number, as far as the controller tells; "unknown" where it tells nothing."""
 
-        def asked(command: str) -> str:
+        def answer(command: str, *, is_number: bool) -> str:
+            data = self.command(command).strip()
+            # a late answer of the other question would make it another instrument
+            if data and bool(NUMBER.fullmatch(data)) is not is_number:
+                raise self._garbled(f"expected {'a number' if is_number else 'a name'}", command, data)
+            return data
+
+        def asked(command: str, *, is_number: bool) -> str:
             try:
-                return self._repeat(lambda: self.command(command)).strip()
+                return self._repeat(lambda: answer(command, is_number=is_number))
             except Refused:
                 return ""
 
-        text, number = asked("\x12\x16"), asked("MG _BN")
+        text, number = asked("\x12\x16", is_number=False), asked("MG _BN", is_number=True)
         serial = f"serial number {number.partition('.')[0]}" if number else ""
         return Identity(self.kind, ", ".join(filter(None, (text, serial))) or "unknown", self.address)
 
