@@ -27,7 +27,8 @@ def parse_numbers(raw: bytes) -> tuple[float, ...]:
     is no number.
     """
     try:
-        words = [word.strip() for word in raw.decode("ascii").strip().split(",")]
+        # a space or an end of line may stand about a number, no other sign that Python takes for one
+        words = [word.strip(" \t\r\n") for word in raw.decode("ascii").split(",")]
     except UnicodeDecodeError:
         raise Garbled("expected numbers parted by commas", received=raw) from None
     if not all(_NUMBER.fullmatch(word) for word in words):

@@ -2,8 +2,8 @@
 near the data as the best are said together.
 
 A plate that is bent and a frame that is not square leave much the same on one mesh. So whatever is left is given to
-each of them in turn: the best is who leaves least, with each number priced at what it takes of noise in the mean, or
-at what it must bring to be worth it (Schwarz, "Estimating the dimension of a model", 1978), and tied with it is
+each of them in turn: the best is who leaves least, with each number for nothing, at what it takes of noise in the mean,
+or at what it must bring to be worth it (Schwarz, "Estimating the dimension of a model", 1978), and tied with it is
 whoever is not clearly worse by either (Kass and Raftery, "Bayes factors", JASA 1995). Whether anything is left at all
 the diagnosis says, at its level."""
 
@@ -129,10 +129,15 @@ def _leading(nothing: Suspect, tried: list[Suspect], *, significant: bool) -> tu
     ]
     if not better:
         return ()
-    # who is no better than nothing by its price, having many numbers, may yet leave as little as the best, but for what
-    # so many numbers take of noise
-    fair, priced = min(s.fair for s in better), min(s.priced for s in better)
-    near = [s for s in tried if s.fair < fair + _CLEARLY or (s in better and s.priced < priced + _CLEARLY)]
+    # who is no better than nothing by its price, having many numbers, may yet leave as little as the best; and who
+    # leaves more may have done without what many numbers take of noise
+    alone, fair = min(s.alone for s in better), min(s.fair for s in better)
+    priced = min(s.priced for s in better)
+    near = [
+        s
+        for s in tried
+        if s.alone < alone + _CLEARLY or s.fair < fair + _CLEARLY or (s in better and s.priced < priced + _CLEARLY)
+    ]
     return tuple(sorted(near, key=lambda s: s.priced))
 
 
