@@ -21,6 +21,7 @@ from tornado.ioloop import IOLoop
 from ..diagnosis import sentence, template
 from ..diagnosis.outliers import sentences
 from ..names import listed
+from ..report.answer import answer
 from ..report.policy import fresh_nonce, numbered, policy
 from ..report.scene import script as scenes
 from ..report.style import number
@@ -81,7 +82,8 @@ class StudyPage:
 
     def _build(self, links: str) -> None:
         bench, places = self.bench, self._notices.place
-        self._numbers, self._headline, self._status = text("numbers"), text("headline"), text("status")
+        self._numbers, self._headline = text("numbers"), text("headline")
+        self._status = text("status", sizing_mode=None, margin=(12, 5, 5, 5))
         self._findings = text("findings")
         self._cancel = button("Cancel", "cancel", width=80, visible=False)
         self._cancel.on_click(bench.cancel)
@@ -98,13 +100,13 @@ class StudyPage:
         self._maps = Maps(lambda: self._selection.select(()), self._selection.watch)
         self._fall = Fall()
         controls = row(
-            self._undo, self._redo, self._advised, self._ask, self._cancel, self._fall.unfold,
+            self._undo, self._redo, self._advised, self._ask, self._fall.unfold, self._cancel, self._status,
             styles={"flex-wrap": "wrap"},
         )  # fmt: skip
         # each of these is laid out by itself: a new line of progress must not draw every picture again
         roots: dict[str, Any] = {
             "top": column(
-                self._numbers, self._headline, self._status, controls, places[HISTORY], sizing_mode="stretch_width"
+                self._numbers, self._headline, controls, places[HISTORY], sizing_mode="stretch_width"
             ),
             "findings": self._findings,
             "effects": column(places[_EFFECTS], self._effects.root, width=_LEFT),
@@ -243,7 +245,8 @@ class StudyPage:
             beside.append(f"needed {moment.required_um:g} {unit}")
         self._numbers.text = (
             f'<span style="font-size:34px;line-height:1"><b id="error-now">{number(last.held_out)}</b> {unit}</span>'
-            f" left on poses held out (RMS of a reading)<br>{' · '.join(beside)}{' · ' if beside else ''}"
+            " is how far the model is off at poses that it was not fitted to (RMS)<br>"
+            f"{' · '.join(beside)}{' · ' if beside else ''}"
             f"in the model: {escape(listed(moment.effects, 20)) or 'the geometry alone'}"
         )
 
@@ -255,11 +258,11 @@ class StudyPage:
         if found is None:
             self._headline.text, self._findings.text = rows, ""
             return
-        missing = ""
-        if found.effects:
-            would, names = number(found.steps[-1].held_out_rms), escape(" and ".join(found.effects))
-            missing = f"<br>Missing in the model: {names}; with it {would} {escape(found.unit)} would be left."
-        self._headline.text = f'<b id="verdict">{escape(found.headline)}</b>{missing}<br>{rows}'
+        told = answer(found)
+        self._headline.text = (
+            f"<b>{escape(told.cause)}</b> {escape(told.brings)}<br>"
+            f'{rows} · verdict: <span id="verdict">{escape(found.headline)}</span>'
+        )
         said = [
             *sentences(data, found.outliers),
             *(f"these rows cannot tell {' from '.join(tie)}" for tie in found.ties),

@@ -132,8 +132,8 @@ def _read(shown: Exaggerated, *, fitted: bool) -> str:
     unit, factor = ("µm", 1e3) if shown.plain.unit == "mm" else (shown.plain.unit, 1.0)
     last = f" Beyond × {shown.factors[-1]:g} nothing could be told any more." if shown.factors[-1] < 100 else ""
     return (
-        f"Grey: as drawn; in colour: with the effect, begun at × {shown.factor:g}. Blue dot: the measured point; "
-        f"orange ring: where it is read. {size} it moves what is read by {number(factor * shown.moves_mm)} {unit} "
+        "Grey: as drawn. In colour: with the effect, so much larger that it can be seen (slider). Blue dot: the measured "
+        f"point; orange ring: where it is read. {size} it moves what is read by {number(factor * shown.moves_mm)} {unit} "
         "here. "
         f"{shown.told}{last}"
     )
@@ -164,7 +164,9 @@ def its_numbers(effect: Effect, fit: Fit | None, found: Diagnosis | None = None)
     those of the fit that has it in its model, else those with which ``found`` tried it."""
     if not effect.parameters:
         return ""
-    values, one = _fitted(effect, fit) or _tried(effect, found), _known(effect, fit)
+    last = None if found is None else found.fit
+    values = _fitted(effect, fit) or _fitted(effect, last) or _tried(effect, found)
+    one = _known(effect, fit)
     head = "<tr><th></th>" + ("<th>fitted</th>" if values else "") + "<th>plausible size</th></tr>"
     rows = []
     for k, p in enumerate(effect.parameters[:_MOST_LISTED]):
