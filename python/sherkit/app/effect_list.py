@@ -42,7 +42,7 @@ class EffectList:
     def __init__(self, pressed: Callable[[str], object]) -> None:
         self._pressed = pressed
         self._places: list[_Place] = []
-        #: What each would leave, as a diagnosis said last, and which would not help: until there is a new one both stay.
+        #: What each would leave, as a diagnosis said last, and which would not help: until the next one both stay.
         self._would: dict[str, float] = {}
         self._idle: frozenset[str] = frozenset()
         self._all = False

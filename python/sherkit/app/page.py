@@ -105,9 +105,7 @@ class StudyPage:
         )  # fmt: skip
         # each of these is laid out by itself: a new line of progress must not draw every picture again
         roots: dict[str, Any] = {
-            "top": column(
-                self._numbers, self._headline, controls, places[HISTORY], sizing_mode="stretch_width"
-            ),
+            "top": column(self._numbers, self._headline, controls, places[HISTORY], sizing_mode="stretch_width"),
             "findings": self._findings,
             "effects": column(places[_EFFECTS], self._effects.root, width=_LEFT),
             "own": self._own_lines(),

@@ -124,9 +124,10 @@ def error_history(state: ErrorHistory, *, height_px: int = _HEIGHT, room_px: int
         _say(made, float(np.mean(list(state.noise.values()))), "noise")
     made.add_tools(
         hover(
-            renderers, ("step", "@action"),
+            renderers,
+            ("step", "@action"),
             *((n, f"@held_{n}{{0.0}} held out, @fit_{n}{{0.0}} fitted") for n in [*names, *together]),
-        )  # fmt: skip
+        )
     )
     made.xgrid.grid_line_color = None
     legend(made)

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from bokeh.embed import components
+from bokeh.models import GridPlot
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -57,6 +58,9 @@ from .workspace import NextPoses, accuracy_map, accuracy_of, next_poses
 
 #: Cards of effects that cannot be told from those that are named.
 _MOST_TIED = 3
+#: Height of a printed page as wide as the pictures (letter, which is the lower), with room for a note; what axis and
+#: title take of a figure, px.
+_PAGE_PX, _AXIS_PX = 1230, 62
 
 
 @dataclass(frozen=True)
@@ -133,7 +137,8 @@ def html(story: Story) -> str:
         unobserved=[str(d) for d in getattr(story.study.fit, "unobserved", ())],
         accuracy=_accuracy_lines(story.calibration),
         coordinates=_together(story.calibration.coordinates) if story.calibration else "",
-        bars=_bars(story.found),
+        bars=_bars(story),
+        printed_map=_printed(pictures["residual_map"]),
         example=_example(story.calibration),
         measured=_measured(story),
         signature=sentence(story.found.signature) if story.found.signature else None,
@@ -168,13 +173,23 @@ def _p(value: float) -> str:
     return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
 
 
-def _bars(found: Diagnosis) -> list[tuple[str, str, float]]:
-    """Before, after and noise as bars: key, name and length of each."""
+def _printed(picture: Picture[Any]) -> str:
+    """How much smaller a grid of figures is printed, so that it stands on one page."""
+    grid = next(one for one in picture.root.references() if isinstance(one, GridPlot))
+    rows = {row: figure.frame_height + _AXIS_PX for figure, row, *_ in grid.children}
+    return f"{min(1.0, _PAGE_PX / sum(rows.values())):.2f}"
+
+
+def _bars(story: Story) -> list[tuple[str, str, float]]:
+    """Before, after, noise and what is needed as bars: key, name and length of each."""
+    found, needed = story.found, required_um(story.study.robot)
     out = [("error-before", "error as it came", found.steps[0].held_out_rms)]
     if len(found.steps) > 1:
         out.append(("error-after", f"with {listed(found.effects)}", found.steps[-1].held_out_rms))
     if found.noise_origin != "unknown":
         out.append(("noise", "noise of a reading", _rms(list(found.noise.values()))))
+    if needed and found.unit == "µm":
+        out.append(("needed", "needed", needed))
     return out
 
 
