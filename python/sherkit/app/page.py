@@ -33,6 +33,8 @@ from .shown import Fall, Maps
 from .workbench import Workbench, rights_of
 
 _LEFT = 356
+#: Between the answer to a click and the pictures below it.
+_ANSWER_MS = 100
 #: Where sentences about effects stand; the other places have the names of their controls.
 _EFFECTS = "effects"
 _TEMPLATE = Environment(loader=PackageLoader("sherkit.app"), autoescape=True).get_template("page.html")
@@ -58,6 +60,7 @@ class StudyPage:
         self._notices = Notices(_EFFECTS, HISTORY, LINES, FILES, ROWS, EXPORTS)
         self._build(links)
         self._draw(bench.moment)
+        self._draw_below()
         self._told("progress", bench.progress)
         document.title = f"sherkit: {bench.moment.data.source}"
         self._loop, self._over = IOLoop.current(), False
@@ -167,16 +170,24 @@ class StudyPage:
     # -- what happens ------------------------------------------------------------------------------------
 
     def _told(self, kind: str, value: Any) -> None:
-        # one message and one layout for everything that changes together
+        self._together(lambda: self._tell(kind, value))
+
+    def _rest(self) -> None:
+        self._together(self._draw_below)
+
+    def _together(self, work: Callable[[], None]) -> None:
+        """One message and one layout for everything that changes together."""
         self.document.hold("collect")
         try:
-            self._tell(kind, value)
+            work()
         finally:
             self.document.unhold()
 
     def _tell(self, kind: str, value: Any) -> None:
         if kind == "moment":
             self._draw(value)
+            # a browser paints the answer before it is given the rest
+            self.document.add_timeout_callback(self._rest, _ANSWER_MS)
         elif kind == "progress":
             self._status.text = f"<i>{escape(value)} …</i>" if value else "Ready."
             self._cancel.visible = bool(value)
@@ -229,9 +240,14 @@ class StudyPage:
         self._advised.visible = bool(idle)
         if idle:
             self._advised.label = f"Take out {idle[0]}: not needed"
-        self._selection.show(moment)
-        self._maps.show(moment)
         self._fall.show(moment)
+
+    def _draw_below(self) -> None:
+        """What stands below the line and the fall: many times as much to draw, and looked at later."""
+        if self.moment is not None:
+            self._selection.show(self.moment)
+            self._maps.show(self.moment)
+            self._fall.show_parameters(self.moment)
 
     def _draw_numbers(self, moment: Moment) -> None:
         left, last = moment.now, moment.history[-1]

@@ -132,7 +132,9 @@ class Fall:
     def __init__(self) -> None:
         self._moment: Moment | None = None
         self._pictures: dict[str, Picture[Any]] = {}
-        self._built_for: tuple[Any, ...] = ()
+        #: What the pictures were built for; other readings or units need new ones.
+        self._fall_for: tuple[str, ...] | None = None
+        self._parameters_for: tuple[str, ...] | None = None
         self._all = False
         self.fall = column(name="fall", sizing_mode="stretch_width")
         self.parameters = column(name="parameters", width=_WIDTH)
@@ -162,21 +164,28 @@ class Fall:
         known = left.noise_origin != "unknown"
         noise = dict(zip(left.names, left.noise.tolist(), strict=True)) if known else {}
         state = ErrorHistory(steps, noise, left.unit, moment.required_um if left.unit == "µm" else None)
-        fit = moment.history[-1].fit
-        units = tuple(dict.fromkeys(p.unit for p in fit.parameters)) if fit is not None else ()
-        if self._built_for != (tuple(noise), units):
-            self._built_for = (tuple(noise), units)
-            self._pictures["fall"] = error_history(state, height_px=_FALL_HEIGHT, room_px=_FALL_ROOM)
-            _name(self._pictures["fall"], "fall")
-            self.fall.children = [self._pictures["fall"].root]
-            if fit is not None:
-                self._pictures["parameters"] = parameters(fit)
-                _name(self._pictures["parameters"], "parameters")
-                self.parameters.children = [self._pictures["parameters"].root]
+        if self._fall_for != tuple(noise):
+            self._fall_for = tuple(noise)
+            self._put("fall", self.fall, error_history(state, height_px=_FALL_HEIGHT, room_px=_FALL_ROOM))
         else:
             self._pictures["fall"].show(state)
-            if fit is not None:
-                self._pictures["parameters"].show(fit)
+
+    def show_parameters(self, moment: Moment) -> None:
+        """Draws how well the parameters of a moment are known."""
+        fit = moment.history[-1].fit
+        if fit is None:
+            return
+        units = tuple(dict.fromkeys(p.unit for p in fit.parameters))
+        if self._parameters_for != units:
+            self._parameters_for = units
+            self._put("parameters", self.parameters, parameters(fit))
+        else:
+            self._pictures["parameters"].show(fit)
+
+    def _put(self, name: str, place: Any, picture: Picture[Any]) -> None:
+        self._pictures[name] = picture
+        _name(picture, name)
+        place.children = [picture.root]
 
 
 def _short(action: str) -> str:

@@ -175,7 +175,7 @@ def _p(value: float) -> str:
 
 def _printed(picture: Picture[Any]) -> str:
     """How much smaller a grid of figures is printed, so that it stands on one page."""
-    grid = next(one for one in picture.root.references() if isinstance(one, GridPlot))
+    grid = next(one for one in (picture.root, *picture.root.children) if isinstance(one, GridPlot))
     rows = {row: figure.frame_height + _AXIS_PX for figure, row, *_ in grid.children}
     return f"{min(1.0, _PAGE_PX / sum(rows.values())):.2f}"
 
