@@ -13,7 +13,6 @@ from bokeh.layouts import column, row
 from bokeh.models import Button, CustomJS, Div
 
 from ..diagnosis import Diagnosis
-from ..fit.identify import Fit
 from ..model.effect import Effect
 from ..report.card import drawing_of, its_numbers, ties, what_it_is
 from ..report.style import MUTED, number
@@ -133,22 +132,24 @@ class _Place:
             self._text.text = said
         if known and found is None:
             return  # a card that is being read stays until there is more to say
-        shown = _card(moment.known[name], moment.history[-1].fit, found, opened=lead)
+        shown = _card(moment.known[name], moment, opened=lead)
         if self._card.text != shown:
             self._card.text = shown
 
 
-def _card(effect: Effect, fit: Fit | None, found: Diagnosis | None, *, opened: bool) -> str:
+def _card(effect: Effect, moment: Moment, *, opened: bool) -> str:
     """What it is, folded unless ``opened``.
 
     The machine is drawn where the card stands open, and with what is in the model: the others would cost the page a
-    tenth of a second at every click. What was typed is not asked while the page waits.
+    tenth of a second at every click.
     """
+    fit, found = moment.history[-1].fit, moment.diagnosis
     if opened and found is not None:
         fit = found.fit  # it is in this one
     parts = [what_it_is(effect, fit), its_numbers(effect, fit, found), ties(effect, found)]
-    inside = fit is not None and effect.name in {e.name for e in fit.model.effects}
-    if fit is not None and effect.function is None and (opened or inside):
+    if effect.function is not None:  # a person's lines may do anything: the page does not ask them
+        parts.insert(0, moment.drawings.get(effect.name, ""))
+    elif fit is not None and (opened or effect.name in moment.effects):
         parts.insert(0, drawing_of(effect, fit.model, fit))
     return f"<details{' open' if opened else ''}><summary>what it is</summary>{''.join(parts)}</details>"
 
