@@ -47,6 +47,8 @@ _STYLE = """<style>
 .effect-card svg { max-width: 100%; height: auto }
 @media (max-width: 640px) { .effect-card { grid-template-columns: minmax(0, 1fr) } }
 </style>"""
+#: What moves less than this does not move.
+_ROUNDING_MM = 1e-9
 #: So many parameters are listed; what limbs have in common stands in words above them.
 _MOST_LISTED = 9
 
@@ -123,6 +125,8 @@ def drawing_of(effect: Effect, machine: Robot | Model | None, fit: Fit | None) -
         shown = exaggerated(effect, machine, values=own, data=None if fit is None else fit.data, at=setting)
     except SherkitError as error:
         return f'<p class="note">It cannot be drawn here: {escape(str(error))}</p>'
+    if not shown.moves_mm > _ROUNDING_MM:
+        return '<p class="note">It moves nothing that a drawing of this machine shows.</p>'
     return scene_of(shown).html() + f'<p class="note">{escape(_read(shown, fitted=own is not None))}</p>'
 
 
