@@ -12,7 +12,7 @@ PYTHONS := python tests benchmarks examples docs
 export OPENBLAS_NUM_THREADS := 1
 SOURCES := Cargo.toml Cargo.lock pyproject.toml README.md $(shell find rust python -type f -not -name '*.so' -not -path '*/__pycache__/*')
 
-.PHONY: demo demo-lab test test-rust test-python test-slow lint no-std header header-check bench site format clean check-tools
+.PHONY: pictures demo demo-lab test test-rust test-python test-slow lint no-std header header-check bench site format clean check-tools
 
 demo: $(STAMP)
 	$(BIN)/sherkit demo
@@ -78,6 +78,14 @@ test-slow: $(STAMP)
 # the documentation as a site that needs no network, with every link checked
 site: $(STAMP)
 	$(BIN)/python docs/build_site.py target/site
+
+# every picture of the documentation, from the demo's run; needs Chromium
+pictures: $(STAMP)
+	$(BIN)/sherkit demo
+	$(BIN)/python docs/draw_demo.py
+	$(BIN)/python docs/draw_printer.py
+	$(BIN)/python docs/draw_gallery.py
+	$(BIN)/python docs/draw_page.py
 
 bench: $(STAMP)
 	$(BIN)/python -m pip install --quiet "$$(ls $(WHEELS)/sherkit-*.whl)[bench]"

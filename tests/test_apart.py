@@ -14,6 +14,7 @@ import pytest
 import sherkit as sk
 from sherkit import save_robot
 from sherkit.app.apart import Apart
+from sherkit.app.effect_list import _card
 from sherkit.app.typed import Typed
 from sherkit.app.workbench import Workbench
 from sherkit.app.worker import Cancelled
@@ -184,3 +185,38 @@ def test_lines_are_ended_with_the_one_who_asks(tmp_path: Path) -> None:
     with pytest.raises((Cancelled, EffectError)):
         Apart(lines(before="while True: pass\n"), look)
     assert not multiprocessing.active_children()
+
+
+@pytest.mark.parametrize(
+    ("inside", "said"),
+    [
+        ("pass", "<sherkit-scene"),
+        ("while abs(p.a) > 0.1: pass", "nothing could be told any more"),
+    ],
+    ids=["drawn", "endless only where it is exaggerated"],
+)
+def test_a_typed_effect_is_drawn_apart(bench: Workbench, inside: str, said: str) -> None:
+    """Catches a card without its drawing, and a page that hangs since it asks typed lines itself while it draws."""
+    patient(bench, 2.0)
+    bench.type_effect(lines(inside))
+    bench.toggle("ramp").result(_WAIT_S)
+    assert dict(bench.moment.drawings) == {}
+    done(bench)
+    assert bench.moment.diagnosis is not None
+    drawn = bench.moment
+    assert said in drawn.drawings["ramp"]
+
+    # an exaggeration that fails is no mistake of the model
+    told = errors(bench)
+    bench.toggle("rail_lean").result(_WAIT_S)
+    assert told == []
+    assert bench.moment.effects == ("ramp", "rail_lean")
+    bench.cancel()
+    done(bench)
+
+    def asked(*_: object) -> None:
+        raise AssertionError("the page asked the typed lines")
+
+    effect = bench.moment.known["ramp"]
+    object.__setattr__(effect, "function", asked)
+    assert said in _card(effect, drawn, opened=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import io
 import json
@@ -179,6 +180,34 @@ def test_the_gallery_is_what_its_script_draws(work: Path) -> None:
         assert f"## {item.title}\n" in page
         assert script["_shown"](item.lines) in page, item.title
         assert (HERE / "docs" / "pictures" / "gallery" / f"{item.file}.png").is_file()
+
+
+def test_the_pages_pictures_say_what_it_says(work: Path) -> None:
+    """Catches a picture with figures or sentences that the page no longer shows."""
+    image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
+    pytest.importorskip("bokeh", reason="the page needs Bokeh")
+    from bokeh.document import Document
+
+    from sherkit.app.page import StudyPage
+    from sherkit.app.workbench import Workbench
+
+    async def said(bench: Workbench) -> str:
+        page = StudyPage(Document(), bench, "")
+        return "\n".join(page.document.get_model_by_name(name).text for name in ("numbers", "headline"))
+
+    folder = work / "demo"
+    bench = Workbench.open(folder / "robot.toml", folder / "whole.csv", work / "page.study")
+    try:
+        for name, before in (("page_found", None), ("page", "rail_lean")):
+            if before:
+                bench.toggle(before).result()
+            bench.diagnose().result()
+            shown = asyncio.run(said(bench))
+            for ending in ("", "_tablet", "_phone"):
+                with image.open(HERE / "docs" / "pictures" / f"{name}{ending}.png") as drawn:
+                    assert drawn.text["said"] == shown, "stale: run make pictures"
+    finally:
+        bench.close()
 
 
 @pytest.mark.parametrize("story", STORIES)

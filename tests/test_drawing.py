@@ -401,3 +401,13 @@ def test_a_scene_of_an_effect_begins_where_it_is_seen() -> None:
     scene = scene_of(made)
     assert scene.begin in [at for at, _ in scene.frames]
     assert scene.still().count("<polyline") > 20
+
+
+def test_a_drawing_that_shows_nothing_is_not_shown(tmp_path: Path) -> None:
+    """Catches a card whose drawing does not move, with a slider that does nothing."""
+    picture = tmp_path / "lean.html"
+    with pytest.raises(SystemExit):
+        main(["effects", "rail_lean", "--picture", str(picture)])
+    cards = picture.read_text(encoding="utf-8").split('<section class="effect-card"')[1:]
+    assert ["data-scene" in card.partition("</section>")[0] for card in cards] == [True, False]
+    assert "It moves nothing that a drawing of this machine shows." in cards[1]

@@ -346,7 +346,7 @@ def test_calibration_with_a_local_run_an_effect_and_a_loss(runs: Path) -> None:
     assert f"rod_length_1 δl₁ {with_error(rod['value'], rod['std'])[0]}" in text
     assert "the region of interest" in text
     assert f"{number(told['local']['rms_um']['before']['x'])} ±" in text
-    assert "adequate: no effect added" in text
+    assert "adequate: no effect is missing" in text
     assert "with rail_lean" in text
     assert "the model as it came: " not in text
     assert "local.csv SHA-256" in text
@@ -365,7 +365,7 @@ def test_calibration_of_some_parameters(runs: Path) -> None:
 def test_nothing_missing(runs: Path) -> None:
     """Catches a picture that shows an effect as added where none was, and a lost table of what would be found."""
     text = report(runs, "plain.html", "diagnose", "robot.toml", "plain.csv")
-    assert "adequate: no effect added" in text
+    assert "adequate: no effect is missing" in text
     assert "would have been found" in text
     assert inside(runs / "plain.html", "swaps")["state"] == 0
 
@@ -455,7 +455,7 @@ def test_texts_of_files_are_texts(runs: Path) -> None:
     )
     with opened(runs / "hostile.html") as page:
         assert page.inner_text("h1") == f"What is robot missing on {name}?"
-        assert page.locator("#bold, img, b[id]:not(.figures b)").count() == 0
+        assert page.locator("#bold, img, b[id]:not(.bars b)").count() == 0
         options = page.locator("#variable option").all_text_contents()
         assert set(HOSTILE) <= set(options)
         page.select_option("#variable", label=HOSTILE[1])

@@ -13,11 +13,10 @@ from bokeh.layouts import column, row
 from bokeh.models import Button, CustomJS, Div
 
 from ..diagnosis import Diagnosis
-from ..fit.identify import Fit
 from ..model.effect import Effect
 from ..report.card import drawing_of, its_numbers, ties, what_it_is
 from ..report.style import MUTED, number
-from .controls import TYPE
+from .controls import TYPE, button
 from .moment import Moment
 
 _BUTTON, _WIDTH = 190, 356
@@ -42,21 +41,50 @@ class EffectList:
     def __init__(self, pressed: Callable[[str], object]) -> None:
         self._pressed = pressed
         self._places: list[_Place] = []
-        #: What each would leave, as a diagnosis said last: until there is a new one the order stays.
+        #: What each would leave, as a diagnosis said last, and which would not help: until the next one both stay.
         self._would: dict[str, float] = {}
-        self.root = column(width=_WIDTH)
+        self._idle: frozenset[str] = frozenset()
+        self._all = False
+        self._moment: Moment | None = None
+        self._unfold = button("", "unfold_effects", width=_WIDTH - 12, visible=False)
+        self._unfold.on_click(self._unfolded)
+        self._list = column(width=_WIDTH)
+        self.root = column(self._list, self._unfold, width=_WIDTH)
+
+    def _unfolded(self) -> None:
+        self._all = not self._all
+        if self._moment is not None:
+            self.show(self._moment)
 
     def show(self, moment: Moment) -> None:
         """Draws the list of a moment."""
+        self._moment = moment
         if moment.diagnosis is not None:
             self._would = {c.effect: c.held_out_rms for c in moment.diagnosis.candidates}
-        names = ordered(moment, self._would)
+            self._idle = idle(moment.diagnosis)
+        every = ordered(moment, self._would)
+        folded = [name for name in every if name in self._idle and name not in (*moment.effects, *moment.own)]
+        names = every if self._all else [name for name in every if name not in folded]
+        self._unfold.visible = bool(folded)
+        count = f"{len(folded)} that would not help"
+        self._unfold.label = f"Hide {count}" if self._all else f"Show {count}"
         while len(self._places) < len(names):
             self._places.append(_Place(self._pressed))
-        if len(self.root.children) != len(names):
-            self.root.children = [place.root for place in self._places[: len(names)]]
+        if len(self._list.children) != len(names):
+            self._list.children = [place.root for place in self._places[: len(names)]]
         for name, place in zip(names, self._places, strict=False):
             place.show(name, moment)
+
+
+def idle(found: Diagnosis) -> frozenset[str]:
+    """Effects that would leave no less than there is, as far as the blocks held out can tell, or cannot be tried.
+
+    One that is named, or tied with one, is none of them.
+    """
+    kept = {*found.effects, *(name for tie in found.ties for name in tie)}
+    now = found.steps[0].held_out_rms
+    out = {c.effect for c in found.candidates if c.held_out_rms + 2 * c.held_out_std >= now}
+    return frozenset({*out, *found.untestable} - kept)
 
 
 def ordered(moment: Moment, would: Mapping[str, float]) -> list[str]:
@@ -104,20 +132,24 @@ class _Place:
             self._text.text = said
         if known and found is None:
             return  # a card that is being read stays until there is more to say
-        shown = _card(moment.known[name], moment.history[-1].fit, found, opened=lead)
+        shown = _card(moment.known[name], moment, opened=lead)
         if self._card.text != shown:
             self._card.text = shown
 
 
-def _card(effect: Effect, fit: Fit | None, found: Diagnosis | None, *, opened: bool) -> str:
+def _card(effect: Effect, moment: Moment, *, opened: bool) -> str:
     """What it is, folded unless ``opened``.
 
     The machine is drawn where the card stands open, and with what is in the model: the others would cost the page a
-    tenth of a second at every click. What was typed is not asked while the page waits.
+    tenth of a second at every click.
     """
+    fit, found = moment.history[-1].fit, moment.diagnosis
+    if opened and found is not None:
+        fit = found.fit  # it is in this one
     parts = [what_it_is(effect, fit), its_numbers(effect, fit, found), ties(effect, found)]
-    inside = fit is not None and effect.name in {e.name for e in fit.model.effects}
-    if fit is not None and effect.function is None and (opened or inside):
+    if effect.function is not None:  # a person's lines may do anything: the page does not ask them
+        parts.insert(0, moment.drawings.get(effect.name, ""))
+    elif fit is not None and (opened or effect.name in moment.effects):
         parts.insert(0, drawing_of(effect, fit.model, fit))
     return f"<details{' open' if opened else ''}><summary>what it is</summary>{''.join(parts)}</details>"
 

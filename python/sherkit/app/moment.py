@@ -30,7 +30,9 @@ class Moment:
     where it is done.
 
     ``residuals`` (one for each step of the history) are None where the rows of that step are no longer those of today.
-    ``without`` is the error held out that the model would leave without each of its effects, known with the diagnosis.
+    ``without`` is the error held out that the model would leave without each of its effects, known with the diagnosis;
+    so are the ``drawings``, as HTML, of the user's own effects that are in the model or named: a page never asks lines
+    that a person typed.
     """
 
     data: Measurements
@@ -47,6 +49,7 @@ class Moment:
     #: The accuracy that the robot is for, µm, where its file says so.
     required_um: float | None = None
     without: Mapping[str, float] = field(default_factory=dict)
+    drawings: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def now(self) -> Residuals:

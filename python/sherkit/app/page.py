@@ -21,6 +21,7 @@ from tornado.ioloop import IOLoop
 from ..diagnosis import sentence, template
 from ..diagnosis.outliers import sentences
 from ..names import listed
+from ..report.answer import answer
 from ..report.policy import fresh_nonce, numbered, policy
 from ..report.scene import script as scenes
 from ..report.style import number
@@ -32,6 +33,8 @@ from .shown import Fall, Maps
 from .workbench import Workbench, rights_of
 
 _LEFT = 356
+#: Between the answer to a click and the pictures below it.
+_ANSWER_MS = 100
 #: Where sentences about effects stand; the other places have the names of their controls.
 _EFFECTS = "effects"
 _TEMPLATE = Environment(loader=PackageLoader("sherkit.app"), autoescape=True).get_template("page.html")
@@ -57,6 +60,7 @@ class StudyPage:
         self._notices = Notices(_EFFECTS, HISTORY, LINES, FILES, ROWS, EXPORTS)
         self._build(links)
         self._draw(bench.moment)
+        self._draw_below()
         self._told("progress", bench.progress)
         document.title = f"sherkit: {bench.moment.data.source}"
         self._loop, self._over = IOLoop.current(), False
@@ -81,7 +85,8 @@ class StudyPage:
 
     def _build(self, links: str) -> None:
         bench, places = self.bench, self._notices.place
-        self._numbers, self._headline, self._status = text("numbers"), text("headline"), text("status")
+        self._numbers, self._headline = text("numbers"), text("headline")
+        self._status = text("status", sizing_mode=None, margin=(12, 5, 5, 5))
         self._findings = text("findings")
         self._cancel = button("Cancel", "cancel", width=80, visible=False)
         self._cancel.on_click(bench.cancel)
@@ -98,14 +103,12 @@ class StudyPage:
         self._maps = Maps(lambda: self._selection.select(()), self._selection.watch)
         self._fall = Fall()
         controls = row(
-            self._undo, self._redo, self._advised, self._ask, self._cancel, self._fall.unfold,
+            self._undo, self._redo, self._advised, self._ask, self._fall.unfold, self._cancel, self._status,
             styles={"flex-wrap": "wrap"},
         )  # fmt: skip
         # each of these is laid out by itself: a new line of progress must not draw every picture again
         roots: dict[str, Any] = {
-            "top": column(
-                self._numbers, self._headline, self._status, controls, places[HISTORY], sizing_mode="stretch_width"
-            ),
+            "top": column(self._numbers, self._headline, controls, places[HISTORY], sizing_mode="stretch_width"),
             "findings": self._findings,
             "effects": column(places[_EFFECTS], self._effects.root, width=_LEFT),
             "own": self._own_lines(),
@@ -167,16 +170,24 @@ class StudyPage:
     # -- what happens ------------------------------------------------------------------------------------
 
     def _told(self, kind: str, value: Any) -> None:
-        # one message and one layout for everything that changes together
+        self._together(lambda: self._tell(kind, value))
+
+    def _rest(self) -> None:
+        self._together(self._draw_below)
+
+    def _together(self, work: Callable[[], None]) -> None:
+        """One message and one layout for everything that changes together."""
         self.document.hold("collect")
         try:
-            self._tell(kind, value)
+            work()
         finally:
             self.document.unhold()
 
     def _tell(self, kind: str, value: Any) -> None:
         if kind == "moment":
             self._draw(value)
+            # a browser paints the answer before it is given the rest
+            self.document.add_timeout_callback(self._rest, _ANSWER_MS)
         elif kind == "progress":
             self._status.text = f"<i>{escape(value)} …</i>" if value else "Ready."
             self._cancel.visible = bool(value)
@@ -229,9 +240,14 @@ class StudyPage:
         self._advised.visible = bool(idle)
         if idle:
             self._advised.label = f"Take out {idle[0]}: not needed"
-        self._selection.show(moment)
-        self._maps.show(moment)
         self._fall.show(moment)
+
+    def _draw_below(self) -> None:
+        """What stands below the line and the fall: many times as much to draw, and looked at later."""
+        if self.moment is not None:
+            self._selection.show(self.moment)
+            self._maps.show(self.moment)
+            self._fall.show_parameters(self.moment)
 
     def _draw_numbers(self, moment: Moment) -> None:
         left, last = moment.now, moment.history[-1]
@@ -243,7 +259,8 @@ class StudyPage:
             beside.append(f"needed {moment.required_um:g} {unit}")
         self._numbers.text = (
             f'<span style="font-size:34px;line-height:1"><b id="error-now">{number(last.held_out)}</b> {unit}</span>'
-            f" left on poses held out (RMS of a reading)<br>{' · '.join(beside)}{' · ' if beside else ''}"
+            " is how far the model is off at poses that it was not fitted to (RMS)<br>"
+            f"{' · '.join(beside)}{' · ' if beside else ''}"
             f"in the model: {escape(listed(moment.effects, 20)) or 'the geometry alone'}"
         )
 
@@ -255,11 +272,11 @@ class StudyPage:
         if found is None:
             self._headline.text, self._findings.text = rows, ""
             return
-        missing = ""
-        if found.effects:
-            would, names = number(found.steps[-1].held_out_rms), escape(" and ".join(found.effects))
-            missing = f"<br>Missing in the model: {names}; with it {would} {escape(found.unit)} would be left."
-        self._headline.text = f'<b id="verdict">{escape(found.headline)}</b>{missing}<br>{rows}'
+        told = answer(found)
+        self._headline.text = (
+            f"<b>{escape(told.cause)}</b> {escape(told.brings)}<br>"
+            f'{rows} · verdict: <span id="verdict">{escape(found.headline)}</span>'
+        )
         said = [
             *sentences(data, found.outliers),
             *(f"these rows cannot tell {' from '.join(tie)}" for tie in found.ties),

@@ -20,7 +20,7 @@ from ..report.style import MUTED, quantity
 from .controls import TYPE, button
 from .moment import Moment
 
-_WIDTH, _FALL_HEIGHT = 1000, 232
+_WIDTH, _FALL_HEIGHT, _FALL_ROOM = 1000, 232, 350
 #: The colour scale stands beside the panels of the map.
 _BESIDE = 160
 _SCALES = [("shared", "one scale for both"), ("own", "each its own scale"), ("noise", "in units of the noise")]
@@ -47,7 +47,9 @@ class Maps:
         self._variable = Select(title="Residual against", name="variable", width=200, stylesheets=[TYPE])
         for one in (self._before, self._after, self._scale, self._variable):
             one.on_change("value", lambda attr, old, new: self._draw())
-        self.choices = row(self._before, self._after, self._scale, styles={"flex-wrap": "wrap"})
+        self.choices = row(
+            self._before, self._after, self._scale, styles={"flex-wrap": "wrap"}, visible=False
+        )  # fmt: skip
         self.map = column(name="map", width=_WIDTH)
         self.variable = row(self._variable)
         self.against = column(name="against", width=_WIDTH)
@@ -64,6 +66,9 @@ class Maps:
         known = [k for k in current_path(moment.history) if moment.residuals[k]]
         steps = [(str(k), f"{place}. {moment.history[k].action}") for place, k in enumerate(known)]
         self._before.options, self._after.options = steps, steps
+        # one state alone is compared with nothing
+        if self.choices.visible != (len(steps) > 1):
+            self.choices.visible = len(steps) > 1
         self._quiet(self._before, steps[0][0])
         self._quiet(self._after, steps[-1][0])
         variables = list(moment.now.variables)
@@ -89,7 +94,7 @@ class Maps:
         if before is None or after is None or wanted == self._drawn:
             return
         self._drawn = wanted
-        titles = dict(self._after.options)
+        titles = {key: _short(name) for key, name in self._after.options}
         change = Change(
             before, after, titles[self._before.value], titles[self._after.value], str(self._scale.value)
         )  # fmt: skip
@@ -127,7 +132,9 @@ class Fall:
     def __init__(self) -> None:
         self._moment: Moment | None = None
         self._pictures: dict[str, Picture[Any]] = {}
-        self._built_for: tuple[Any, ...] = ()
+        #: What the pictures were built for; other readings or units need new ones.
+        self._fall_for: tuple[str, ...] | None = None
+        self._parameters_for: tuple[str, ...] | None = None
         self._all = False
         self.fall = column(name="fall", sizing_mode="stretch_width")
         self.parameters = column(name="parameters", width=_WIDTH)
@@ -157,21 +164,28 @@ class Fall:
         known = left.noise_origin != "unknown"
         noise = dict(zip(left.names, left.noise.tolist(), strict=True)) if known else {}
         state = ErrorHistory(steps, noise, left.unit, moment.required_um if left.unit == "µm" else None)
-        fit = moment.history[-1].fit
-        units = tuple(dict.fromkeys(p.unit for p in fit.parameters)) if fit is not None else ()
-        if self._built_for != (tuple(noise), units):
-            self._built_for = (tuple(noise), units)
-            self._pictures["fall"] = error_history(state, height_px=_FALL_HEIGHT)
-            _name(self._pictures["fall"], "fall")
-            self.fall.children = [self._pictures["fall"].root]
-            if fit is not None:
-                self._pictures["parameters"] = parameters(fit)
-                _name(self._pictures["parameters"], "parameters")
-                self.parameters.children = [self._pictures["parameters"].root]
+        if self._fall_for != tuple(noise):
+            self._fall_for = tuple(noise)
+            self._put("fall", self.fall, error_history(state, height_px=_FALL_HEIGHT, room_px=_FALL_ROOM))
         else:
             self._pictures["fall"].show(state)
-            if fit is not None:
-                self._pictures["parameters"].show(fit)
+
+    def show_parameters(self, moment: Moment) -> None:
+        """Draws how well the parameters of a moment are known."""
+        fit = moment.history[-1].fit
+        if fit is None:
+            return
+        units = tuple(dict.fromkeys(p.unit for p in fit.parameters))
+        if self._parameters_for != units:
+            self._parameters_for = units
+            self._put("parameters", self.parameters, parameters(fit))
+        else:
+            self._pictures["parameters"].show(fit)
+
+    def _put(self, name: str, place: Any, picture: Picture[Any]) -> None:
+        self._pictures[name] = picture
+        _name(picture, name)
+        place.children = [picture.root]
 
 
 def _short(action: str) -> str:

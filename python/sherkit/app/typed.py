@@ -76,6 +76,11 @@ class Typed:
         self._names = frozenset(e.name for e in made.effects)
         return made.effects
 
+    def forgive(self) -> None:
+        """Asks lines again that were ended."""
+        for one in self._apart:
+            one.forgive()
+
     def end(self) -> None:
         """Ends what runs."""
         for one in self._apart:

@@ -22,10 +22,12 @@ import numpy as np
 from ..data import Measurements, read_measurements
 from ..data.files import write_whole
 from ..data.headers import Columns
+from ..diagnosis import Diagnosis
 from ..errors import MeasurementError, SherkitError, SherkitWarning
 from ..model.effect_file import load_effects
 from ..model.kinds import required_um
 from ..model.robot_file import columns_of
+from ..report.card import drawing_of
 from ..report.residuals import Residuals, residuals_of
 from ..robots.machine.file import is_machine, robot_at
 from ..study import Study
@@ -158,12 +160,25 @@ class Workbench:
                 for name in self.moment.effects:
                     step(f"without {name}")
                     without[name] = self._study.without(name).held_out
-                self.moment = replace(self.moment, diagnosis=found, without=without)
+                drawings = self._drawings(found, step)
+                self.moment = replace(self.moment, diagnosis=found, without=without, drawings=drawings)
                 self._say("moment", self.moment)
             except BaseException as error:
                 self._told_of(error, "diagnosing", HISTORY)
 
         return self._worker.submit(run, gives_way=True)
+
+    def _drawings(self, found: Diagnosis, step: Progress) -> dict[str, str]:
+        """The machine with each of the user's own effects, exaggerated; their lines are asked in this thread alone."""
+        out = {}
+        for name in self.moment.own:
+            fit = found.fit if name in found.effects else self.moment.history[-1].fit
+            if fit is not None and name in (*found.effects, *self.moment.effects):
+                step(f"drawing {name}")
+                out[name] = drawing_of(self.moment.known[name], fit.model, fit)
+                self._typed.forgive()
+                step("diagnosing")  # what was cancelled meanwhile is not shown as a failure to draw
+        return out
 
     def tell(self, error: BaseException, about: str = EXPORTS) -> None:
         """Shows an error on every page."""

@@ -54,7 +54,7 @@ def headline(claims: Sequence[Claim], effects: Sequence[str], not_needed: Sequen
     failing = [claim.fails for claim in claims if claim.decisive and claim.holds is False and claim.fails]
     named = ", ".join(effects)
     if verdict == "adequate":
-        line = "adequate: no effect added" if noise_known else (
+        line = "adequate: no effect is missing" if noise_known else (
             "nothing with structure is missing; how much of the rest is noise is not known"
         )  # fmt: skip
     elif verdict == "explained":

@@ -18,7 +18,7 @@ from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
 from ..types import Floats
-from .answers import CandidateReport, Diagnosis
+from .answers import CandidateReport, Diagnosis, StepReport
 from .claims import verdict_of
 from .crossvalidation import HeldOutError, held_out
 from .fitted_run import FittedRun
@@ -123,7 +123,7 @@ def diagnose(
     reservations = [str(unknown)] if unknown is not None and unknown.rivals else []
     reservations += [told] if (told := implausible(final.fit, found.names)) else []
     ties = _ties(found.result)
-    reports = _candidate_reports(base_stage, gains, final, found.result)
+    reports = _candidate_reports(base_stage, gains, final, found.result, found.steps)
     smallest: dict[str, tuple[float, float]] = {}
     if verdict == "adequate":
         threshold = float(np.quantile(found.result.stages[0].scan.null(seed)[1:], 1 - level))
@@ -204,9 +204,10 @@ def _ties(found: SearchResult) -> tuple[tuple[str, ...], ...]:
 
 
 def _candidate_reports(
-    base: Stage, gains: list[HeldOutError], final: FittedRun, found: SearchResult
+    base: Stage, gains: list[HeldOutError], final: FittedRun, found: SearchResult, steps: Sequence[StepReport]
 ) -> tuple[CandidateReport, ...]:
-    """Every effect that could be tried, the named ones first, then by held-out error."""
+    """Every effect that could be tried, the named ones first, then by held-out error: in linear approximation, but for
+    the first one that is named, which has a fit of its own."""
     z = base.scan.deviates[base.n_shapes :]
     best: dict[str, tuple[float, HeldOutError, Candidate]] = {}
     for score, error, candidate in zip(z.tolist(), gains, base.candidates, strict=True):
@@ -216,6 +217,7 @@ def _candidate_reports(
     for alternative in found.alternatives:
         for candidate in alternative.candidates:
             fits.setdefault(candidate.name, alternative.stage.run)
+    fitted = {s.effect: s.held_out_rms for s in steps[1:2]}
     out = []
     for name, (score, error, candidate) in best.items():
         # kept above what a float can tell from zero: a p of zero would claim too much
@@ -225,7 +227,8 @@ def _candidate_reports(
             {"name": q.name, "value": v, "std": s, "unit": q.unit}
             for q, v, s in zip(candidate.effect.parameters, values.tolist(), std.tolist(), strict=True)
         )
-        out.append(CandidateReport(name, candidate.effect.link, error.rms, error.std, p, ok, parameters))
+        left = fitted.get(name, error.rms)
+        out.append(CandidateReport(name, candidate.effect.link, left, error.std, p, ok, parameters))
     named = [c.name for c in found.added]
     out.sort(key=lambda c: (named.index(c.effect) if c.effect in named else len(named), c.held_out_rms))
     return tuple(out)

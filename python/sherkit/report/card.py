@@ -47,6 +47,8 @@ _STYLE = """<style>
 .effect-card svg { max-width: 100%; height: auto }
 @media (max-width: 640px) { .effect-card { grid-template-columns: minmax(0, 1fr) } }
 </style>"""
+#: What moves less than this does not move.
+_ROUNDING_MM = 1e-9
 #: So many parameters are listed; what limbs have in common stands in words above them.
 _MOST_LISTED = 9
 
@@ -123,6 +125,8 @@ def drawing_of(effect: Effect, machine: Robot | Model | None, fit: Fit | None) -
         shown = exaggerated(effect, machine, values=own, data=None if fit is None else fit.data, at=setting)
     except SherkitError as error:
         return f'<p class="note">It cannot be drawn here: {escape(str(error))}</p>'
+    if not shown.moves_mm > _ROUNDING_MM:
+        return '<p class="note">It moves nothing that a drawing of this machine shows.</p>'
     return scene_of(shown).html() + f'<p class="note">{escape(_read(shown, fitted=own is not None))}</p>'
 
 
@@ -132,9 +136,9 @@ def _read(shown: Exaggerated, *, fitted: bool) -> str:
     unit, factor = ("µm", 1e3) if shown.plain.unit == "mm" else (shown.plain.unit, 1.0)
     last = f" Beyond × {shown.factors[-1]:g} nothing could be told any more." if shown.factors[-1] < 100 else ""
     return (
-        f"Grey: as drawn; in colour: with the effect, begun at × {shown.factor:g}. Blue dot: the measured point; "
-        f"orange ring: where it is read. {size} it moves what is read by {number(factor * shown.moves_mm)} {unit} "
-        "here. "
+        "Grey: as drawn. In colour: with the effect, so much larger that it can be seen (slider). Blue dot: the "
+        f"measured point; orange ring: where it is read. {size} it moves what is read by "
+        f"{number(factor * shown.moves_mm)} {unit} here. "
         f"{shown.told}{last}"
     )
 
@@ -164,7 +168,9 @@ def its_numbers(effect: Effect, fit: Fit | None, found: Diagnosis | None = None)
     those of the fit that has it in its model, else those with which ``found`` tried it."""
     if not effect.parameters:
         return ""
-    values, one = _fitted(effect, fit) or _tried(effect, found), _known(effect, fit)
+    last = None if found is None else found.fit
+    values = _fitted(effect, fit) or _fitted(effect, last) or _tried(effect, found)
+    one = _known(effect, fit)
     head = "<tr><th></th>" + ("<th>fitted</th>" if values else "") + "<th>plausible size</th></tr>"
     rows = []
     for k, p in enumerate(effect.parameters[:_MOST_LISTED]):

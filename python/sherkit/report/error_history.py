@@ -16,8 +16,14 @@ from .picture import Picture, Tables, single, sources_of
 from .style import COLOURS, FONT, FONT_SIZE, INK, MARKERS, figure, hover, legend
 
 _HEIGHT = 380
-#: More steps than this have their names aslant, and more than that their numbers alone: hover says the names.
-_LEVEL, _NAMED = 4, 9
+#: More steps than this have their numbers alone: hover says the names.
+_NAMED = 9
+#: Width of a letter with its part of the gap between names, px; names that are wider together stand aslant.
+_LETTER = 8.4
+#: Height of a line of them, px.
+_LINE_PX = 22
+#: What all readings leave together, beside each of them.
+_ALL = "all"
 
 
 @dataclass(frozen=True)
@@ -79,23 +85,27 @@ def error_history_of(study: Study, found: Diagnosis | None = None) -> ErrorHisto
     return ErrorHistory(steps, found.noise if found is not None and known else {}, unit, needed)
 
 
-def error_history(state: ErrorHistory, *, height_px: int = _HEIGHT) -> Picture[ErrorHistory]:
+def error_history(state: ErrorHistory, *, height_px: int = _HEIGHT, room_px: int = 860) -> Picture[ErrorHistory]:
     """RMS of single readings at every step on a logarithmic scale.
 
-    Filled marks are errors on blocks of poses that the fit had not seen, open ones those on the rows it was fitted to.
+    Filled marks are errors on blocks of poses that the fit had not seen, open ones those on the rows it was fitted to;
+    the heavy line is that of all readings together. ``room_px`` is there for the names of steps.
     """
     names = _names(state)
+    together = [_ALL] if len(names) > 1 else []
     sources = sources_of(_tables(state))
     made = figure(
         height=height_px, sizing_mode="stretch_width", y_axis_type="log", x_range=FactorRange(*_steps(state)),
         y_range=Range1d(*_reach(state)),
     )  # fmt: skip
     made.yaxis.axis_label = f"RMS error, {state.unit}"
-    made.xaxis.major_label_orientation = _slant(state)
+    made.xaxis.major_label_orientation = _slant(state, room_px)
     renderers = []
-    for k, name in enumerate(names):
-        colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
-        made.line("step", f"held_{name}", source=sources["steps"], color=colour, line_width=2, legend_label=name)
+    for k, name in enumerate([*names, *together]):
+        last = k == len(names)
+        colour, marker = (INK, "plus") if last else (COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)])
+        made.line("step", f"held_{name}", source=sources["steps"], color=colour, line_width=4 if last else 2,
+                  legend_label=name)  # fmt: skip
         filled = made.scatter(
             "step", f"held_{name}", source=sources["steps"], color=colour, marker=marker, size=13, legend_label=name
         )
@@ -114,7 +124,9 @@ def error_history(state: ErrorHistory, *, height_px: int = _HEIGHT) -> Picture[E
         _say(made, float(np.mean(list(state.noise.values()))), "noise")
     made.add_tools(
         hover(
-            renderers, ("step", "@action"), *((n, f"@held_{n}{{0.0}} held out, @fit_{n}{{0.0}} fitted") for n in names)
+            renderers,
+            ("step", "@action"),
+            *((n, f"@held_{n}{{0.0}} held out, @fit_{n}{{0.0}} fitted") for n in [*names, *together]),
         )
     )
     made.xgrid.grid_line_color = None
@@ -123,10 +135,12 @@ def error_history(state: ErrorHistory, *, height_px: int = _HEIGHT) -> Picture[E
     def tune(new: ErrorHistory) -> None:
         made.x_range.factors = _steps(new)
         made.y_range.start, made.y_range.end = _reach(new)
-        made.xaxis.major_label_orientation = _slant(new)
+        made.xaxis.major_label_orientation = _slant(new, room_px)
 
-    note = ("Filled: on blocks of poses that the fit had not seen. Open: on the rows it was fitted to.") + (
-        " Dotted: the noise of each axis; below it nothing can be gained." if state.noise else ""
+    note = (
+        "Filled: on blocks of poses that the fit had not seen. Open: on the rows it was fitted to."
+        f"{' Black: all readings together.' if together else ''}"
+        f"{' Dotted: the noise of each axis; below it nothing can be gained.' if state.noise else ''}"
     )
     return Picture("fall", single("fall", made), sources, _tables, tune, note=note)
 
@@ -135,7 +149,7 @@ def _say(made: Any, height: float, text: str) -> None:
     """Names a line at the left edge, whatever the steps are."""
     made.add_layout(
         Label(x=6, x_units="screen", y=height, y_offset=3, text=text, text_font_size=FONT_SIZE, text_font=FONT,
-              text_color=INK, text_baseline="bottom")
+              text_color=INK, text_baseline="bottom", background_fill_color="white", background_fill_alpha=0.75)
     )  # fmt: skip
 
 
@@ -158,8 +172,11 @@ def _steps(state: ErrorHistory) -> list[str]:
     return [f"{k}. {step.short or step.action}" for k, step in enumerate(state.steps)]
 
 
-def _slant(state: ErrorHistory) -> float:
-    return 0.5 if _LEVEL < len(state.steps) <= _NAMED else 0.0
+def _slant(state: ErrorHistory, room_px: int) -> float:
+    """Angle of the names, rad: none where they fit, else as little as keeps them apart."""
+    if _LETTER * sum(map(len, _steps(state))) <= room_px:
+        return 0.0
+    return min(_LINE_PX * len(state.steps) / room_px, 0.6)
 
 
 def _tables(state: ErrorHistory) -> Tables:
@@ -169,4 +186,7 @@ def _tables(state: ErrorHistory) -> Tables:
                             ("fit", [r.fitted.get(name) for r in state.steps])):  # fmt: skip
             # a logarithmic axis has no place for zero
             table[f"{key}_{name}"] = np.array([v if v is not None and v > 0 else np.nan for v in values])
+    for key in ("held", "fit"):
+        each = np.array([table[f"{key}_{name}"] for name in _names(state)])
+        table[f"{key}_{_ALL}"] = np.sqrt(np.mean(each**2, axis=0))
     return {"steps": table}

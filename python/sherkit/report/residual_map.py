@@ -40,7 +40,7 @@ _NARROWEST = 220
 _WIDE = 280
 #: Heights of the strips for a title of two lines and for the keys, distance from the edge, width of a bold letter, and
 #: the shortest scale bar, px.
-_TITLE, _KEYS, _EDGE, _LETTER, _SHORTEST_BAR = 54, 40, 9, 8.8, 28
+_TITLE, _KEYS, _EDGE, _LETTER, _SHORTEST_BAR = 54, 40, 9, 10, 28
 #: What the axis of a panel takes of its width, px.
 _AROUND = 55
 #: Height of a panel by its width, at the least and at the most.
@@ -344,7 +344,9 @@ def _key(scale: _Scale, moment: str, left: Residuals, title: str, plane: str, rm
     x_range, y_range = scale.ranges
     x0, y0, x1, y1 = (float(v) for v in (x_range.start, y_range.start, x_range.end, y_range.end))
     edge = _EDGE * scale.pixel
-    figure_of = f"{plane + ': ' if plane else ''}{number(rms)} {left.unit} RMS"
+    figure_of = f"{plane + ': ' if plane else ''}{number(rms)} {left.unit}"
+    if len(figure_of) + 4 <= scale.letters:
+        figure_of += " RMS"
     heading = f"{_short(title, scale.letters)}\n{figure_of}"
     bar = scale.bars[moment] * scale.per_unit[moment]
     circle = scale.circles[moment][panel]

@@ -137,6 +137,8 @@ class Scene:
         centre, size = self._extent
         height = self.aspect * width_px
         scale = min(width_px, height) / size
+        # errors have the page for themselves, a drawing stands beside what is said of it
+        wide = f"{width_px}px" if self.arrows is None else "100%"
         shown: list[str] = []
         if len(self.frames) > 1:
             shown += self._still_parts(self.frames[0][1], centre, scale, (width_px, height), plain=True)
@@ -147,7 +149,7 @@ class Scene:
             shown += _still_arrows(self.arrows, centre, size, scale, (width_px, height))
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width_px} {height:.0f}" role="img" '
-            f'aria-label="{escape(self.label)}" style="max-width:100%;width:{width_px}px;background:#fff">'
+            f'aria-label="{escape(self.label)}" style="max-width:100%;width:{wide};background:#fff">'
             + "".join(shown)
             + "</svg>"
         )

@@ -20,6 +20,8 @@ from .scene import Arrows, Field, Scene
 
 #: So many arrows are drawn, and places at which the accuracy is predicted.
 _MOST_ARROWS, _MOST_CELLS = 3000, 700
+#: Height by width: with what is said above it, a scene stands on one screen.
+_ASPECT = 0.5
 #: Rings of the largest errors.
 _WORST = 5
 #: Heights that a run kept to, if they are no more; else slabs of equally many places.
@@ -58,7 +60,7 @@ def space_of(
     )  # fmt: skip
     field = None if calibration is None else _field(calibration, draw, after, where)
     label = f"{machine_name(after.model)} and the errors of {len(where)} poses, {titles[0]} and {titles[1]}"
-    return Scene(label, [(0.0, machine)], 0.0, arrows, field, machine.unit)
+    return Scene(label, [(0.0, machine)], 0.0, arrows, field, machine.unit, _ASPECT)
 
 
 def machine_name(model: Any) -> str:

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from bokeh.embed import components
+from bokeh.models import GridPlot
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -34,6 +35,7 @@ from ..names import listed
 from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from ..study import Study
+from .answer import answer
 from .atlas import Atlas, atlas_of, signature_atlas
 from .candidates import candidates
 from .card import effect_card
@@ -56,6 +58,9 @@ from .workspace import NextPoses, accuracy_map, accuracy_of, next_poses
 
 #: Cards of effects that cannot be told from those that are named.
 _MOST_TIED = 3
+#: Height of a printed page as wide as the pictures (letter, which is the lower), with room for a note; what axis and
+#: title take of a figure, px.
+_PAGE_PX, _AXIS_PX = 1230, 62
 
 
 @dataclass(frozen=True)
@@ -102,7 +107,6 @@ def html(story: Story) -> str:
     """The report as HTML. Every text from files is escaped."""
     pictures, swaps, atlas = _pictures(story)
     cards, other_cards = _cards(story, atlas)
-    cause, cure = answer(story.found)
     nonce = fresh_nonce()
     script, places = components(in_one_document({name: one.root for name, one in pictures.items()}))
     resources = Resources(mode="inline", components=["bokeh"])
@@ -122,8 +126,7 @@ def html(story: Story) -> str:
         story=story,
         found=story.found,
         study=story.study,
-        cause=cause,
-        cure=cure,
+        answer=answer(story.found),
         cards=cards,
         other_cards=other_cards,
         space=_space(story),
@@ -133,7 +136,9 @@ def html(story: Story) -> str:
         directions=[str(d) for d in getattr(story.study.fit, "badly_observed", ())],
         unobserved=[str(d) for d in getattr(story.study.fit, "unobserved", ())],
         accuracy=_accuracy_lines(story.calibration),
-        coordinates=listed([quantity(c) for c in story.calibration.coordinates]) if story.calibration else "",
+        coordinates=_together(story.calibration.coordinates) if story.calibration else "",
+        bars=_bars(story),
+        printed_map=_printed(pictures["residual_map"]),
         example=_example(story.calibration),
         measured=_measured(story),
         signature=sentence(story.found.signature) if story.found.signature else None,
@@ -168,38 +173,33 @@ def _p(value: float) -> str:
     return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
 
 
-def answer(found: Diagnosis) -> tuple[str, str]:
-    """What is wrong and what to do about it: two sentences, before any evidence."""
-    first, last = number(found.steps[0].held_out_rms), number(found.steps[-1].held_out_rms)
-    unit = found.unit
-    if not found.effects:
-        if found.verdict == "adequate":
-            return (
-                f"The model describes this machine: on poses that it was not fitted to it is off by {first} {unit}, "
-                "and nothing that was tried would make that less.",
-                "Use the calibration as it is; only better or more readings could tell more.",
-            )
-        return (
-            f"The model is off by {first} {unit}, and no effect that is known explains it: what is left has a pattern.",
-            "Look at the pattern below, ask what could leave it, and add that as an effect of your own.",
-        )
-    causes = [effect for effect in found.fit.model.effects if effect.name in found.effects]
-    physics = " ".join(_first_sentence(e.physics) for e in causes)
-    whole = "" if found.verdict == "explained" else " That is not all: the rest has a pattern, too."
-    doubt = f" With a reservation: {found.reservation}." if found.reservation else ""
-    tied = f" These poses cannot tell it from {listed(found.ties[0][1:])}." if found.ties else ""
-    repair = " ".join(found.known[e.name].workshop if e.name in found.known else e.workshop for e in causes)
-    return (
-        f"The model lacks {listed(found.effects)}{': ' if physics else '.'}{physics[:1].lower()}{physics[1:]}{tied}",
-        f"With that in the model the error falls from {first} to {last} {unit} on poses that the fit had not seen."
-        + whole
-        + doubt
-        + (f" To be rid of it in the machine: {repair[:1].lower()}{repair[1:]}" if repair else ""),
-    )
+def _printed(picture: Picture[Any]) -> str:
+    """How much smaller a grid of figures is printed, so that it stands on one page."""
+    grid = next(one for one in (picture.root, *picture.root.children) if isinstance(one, GridPlot))
+    rows = {row: figure.frame_height + _AXIS_PX for figure, row, *_ in grid.children}
+    return f"{min(1.0, _PAGE_PX / sum(rows.values())):.2f}"
 
 
-def _first_sentence(text: str) -> str:
-    return text.partition(". ")[0].rstrip(".") + "." if text else ""
+def _bars(story: Story) -> list[tuple[str, str, float]]:
+    """Before, after, noise and what is needed as bars: key, name and length of each."""
+    found, needed = story.found, required_um(story.study.robot)
+    out = [("error-before", "error as it came", found.steps[0].held_out_rms)]
+    if len(found.steps) > 1:
+        out.append(("error-after", f"with {listed(found.effects)}", found.steps[-1].held_out_rms))
+    if found.noise_origin != "unknown":
+        out.append(("noise", "noise of a reading", _rms(list(found.noise.values()))))
+    if needed and found.unit == "µm":
+        out.append(("needed", "needed", needed))
+    return out
+
+
+def _together(names: Sequence[str]) -> str:
+    """Quantities with the unit that they share said once: ``x, y and z in mm``."""
+    pairs = [quantity(name).partition(", ")[::2] for name in names]
+    units = {unit for _, unit in pairs}
+    if len(units) > 1 or units == {""}:
+        return listed([f"{label} in {unit}" if unit else label for label, unit in pairs])
+    return f"{listed([label for label, _ in pairs])} in {units.pop()}"
 
 
 def _cards(story: Story, atlas: Atlas | None) -> tuple[list[str], list[tuple[str, str]]]:
