@@ -241,7 +241,7 @@ def test_bad_runs_end_in_one_sentence(bad: Bad, work: Path, tmp_path: Path) -> N
         (["calibrate", "robot.toml", "far.csv"], "far.csv: line 3: the model cannot reach these joint readings"),
         (["calibrate", "robot.toml", "whole.csv", "-o", "no/where.toml"], "no/where.toml: cannot be written"),
         (["simulate", "robot.toml", "-o", "no/where.csv"], "no/where.csv"),
-        (["import", "klipper", "robot.toml", "-o", "out"], "[printer] kinematics is not 'delta'"),
+        (["import", "klipper", "robot.toml", "-o", "out"], "has no 'kinematics' in a section [printer]"),
     ],
     ids=lambda v: " ".join(v) if isinstance(v, list) else "",
 )
