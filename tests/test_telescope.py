@@ -95,7 +95,8 @@ def test_mmt_next_to_nothing_is_missing(night: str) -> None:
     assert d.effects == ()
     assert on_sky(d.steps[0]) == pytest.approx(1.4, abs=0.1)
     assert {c.effect for c in d.candidates} == {e.name for e in mount.Mount.candidates}
-    assert max(on_sky(d.steps[0]) - on_sky(c) for c in d.candidates) <= 0.06
+    # a twentieth of it
+    assert max(on_sky(d.steps[0]) - on_sky(c) for c in d.candidates) <= 0.07
 
 
 def test_example_prints_the_fall() -> None:
