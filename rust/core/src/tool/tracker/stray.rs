@@ -137,6 +137,10 @@ impl ToolFilter {
     /// What a state that was carried on does not know of its force.
     pub(super) fn stray(&self, s: &State) -> Stray {
         let gives = self.would_give(s);
+        if gives <= 0.0 {
+            // the whole shaft is beyond the hole, and nothing of it left to bend
+            return Stray::default();
+        }
         let strayed = |waited_s| {
             let per_second = self.drift.per_second;
             self.pace.strayed(s, waited_s, gives, per_second)
