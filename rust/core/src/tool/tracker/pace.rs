@@ -33,8 +33,8 @@ pub struct Pace {
     known_s: f64,
     /// Since when it is being taken.
     pub(super) since: State,
-    /// Sums of what the hole gave way times the force's change, and of that squared.
-    yielded: [f64; 2],
+    /// Sums of what the hole gave way times the force's change, of that squared, and of that with its noise.
+    yielded: [f64; 3],
     /// What the hole gives way, mm/mN, and the variance of that.
     pub(super) hole_gives: f64,
     pub(super) giving: f64,
@@ -48,7 +48,7 @@ impl Pace {
             felt: FIRST_FELT,
             known_s: GUESSED_S,
             since: *start,
-            yielded: [0.0; 2],
+            yielded: [0.0; 3],
             hole_gives: 0.0,
             giving: GIVING * GIVING,
         }
@@ -108,11 +108,11 @@ impl ToolFilter {
                 let shared_then = self.clearance_mm / then.size;
                 let by_noise =
                     now.felt.noise * (2.0 * gives + share) + noise * (2.0 * gave + shared_then);
-                let squared = changed.norm_squared() - 2.0 * (now.felt.noise + noise);
+                let felt = changed.norm_squared();
+                let squared = felt - 2.0 * (now.felt.noise + noise);
                 self.pace.learn_giving(
                     elapsed,
-                    by_noise - (here - there).dot(&changed),
-                    squared,
+                    [by_noise - (here - there).dot(&changed), squared, felt],
                     (now.felt.noise + noise) * (gives * gives),
                 );
             }
@@ -141,20 +141,30 @@ impl ToolFilter {
 }
 
 impl Pace {
-    /// What the hole gives way, by one more window: what it gave way times the force's change, that squared, and the
-    /// variance of a component of where the edge is seen, by noise.
-    fn learn_giving(&mut self, elapsed_s: f64, shared: f64, squared: f64, noise_mm2: f64) {
+    /// What the hole gives way, by one more window: what it gave way times the force's change, that squared, the same
+    /// with its noise, and the variance of a component of where the edge is seen, by noise.
+    ///
+    /// A slope by the first over the second is as sure as the second over the third (reliability): while a tool stands
+    /// still, the force changes by noise alone, and nothing is known of the hole.
+    fn learn_giving(&mut self, elapsed_s: f64, more: [f64; 3], noise_mm2: f64) {
         let kept = 1.0 - elapsed_s.min(KEPT_S) / (4.0 * KEPT_S);
-        let [s, q] = self.yielded;
-        let (shared, squares) = (s * kept + shared, q * kept + squared);
-        if !(shared.is_finite() && squares.is_finite()) {
+        let [shared, squares, felt] = self.yielded;
+        let sums = [
+            shared * kept + more[0],
+            squares * kept + more[1],
+            felt * kept + more[2],
+        ];
+        if !sums.iter().all(|x| x.is_finite()) {
             return;
         }
-        self.yielded = [shared, squares];
+        self.yielded = sums;
+        let [shared, squares, felt] = sums;
+        // `felt` is `squares` and what noise adds
+        let reliability = if squares > 0.0 { squares / felt } else { 0.0 };
         let variance = self.square() * elapsed_s * elapsed_s + noise_mm2;
-        let known = (if squares > 0.0 { squares } else { 0.0 }) + variance / (GIVING * GIVING);
+        let known = reliability * squares + variance / (GIVING * GIVING);
         if known > 0.0 {
-            let given = shared / known;
+            let given = reliability * shared / known;
             self.hole_gives = if given > 0.0 {
                 given.min(MOST_GIVING)
             } else {
