@@ -7,6 +7,7 @@
 use super::interrogator::{Agreement, BELIEVED, Set, Shifts, Swap, of_section};
 use super::moments::Moments;
 use super::reading::Said;
+use super::stray::UP_TO_S;
 use super::{Look, ToolFilter};
 use crate::tool::filters::Status;
 use crate::tool::sensing::FIBRES;
@@ -30,7 +31,7 @@ impl ToolFilter {
     #[inline]
     pub(super) fn fold(&mut self, w: &Shifts) -> Status {
         let put_back;
-        let w = if let Some(swap) = self.swapped {
+        let w = if let Some(swap) = self.watch.swapped {
             put_back = swap.put_back(w);
             &put_back
         } else {
@@ -38,14 +39,16 @@ impl ToolFilter {
         };
         let (shifts, silent) = self.interrogator.look(w);
         let agreement = self.interrogator.agree(&shifts, silent);
-        if silent | self.silent | self.bad == 0 && self.swapped.is_none() && agreement.odd.is_none()
+        if silent | self.watch.silent | self.watch.bad == 0
+            && self.watch.swapped.is_none()
+            && agreement.odd.is_none()
         {
             let moments = self.gains.moments(&shifts);
             let said = self.say(&moments);
             if !(said.crossed() || said.far() > FAILS) {
-                self.streak = 0;
-                self.refused = 0;
-                self.look = Look {
+                self.watch.streak = 0;
+                self.watch.refused = 0;
+                self.watch.look = Look {
                     misfit: said.misfit,
                     faulty: 0,
                 };
@@ -60,15 +63,15 @@ impl ToolFilter {
     fn doubt(&mut self, shifts: &Shifts, silent: Set, agreement: Agreement) -> Status {
         self.state.lean(&self.shaft, self.clearance_mm);
         let mut shifts = *shifts;
-        let bad = silent | self.bad;
-        self.silent = silent;
+        let bad = silent | self.watch.bad;
+        self.watch.silent = silent;
         let mut moments = self.moments(&shifts, bad);
         let mut said = self.say(&moments);
-        let mut faulty = bad | self.swapped.map_or(0, Swap::set);
+        let mut faulty = bad | self.watch.swapped.map_or(0, Swap::set);
         let odd = agreement.odd.filter(|i| bad & of_section(*i) == 0);
         let crossed = said.crossed();
         let doubtful = odd.is_some() || crossed || said.far() > FAILS;
-        if self.bad != 0 {
+        if self.watch.bad != 0 {
             self.again(&shifts, silent, agreement.odd.is_some());
             self.single_out(&shifts, silent);
         }
@@ -82,33 +85,33 @@ impl ToolFilter {
             faulty |= swap.set();
             self.suspect(swap.set());
             shifts = self.interrogator.shifts_back(swap, &shifts);
-            if self.streak >= SURE {
+            if self.watch.streak >= SURE {
                 // a second change of the same two puts them right
-                self.swapped = if self.swapped == Some(swap) {
+                self.watch.swapped = if self.watch.swapped == Some(swap) {
                     None
                 } else {
                     Some(swap)
                 };
-                self.streak = 0;
+                self.watch.streak = 0;
                 self.interrogator.forget();
                 self.back(false);
             }
             moments = self.moments(&shifts, bad);
             said = self.say(&moments);
-            self.refused = 0;
+            self.watch.refused = 0;
         } else if doubtful {
             if let Some(set) = self.search(&shifts, bad, odd, agreement.slowly) {
                 faulty |= set;
                 self.suspect(set);
-                if self.streak >= SURE || agreement.slowly {
-                    self.bad |= set;
-                    self.streak = 0;
+                if self.watch.streak >= SURE || agreement.slowly {
+                    self.watch.bad |= set;
+                    self.watch.streak = 0;
                     self.interrogator.forget();
                     self.back(agreement.slowly);
                 }
                 moments = self.moments(&shifts, faulty);
                 said = self.say(&moments);
-                let sure = self.bad & set == set;
+                let sure = self.watch.bad & set == set;
                 // two that lie at once: what is left must not leap
                 let leaps = !sure && self.jump(&said) > FAILS;
                 if !sure {
@@ -116,21 +119,21 @@ impl ToolFilter {
                     let leap = said.way * said.size - self.state.force();
                     said.noise += leap.norm_squared() / 2.0;
                 }
-                self.refused = if leaps {
-                    self.refused.saturating_add(1)
+                self.watch.refused = if leaps {
+                    self.watch.refused.saturating_add(1)
                 } else {
                     0
                 };
-                trusted = self.refused == 0 || self.refused > PATIENCE_ALONE;
+                trusted = self.watch.refused == 0 || self.watch.refused > PATIENCE_ALONE;
             } else {
-                self.refused = self.refused.saturating_add(1);
-                trusted = self.refused > if crossed { PATIENCE } else { PATIENCE_ALONE };
+                self.watch.refused = self.watch.refused.saturating_add(1);
+                trusted = self.watch.refused > if crossed { PATIENCE } else { PATIENCE_ALONE };
             }
         } else {
-            self.streak = 0;
-            self.refused = 0;
+            self.watch.streak = 0;
+            self.watch.refused = 0;
         }
-        self.look = Look {
+        self.watch.look = Look {
             misfit: said.misfit,
             faulty,
         };
@@ -154,25 +157,25 @@ impl ToolFilter {
 
     /// Counts how often in a row the same gratings were suspected.
     fn suspect(&mut self, set: Set) {
-        self.streak = if self.suspects == set {
-            self.streak + 1
+        self.watch.streak = if self.watch.suspects == set {
+            self.watch.streak + 1
         } else {
             1
         };
-        self.suspects = set;
+        self.watch.suspects = set;
     }
 
     /// Whether what is held to be bad is in order again.
     pub(super) fn again(&mut self, shifts: &Shifts, silent: Set, odd: bool) {
         let said = self.say(&self.moments(shifts, silent));
-        let held = self.bad & silent != 0;
+        let held = self.watch.bad & silent != 0;
         if odd || held || said.crossed() || said.far() > FAILS {
-            self.good = 0;
+            self.watch.good = 0;
         } else {
-            self.good += 1;
-            if self.good >= BELIEVED {
-                self.bad = 0;
-                self.good = 0;
+            self.watch.good += 1;
+            if self.watch.good >= BELIEVED {
+                self.watch.bad = 0;
+                self.watch.good = 0;
             }
         }
     }
@@ -181,11 +184,11 @@ impl ToolFilter {
     pub(super) fn single_out(&mut self, shifts: &Shifts, silent: Set) {
         for i in 0..2 {
             let all = of_section(i);
-            if self.bad & all != all || silent & all != 0 {
+            if self.watch.bad & all != all || silent & all != 0 {
                 continue;
             }
-            let others = self.bad & !all;
-            let mut alone = self.alone;
+            let others = self.watch.bad & !all;
+            let mut alone = self.watch.alone;
             for (k, misfit) in alone.iter_mut().enumerate() {
                 let found = self.unlikely(shifts, others | silent | (1 << (FIBRES * i + k)));
                 let held = if found < 4.0 * FAILS {
@@ -195,9 +198,9 @@ impl ToolFilter {
                 };
                 *misfit += (held - *misfit) / SINGLED_OUT;
             }
-            self.alone = alone;
-            self.alone_for = self.alone_for.saturating_add(1);
-            if f64::from(self.alone_for) > 2.0 * SINGLED_OUT {
+            self.watch.alone = alone;
+            self.watch.alone_for = self.watch.alone_for.saturating_add(1);
+            if f64::from(self.watch.alone_for) > 2.0 * SINGLED_OUT {
                 // by iterators: an index would keep its check on some processors, and with it a path to a panic
                 let is_lone = |k: usize| {
                     let mut each = alone.iter().enumerate();
@@ -210,15 +213,15 @@ impl ToolFilter {
                     })
                 };
                 if let Some(k) = (0..FIBRES).find(|k| is_lone(*k)) {
-                    self.bad = others | (1 << (FIBRES * i + k));
-                    self.alone = [0.0; FIBRES];
-                    self.alone_for = 0;
+                    self.watch.bad = others | (1 << (FIBRES * i + k));
+                    self.watch.alone = [0.0; FIBRES];
+                    self.watch.alone_for = 0;
                     return;
                 }
             }
             return;
         }
-        self.alone_for = 0;
+        self.watch.alone_for = 0;
     }
 
     /// How badly a set of gratings fits without these; smaller is better.
@@ -236,7 +239,12 @@ impl ToolFilter {
         let s = &self.state;
         let moved = said.way * said.size - s.force();
         let sized = JUMP_SHARE * said.size;
-        let strayed = self.pace.strayed(s.time_s - s.felt.time_s);
+        let waited = (s.time_s - s.felt.time_s).min(UP_TO_S);
+        let gives = self.would_give(s);
+        let strayed = self
+            .pace
+            .strayed(s, waited, gives, self.drift.per_second)
+            .mean();
         moved.norm_squared() / (said.noise + strayed + JUMP_MN * JUMP_MN + sized * sized)
     }
 

@@ -27,6 +27,7 @@ mod pace;
 mod poses;
 mod reading;
 mod state;
+mod stray;
 mod telling;
 mod trusted;
 mod unknowns;
@@ -66,6 +67,25 @@ pub struct Look {
     pub faulty: Set,
 }
 
+/// What was seen of the readings and is doubted; nothing yet at a start.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Watch {
+    /// Gratings held to be bad, those of the last failing reading, and how often in a row.
+    bad: Set,
+    swapped: Option<Swap>,
+    silent: Set,
+    suspects: Set,
+    streak: u16,
+    good: u16,
+    /// How badly a lost section fits without each of its gratings, slowly, and for how many readings.
+    alone: [f64; FIBRES],
+    alone_for: u16,
+    refused: u16,
+    look: Look,
+    counts: Counts,
+    consistency: Consistency,
+}
+
 /// The filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolFilter {
@@ -82,20 +102,7 @@ pub struct ToolFilter {
     pace: Pace,
     kept: Kept,
     used_s: f64,
-    /// Gratings held to be bad, those of the last failing reading, and how often in a row.
-    bad: Set,
-    swapped: Option<Swap>,
-    silent: Set,
-    suspects: Set,
-    streak: u16,
-    good: u16,
-    /// How badly a lost section fits without each of its gratings, slowly, and for how many readings.
-    alone: [f64; FIBRES],
-    alone_for: u16,
-    refused: u16,
-    look: Look,
-    counts: Counts,
-    consistency: Consistency,
+    watch: Watch,
 }
 
 /// Whether a robot can stand so.
@@ -156,18 +163,7 @@ impl ToolFilter {
             pace: Pace::new(&state),
             kept: Kept::new(&state, &drift),
             used_s: f64::NEG_INFINITY,
-            bad: 0,
-            swapped: None,
-            silent: 0,
-            suspects: 0,
-            streak: 0,
-            good: 0,
-            alone: [0.0; FIBRES],
-            alone_for: 0,
-            refused: 0,
-            look: Look::default(),
-            counts: Counts::default(),
-            consistency: Consistency::default(),
+            watch: Watch::default(),
         })
     }
 
@@ -190,18 +186,7 @@ impl ToolFilter {
             pace: self.pace.anew(&state),
             kept: Kept::new(&state, &drift),
             used_s: f64::NEG_INFINITY,
-            bad: 0,
-            swapped: None,
-            silent: 0,
-            suspects: 0,
-            streak: 0,
-            good: 0,
-            alone: [0.0; FIBRES],
-            alone_for: 0,
-            refused: 0,
-            look: Look::default(),
-            counts: Counts::default(),
-            consistency: Consistency::default(),
+            watch: Watch::default(),
             ..*self
         })
     }
@@ -216,10 +201,10 @@ impl ToolFilter {
         pose: &Rigid,
         reading: Option<(f64, &[[f64; FIBRES]; SECTIONS])>,
     ) -> Status {
-        self.consistency.rest();
+        self.watch.consistency.rest();
         let elapsed = time_s - self.poses.now().time_s;
         if !(0.0..LONGEST_S).contains(&elapsed) {
-            self.counts.add(Status::CLOCK);
+            self.watch.counts.add(Status::CLOCK);
             return Status::CLOCK;
         }
         let mut status = Status::default();
@@ -236,7 +221,7 @@ impl ToolFilter {
                 None => Status::MISSING,
                 Some((stamp_s, w)) => self.read(stamp_s, w),
             };
-        self.counts.add(status);
+        self.watch.counts.add(status);
         status
     }
 
@@ -281,19 +266,19 @@ impl ToolFilter {
     /// What the last reading was like.
     #[must_use]
     pub fn look(&self) -> Look {
-        self.look
+        self.watch.look
     }
 
     /// How often what happened.
     #[must_use]
     pub fn counts(&self) -> &Counts {
-        &self.counts
+        &self.watch.counts
     }
 
     /// Innovation statistics of the depth.
     #[must_use]
     pub fn consistency(&self) -> &Consistency {
-        &self.consistency
+        &self.watch.consistency
     }
 
     /// Time of the estimate, s.

@@ -188,7 +188,7 @@ impl ToolFilter {
             } = *off;
             let s = &mut self.state;
             let mut variance = s.variance;
-            if self.refused > 0 {
+            if self.watch.refused > 0 {
                 // far from the expected depth the force is another than arms to there make it
                 let near = mm + said.beyond;
                 let lever = said.weights[0] + said.weights[1];
@@ -217,7 +217,7 @@ impl ToolFilter {
             if total > before {
                 self.drift.take(mm, total - before, moved);
             }
-            self.consistency.add(mm * mm * per_total);
+            self.watch.consistency.add(mm * mm * per_total);
             // from the depth that the reading was looked at with
             moved += said.beyond;
         } else {

@@ -1,7 +1,6 @@
 //! Where the hole stands in the tool's frame and what is known of it, at the last stamp.
 
 use super::moments::Bends;
-use super::reading::DETECTED;
 use super::unknowns::{CLEARANCE, Tied, UNKNOWNS};
 use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
@@ -163,35 +162,6 @@ impl State {
         } else {
             Vector2::zeros()
         }
-    }
-
-    /// Variance of the force's components by not knowing where the edge stands, since it was read: `stray` by its pace
-    /// since the shaft was last touched.
-    ///
-    /// The edge is a clearance beyond the way of the force, so that noise across a small force moves it more than along.
-    /// A shaft that comes free stands at the edge, within the force that is not felt, and strays from there; what it may
-    /// press when the tool has moved on is what of that lies beyond the edge. A tip near the hole may have left it, or
-    /// come in and lean at once.
-    pub(super) fn edge(&self, moved_mm: f64, clearance_mm: f64, gives: f64, stray: f64) -> f64 {
-        if gives <= 0.0 || moved_mm <= 0.0 {
-            return 0.0;
-        }
-        let (moved, clearance) = (moved_mm / gives, clearance_mm / gives);
-        let pressed = sqrt(self.off.norm_squared()) / gives - clearance;
-        let mut variance = if self.free {
-            let range = (DETECTED * sqrt(self.felt.noise) + sqrt(stray)).min(2.0 * clearance);
-            let most = (pressed + range).max(0.0).min(2.0 * range).min(moved);
-            most * most / 4.0
-        } else {
-            let turned = clearance / self.felt.size.max(f64::MIN_POSITIVE);
-            let most = clearance.min(moved);
-            (self.felt.noise * turned * (turned + 2.0)).min(most * most)
-        };
-        if !self.surely_inside() {
-            let press = pressed.max(0.0) + moved;
-            variance += self.size * self.size + press * press;
-        }
-        variance
     }
 
     /// The force where the hole stands now.

@@ -2,6 +2,7 @@
 
 use super::ToolFilter;
 use super::state::State;
+use super::stray::Stray;
 use super::unknowns::{Tied, UNKNOWNS};
 use crate::numbers::rigid::Rigid;
 use crate::tool::rod::{Bending, Shape};
@@ -41,19 +42,16 @@ impl ToolFilter {
     pub fn told(&self) -> Told {
         let now = self.poses.now();
         if self.state.time_s == now.time_s {
-            self.told_of(&self.state, 0.0)
+            self.told_of(&self.state, &Stray::default())
         } else {
             let s = self.carried(&self.state, now.time_s, &now.pose);
-            let moved = (s.pose.translation - self.state.pose.translation).norm();
-            let loose = self.pace.strayed(s.time_s - s.felt_s);
-            let edge = s.edge(moved, self.clearance_mm, s.gives(&self.shaft), loose);
-            self.told_of(&s, self.pace.strayed(s.time_s - s.felt.time_s) + edge)
+            self.told_of(&s, &self.stray(&s))
         }
     }
 
-    /// `stray`: variance of the force's components since it was read.
+    /// `stray`: of the force since it was read.
     #[inline]
-    fn told_of(&self, s: &State, stray: f64) -> Told {
+    fn told_of(&self, s: &State, stray: &Stray) -> Told {
         let depth = s.depth(&self.shaft);
         let shape = self.rod.shape(s.size, depth);
         let spread = self.spread(s);
@@ -69,7 +67,7 @@ impl ToolFilter {
             covariance: in_base(&beside, &s.way, &s.pose),
             force_mn: s.force().into(),
             force_variance: spread.along
-                + stray
+                + stray.mean()
                 + by_depth * (2.0 * spread.depth_along + by_depth * spread.depth),
         }
     }
@@ -99,7 +97,7 @@ impl ToolFilter {
         &self,
         s: &State,
         spread: &Spread,
-        stray: f64,
+        stray: &Stray,
         depth: f64,
         shape: &Shape,
     ) -> [[f64; 4]; 4] {
@@ -132,14 +130,15 @@ impl ToolFilter {
         let (l_along, l_up) = (d * ll + f * la, up_d * ll + up * la);
         let (a_along, a_up) = (d * la + f * aa, up_d * la + up * aa);
         // where the force is not known, neither is its square
-        let squared = 8.0 * stray * stray;
+        let squared = 8.0 * stray.along * stray.along;
         let (at_hole, at_tip) = (
             third * arc * arc * (1.0 / 15.0),
             third * arc * (arc * (1.0 / 15.0) + depth * 0.125),
         );
-        let mut along = d * l_along + f * a_along + f * f * stray;
-        let mut along_up = d * l_up + f * a_up + f * up * stray;
-        let mut upward = up_d * l_up + up * a_up + up * up * stray + at_tip * at_tip * squared;
+        let mut along = d * l_along + f * a_along + f * f * stray.along;
+        let mut along_up = d * l_up + f * a_up + f * up * stray.along;
+        let mut upward =
+            up_d * l_up + up * a_up + up * up * stray.along + at_tip * at_tip * squared;
         let factor = &self.unknowns.beam;
         for k in 0..2 {
             let (length, stiffer) = (factor[(0, k)], factor[(1, k)]);
@@ -151,17 +150,22 @@ impl ToolFilter {
         }
         [
             [
-                ll + contact * contact * stray + at_hole * at_hole * squared,
+                ll + contact * contact * stray.along + at_hole * at_hole * squared,
                 0.0,
                 0.0,
                 0.0,
             ],
-            [l_along + contact * f * stray, along, 0.0, 0.0],
-            [f * lc, f * (d * lc + f * ac), f * f * (cc + stray), 0.0],
+            [l_along + contact * f * stray.along, along, 0.0, 0.0],
             [
-                l_up + contact * up * stray + at_hole * at_tip * squared,
+                f * lc + contact * f * stray.both,
+                f * (d * lc + f * ac) + f * f * stray.both,
+                f * f * (cc + stray.across),
+                0.0,
+            ],
+            [
+                l_up + contact * up * stray.along + at_hole * at_tip * squared,
                 along_up,
-                f * (up_d * lc + up * ac),
+                f * (up_d * lc + up * ac) + f * up * stray.both,
                 upward,
             ],
         ]
