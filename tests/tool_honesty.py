@@ -17,7 +17,7 @@ import polars as pl
 import tomli_w
 
 from second_tool import CONDITIONS, FAULTS, Honesty, Recorded, World, honesty, pooled, write_csv
-from sherkit.errors import SherkitWarning
+from sherkit.errors import MeasurementError, SherkitWarning
 from sherkit.robots.tool.bench import Loads, read_loads
 from sherkit.robots.tool.filters import Estimate, estimate
 from sherkit.robots.tool.runs import ToolRun, tool_run_of
@@ -102,7 +102,11 @@ def main() -> None:
     for name, made in rows:
         if made is warmed_of and not worlds[name].temperature_c:
             continue
-        told = measured(worlds[name], asked.seeds, asked.experiment, made=made)
+        try:
+            told = measured(worlds[name], asked.seeds, asked.experiment, made=made)
+        except MeasurementError as refused:
+            print(f"{name:<18}{refused}", flush=True)
+            continue
         name += ", learnt" if made is warmed_of else ""
         cells = [
             f"{h.coverage:>14.3f}{h.nees:>8.2f}{h.largest:>8.1f}{h.beyond_5:>8}{h.mean_error_mm:>8.3f}"

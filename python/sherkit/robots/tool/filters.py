@@ -197,7 +197,7 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     measured = tool.sensor.measure_batch(stamps, tool.as_if_cold(waves))[0]
     told = tool.tracker(float(run.time_s[0]), run.poses[0]).run(run.time_s, run.poses, stamps, waves, reading)
     together = Track(told["state"], told["covariance"], told["status"], told["nis"], told["degrees"])
-    smooth = smoothed(tool, run, stamps, reading)
+    smooth = smoothed(tool, run, stamps, reading, told["faulty"])
     if tool.noise == "propagated":
         depth = Track(together.value[:, :1], together.covariance[:, :1, :1], *_fared(together))
         tip = Track(together.value[:, 1:], together.covariance[:, 1:, 1:], *_fared(together))
@@ -234,17 +234,21 @@ def _as_printed(tool: FlexibleTool, run: ToolRun, measured: Floats) -> tuple[Tra
     return depth, Track(*tip_filter.filter(run.time_s, moved, run.poses, depths, measured, there))
 
 
-def smoothed(tool: FlexibleTool, run: ToolRun, stamps_s: Floats, reading: Bools) -> tuple[Floats, Floats]:
+def smoothed(
+    tool: FlexibleTool, run: ToolRun, stamps_s: Floats, reading: Bools, faulty: NDArray[np.uint16]
+) -> tuple[Floats, Floats]:
     """Depth and tip (n, 4) from all measurements of the run, and their covariance (n, 4, 4).
 
     The filter runs forwards and, over the run turned round, backwards; both depths are weighted so that the variance is
     least, where what both owe to the calibration is one error (Fraser and Potter 1969; Schmidt 1966 for the latter).
-    At a row the one knows the readings up to its time and the other those after it: none counts twice.
+    At a row the one knows the readings up to its time and the other those after it: none counts twice. Gratings that
+    were found to lie (``faulty`` (n,), bit ``3 section + fibre``) are left out of the way back, on which a grating that
+    lies from the first reading on has nothing to be held against.
     """
     ahead = _ordered(run.time_s, run.poses, stamps_s, run.wavelengths_nm, reading, "left")
-    back = _ordered(
-        -run.time_s[::-1], run.poses[::-1], -stamps_s[::-1], run.wavelengths_nm[::-1], reading[::-1], "right"
-    )
+    lies = (faulty[:, None] >> np.arange(run.wavelengths_nm.shape[1])) & 1 > 0
+    waves = np.where(lies, np.nan, run.wavelengths_nm)
+    back = _ordered(-run.time_s[::-1], run.poses[::-1], -stamps_s[::-1], waves[::-1], reading[::-1], "right")
     forwards = tool.tracker(float(ahead[0][0]), ahead[1][0])
     first = forwards.run(*ahead)
     end = float(first["state"][-1, 0])

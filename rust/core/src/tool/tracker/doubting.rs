@@ -7,7 +7,6 @@
 use super::interrogator::{Agreement, BELIEVED, Set, Shifts, Swap, of_section};
 use super::moments::Moments;
 use super::reading::Said;
-use super::stray::UP_TO_S;
 use super::{Look, ToolFilter};
 use crate::tool::filters::Status;
 use crate::tool::sensing::FIBRES;
@@ -38,7 +37,7 @@ impl ToolFilter {
             w
         };
         let (shifts, silent) = self.interrogator.look(w);
-        let agreement = self.interrogator.agree(&shifts, silent);
+        let agreement = self.interrogator.agree(&shifts, silent, self.watch.bad);
         if silent | self.watch.silent | self.watch.bad == 0
             && self.watch.swapped.is_none()
             && agreement.odd.is_none()
@@ -105,6 +104,9 @@ impl ToolFilter {
                 self.suspect(set);
                 if self.watch.streak >= SURE || agreement.slowly {
                     self.watch.bad |= set;
+                    if agreement.slowly {
+                        self.watch.crept |= set;
+                    }
                     self.watch.streak = 0;
                     self.interrogator.forget();
                     self.back(agreement.slowly);
@@ -165,8 +167,12 @@ impl ToolFilter {
         self.watch.suspects = set;
     }
 
-    /// Whether what is held to be bad is in order again.
+    /// Whether what is held to be bad is in order again. What crept away has let go, and comes back by chance alone: one
+    /// reading does not show it.
     pub(super) fn again(&mut self, shifts: &Shifts, silent: Set, odd: bool) {
+        if self.watch.bad == self.watch.crept {
+            return;
+        }
         let said = self.say(&self.moments(shifts, silent));
         let held = self.watch.bad & silent != 0;
         if odd || held || said.crossed() || said.far() > FAILS {
@@ -174,7 +180,7 @@ impl ToolFilter {
         } else {
             self.watch.good += 1;
             if self.watch.good >= BELIEVED {
-                self.watch.bad = 0;
+                self.watch.bad = self.watch.crept;
                 self.watch.good = 0;
             }
         }
@@ -214,6 +220,7 @@ impl ToolFilter {
                 };
                 if let Some(k) = (0..FIBRES).find(|k| is_lone(*k)) {
                     self.watch.bad = others | (1 << (FIBRES * i + k));
+                    self.watch.crept &= self.watch.bad;
                     self.watch.alone = [0.0; FIBRES];
                     self.watch.alone_for = 0;
                     return;
@@ -239,7 +246,7 @@ impl ToolFilter {
         let s = &self.state;
         let moved = said.way * said.size - s.force();
         let sized = JUMP_SHARE * said.size;
-        let waited = (s.time_s - s.felt.time_s).min(UP_TO_S);
+        let waited = s.time_s - s.felt.time_s;
         let gives = self.would_give(s);
         let strayed = self
             .pace

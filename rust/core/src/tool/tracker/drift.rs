@@ -4,8 +4,6 @@
 //! 11.6. Five filters of the depth alone, each with another process noise, share the readings; how likely they are says
 //! how much each is believed. Beliefs are renewed every few readings, so that a step takes no logarithm.
 
-use crate::numbers::math::sqrt;
-
 const MODELS: usize = 5;
 /// Process noise of each model over that of the slowest.
 const TIMES: [f64; MODELS] = [1.0, 8.0, 64.0, 512.0, 4096.0];
@@ -112,9 +110,8 @@ impl Drift {
             self.belief[k] -= best;
             let weight = libm::exp(self.belief[k]);
             sum += weight;
-            weighted += weight * sqrt(self.slowest * TIMES[k]);
+            weighted += weight * (self.slowest * TIMES[k]);
         }
-        let mean = weighted / sum;
-        self.per_second = mean * mean;
+        self.per_second = weighted / sum;
     }
 }

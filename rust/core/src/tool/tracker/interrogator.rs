@@ -193,10 +193,14 @@ impl Interrogator {
         self.repeats[3] & self.repeats[2]
     }
 
-    /// Whether the means of the sections without a bad grating agree, and how they did over the last readings.
+    /// Whether the sections' means agree, and how they did over the last readings: `silent` gratings say nothing, and while
+    /// others are held to be bad the mean over readings would say so of their neighbours, too.
     #[inline]
-    pub fn agree(&mut self, shifts: &Shifts, bad: Set) -> Agreement {
+    pub fn agree(&mut self, shifts: &Shifts, silent: Set, bad: Set) -> Agreement {
         if bad != 0 {
+            self.forget();
+        }
+        if silent != 0 {
             // two means that differ do not say which is wrong
             self.forget();
             return Agreement::default();
@@ -225,11 +229,15 @@ impl Interrogator {
         let (mut off, mut good) = ([0.0; SECTIONS], true);
         for i in 0..SECTIONS {
             off[i] = 1.5 * means[i] - half;
+            good &= off[i].abs() <= limit;
+            if bad != 0 {
+                continue;
+            }
             // a single wild reading is no drift
             let held = if off[i] > limit { limit } else { off[i] };
             let held = if held < -limit { -limit } else { held };
             self.slow[i] += (held - self.slow[i]) * weight;
-            good &= off[i].abs() <= limit && self.slow[i].abs() <= slow_limit;
+            good &= self.slow[i].abs() <= slow_limit;
         }
         if good {
             return Agreement::default();

@@ -70,10 +70,13 @@ pub struct Look {
 /// What was seen of the readings and is doubted; nothing yet at a start.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Watch {
-    /// Gratings held to be bad, those of the last failing reading, and how often in a row.
+    /// Gratings held to be bad.
     bad: Set,
+    /// Those of the bad that crept away.
+    crept: Set,
     swapped: Option<Swap>,
     silent: Set,
+    /// Those of the last failing reading, and how often in a row.
     suspects: Set,
     streak: u16,
     good: u16,

@@ -86,6 +86,11 @@ impl State {
         }
     }
 
+    /// Whether any reading has told a force.
+    pub(super) fn read(&self) -> bool {
+        self.felt.weights != [0.0; 2]
+    }
+
     /// Force across the shaft, mN.
     pub(super) fn force(&self) -> Vector2<f64> {
         self.way * self.size

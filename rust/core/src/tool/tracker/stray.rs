@@ -11,8 +11,8 @@ use super::state::State;
 use crate::numbers::math::sqrt;
 use nalgebra::Vector2;
 
-/// A force is not extrapolated further, s.
-pub(super) const UP_TO_S: f64 = 2.0;
+/// Deviation of a force that nobody has read, mN: what presses a tool in an eye is smaller as a rule.
+const UNREAD_MN: f64 = 100.0;
 /// Deviations of a force beyond which it is hardly noise.
 const NOTICED: f64 = 3.0;
 
@@ -25,7 +25,7 @@ pub(super) struct Stray {
 }
 
 impl Stray {
-    fn in_all_ways(variance: f64) -> Self {
+    pub(super) fn in_all_ways(variance: f64) -> Self {
         Self {
             along: variance,
             both: 0.0,
@@ -136,6 +136,9 @@ impl ToolFilter {
 
     /// What a state that was carried on does not know of its force.
     pub(super) fn stray(&self, s: &State) -> Stray {
+        if !s.read() {
+            return Stray::in_all_ways(UNREAD_MN * UNREAD_MN);
+        }
         let gives = self.would_give(s);
         if gives <= 0.0 {
             // the whole shaft is beyond the hole, and nothing of it left to bend
@@ -146,7 +149,7 @@ impl ToolFilter {
             self.pace.strayed(s, waited_s, gives, per_second)
         };
         let moved = sqrt((s.off - self.state.off).norm_squared());
-        let followed = strayed((s.time_s - s.felt.time_s).min(UP_TO_S));
+        let followed = strayed(s.time_s - s.felt.time_s);
         let mut stray = if s.free {
             // where nothing leans, the edge may stray as it likes
             let loose = strayed(s.time_s - s.felt_s).mean();

@@ -41,7 +41,7 @@ impl ToolFilter {
     #[must_use]
     pub fn told(&self) -> Told {
         let now = self.poses.now();
-        if self.state.time_s == now.time_s {
+        if self.state.time_s == now.time_s && self.state.read() {
             self.told_of(&self.state, &Stray::default())
         } else {
             let s = self.carried(&self.state, now.time_s, &now.pose);
