@@ -41,9 +41,11 @@ def tip_filter(bench: Bench) -> None:
     bench.compare("tip filter over a recorded run of 100,000 steps, from Python", runs, 3, goal="100 ×")
     step_time = ("cargo", "run", "--quiet", "--release", "--locked", "-p", "sherkit-core", "--example", "step_time")
     for line in built(*step_time).splitlines():
-        name, time_ns = line.removesuffix(" ns").rsplit(maxsplit=1)
-        step = 1e-9 * float(time_ns)
-        bench.add(f"one step in Rust: {' '.join(name.split())}", {"sherkit": [Timed(step, step)]}, "150 ns")
+        said = re.fullmatch(r"(.*\S)\s+([\d.]+) ns(.*)", line)
+        assert said, line
+        step = 1e-9 * float(said[2])
+        goal = "200 ns" if said[1].startswith("tool") and not said[3] else ""
+        bench.add(f"one step in Rust: {' '.join(said[1].split())}{said[3]}", {"sherkit": [Timed(step, step)]}, goal)
 
 
 def control_loop(bench: Bench) -> None:
@@ -58,6 +60,8 @@ def control_loop(bench: Bench) -> None:
     print("1 kHz loop in C++: fibres, the tool's filter, the paper's two and inverse kinematics in every step")
     said = built(f"{folder}/loop", "--seconds", "30", "--load", str(max(1, (os.cpu_count() or 2) - 1)))
     print(said)
-    for name, us in re.findall(r"(p50|p99\.99|max\w*)\D*([\d.]+)", said):
-        late = 1e-6 * float(us)
-        bench.add(f"a step of the 1 kHz loop in C++, {name}", {"sherkit": [Timed(late, late)]}, "5 µs at p50")
+    for what, line in re.findall(r"^(a step takes|it begins late by) (.*)$", said, re.MULTILINE):
+        for name, us in re.findall(r"(p50|p99\.99|max)\s+([\d.]+) us", line):
+            late = 1e-6 * float(us)
+            goal = "5 µs" if (what, name) == ("a step takes", "p50") else ""
+            bench.add(f"1 kHz loop in C++, {what}, {name}", {"sherkit": [Timed(late, late)]}, goal)
