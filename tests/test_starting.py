@@ -52,7 +52,8 @@ def test_a_diagnosis_loads_neither_what_draws_nor_the_tool_nor_drivers() -> None
     """Catches a verb that loads what it does not use: pictures, instruments, the flexible tool, SciPy's slow rooms."""
     loaded = loaded_by("import sherkit.cli.diagnose")
     assert not loaded & {"bokeh", "jinja2", "cv2", "serial", "rich.progress"}
-    assert not {name for name in loaded if name.startswith(("scipy.stats", "scipy.optimize", "scipy.signal"))}
+    slow = ("scipy.stats", "scipy.optimize", "scipy.signal", "scipy.spatial", "scipy.sparse")
+    assert not {name for name in loaded if name.startswith(slow)}
     assert not {name for name in loaded if name.startswith(("sherkit.robots.tool.", "sherkit.lab", "sherkit.report"))}
 
 

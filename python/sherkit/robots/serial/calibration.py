@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import ClassVar, Self, cast
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 import sherkit._core as _core
 
@@ -88,7 +88,9 @@ class SerialCalibration(Calibration):
         """From the axes of the base to those in which the tracker reads (3, 3), as identified."""
         known = dict(zip((p.name for p in self.model.parameters), self.whole.values.tolist(), strict=True))
         turn = [known.get(f"frame_turn_{axis}", 0.0) for axis in "xyz"]
-        return Rotation.from_rotvec(turn).as_matrix() @ of_rpy(np.deg2rad(self.robot.tracker_rpy_deg).tolist())
+        return scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix() @ of_rpy(
+            np.deg2rad(self.robot.tracker_rpy_deg).tolist()
+        )
 
     def from_tracker(self, readings_mm: ArrayLike) -> Floats:
         """What the tracker shows (n, 3), mm, in the base frame, from where it was found to stand."""

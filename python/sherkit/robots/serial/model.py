@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 from typing import ClassVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 import sherkit._core as _core
 
@@ -172,7 +172,7 @@ class SerialModel(ChainModel):
             missed = np.linalg.norm(b - a @ rotation.T, axis=1)
             near = missed <= _FAR * np.median(missed)
         shift = read[near].mean(axis=0) - rotation @ drawn[near].mean(axis=0) - np.array(self.robot.tracker_mm)
-        error = Rotation.from_matrix(rotation @ nominal.T).as_rotvec()
+        error = scipy.spatial.transform.Rotation.from_matrix(rotation @ nominal.T).as_rotvec()
         out[[names.index(name) for name in _FRAME]] = [*error, *shift]
         return out
 

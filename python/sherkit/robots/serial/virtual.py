@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from ...data import Measurements
 from ...data.toml import Table
@@ -21,6 +21,9 @@ from ...model.kinds import Option
 from ...types import Floats
 from .columns import CENTRE, TARGET
 from .robot import Serial
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 _SECONDS_PER_POSE = 4.0
 _ORDERS = ("planes", "shuffled")
@@ -143,19 +146,17 @@ class VirtualSerial:
 
     def _frames(self, joints: Floats, *, as_drawn: bool = False) -> list[Floats]:
         """Frames (4, 4) behind each joint for what the joints really are (k,), turned back to those of the drawing."""
-        k = len(joints)
+        k, turns = len(joints), scipy.spatial.transform.Rotation
         shift, tilt = (np.broadcast_to(np.asarray(v, dtype=float), (k, 2)) for v in (self.shift_mm, self.tilt_rad))
         now, out = np.eye(4), []
         for joint, q, s, t in zip(self.robot.joints, joints, shift, tilt, strict=True):
-            now = now @ _matrix(Rotation.from_euler("xyz", joint.rpy_deg, degrees=True), joint.origin_mm)
+            now = now @ _matrix(turns.from_euler("xyz", joint.rpy_deg, degrees=True), joint.origin_mm)
             aligned = _matrix(_aligning(joint.axis))
             now = now @ aligned
             if not as_drawn:
-                lean = Rotation.from_rotvec([t[0], 0, 0]) * Rotation.from_rotvec([0, t[1], 0])
-                now = now @ _matrix(Rotation.identity(), (s[0], s[1], 0.0)) @ _matrix(lean)
-            moved = (
-                _matrix(Rotation.identity(), (0, 0, q)) if joint.slides else _matrix(Rotation.from_rotvec([0, 0, q]))
-            )
+                lean = turns.from_rotvec([t[0], 0, 0]) * turns.from_rotvec([0, t[1], 0])
+                now = now @ _matrix(turns.identity(), (s[0], s[1], 0.0)) @ _matrix(lean)
+            moved = _matrix(turns.identity(), (0, 0, q)) if joint.slides else _matrix(turns.from_rotvec([0, 0, q]))
             now = now @ moved @ np.linalg.inv(aligned)
             out.append(now)
         return out
@@ -214,8 +215,9 @@ class VirtualSerial:
         stand = np.broadcast_to(np.asarray(self.stand, dtype=float), 6).copy()
         if late:
             stand = stand + np.broadcast_to(np.asarray(self.effects.knock, dtype=float), 6)
-        nominal = Rotation.from_euler("xyz", self.robot.tracker_rpy_deg, degrees=True)
-        there = Rotation.from_rotvec(stand[:3]).apply(nominal.apply(point))
+        turns = scipy.spatial.transform.Rotation
+        nominal = turns.from_euler("xyz", self.robot.tracker_rpy_deg, degrees=True)
+        there = turns.from_rotvec(stand[:3]).apply(nominal.apply(point))
         there = there + np.asarray(self.robot.tracker_mm) + stand[3:]
         bend = np.asarray(self.effects.bend_mm, dtype=float)
         return there * (1.0 + self.effects.zoom) + bend * (there / 1000.0) ** 3
@@ -290,9 +292,10 @@ def _matrix(turn: Rotation, shift_mm: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
 
 def _aligning(axis: ArrayLike) -> Rotation:
     """The turn of least angle that brings z onto an axis; where that is -z, about x."""
+    turns = scipy.spatial.transform.Rotation
     u = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
     across = np.cross([0.0, 0.0, 1.0], u)
     sine = float(np.linalg.norm(across))
     if sine < 1e-12:
-        return Rotation.identity() if u[2] > 0 else Rotation.from_rotvec([np.pi, 0.0, 0.0])
-    return Rotation.from_rotvec(across / sine * np.arctan2(sine, u[2]))
+        return turns.identity() if u[2] > 0 else turns.from_rotvec([np.pi, 0.0, 0.0])
+    return turns.from_rotvec(across / sine * np.arctan2(sine, u[2]))
