@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -281,6 +282,17 @@ def test_a_folder_that_is_no_study_says_so(leaning: sk.Measurements, tmp_path: P
         sk.Study.load(tmp_path)
     with pytest.raises(sk.errors.NotWritten, match=r"study\.json: cannot be written: File exists"):
         study.save(tmp_path / "study.json")
+
+
+@pytest.mark.parametrize("first", [-(10**30), 10**30, -1])
+def test_a_line_that_no_table_has_is_said(leaning: sk.Measurements, tmp_path: Path, first: int) -> None:
+    """Catches a number that no machine word holds, which ended in a traceback."""
+    sk.Study(EXAMPLE, leaning).save(tmp_path)
+    state = json.loads((tmp_path / "study.json").read_text())
+    state["line"] = [[first, len(leaning)]]
+    (tmp_path / "study.json").write_text(json.dumps(state))
+    with pytest.raises(sk.SherkitError, match="line: expected first and count of stretches"):
+        sk.Study.load(tmp_path)
 
 
 def test_a_calibration_deploys_the_effects() -> None:

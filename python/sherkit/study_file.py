@@ -22,6 +22,8 @@ from .types import Ints
 
 _FORMAT = 3
 _STATE = "study.json"
+#: No table has a line beyond.
+_MOST_LINES = 2**53
 
 
 def write_study(folder: Path, state: Mapping[str, Any], data: Measurements) -> None:
@@ -76,7 +78,8 @@ def read_rows(folder: Path, state: Table) -> Measurements:
     data = from_frame(frame, state.words("source", empty=True))
     stretches = [(int(first), int(count)) for first, count in state.rows("line", 2)]
     counted = state.text("counted", ("line", "row"))
-    if sum(count for _, count in stretches) != len(data) or min((count for _, count in stretches), default=1) < 1:
+    sensible = all(0 <= first < _MOST_LINES and count >= 1 for first, count in stretches)
+    if not sensible or sum(count for _, count in stretches) != len(data):
         raise state.fail("line", f"first and count of stretches that make {len(data)} rows")
     # rows keep the numbers by which people know them
     return replace(data, line=_unpacked(stretches), counted=counted)
