@@ -200,7 +200,7 @@ def of_spherical(set_up: SetUp, seed: int, places: int) -> Kept:
     # what the camera shows beyond what the model says it should, as angles across the tool; nobody gave the model the
     # side from which the place was reached
     rows = replace(rows, direction=np.zeros_like(rows.direction))
-    by_joints = fit.model.linearised(rows, fit.values, ()).inputs
+    by_joints = fit.model.linearised(rows, fit.values).inputs
     across = made.carried(joints, by_joints, (rows.readings - fit.model.predict(rows, fit.values))[:, :, None])[:, :, 0]
     return judged(made, x, made.radius_mm * np.linalg.norm(across, axis=1))
 

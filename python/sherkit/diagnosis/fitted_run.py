@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from ..data.noise import Noise, noise_of
 from ..errors import FitError
 from ..fit.hold_out import blocks_of
 from ..fit.identify import Fit, identify
-from ..model.base import Derivatives, ModelWithEffects
+from ..model.base import Derivatives, ModelWithEffects, Tried, beside_one_another
 from ..model.effect import Effect
 from ..saved import Saved
 from ..types import Bools, Floats, Ints
@@ -164,18 +163,17 @@ class FittedRun(Saved):
         periodic = [(e, self.model.setting_of(e)) for e in tried if e.function is None and e.is_periodic]
         unknown = [e for e, period in periodic if period is None]
         asked = [e for e in tried if e not in unknown]
-        own = self.model.linearised_by_blocks(part, self.fit.values, ())
-        every = self.model.linearised_by_blocks(part, self.fit.values, asked)
+        own = self.model.linearised_by_blocks(part, self.fit.values)
+        every = self.model.tried_by_blocks(part, self.fit.values, asked)
         first = every(slice(0, 1))
         variables, place = self.variables(rows)
         # those that step at a searched time behind the others
-        order = sorted(range(len(first.effects)), key=lambda k: first.effects[k][0].search == "time_s")
-        counts = [first.effects[k][1].shape[2] for k in order]
-        ends = np.cumsum([0, *counts]).tolist()
-        columns = [(first.effects[k][0], slice(a, b)) for k, (a, b) in zip(order, pairwise(ends), strict=True)]
+        ordered = sorted(first.effects, key=lambda one: one[0].search == "time_s")
+        order = np.concatenate([np.arange(0), *(np.arange(at.start, at.stop) for _, at in ordered)])
+        columns = beside_one_another((effect, at.stop - at.start) for effect, at in ordered)
         # a step of a point whose coordinates are read is one of each reading alone
         alone = [effect.link == "body" and first.reads_point for effect, _ in columns]
-        known = first.inputs is not None
+        known = own(slice(0, 1)).inputs is not None
         inputs = {name: np.ascontiguousarray(part.joints[:, k]) for k, name in enumerate(part.layout.joints)}
         out = Linearised(
             residual=(part.readings - self.fit.predicted[rows])[:, axes] / sigma,
@@ -201,30 +199,28 @@ class FittedRun(Saved):
 
 @dataclass(frozen=True, eq=False)
 class _OverNoise:
-    """Derivatives of stretches of rows on some axes, over the noise ``over`` (m, 1); effects in this ``order``."""
+    """Derivatives of stretches of rows on some axes, over the noise ``over`` (m, 1); the columns of effects in this
+    ``order``."""
 
     own: Callable[[slice], Derivatives]
-    every: Callable[[slice], Derivatives]
+    every: Callable[[slice], Tried]
     axes: list[int]
     over: Floats
-    order: list[int]
+    order: Ints
 
     def fitted(self, rows: slice) -> tuple[Floats, Floats | None]:
         found = self.own(rows)
-        return self._put([found.parameters]), None if found.inputs is None else self._put([found.inputs])
+        return self._put(found.parameters), None if found.inputs is None else self._put(found.inputs)
 
     def effects(self, rows: slice) -> Floats:
-        found = self.every(rows)
-        # where there is none, as many rows without columns
-        return self._put([found.parameters[:, :, :0], *(found.effects[k][1] for k in self.order)])
-
-    def _put(self, parts: Sequence[Floats]) -> Floats:
-        """Columns beside one another, over the noise."""
-        axes = self.axes
-        # neighbours are looked at where they stand
-        looked = slice(axes[0], axes[-1] + 1) if axes[-1] - axes[0] + 1 == len(axes) else axes
-        ends = np.cumsum([0, *(part.shape[2] for part in parts)]).tolist()
-        out = np.empty((len(parts[0]), len(axes), ends[-1]))
-        for part, (first, end) in zip(parts, pairwise(ends), strict=True):
-            np.divide(part[:, looked], self.over, out=out[:, :, first:end])
+        columns = self.every(rows).columns
+        # all at once: as many small stretches take ten times as long
+        out = np.take(columns if self.all_axes(columns) else columns[:, self.axes], self.order, axis=2)
+        out /= self.over
         return out
+
+    def _put(self, columns: Floats) -> Floats:
+        return (columns if self.all_axes(columns) else columns[:, self.axes]) / self.over
+
+    def all_axes(self, columns: Floats) -> bool:
+        return len(self.axes) == columns.shape[1]

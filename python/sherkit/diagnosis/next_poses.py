@@ -149,7 +149,7 @@ def _as_fine(fit: Fit, rows: Measurements, other: Measurements, sigma: Floats) -
     """Noise (c,) of other readings that shows a movement of the joints as well as these do."""
 
     def answer(seen: Measurements) -> Floats:
-        inputs = fit.model.linearised(seen, fit.values, ()).inputs
+        inputs = fit.model.linearised(seen, fit.values).inputs
         assert inputs is not None, "a model that knows what it can read knows its joints"
         return np.median(np.linalg.norm(inputs[:, : seen.coordinates], axis=2), axis=0)
 

@@ -16,7 +16,7 @@ import numpy as np
 from ..data import Measurements
 from ..errors import EffectError, ShapeError
 from ..types import Floats
-from .base import Derivatives, ModelWithEffects
+from .base import Derivatives, ModelWithEffects, Tried, beside_one_another
 from .effect import Effect
 from .parameter import Parameter
 from .rows import Rows
@@ -111,7 +111,11 @@ class Extended(ModelWithEffects):
         """The rows, whose position is what the model predicts without effects."""
         return Rows(data, lambda: self.plain.predict(data, values[: len(self.bare)]))
 
-    def linearised(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Derivatives:
+    def linearised(self, data: Measurements, values: Floats) -> Derivatives:
+        """By what is identified; the inputs are not known."""
+        return Derivatives(self.derivatives(data, values), None)
+
+    def tried(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Tried:
         """Each effect by itself: what it adds does not pass through the model."""
         rows = self.rows(data, values)
         columns: list[tuple[Effect, Floats]] = []
@@ -122,4 +126,6 @@ class Extended(ModelWithEffects):
                 columns.append((effect, effect.columns(rows, zero, self.axes_of(effect, data))))
             except EffectError as error:
                 refused[effect.name] = str(error)
-        return Derivatives(self.derivatives(data, values), columns, None, refused)
+        none = np.empty((*data.readings.shape, 0))
+        beside = np.concatenate([none, *(one for _, one in columns)], axis=2)
+        return Tried(beside, beside_one_another([(effect, one.shape[2]) for effect, one in columns]), refused)

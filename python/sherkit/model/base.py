@@ -22,25 +22,43 @@ from .rows import Rows
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:
-    """Derivatives of the readings of a run at some values.
-
-    ``parameters`` (n, m, p) by the model's own; ``effects`` pairs each effect that was asked for with the columns
-    (n, m, k) of its parameters at zero, those of a step at a searched time as they are after it; ``inputs`` (n, m, k)
-    by the inputs, None where they are not known; ``refused`` maps effects that could not be computed to the reason;
-    ``reads_point`` says whether the readings are the coordinates of the measured point.
-    """
+    """Derivatives of the readings of some rows: ``parameters`` (n, m, p) by what the model identifies, ``inputs``
+    (n, m, k) by the inputs, None where they are not known."""
 
     parameters: Floats
-    effects: Sequence[tuple[Effect, Floats]]
     inputs: Floats | None
-    refused: dict[str, str]
-    reads_point: bool = True
 
     def on(self, rows: slice) -> Derivatives:
         """Those of these rows."""
-        inputs = None if self.inputs is None else self.inputs[rows]
-        effects = [(effect, columns[rows]) for effect, columns in self.effects]
-        return replace(self, parameters=self.parameters[rows], effects=effects, inputs=inputs)
+        return Derivatives(self.parameters[rows], None if self.inputs is None else self.inputs[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """Derivatives of the readings of some rows by effects that are not in the model.
+
+    ``columns`` (n, m, c) are by the parameters of all of them at zero, those of a step at a searched time as they are
+    after it; ``effects`` pairs each effect with its own among them; ``refused`` maps effects that could not be computed
+    to the reason; ``reads_point`` says whether the readings are the coordinates of the measured point.
+    """
+
+    columns: Floats
+    effects: Sequence[tuple[Effect, slice]]
+    refused: dict[str, str]
+    reads_point: bool = True
+
+    def on(self, rows: slice) -> Tried:
+        """Those of these rows."""
+        return replace(self, columns=self.columns[rows])
+
+
+def beside_one_another(widths: Iterable[tuple[Effect, int]]) -> list[tuple[Effect, slice]]:
+    """Where the columns of effects stand, each so many, one after the other."""
+    at, out = 0, []
+    for effect, width in widths:
+        out.append((effect, slice(at, at + width)))
+        at += width
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,15 +124,23 @@ class ModelWithEffects(Saved, ABC):
         """The rows as a user's effect sees them."""
 
     @abstractmethod
-    def linearised(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Derivatives:
-        """Derivatives by what is identified, by effects that are not in the model, and by the inputs."""
+    def linearised(self, data: Measurements, values: Floats) -> Derivatives:
+        """Derivatives by what is identified and by the inputs."""
 
-    def linearised_by_blocks(
+    @abstractmethod
+    def tried(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Tried:
+        """Derivatives by effects that are not in the model."""
+
+    def linearised_by_blocks(self, data: Measurements, values: Floats) -> Callable[[slice], Derivatives]:
+        """:meth:`linearised` for any stretch of the rows: what gives them, without all of them at once where that is
+        possible. Effects see all rows, so that stretches are parts of one whole."""
+        return self.linearised(data, values).on
+
+    def tried_by_blocks(
         self, data: Measurements, values: Floats, effects: Sequence[Effect]
-    ) -> Callable[[slice], Derivatives]:
-        """The same for any stretch of the rows: what gives them, without all of them at once where that is possible.
-        Effects see all rows, so that stretches are parts of one whole."""
-        return self.linearised(data, values, effects).on
+    ) -> Callable[[slice], Tried]:
+        """:meth:`tried` for any stretch of the rows, likewise."""
+        return self.tried(data, values, effects).on
 
     @property
     @abstractmethod

@@ -22,7 +22,7 @@ from ..data.columns import TEMPERATURE, Layout, unit_in
 from ..errors import EffectError, FitError, ShapeError
 from ..names import listed, nearest
 from ..types import Bools, Floats
-from .base import Derivatives, ModelWithEffects, Reachable
+from .base import Derivatives, ModelWithEffects, Reachable, Tried, beside_one_another
 from .effect import Effect, parameters_of_core
 from .parameter import Parameter
 from .rows import Rows
@@ -285,23 +285,31 @@ class ChainModel(ModelWithEffects):
         full = self.full(values)
         return Rows(data, lambda: self.core_for(data).predict(full, self._plain_block(data))[0][:, : data.coordinates])
 
-    def linearised(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Derivatives:
+    def linearised(self, data: Measurements, values: Floats) -> Derivatives:
         """All at once by the core; the user's effects carried from their link to the readings."""
-        return self.linearised_by_blocks(data, values, effects)(slice(0, len(data)))
+        return self.linearised_by_blocks(data, values)(slice(0, len(data)))
 
-    def linearised_by_blocks(
-        self, data: Measurements, values: Floats, effects: Sequence[Effect]
-    ) -> Callable[[slice], Derivatives]:
+    def tried(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Tried:
+        """All at once, likewise."""
+        return self.tried_by_blocks(data, values, effects)(slice(0, len(data)))
+
+    def linearised_by_blocks(self, data: Measurements, values: Floats) -> Callable[[slice], Derivatives]:
         """The core computes each stretch; the user's effects are computed once, at their link."""
+        rows, values = self.rows(data, values), np.asarray(values)
+        own = [(e, e.columns(rows, values[self.owns(e)], self.axes_of(e, data))) for e in self.own]
+        return _OfModel(self, data, values, own)
+
+    def tried_by_blocks(
+        self, data: Measurements, values: Floats, effects: Sequence[Effect]
+    ) -> Callable[[slice], Tried]:
+        """Likewise; of the core only what is tried is asked."""
         everything = self
         for effect in (built_in := [e for e in effects if e.function is None]):
             time = data.time_s if effect.search == "time_s" else None
             everything = everything.with_effect(effect, at=None if time is None else float(time.min()))
         known = dict(zip((p.name for p in self.parameters), values.tolist(), strict=True))
         start = np.array([known.get(p.name, 0.0) for p in everything.parameters])
-        fitted = np.array([p.name in known for p in everything.parameters[: len(everything.indices)]])
         rows = everything.rows(data, start)
-        own = [(e, e.columns(rows, start[everything.owns(e)], self.axes_of(e, data))) for e in everything.own]
         tried, refused = [], {}
         for effect in effects:
             if effect.function is None:
@@ -311,7 +319,7 @@ class ChainModel(ModelWithEffects):
                 tried.append((effect, inner))
             except EffectError as error:
                 refused[effect.name] = str(error)
-        return _Stretches(everything, data, start, fitted, built_in, own, tried, refused)
+        return _OfEffects(everything, data, start, built_in, tried, refused)
 
     def own_columns(
         self, data: Measurements, rows: Rows, values: Floats, by_joints: Floats, by_body: Floats
@@ -390,32 +398,55 @@ class ChainModel(ModelWithEffects):
 
 @dataclass(frozen=True, eq=False)
 class _Stretches:
-    """Derivatives for stretches of the rows of a run: the core computes each; what the user's effects, ``own`` in the
-    model and ``tried``, give at their links is there for all rows. ``fitted`` tells the core's columns that are."""
+    """What gives derivatives for stretches of the rows of a run: the core computes each."""
 
     model: ChainModel
     data: Measurements
     values: Floats
-    fitted: Bools
-    built_in: Sequence[Effect]
+
+    def of_core(self, some: slice, indices: Sequence[int]) -> tuple[Floats, Floats, Floats]:
+        """By these parameters of the core (n, m, p), by the joints and by the body."""
+        model, data = self.model, self.data
+        part = tuple(None if one is None else one[some] for one in model._plain_block(data))
+        columns, by_joints, by_body, _ = model.core_for(data).derivatives(model.full(self.values), part, indices)
+        return columns, by_joints, by_body
+
+    def carried(self, some: slice, effects: Sequence[tuple[Effect, Floats]], *by: Floats) -> list[Floats]:
+        """What the user's effects give at their links, there for all rows, carried on to these."""
+        data = self.data
+        return [carry(e, inner[some], data.is_distance[some], data.coordinates, *by) for e, inner in effects]
+
+
+@dataclass(frozen=True, eq=False)
+class _OfModel(_Stretches):
+    """By what is identified; ``own`` are the user's effects that are in the model."""
+
     own: Sequence[tuple[Effect, Floats]]
+
+    def __call__(self, some: slice) -> Derivatives:
+        columns, *by = self.of_core(some, self.model.indices)
+        if self.own:
+            columns = np.concatenate([columns, *self.carried(some, self.own, *by)], axis=2)
+        return Derivatives(columns, by[0])
+
+
+@dataclass(frozen=True, eq=False)
+class _OfEffects(_Stretches):
+    """By effects that are tried: built-in ones, which this model has beside its own, and the user's."""
+
+    built_in: Sequence[Effect]
     tried: Sequence[tuple[Effect, Floats]]
     refused: dict[str, str]
 
-    def __call__(self, some: slice) -> Derivatives:
+    def __call__(self, some: slice) -> Tried:
         model, data = self.model, self.data
-        part = tuple(None if one is None else one[some] for one in model._plain_block(data))
-        core = model.core_for(data)
-        columns, by_joints, by_body, _ = core.derivatives(model.full(self.values), part, model.indices)
-
-        def carried(effect: Effect, inner: Floats) -> Floats:
-            return carry(effect, inner[some], data.is_distance[some], data.coordinates, by_joints, by_body)
-
-        parameters = np.concatenate([columns[:, :, self.fitted], *(carried(e, inner) for e, inner in self.own)], axis=2)
-        found = [(effect, columns[:, :, model.owns(effect)]) for effect in self.built_in]
-        found += [(effect, carried(effect, inner)) for effect, inner in self.tried]
+        asked = [k for effect in self.built_in for k in model.indices[model.owns(effect)]]
+        columns, *by = self.of_core(some, asked)
+        if self.tried:
+            columns = np.concatenate([columns, *self.carried(some, self.tried, *by)], axis=2)
+        widths = [(e, len(e.parameters)) for e in (*self.built_in, *(effect for effect, _ in self.tried))]
         read = int(data.taken[:, : data.coordinates].any(axis=0).sum())
-        return Derivatives(parameters, found, by_joints, self.refused, read == by_body.shape[2])
+        return Tried(columns, beside_one_another(widths), self.refused, read == by[1].shape[2])
 
 
 def carry(

@@ -75,7 +75,7 @@ class LinearFit:
 
     @cached_property
     def _by_joints(self) -> Floats:
-        inputs = self.fit.model.linearised(self.fit.data, self.fit.values, ()).inputs
+        inputs = self.fit.model.linearised(self.fit.data, self.fit.values).inputs
         assert inputs is not None, "a chain has derivatives by its joints"
         return np.ascontiguousarray(inputs[self.rows])
 
