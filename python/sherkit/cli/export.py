@@ -13,7 +13,7 @@ from ..lab.experiment import export_run
 from ..robots.c_header import calibration_header
 from ..robots.calibrated import Calibration
 from ..robots.files import load_calibration
-from ..robots.printer.back import commands, held, klipper_config
+from ..robots.printer.back import commands, held, write_klipper_config
 from ..robots.printer.calibration import PrinterCalibration
 from ..robots.printer.robot import FIRMWARES
 from ..robots.tool.c_header import c_header
@@ -68,16 +68,17 @@ def _printer(firmware: str, calibration: Path, destination: Path, config: Path |
         raise SherkitError(
             f"{calibration}: is of {made.robot.kind}; only the calibration of a printer goes into a firmware"
         )
+    kept = None
     names = [p.name for p in made.whole.model(made.robot).parameters]
     found = held(made.robot, dict(zip(names, made.whole.values.tolist(), strict=True)))
     if firmware == "klipper":
         if config is None:
             raise SherkitError("--config: name the printer.cfg into which the numbers go")
-        write_whole(destination, klipper_config(config, found.towers))
+        kept = write_klipper_config(config, found.towers, destination)
     else:
         lines = commands(replace(made.robot, firmware=firmware), found.towers)
         write_whole(destination, "\n".join(lines) + "\n")
-    output.say(f"{destination} written")
+    output.say(f"{destination} written" + (f"; as it was, it is kept in {kept}" if kept else ""))
     if made.whole.effects:
         output.say(
             f"{firmware} cannot hold {' and '.join(made.whole.effects)}: {1e3 * found.rms_mm:.0f} µm RMS of the height "

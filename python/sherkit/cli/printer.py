@@ -10,7 +10,7 @@ from rich.markup import escape
 from ..data.files import write_whole
 from ..errors import SherkitError
 from ..printers import examine, files_of
-from ..robots.printer.back import klipper_config
+from ..robots.printer.back import write_klipper_config
 from . import output
 from .output import out
 from .reporting import report_option
@@ -42,7 +42,8 @@ def printer(
     if written is not None:
         if found.robot.firmware != "klipper":
             raise SherkitError("--output: is for Klipper's printer.cfg; the commands of other firmwares are printed")
-        write_whole(written, klipper_config(config, examined.new.towers))
+        if kept := write_klipper_config(config, examined.new.towers, written):
+            output.warn(f"{config}: as it was, it is kept in {kept}")
     if report is not None:
         from ..report.printer import page
 
