@@ -138,9 +138,10 @@ class OwnArm:
         seen = seen + NOISE_MM * rng.normal(size=seen.shape)
         t = 4.0 * np.arange(len(q))
         columns = {"time_s": t, "temperature_c": 20.0 + 3.0 * (1.0 - np.exp(-2.0 * t / t[-1]))}
-        columns |= dict(zip(arm.layout.joints, q.T, strict=True)) | dict(
-            zip(arm.layout.coordinates, seen.T, strict=True)
-        )
+        columns |= dict(zip(arm.layout.joints, q.T, strict=True))
+        columns |= dict(zip(arm.layout.coordinates, seen.T, strict=True))
+        if declared:
+            columns |= dict.fromkeys(arm.layout.sigmas[:3], np.full(len(q), NOISE_MM))
         return sk.Measurements.from_columns(columns, "second arm", layout=arm.layout)
 
 
