@@ -63,13 +63,14 @@ class OwnArm:
     """The UR5 by its table of Denavit and Hartenberg, all rows at once: shares no line with the product.
 
     ``table`` (6, 5) is d, a, α, a lean β and a zero of each joint, mm and rad; ``outside`` names what else is at work,
-    and ``size`` how much.
+    and ``size`` how much; the ``seed`` is that of what nobody wrote down.
     """
 
     table: Floats
     tool: Floats
     outside: str = ""
     size: float = 0.0
+    seed: int = 0
 
     @classmethod
     def drawn(cls) -> OwnArm:
@@ -85,7 +86,9 @@ class OwnArm:
         """One of plausible errors."""
         rng, drawn = np.random.default_rng([seed, 3]), cls.drawn()
         return cls(
-            drawn.table + rng.normal(size=(6, 5)) * [0.5, 0.5, 1e-3, 1e-3, 3e-3], drawn.tool + 2.0 * rng.normal(size=3)
+            drawn.table + rng.normal(size=(6, 5)) * [0.5, 0.5, 1e-3, 1e-3, 3e-3],
+            drawn.tool + 2.0 * rng.normal(size=3),
+            seed=seed,
         )
 
     def places(self, q: Floats) -> Floats:
@@ -108,7 +111,7 @@ class OwnArm:
         """By how much the floor gives way while a press next door, that nobody wrote down, is loaded (n, 3), mm."""
         if self.outside != "press next door":
             return np.zeros((rows, 3))
-        loaded = np.random.default_rng(rows).random(rows // 8 + 1) > 0.5
+        loaded = np.random.default_rng([self.seed, 5]).random(rows // 8 + 1) > 0.5
         return self.size * np.repeat(loaded, 8)[:rows, None] * np.array([0.3, -0.2, 0.9])
 
     def geometry(self, q: Floats) -> Floats:
@@ -230,11 +233,13 @@ def pairs(arm: Serial, seeds: range) -> Iterator[Verdict]:
 
 def outside(arm: Serial, seeds: range) -> Iterator[Verdict]:
     """Physics of no catalogue, ``wrong`` where it is explained without a reservation; or where nothing is found though
-    the noise is declared: without that, what goes with nothing in the file is noise for all that can be known."""
+    the noise is declared: without that, what goes with nothing in the file is noise for all that can be known, and the
+    headline of what is explained says that how much of the rest is noise is not known."""
     for seed, ratio, name, declared in product(seeds, RATIOS, OUTSIDE, (False, True)):
         q = postures(arm, ROWS, 0.9, seed)
         d = sk.diagnose(arm, OwnArm.made(seed).at_ratio(name, ratio, q).run(arm, q, seed, declared))
-        pressed = d.verdict == "explained" and d.reservation is None
+        reserved = d.reservation or "how much of the rest is noise is not known" in d.headline
+        pressed = d.verdict == "explained" and not reserved
         kind = "wrong" if pressed or (declared and d.verdict == "adequate") else d.verdict
         yield kind, f"{name} at {ratio}, seed {seed}, noise {'declared' if declared else 'unknown'}", d
 
