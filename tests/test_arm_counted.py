@@ -291,6 +291,15 @@ def test_what_is_in_no_catalogue_is_never_explained(ur5: Serial) -> None:
     assert not count["wrong"], said
 
 
+@pytest.mark.slow
+@pytest.mark.xfail(reason="56 of 200 rows, in whole blocks, are put aside as wrong, and the rest is a slip")
+def test_blocks_of_rows_that_are_put_aside_are_said_before_what_is_left_is_explained(ur5: Serial) -> None:
+    """Catches a cause explained away by calling every fourth row wrong. A press at five times the noise, seed 300."""
+    q = postures(ur5, ROWS, 0.9, 300)
+    d = sk.diagnose(ur5, OwnArm.made(300).at_ratio("press next door", 5, q).run(ur5, q, 300, declared=True))
+    assert d.verdict != "explained" or d.reservation
+
+
 if __name__ == "__main__":
     import sys
     import tempfile
