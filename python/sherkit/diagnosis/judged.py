@@ -146,8 +146,10 @@ class Judged:
                     break
                 believed = now
         items, m = mean.shape
-        ratio = (mean[now] ** 2).sum(axis=0) / np.maximum((self.noise[now] * (1.0 - hat[now])).sum(axis=0), 1e-300)
-        squares = (mean[now] ** 2).sum(axis=0)
+        squares, freedom = (mean[now] ** 2).sum(axis=0), (self.noise[now] * (1.0 - hat[now])).sum(axis=0)
+        # where the fit leaves no freedom, whatever is left is infinitely more than that
+        none = np.where(squares > 0, np.inf, 0.0)
+        ratio = np.divide(squares, freedom, out=none, where=freedom > 1e-300 * squares)
         count = self.basis.shape[1] + m * (items - (now | self.moved).sum())
         if self.moved.any():
             # one vector for all of them, its beginning and its end
