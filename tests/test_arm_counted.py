@@ -292,7 +292,6 @@ def test_what_is_in_no_catalogue_is_never_explained(ur5: Serial) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="56 of 200 rows, in whole blocks, are put aside as wrong, and the rest is a slip")
 def test_blocks_of_rows_that_are_put_aside_are_said_before_what_is_left_is_explained(ur5: Serial) -> None:
     """Catches a cause explained away by calling every fourth row wrong. A press at five times the noise, seed 300."""
     q = postures(ur5, ROWS, 0.9, 300)

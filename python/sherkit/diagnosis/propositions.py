@@ -20,7 +20,7 @@ from .sizes import ABSURD, largest, sizes_of
 #: Held-out error over noise up to which what is left is as small as the noise.
 PRAISE = 1.25
 #: Part of the rows that may be listed as wrong before the rest is no run any more.
-_WRONG = 0.3
+_WRONG = 0.2
 
 
 def claims_of(
