@@ -62,6 +62,12 @@ def test_documents_are_a_run(tmp_path, way):
             {},
             "'descriptor' lacks or garbles",
         ),
+        (lambda: [("start", {"time": 10**400})], {}, "'start' lacks or garbles"),
+        (
+            lambda: [(n, {**d, "name": {"x": 1}} if n == "descriptor" else d) for n, d in told()],
+            {},
+            "no event of the stream 'primary'",
+        ),
         (lambda: [("event",)], {}, "document 1 is no pair"),
         (lambda: 5, {}, "got int"),
     ],

@@ -106,14 +106,14 @@ def _events(
             if name == "start":
                 started.append(float(document["time"]))
             elif name == "descriptor":
-                streams[document["uid"]] = document.get("name", "primary")
+                streams[document["uid"]] = str(document.get("name", "primary"))
                 if streams[document["uid"]] == stream:
                     keys |= {str(key): dict(about) for key, about in document["data_keys"].items()}
             elif name in ("event", "event_page") and streams.get(document["descriptor"]) == stream:
                 rows += (
                     _of_page(document) if name == "event_page" else [(float(document["time"]), dict(document["data"]))]
                 )
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         raise MeasurementError(f"{source}: a document of kind '{name}' lacks or garbles {error}") from None
     if len(started) != 1:
         raise MeasurementError(f"{source}: holds {len(started)} runs; expected one, from its start to its stop")
