@@ -162,6 +162,22 @@ def bag(folder, *, kind="geometry_msgs/msg/PoseStamped", gap=False):
     return true
 
 
+def test_a_bag_whose_pages_are_damaged_is_a_sentence(tmp_path):
+    """Catches a database that is read on from a damaged page: for minutes, or until memory ended."""
+    bag(tmp_path / "bag")
+    database = next((tmp_path / "bag").glob("*.db3"))
+    assert len(sk.from_rosbag(tmp_path / "bag", OURS, "/tracker"))
+    raw = bytearray(database.read_bytes())
+    page = int.from_bytes(raw[16:18], "big")
+    # a leaf of the table of messages, whose first row is said to be far longer than the file
+    leaf = next(at for at in range(page, len(raw), page) if raw[at] == 13 and raw[at + 3 : at + 5] > b"\x00\x02")
+    row = leaf + int.from_bytes(raw[leaf + 8 : leaf + 10], "big")
+    raw[row : row + 5] = b"\xff\xff\xff\xff\x7f"
+    database.write_bytes(raw)
+    with pytest.raises(MeasurementError, match=r"db3: is damaged: .*record it anew"):
+        sk.from_rosbag(tmp_path / "bag", OURS, "/tracker")
+
+
 @pytest.mark.parametrize("kind", ["geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PointStamped"])
 def test_a_bag_is_a_run(tmp_path, kind):
     """Catches metres read as mm, joints by their place in the message, and joints at the time of writing."""

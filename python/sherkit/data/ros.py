@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sqlite3
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -142,6 +144,19 @@ def _stacked(found: list[tuple[float, list[float]]], path: Path, topic: str) -> 
     return np.array([time_s for time_s, _ in found]), values
 
 
+def _whole(database: Path) -> None:
+    """Raises where a database is not whole: SQLite reads on from a damaged page for minutes, or until memory ends."""
+    try:
+        with closing(sqlite3.connect(f"{database.resolve().as_uri()}?immutable=1", uri=True)) as opened:
+            found = opened.execute("PRAGMA quick_check(1)").fetchone()[0]
+    except sqlite3.Error as error:
+        found = str(error)
+    if found != "ok":
+        raise MeasurementError(
+            f"{database}: is damaged: {found}; record it anew, or save what is left by `sqlite3 {database.name} .recover`"
+        )
+
+
 def _read(path: Path, topic: str, values: Any) -> list[tuple[float, list[float]]]:
     """Time of the header, s, and values of every message of a topic."""
     try:
@@ -151,6 +166,8 @@ def _read(path: Path, topic: str, values: Any) -> list[tuple[float, list[float]]
         raise MeasurementError("bags of ROS need the extra 'ros': pip install \"sherkit[ros]\"") from None
     if not path.exists():
         raise MeasurementError(f"{path}: there is no such bag")
+    for database in sorted(path.glob("*.db3")):
+        _whole(database)
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
             chosen = [one for one in reader.connections if one.topic == topic]
