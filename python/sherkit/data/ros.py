@@ -153,7 +153,8 @@ def _whole(database: Path) -> None:
         found = str(error)
     if found != "ok":
         raise MeasurementError(
-            f"{database}: is damaged: {found}; record it anew, or save what is left by `sqlite3 {database.name} .recover`"
+            f"{database}: is damaged ({found.splitlines()[-1]}); record it anew, or save what is left by "
+            f"`sqlite3 {database.name} .recover`"
         )
 
 
