@@ -148,8 +148,10 @@ def _whole(database: Path) -> None:
     """Raises where a database is not whole: SQLite reads on from a damaged page for minutes, or until memory ends."""
     try:
         with closing(sqlite3.connect(f"{database.resolve().as_uri()}?immutable=1", uri=True)) as opened:
+            # what is damaged may be the very name that is told
+            opened.text_factory = lambda told: told.decode("utf-8", "replace")
             found = opened.execute("PRAGMA quick_check(1)").fetchone()[0]
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:
         found = str(error)
     if found != "ok":
         raise MeasurementError(
