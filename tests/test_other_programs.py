@@ -173,7 +173,7 @@ def test_a_bag_whose_pages_are_damaged_is_a_sentence(tmp_path):
     leaf = next(at for at in range(page, len(raw), page) if raw[at] == 13 and raw[at + 3 : at + 5] > b"\x00\x02")
     row = leaf + int.from_bytes(raw[leaf + 8 : leaf + 10], "big")
     raw[row : row + 5] = b"\xff\xff\xff\xff\x7f"
-    named = database.read_bytes().replace(b"timestamp_idx", b"timesta\xed_idx", 1)
+    named = database.read_bytes().replace(b"ON messages (", b"ON messag\xeds (", 1)
     for damaged in (raw, named):
         database.write_bytes(damaged)
         with pytest.raises(MeasurementError, match=r"db3: is damaged \(.*record it anew"):
