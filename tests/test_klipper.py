@@ -262,6 +262,13 @@ def without(stem: str) -> Change:
     return lambda text: re.sub(rf"#\*# {stem}.*\n", "", text)
 
 
+def test_a_round_mesh_may_be_rounded_in_one_way_more(tmp_path: Path) -> None:
+    """Catches a mesh a little narrower than high, whose first row has no point within its radius."""
+    text = config(TRUE, SAVED)
+    rows = len(import_klipper(saved(tmp_path, text)).measurements)
+    assert len(import_klipper(saved(tmp_path, text.replace("max_x = 69.99", "max_x = 69.9"))).measurements) == rows
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -288,6 +295,7 @@ def without(stem: str) -> Change:
         (swap("distance2 =", "distance2 = about"), "[delta_calibrate] distance2: expected 1 number(s), found 'about"),
         (without("min_x"), "[bed_mesh default] min_x is missing"),
         (swap("points =\n", "points =\n#*# \t0.1, 0.2\n"), "[bed_mesh default] points: expected rows of numbers"),
+        (swap("max_x = 69.99", "max_x = -400"), "[bed_mesh default] min_x, max_x, min_y, max_y: expected a mesh from"),
         (swap("points =\n", "points =\n#*# \thigh\n"), "[bed_mesh default] points: expected rows of numbers"),
         (
             lambda text: swap("max_x = 69.99", "max_x = 400")(text.replace("mesh_radius: 70", "")),

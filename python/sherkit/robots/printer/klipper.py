@@ -135,6 +135,11 @@ def _mesh(config: KlipperConfig, name: str) -> list[tuple[float, float, float]]:
     if z.ndim != 2 or z.size == 0 or not np.isfinite(z).all():
         raise MeasurementError(f"{config.path}: [{section}] points: expected rows of numbers, all of one length")
     low, high = ([config.number(section, f"{end}_{axis}") for axis in "xy"] for end in ("min", "max"))
+    if not (low[0] < high[0] and low[1] < high[1]):
+        raise MeasurementError(
+            f"{config.path}: [{section}] min_x, max_x, min_y, max_y: expected a mesh from the smaller to the larger, "
+            f"found {low[0]:g} to {high[0]:g} and {low[1]:g} to {high[1]:g}"
+        )
     x, y = np.linspace(low[0], high[0], z.shape[1]), np.linspace(low[1], high[1], z.shape[0])
     probed = _probed(x, y, z)
     return [(float(x[i]), float(y[j]), float(z[j, i])) for j, i in np.argwhere(probed)]
@@ -147,9 +152,11 @@ def _probed(x: Floats, y: Floats, z: Floats) -> Bools:
     row up with copies of its ends. Where what lies outside is no copy, the mesh is not round."""
     everything = np.ones(z.shape, dtype=bool)
     centre = 0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1])
-    radius = 0.5 * (x[-1] - x[0])
-    if z.shape[0] != z.shape[1] or z.shape[0] % 2 == 0 or not math.isclose(radius, 0.5 * (y[-1] - y[0]), abs_tol=0.1):
+    wide, high = 0.5 * (x[-1] - x[0]), 0.5 * (y[-1] - y[0])
+    if z.shape[0] != z.shape[1] or z.shape[0] % 2 == 0 or not math.isclose(wide, high, abs_tol=0.1):
         return everything
+    # rounded, the one may be larger: each row and column has its middle within
+    radius = max(wide, high)
     inside = np.hypot(x - centre[0], (y - centre[1])[:, None]) <= radius + _ROUNDED * (len(x) // 2)
     for row, within in zip(z, inside, strict=True):
         first, last = np.flatnonzero(within)[[0, -1]]
