@@ -600,12 +600,20 @@ def spherical_camera_placement(
     """
 
 def largest_under_flips(
-    sums: _Floats, columns: _Ints, roots: _Floats, sizes: _Ints, ranks: _Ints, class_of: _Ints, classes: int
+    sums: _Floats,
+    codes: _Ints,
+    flips: int,
+    columns: _Ints,
+    roots: _Floats,
+    sizes: _Ints,
+    ranks: _Ints,
+    class_of: _Ints,
+    classes: int,
 ) -> _Floats:
     """Largest sum of squares (classes, flips) of candidates under every pattern of signs of a group.
 
-    ``sums`` (K, flips), which are used up, are what the poses of each code add to each column; pattern t gives those of
-    code h the sign of the parity of ``h & t``; ``flips`` is a power of two. Candidate c is of class ``class_of[c]`` and
+    ``sums`` (K, c) are what the poses of each of the ``codes`` (c,) add to each column; pattern t gives those of
+    code h the sign of the parity of ``h & t``; ``flips`` is a power of two, 8 or more. Candidate c is of class ``class_of[c]`` and
     has ``ranks[c]`` directions, each of them so much of its ``sizes[c]`` columns as the next numbers of ``roots`` say;
     ``columns`` names these, candidate by candidate. Raises ValueError for numbers outside these ranges.
     """

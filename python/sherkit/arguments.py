@@ -9,7 +9,7 @@ import types
 import typing
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from functools import wraps
+from functools import cache, wraps
 from numbers import Integral, Real
 from typing import Annotated, Any, ParamSpec, TypeVar
 
@@ -69,15 +69,14 @@ def as_annotated(function: Callable[_P, _R]) -> Callable[_P, _R]:
     A number is finite, one text is no list of names, and a path has no zero byte. What cannot be told before it is used
     (a protocol, the shape of an array) is left to the function. Raises :class:`~sherkit.errors.ArgumentError`.
     """
-    signature = inspect.signature(function)
+    parameters = inspect.signature(function).parameters
+    by_position = [p.name for p in parameters.values() if p.kind is p.POSITIONAL_OR_KEYWORD]
     hints: dict[str, Any] = {}
 
     @wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        try:
-            given = signature.bind(*args, **kwargs).arguments
-        except TypeError:
-            return function(*args, **kwargs)  # Python itself says best what is left out or has no such name
+        # what is left out, twice there, or has no such name Python itself tells best
+        given = dict(zip(by_position, args, strict=False)) | kwargs
         if not hints:  # only now: what an annotation names may be defined below the function
             hints.update(typing.get_type_hints(function, include_extras=True))
         for name, value in given.items():
@@ -95,6 +94,7 @@ def _told(hint: Any, value: Any) -> str:
     return f"expected {_words(hint)}, found {text if len(text) <= _SHOWN else text[:_SHOWN] + '…'}{hinted}"
 
 
+@cache
 def _of(hint: Any) -> tuple[Any, tuple[Any, ...]]:
     return typing.get_origin(hint) or hint, typing.get_args(hint)
 

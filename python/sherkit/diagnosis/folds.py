@@ -11,6 +11,10 @@ from ..types import Floats, Ints
 from .linearised import blocks
 
 
+#: Part of any direction's squared length that every fold must leave to the others for a solution without pseudo-inverse.
+_BEYOND = 1e-6
+
+
 @dataclass(frozen=True, eq=False)
 class Folds:
     """Columns, brought to unit length, against a residual, summed over the rows of each fold of each deal.
@@ -78,8 +82,18 @@ class Folds:
     def solutions(self) -> Floats:
         """Least squares of the rows outside each fold (f, k), of columns of unit length."""
         gram, right, _, _ = self.outside
+        turn = self._turn
+        turned = turn.T @ gram @ turn
+        if len(turn.T) and np.linalg.eigvalsh(turned).min() > _BEYOND:
+            return np.linalg.solve(turned, turn.T @ right[:, :, None])[:, :, 0] @ turn.T
         root = roots_of(gram)
         return (root @ (root.transpose(0, 2, 1) @ right[:, :, None]))[:, :, 0]
+
+    @property
+    def _turn(self) -> Floats:
+        """What makes the columns orthonormal over all rows (k, rank)."""
+        root = roots_of(self.grams[: len(self) // len(self.place)].sum(axis=0))
+        return root[:, (root != 0.0).any(axis=0)]
 
     @property
     def held_out(self) -> Floats:

@@ -268,11 +268,10 @@ class Scan:
     _null: tuple[int, Floats] | None = None
 
     def _drawn(self, seed: int) -> Floats:
-        sums, of_model = self._by_code(seed)
-        signed = of_model.copy()
-        size, each = np.array([len(signed)]), np.arange(len(signed))
+        codes, sums, of_model = self._by_code(seed)
+        size, each = np.array([len(of_model)]), np.arange(len(of_model))
         lost = largest_under_flips(
-            signed, each, np.eye(len(signed)).ravel(), size, size, np.zeros(1, dtype=np.int64), 1
+            of_model, codes, FLIPS, each, np.eye(len(of_model)).ravel(), size, size, np.zeros(1, dtype=np.int64), 1
         )[0]
         ranks = np.unique(np.concatenate([left for _, left in self._roots.values()] or [each[:0]]))
         columns, roots, sizes, own = [], [], [], []
@@ -290,23 +289,25 @@ class Scan:
         rank_of = np.concatenate(own)
         # of as many directions the largest gain has the largest deviate
         most = largest_under_flips(
-            sums, np.concatenate(columns), np.concatenate(roots), np.concatenate(sizes), rank_of,
+            sums, codes, FLIPS, np.concatenate(columns), np.concatenate(roots), np.concatenate(sizes), rank_of,
             np.searchsorted(ranks, rank_of), len(ranks),
         )  # fmt: skip
         return deviate(most, ranks[:, None], self.sum_of_squares - lost, self.free).max(axis=0, initial=-np.inf)
 
-    def _by_code(self, seed: int) -> tuple[Floats, Floats]:
-        """Products of what the model leaves of all columns (K, FLIPS), and of the orthonormal model (rank, FLIPS), with
-        the residual, summed over the poses of each code."""
+    def _by_code(self, seed: int) -> tuple[Ints, Floats, Floats]:
+        """Codes (c,) that poses have; products of what the model leaves of all columns (K, c), and of the orthonormal
+        model (rank, c), with the residual, summed over the poses of each code."""
         pose = np.unique(self.group, return_inverse=True)[1].ravel()
-        codes = codes_of(int(pose.max()) + 1, seed)[pose]
-        sums = np.zeros((self.count, FLIPS))
+        used, codes = np.unique(codes_of(int(pose.max()) + 1, seed)[pose], return_inverse=True)
+        sums = np.zeros((self.count, len(used)))
         of_model: Any = 0.0
         for rows, block, model in self.every_block():
             orthonormal = model @ self.root
             left = block.residual - orthonormal @ self.of_residual
             here = codes[rows]
-            by_code = scipy.sparse.csr_matrix((np.ones(len(here)), (here, np.arange(len(here)))), (FLIPS, len(here)))
+            by_code = scipy.sparse.csr_matrix(
+                (np.ones(len(here)), (here, np.arange(len(here)))), (len(used), len(here))
+            )
             of_model = of_model + np.ascontiguousarray((by_code @ np.einsum("nmk,nm->nk", orthonormal, left)).T)
             for a in range(self.m):
                 sums[a * self.f : (a + 1) * self.f] += (by_code @ (block.functions * left[:, a : a + 1])).T
@@ -318,7 +319,7 @@ class Scan:
                 self.along.add_sums(rows, left, here, sums[self.first_along :])
         # in place: it is as large as all sums
         scipy.linalg.blas.dgemm(-1.0, of_model.T, self.by_model, 1.0, sums.T, trans_b=True, overwrite_c=True)
-        return sums, of_model
+        return used, sums, of_model
 
     def p_value(self, largest: float, *, seed: int = 0) -> float:
         """Familywise p of a largest deviate."""

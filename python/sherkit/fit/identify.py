@@ -264,8 +264,10 @@ def identify(
             loose, _ = problem.solve(weights, values, linear=linear)
             weights = weights / max(scale(problem.left(loose.trial), weights, loose.result()["rank"], loss), 1e-12)
         solver, ended = problem.solve(weights, values, priors=priors, linear=linear)
-        if not reached(ended, solver.result()):
+        result = solver.result()
+        if not reached(ended, result):
             solver, ended = _over_the_wall(problem, weights, solver, ended, priors=priors)
+            result = solver.result()
     except FitError as error:
         mistakes = set_up_mistakes(model, data) if start is None else ()
         if not mistakes:
@@ -281,7 +283,7 @@ def identify(
             moved, values = np.abs(solver.trial - values), solver.trial
             if (moved <= _SETTLED * problem.sizes).all():
                 break
-    result = solver.result()
+        result = solver.result()
     evaluations, at_minimum = result["evaluations"], reached(ended, result)
     judged = weights if loss == "linear" else weights / spread(problem.left(values), weights)
     if loss != "linear" or priors:

@@ -2,24 +2,84 @@
 
 use crate::arrays::{same_length, shaped};
 use crate::errors::shape;
-use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadwriteArray2, PyUntypedArrayMethods};
+use numpy::{
+    PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
+};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use sherkit_core::numbers::walsh::walsh_hadamard;
+use sherkit_core::numbers::walsh::{Transform, walsh_hadamard};
+use sherkit_core::numbers::wide::{Kernel, LANES, Wide, widest};
 
-/// Flips for which a candidate is computed at once: its columns stay in the cache.
-const AT_ONCE: usize = 256;
+/// Vectors of flips for which a candidate is computed at once: its columns stay in the cache.
+const AT_ONCE: usize = 32;
+/// Flips beyond which there would be no memory.
+const MOST: usize = 1 << 16;
 
-/// Largest sum of squares, by class of candidate, under each pattern of signs of a group.
+/// Candidates: of how many columns and directions each is, which these are, and how much of each column is in a direction.
+struct Family<'a> {
+    sizes: &'a [usize],
+    ranks: &'a [usize],
+    class_of: &'a [usize],
+    columns: &'a [usize],
+    roots: &'a [f64],
+}
+
+/// The largest of each class under every pattern of signs: `best` (classes, flips / 8). `values` (K, flips / 8) has what
+/// the poses of each code add to each column.
+struct Largest<'a> {
+    family: Family<'a>,
+    values: &'a mut [[f64; LANES]],
+    best: &'a mut [[f64; LANES]],
+    width: usize,
+}
+
+impl Kernel for Largest<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Wide>(self) {
+        let (values, best, width, of) = (self.values, self.best, self.width, self.family);
+        for row in values.chunks_exact_mut(width) {
+            Transform(row.as_flattened_mut()).run::<V>();
+        }
+        for start in (0..width).step_by(AT_ONCE) {
+            let end = width.min(start + AT_ONCE);
+            let (mut column, mut root) = (0, 0);
+            for ((&size, &rank), class) in of.sizes.iter().zip(of.ranks).zip(of.class_of) {
+                let columns = &of.columns[column..column + size];
+                let directions = &of.roots[root..root + size * rank];
+                for at in start..end {
+                    let mut total = V::splat(0.0);
+                    for direction in directions.chunks_exact(size.max(1)) {
+                        let mut along = V::splat(0.0);
+                        for (part, c) in direction.iter().zip(columns) {
+                            along = along + V::splat(*part) * V::of(values[c * width + at]);
+                        }
+                        total = total + along * along;
+                    }
+                    let most = &mut best[class * width + at];
+                    let before = V::of(*most);
+                    *most = total.above(before, total, before).numbers();
+                }
+                column += size;
+                root += size * rank;
+            }
+        }
+    }
+}
+
+/// Largest sum of squares, by class of candidate, under each pattern of signs of a group of `flips`.
 ///
-/// `sums` (K, flips), which are used up, are what the poses of each code add to each column: pattern `t` gives those of
-/// code `h` the sign of the parity of `h & t`. Candidate `c` has as many directions as `ranks[c]`, each of them so much
-/// of its `sizes[c]` columns as the next numbers of `roots` say; `columns` names these, candidate by candidate.
+/// `sums` (K, c) are what the poses of each of the `codes` (c,) add to each column: pattern `t` gives those of code `h`
+/// the sign of the parity of `h & t`. Candidate `c` has as many directions as `ranks[c]`, each of them so much of its
+/// `sizes[c]` columns as the next numbers of `roots` say; `columns` names these, candidate by candidate.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)]
 pub fn largest_under_flips<'py>(
     py: Python<'py>,
-    mut sums: PyReadwriteArray2<'py, f64>,
+    sums: PyReadonlyArray2<'py, f64>,
+    codes: PyReadonlyArray1<'py, i64>,
+    flips: usize,
     columns: PyReadonlyArray1<'py, i64>,
     roots: PyReadonlyArray1<'py, f64>,
     sizes: PyReadonlyArray1<'py, i64>,
@@ -28,10 +88,14 @@ pub fn largest_under_flips<'py>(
     classes: usize,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let dims = [sums.shape()[0], sums.shape()[1]];
-    let (count, flips) = (dims[0], dims[1]);
+    let [count, of_code] = dims;
     let sums = sums
-        .as_slice_mut()
-        .map_err(|_| shape("sums", "(K, flips), contiguous", &dims))?;
+        .as_slice()
+        .map_err(|_| shape("sums", "(K, c), contiguous", &dims))?;
+    if !flips.is_power_of_two() || !(LANES..=MOST).contains(&flips) {
+        return Err(wrong());
+    }
+    let codes = below(same_length("codes", &codes, of_code)?, flips)?;
     let n = sizes.shape()[0];
     let sizes = below(same_length("sizes", &sizes, n)?, usize::MAX)?;
     let ranks = below(same_length("ranks", &ranks, n)?, usize::MAX)?;
@@ -39,40 +103,34 @@ pub fn largest_under_flips<'py>(
     let columns = below(same_length("columns", &columns, sizes.iter().sum())?, count)?;
     let needed = sizes.iter().zip(&ranks).map(|(k, r)| k * r).sum();
     let roots = same_length("roots", &roots, needed)?;
-    if !flips.is_power_of_two() {
-        return Err(wrong());
-    }
+    // NumPy's own memory: in large pages, where there are some
+    let values = PyArray2::<f64>::zeros(py, [count, flips], false);
+    let mut values = values.readwrite();
+    let values = values
+        .as_slice_mut()
+        .map_err(|_| shape("sums", "(K, c), contiguous", &dims))?;
     let best = py.detach(|| {
-        for row in sums.chunks_exact_mut(flips) {
-            walsh_hadamard(row);
-        }
-        let mut best = vec![0.0_f64; classes * flips];
-        for start in (0..flips).step_by(AT_ONCE) {
-            let width = AT_ONCE.min(flips - start);
-            let (mut column, mut root) = (0, 0);
-            for ((&size, &rank), class) in sizes.iter().zip(&ranks).zip(&class_of) {
-                let mut total = [0.0; AT_ONCE];
-                for direction in roots[root..root + size * rank].chunks_exact(size.max(1)) {
-                    let mut along = [0.0; AT_ONCE];
-                    for (part, c) in direction.iter().zip(&columns[column..column + size]) {
-                        let values = &sums[c * flips + start..][..width];
-                        for (a, v) in along.iter_mut().zip(values) {
-                            *a += part * v;
-                        }
-                    }
-                    for (t, a) in total.iter_mut().zip(along) {
-                        *t += a * a;
-                    }
-                }
-                let of_class = &mut best[class * flips + start..][..width];
-                for (b, t) in of_class.iter_mut().zip(total) {
-                    *b = if t > *b { t } else { *b };
-                }
-                column += size;
-                root += size * rank;
+        let width = flips / LANES;
+        let rows = values.chunks_exact_mut(flips);
+        for (of, row) in sums.chunks_exact(of_code.max(1)).zip(rows) {
+            for (code, sum) in codes.iter().zip(of) {
+                row[*code] += sum;
             }
         }
-        best
+        let mut best = vec![[0.0; LANES]; classes * width];
+        widest(Largest {
+            family: Family {
+                sizes: &sizes,
+                ranks: &ranks,
+                class_of: &class_of,
+                columns: &columns,
+                roots,
+            },
+            values: values.as_chunks_mut().0,
+            best: &mut best,
+            width,
+        });
+        best.into_flattened()
     });
     shaped(py, best, [classes, flips])
 }
@@ -92,7 +150,7 @@ pub fn below(values: &[i64], limit: usize) -> PyResult<Vec<usize>> {
 
 fn wrong() -> PyErr {
     PyValueError::new_err(
-        "flips must be a power of two; columns, sizes, ranks and classes must count what there is",
+        "flips must be a power of two from 8 to 65,536; codes, columns, sizes, ranks and classes must count what there is",
     )
 }
 

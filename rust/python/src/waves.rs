@@ -11,6 +11,7 @@ use pyo3::prelude::*;
 use sherkit_core::numbers::math::sin_cos;
 use sherkit_core::numbers::play::play as follow;
 use sherkit_core::numbers::waves::{WIDTH, add_waves, spread};
+use sherkit_core::numbers::wide::{Kernel, LANES, Wide, widest};
 
 /// Rows of sums that are written at once: a line of the cache.
 const AT_ONCE: usize = 8;
@@ -70,37 +71,70 @@ pub fn wave_sums<'py>(
             "codes must rise and count the columns of sums; sums has two rows for each wave, from 1 on",
         ));
     }
-    let highest = taken.iter().copied().max().unwrap_or(0);
     py.detach(|| {
-        let length = highest.next_multiple_of(8);
-        let mut waves = vec![0.0; AT_ONCE * 2 * length];
+        widest(OfCodes {
+            angles,
+            weights,
+            codes: &codes,
+            taken: &taken,
+            of_code,
+            sums,
+        });
+    });
+    Ok(())
+}
+
+/// What [`wave_sums`] does.
+struct OfCodes<'a> {
+    angles: &'a [f64],
+    weights: &'a [f64],
+    codes: &'a [usize],
+    taken: &'a [usize],
+    of_code: usize,
+    sums: &'a mut [f64],
+}
+
+impl Kernel for OfCodes<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Wide>(self) {
+        let Self {
+            codes,
+            taken,
+            of_code,
+            sums,
+            ..
+        } = self;
+        let length = taken.iter().copied().max().unwrap_or(0).div_ceil(LANES);
+        let mut waves = vec![[0.0; LANES]; AT_ONCE * 2 * length];
         let mut row = 0;
         for first in (0..of_code).step_by(AT_ONCE) {
             let end = of_code.min(first + AT_ONCE);
             let before = row;
-            while row < n && codes[row] < end {
+            while row < codes.len() && codes[row] < end {
                 let here = (codes[row] - first) * 2 * length;
                 let (sine, cosine) = waves[here..here + 2 * length].split_at_mut(length);
-                let (sin, cos) = sin_cos(angles[row]);
-                add_waves((cos, sin), weights[row], sine, cosine);
+                let (sin, cos) = sin_cos(self.angles[row]);
+                add_waves::<V>((cos, sin), self.weights[row], sine, cosine);
                 row += 1;
             }
             if row == before {
                 continue;
             }
+            let flat = waves.as_flattened();
             for (k, t) in taken.iter().enumerate() {
                 for half in 0..2 {
                     let line =
                         &mut sums[(half * taken.len() + k) * of_code + first..][..end - first];
                     for (c, sum) in line.iter_mut().enumerate() {
-                        *sum += waves[(2 * c + half) * length + t - 1];
+                        *sum += flat[(2 * c + half) * length * LANES + t - 1];
                     }
                 }
             }
-            waves.fill(0.0);
+            waves.fill([0.0; LANES]);
         }
-    });
-    Ok(())
+    }
 }
 
 /// What follows `motion` (n,) with a dead zone of `width`.

@@ -1,9 +1,9 @@
 //! Sums over rows of weights times sines and cosines of a variable, at many frequencies.
 
+use super::wide::{LANES, Wide};
+
 /// Cells that one row is spread over.
 pub const WIDTH: usize = 14;
-/// Waves that are turned side by side.
-const LANES: usize = 8;
 
 /// Adds to the cells about each row its weights times a kernel.
 ///
@@ -41,10 +41,16 @@ pub fn spread(at: &[f64], weights: &[f64], k: usize, kernel: &[[f64; WIDTH]], ce
     }
 }
 
-/// Adds `weight · sin(t·angle)` to `sine[t - 1]`, and the cosine likewise, for `t` = 1, 2, 3, …
+/// Adds `weight · sin(t·angle)` to `sine[t - 1]`, and the cosine likewise, for `t` = 1, 2, 3, …, as a part of a kernel.
 ///
-/// `turn` is the cosine and the sine of the angle. Both slices are as long; what is beyond their last whole eight stays.
-pub fn add_waves(turn: (f64, f64), weight: f64, sine: &mut [f64], cosine: &mut [f64]) {
+/// `turn` is the cosine and the sine of the angle.
+#[inline(always)]
+pub fn add_waves<V: Wide>(
+    turn: (f64, f64),
+    weight: f64,
+    sine: &mut [[f64; LANES]],
+    cosine: &mut [[f64; LANES]],
+) {
     let times = |a: (f64, f64), b: (f64, f64)| (a.0 * b.0 - a.1 * b.1, a.0 * b.1 + a.1 * b.0);
     let (mut re, mut im) = ([0.0; LANES], [0.0; LANES]);
     let mut power = turn;
@@ -55,27 +61,36 @@ pub fn add_waves(turn: (f64, f64), weight: f64, sine: &mut [f64], cosine: &mut [
     let twice = times(turn, turn);
     let four = times(twice, twice);
     let step = times(four, four);
-    let (sines, _) = sine.as_chunks_mut::<LANES>();
-    let (cosines, _) = cosine.as_chunks_mut::<LANES>();
-    for (sine, cosine) in sines.iter_mut().zip(cosines) {
-        for l in 0..LANES {
-            sine[l] += im[l];
-            cosine[l] += re[l];
-            (re[l], im[l]) = times((re[l], im[l]), step);
-        }
+    let (step_re, step_im) = (V::splat(step.0), V::splat(step.1));
+    let (mut re, mut im) = (V::of(re), V::of(im));
+    for (sine, cosine) in sine.iter_mut().zip(cosine) {
+        *sine = (V::of(*sine) + im).numbers();
+        *cosine = (V::of(*cosine) + re).numbers();
+        (re, im) = (re * step_re - im * step_im, re * step_im + im * step_re);
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{WIDTH, add_waves, spread};
+    use super::{LANES, WIDTH, add_waves, spread};
+    use crate::numbers::wide::{Kernel, Wide, widest};
+
+    struct Add<'a>(f64, f64, &'a mut [[f64; LANES]], &'a mut [[f64; LANES]]);
+
+    impl Kernel for Add<'_> {
+        type Output = ();
+        fn run<V: Wide>(self) {
+            add_waves::<V>((self.0.cos(), self.0.sin()), self.1, self.2, self.3);
+        }
+    }
 
     /// Catches a lane that starts at the wrong wave, a step of the wrong size, and sine taken for cosine.
     #[test]
     fn waves_are_sines_and_cosines() {
-        let (mut sine, mut cosine) = ([0.5; 40], [0.25; 40]);
+        let (mut sine, mut cosine) = ([[0.5; LANES]; 5], [[0.25; LANES]; 5]);
         let angle: f64 = 0.37;
-        add_waves((angle.cos(), angle.sin()), 2.0, &mut sine, &mut cosine);
+        widest(Add(angle, 2.0, &mut sine, &mut cosine));
+        let (sine, cosine) = (sine.as_flattened(), cosine.as_flattened());
         for t in 0..40 {
             let a = (t + 1) as f64 * angle;
             assert!((sine[t] - 0.5 - 2.0 * a.sin()).abs() < 1e-12);
