@@ -613,8 +613,9 @@ def largest_under_flips(
     """Largest sum of squares (classes, flips) of candidates under every pattern of signs of a group.
 
     ``sums`` (K, c) are what the poses of each of the ``codes`` (c,) add to each column; pattern t gives those of
-    code h the sign of the parity of ``h & t``; ``flips`` is a power of two, 8 or more. Candidate c is of class ``class_of[c]`` and
-    has ``ranks[c]`` directions, each of them so much of its ``sizes[c]`` columns as the next numbers of ``roots`` say;
+    code h the sign of the parity of ``h & t``; ``flips`` is a power of two, 8 or more. Candidate c is of class
+    ``class_of[c]`` and has ``ranks[c]`` directions, each of them so much of its ``sizes[c]`` columns as the next
+    numbers of ``roots`` say;
     ``columns`` names these, candidate by candidate. Raises ValueError for numbers outside these ranges.
     """
 

@@ -10,8 +10,7 @@ import numpy as np
 from ..types import Floats, Ints
 from .linearised import blocks
 
-
-#: Part of any direction's squared length that every fold must leave to the others for a solution without pseudo-inverse.
+#: Part of any direction's squared length that every fold must leave to the others, or pseudo-inverses are needed.
 _BEYOND = 1e-6
 
 

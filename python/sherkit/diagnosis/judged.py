@@ -9,6 +9,7 @@ expected share of false ones (Benjamini and Hochberg, *J. R. Statist. Soc. B* 57
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -40,6 +41,8 @@ _LEAST_FREE = 0.1
 _FEWEST_OF_A_STRETCH = 4
 _MOST_BUMPED = 0.2
 _CUTS = 48
+#: Bytes of columns that are kept rather than made again.
+_KEPT = 64e6
 
 
 class Judged:
@@ -70,7 +73,7 @@ class Judged:
         # of the mean of an item; nothing where it is not known
         variance = self.within**2 if self.within.any() else np.full(self.e.shape[1], float(declared))
         self.noise = variance / self.count[:, None]
-        self.basis = orthonormal(self._sums() / np.sqrt(self.count)[:, None, None])
+        self.basis = orthonormal(self._summed(self.view.fitted))
 
     def wild(self) -> Bools:
         """Rows (n,) that are gross errors.
@@ -214,7 +217,7 @@ class Judged:
         stepped = self._step(tame, variance)
         if stepped is not None and stepped[0] < min(chance, np.log(_DESCRIBED)):
             self.has_step = True
-            return self._new(self._after(stepped[1]))
+            return self._new(self._down(self._after(stepped[1])))
         if chance >= np.log(_DESCRIBED):
             return None
         # what differs within a pose is not in its mean: such a column would be the best again and again
@@ -222,8 +225,8 @@ class Judged:
         return self._new(self._one(best))
 
     def _new(self, columns: Floats) -> Floats:
-        """What columns (n, m, k) add to the basis."""
-        new = self._down(columns).reshape(-1, columns.shape[2])
+        """What columns (items, m, k) add to the basis."""
+        new = columns.reshape(-1, columns.shape[2])
         left = np.linalg.norm(new - self.basis @ (self.basis.T @ new), axis=0)
         new = new[:, left > _ABSORBED * np.linalg.norm(new, axis=0)]
         # once more, since of a new column little may be left, and what is left must stand across the others
@@ -232,20 +235,32 @@ class Judged:
         return new
 
     def _one(self, number: int) -> Floats:
-        """One column (n, m, 1)."""
+        """One column as the basis has it (items, m, 1)."""
         m = self.e.shape[1]
         family, single, dense = self._smooth
         if number < m * len(single):
             axis, k = divmod(number, len(single))
             function, mean, length = family.functions[single[k]]
-            return np.multiply.outer((function(self.view.whole) - mean) / length, np.eye(m)[axis])[:, :, None]
+            on = np.multiply.outer((function(self.view.whole) - mean) / length, np.eye(m)[axis])
+            return self._down(on)[:, :, None]
         number -= m * len(single)
         if number < len(dense):
             pattern, function, mean, length = family.dense[dense[number]]
             values = (function(self.view.whole) - mean) / length
-            return (self.view.patterns[pattern] * values[:, None])[:, :, None]
-        of_effect = number - len(dense)
-        return np.concatenate([self.view.effects_in(r)[:, :, of_effect : of_effect + 1] for r in self.view.blocks])
+            return self._down(self.view.patterns[pattern] * values[:, None])[:, :, None]
+        which = slice(number - len(dense), number - len(dense) + 1)
+        if self._effects.nbytes:
+            return self._effects[:, :, which]
+        return self._summed(lambda rows: self.view.effects_in(rows)[:, :, which])
+
+    @cached_property
+    def _effects(self) -> Floats:
+        """Columns of all effects as the basis has them (items, m, e); none where they are too large to be kept."""
+        width = self.view.effects[-1][1].stop if self.view.effects else 0
+        shape = (len(self.count), self.e.shape[1], width)
+        if 8 * math.prod(shape) > _KEPT:
+            return np.zeros((0, 0, 0))
+        return self._summed(lambda rows: self.view.effects_in(rows)[:, :, :width])
 
     def _gains(self, tame: Floats) -> tuple[Floats, int]:
         """What each column takes (k,) of residuals (b, m) where they are seen, beyond the basis; nothing where it lies
@@ -310,15 +325,15 @@ class Judged:
         total = np.add.reduceat(values[self.order], self.starts, axis=0)
         return total / self.count.reshape((-1,) + (1,) * (values.ndim - 1))
 
-    def _sums(self) -> Floats:
-        """Sums (items, m, p) over the rows of each item of what is fitted."""
-        first = self.view.fitted(self.view.blocks[0])
+    def _summed(self, columns: Callable[[slice], Floats]) -> Floats:
+        """Columns that are given (b, m, p) for stretches of rows, as the basis has items (items, m, p)."""
+        first = columns(self.view.blocks[0])
         out = np.zeros((len(self.count), *first.shape[1:]))
         for rows in self.view.blocks:
             order = np.argsort(self.item[rows], kind="stable")
             items, starts = np.unique(self.item[rows][order], return_index=True)
-            out[items] += np.add.reduceat(self.view.fitted(rows)[order], starts, axis=0)
-        return out
+            out[items] += np.add.reduceat(columns(rows)[order], starts, axis=0)
+        return out / np.sqrt(self.count)[:, None, None]
 
     def _down(self, values: Floats) -> Floats:
         """Values of rows (n, …) as the basis has items (items, …)."""

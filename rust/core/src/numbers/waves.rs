@@ -1,6 +1,6 @@
 //! Sums over rows of weights times sines and cosines of a variable, at many frequencies.
 
-use super::wide::{LANES, Wide};
+use super::wide::{Kernel, LANES, Wide, widest};
 
 /// Cells that one row is spread over.
 pub const WIDTH: usize = 14;
@@ -12,30 +12,66 @@ pub const WIDTH: usize = 14;
 /// numbers for each row, `cells` for each cell; rows beyond the cells are left out. The Fourier transform of the cells is
 /// that of the rows, but for the kernel's own (Barnett et al., "A parallel nonuniform fast Fourier transform library
 /// based on an exponential of semicircle kernel", SIAM J. Sci. Comput. 2019).
-#[allow(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "what is no cell is beyond them, or the first"
-)]
 pub fn spread(at: &[f64], weights: &[f64], k: usize, kernel: &[[f64; WIDTH]], cells: &mut [f64]) {
-    if k == 0 {
-        return;
+    if k > 0 {
+        widest(Spread {
+            at,
+            weights,
+            k,
+            kernel,
+            cells,
+        });
     }
-    for (&at, weights) in at.iter().zip(weights.chunks_exact(k)) {
-        let first = at as usize;
-        let within = 2.0 * (at - first as f64) - 1.0;
-        let mut value = [0.0; WIDTH];
-        for power in kernel {
-            for (v, c) in value.iter_mut().zip(power) {
-                *v = *v * within + c;
+}
+
+struct Spread<'a> {
+    at: &'a [f64],
+    weights: &'a [f64],
+    k: usize,
+    kernel: &'a [[f64; WIDTH]],
+    cells: &'a mut [f64],
+}
+
+impl Kernel for Spread<'_> {
+    type Output = ();
+
+    #[allow(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "what is no cell is beyond them, or the first"
+    )]
+    #[inline(always)]
+    fn run<V: Wide>(self) {
+        let Self {
+            k, kernel, cells, ..
+        } = self;
+        for (&at, weights) in self.at.iter().zip(self.weights.chunks_exact(k)) {
+            let first = at as usize;
+            let within = V::splat(2.0 * (at - first as f64) - 1.0);
+            let (mut near, mut far) = (V::splat(0.0), V::splat(0.0));
+            for power in kernel {
+                // two vectors that lie over one another in the middle
+                let (a, b) = (power.first_chunk(), power.last_chunk());
+                if let (Some(a), Some(b)) = (a, b) {
+                    near = near * within + V::of(*a);
+                    far = far * within + V::of(*b);
+                }
             }
-        }
-        let Some(cells) = cells.get_mut(first * k..(first + WIDTH) * k) else {
-            continue;
-        };
-        for (cell, v) in cells.chunks_exact_mut(k).zip(value) {
-            for (c, w) in cell.iter_mut().zip(weights) {
-                *c += v * w;
+            let mut value = [0.0; WIDTH];
+            value[..LANES].copy_from_slice(&near.numbers());
+            value[WIDTH - LANES..].copy_from_slice(&far.numbers());
+            let Some(cells) = cells.get_mut(first * k..(first + WIDTH) * k) else {
+                continue;
+            };
+            let (wide, rest) = weights.as_chunks::<LANES>();
+            for (cell, v) in cells.chunks_exact_mut(k).zip(value) {
+                let (eights, last) = cell.as_chunks_mut::<LANES>();
+                for (c, w) in eights.iter_mut().zip(wide) {
+                    *c = (V::of(*c) + V::splat(v) * V::of(*w)).numbers();
+                }
+                for (c, w) in last.iter_mut().zip(rest) {
+                    *c += v * w;
+                }
             }
         }
     }
