@@ -12,7 +12,7 @@ PYTHONS := python tests benchmarks examples docs
 export OPENBLAS_NUM_THREADS := 1
 SOURCES := Cargo.toml Cargo.lock pyproject.toml README.md $(shell find rust python -type f -not -name '*.so' -not -path '*/__pycache__/*')
 
-.PHONY: pictures demo demo-lab test test-rust test-python test-slow lint no-std header header-check bench site format clean check-tools
+.PHONY: pictures demo demo-lab test test-rust test-python test-slow lint lint-rust lint-python no-std header header-check bench site format clean check-tools
 
 demo: $(STAMP)
 	$(BIN)/sherkit demo
@@ -20,7 +20,10 @@ demo: $(STAMP)
 demo-lab: $(STAMP)
 	$(BIN)/sherkit lab --demo
 
-test: lint header-check test-rust no-std test-python
+# Rust twice side by side first: most of its builds use one core
+test: | check-tools
+	@$(MAKE) --no-print-directory -j 2 $(STAMP) lint-rust test-rust no-std header-check
+	@$(MAKE) --no-print-directory lint-python test-python
 
 check-tools:
 	@command -v $(PYTHON) >/dev/null || { echo "sherkit needs Python 3.11 or later: '$(PYTHON)' was not found (set PYTHON=...)"; exit 1; }
@@ -42,18 +45,22 @@ $(STAMP): $(BIN)/python $(SOURCES)
 	$(BIN)/python -m pip install --quiet "$$(ls $(WHEELS)/sherkit-*.whl)[test,dev]"
 	touch $@
 
-lint: $(STAMP)
+lint: lint-rust lint-python
+
+lint-rust: | check-tools
 	cargo fmt --all --check
 	cargo clippy --quiet --locked --all-targets -- -D warnings
 	cargo clippy --quiet --locked --profile control -p sherkit-c -- -D warnings
 	cargo clippy --quiet --locked --profile quick -p sherkit-header -- -D warnings
+
+lint-python: $(STAMP)
 	$(BIN)/ruff check $(PYTHONS)
 	$(BIN)/ruff format --check --quiet $(PYTHONS)
 	$(BIN)/mypy
 	cd $(VENV) && bin/python -m mypy.stubtest sherkit._core
 
 test-rust: | check-tools
-	cargo test --quiet --locked --release -p sherkit-core
+	cargo test --quiet --locked --profile tested -p sherkit-core
 
 # links the core into a program without std: does not build if anything below it needs std
 no-std: | check-tools
@@ -72,7 +79,7 @@ test-python: $(STAMP)
 
 # what takes longer, and the property tests once more with other inputs in each run: a failure prints its own
 test-slow: $(STAMP)
-	SHERKIT_RANDOM=1 cargo test --quiet --locked --release -p sherkit-core
+	SHERKIT_RANDOM=1 cargo test --quiet --locked --profile tested -p sherkit-core
 	SHERKIT_RANDOM=1 $(BIN)/python -m pytest -n 2 -m "slow or hypothesis"
 
 # the documentation as a site that needs no network, with every link checked
