@@ -15,6 +15,7 @@ from sherkit.diagnosis.gridded import Gridded
 from sherkit.diagnosis.linearised import Linearised, Whitening, correlation_in_time, orthonormal, whiten
 from sherkit.diagnosis.scan import Block, Columns, Scan, codes_of, deviate
 from sherkit.diagnosis.shapes import build, wave
+from sherkit.diagnosis.stage import _one_after_another
 from sherkit.diagnosis.waves import Waves, waves_of
 from sherkit.model.effect import Effect
 
@@ -266,6 +267,34 @@ def test_the_filter_in_time_whitens() -> None:
     assert whiten(e, 0.0) is e
 
 
+def test_targets_that_are_read_in_turn_follow_their_own_in_time() -> None:
+    """Catches a filter that takes a target for what follows another one of the same visit, in one block or in several,
+    and a correlation within visits that is taken for one in time."""
+    rng = np.random.default_rng(12)
+    visits, rho = 400, 0.6
+    e = rng.normal(size=(visits, 2))
+    for k in range(1, visits):
+        e[k] = rho * e[k - 1] + np.sqrt(1 - rho * rho) * e[k]
+    e = np.stack([e, 2.0 * e + rng.normal(size=e.shape), rng.normal(size=e.shape)], axis=1)
+    # the second target is not seen in the third visit
+    seen = np.delete(np.arange(3 * visits), 7)
+    rows, which = e.reshape(-1, 2)[seen], seen % 3
+    lag, back = _one_after_another(np.arange(3 * visits), np.arange(3 * visits) % 3, seen)
+    assert back is not None
+    filtered = Whitening(rho, lag, back)
+    for target in range(3):
+        own = which == target
+        alone = Whitening(rho, lag[own])(rows[own])
+        np.testing.assert_allclose(filtered(rows)[own], alone, atol=1e-14)
+    blocks = [filtered.on(lambda part: rows[part], part) for part in (slice(0, 8), slice(8, 9), slice(9, len(rows)))]
+    np.testing.assert_array_equal(np.concatenate(blocks), filtered(rows))
+    shared = np.repeat(rng.normal(size=(visits, 2)), 3, axis=0) + 0.2 * rng.normal(size=(3 * visits, 2))
+    _, back = _one_after_another(np.arange(3 * visits), np.arange(3 * visits) % 3, np.arange(3 * visits))
+    nothing = np.zeros((6 * visits, 0))
+    assert correlation_in_time(shared, nothing) > 0.3
+    assert correlation_in_time(shared, nothing, back) == 0.0
+
+
 def test_play_follows_with_its_dead_zone() -> None:
     """Catches a play operator that forgets where it was, moves inside its zone, or lags by another width."""
     assert play_operator(np.array([0.0, 0.4, 1.0, 0.9, 0.3, -1.0, -0.8]), 1.0).tolist() == pytest.approx(
@@ -291,6 +320,7 @@ def test_shapes_follow_from_the_variables_alone() -> None:
         residual=rng.normal(size=(n, 3)),
         variables={**q, "x_mm": rng.uniform(-20, 20, n), "time_s": time, "lamp": np.full(n, 3.0)},
         group=np.arange(n),
+        repeated=np.arange(n),
         derivatives=Given(rng.normal(size=(n, 3, 3))),
         pattern_of={name: name for name in q},
         inputs=q,
@@ -311,12 +341,12 @@ def test_shapes_follow_from_the_variables_alone() -> None:
     assert {s.pattern for s in family.shapes if s.shape == "hysteretic" and s.pattern} == set(q)
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.6, -0.4])
+@pytest.mark.parametrize(("rho", "in_turn"), [(0.0, False), (0.6, False), (-0.4, False), (0.6, True)])
 @pytest.mark.parametrize("ring", [False, True])
-def test_waves_that_are_never_written_out_are_those_that_are(rho: float, ring: bool) -> None:
-    """Catches products, Gram matrices, sums over poses and flips of waves that differ from those of full columns, also
-    under the filter in time, across gaps, with poses scattered over the run, and with a sign or a number mistaken; of
-    waves along the inputs and of those on single axes."""
+def test_waves_that_are_never_written_out_are_those_that_are(rho: float, in_turn: bool, ring: bool) -> None:
+    """Catches products, Gram matrices, sums over poses and flips of waves that differ from those of full columns,
+    also under the filter in time, across gaps, of targets read in turn, with poses scattered over the run, and with
+    a sign or a number mistaken; of waves along the inputs and of those on single axes."""
     rng = np.random.default_rng(5)
     q = {f"q{k}": rng.uniform(0, 2.5, N) for k in (1, 2)}
     turning = Effect("ring", "joints", (), search="period_rad")
@@ -324,6 +354,7 @@ def test_waves_that_are_never_written_out_are_those_that_are(rho: float, ring: b
         residual=rng.normal(size=(N, M)),
         variables=q | {"x_mm": rng.uniform(-20, 20, N)},
         group=rng.permutation(np.repeat(np.arange(N // 3), 3)),
+        repeated=rng.permutation(np.repeat(np.arange(N // 3), 3)),
         derivatives=Given(rng.normal(size=(N, M, 2))),
         pattern_of={name: name for name in q},
         place=("x_mm",),
@@ -331,7 +362,10 @@ def test_waves_that_are_never_written_out_are_those_that_are(rho: float, ring: b
         periodic=((turning, None),) if ring else (),
     )
     fitted = rng.normal(size=(N, M, P))
-    filtered = Whitening(rho, rng.integers(1, 4, N))
+    back = None
+    if in_turn:
+        _, back = _one_after_another(np.arange(N), rng.integers(0, 3, N), np.arange(N))
+    filtered = Whitening(rho, rng.integers(1, 4, N), back)
     waves = Waves(view)
     dense = np.concatenate([waves_of(view, f) for f in waves.at], axis=2)
     # at each frequency the sine and the cosine of the first input, then of the second

@@ -376,17 +376,14 @@ class Measurements:
 
     @cached_property
     def groups(self) -> Ints:
-        """A number (n,) per row, equal for repeats of the same pose.
+        """A number (n,) per row, equal for repeats of the same reading: of one target, at one pose.
 
         Where no pose is given, rows are repeats whose joint readings are equal to the last bit, and those of the other
         end of a distance: readings that were commanded come back exactly, those that were read never do.
         """
         if self.pose is not None:
-            poses = np.unique(self.pose, return_inverse=True)[1].ravel().astype(np.int64)
-            if not self.apart:
-                return poses
-            told = np.column_stack([poses, *self.apart])
-            return np.unique(told, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+            given = np.column_stack([self.pose, *self.apart])
+            return np.unique(given, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
         if not self.layout.joints_tell_pose:
             return np.arange(len(self), dtype=np.int64)
         # The joints alone make a pose, as its number does where one is given. The side from which it was approached,
@@ -394,10 +391,25 @@ class Measurements:
         # does, and what they do is seen best where nothing else changed. As poses of their own, such rows would be
         # held out apart, and a pose's own error would count once for each of them as if it were new.
         ends = np.where(np.isnan(self.to_joints), np.inf, self.to_joints)
-        inputs = np.column_stack([self.joints, ends, *self.apart])
-        _, first, group = np.unique(inputs + 0.0, axis=0, return_index=True, return_inverse=True)
-        # numbered as they come: without repeats, by row
-        return np.argsort(np.argsort(first))[group.ravel()].astype(np.int64)
+        return _numbered(np.column_stack([self.joints, ends, *self.apart]))
+
+    @cached_property
+    def series(self) -> Ints:
+        """A number (n,) per row, equal where the same is read, at whatever pose: each target by itself."""
+        return _numbered(np.column_stack([np.zeros(len(self)), *self.apart]))
+
+    @cached_property
+    def standing(self) -> Ints:
+        """A number (n,) per row, equal where the machine stood at the same pose, whichever of its targets was read.
+
+        What is wrong with the pose is wrong with all of them: as evidence they are one.
+        """
+        if not self.apart:
+            return self.groups
+        if self.pose is not None:
+            return np.unique(self.pose, return_inverse=True)[1].ravel().astype(np.int64)
+        ends = [k for k, name in enumerate(self.layout.to_joints) if name not in self.layout.apart]
+        return _numbered(np.column_stack([self.joints, np.nan_to_num(self.to_joints[:, ends], nan=np.inf)]))
 
     @cached_property
     def repeatability(self) -> Repeatability | None:
@@ -492,3 +504,9 @@ def order_in_time(time_s: NDArray[Any] | None, n: int) -> Ints:
 def _spread(values: Floats) -> float:
     low, high = np.percentile(values[:: 1 + len(values) // _ENOUGH], [5, 95], axis=0)
     return float((high - low).max())
+
+
+def _numbered(rows: Floats) -> Ints:
+    """A number (n,) for each row (n, k), as they come, the same for equal ones: without repeats, by row."""
+    _, first, number = np.unique(rows + 0.0, axis=0, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[number.ravel()].astype(np.int64)

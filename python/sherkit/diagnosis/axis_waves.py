@@ -33,7 +33,7 @@ class Along:
         """Where the waves start."""
         return float(self.values.min())
 
-    def angle(self, rows: slice) -> Floats:
+    def angle(self, rows: slice | Ints) -> Floats:
         """The angle of the unit in these rows (b,)."""
         return TURN * self.unit * (self.values[rows] - self.low)
 
@@ -81,7 +81,7 @@ class AxisWaves:
         #: A constant under the filter, and under its transpose as well.
         self.constant = whitening.on(lambda rows: one[rows], slice(0, len(one)))[:, 0]
         self.twice = self.constant * whitening.here
-        self.twice[:-1] += (self.constant * whitening.before)[1:]
+        self.twice[whitening.early] += (self.constant * whitening.before)[whitening.late]
 
     def __len__(self) -> int:
         return int(self.first[-1])
@@ -116,7 +116,8 @@ class AxisWaves:
         for one in self.along:
             gram = one.products(one.values, one.values, self.whitening.diagonal)
             if self.whitening.rho:
-                beside = one.products(one.values[1:], one.values[:-1], self.whitening.beside[1:])
+                late, early = self.whitening.late, self.whitening.early
+                beside = one.products(one.values[late], one.values[early], self.whitening.beside[late])
                 gram += beside + beside.transpose(0, 2, 1)
             mean, under = one.mean.T, one.over(self.twice).T
             cross = mean[:, :, None] * under[:, None, :]
@@ -145,14 +146,13 @@ class AxisWaves:
         """Adds to ``sums`` (K, codes) the products of these rows of the columns and a residual (b, m), by the codes
         (b,) of the rows."""
         count = sums.shape[1]
-        for part, factor in self.whitening.parts(rows):
-            late = len(residual) - (part.stop - part.start)
-            order = np.argsort(codes[late:], kind="stable")
-            sorted_codes = codes[late:][order]
+        for late, part, factor in self.whitening.parts(rows):
+            order = np.argsort(codes[late], kind="stable")
+            sorted_codes = codes[late][order]
             for one, first in zip(self.along, self.first.tolist(), strict=False):
                 angle, width = one.angle(part)[order], 2 * len(one.turns)
                 for axis in range(self.axes):
-                    weight = (factor * residual[late:, axis])[order]
+                    weight = (factor * residual[late, axis])[order]
                     wave_sums(
                         angle, weight, sorted_codes, one.turns,
                         sums[first + axis * width : first + (axis + 1) * width],
@@ -176,9 +176,8 @@ class AxisProducts:
     def add(self, rows: slice, columns: Floats) -> None:
         """These rows of the others (b, m, count)."""
         waves = self.waves
-        for part, factor in waves.whitening.parts(rows):
-            late = len(columns) - (part.stop - part.start)
-            weighted = (factor[:, None, None] * columns[late:]).reshape(len(factor), -1)
+        for late, part, factor in waves.whitening.parts(rows):
+            weighted = (factor[:, None, None] * columns[late]).reshape(len(factor), -1)
             for one, sums in zip(waves.along, self.sums, strict=True):
                 sums.add(one.values[part], weighted)
         self.constant += np.tensordot(waves.constant[rows], columns, 1)

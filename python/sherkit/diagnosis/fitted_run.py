@@ -178,7 +178,8 @@ class FittedRun(Saved):
         out = Linearised(
             residual=(part.readings - self.fit.predicted[rows])[:, axes] / sigma,
             variables=variables,
-            group=part.groups,
+            group=part.standing,
+            repeated=part.groups,
             derivatives=_OverNoise(own, every, axes, over, order),
             pattern_of={name: name for name in inputs if name in variables} if known else {},
             place=place,

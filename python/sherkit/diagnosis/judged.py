@@ -61,7 +61,7 @@ class Judged:
         self.floor = np.maximum(DIGITS * np.ptp(self.e, axis=0), 1e-12)
         self.within, apart = self._apart()
         first, size = np.arange(len(view)), len(view)
-        group = np.unique(view.group, return_inverse=True)[1].ravel()
+        group = np.unique(view.repeated, return_inverse=True)[1].ravel()
         group = np.where(apart, size + first, group)
         if stretch is not None:
             group = np.where(stretch, 2 * size + group, group)
@@ -402,7 +402,7 @@ class Judged:
         """Noise (m,) within poses, zero where it is not known; and the rows (n,) that stand apart from the other
         readings of their pose."""
         n, m = self.e.shape
-        group = np.unique(self.view.group, return_inverse=True)[1].ravel()
+        group = np.unique(self.view.repeated, return_inverse=True)[1].ravel()
         order = np.argsort(group, kind="stable")
         ordered, ids = self.e[order], group[order]
         steps = np.diff(ordered, axis=0)[np.diff(ids) == 0]

@@ -60,19 +60,21 @@ class Derivatives(Protocol):
 class Linearised:
     """Rows of a fit in the order of time, and all to first order.
 
-    ``residual`` (n, m) measured minus predicted over the noise; ``variables`` name to values (n,), what a residual may
-    depend on; ``derivatives`` gives those of any stretch of rows. ``pattern_of`` names the input of a variable which
-    is one whose pattern is known; ``place`` names the variables that say where the machine is; ``group`` (n,) is equal
-    for repeats of a pose. ``effects`` pairs each effect that can be tried with its columns; ``in_time`` are the effects
-    that step at a searched time, each with its columns after the step, or None where these are a step of each reading;
-    ``periodic`` those that are a wave of each input at a searched period, each with the period that the model has for
-    it, or None; ``untestable`` maps the others to the reason. ``inputs`` name to (n,), the readings of the inputs, be
-    they constant or their patterns unknown.
+    ``residual`` (n, m) measured minus predicted over the noise; ``variables`` name to values (n,), what a residual
+    may depend on; ``derivatives`` gives those of any stretch of rows. ``pattern_of`` names the input of a variable
+    which is one whose pattern is known; ``place`` names the variables that say where the machine is; ``group`` (n,)
+    is equal where it stood the same, ``repeated`` (n,) where the same was read there again. ``effects`` pairs each
+    effect that can be tried with its columns; ``in_time`` are the effects that step at a searched time, each with
+    its columns after the step, or None where these are a step of each reading; ``periodic`` those that are a wave
+    of each input at a searched period, each with the period that the model has for it, or None; ``untestable`` maps
+    the others to the reason. ``inputs`` name to (n,), the readings of the inputs, be they constant or their
+    patterns unknown.
     """
 
     residual: Floats
     variables: Mapping[str, Floats]
     group: Ints
+    repeated: Ints
     derivatives: Derivatives
     pattern_of: Mapping[str, str] = field(default_factory=dict)
     place: tuple[str, ...] = ()
@@ -129,18 +131,30 @@ class Whitening:
 
     ``lag`` (n,) is how many rows of the run lie between a row and the one before it here (1 where it follows at once):
     across a gap the correlation is ``rho`` to that power. A row of the result is ``here`` times its own value and
-    ``before`` times that of the row before it, (n,) each.
+    ``before`` times that of the row before it, (n,) each. ``back`` (n,) is how many rows further up that one stands, 0
+    where there is none: those of several targets, read in turn, each follow their own. Left out, it is the next.
     """
 
-    def __init__(self, rho: float, lag: Ints) -> None:
-        self.rho, self.lag = rho, lag
+    def __init__(self, rho: float, lag: Ints, back: Ints | None = None) -> None:
+        self.rho, self.lag, self.back = rho, lag, back
         carried = np.sign(rho) ** lag * np.abs(rho) ** lag
-        carried[:1] = 0.0
+        #: Rows that follow another, and those that they follow.
+        self.late: slice | Ints = slice(1, None)
+        self.early: slice | Ints = slice(None, -1)
+        if back is None:
+            carried[:1] = 0.0
+        else:
+            carried[back == 0] = 0.0
+            self.late = np.flatnonzero(back)
+            self.early = self.late - back[self.late]
         self.here = 1.0 / np.sqrt(1.0 - carried**2)
         self.before = -carried * self.here
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Whitening) and self.rho == other.rho and np.array_equal(self.lag, other.lag)
+        if not isinstance(other, Whitening) or self.rho != other.rho or (self.back is None) != (other.back is None):
+            return False
+        same = self.back is None or np.array_equal(self.back, other.back)  # type: ignore[arg-type]
+        return same and np.array_equal(self.lag, other.lag)
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -150,34 +164,43 @@ class Whitening:
             return values
         shape = (-1,) + (1,) * (values.ndim - 1)
         out = values * self.here.reshape(shape)
-        out[1:] += values[:-1] * self.before[1:].reshape(shape)
+        out[self.late] += values[self.early] * self.before[self.late].reshape(shape)
         return out
 
     def on(self, values: Callable[[slice], Floats], rows: slice) -> Floats:
         """These rows (b, …) of what ``values`` gives for a stretch of rows, filtered."""
         if self.rho == 0.0:
             return values(rows)
-        first = max(rows.start - 1, 0)
+        late, early = self._within(rows)
+        first = int(np.min(early, initial=rows.start)) if isinstance(early, np.ndarray) else max(rows.start - 1, 0)
         raw = values(slice(first, rows.stop))
         shape = (-1,) + (1,) * (raw.ndim - 1)
         out = raw[rows.start - first :] * self.here[rows].reshape(shape)
-        late = 1 if rows.start == 0 else 0
-        out[late:] += raw[: len(raw) - 1] * self.before[rows][late:].reshape(shape)
+        led = raw[early - first] if isinstance(early, np.ndarray) else raw[: len(raw) - 1]
+        out[late] += led * self.before[rows][late].reshape(shape)
         return out
 
-    def parts(self, rows: slice) -> Iterator[tuple[slice, Floats]]:
-        """The rows of which these consist under the filter, each stretch with its factors: themselves, and those
-        before them (one less where there is none before the first)."""
-        yield rows, self.here[rows]
+    def parts(self, rows: slice) -> Iterator[tuple[slice | Ints, slice | Ints, Floats]]:
+        """The rows of which these consist under the filter: themselves, and those before them where there are some.
+        Each time which of these rows (counted from the first of them) consist of which of all, with what factors."""
+        yield slice(None), rows, self.here[rows]
         if self.rho != 0.0:
+            late, early = self._within(rows)
+            yield late, early, self.before[rows][late]
+
+    def _within(self, rows: slice) -> tuple[slice | Ints, slice | Ints]:
+        """Which of these rows, counted from the first of them, follow another, and which of all they follow."""
+        if self.back is None:
             first = max(rows.start, 1)
-            yield slice(first - 1, rows.stop - 1), self.before[first : rows.stop]
+            return slice(first - rows.start, None), slice(first - 1, rows.stop - 1)
+        late = np.flatnonzero(self.back[rows])
+        return late, rows.start + late - self.back[rows][late]
 
     @property
     def diagonal(self) -> Floats:
         """Diagonal (n,) of the filter's transpose times the filter."""
         out = self.here**2
-        out[:-1] += self.before[1:] ** 2
+        out[self.early] += self.before[self.late] ** 2
         return out
 
     @property
@@ -186,9 +209,9 @@ class Whitening:
         return self.here * self.before
 
 
-def whiten(values: Floats, rho: float, lag: Ints | None = None) -> Floats:
-    """Values (n, …) under :class:`Whitening`, each row following at once where no ``lag`` is given."""
-    return Whitening(rho, np.ones(len(values), dtype=np.int64) if lag is None else lag)(values)
+def whiten(values: Floats, rho: float, back: Ints | None = None) -> Floats:
+    """Values (n, …) under :class:`Whitening`, each row following at once."""
+    return Whitening(rho, np.ones(len(values), dtype=np.int64), back)(values)
 
 
 def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:
@@ -206,18 +229,24 @@ def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:
     return flat
 
 
-def correlation_in_time(residual: Floats, basis: Floats) -> float:
+def correlation_in_time(residual: Floats, basis: Floats, back: Ints | None = None) -> float:
     """ρ of AR(1) noise, from residuals (n, m) in the order of time after an orthonormal ``basis`` (n·m, k) was
-    projected out.
+    projected out; ``back`` as :class:`Whitening` has it.
 
     The rows must be all of a run. What projection alone does to neighbours is taken out (restricted estimate), and the
     estimate is repeated on filtered rows. Zero where it is within two standard errors of it.
     """
     n, m = residual.shape
-    rho, least = 0.0, 2.0 / np.sqrt(n * m)
+    order = Whitening(0.0, np.ones(n, dtype=np.int64), back)
+    pairs = len(residual[order.late])
+    if not pairs:
+        return 0.0
+    # what is read in turn at one place may err together: of several targets no more is known than of one
+    in_turn = 1.0 if back is None else float(back[back > 0].mean())
+    rho, least = 0.0, 2.0 * np.sqrt(in_turn / (n * m))
     for _ in range(4):
-        e = whiten(residual, rho)
-        q = basis if rho == 0.0 or not basis.shape[1] else orthonormal(whiten(basis.reshape(n, m, -1), rho))
+        e = whiten(residual, rho, back)
+        q = basis if rho == 0.0 or not basis.shape[1] else orthonormal(whiten(basis.reshape(n, m, -1), rho, back))
         flat = e.reshape(-1)
         flat = flat - q @ (q.T @ flat)
         left = flat.reshape(n, m)
@@ -230,9 +259,9 @@ def correlation_in_time(residual: Floats, basis: Floats) -> float:
         left = np.clip(left, -limit, limit)
         variance = float((left**2).sum()) / free
         qq = q.reshape(n, m, -1)
-        bias = -float((qq[1:] * qq[:-1]).sum())
-        lagged = float((left[1:] * left[:-1]).sum()) / variance - bias
-        step = lagged / ((n - 1) * m * max(free / (n * m), 0.05))
+        bias = -float((qq[order.late] * qq[order.early]).sum())
+        lagged = float((left[order.late] * left[order.early]).sum()) / variance - bias
+        step = lagged / (pairs * m * max(free / (n * m), 0.05))
         # filters in a row: their first-order terms add
         first = rho == 0.0
         rho = float(np.clip(rho + step * (1 - rho * rho), -0.95, 0.95))

@@ -113,7 +113,7 @@ def _at_the_rim(unknown: FittedRun, named: FittedRun, sigma: Floats) -> tuple[tu
     """Errors of both at the outermost poses after a fit to the others, and the p of the first being nearer."""
     outer = _outermost(named)
     rows = np.flatnonzero(named.whole & outer)
-    group = np.unique(named.data.groups[rows], return_inverse=True)[1]
+    group = np.unique(named.data.standing[rows], return_inverse=True)[1]
     if not len(rows) or group.max() + 1 < _FEWEST:
         return None, None
     inner = np.flatnonzero(named.whole & ~outer)

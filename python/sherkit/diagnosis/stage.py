@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import FitError
 from ..model.effect import Effect
-from ..types import Floats
+from ..types import Floats, Ints
 from .axis_waves import AxisWaves
 from .fitted_run import FittedRun
 from .linearised import Linearised, Whitening, correlation_in_time, last_asked, orthonormal
@@ -186,9 +186,10 @@ def stage_of(
             about = full(_periodic(view, 1.0 / period), 2 * len(view.inputs))
             candidates.append(Candidate(effect, about, period))
 
+    lag, back = _one_after_another(run.data.order, run.data.series, rows)
     if rho is None:
-        rho = _correlation(view, family)
-    filtered = Whitening(rho, _lags(run.data.order[rows]))
+        rho = _correlation(view, family, back)
+    filtered = Whitening(rho, lag, back)
     if waves is not None and thorough:
         candidates += [
             Candidate(effect, Columns(waves=numbers, exact=True), period)
@@ -247,17 +248,31 @@ def testable(run: FittedRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     return rows
 
 
-def _lags(place: NDArray[np.int64]) -> NDArray[np.int64]:
-    """How many rows of the run it is from one of these rows to the next."""
-    return np.concatenate([[1], np.maximum(np.diff(place), 1)])
+def _one_after_another(order: Ints, series: Ints, rows: Ints) -> tuple[Ints, Ints | None]:
+    """Of rows in the order of time, how many rows of the run it is from the one before, and how far up that one stands
+    here, 0 where there is none; None where it is always the next.
+
+    ``order`` and ``series`` are those of all rows of the run: rows of one series follow one another.
+    """
+    if not series.any():
+        return np.concatenate([[1], np.maximum(np.diff(order[rows]), 1)]), None
+    lag, back = np.ones(len(rows), dtype=np.int64), np.zeros(len(rows), dtype=np.int64)
+    for one in np.unique(series):
+        place = np.zeros(len(series), dtype=np.int64)
+        every = np.flatnonzero(series == one)
+        place[every] = np.argsort(np.argsort(order[every]))
+        here = np.flatnonzero(series[rows] == one)
+        back[here[1:]] = np.diff(here)
+        lag[here[1:]] = np.maximum(np.diff(place[rows[here]]), 1)
+    return lag, back
 
 
-def _correlation(view: Linearised, family: Family) -> float:
+def _correlation(view: Linearised, family: Family, back: Ints | None) -> float:
     """Correlation of the noise in time, from the beginning of a run."""
     rows = slice(0, min(len(view), _CORRELATED))
     last = view.effects[-1][1].stop if view.effects else 0
     basis = _rich_basis(view.fitted(rows), view.effects_in(rows)[:, :, :last], family, rows)
-    return correlation_in_time(view.residual[rows], basis)
+    return correlation_in_time(view.residual[rows], basis, None if back is None else back[rows])
 
 
 def _rich_basis(fitted: Floats, physical: Floats, family: Family, rows: slice) -> Floats:

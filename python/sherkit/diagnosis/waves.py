@@ -199,8 +199,9 @@ class FilteredWaves:
                     weight = now.diagonal * np.einsum("na,na->n", waves.patterns[i], waves.patterns[j])
                     add(waves.values[i], waves.values[j], weight * (1.0 if i == j else 2.0))
                 if now.rho:
-                    later = np.einsum("na,na->n", waves.patterns[i][1:], waves.patterns[j][:-1])
-                    add(waves.values[i][1:], waves.values[j][:-1], 2.0 * now.beside[1:] * later)
+                    late, early = now.late, now.early
+                    later = np.einsum("na,na->n", waves.patterns[i][late], waves.patterns[j][early])
+                    add(waves.values[i][late], waves.values[j][early], 2.0 * now.beside[late] * later)
                 pairs.append((i, j))
                 apart.append(minus)
                 together.append(plus)
@@ -211,12 +212,11 @@ class FilteredWaves:
         (b,) of the rows."""
         waves, now = self.waves, self.whitening
         of_input = 2 * len(waves.at)
-        for part, factor in now.parts(rows):
-            late = len(residual) - (part.stop - part.start)
-            order = np.argsort(codes[late:], kind="stable")
-            sorted_codes = codes[late:][order]
+        for late, part, factor in now.parts(rows):
+            order = np.argsort(codes[late], kind="stable")
+            sorted_codes = codes[late][order]
             for j, (pattern, values) in enumerate(zip(waves.patterns, waves.values, strict=True)):
-                weight = factor * np.einsum("na,na->n", pattern[part], residual[late:])
+                weight = factor * np.einsum("na,na->n", pattern[part], residual[late])
                 angle = TURN * waves.unit * (values[part] - waves.low[j])
                 wave_sums(
                     angle[order], weight[order], sorted_codes, waves.turns,
@@ -235,10 +235,9 @@ class Products:
     def add(self, rows: slice, columns: Floats) -> None:
         """These rows of the others (b, m, count)."""
         waves, now = self.filtered.waves, self.filtered.whitening
-        for part, factor in now.parts(rows):
-            late = len(columns) - (part.stop - part.start)
+        for late, part, factor in now.parts(rows):
             for pattern, values, sums in zip(waves.patterns, waves.values, self.sums, strict=True):
-                weighted = (factor[:, None] * pattern[part])[:, None, :] @ columns[late:]
+                weighted = (factor[:, None] * pattern[part])[:, None, :] @ columns[late]
                 sums.add(values[part], weighted[:, 0])
 
     def all(self) -> Floats:

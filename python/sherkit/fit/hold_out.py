@@ -29,14 +29,14 @@ class HeldOut:
 def blocks_of(data: Measurements, place: Mapping[str, Floats], folds: int = 5, seed: int = 0) -> Ints:
     """A fold (0 … folds - 1) for every row: as the rows say, else tiles of the ``place`` (n,) by name."""
     if data.block is None:
-        return deal_tiles(np.nan_to_num(np.stack(list(place.values()), axis=1)), data.groups, folds, seed)
+        return deal_tiles(np.nan_to_num(np.stack(list(place.values()), axis=1)), data.standing, folds, seed)
     names, block = np.unique(data.block, return_inverse=True)
     return _dealt(len(names), folds, seed)[block.ravel()]
 
 
 def spatial_blocks(data: Measurements, positions_mm: Floats, folds: int = 5, seed: int = 0) -> Ints:
     """A fold (0 … folds - 1) for every row; repeats of a pose and neighbours in space stay together."""
-    return deal_tiles(positions_mm, data.groups, folds, seed)
+    return deal_tiles(positions_mm, data.standing, folds, seed)
 
 
 def deal_tiles(places: Floats, groups: Ints, folds: int = 5, seed: int = 0) -> Ints:
