@@ -111,3 +111,27 @@ def test_a_function_is_not_hidden_by_the_file_it_stands_in() -> None:
 def test_built_in_robots_are_known_from_every_side(code: str) -> None:
     """Catches a file of runs or a robot that is not understood, since nobody has asked for the robots before."""
     loaded_by(code)
+
+
+def test_every_verb_says_its_help_where_nothing_extra_is_installed() -> None:
+    """Catches a verb that loads what only an extra brings: the plain wheel then has no ``sherkit --help`` at all."""
+    code = """
+import sys
+for name in ("bokeh", "jinja2", "cv2", "serial", "pyvisa", "pymeasure", "ophyd", "rosbags", "pandas", "tornado"):
+    sys.modules[name] = None
+import click
+from sherkit.cli.main import cli
+asked = [(cli, [])]
+while asked:
+    verb, words = asked.pop()
+    context = click.Context(verb, info_name=" ".join(["sherkit", *words]))
+    assert verb.get_help(context).startswith("Usage"), words
+    if isinstance(verb, click.Group):
+        asked += [(verb.get_command(context, name), [*words, name]) for name in verb.list_commands(context)]
+    context.close()
+for words in (["effects"], ["effects", "rail_lean"], ["--help"]):
+    cli.main(words, standalone_mode=False)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, encoding="utf-8")
+    assert done.returncode == 0, done.stderr[-800:]
+    assert "rail_lean" in done.stdout

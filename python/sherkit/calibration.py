@@ -11,6 +11,7 @@ import numpy as np
 from .arguments import Seed, as_annotated
 from .data import Measurements
 from .data.given import RunLike
+from .diagnosis.outliers import gross_errors_marked, warn_of_outliers
 from .diagnosis.setting import setting_for
 from .diagnosis.sizes import refuse_absurd
 from .errors import EffectError, FitError
@@ -60,6 +61,7 @@ def calibrate(
     priors: bool = False,
     linear: bool = False,
     correction: str = "auto",
+    without_outliers: bool = False,
     seed: Seed = 0,
     step: Progress = _silent,
 ) -> Result:
@@ -68,7 +70,8 @@ def calibrate(
     Robot and runs may be given by their files, runs as frames too. ``effects``, names of the catalogue or the user's
     own, are identified together with the geometry. ``correction``, for robots that have one: ``auto`` chooses it
     by blocked cross-validation (or none, where none helps); ``none`` leaves the geometry alone; ``paper`` takes the one
-    of the paper's protocol, and is refused for robots without one.
+    of the paper's protocol, and is refused for robots without one. ``without_outliers`` leaves out the rows that a
+    diagnosis lists as gross errors; else they are used, with a warning.
     ``step`` is told what is being done. Raises :class:`~sherkit.errors.FitError`, and
     :class:`~sherkit.errors.CalibrationError` for a robot whose kind has no calibration.
 
@@ -80,6 +83,7 @@ def calibrate(
     whole, local = run_for(robot, whole), None if local is None else run_for(robot, local)
     robot = robot_of(robot)
     added = named_effects(catalogue_of(robot), effects)
+    own = [effect for effect in added if effect.function is not None]
     made = calibration_class(robot)
     made.require(robot)
     if local is not None:
@@ -88,8 +92,13 @@ def calibrate(
         made.require_correction(robot)
 
     def run(data: Measurements, name: str) -> CalibrationRun:
-        step(f"identifying the {name} run")
         model = model_of(robot, free)
+        if without_outliers:
+            step(f"looking for gross errors in the {name} run")
+            # what needs a setting that is searched for is among the effects that are tried, not in this fit
+            inside = [e for e in added if e.search is None]
+            data = gross_errors_marked(identify(model, data, effects=inside), own)
+        step(f"identifying the {name} run")
         for effect in added:
             missing = lacks(effect, data)
             if missing:
@@ -98,6 +107,8 @@ def calibrate(
             model = model.with_effect(effect, at=at)
         fit = identify(model, data, loss=loss, priors=priors, linear=linear)
         refuse_absurd(fit, [effect.name for effect in added])
+        if loss == "linear" and not without_outliers:
+            warn_of_outliers(fit, own)
         step(f"holding out blocks of the {name} run")
         held = hold_out(fit.model, data, seed=seed, loss=loss).residuals
         corrected = None

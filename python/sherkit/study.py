@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from .diagnosis import Diagnosis, diagnose
 from .diagnosis.fitted_run import FittedRun
 from .diagnosis.held_out import held_out_by_reading
 from .diagnosis.setting import setting_for
-from .errors import EffectError, FitError, MeasurementError, SherkitError
+from .errors import EffectError, FitError, MeasurementError, SherkitError, SherkitWarning
 from .fit.hold_out import hold_out
 from .fit.identify import Fit, identify
 from .fit.robust import LOSSES
@@ -204,6 +205,13 @@ class Study(Shown):
         missing = lacks(chosen, self.data)
         if missing:
             raise EffectError(f"'{chosen.name}' needs the column {listed(missing)}, which these rows lack")
+        if self._diagnosis is not None and len(wild := self._diagnosis.outliers):
+            warnings.warn(
+                f"{self.data.source}: {len(wild)} {self.data.counted}s that the diagnosis lists as gross errors are in "
+                "the fits of this study: study.mark_outliers() leaves them out",
+                SherkitWarning,
+                stacklevel=3,
+            )
         at = {"time_s": slip_time_s, "period_mm": period_mm, "period_rad": period_rad}.get(chosen.search or "")
         if at is None:
             at = setting_for(self.fit, chosen)

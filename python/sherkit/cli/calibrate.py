@@ -11,9 +11,7 @@ from ..calibration import CORRECTIONS, to_json
 from ..calibration import calibrate as run_calibration
 from ..data import Measurements
 from ..diagnosis import diagnose
-from ..diagnosis.outliers import gross_errors_marked
 from ..errors import MeasurementError
-from ..fit.identify import identify
 from ..fit.robust import LOSSES
 from ..model.effect import effects_by_name
 from ..model.effect_file import load_effects
@@ -86,11 +84,6 @@ def calibrate(
         inner = run_for(for_runs, local) if local else None
         names = [name.strip() for name in free.split(",") if name.strip()]
         chosen = effects_by_name(catalogue_of(nominal), added, own)
-        if without_outliers:
-            step("looking for gross errors")
-            # what needs a setting that is searched for is among the effects that are tried, not in this fit
-            inside = [e for e in chosen if e.search is None]
-            data = gross_errors_marked(identify(nominal, data, free=names, effects=inside), own)
         result = run_calibration(
             nominal,
             data,
@@ -101,6 +94,7 @@ def calibrate(
             priors=priors,
             linear=linear,
             correction=correction,
+            without_outliers=without_outliers,
             seed=seed,
             step=step,
         )
@@ -111,7 +105,9 @@ def calibrate(
             step("diagnosing what is left")
             found = diagnose(result.whole.fit, effects=tuple(own), seed=seed, step=step)
             step("writing the report")
-            study = Study(nominal, data, effects=own, free=result.whole.fit.model.free, loss=loss, seed=seed)
+            study = Study(
+                nominal, result.whole.fit.data, effects=own, free=result.whole.fit.model.free, loss=loss, seed=seed
+            )
             for name in added:
                 study.add(name)
             sources = [robot, run, *([local] if local else []), *files]

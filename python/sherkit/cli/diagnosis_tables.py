@@ -145,9 +145,9 @@ def _next(d: Diagnosis) -> list[str]:
     if d.ties:
         return advice or ["which poses could be reached is not known of this machine, so none are proposed"]
     if d.verdict == "explained":
-        return [
-            f"add it: sherkit calibrate ROBOT RUN {' '.join(f'--effect {e}' for e in d.effects)} -o calibrated.toml"
-        ]
+        named = " ".join(f"--effect {e}" for e in d.effects)
+        without = " --without-outliers" if len(d.outliers) else ""
+        return [f"add it: sherkit calibrate ROBOT RUN {named}{without} -o calibrated.toml"]
     if d.signature is not None:
         return [
             escape(sentence(d.signature)),

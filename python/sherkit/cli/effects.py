@@ -10,12 +10,10 @@ from ..data.files import write_whole
 from ..errors import SherkitError
 from ..model.effect import Effect, effects_by_name
 from ..model.kinds import Robot, catalogue_of, known_kinds
-from ..report.card import card_page, effect_card
-from ..report.signature import signature_map
 from ..robots.machine.file import robot_at
 from ..robots.tool.effects import TOOL_CATALOGUE
 from ..robots.tool_file import KIND, is_tool
-from . import output
+from . import output, reporting
 from .demo import EXAMPLE
 
 _OF_TOOL = "the flexible tool and its camera"
@@ -51,6 +49,10 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
         effects_by_name({k: v for catalogue in catalogues.values() for k, v in catalogue.items()}, (name,))
     for kind in holders:
         _show(catalogues[kind][name], _title(kind) if len(holders) > 1 else "")
+    if picture is not None:
+        reporting.require_view()
+        from ..report.card import card_page, effect_card
+        from ..report.signature import signature_map
     if picture is not None and picture.suffix.lower() == ".html":
         cards = []
         for kind in holders:

@@ -7,11 +7,13 @@ from them; and each is judged by what the rows that are believed predict there, 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
 
 from ..data import Measurements
+from ..errors import FitError, SherkitWarning
 from ..fit.identify import Fit
 from ..fit.set_up import set_up_mistakes
 from ..model.effect import Effect
@@ -29,6 +31,8 @@ _FITS = 8
 _PAUSE = 20.0
 _WILD_VISIT = 0.5
 _FEWEST_OF_A_VISIT = 4
+#: What gross errors may add to what a fit leaves before it is said that they decide it.
+_MATTERS = 1.1
 
 
 def without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[FittedRun, Ints]:
@@ -52,10 +56,36 @@ def without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[FittedR
 def gross_errors_marked(fit: Fit, effects: Sequence[Effect] = ()) -> Measurements:
     """The rows of a fit with those marked that a diagnosis lists as gross errors; ``effects`` are tried beside the
     catalogue. Beside a mistake of the set-up every row may look wrong, and none is marked."""
-    if set_up_mistakes(fit.model, fit.data, fit.values):
-        return fit.data
+    _, wild = _seen_from(fit, effects)
+    return fit.data.mark_outliers(wild)
+
+
+def warn_of_outliers(fit: Fit, effects: Sequence[Effect] = ()) -> None:
+    """Warns where a fit is decided by rows that a diagnosis lists as gross errors."""
+    try:
+        run, wild = _seen_from(fit, effects)
+    except FitError:
+        return  # too few rows to tell
+    left = [one.per_unit * float(np.sqrt(np.mean(one.residuals[one.used] ** 2))) for one in (FittedRun(fit), run)]
+    if not len(wild) or left[0] < _MATTERS * left[1]:
+        return
+    many, data = len(wild) > 1, fit.data
+    warnings.warn(
+        f"{data.source}: {data.counted}{'s' if many else ''} {_spans(data.line[wild])} look{'' if many else 's'} wrong "
+        f"and {'are' if many else 'is'} in this fit: it leaves {left[0]:.4g} {run.unit}, without "
+        f"{'them' if many else 'it'} {left[1]:.4g}; leave out what a diagnosis lists (--without-outliers, "
+        "without_outliers=True, study.mark_outliers()), or mark the rows by a column 'outlier' = 1",
+        SherkitWarning,
+        stacklevel=4,
+    )
+
+
+def _seen_from(fit: Fit, effects: Sequence[Effect]) -> tuple[FittedRun, Ints]:
+    """As :func:`without_outliers`, from a fit."""
     run = FittedRun(fit)
-    return fit.data.mark_outliers(without_outliers(run, (*run.catalogue, *effects))[1])
+    if set_up_mistakes(fit.model, fit.data, fit.values):
+        return run, np.zeros(0, dtype=np.int64)
+    return without_outliers(run, (*run.catalogue, *effects))
 
 
 def gross_errors(run: FittedRun, effects: Sequence[Effect], rows: Ints) -> Ints:
