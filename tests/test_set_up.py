@@ -16,7 +16,7 @@ import sherkit as sk
 import worlds
 from planar_arm import KIND, PlanarArm, VirtualPlanarArm
 from planar_arm.pose_sets import fan
-from sherkit.data import columns
+from sherkit.data import Measurements, columns
 from sherkit.errors import FitError
 from sherkit.fit import Mistake, set_up_mistakes
 from sherkit.model import kinds
@@ -227,3 +227,29 @@ def test_swapped_columns_are_said_as_such_on_leaning_rails(seed: int, lean_mrad:
     said = told(replace(world, columns=world.columns | swapped))
     assert "x_mm and y_mm look swapped" in said[0].sentence
     assert "mirrored" not in said[0].sentence
+
+
+@pytest.mark.parametrize("kind", ["delta", "spherical", "serial"])
+@pytest.mark.parametrize("poses", ["a line", "a place", "everywhere"])
+def test_readings_that_were_computed_are_told_from_measured_ones(kind: str, poses: str) -> None:
+    """Catches a division by what is left where nothing is, a structure found in rounding, and a silent yes to a file of
+    commanded places."""
+    robot = kinds.known_kinds()[kind].example
+    model = model_of(robot)
+    (layout, *_), rng = model.layouts, np.random.default_rng(1)
+    middle, reach = (130.0, 3.0) if kind == "delta" else (0.1, 0.3)
+    joints = middle + rng.uniform(-reach, reach, (12, len(layout.joints)))
+    if poses == "a line":
+        joints = joints[0] + np.linspace(0, 1, 12)[:, None] * (joints[-1] - joints[0])
+    elif poses == "a place":
+        joints[:] = joints[0]
+    told = dict(zip(layout.joints, joints.T, strict=True)) | dict.fromkeys(layout.coordinates, np.arange(12.0))
+    empty = Measurements.from_columns(told, "computed.csv", layout=layout)
+    shown = model.predict(empty, np.zeros(len(model.parameters)))
+    told |= dict(zip(layout.coordinates, shown.T, strict=False))
+    data = Measurements.from_columns(told, "computed.csv", layout=layout)
+    found = sk.diagnose(robot, data)
+    assert found.effects == ()
+    assert found.verdict != "unexplained"
+    assert any("computed.csv was computed" in note for note in found.notes)
+    assert sk.calibrate(robot, data).converged

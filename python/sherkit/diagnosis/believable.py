@@ -9,14 +9,12 @@ import numpy as np
 from ..data.noise import MAD
 from ..errors import SherkitError
 from ..types import Floats, Ints
-from .fitted_run import FittedRun
+from .fitted_run import DIGITS, FittedRun
 from .linearised import orthonormal
 
 #: Residuals are cut to this many spreads.
 CUT = 1.5
 ROUNDS = 20
-#: No residual is told from zero below this part of the range of the readings.
-DIGITS = 1e-9
 
 
 def believable(run: FittedRun, rows: Ints) -> FittedRun:
@@ -40,11 +38,12 @@ def believable(run: FittedRun, rows: Ints) -> FittedRun:
     if run.fit.converged and now <= typical(drawn):
         return run
     values, best = drawn, typical(drawn)
+    floor = np.maximum(DIGITS * np.ptp(data.readings[:, axes], axis=0), 1e-12)
     for _ in range(ROUNDS):
         # the step that the bulk of the rows asks for, until it gains no more
         residual = (data.readings - model.predict(data, values))[:, axes]
         columns = model.derivatives(data, values)[:, axes]
-        step = _robust_step(residual, columns)
+        step = _robust_step(residual, columns, floor)
         while typical(values + step) > best and np.abs(step).max() > 0:
             step = 0.5 * step
             if np.abs(step).max() < 1e-9 * np.abs(values).max(initial=1e-9):
@@ -57,13 +56,13 @@ def believable(run: FittedRun, rows: Ints) -> FittedRun:
         break
     left = (data.readings - model.predict(data, values))[:, axes]
     spread = MAD * np.median(np.abs(left), axis=0)
-    far = (np.abs(left) > 10.0 * np.maximum(spread, DIGITS * np.ptp(data.readings[:, axes], axis=0))).any(axis=1)
+    far = (np.abs(left) > 10.0 * np.maximum(spread, floor)).any(axis=1)
     return run.without(rows[far])
 
 
-def _robust_step(residual: Floats, columns: Floats) -> Floats:
-    """The linear step (p,) that residuals (n, m) ask for, wild ones cut to size."""
-    spread = np.maximum(MAD * np.median(np.abs(residual), axis=0), 1e-300)
+def _robust_step(residual: Floats, columns: Floats, floor: Floats) -> Floats:
+    """The linear step (p,) that residuals (n, m) ask for, wild ones cut to size; ``floor`` (m,) is what digits do."""
+    spread = np.maximum(MAD * np.median(np.abs(residual), axis=0), floor)
     e = residual / spread
     a = (columns / spread[:, None]).reshape(e.size, -1)
     scale = np.maximum(np.linalg.norm(a, axis=0), 1e-300)

@@ -20,6 +20,9 @@ from ..types import Bools, Floats, Ints
 from .linearised import Linearised
 from .next_poses import Proposal, next_poses
 
+#: No residual is told from zero below this part of the range of the readings.
+DIGITS = 1e-9
+
 
 class FittedRun(Saved):
     """A fit on its rows.
@@ -98,6 +101,14 @@ class FittedRun(Saved):
     def owns(self, effect: Effect) -> slice:
         """Where the parameters of an effect that is in the model stand among the fitted ones."""
         return self.model.owns(effect)
+
+    @cached_property
+    def is_exact(self) -> bool:
+        """Whether what is left is nothing but rounding: readings that were computed, not measured."""
+        axes, rows = list(self.axes), self.whole
+        reach = np.ptp(self.data.readings[rows][:, axes], axis=0) if rows.any() else np.zeros(len(axes))
+        left = np.abs(self.residuals[rows][:, axes]).max(axis=0, initial=0.0)
+        return bool((left <= np.maximum(DIGITS * reach, 1e-12)).all())
 
     # -- other fits --------------------------------------------------------------------------------------
 

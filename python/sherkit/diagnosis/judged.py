@@ -16,7 +16,8 @@ import numpy as np
 
 from ..data.noise import MAD
 from ..types import Bools, Floats, Ints
-from .believable import CUT, DIGITS, ROUNDS, huber
+from .believable import CUT, ROUNDS, huber
+from .fitted_run import DIGITS
 from .linearised import BLOCK, Linearised, orthonormal
 from .shapes import Family, build
 from .tails import chi2_log_tail, chi2_tail, f_tail, normal_beyond

@@ -251,7 +251,7 @@ def correlation_in_time(residual: Floats, basis: Floats, back: Ints | None = Non
         flat = flat - q @ (q.T @ flat)
         left = flat.reshape(n, m)
         free = n * m - q.shape[1]
-        if free <= 10:
+        if free <= 10 or not left.any():
             return 0.0
         variance = float((left**2).sum()) / free
         # winsorised, so that single wild rows do not decide

@@ -42,6 +42,8 @@ def without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[FittedR
     light, and what was listed in its shadow comes back. Raises :class:`FitError` for too few rows.
     """
     rows = testable(run, np.flatnonzero(run.whole))
+    if run.is_exact:
+        return run, rows[:0]
     first, run = run, believable(run, rows)
     wild = np.flatnonzero(run.data.outlier & ~first.data.outlier)
     for _ in range(_FITS):
@@ -83,7 +85,7 @@ def warn_of_outliers(fit: Fit, effects: Sequence[Effect] = ()) -> None:
 def _seen_from(fit: Fit, effects: Sequence[Effect]) -> tuple[FittedRun, Ints]:
     """As :func:`without_outliers`, from a fit."""
     run = FittedRun(fit)
-    if set_up_mistakes(fit.model, fit.data, fit.values):
+    if run.is_exact or set_up_mistakes(fit.model, fit.data, fit.values):
         return run, np.zeros(0, dtype=np.int64)
     return without_outliers(run, (*run.catalogue, *effects))
 

@@ -79,8 +79,8 @@ def diagnose(
                 "to be in the model already belongs to identify or Study"
             )
     step("mistakes of the set-up")
-    mistakes = set_up_mistakes(fit.model, fit.data, fit.values)
     run = FittedRun(fit)
+    mistakes = () if run.is_exact else set_up_mistakes(fit.model, fit.data, fit.values)
     for effect in effects:
         run.model.check_effect(effect, run.data, fit.values)
     every = (*run.catalogue, *effects)
@@ -92,6 +92,11 @@ def diagnose(
     sigma, origin = run.noise
     rows = np.flatnonzero(run.whole)
     notes += sentences(run.data, wild)
+    if run.is_exact:
+        notes.append(
+            f"every reading is what the model says, to the last digits: {run.data.source} was computed, it seems, not "
+            "measured; give what an instrument read"
+        )
     if origin == "unknown":
         sigma = run.scatter
         notes.append(
@@ -125,7 +130,7 @@ def diagnose(
     ties = _ties(found.result)
     reports = _candidate_reports(base_stage, gains, final, found.result, found.steps)
     smallest: dict[str, tuple[float, float]] = {}
-    if verdict == "adequate":
+    if verdict == "adequate" and not final.is_exact:
         threshold = float(np.quantile(found.result.stages[0].scan.null(seed)[1:], 1 - level))
         smallest = {c.name: smallest_found(stage, c, threshold) for c in found.search.strongest_settings(stage)}
     signature = _signature(found.result, found.result.stages[-1]) if found.result.signature else None

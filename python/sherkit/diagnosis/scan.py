@@ -224,7 +224,8 @@ class Scan:
         for k, (which, columns) in self._sizes.items():
             by_model = self.by_model[columns]
             gram = self._gram(columns) - by_model @ by_model.transpose(0, 2, 1)
-            length = np.sqrt(np.maximum(self.squared[columns], 1e-300))
+            # of a column that is nothing but rounding nothing is left, whatever its length
+            length = np.sqrt(np.where(self.squared[columns] > 1e-200, self.squared[columns], 1.0))
             value, vector = np.linalg.eigh(gram / (length[:, :, None] * length[:, None, :]))
             exact = np.array([self.candidates[i].exact for i in which])
             limit = np.where(exact, _LEFT_EXACT, _LEFT) ** 2

@@ -103,8 +103,11 @@ class Search:
         self.rho, self.waves = stage.filtered.rho, stage.waves or self.waves
         return stage
 
-    def left(self, scan: Scan) -> float:
-        """Familywise p of what is left."""
+    def left(self, stage: Stage, scan: Scan | None = None) -> float:
+        """Familywise p of what is left of a run."""
+        if stage.run.is_exact:
+            return 1.0
+        scan = stage.scan if scan is None else scan
         largest = float(scan.deviates.max())
         if largest > _PLAINLY_LEFT:
             return 1.0 / FLIPS
@@ -115,7 +118,7 @@ class Search:
     def find(self) -> SearchResult:
         """Searches until nothing significant is left, or nothing explains what is."""
         stage = self.stage(self.base)
-        p = self.left(stage.scan)
+        p = self.left(stage)
         found = SearchResult([stage], p_first=p, p_left=p)
         while p <= self.level and len(found.added) + len(found.signature) < _MOST_STEPS:
             explanations, singles, nearest = self.explanations(stage)
@@ -148,7 +151,7 @@ class Search:
                 found.stages.append(stage)
             else:
                 break
-            p = self.left(stage.scan)
+            p = self.left(stage)
         found.p_left = p
         self._prune(found)
         return found
@@ -156,7 +159,7 @@ class Search:
     def as_it_stands(self) -> SearchResult:
         """Nothing is looked for."""
         stage = self.stage(self.base)
-        p = self.left(stage.scan)
+        p = self.left(stage)
         return SearchResult([stage], p_first=p, p_left=p)
 
     def simpler_shape(self, stage: Stage, explanations: Sequence[Explanation]) -> Shape | None:
@@ -176,7 +179,7 @@ class Search:
         of_pair = min(
             _bic(image.left(*at), image.count, e.candidates) for at, e in zip(places, explanations, strict=True)
         )
-        if of_shape < of_pair - _CLEARLY and self.left(given) > self.level:
+        if of_shape < of_pair - _CLEARLY and self.left(stage, given) > self.level:
             return shape
         return None
 
@@ -272,7 +275,7 @@ class Search:
             after = self.stage(run, stage.nuisance, thorough=False)
             if float(after.scan.deviates.max()) <= _PLAINLY_LEFT:
                 after = self.stage(run, stage.nuisance)
-            out.append(Explanation(members, after, self.left(after.scan)))
+            out.append(Explanation(members, after, self.left(after)))
         out.sort(key=lambda e: (not plausible(e), bic(e.stage.scan, e.candidates)))
         return out
 
@@ -324,7 +327,7 @@ class Search:
         for candidate in list(found.added[:-1]):
             rest = [c for c in found.added if c is not candidate]
             stage = self.stage(refit(self.base, rest), found.stages[-1].nuisance)
-            p = self.left(stage.scan)
+            p = self.left(stage)
             if p > self.level:
                 found.added = rest
                 found.stages.append(stage)

@@ -19,6 +19,8 @@ from .unshown import Unshown, at_rest, by_effect, waves, with_effect
 _UNOBSERVED = 1e-7
 #: An effect alone explains the readings as well as a correction does, if it leaves at most this times its variance.
 _AS_WELL = 1.5
+#: Sum of squares over the noise that is none.
+_NOTHING = 1e-200
 
 #: What coordinates miss (n, d, k) where readings miss (n, m, k), from joints (n, j) and by_joints (n, m, j).
 Carry = Callable[[Floats, Floats, Floats], Floats]
@@ -210,13 +212,15 @@ class LinearFit:
         rest = residual - scaled @ (np.linalg.pinv(normal, hermitian=True) @ along)
         squares = float(rest @ rest)
         free = int(np.count_nonzero(residual)) - used - len(size)
-        if free <= 0 or squares <= 0.0:
+        if free <= 0 or squares <= _NOTHING:
             return prior, np.inf
         shared = max(float((np.bincount(cells, rest) ** 2).sum()) / squares, 1.0)
         noise = squares / free
-        covariance = np.linalg.inv(np.eye(len(size)) + normal / (noise * shared))
-        mean = covariance @ along / (noise * shared)
-        return (covariance + np.outer(mean, mean)) * np.outer(size, size), noise
+        # by eigenvalues, as readings without noise leave next to nothing beside them
+        value, vector = np.linalg.eigh(normal)
+        inverse = (vector / (np.maximum(value, 0.0) + noise * shared)) @ vector.T
+        mean = inverse @ along
+        return (noise * shared * inverse + np.outer(mean, mean)) * np.outer(size, size), noise
 
 
 def rows_of(fit: Fit, *, one_each: bool) -> Ints:

@@ -90,7 +90,8 @@ class Search:
         left = 1.0
         while before > 0.0 and len(chosen) < _ADVISED and left > _LEFT:
             there = missed @ moment
-            inverse = np.linalg.inv(there @ missed.transpose(0, 2, 1) + noise)
+            # of readings without noise nothing is left in some directions
+            inverse = np.linalg.pinv(there @ missed.transpose(0, 2, 1) + noise, hermitian=True)
             gains = np.trace(inverse @ (there @ over @ there.transpose(0, 2, 1)), axis1=1, axis2=2)
             gains[chosen] = -np.inf  # twice at one place would tell of the noise there
             best = int(np.argmax(gains))
