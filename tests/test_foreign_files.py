@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -53,8 +54,6 @@ def test_a_refusal_proposes_the_mapping(ours: pl.DataFrame) -> None:
     said = str(caught.value)
     assert "column 'q1_mm' is missing" in said
     table = said.partition("[columns] ")[2]
-    import tomllib
-
     proposed = tomllib.loads(table.replace(", ", "\n"))
     assert proposed == FOREIGN | {"z_mm": "Z (µm)"}
     with pytest.warns(SherkitWarning, match="converted"):
@@ -196,3 +195,20 @@ def test_repeats_of_real_instruments_are_silent(ours: pl.DataFrame) -> None:
     rng = np.random.default_rng(0)
     frame = ours.with_columns(pl.col(q) + 0.02 * rng.normal(size=len(ours)) for q in ("q1_mm", "q2_mm", "q3_mm"))
     assert len(sk.from_frame(frame)) == len(ours)
+
+
+def test_all_that_is_missing_is_proposed_at_once() -> None:
+    """Catches a proposal of the joints alone, whose next refusal is of the readings, and a run in radians that is said
+    to be millimetres once converted."""
+
+    def refused(*names: str) -> str:
+        with pytest.raises(MeasurementError) as caught:
+            sk.from_frame({name: [1.0, 2.0] for name in names})
+        return str(caught.value)
+
+    said = refused("t", "Enc1 [mm]", "Enc2 [mm]", "Enc3 [mm]", "laser x", "laser y", "laser z", "hum")
+    table = tomllib.loads("[columns]\n" + said.partition("[columns] ")[2].replace(", ", "\n"))["columns"]
+    joints = {f"q{k}_mm": f"Enc{k} [mm]" for k in (1, 2, 3)}
+    assert table == {**joints, "x_mm": "laser x", "y_mm": "laser y", "z_mm": "laser z", "time_s": "t"}
+    assert "those without a unit in ours" in said
+    assert "is this the run of another robot?" in refused("q1_rad", "q2_rad", "q3_rad", "x_mm", "y_mm", "z_mm")

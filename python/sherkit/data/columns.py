@@ -176,13 +176,15 @@ def check_columns(names: list[str], where: str) -> Layout:
 
 def _missing(name: str, names: list[str], where: str, what: str, layout: Layout) -> str:
     stem = name.rsplit("_", 1)[0]
-    for units, meant in ((_UNITS, "millimetres"), (_ANGLES, "radians")):
+    for own, units, meant in (("_mm", _UNITS, "millimetres"), ("_rad", _ANGLES, "radians")):
         for unit in units:
-            if stem + unit in names:
-                return (
-                    f"{where}: column '{name}' is missing ({what}); the file has '{stem + unit}': "
-                    f"convert it to {meant} and name it '{name}'"
-                )
+            if stem + unit not in names:
+                continue
+            there = f"{where}: column '{name}' is missing ({what}); the file has '{stem + unit}'"
+            if name.endswith(own):
+                return f"{there}: convert it to {meant} and name it '{name}'"
+            if name.endswith(("_mm", "_rad")):
+                return f"{there}, which is no such thing: is this the run of another robot?"
     unknown = [n for n in names if n not in layout.known]
     typed = closest(name, unknown)
     hint = f"; is '{typed}' meant to be it?" if typed else f"; the file has {listed(names, 12)}"

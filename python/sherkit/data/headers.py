@@ -12,7 +12,7 @@ import polars as pl
 
 from ..errors import MeasurementError, SherkitWarning
 from ..names import closest, listed
-from .columns import Layout, bare, known_layouts, unit_in
+from .columns import TIME, Layout, bare, known_layouts, unit_in
 
 #: Names of columns by ours: ``{"q1_mm": "Enc1 [mm]"}``.
 Columns = Mapping[str, str]
@@ -27,6 +27,8 @@ _UNITS: tuple[dict[str, float], ...] = (
     {"c": 1.0},
     {"N": 1e3, "mN": 1.0},
 )
+#: What people call the time, in small letters.
+_TIMES = ("t", "time", "timestamp", "zeit", "temps", "tempo")
 _SPELT = {"µm": "um", "μm": "um", "micron": "um", "inch": "in", "°": "deg", "degree": "deg", "degrees": "deg",
           "µrad": "urad", "μrad": "urad", "sec": "s", "µs": "us", "pixel": "px", "pixels": "px", "°C": "c", "C": "c",
           "degC": "c"}  # fmt: skip
@@ -87,11 +89,15 @@ def proposal(names: Sequence[str]) -> str:
         meant = _matched(names, layout)
         return len(meant) + sum(name in names for name in (*layout.joints, *layout.readings)), -len(meant)
 
-    found = _matched(names, max(known_layouts(), key=named))
+    nearest = max(known_layouts(), key=named)
+    found, likely = _matched(names, nearest), _likely(names, nearest)
     if not found:
         return ""
+    found |= {ours: theirs for ours, theirs in likely.items() if ours not in found and theirs not in found.values()}
     said = ", ".join(f"{ours} = {_quoted(theirs)}" for ours, theirs in found.items())
-    return f"; if these are meant, say so in the robot file or to read_measurements: [columns] {said}"
+    bare_ones = [theirs for theirs in found.values() if not stated(theirs)[1]]
+    unit = ", those without a unit in ours" if bare_ones else ""
+    return f"; if these are meant{unit}, say so in the robot file or to read_measurements: [columns] {said}"
 
 
 def refuse_unmapped(names: Sequence[str], layout: Layout, source: str) -> None:
@@ -120,6 +126,24 @@ def _matched(names: Sequence[str], layout: Layout) -> dict[str, str]:
     fitting = [w for w in rows if all(_fits(w[k], ours) for k, ours in wanted.items())]
     if len(fitting) == 1:
         out = {ours: fitting[0][k] for k, ours in wanted.items()} | out
+    return out
+
+
+def _likely(names: Sequence[str], layout: Layout) -> dict[str, str]:
+    """Readings and the time by columns that have their letter behind the same word, stating a fitting unit or none."""
+    letters = {bare(ours): ours for ours in layout.readings if len(bare(ours)) == 1}
+    words: dict[str, dict[str, str]] = {}
+    out: dict[str, str] = {}
+    for name in (n for n in names if n not in layout.known):
+        stem, unit = stated(name)
+        last = re.fullmatch(r"(.*?)[\s_-]*([a-z])", stem, re.IGNORECASE)
+        if last and last[2].lower() in letters and (not unit or _fits(name, letters[last[2].lower()])):
+            words.setdefault(last[1].lower(), {})[last[2].lower()] = name
+        if stem.lower() in _TIMES and (not unit or _fits(name, TIME)) and TIME not in names:
+            out.setdefault(TIME, name)
+    rows = [w for w in words.values() if w.keys() == letters.keys()]
+    if len(rows) == 1:
+        out = {letters[letter]: name for letter, name in rows[0].items()} | out
     return out
 
 

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+#: The claim of which the first line speaks though nothing is decided by it.
+AS_DRAWN = "as_drawn"
 #: Reasons that the first line gives; the claims have all.
 _MOST = 2
 
@@ -65,6 +67,7 @@ def headline(claims: Sequence[Claim], effects: Sequence[str], not_needed: Sequen
         line = f"{verdict}: {named or 'no effect added'}"
         if failing:
             line += "; " + "; ".join(failing[:_MOST])
+    line += "".join(f"; but {claim.fails}" for claim in claims if claim.name == AS_DRAWN and claim.holds is False)
     if not_needed:
         verb = "is" if len(not_needed) == 1 else "are"
         line += f"; but {' and '.join(not_needed)}, in the model already, {verb} not needed"

@@ -9,13 +9,13 @@ import numpy as np
 from ..fit.set_up import Mistake
 from ..names import listed
 from ..types import Floats, Ints
-from .claims import Claim
+from .claims import AS_DRAWN, Claim
 from .earned import Earned
 from .fitted_run import FittedRun
 from .lack_of_fit import LackOfFit
 from .named import Named
 from .one_unknown import OneUnknown
-from .sizes import ABSURD, largest, sizes_of
+from .sizes import ABSURD, PLAUSIBLE, largest, sizes_of
 
 #: Held-out error over noise up to which what is left is as small as the noise.
 PRAISE = 1.25
@@ -42,7 +42,8 @@ def claims_of(
     ``mistakes`` those of the set-up.
     """
     unit, used = final.unit, f"all {int(final.whole.sum())} rows that are used"
-    out = [_set_up(mistakes, final), _converged(final, used), _plausible(final, used), _gross(final, wild)]
+    out = [_set_up(mistakes, final), _converged(final, used), _plausible(final, used)]
+    out += [_as_drawn(final, used), _gross(final, wild)]
     p = found.result.p_left if not found.result.signature else found.result.p_first
     out.append(
         Claim(
@@ -93,7 +94,7 @@ def _fall(one: Earned, unit: str) -> str:
 
 
 def _set_up(mistakes: Sequence[Mistake], final: FittedRun) -> Claim:
-    tested = "nothing is mistaken in the columns, their units and the robot file"
+    tested = "no usual mistake is in the columns, their units and the robot file"
     told = "; ".join(m.sentence for m in mistakes) or "no usual mistake would make it better"
     return Claim("set_up", tested, f"all {len(final.data)} rows", told, holds=not mistakes, fails=told)
 
@@ -117,6 +118,22 @@ def _plausible(final: FittedRun, used: str) -> Claim:
     return Claim(
         "plausible", tested, used, f"the largest is {told}", holds=bool(sizes[worst] <= ABSURD),
         fails=f"{told}: that is absurd",
+    )  # fmt: skip
+
+
+def _as_drawn(final: FittedRun, used: str) -> Claim:
+    tested = "the robot is as near to its drawing as robots are"
+    own = np.ones(len(final.fit.values), dtype=bool)
+    for effect in final.model.effects:
+        own[final.owns(effect)] = False
+    if not own.any():
+        return Claim(AS_DRAWN, tested, used, "nothing of the drawing is free", holds=None, decisive=False)
+    sizes = np.where(own, sizes_of(final.fit), 0.0)
+    told, far = largest(final.fit, int(np.argmax(sizes))), int((sizes > PLAUSIBLE).sum())
+    more = f" (and {far - 1} more)" if far > 1 else ""
+    return Claim(
+        AS_DRAWN, tested, used, f"farthest is {told}{more}", holds=far == 0, decisive=False,
+        fails=f"{told}{more}: is the robot file that of this robot?",
     )  # fmt: skip
 
 
