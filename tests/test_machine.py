@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -24,6 +25,7 @@ from sherkit.errors import FitError, RobotError
 from sherkit.model.effect_file import load_effects
 from sherkit.robots.machine.derivative import steps_for
 from sherkit.robots.machine.file import load_machine
+from sherkit.types import Floats
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "machines"
 FILES = sorted(EXAMPLES.glob("*.py"))
@@ -418,3 +420,26 @@ def test_parameters_reach_the_function_by_name() -> None:
     machine = made(forward, parameters={"a": ("mm", 0.1), "b": ("rad", 1e-3)})
     shown = machine.asked(np.array([[10.0, 20.0]]), np.array([0.5, 0.25]))
     assert shown == pytest.approx(np.array([[15.5, 20.5]]))
+
+
+def test_the_names_of_a_file_are_given_to_the_machine(tmp_path: Path) -> None:
+    """Catches a machine whose owner must write the header of every run anew, and a refusal that speaks of another's
+    joints alone."""
+
+    def forward(q: Floats, p: Any) -> Floats:
+        return np.stack([q[:, 0] + p.squareness * q[:, 1], q[:, 1]], axis=1)
+
+    rng = np.random.default_rng(3)
+    q = rng.uniform(-50, 50, (40, 2))
+    read = np.stack([q[:, 0] + 2e-3 * q[:, 1], q[:, 1]], axis=1) + rng.normal(0, 0.001, q.shape)
+    path = tmp_path / "run.csv"
+    pl.DataFrame({"X cmd": q[:, 0], "Y cmd": q[:, 1], "X ball": read[:, 0], "Y ball": read[:, 1]}).write_csv(path)
+    about: dict[str, Any] = {"joints": ("x_axis_mm", "y_axis_mm"), "readings": ("x_mm", "y_mm")}
+    about["parameters"] = {"squareness": ("rad", 1e-3)}
+    with pytest.raises(sk.SherkitError, match=r"bare has the joints x_axis_mm, y_axis_mm .*columns=.ours"):
+        sk.identify(sk.Machine(forward, **about, name="bare"), path)
+    names = {"x_axis_mm": "X cmd", "y_axis_mm": "Y cmd", "x_mm": "X ball", "y_mm": "Y ball"}
+    fit = sk.identify(sk.Machine(forward, **about, name="named", columns=names), path)
+    assert fit.by_name["squareness"] == pytest.approx(2e-3, abs=2e-5)
+    with pytest.raises(sk.SherkitError, match="columns: expected names"):
+        sk.Machine(forward, **about, name="wrong", columns=3)

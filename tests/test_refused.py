@@ -16,7 +16,7 @@ import sherkit as sk
 from laboratories import experiment, laboratory, spherical_laboratory
 from mutations import at_most
 from sherkit.cli.demo import EXAMPLE
-from sherkit.errors import CalibrationError, ExperimentError
+from sherkit.errors import CalibrationError, ExperimentError, SherkitError
 from sherkit.lab.experiment import RunFile, load_experiment
 from sherkit.lab.laboratory import RunningLaboratory, load_laboratory
 from sherkit.robots.delta.poses import grid
@@ -155,3 +155,30 @@ def test_a_run_in_time_that_lacks_an_axis_is_diagnosed(lacking: list[str], tmp_p
     code, out, err = run(["diagnose", str(tmp_path / "robot.toml"), str(tmp_path / "run.csv")])
     assert (code, err) == (0, ""), err
     assert out
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("run.csv", "q1_mm,x_mm\n1,2\n", "a run comes after the robot"),
+        ("printer.cfg", "[printer]\nkinematics: delta\n", "for sherkit printer"),
+        ("arm.urdf", "<robot/>", "sherkit import urdf"),
+    ],
+)
+def test_a_file_in_the_place_of_another_is_told_where_it_belongs(
+    name: str, text: str, says: str, tmp_path: Path
+) -> None:
+    """Catches 'is not valid TOML' for what is a good file of another command."""
+    (tmp_path / name).write_text(text)
+    with pytest.raises(SherkitError, match=says):
+        sk.load_robot(tmp_path / name)
+
+
+def test_recordings_in_the_place_of_a_run_are_told_who_reads_them(tmp_path: Path) -> None:
+    """Catches a bag that is 'a folder', and bluesky's documents that are a table with a thousand columns."""
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "bag_0.db3").write_bytes(b"")
+    (tmp_path / "documents.jsonl").write_text('["start", {"uid": "1"}]\n')
+    for name, says in (("bag", "sk.from_rosbag"), ("documents.jsonl", "sk.from_bluesky")):
+        with pytest.raises(SherkitError, match=says):
+            sk.read_measurements(tmp_path / name)

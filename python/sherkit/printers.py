@@ -125,7 +125,10 @@ class Examined:
         turned = [f"{t:g}°" for t in turns(data) if t]
         plate = f", the plate turned by {' and '.join(turned)} in part of them" if turned else ""
         names = ", ".join(robot.probings) or "callipers"
-        return f"{len(data) - count} heights{lengths} ({names}){plate}."
+        still = ""
+        if len(robot.probings) > 1 and not turned:
+            still = " All are taken with the plate lying the same way; if it was turned under one: --plate NAME=60."
+        return f"{len(data) - count} heights{lengths} ({names}){plate}.{still}"
 
     def _wrong(self) -> list[str]:
         out = []
@@ -182,7 +185,8 @@ class Examined:
     def _sure(self) -> list[str]:
         p = self.chance
         if not self.suspects:
-            return [f"A perfect machine would leave as much of a pattern in {_of(p)}."]
+            what = "Apart from these numbers, a" if self.better_numbers else "A"
+            return [f"{what} perfect machine would leave as much of a pattern in {_of(p)}."]
         out = [f"A perfect machine on a flat plate would leave such a pattern in {_of(p)}."]
         if self.tied:
             out.append("Which of them it is these heights cannot tell: all of them leave the same on the plate.")

@@ -53,7 +53,12 @@ def checked(path: str | Path) -> Path:
     """The path of a file that exists. Raises :class:`~sherkit.errors.MeasurementError`."""
     path = Path(path)
     if path.is_dir():
-        raise MeasurementError(f"{path}: is a folder, expected a CSV or Parquet file")
+        bag = (
+            "; it looks like a ROS 2 bag, which sk.from_rosbag reads"
+            if any(path.glob("*.db3")) or any(path.glob("*.mcap"))
+            else ""
+        )
+        raise MeasurementError(f"{path}: is a folder, expected a CSV or Parquet file{bag}")
     if not path.exists():
         raise MeasurementError(f"{path}: there is no such file")
     if not path.is_file():
@@ -66,6 +71,10 @@ def checked(path: str | Path) -> Path:
     if head == _RUN_FILE:
         hint = f"sherkit export {path.name} -o run.csv makes a table of it"
         raise MeasurementError(f"{path}: is the run file of an experiment; {hint}")
+    if head.lstrip()[:1] in (b"[", b"{"):
+        raise MeasurementError(
+            f"{path}: is JSON, expected CSV or Parquet; bluesky's documents are read by sk.from_bluesky"
+        )
     return path
 
 

@@ -27,6 +27,8 @@ _LONGEST = 100
 def read_toml(path: str | Path, what: str, error: type[SherkitError] = RobotError) -> dict[str, Any]:
     """The tables of a TOML file; ``what`` it should be, for messages. Raises ``error`` where it cannot be read."""
     path = Path(path)
+    if other := _OTHER.get(path.suffix.lower()):
+        raise error(f"{path}: expected a {what} TOML file; {other}")
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
@@ -45,6 +47,14 @@ def read_toml(path: str | Path, what: str, error: type[SherkitError] = RobotErro
         raise error(f"{str(path)!r} is no name of a {what} file") from None
 
 
+#: What stands in the place of a TOML file by its ending, and where it belongs.
+_OTHER = {
+    ".csv": "a run comes after the robot: sherkit diagnose ROBOT RUN",
+    ".parquet": "a run comes after the robot: sherkit diagnose ROBOT RUN",
+    ".cfg": "that of a printer is for sherkit printer",
+    ".urdf": "sherkit import urdf makes one of it",
+    ".xacro": "let the xacro write its URDF, then sherkit import urdf",
+}
 #: A JSON schema, as far as editors need one.
 Schema = dict[str, Any]
 _NUMBER: Schema = {"type": "number"}

@@ -15,7 +15,8 @@ from ..data.files import write_whole
 from ..data.given import RunLike, run_of
 from ..data.headers import Columns
 from ..data.toml import Table, read_toml
-from ..errors import RobotError, SherkitWarning
+from ..errors import MeasurementError, RobotError, SherkitWarning
+from ..names import listed
 from .kinds import Robot, kind_of, robot_from_tables
 
 #: The table of a robot file that is about its runs, not about the robot.
@@ -50,15 +51,26 @@ def load_robot(path: str | os.PathLike[str]) -> Robot:
 
 
 def run_for(robot: object, data: RunLike, columns: Columns | None = None) -> Measurements:
-    """A run of this robot: where both are files, under the names that the table ``[columns]`` of the robot's gives.
+    """A run of this robot: where both are files, under the names that the table ``[columns]`` of the robot's gives, or
+    those that a machine brings.
 
     Raises as :func:`load_robot` and :func:`~sherkit.data.read_measurements`.
     """
     if columns is None and isinstance(robot, str | os.PathLike) and isinstance(data, str | os.PathLike):
         columns = columns_of(robot)
-    run = run_of(data, columns)
     own = getattr(robot, "brings", None)
-    return run if own is None else run.read_as(own.layout)
+    if own is None:
+        return run_of(data, columns)
+    given = getattr(robot, "columns", None)
+    try:
+        return run_of(data, columns or given or None).read_as(own.layout)
+    except MeasurementError as error:
+        if given is None or columns or given or not isinstance(data, str | os.PathLike):
+            raise
+        names = f"the joints {listed(own.layout.joints)} and the readings {listed(own.layout.readings)}"
+        raise MeasurementError(
+            f"{error} ({own.name} has {names}; for a file with other names: sk.Machine(…, columns={{ours: theirs}}))"
+        ) from None
 
 
 def columns_of(path: str | os.PathLike[str]) -> Columns:

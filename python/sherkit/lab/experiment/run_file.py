@@ -327,7 +327,8 @@ def export_run(source: str | Path, destination: str | Path) -> int:
     """
     destination = Path(destination)
     if destination.suffix.lower() not in (".csv", *PARQUET) and not is_output(destination):
-        raise ExperimentError(f"{destination}: expected a name that ends in .csv or .parquet")
+        header = "; a calibration becomes a C header by sherkit export c" if destination.suffix.lower() == ".h" else ""
+        raise ExperimentError(f"{destination}: expected a name that ends in .csv or .parquet{header}")
     with RunFile.open(source) as run:
         frame = run.frame()
     if not len(frame):

@@ -48,6 +48,7 @@ class Described(Saved, Shown):
     parameters: Parameters
     derivative: Derivative | None = None
     name: str = ""
+    columns: Mapping[str, str] = field(default_factory=dict)
     kind: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -71,6 +72,8 @@ class Described(Saved, Shown):
                 raise RobotError(
                     f"parameter '{parameter}': expected a name for Python code, with unit and plausible size"
                 )
+        if not isinstance(self.columns, Mapping) or not all(isinstance(one, str) for one in self.columns.values()):
+            raise RobotError(f"columns: expected names of the file by those of the machine, got {self.columns!r}")
         if (self.box[:, 0] >= self.box[:, 1]).any() or not np.isfinite(self.box).all():
             raise RobotError(f"joints: expected a range with its lower end first for each, got {self.joints}")
 

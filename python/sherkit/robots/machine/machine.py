@@ -23,7 +23,8 @@ class Machine(Described):
     range over which each goes: where not, ±100 mm or ±1 rad are taken. ``parameters`` map names to unit and plausible
     size. ``derivative(joints, p)``, if given, is that of the readings by the parameters (n, m, p); left out, complex
     steps are taken where the function allows them, else differences. ``name`` is what the machine is called, by default
-    the file in which the function stands.
+    the file in which the function stands. ``columns`` gives the names that its runs have by those of the machine,
+    ``{"x_axis_mm": "X cmd"}``, where they are others (:func:`~sherkit.data.read_measurements`).
 
     Errors of joints, readings, time and temperature (:mod:`~sherkit.robots.machine.effects`) need not be described: a
     diagnosis tries them by itself.
@@ -56,9 +57,10 @@ class Machine(Described):
 
 def _known(*given: Any) -> Machine:
     described = tuple(carried(one) for one in given)
-    held = known_kinds().get(described[-1])
+    own = [one.name for one in fields(Machine) if one.init]
+    held = known_kinds().get(described[own.index("name")])
     if held is not None and isinstance(held.robot, Machine):
-        same = tuple(getattr(held.robot, one.name) for one in fields(held.robot) if one.init)
+        same = tuple(getattr(held.robot, name) for name in own)
         if same == described:
             return held.robot
     return Machine(*described)
