@@ -253,3 +253,16 @@ def test_readings_that_were_computed_are_told_from_measured_ones(kind: str, pose
     assert found.verdict != "unexplained"
     assert any("computed.csv was computed" in note for note in found.notes)
     assert sk.calibrate(robot, data).converged
+
+
+def test_a_robot_far_from_its_drawing_is_said_in_the_first_line() -> None:
+    """Catches a drawing with rods 14 mm too long that identification swallows without a word: everything fits, and
+    whoever deploys it has the file of another robot."""
+    robot = kinds.known_kinds()["delta"].example
+    data = sk.delta.VirtualDelta.draw(robot, 1).measure(sk.delta.paper_whole()[::6], repeats=2, seed=1)
+    wrong = replace(robot, rod_length_mm=tuple(length + 14.0 for length in robot.rod_length_mm))
+    right, found = (sk.diagnose(one, data) for one in (robot, wrong))
+    assert right.verdict == found.verdict == "adequate"
+    assert "drawing" not in right.headline and "is usual" not in right.headline
+    assert "mm where 2 is usual" in found.headline
+    assert "is the robot file that of this robot?" in found.headline

@@ -357,7 +357,8 @@ class Table:
             or not all(_is_number(v) for v in value)
             or (positive and min(value) <= 0)
         ):
-            raise self.fail(key, kind)
+            each = f", one for each, such as [{', '.join([f'{value:g}'] * count)}]" if _is_number(value) else ""
+            raise self.fail(key, kind + each)
         return tuple(float(v) for v in value)
 
 
