@@ -217,10 +217,10 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
         let last = self.count.min(JOINTS);
         let end = solved.grown[last];
         if let Some(at) = wanted.wants(at.link_growth) {
-            let reach = solved.places.iter().map(|place| place.reach).take(last);
             let held = self.targets.get(solved.target).unwrap_or(&self.targets[0]);
-            let reach = reach.chain([Self::flange(solved) * held]);
-            for (i, reach) in reach.enumerate() {
+            for i in 0..=last {
+                let place = solved.places.get(i).filter(|_| i < last);
+                let reach = place.map_or_else(|| Self::flange(solved) * held, |p| p.reach);
                 d.set_column(at.start + i, &(by_point * reach * solved.warmer));
             }
         }
@@ -242,7 +242,8 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
         let mut give_way = |(load, by): Carried, column: Option<Place>, gives: &[f64; JOINTS]| {
             for i in 0..last {
                 let by_joint = rigid.column(i);
-                if let Some(at) = column {
+                // no column beyond them, so that no index can be proved wrong
+                if let Some(at) = column.filter(|at| at.start + i < PARAMETERS) {
                     d.set_column(at.start + i, &(by_joint * load[i]));
                 }
                 // what is not known does nothing where nothing gives way
