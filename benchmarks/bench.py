@@ -27,6 +27,7 @@ def run(chosen: list[str], rows: int | None, rounds: int) -> str:
     """The parts in order, in so many rounds at most, and their table."""
     # first, and alone: it starts the launcher, which must be small
     from timing import Bench, table_of  # isort: skip
+    import arm
     import diagnosing
     import fitting
     import kinematics
@@ -38,6 +39,7 @@ def run(chosen: list[str], rows: int | None, rounds: int) -> str:
         "identification": fitting.identification, "study": fitting.study, "bernstein": fitting.bernstein,
         "streaming": fitting.streaming, "diagnosis": diagnosing.diagnosis, "growth": diagnosing.growth,
         "starting": starting.starting, "tables": starting.tables, "filter": tool.tip_filter, "loop": tool.control_loop,
+        "arms": arm.arms,
     }  # fmt: skip
     bench = Bench(rounds)
     for name in chosen or parts:

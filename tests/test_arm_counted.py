@@ -24,7 +24,7 @@ from sherkit.model.kinds import model_of
 from sherkit.robots.serial import Serial, VirtualSerial, postures
 from sherkit.robots.serial.dh import import_dh
 from sherkit.types import Floats
-from test_serial import EFFECTS, NOISE_MM, PLAIN, UR5, hidden_at, simulated
+from test_serial import EFFECTS, NOISE_MM, PLAIN, UR5, hidden_at, payloads, simulated
 
 COUNT = int(os.environ.get("SHERKIT_COUNT", "1"))
 RATIOS = (1, 2, 5)
@@ -178,8 +178,9 @@ def enough_alone(arm: Serial, hidden: dict[str, Any], seed: int) -> set[str]:
     """
     virtual = replace(VirtualSerial.simulated(arm, seed, 1.0, PLAIN), noise_mm=0.0)
     poses = postures(arm, ROWS, 0.9, seed)
-    with_it = virtual.with_hidden(**hidden).measure(poses, seed=seed + 5)
-    planted = (with_it.readings - virtual.measure(poses, seed=seed + 5).readings).ravel()
+    hung = payloads(ROWS, seed)
+    with_it = virtual.with_hidden(**hidden).measure(poses, seed=seed + 5, payload_kg=hung)
+    planted = (with_it.readings - virtual.measure(poses, seed=seed + 5, payload_kg=hung).readings).ravel()
     model, out = model_of(arm), set()
     assert with_it.time_s is not None
     for name in EFFECTS:

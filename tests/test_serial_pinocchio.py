@@ -124,3 +124,31 @@ def test_what_joints_carry_is_what_pinocchio_says(name: str) -> None:
         ]
         seen = np.linalg.norm(by_joints[:, :, i], axis=1) > 1e-6
         np.testing.assert_allclose(carried[seen, i] * most, np.array(expected)[seen], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_what_a_payload_puts_on_joints_is_what_pinocchio_says(name: str) -> None:
+    """Catches a payload that hangs elsewhere than at the target, kilogrammes for newtons, a moment in N mm."""
+    path = urdf(name)
+    plain, loaded = (pin.buildModelFromUrdf(str(path)) for _ in range(2))
+    arm, names, tip = next(chains(path, ARMS[name]))
+    frame = loaded.frames[loaded.getFrameId(tip, pin.FrameType.BODY)]
+    weight = pin.Inertia(3.0, np.zeros(3), np.zeros((3, 3)))
+    loaded.appendBodyToJoint(frame.parentJoint, weight, frame.placement)
+    core, joints = arm.core(), np.random.default_rng(2).uniform(arm.ranges[0], arm.ranges[1], (20, len(names)))
+    every = [(row["name"], p["name"]) for row in core.CATALOGUE for p in row["parameters"]]
+    gives = [k for k, (effect, _) in enumerate(every) if effect == "payload_compliance"][: len(names)]
+    known = np.tile([np.nan, np.nan, *np.zeros(2 * len(names)), 1.0, 3.0], (len(joints), 1))
+    moved, by_joints, _, _ = core.derivatives(np.zeros(len(every)), (joints, None, known, None), gives)
+    carried = (moved * by_joints).sum(axis=1) / np.maximum((by_joints**2).sum(axis=1), 1e-300)
+    sides = [
+        [
+            pin.computeGeneralizedGravity(model, model.createData(), configured(model, arm, names, q))
+            [[model.joints[model.getJointId(one)].idx_v for one in names]]
+            for q in joints
+        ]
+        for model in (plain, loaded)
+    ]  # fmt: skip
+    expected = (np.array(sides[0]) - np.array(sides[1])) * 9.80665 / _G
+    seen = np.linalg.norm(by_joints, axis=1) > 1e-6
+    np.testing.assert_allclose(carried[seen], expected[seen], atol=1e-8)

@@ -27,6 +27,7 @@ class Layout:
     unit of the file has ``per_unit``. ``velocities`` are covariates by joint; ``apart`` are columns of numbers by which
     readings at one pose are no repeats of each other, as those of several targets. ``from_fixed``: the other end of a
     distance is no pose but a fixed place, which ``to_joints`` names by its number.
+    ``loads`` are covariates that are zero for a robot that carries nothing.
     ``joints_tell_pose``: rows with the same joint readings stand at the same pose. ``follows``: readings move with the
     joints; heights above a plate that is probed do not, and how little they vary says nothing of a mistake.
     """
@@ -42,6 +43,7 @@ class Layout:
     follows: bool = True
     apart: tuple[str, ...] = ()
     from_fixed: bool = False
+    loads: tuple[str, ...] = ()
 
     @cached_property
     def readings(self) -> tuple[str, ...]:

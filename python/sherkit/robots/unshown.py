@@ -130,11 +130,12 @@ def at_rest(
     model: ChainModel, values: Floats, readings: tuple[str, ...], joints: Floats, now: Floats
 ) -> tuple[Floats, Floats, Bools]:
     """Derivatives of ``readings`` (columns) by the identified values (n, m, p) and by the joints (n, m, j), and which
-    rows can be read, of a robot that stands at ``joints`` (n, j); ``now`` (n, 2 + j) is time, temperature, directions.
+    rows can be read, of a robot that stands at ``joints`` (n, j) and carries nothing; ``now`` (n, 2 + j) is time,
+    temperature, directions.
     """
     layout = next((one for one in model.layouts if one.coordinates == readings), model.layouts[0])
     columns = dict(zip((TIME, TEMPERATURE, *layout.directions), now.T, strict=True))
-    columns |= {name: np.zeros(len(joints)) for name in layout.velocities}
+    columns |= {name: np.zeros(len(joints)) for name in (*layout.velocities, *layout.loads)}
     rows = Measurements.planned(joints, layout, **columns)
     found, by_joints, _, read = model.core_for(rows).derivatives(model.full(values), model.block(rows), model.indices)
     m = rows.coordinates

@@ -247,6 +247,8 @@ typedef struct sherkit_serial_covariates {
     double temperature_c;
     // Direction of the last motion of each joint, 1, -1 or 0; those beyond its joints are not looked at.
     double direction[9];
+    // What hangs at its first target besides its own weight, kg.
+    double payload_kg;
 } sherkit_serial_covariates;
 
 // A calibrated spherical robot. Its content is nobody's business.

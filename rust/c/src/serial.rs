@@ -32,6 +32,8 @@ pub struct sherkit_serial_covariates {
     pub temperature_c: f64,
     /// Direction of the last motion of each joint, 1, -1 or 0; those beyond its joints are not looked at.
     pub direction: [f64; 9],
+    /// What hangs at its first target besides its own weight, kg.
+    pub payload_kg: f64,
 }
 
 impl From<sherkit_serial_covariates> for Covariates {
@@ -40,6 +42,7 @@ impl From<sherkit_serial_covariates> for Covariates {
             time_s: c.time_s,
             temperature_c: c.temperature_c,
             direction: c.direction,
+            payload_kg: c.payload_kg,
             ..Self::NONE
         }
     }

@@ -157,6 +157,7 @@ fn an_arm_comes_back_to_the_last_bit() {
     let now = serial::Covariates {
         time_s: 3.0,
         temperature_c: 21.0,
+        payload_kg: 3.0,
         direction: [1.0; JOINTS],
         velocity: [0.0; JOINTS],
     };
@@ -205,6 +206,7 @@ fn a_spherical_robot_comes_back_to_the_last_bit() {
     let now = spherical::Covariates {
         time_s: 3.0,
         temperature_c: 21.0,
+        payload_kg: 3.0,
         direction: [1.0, -1.0],
         velocity: [0.0; 2],
     };

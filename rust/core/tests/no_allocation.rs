@@ -321,6 +321,7 @@ fn the_spherical_robot_allocates_nothing() {
     let now = spherical::Covariates {
         time_s: 0.0,
         temperature_c: 20.0,
+        payload_kg: f64::NAN,
         direction: [1.0, -1.0],
         velocity: [0.1, 0.2],
     };

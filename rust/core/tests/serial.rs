@@ -71,6 +71,7 @@ fn row() -> Row<JOINTS> {
         covariates: Covariates {
             time_s: 700.0,
             temperature_c: 23.0,
+            payload_kg: 4.0,
             direction: [1.0, -1.0, 1.0, 1.0, -1.0, 0.0, 0.0, 0.0, 0.0],
             velocity: [0.1, 0.2, -0.3, 20.0, 0.5, 0.0, 0.0, 0.0, 0.0],
         },

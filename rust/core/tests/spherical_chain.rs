@@ -74,6 +74,7 @@ fn row(joints: [f64; 2]) -> Row {
         covariates: Covariates {
             time_s: 5000.0,
             temperature_c: 24.0,
+            payload_kg: f64::NAN,
             direction: [1.0, -1.0],
             velocity: [0.3, -0.7],
         },

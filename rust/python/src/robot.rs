@@ -101,8 +101,9 @@ pub fn rows_of_first<const J: usize>(
     let joints = table("joints", &block.0, n, k)?;
     let to = optional("to_joints", block.1.as_ref(), n, wide)?;
     let given = block.2.as_ref().and_then(|c| c.shape().last().copied());
+    // an arm's rows end with target and payload
     let known = given
-        .filter(|width| [2 + k, 3 + 2 * k].contains(width))
+        .filter(|width| [2 + k, 4 + 2 * k].contains(width))
         .unwrap_or(2 + 2 * k);
     // numbers are counted from one
     let counted = |number: f64| (0..MOST).find(|k| (k + 1) as f64 == number).unwrap_or(0);
@@ -117,7 +118,7 @@ pub fn rows_of_first<const J: usize>(
         aim: Aim {
             target: covariates
                 .filter(|_| known > 2 + 2 * k)
-                .map_or(0, |c| counted(c[known * i + known - 1])),
+                .map_or(0, |c| counted(c[known * i + known - 2])),
             centre: to
                 .filter(|to| fixed && !to[i].is_nan())
                 .map(|to| counted(to[i])),
@@ -127,6 +128,11 @@ pub fn rows_of_first<const J: usize>(
             Covariates {
                 time_s: c[0],
                 temperature_c: c[1],
+                payload_kg: if known > 2 + 2 * k {
+                    c[known - 1]
+                } else {
+                    f64::NAN
+                },
                 direction: first(&c[2..], k),
                 velocity: if known == 2 + k {
                     [f64::NAN; J]
@@ -525,6 +531,7 @@ pub fn now<const J: usize>(numbers: &[f64]) -> PyResult<Covariates<J>> {
     Ok(Covariates {
         time_s: numbers[0],
         temperature_c: numbers[1],
+        payload_kg: f64::NAN,
         direction: several(&numbers[2..]),
         velocity: [0.0; J],
     })

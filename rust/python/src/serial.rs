@@ -128,19 +128,21 @@ impl SerialCalibrated {
         self.model.joints.map(|joint| joint.home)
     }
 
-    /// What a control loop knows besides the joints: time s, temperature °C, a direction for each joint.
+    /// What a control loop knows besides the joints: time s, temperature °C, a direction for each joint, payload
+    /// kg.
     fn now(&self, numbers: &[f64]) -> PyResult<Covariates<JOINTS>> {
         let k = self.core.joints();
-        if numbers.len() != 2 + k {
+        if numbers.len() != 3 + k {
             return Err(shape(
                 "covariates",
-                &format!("({},)", 2 + k),
+                &format!("({},)", 3 + k),
                 &[numbers.len()],
             ));
         }
         Ok(Covariates {
             time_s: numbers[0],
             temperature_c: numbers[1],
+            payload_kg: numbers[2 + k],
             direction: first(&numbers[2..], k),
             velocity: [0.0; JOINTS],
         })

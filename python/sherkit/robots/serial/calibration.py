@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 import sherkit._core as _core
 
-from ...model.batch import Batch, matrix
+from ...model.batch import Batch, matrix, vector
 from ...types import Floats
 from ..accuracy import Planes
 from ..calibrated import Calibration
@@ -98,16 +98,44 @@ class SerialCalibration(Calibration):
         shift = np.array(self.robot.tracker_mm) + [known.get(f"frame_{axis}", 0.0) for axis in "xyz"]
         return (matrix(readings_mm, "readings") - shift) @ self.tracker_turn
 
+    def forward(
+        self, joints: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None,
+        payload_kg: float = 0.0,
+    ) -> Floats:  # fmt: skip
+        """Position (3,), mm, of the target with ``payload_kg`` hanging there, nothing unless it is given. Other
+        arguments and errors as :meth:`Deployed.forward`."""
+        return self._under(joints, temperature_c, direction, payload_kg)[0]
+
+    def jacobian(
+        self, joints: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None,
+        payload_kg: float = 0.0,
+    ) -> Floats:  # fmt: skip
+        """d position / d joints (3, k) of the whole corrected model. Arguments and errors as :meth:`forward`."""
+        return self._under(joints, temperature_c, direction, payload_kg)[1]
+
+    def _under(
+        self, joints: ArrayLike, temperature_c: float | None, direction: ArrayLike | None, payload_kg: float
+    ) -> tuple[Floats, Floats]:
+        q = vector(joints, "joint readings", self._joints)
+        made: tuple[Floats, Floats] = self.core.forward(q, self._now(temperature_c, direction, payload_kg))
+        return made
+
+    def _now(
+        self, temperature_c: float | None = None, direction: ArrayLike | None = None, payload_kg: float = 0.0
+    ) -> list[float]:
+        """With what hangs at the target: nothing unless it is said."""
+        return [*super()._now(temperature_c, direction), float(payload_kg)]
+
     def inverse(
         self, coordinates: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None,
-        start: ArrayLike | None = None,
+        payload_kg: float = 0.0, start: ArrayLike | None = None,
     ) -> Floats:  # fmt: skip
         """Joint readings (k,) within their limits at which the target is at ``coordinates`` (3,), to 1e-9 mm.
 
         Of many postures that to which damped steps lead from ``start`` (k,); left out, as :meth:`Serial.inverse`. Other
         arguments as :meth:`forward`. Raises :class:`~sherkit.errors.OutOfReach` with how near it comes.
         """
-        now = self._now(temperature_c, direction)
+        now = self._now(temperature_c, direction, payload_kg)
         return self.robot.found_from(lambda x, q: self.core.inverse(x, now, q), self._place(coordinates), start)
 
     def inverse_batch(

@@ -10,6 +10,8 @@ from ...data.columns import Layout
 POSITION = ("x_mm", "y_mm", "z_mm")
 #: Number of the target, from 1, where an arm carries several, and of the centre from which a distance counts.
 TARGET, CENTRE = "target", "centre"
+#: What hangs at the first target besides the arm's own weight, kg.
+PAYLOAD = "payload_kg"
 
 
 def layout_of_arm(joints: Sequence[tuple[str, str]]) -> Layout:
@@ -17,5 +19,14 @@ def layout_of_arm(joints: Sequence[tuple[str, str]]) -> Layout:
     names = tuple(f"{name}_{unit}" for name, unit in joints)
     velocities = tuple(f"{name}_per_s" for name in names)
     return Layout(
-        names, POSITION, "µm", 1e3, "distance_mm", (CENTRE,), velocities, apart=(TARGET, CENTRE), from_fixed=True
+        names,
+        POSITION,
+        "µm",
+        1e3,
+        "distance_mm",
+        (CENTRE,),
+        velocities,
+        apart=(TARGET, CENTRE),
+        from_fixed=True,
+        loads=(PAYLOAD,),
     )

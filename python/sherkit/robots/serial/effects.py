@@ -3,7 +3,7 @@ joints that one may have, is `rust/core/src/serial/effects.rs`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -14,7 +14,6 @@ from sherkit._core import SerialModel
 from ...model.effect import Effect, Sentences, catalogue_of_core
 from ...model.parameter import Parameter
 from ...model.sentences import common
-from ...types import Bools
 from .robot import Joint, Serial
 
 _OWN = {
@@ -29,6 +28,18 @@ _OWN = {
         "greatest moment that this weight can make.",
         residuals="Downwards, most where the arm is stretched out level, none where it stands upright.",
         workshop="Enter the payload and its centre in the controller; balance the arm; read joints behind gears.",
+    ),
+    "payload_compliance": Sentences(
+        physics="Gears and bearings give way under what hangs at the target; the value is how far a joint turns by the "
+        "moment that this puts on it, or how far it slides by the force.",
+        residuals="Downwards and proportional to the payload, most where the arm is stretched out level.",
+        workshop="Enter mass and centre of each payload in the controller; calibrate with the payload of the work.",
+    ),
+    "link_growth": Sentences(
+        physics="Each link expands with temperature by its own part: links of other materials, or nearer to motors, "
+        "than the rest. Where all parts are equal, it is thermal_growth.",
+        residuals="Along the links as they stand, proportional to the deviation of temperature from 20 °C.",
+        workshop="Warm up before measuring; hold the temperature; links of carbon fibre or Invar.",
     ),
     "tracker_slip": Sentences(
         physics="The tracker or its stand was knocked, or the robot moved on its floor: from one moment on it sees the "
@@ -69,6 +80,11 @@ SERIAL_CATALOGUE: dict[str, Effect] = catalogue_of_core(
 _POSTURES, _NOTHING = 50, 1e-9
 #: Millimetres of a sliding joint that are as plausible as a radian of a turning one.
 _SLIDE_MM = 100.0
+#: What a payload does to joints that turn; to one that slides so much is plausible, under a common weight of one.
+_BY_MOMENT, _SLIDE_MM_BY_N, _PAYLOAD_N = "rad/(N·m)", 1e-3, 40.0
+#: Effects of which the drawing leaves some parameters nothing to do: no weight turns an upright joint, no link grows
+#: that has no length.
+_BY_DRAWING = ("joint_compliance", "payload_compliance", "link_growth")
 
 
 def joint_of(name: str) -> int | None:
@@ -95,6 +111,10 @@ def parameter_of(parameter: Parameter, joints: Sequence[Joint]) -> Parameter | N
         return parameter if k is None or k < len(joints) else None
     if k >= len(joints):
         return None
+    if parameter.unit == _BY_MOMENT:
+        if not joints[k].slides:
+            return parameter
+        return replace(parameter, unit="mm/N", size=_SLIDE_MM_BY_N, lever_mm=_PAYLOAD_N)
     # shares and scales count what one joint does by what another reads, or itself
     over = [k - 1 if parameter.name.startswith("share") else k] if "/" in parameter.unit else []
     unit = "/".join(joints[i].unit for i in (k, *over))
@@ -109,17 +129,16 @@ def parameter_of(parameter: Parameter, joints: Sequence[Joint]) -> Parameter | N
 def effects_of(robot: Serial) -> Mapping[str, Effect]:
     """The effects that an arm can have, with the parameters of its own joints."""
     joints, out = robot.joints, {}
-    loaded = _loaded(robot)
+    idle = _idle(robot)
     slides = {joint.slides for joint in joints}
     for name, effect in SERIAL_CATALOGUE.items():
         if not has(robot, name):
             continue
-        own = [one for p in effect.parameters if (one := parameter_of(p, joints)) is not None]
+        mine = [p for p in effect.parameters if p.name not in idle.get(name, ())]
+        own = [one for p in mine if (one := parameter_of(p, joints)) is not None]
         if name == "encoder_eccentricity":
             # once per turn: what slides has none
             own = [p for p in own if p.unit == "rad"]
-        elif name == "joint_compliance":
-            own = [p for p in own if loaded[joint_of(p.name) or 0]]
         elif effect.is_periodic:
             # one period for all of them, in one unit
             if len(slides) > 1:
@@ -132,12 +151,18 @@ def effects_of(robot: Serial) -> Mapping[str, Effect]:
     return out
 
 
-def _loaded(robot: Serial) -> Bools:
-    """Joints (k,) that their weight can move the target by: not one that turns about the vertical."""
-    names = [(row["name"], p["name"]) for row in SerialModel.CATALOGUE for p in row["parameters"]]
-    yields = [k for k, (effect, _) in enumerate(names) if effect == "joint_compliance"][: len(robot.joints)]
+def _idle(robot: Serial) -> Mapping[str, Collection[str]]:
+    """Of each effect that the drawing has to do with, the parameters that can move no target."""
     low, high = robot.ranges
     joints = np.random.default_rng(0).uniform(low, high, (_POSTURES, len(low)))
-    columns, by_joints, _, _ = robot.core().derivatives(np.zeros(len(names)), (joints, None, None, None), yields)
-    moved: Bools = np.abs(columns).max(axis=(0, 1)) > _NOTHING * np.abs(by_joints).max()
-    return moved
+    # one degree warmer, first target, one kilogramme
+    known = np.tile([np.nan, 21.0, *np.zeros(2 * len(low)), 1.0, 1.0], (_POSTURES, 1))
+    names = [(row["name"], p["name"]) for row in SerialModel.CATALOGUE for p in row["parameters"]]
+    asked = [k for k, (effect, _) in enumerate(names) if effect in _BY_DRAWING]
+    columns, _, _, _ = robot.core().derivatives(np.zeros(len(names)), (joints, None, known, None), asked)
+    moved, out = np.abs(columns).max(axis=(0, 1)), {}
+    for effect in _BY_DRAWING:
+        own = [(moved[i], names[k][1]) for i, k in enumerate(asked) if names[k][0] == effect]
+        most = max(size for size, _ in own)
+        out[effect] = {name for size, name in own if size <= _NOTHING * most}
+    return out

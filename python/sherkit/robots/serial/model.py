@@ -21,7 +21,7 @@ from ...model.chain import Block, ChainModel
 from ...model.effect import Effect, parameters_of_core
 from ...model.parameter import Parameter
 from ...types import Floats
-from .columns import CENTRE, POSITION, TARGET
+from .columns import CENTRE, PAYLOAD, POSITION, TARGET
 from .effects import SERIAL_CATALOGUE, effects_of, has, joint_of, parameter_of
 from .frames import of_rpy
 from .robot import Serial
@@ -126,13 +126,15 @@ class SerialModel(ChainModel):
         return self.robot.core((period, self.time_origin_s, self.slip_time_s, self.tracker_slip_time_s))
 
     def block(self, data: Measurements, joints: Floats | None = None, push: Floats | None = None) -> Block:
-        """With the numbers of the targets, where the rows have them."""
+        """With the numbers of the targets and what hangs there, where the rows have them."""
         q, ends, covariates, push = super().block(data, joints, push)
-        target = data.covariates.get(TARGET)
-        if target is not None:
+        target, payload = data.covariates.get(TARGET), data.covariates.get(PAYLOAD)
+        if target is not None or (payload is not None and covariates is not None):
             n, k = data.joints.shape
             known = np.full((n, 2 + 2 * k), np.nan) if covariates is None else covariates
-            covariates = np.ascontiguousarray(np.column_stack([known, target]))
+            first, nothing = np.ones(n), np.full(n, np.nan)
+            more = [first if target is None else target, nothing if payload is None else payload]
+            covariates = np.ascontiguousarray(np.column_stack([known, *more]))
         return q, ends, covariates, push
 
     def require_own(self, data: Measurements) -> None:

@@ -314,7 +314,7 @@ class Serial(Saved, Shown):
 
     @cached_property
     def _still(self) -> list[float]:
-        return [0.0, 20.0, *(0.0 for _ in self.joints)]
+        return [0.0, 20.0, *(0.0 for _ in self.joints), 0.0]
 
     def forward(self, joints: ArrayLike) -> Floats:
         """The target (3,), mm, base frame, for joint readings (k,). Raises :class:`~sherkit.errors.NotFinite`."""

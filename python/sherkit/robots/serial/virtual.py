@@ -19,7 +19,7 @@ from ...data.toml import Table
 from ...errors import ShapeError
 from ...model.kinds import Option
 from ...types import Floats
-from .columns import CENTRE, TARGET
+from .columns import CENTRE, PAYLOAD, TARGET
 from .robot import Serial
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 _SECONDS_PER_POSE = 4.0
 _ORDERS = ("planes", "shuffled")
 _STEP_RAD = 1e-4
+_GRAVITY = 9.80665
 #: Plausible geometric errors of an arm: zeros of joints, rad; places of axes and target, mm; leans, rad; where the
 #: tracker stands, mm and rad.
 _SIZES = {"offset": 3e-3, "shift": 0.5, "tilt": 1e-3, "tool": 2.0, "stand": 20.0, "turn": 0.02}
@@ -42,8 +43,10 @@ class Hidden:
 
     ``scale`` (k,) are parts of the readings; ``follows`` (k,) by how much each joint follows the one before it;
     ``gives`` (k,) how far it gives way under the greatest moment its weight makes in any posture stretched out;
+    ``sags`` (k,) how far by the moment that a payload makes about it, rad/(N m), or by its force, mm/N;
     ``play`` (k,) its lost motion; ``ring`` (k, 2) sine and cosine of its encoder once per turn, ``lines`` (k, 2) those
-    at ``per_turn`` per radian; ``warmth_per_c``, ``rate_mm_h`` (3,), ``step_mm`` (3,) half way through; ``knock`` (6,)
+    at ``per_turn`` per radian; ``warmth_per_c`` of the whole, ``growth_per_c`` (k + 1,) of the base and of the link
+    behind each joint, ``rate_mm_h`` (3,), ``step_mm`` (3,) half way through; ``knock`` (6,)
     turn and shift of the tracker then; ``zoom`` and ``bend_mm`` (3,) at a metre what the tracker misreads; ``late_s``
     its delay; ``bar_mm`` what is added to every distance.
     """
@@ -51,11 +54,13 @@ class Hidden:
     scale: ArrayLike = 0.0
     follows: ArrayLike = 0.0
     gives: ArrayLike = 0.0
+    sags: ArrayLike = 0.0
     play: ArrayLike = 0.0
     ring: ArrayLike = 0.0
     lines: ArrayLike = 0.0
     per_turn: float = 2.0
     warmth_per_c: float = 0.0
+    growth_per_c: ArrayLike = 0.0
     rate_mm_h: ArrayLike = 0.0
     step_mm: ArrayLike = 0.0
     knock: ArrayLike = 0.0
@@ -144,18 +149,22 @@ class VirtualSerial:
 
     # -- what it does ------------------------------------------------------------------------------------------
 
-    def _frames(self, joints: Floats, *, as_drawn: bool = False) -> list[Floats]:
-        """Frames (4, 4) behind each joint for what the joints really are (k,), turned back to those of the drawing."""
+    def _frames(self, joints: Floats, *, as_drawn: bool = False, grown: Floats | None = None) -> list[Floats]:
+        """Frames (4, 4) behind each joint for what the joints really are (k,), turned back to those of the drawing;
+        with the parts (k + 1,) by which base and links are longer."""
         k, turns = len(joints), scipy.spatial.transform.Rotation
         shift, tilt = (np.broadcast_to(np.asarray(v, dtype=float), (k, 2)) for v in (self.shift_mm, self.tilt_rad))
+        longer = np.ones(k) if grown is None else 1.0 + grown[:k]
         now, out = np.eye(4), []
-        for joint, q, s, t in zip(self.robot.joints, joints, shift, tilt, strict=True):
-            now = now @ _matrix(turns.from_euler("xyz", joint.rpy_deg, degrees=True), joint.origin_mm)
+        for joint, q, s, t, longer_by in zip(self.robot.joints, joints, shift, tilt, longer, strict=True):
+            there = _matrix(turns.from_euler("xyz", joint.rpy_deg, degrees=True), joint.origin_mm)
             aligned = _matrix(_aligning(joint.axis))
-            now = now @ aligned
+            there = there @ aligned
             if not as_drawn:
                 lean = turns.from_rotvec([t[0], 0, 0]) * turns.from_rotvec([0, t[1], 0])
-                now = now @ _matrix(turns.identity(), (s[0], s[1], 0.0)) @ _matrix(lean)
+                there = there @ _matrix(turns.identity(), (s[0], s[1], 0.0)) @ _matrix(lean)
+            there[:3, 3] *= longer_by
+            now = now @ there
             moved = _matrix(turns.identity(), (0, 0, q)) if joint.slides else _matrix(turns.from_rotvec([0, 0, q]))
             now = now @ moved @ np.linalg.inv(aligned)
             out.append(now)
@@ -185,8 +194,27 @@ class VirtualSerial:
             out[i] = -slope / most if most > 0 else 0.0
         return out
 
-    def true_target(self, read: Floats, came: Floats, velocity: Floats, number: int = 0) -> Floats:
-        """A target (3,), mm, base frame, for joints that are read (k,), with the direction from which they came."""
+    def _hung(self, joints: Floats, payload_kg: float) -> Floats:
+        """The moment, N m, or force, N, (k,) that a weight at the first target as drawn puts on each joint."""
+        pull = np.asarray(self.robot.gravity, dtype=float) / np.linalg.norm(self.robot.gravity)
+        out = np.zeros(len(joints))
+
+        def height(q: Floats) -> float:
+            frame = self._frames(q, as_drawn=True)[-1]
+            return -float(pull @ (frame @ [*self.robot.target_mm, 1.0])[:3])
+
+        for i, joint in enumerate(self.robot.joints):
+            step = np.where(np.arange(len(joints)) == i, _STEP_RAD, 0.0)
+            falls = (height(joints - step) - height(joints + step)) / (2 * _STEP_RAD)
+            out[i] = payload_kg * _GRAVITY * falls / (1.0 if joint.slides else 1000.0)
+        return out
+
+    def true_target(
+        self, read: Floats, came: Floats, velocity: Floats, number: int = 0, warmer_c: float = 0.0,
+        payload_kg: float = 0.0,
+    ) -> Floats:  # fmt: skip
+        """A target (3,), mm, base frame, for joints that are read (k,), with the direction from which they came, the
+        links warmer than the drawing, and what hangs at the first target."""
         k, hidden = len(read), self.effects
         home = np.array([np.deg2rad(j.home) if not j.slides else j.home for j in self.robot.joints])
 
@@ -203,12 +231,17 @@ class VirtualSerial:
         before = np.concatenate([[0.0], (real - home)[:-1]])
         led = np.concatenate([[0.0], real[:-1]])
         real = real + drawn * led + each(hidden.follows) * before
+        bent = np.zeros(k)
         if np.any(each(hidden.gives)):
-            real = real + each(hidden.gives) * self._carried(real)
+            bent = each(hidden.gives) * self._carried(real)
+        if np.any(each(hidden.sags)):
+            bent = bent + each(hidden.sags) * self._hung(real, payload_kg)
+        real = real + bent
+        grown = warmer_c * np.broadcast_to(np.asarray(hidden.growth_per_c, dtype=float), (k + 1,))
         target = np.asarray(self.robot.targets_mm[number], dtype=float)
         tools = np.broadcast_to(np.asarray(self.tool_mm, dtype=float), (len(self.robot.targets_mm), 3))
         moved = _aligning(self.robot.joints[-1].axis).as_matrix() @ tools[number]
-        return (self._frames(real)[-1] @ [*(target + moved), 1.0])[:3]
+        return (self._frames(real, grown=grown)[-1] @ [*((target + moved) * (1.0 + grown[-1])), 1.0])[:3]
 
     def seen(self, point: Floats, late: bool) -> Floats:
         """What the tracker shows (3,), mm."""
@@ -234,10 +267,15 @@ class VirtualSerial:
         still = np.zeros(rows.shape[1])
         return np.array([self.seen(self.true_target(q, still, still), False) for q in rows])
 
-    def measure(self, joints: ArrayLike, *, repeats: int = 1, order: str = "shuffled", seed: int = 0) -> Measurements:
+    def measure(
+        self, joints: ArrayLike, *, repeats: int = 1, order: str = "shuffled", seed: int = 0,
+        payload_kg: ArrayLike | None = None,
+    ) -> Measurements:  # fmt: skip
         """Drives to joint readings (n, k) and reads the target at each; half way through, what lets go lets go.
 
         An arm is sent to joints, not to places: a place leaves open how it stands there. It warms by three degrees.
+        ``payload_kg``, one or (n,) for the poses, hangs at the first target; left out, nothing does, and no such
+        column is written.
         """
         if order not in _ORDERS:
             raise ShapeError(f"order: '{order}' is not known; choose {' or '.join(_ORDERS)}")
@@ -249,6 +287,7 @@ class VirtualSerial:
         pose = np.concatenate([rng.permutation(walk) if order == "shuffled" else walk for _ in range(repeats)])
         n, read, hidden = len(pose), poses[pose], self.effects
         time = _SECONDS_PER_POSE * np.arange(n)
+        payload = np.broadcast_to(np.asarray(0.0 if payload_kg is None else payload_kg, dtype=float), len(poses))[pose]
         came = np.sign(np.diff(read, axis=0, prepend=read[:1] - 0.1))
         velocity = rng.normal(size=read.shape) * np.ptp(read, axis=0) / 10.0 if hidden.late_s else np.zeros_like(read)
         warmth = 20.0 + 3.0 * (1.0 - np.exp(-2.0 * np.arange(n) / max(n - 1, 1)))
@@ -259,7 +298,8 @@ class VirtualSerial:
         for k in range(n):
             late = k >= n // 2
             for target, centre in reads:
-                point = self.true_target(read[k], came[k], velocity[k], target)
+                warmer = float(warmth[k] - 20.0)
+                point = self.true_target(read[k], came[k], velocity[k], target, warmer, float(payload[k]))
                 point = point * (1.0 + hidden.warmth_per_c * (warmth[k] - 20.0))
                 point = point + np.asarray(hidden.rate_mm_h) * time[k] / 3600.0 + np.asarray(hidden.step_mm) * late
                 shown.append(self.seen(point, late) if centre is None else self.distance(point, centre))
@@ -267,6 +307,8 @@ class VirtualSerial:
         layout = self.robot.layout
         columns: dict[str, Any] = {"time_s": time, "temperature_c": warmth, "pose": pose + 1}
         columns |= {"repeat": np.repeat(np.arange(repeats), len(poses)) + 1}
+        if payload_kg is not None:
+            columns[PAYLOAD] = payload
         columns |= dict(zip(layout.joints, read.T, strict=True))
         if hidden.late_s:
             columns |= dict(zip(layout.velocities, velocity.T, strict=True))

@@ -107,6 +107,8 @@ pub(crate) fn since(time_s: f64, moment_s: f64) -> f64 {
     }
 }
 
-fn warmer<const J: usize>(row: &Covariates<J>) -> f64 {
+/// By how much it is warmer than the drawing, °C; NaN where that is not known.
+#[inline]
+pub(crate) fn warmer<const J: usize>(row: &Covariates<J>) -> f64 {
     row.temperature_c - REFERENCE_TEMPERATURE_C
 }

@@ -13,7 +13,7 @@
 
 mod angles;
 mod bar;
-mod body;
+pub(crate) mod body;
 mod camera;
 mod cartesian;
 pub mod effects;
@@ -108,6 +108,16 @@ pub trait Mechanism<const J: usize, const P: usize>: Copy + Debug {
     /// Measured point of a solved pose, base frame, mm.
     fn point(&self, solved: &Self::Solved) -> Vector3<f64>;
 
+    /// [`Self::solve`] of a mechanism that its load or its warmth changes.
+    ///
+    /// # Errors
+    /// As [`Self::solve`].
+    #[inline]
+    fn solve_at(&self, joints: &SVector<f64, J>, row: &Covariates<J>) -> Result<Self::Solved> {
+        let _ = row;
+        self.solve(joints)
+    }
+
     /// The same pose with another of the targets that a robot may carry as the measured point.
     #[inline]
     fn aimed(&self, solved: Self::Solved, target: usize) -> Self::Solved {
@@ -124,13 +134,18 @@ pub trait Mechanism<const J: usize, const P: usize>: Copy + Debug {
         Ok(self.point(&self.solve(joints)?))
     }
 
-    /// [`Self::point_at`] of another target.
+    /// [`Self::point_at`] of a target, by [`Self::solve_at`].
     ///
     /// # Errors
     /// As [`Self::solve`].
     #[inline]
-    fn target_at(&self, joints: &SVector<f64, J>, target: usize) -> Result<Vector3<f64>> {
-        let _ = target;
+    fn target_at(
+        &self,
+        joints: &SVector<f64, J>,
+        row: &Covariates<J>,
+        target: usize,
+    ) -> Result<Vector3<f64>> {
+        let _ = (row, target);
         self.point_at(joints)
     }
 
@@ -358,7 +373,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
     ) -> Result<Vector3<f64>> {
         let joints = self.joints.at::<R>(readings, row, Wanted::default());
         let (growth, shift) = self.body.at(row);
-        Ok(self.structure.point_at(&joints.value)? * growth + shift + push)
+        Ok(self.structure.target_at(&joints.value, row, 0)? * growth + shift + push)
     }
 
     #[inline]
@@ -394,7 +409,8 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
     ) -> Result<SVector<f64, M>> {
         let joints = self.joints.at::<R>(readings, row, Wanted::default());
         let (growth, shift) = self.body.at(row);
-        let point = self.structure.target_at(&joints.value, target)? * growth + shift + push;
+        let place = self.structure.target_at(&joints.value, row, target)?;
+        let point = place * growth + shift + push;
         checked(sensor.value(&point, self.look(&joints.value, row))?)
     }
 
@@ -448,7 +464,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         out: &mut Prediction<J, M, P>,
     ) -> Result<()> {
         let joints = self.joints.at::<R>(readings, row, wanted);
-        let solved = self.structure.solve(&joints.value)?;
+        let solved = self.structure.solve_at(&joints.value, row)?;
         let solved = self.structure.aimed(solved, target);
         self.shown(sensor, &joints, &solved, row, push, wanted, out)
     }

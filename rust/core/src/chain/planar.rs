@@ -187,6 +187,7 @@ const ROW: Row<2> = Row {
     covariates: Covariates {
         time_s: 700.0,
         temperature_c: 23.0,
+        payload_kg: f64::NAN,
         direction: [1.0, -1.0],
         velocity: [f64::NAN; 2],
     },

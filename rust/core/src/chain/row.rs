@@ -13,6 +13,8 @@ pub struct Covariates<const J: usize> {
     pub time_s: f64,
     /// Temperature, °C.
     pub temperature_c: f64,
+    /// What hangs at the target besides the robot's own weight, kg.
+    pub payload_kg: f64,
     /// Direction of the last motion of each joint, ±1 or 0.
     pub direction: [f64; J],
     /// Velocity of each joint, its unit by s.
@@ -24,6 +26,7 @@ impl<const J: usize> Covariates<J> {
     pub const NONE: Self = Self {
         time_s: f64::NAN,
         temperature_c: f64::NAN,
+        payload_kg: f64::NAN,
         direction: [f64::NAN; J],
         velocity: [f64::NAN; J],
     };
@@ -113,7 +116,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         let joints = self
             .joints
             .at::<R>(&readings, &row.covariates, Wanted::default());
-        let solved = self.structure.solve(&joints.value)?;
+        let solved = self.structure.solve_at(&joints.value, &row.covariates)?;
         let (growth, shift) = self.body.at(&row.covariates);
         self.structure.parts(&solved, &mut put);
         put(self.structure.point(&solved) * growth + shift + row.push);

@@ -129,7 +129,7 @@ impl Calibrated {
     /// As [`Chain::value`].
     pub fn flange(&self, joints: &SVector<f64, JOINTS>, now: &Covariates) -> Result<Matrix3<f64>> {
         let turned = self.chain.joints.at::<Model>(joints, now, Wanted::NONE);
-        let solved = self.chain.structure.solve(&turned.value)?;
+        let solved = self.chain.structure.solve_at(&turned.value, now)?;
         Ok(Structure::flange(&solved))
     }
 

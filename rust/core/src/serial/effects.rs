@@ -7,10 +7,13 @@ use crate::chain::effects::{OWN_LEVER, effects, places};
 
 /// What a radian of a joint moves in a common arm, mm.
 const LEVER: f64 = 500.0;
+/// The moment that a common payload puts on a joint, N·m.
+const MOMENT: f64 = 20.0;
 
 // what the mechanism computes itself, in `structure.rs`
 places! {
-    joint_shift joint_tilt tool targets joint_coupling joint_compliance
+    joint_shift joint_tilt tool targets joint_coupling joint_compliance payload_compliance
+    link_growth
 }
 
 effects! { At;
@@ -61,6 +64,10 @@ effects! { At;
     joint_compliance: Joints by structure {
         yield_1, yield_2, yield_3, yield_4, yield_5, yield_6, yield_7, yield_8, yield_9: "rad", 1e-3, LEVER;
     }
+    // how far each joint gives way under what hangs at the target, by its moment about the joint
+    payload_compliance: Joints by structure needs "payload_kg" {
+        give_1, give_2, give_3, give_4, give_5, give_6, give_7, give_8, give_9: "rad/(N·m)", 3e-5, MOMENT * LEVER;
+    }
     // lost motion of each joint: the full width between the two directions
     backlash: Joints by joints needs "direction" {
         width_1, width_2, width_3, width_4, width_5, width_6, width_7, width_8, width_9: "rad", 5e-4, LEVER;
@@ -78,6 +85,11 @@ effects! { At;
     // expansion of the target's place about the origin of the base frame
     thermal_growth: Body by body needs "temperature_c" {
         coefficient "α": "1/°C", 2e-5, LEVER;
+    }
+    // expansion of each link: of the base, to the first joint; behind each joint, to the next one; to the target
+    link_growth: Structure by structure needs "temperature_c" {
+        base "α₀", link_1 "α₁", link_2 "α₂", link_3 "α₃", link_4 "α₄", link_5 "α₅", link_6 "α₆", link_7 "α₇",
+        link_8 "α₈", link_9 "α₉": "1/°C", 2e-5, LEVER;
     }
     // drift of the target, base frame
     drift: Body by body needs "time_s" {

@@ -30,6 +30,8 @@ pub(super) struct Place {
     pub(super) origin: Vector3<f64>,
     /// Behind the joint.
     pub(super) behind: Rigid,
+    /// From the joint before it, mm, without growth.
+    pub(super) reach: Vector3<f64>,
     pub(super) prismatic: bool,
 }
 
@@ -48,10 +50,12 @@ impl Link {
         }
     }
 
-    /// Where it stands behind a frame, at a value of its joint, rad or mm.
-    pub(super) fn place(&self, behind: &Rigid, value: f64) -> Place {
+    /// Where it stands behind a frame, at a value of its joint, rad or mm, where the link between them has grown by a
+    /// factor.
+    pub(super) fn place(&self, behind: &Rigid, value: f64, growth: f64) -> Place {
         let before = behind.rotation * self.turn;
-        let origin = behind.apply(&self.shift);
+        let reach = behind.rotation * self.shift;
+        let origin = behind.translation + reach * growth;
         let leaning = before * self.lean;
         let axis: Vector3<f64> = leaning.column(2).into();
         let (rotation, translation) = if self.prismatic {
@@ -71,6 +75,7 @@ impl Link {
                 rotation,
                 translation,
             },
+            reach,
             prismatic: self.prismatic,
         }
     }
@@ -88,11 +93,12 @@ impl Place {
 }
 
 /// Where the first `count` of `links` stand, one behind another, and the frame behind the last; places beyond are those of
-/// none.
+/// none. The link before each has grown by a factor.
 pub(super) fn stand(
     links: &[Link; JOINTS],
     count: usize,
     values: &[f64; JOINTS],
+    growth: &[f64; JOINTS],
 ) -> ([Place; JOINTS], Rigid) {
     let nothing = Place {
         before: Matrix3::identity(),
@@ -100,12 +106,14 @@ pub(super) fn stand(
         axis: Vector3::z(),
         origin: Vector3::zeros(),
         behind: Rigid::identity(),
+        reach: Vector3::zeros(),
         prismatic: true,
     };
     let mut out = [nothing; JOINTS];
     let mut behind = Rigid::identity();
-    for ((link, value), out) in links.iter().zip(values).zip(&mut out).take(count) {
-        *out = link.place(&behind, *value);
+    let given = links.iter().zip(values).zip(growth);
+    for (((link, value), growth), out) in given.zip(&mut out).take(count) {
+        *out = link.place(&behind, *value, *growth);
         behind = out.behind;
     }
     (out, behind)

@@ -3,12 +3,16 @@
 //!
 //! Joint i carries the moment `T_i = z_i · (M_i × g)` with `M_i = Σ m_k (c_k - o_i)` over the links behind it, or the force
 //! `W_i z_i · g` along a prismatic axis; g is the direction of the weight. Moments count in parts of the greatest that
-//! the same weights could make, stretched out at right angles to g.
+//! the same weights could make, stretched out at right angles to g. The moment of what hangs at the first target counts in
+//! N·m, its force in N.
 
 use super::frames::{Place, stand};
 use super::model::{JOINTS, Model};
 use super::{frames::Link, model::Joint};
 use nalgebra::{SMatrix, SVector, Vector3};
+
+/// Standard gravity, m/s².
+const GRAVITY: f64 = 9.80665;
 
 /// The weights of an arm as drawn.
 #[derive(Clone, Copy, Debug)]
@@ -19,6 +23,8 @@ pub(super) struct Load {
     gravity: Vector3<f64>,
     /// One over the greatest moment or force; zero where a joint carries nothing.
     greatest: [f64; JOINTS],
+    /// Where a payload hangs, in the frame behind the last joint, mm.
+    target: Vector3<f64>,
 }
 
 /// What each joint carries, and how that changes with the joints.
@@ -53,26 +59,54 @@ impl Load {
             count: model.count,
             gravity: model.gravity,
             greatest,
+            target: model.targets_mm[0],
         }
     }
 
-    /// What the joints carry at these values.
+    /// What the joints carry of the arm itself at these values.
     pub(super) fn carried(&self, values: &SVector<f64, JOINTS>) -> Carried {
+        let weights = self.joints.map(|joint| (joint.mass_kg, joint.centre_mm));
+        self.moments(values, &weights, &self.greatest)
+    }
+
+    /// What they carry of a payload, kg: N·m, or N along those that slide.
+    pub(super) fn hung(&self, values: &SVector<f64, JOINTS>, payload_kg: f64) -> Carried {
+        let mut weights = [(0.0, Vector3::zeros()); JOINTS];
+        if let Some(last) = weights[..self.count.min(JOINTS)].last_mut() {
+            *last = (payload_kg, self.target);
+        }
+        let scale = self.joints.map(|joint| {
+            if joint.prismatic {
+                GRAVITY
+            } else {
+                1e-3 * GRAVITY
+            }
+        });
+        self.moments(values, &weights, &scale)
+    }
+
+    /// What weights behind the joints, each with its centre, put on them, in a scale of each.
+    fn moments(
+        &self,
+        values: &SVector<f64, JOINTS>,
+        weights: &[(f64, Vector3<f64>); JOINTS],
+        scale: &[f64; JOINTS],
+    ) -> Carried {
         // no more than there is room for, so that no index can be proved wrong
         let count = self.count.min(JOINTS);
-        let (places, _) = stand(&self.links, count, values.as_ref());
+        let (places, _) = stand(&self.links, count, values.as_ref(), &[1.0; JOINTS]);
         let (mut load, mut by_joints) = (SVector::zeros(), SMatrix::zeros());
         // the weight behind each joint, and its moment about the base
         let mut behind = [(0.0, Vector3::zeros()); JOINTS];
         let (mut weight, mut moment) = (0.0, Vector3::zeros());
         for k in (0..count).rev() {
-            let joint = &self.joints[k];
-            weight += joint.mass_kg;
-            moment += places[k].behind.apply(&joint.centre_mm) * joint.mass_kg;
+            let (mass, centre) = weights[k];
+            weight += mass;
+            moment += places[k].behind.apply(&centre) * mass;
             behind[k] = (weight, moment - places[k].origin * weight);
         }
         for i in 0..count {
-            let scale = self.greatest[i];
+            let scale = scale[i];
             let (place, (weight, moment)) = (&places[i], behind[i]);
             load[i] = scale
                 * if place.prismatic {

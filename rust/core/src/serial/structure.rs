@@ -2,16 +2,18 @@
 //!
 //! A joint follows the one before it as drawn and by a share that is its error,
 //! `v_i = q_i + f_i q_{i-1} + s_i (q_{i-1} - home)`, and gives way under the weight behind
-//! it, `w_i = v_i + y_i T_i(v)`, with `T` of [`super::load`]. Then frames follow one another, and every small error moves
+//! it, `w_i = v_i + y_i T_i(v) + c_i U_i(v)`, with `T` of the arm and `U` of what hangs at its target ([`super::load`]).
+//! The links between them grow with the temperature, each by its own part of its length. Then frames follow one another, and every small error moves
 //! the target as a joint in its place would.
 
 use super::effects::{AT, PARAMETERS, Values};
-use super::frames::{Link, Place, stand};
+use super::frames::{self, Link, stand};
 use super::load::{Carried, Load};
 use super::model::{JOINTS, Model, TARGETS};
 use crate::Result;
-use crate::chain::Mechanism;
-use crate::chain::effects::{Wanted, values_of};
+use crate::chain::body::warmer;
+use crate::chain::effects::{Place, Wanted, values_of};
+use crate::chain::{Covariates, Mechanism};
 use crate::numbers::rigid::Rigid;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
@@ -28,13 +30,17 @@ pub struct Structure {
     follows: [f64; JOINTS],
     /// How far each joint gives way, rad or mm.
     yields: [f64; JOINTS],
+    /// The same under a payload, rad/(N·m) or mm/N.
+    gives: [f64; JOINTS],
     load: Load,
+    /// Growth of the links, 1/°C: of the base, then behind each joint.
+    growth: [f64; JOINTS + 1],
 }
 
 /// A solved pose.
 #[derive(Clone, Copy, Debug)]
 pub struct Solved {
-    places: [Place; JOINTS],
+    places: [frames::Place; JOINTS],
     /// The frame behind the last joint.
     flange: Rigid,
     /// Which of the targets is measured.
@@ -44,6 +50,12 @@ pub struct Solved {
     coupled: SVector<f64, JOINTS>,
     /// What they carry, where they give way.
     carried: Option<Carried>,
+    /// What of it is the payload's, where they give way under that.
+    hung: Option<Carried>,
+    payload_kg: f64,
+    /// By how much it is warmer than the drawing, °C, and the factors by which links have grown.
+    warmer: f64,
+    grown: [f64; JOINTS + 1],
 }
 
 impl Structure {
@@ -75,7 +87,9 @@ impl Structure {
             share,
             follows: core::array::from_fn(|i| model.joints[i].follows + share[i]),
             yields: values_of(at.joint_compliance, values),
+            gives: values_of(at.payload_compliance, values),
             load: Load::new(model),
+            growth: values_of(at.link_growth, values),
         }
     }
 
@@ -90,6 +104,10 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
     type Many<T: crate::numbers::math::Real> = ();
 
     fn solve(&self, joints: &SVector<f64, JOINTS>) -> Result<Solved> {
+        self.solve_at(joints, &Covariates::NONE)
+    }
+
+    fn solve_at(&self, joints: &SVector<f64, JOINTS>, row: &Covariates<JOINTS>) -> Result<Solved> {
         let mut coupled = *joints;
         for i in 1..self.count.min(JOINTS) {
             coupled[i] += self.follows[i] * joints[i - 1] - self.share[i] * self.home[i - 1];
@@ -102,9 +120,23 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
             }
             carried = Some(found);
         }
-        let (places, flange) = stand(&self.links, self.count, values.as_ref());
+        let mut hung = None;
+        // an effect at zero does not ask for its covariate
+        if self.gives.iter().any(|c| *c != 0.0) {
+            let found = self.load.hung(&coupled, row.payload_kg);
+            for i in 0..self.count.min(JOINTS) {
+                values[i] += self.gives[i] * found.0[i];
+            }
+            hung = Some(found);
+        }
+        let warmer = warmer(row);
+        let grown = self
+            .growth
+            .map(|a| if a == 0.0 { 1.0 } else { 1.0 + a * warmer });
+        let [between @ .., _] = &grown;
+        let (places, flange) = stand(&self.links, self.count, values.as_ref(), between);
         let [first, ..] = &self.targets;
-        let point = flange.apply(first);
+        let point = flange.apply(&(first * grown[self.count.min(JOINTS)]));
         Ok(Solved {
             places,
             flange,
@@ -112,6 +144,10 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
             point,
             coupled,
             carried,
+            hung,
+            payload_kg: row.payload_kg,
+            warmer,
+            grown,
         })
     }
 
@@ -119,15 +155,22 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
         match self.targets.get(target) {
             Some(own) if target > 0 => Solved {
                 target,
-                point: solved.flange.apply(own),
+                point: solved
+                    .flange
+                    .apply(&(own * solved.grown[self.count.min(JOINTS)])),
                 ..solved
             },
             _ => solved,
         }
     }
 
-    fn target_at(&self, joints: &SVector<f64, JOINTS>, target: usize) -> Result<Vector3<f64>> {
-        Ok(self.aimed(self.solve(joints)?, target).point)
+    fn target_at(
+        &self,
+        joints: &SVector<f64, JOINTS>,
+        row: &Covariates<JOINTS>,
+        target: usize,
+    ) -> Result<Vector3<f64>> {
+        Ok(self.aimed(self.solve_at(joints, row)?, target).point)
     }
 
     fn point(&self, solved: &Solved) -> Vector3<f64> {
@@ -159,7 +202,7 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
         for (i, place) in solved.places.iter().enumerate().take(self.count) {
             by_joints.set_column(i, &(by_point * place.moves(&solved.point)));
             if let Some(at) = shift {
-                let columns = by_point * place.before.fixed_columns::<2>(0);
+                let columns = by_point * place.before.fixed_columns::<2>(0) * solved.grown[i];
                 d.fixed_columns_mut::<2>(at.start + 2 * i)
                     .copy_from(&columns);
             }
@@ -171,6 +214,16 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
                 }
             }
         }
+        let last = self.count.min(JOINTS);
+        let end = solved.grown[last];
+        if let Some(at) = wanted.wants(at.link_growth) {
+            let held = self.targets.get(solved.target).unwrap_or(&self.targets[0]);
+            for i in 0..=last {
+                let place = solved.places.get(i).filter(|_| i < last);
+                let reach = place.map_or_else(|| Self::flange(solved) * held, |p| p.reach);
+                d.set_column(at.start + i, &(by_point * reach * solved.warmer));
+            }
+        }
         // a row shows one target: what an earlier row left in the columns of the others is cleared
         let first = wanted.wants(at.tool).map(|at| (at.start, 0));
         let others = wanted.wants(at.targets);
@@ -178,24 +231,36 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
         for (start, target) in first.into_iter().chain(others.into_iter().flatten()) {
             let mut own = d.fixed_columns_mut::<3>(start);
             if target == solved.target {
-                own.copy_from(&(by_point * Self::flange(solved)));
+                own.copy_from(&(by_point * Self::flange(solved) * end));
             } else {
                 own.fill(0.0);
             }
         }
         let wanted_yield = wanted.wants(at.joint_compliance);
-        if solved.carried.is_some() || wanted_yield.is_some() {
-            let (load, by) = solved
-                .carried
-                .unwrap_or_else(|| self.load.carried(&solved.coupled));
-            let rigid = by_joints;
-            for i in 0..self.count.min(JOINTS) {
+        let wanted_give = wanted.wants(at.payload_compliance);
+        let rigid = by_joints;
+        let mut give_way = |(load, by): Carried, column: Option<Place>, gives: &[f64; JOINTS]| {
+            for i in 0..last {
                 let by_joint = rigid.column(i);
-                if let Some(at) = wanted_yield {
+                // no column beyond them, so that no index can be proved wrong
+                if let Some(at) = column.filter(|at| at.start + i < PARAMETERS) {
                     d.set_column(at.start + i, &(by_joint * load[i]));
                 }
-                by_joints += by_joint * by.row(i) * self.yields[i];
+                // what is not known does nothing where nothing gives way
+                if gives[i] != 0.0 {
+                    by_joints += by_joint * by.row(i) * gives[i];
+                }
             }
+        };
+        if solved.carried.is_some() || wanted_yield.is_some() {
+            let own = solved.carried;
+            let own = own.unwrap_or_else(|| self.load.carried(&solved.coupled));
+            give_way(own, wanted_yield, &self.yields);
+        }
+        if solved.hung.is_some() || wanted_give.is_some() {
+            let hung = solved.hung;
+            let hung = hung.unwrap_or_else(|| self.load.hung(&solved.coupled, solved.payload_kg));
+            give_way(hung, wanted_give, &self.gives);
         }
         // each joint also moves the one that follows it
         let apart = by_joints;

@@ -173,6 +173,7 @@ pub fn some_covariates() -> Covariates {
     Covariates {
         time_s: 5000.0,
         temperature_c: 24.0,
+        payload_kg: f64::NAN,
         direction: [1.0, -1.0, 0.0],
         ..Covariates::NONE
     }
