@@ -3,8 +3,8 @@
 //! A joint follows the one before it as drawn and by a share that is its error,
 //! `v_i = q_i + f_i q_{i-1} + s_i (q_{i-1} - home)`, and gives way under the weight behind
 //! it, `w_i = v_i + y_i T_i(v) + c_i U_i(v)`, with `T` of the arm and `U` of what hangs at its target ([`super::load`]).
-//! The links between them grow with the temperature, each by its own part of its length. Then frames follow one another, and every small error moves
-//! the target as a joint in its place would.
+//! The links between them grow with the temperature, each by its own part of its length. Then frames follow one another,
+//! and every small error moves the target as a joint in its place would.
 
 use super::effects::{AT, PARAMETERS, Values};
 use super::frames::{self, Link, stand};
@@ -236,31 +236,18 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
                 own.fill(0.0);
             }
         }
-        let wanted_yield = wanted.wants(at.joint_compliance);
-        let wanted_give = wanted.wants(at.payload_compliance);
         let rigid = by_joints;
-        let mut give_way = |(load, by): Carried, column: Option<Place>, gives: &[f64; JOINTS]| {
-            for i in 0..last {
-                let by_joint = rigid.column(i);
-                // no column beyond them, so that no index can be proved wrong
-                if let Some(at) = column.filter(|at| at.start + i < PARAMETERS) {
-                    d.set_column(at.start + i, &(by_joint * load[i]));
-                }
-                // what is not known does nothing where nothing gives way
-                if gives[i] != 0.0 {
-                    by_joints += by_joint * by.row(i) * gives[i];
-                }
-            }
-        };
-        if solved.carried.is_some() || wanted_yield.is_some() {
-            let own = solved.carried;
-            let own = own.unwrap_or_else(|| self.load.carried(&solved.coupled));
-            give_way(own, wanted_yield, &self.yields);
+        let asked = wanted.wants(at.joint_compliance);
+        if solved.carried.is_some() || asked.is_some() {
+            let found = solved.carried;
+            let found = found.unwrap_or_else(|| self.load.carried(&solved.coupled));
+            give_way(last, &found, &self.yields, asked, &rigid, &mut by_joints, d);
         }
-        if solved.hung.is_some() || wanted_give.is_some() {
-            let hung = solved.hung;
-            let hung = hung.unwrap_or_else(|| self.load.hung(&solved.coupled, solved.payload_kg));
-            give_way(hung, wanted_give, &self.gives);
+        let asked = wanted.wants(at.payload_compliance);
+        if solved.hung.is_some() || asked.is_some() {
+            let found = solved.hung;
+            let found = found.unwrap_or_else(|| self.load.hung(&solved.coupled, solved.payload_kg));
+            give_way(last, &found, &self.gives, asked, &rigid, &mut by_joints, d);
         }
         // each joint also moves the one that follows it
         let apart = by_joints;
@@ -275,5 +262,29 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
             );
         }
         by_joints
+    }
+}
+
+/// The columns of joints that give way under what they carry, and what that changes in how the target moves with them.
+/// Inlined, so that the places of the columns are numbers which the compiler knows.
+#[inline(always)]
+fn give_way<const M: usize>(
+    count: usize,
+    (load, by): &Carried,
+    gives: &[f64; JOINTS],
+    asked: Option<Place>,
+    rigid: &SMatrix<f64, M, JOINTS>,
+    by_joints: &mut SMatrix<f64, M, JOINTS>,
+    d: &mut SMatrix<f64, M, PARAMETERS>,
+) {
+    for i in 0..count.min(JOINTS) {
+        let by_joint = rigid.column(i);
+        if let Some(at) = asked {
+            d.set_column(at.start + i, &(by_joint * load[i]));
+        }
+        // what is not known does nothing where nothing gives way
+        if gives[i] != 0.0 {
+            *by_joints += by_joint * by.row(i) * gives[i];
+        }
     }
 }
