@@ -160,7 +160,7 @@ def test_a_run_in_time_that_lacks_an_axis_is_diagnosed(lacking: list[str], tmp_p
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [
-        ("run.csv", "q1_mm,x_mm\n1,2\n", "a run comes after the robot"),
+        ("run.csv", "q1_mm,x_mm\n1,2\n", "the robot stands before the run"),
         ("printer.cfg", "[printer]\nkinematics: delta\n", "for sherkit printer"),
         ("arm.urdf", "<robot/>", "sherkit import urdf"),
     ],

@@ -49,8 +49,8 @@ def read_toml(path: str | Path, what: str, error: type[SherkitError] = RobotErro
 
 #: What stands in the place of a TOML file by its ending, and where it belongs.
 _OTHER = {
-    ".csv": "a run comes after the robot: sherkit diagnose ROBOT RUN",
-    ".parquet": "a run comes after the robot: sherkit diagnose ROBOT RUN",
+    ".csv": "the robot stands before the run, as in: sherkit diagnose ROBOT RUN",
+    ".parquet": "the robot stands before the run, as in: sherkit diagnose ROBOT RUN",
     ".cfg": "that of a printer is for sherkit printer",
     ".urdf": "sherkit import urdf makes one of it",
     ".xacro": "let the xacro write its URDF, then sherkit import urdf",

@@ -25,7 +25,7 @@ _POSES = 40
 #: much is easily seen.
 _MOST, _SEEN = 0.8, 0.12
 #: What an effect needs besides the joints, in a row that nobody measured: an hour after the start, five degrees warmer,
-#: after a motion upwards, at this speed.
+#: after a motion upwards, at this speed, under a load of one.
 _HOUR_S, _WARM_C = 3600.0, 25.0
 _SPEED = {"mm": 20.0, "rad": 0.5, "deg": 30.0}
 #: Period of an encoder's error where nobody gave one.
@@ -129,6 +129,9 @@ def _moment(effect: Effect, row: Measurements, measured: bool) -> str:
         said.append("after it happened")
     if TEMPERATURE in effect.needs:
         said.append(f"at {row.covariates[TEMPERATURE][0]:.3g} °C")
+    for name in row.layout.loads:
+        if name in effect.needs:
+            said.append(f"under {row.covariates[name][0]:.3g} {unit_in(name)}")
     return f", {', '.join(said)}" if said else ""
 
 
@@ -147,7 +150,7 @@ def _rows(effect: Effect, model: ModelWithEffects, data: Measurements | None) ->
     layout, n = kind.layout, len(joints)
     units = [unit_in(name) for name in layout.joints]
     extra: dict[str, Any] = {TIME: np.full(n, _HOUR_S), TEMPERATURE: np.full(n, _WARM_C)}
-    extra |= {name: np.ones(n) for name in layout.directions}
+    extra |= {name: np.ones(n) for name in (*layout.directions, *layout.loads)}
     extra |= {name: np.full(n, _SPEED.get(u, 1.0)) for name, u in zip(layout.velocities, units, strict=False)}
     return Measurements.planned(joints, layout, "drawing", **extra), False
 
