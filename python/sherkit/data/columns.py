@@ -117,7 +117,7 @@ def layout_of(names: Collection[str]) -> Layout:
 
 
 #: Units that end the name of a column.
-_ENDINGS = ("mm", "um", "rad", "mrad", "deg", "px", "mN", "nm", "s")
+_ENDINGS = ("mm", "um", "rad", "mrad", "deg", "px", "mN", "nm", "kg", "s")
 
 
 def bare(name: str) -> str:
