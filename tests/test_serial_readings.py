@@ -10,20 +10,38 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from sherkit.errors import FitError, MeasurementError, RobotError
 from sherkit.model.kinds import model_of, robot_from_tables
-from sherkit.robots.serial import KIND, Hidden, Serial, VirtualSerial, postures
+from sherkit.robots.serial import KIND, Hidden, Plane, Serial, VirtualSerial, postures
 
 PLAIN = {"noise_um": 50.0, "yield_mrad": 0.0, "play_mrad": 0.0, "ring_mrad": 0.0}
 
 
-def arm(targets: int, centres: int, *, tracker: bool = True) -> Serial:
-    """The example with so many targets and centres."""
+#: A plate that leans, a wall, the ground.
+PLATES = (
+    Plane((300.0, 0.0, 40.0), (0.1, -0.2, 1.0)),
+    Plane((0.0, 900.0, 0.0), (0.0, -2.0, 0.0)),
+    Plane((0.0, 0.0, 0.0)),
+)
+
+
+def arm(targets: int, centres: int, *, planes: int = 0, tracker: bool = True) -> Serial:
+    """The example with so many targets, centres and planes."""
     more = ((-80.0, 40.0, 20.0), (60.0, -70.0, 30.0), (0.0, 0.0, 150.0))[: targets - 1]
     fixed = ((600.0, 300.0, 0.0), (-500.0, 400.0, 100.0), (200.0, -700.0, 50.0), (0.0, 0.0, 1500.0))[:centres]
-    return replace(KIND.example, more_targets_mm=more, centres_mm=fixed, has_tracker=tracker)
+    return replace(KIND.example, more_targets_mm=more, centres_mm=fixed, planes=PLATES[:planes], has_tracker=tracker)
+
+
+def along_the_plane(drawn: Any, real: Any) -> list[float]:
+    """By how much a normal leans along two directions within the plane as drawn, the first nearest to an axis."""
+    n = np.array(drawn) / np.linalg.norm(drawn)
+    axis = np.eye(3)[int(np.argmin(np.abs(n)))]
+    u = axis - n * (n @ axis)
+    u /= np.linalg.norm(u)
+    return [float(real @ side / (real @ n)) for side in (u, np.cross(n, u))]
 
 
 def run_of(robot: Serial, seed: int, rows: int, *, bars: float = 0.01, **hidden: Any) -> sk.Measurements:
@@ -33,20 +51,24 @@ def run_of(robot: Serial, seed: int, rows: int, *, bars: float = 0.01, **hidden:
     return replace(virtual, distance_noise_mm=bars).measure(poses, repeats=2, seed=seed + 5)
 
 
-@pytest.mark.parametrize(("targets", "centres", "tracker"), [(3, 0, True), (1, 2, True), (2, 4, False), (2, 1, True)])
+@pytest.mark.parametrize(
+    ("targets", "centres", "planes", "tracker"),
+    [(3, 0, 0, True), (1, 2, 0, True), (2, 4, 3, False), (2, 1, 1, True), (1, 0, 2, True), (2, 0, 3, False)],
+)
 def test_every_reading_is_that_of_the_second_simulator(
-    targets: int, centres: int, tracker: bool, tmp_path: Path
+    targets: int, centres: int, planes: int, tracker: bool, tmp_path: Path
 ) -> None:
-    """Catches a target or centre that is another one's, an error in the wrong frame, a derivative that is not that of
-    the prediction, and a file that loses one of them."""
-    robot = arm(targets, centres, tracker=tracker)
+    """Catches a target, centre or plane that is another one's, an error in the wrong frame, a derivative that is not
+    that of the prediction, and a file that loses one of them."""
+    robot = arm(targets, centres, planes=planes, tracker=tracker)
     sk.save_robot(robot, tmp_path / "arm.toml")
     assert robot_from_tables(tomllib.loads((tmp_path / "arm.toml").read_text()), "again") == robot
     rng = np.random.default_rng(5)
     tools, fixed = rng.normal(size=(targets, 3)), rng.normal(size=(centres, 3))
     offset = 1e-3 * rng.normal(size=6)
     effects = Hidden(rate_mm_h=(0.5, 0.2, -0.3), bar_mm=0.4 if centres else 0.0)
-    virtual = VirtualSerial(robot, offset, tool_mm=tools, centres_mm=fixed, effects=effects)
+    leant = 0.02 * rng.normal(size=(planes, 4))
+    virtual = VirtualSerial(robot, offset, tool_mm=tools, centres_mm=fixed, planes=leant, effects=effects)
     data = virtual.measure(postures(robot, 12), seed=1)
     data.save(tmp_path / "run.csv")
     data = sk.read_measurements(tmp_path / "run.csv")
@@ -58,6 +80,9 @@ def test_every_reading_is_that_of_the_second_simulator(
         names |= {f"tool_{axis}": tools[0, a], f"drift.rate_{axis}": effects.rate_mm_h[a]}  # type: ignore[index]
         names |= {f"target_{k + 1}_{axis}": tools[k, a] for k in range(1, targets)}
         names |= {f"centre_{k + 1}_{axis}": fixed[k, a] for k in range(centres)}
+    for k, (drawn, (*turn, lift)) in enumerate(zip(PLATES, leant.tolist(), strict=False)):
+        lean = along_the_plane(drawn.normal, Rotation.from_rotvec(turn).apply(drawn.normal))
+        names |= {f"plane_{k + 1}_lean_u": lean[0], f"plane_{k + 1}_lean_v": lean[1], f"plane_{k + 1}_height": lift}
     values = np.array([names.get(p.name, 0.0) for p in model.parameters])
     predicted = model.predict(data, values)
     np.testing.assert_allclose(predicted[data.taken], data.readings[data.taken], atol=1e-7)
@@ -144,11 +169,12 @@ def test_a_length_of_all_bars_is_identified() -> None:
         ({"target": 3.0}, "target: expected a number from 1 to 2, found 3"),
         ({"target": 1.5}, "target: expected a number from 1 to 2, found 1.5"),
         ({"centre": 2.0}, "centre: expected a number from 1 to 1, found 2"),
+        ({"centre": np.nan, "plane": 3.0}, "plane: expected a number from 1 to 2, found 3"),
     ],
 )
 def test_numbers_that_name_nothing_are_refused(change: dict[str, float], said: str) -> None:
     """Catches a row that is read as another target's or centre's."""
-    robot = arm(2, 1)
+    robot = arm(2, 1, planes=2)
     data = run_of(robot, 1, 30)
     frame = {name: data.to_frame()[name].to_numpy().copy() for name in data.to_frame().columns}
     for name, number in change.items():
@@ -158,12 +184,40 @@ def test_numbers_that_name_nothing_are_refused(change: dict[str, float], said: s
 
 
 def test_half_a_distance_is_refused() -> None:
-    """Catches a distance without a centre, which would count from nowhere."""
+    """Catches a distance without a centre, which would count from nowhere, and one from two things at once."""
     data = run_of(arm(1, 1), 1, 10)
     frame = {name: data.to_frame()[name].to_numpy().copy() for name in data.to_frame().columns}
-    frame["centre"] = np.full(len(data), np.nan)
-    with pytest.raises(MeasurementError, match="a distance needs distance_mm and all of centre"):
+    for wrong in ({"centre": np.full(len(data), np.nan)}, {"plane": np.ones(len(data))}):
+        with pytest.raises(
+            MeasurementError, match="a distance needs distance_mm and one, and only one, of centre, pla"
+        ):
+            sk.from_frame(frame | wrong)
+    del frame["centre"]
+    with pytest.raises(MeasurementError, match=r"'centre' is missing .the other end of each distance.*, or 'plane'"):
         sk.from_frame(frame)
+
+
+def test_planes_that_are_touched_calibrate_an_arm() -> None:
+    """Catches planes that pull the arm with them, or a run of touches alone of which a frame is asked that nobody saw:
+    places within the planes' own frame are right to what the probe repeats."""
+    robot = arm(1, 0, planes=3, tracker=False)
+    data = run_of(robot, 3, 150)
+    virtual = VirtualSerial.simulated(robot, 3, 1.0, PLAIN)
+    fit = sk.identify(robot, data)
+    assert fit.scale == pytest.approx(1.0, rel=0.15)
+    made = sk.calibrate(robot, data).calibration
+    known = dict(zip((p.name for p in fit.parameters), fit.values.tolist(), strict=True))
+    still = np.zeros(6)
+    for joints in postures(robot, 20, 0.8, seed=8):
+        real, told = virtual.true_target(joints, still, still), made.forward(joints)
+        for k, drawn in enumerate(PLATES):
+            n = np.array(drawn.normal) / np.linalg.norm(drawn.normal)
+            u = np.eye(3)[int(np.argmin(np.abs(n)))]
+            u = (u - n * (n @ u)) / np.linalg.norm(u - n * (n @ u))
+            leant = n + known.get(f"plane_{k + 1}_lean_u", 0.0) * u
+            leant += known.get(f"plane_{k + 1}_lean_v", 0.0) * np.cross(n, u)
+            above = leant @ (told - drawn.at_mm) / np.linalg.norm(leant) - known.get(f"plane_{k + 1}_height", 0.0)
+            assert above == pytest.approx(virtual.height(real, k)[0], abs=0.06)
 
 
 def test_an_arm_that_nothing_reads_is_refused(tmp_path: Path) -> None:

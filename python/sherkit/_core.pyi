@@ -237,14 +237,20 @@ class SerialModel(_Model):
 
     ``joints`` (k, 19): of each its frame behind the one before it (turn row by row, shift in mm), 1 where it slides, by
     how much it follows the one before, home reading, mass and the centre of it (mm). ``targets`` (t, 3) behind the last
-    joint and ``centres`` (c, 3) of distances in the base frame, mm, up to four of each; ``tracker`` (12,): from base to
-    tracker.
+    joint and ``centres`` (c, 3) of distances in the base frame, mm, up to four of each; ``planes`` (p, 6) a point and
+    the normal of up to four more; ``tracker`` (12,): from base to tracker.
     ``settings``: direction of the weight (3), period of the encoders, origin of time, slip times of target and tracker
     (s).
     """
 
     def __new__(
-        cls, joints: _Floats, targets: _Floats, centres: _Floats, tracker: _Floats, settings: _Floats
+        cls,
+        joints: _Floats,
+        targets: _Floats,
+        centres: _Floats,
+        planes: _Floats,
+        tracker: _Floats,
+        settings: _Floats,
     ) -> SerialModel: ...
 
 @final

@@ -26,7 +26,8 @@ class Layout:
     reading between two places, whose other end is at ``to_joints``. People read coordinates in ``unit``, of which one
     unit of the file has ``per_unit``. ``velocities`` are covariates by joint; ``apart`` are columns of numbers by which
     readings at one pose are no repeats of each other, as those of several targets. ``from_fixed``: the other end of a
-    distance is no pose but a fixed place, which ``to_joints`` names by its number.
+    distance is no pose but something that stands fixed, a place or a plane, which one of ``to_joints`` names by its
+    number.
     ``loads`` are covariates that are zero for a robot that carries nothing.
     ``joints_tell_pose``: rows with the same joint readings stand at the same pose. ``follows``: readings move with the
     joints; heights above a plate that is probed do not, and how little they vary says nothing of a mistake.
@@ -158,10 +159,12 @@ def check_columns(names: list[str], where: str) -> Layout:
         what = f"at least one of {' or '.join([', '.join(layout.readings[:-1]), layout.readings[-1]])}"
         raise MeasurementError(_missing(layout.readings[0], names, where, what, layout))
     if layout.distance is not None and layout.distance in names:
-        for needed in layout.to_joints:
-            if needed not in names:
-                what = "the other end of each distance"
-                raise MeasurementError(_missing(needed, names, where, what, layout))
+        lacking = [n for n in layout.to_joints if n not in names]
+        if len(lacking) > (len(layout.to_joints) - 1 if layout.from_fixed else 0):
+            what = "the other end of each distance"
+            if layout.from_fixed:
+                what += f": the number of what it counts from, or '{layout.to_joints[-1]}'"
+            raise MeasurementError(_missing(lacking[0], names, where, what, layout))
     absent = [n for n in layout.known if n not in names]
     for name in (n for n in names if n not in layout.known):
         stem = name.rsplit("_", 1)[0]

@@ -220,10 +220,12 @@ class Measurements:
         ends = np.isfinite(self.to_joints)
         if not (ends.any() or self.is_distance.any()):
             return
-        half = (ends.any(axis=1) & ~ends.all(axis=1)) | (ends.all(axis=1) != self.is_distance)
+        needed = 1 if self.layout.from_fixed else ends.shape[1]
+        half = ends.sum(axis=1) != np.where(self.is_distance, needed, 0)
         if half.any():
+            of = "one, and only one," if self.layout.from_fixed else "all"
             raise MeasurementError(
-                f"{self.place(half)}: a distance needs {self.layout.distance} and all of "
+                f"{self.place(half)}: a distance needs {self.layout.distance} and {of} of "
                 f"{', '.join(self.layout.to_joints)}"
             )
         both = self.is_distance & self.taken[:, :-1].any(axis=1)

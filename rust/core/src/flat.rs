@@ -16,7 +16,7 @@
 //! 4 centres, gravity, period of the encoders, time origin, slip time, the values of all parameters.
 
 use crate::camera::{Description, Face};
-use crate::chain::Robot;
+use crate::chain::{Flat, PLANES, Robot};
 use crate::delta;
 use crate::delta::correction::{Correction, Domain, MAX_ORDER, coefficients_len};
 use crate::delta::{Branch, Calibrated};
@@ -383,6 +383,8 @@ pub fn read_serial(numbers: &[f64]) -> Result<serial::Calibrated> {
         count,
         targets_mm: row.points()?,
         centres_mm: row.points()?,
+        // what an arm was measured with has no part in where its target is
+        planes: [Flat::GROUND; PLANES],
         tracker: Rigid::identity(),
         gravity: Vector3::from(row.finite::<3>()?),
         encoder_period: row.finite::<1>()?[0],

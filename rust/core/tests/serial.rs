@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, SVector, Vector3};
 use sherkit_core::chain::effects::Wanted;
-use sherkit_core::chain::{Aim, CENTRES, Covariates, Prediction, Robot, Row};
+use sherkit_core::chain::{Aim, CENTRES, Covariates, Fixed, Flat, PLANES, Prediction, Robot, Row};
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::serial::{
     CATALOGUE, Calibrated, JOINTS, Joint, Limits, Model, PARAMETERS, TARGETS, Values,
@@ -51,6 +51,10 @@ fn arm() -> Model {
             Vector3::new(0.0, 0.0, 120.0),
         ],
         centres_mm: [Vector3::new(300.0, 400.0, -200.0); CENTRES],
+        planes: [Flat {
+            at: Vector3::new(500.0, -300.0, 80.0),
+            normal: Vector3::new(0.48, -0.6, 0.64),
+        }; PLANES],
         tracker: Rigid {
             rotation: turn(2, 2.0) * turn(0, 0.3),
             translation: Vector3::new(1500.0, -700.0, 300.0),
@@ -106,14 +110,22 @@ fn derivatives_are_exact() {
         assert!(miss < 1e-8, "{what} {number}: {miss:e} {column} {other}");
     };
     let (model, sizes) = (arm(), || CATALOGUE.iter().flat_map(|e| e.parameters));
-    let aims = [(0, None), (2, None), (0, Some(1)), (3, Some(2))];
+    let (centre, plane) = (|k| Some(Fixed::Centre(k)), |k| Some(Fixed::Plane(k)));
+    let aims = [
+        (0, None),
+        (2, None),
+        (0, centre(1)),
+        (1, plane(3)),
+        (3, centre(2)),
+        (0, plane(0)),
+    ];
     let mut reused = Prediction::new();
-    for (share, (target, centre)) in [0.0, 1.0]
+    for (share, (target, from)) in [0.0, 1.0]
         .into_iter()
         .flat_map(|s| aims.map(|aim| (s, aim)))
     {
         let row = Row {
-            aim: Aim { target, centre },
+            aim: Aim { target, from },
             ..row()
         };
         let values = some(share);
@@ -163,10 +175,10 @@ fn targets_and_distances_are_where_they_are_drawn() {
         ..arm()
     };
     let chain = model.with(&some(0.0)).unwrap();
-    let at = |target: usize, centre: Option<usize>| {
+    let at = |target: usize, from: Option<Fixed>| {
         let mut row = row();
         row.covariates = Covariates::NONE;
-        row.aim = Aim { target, centre };
+        row.aim = Aim { target, from };
         chain.row_value(&row).unwrap()
     };
     let push = row().push;
@@ -184,7 +196,12 @@ fn targets_and_distances_are_where_they_are_drawn() {
     for k in 0..TARGETS {
         assert!((at(k, None) - flange(k)).norm() < 1e-12);
         let distance = (flange(k) - model.centres_mm[1]).norm();
-        assert!((at(k, Some(1)) - Vector3::new(distance, 0.0, 0.0)).norm() < 1e-12);
+        let read = at(k, Some(Fixed::Centre(1)));
+        assert!((read - Vector3::new(distance, 0.0, 0.0)).norm() < 1e-12);
+        let drawn = model.planes[2];
+        let above = (flange(k) - drawn.at).dot(&drawn.normal);
+        let read = at(k, Some(Fixed::Plane(2)));
+        assert!((read - Vector3::new(above, 0.0, 0.0)).norm() < 1e-12);
     }
 }
 
@@ -285,4 +302,42 @@ fn the_inverse_comes_back() {
         arm.inverse(&Vector3::new(5000.0, 0.0, 0.0), &start, &now)
             .is_err()
     );
+}
+
+/// A plane that leans the other way, or lies lower where it should lie higher, against three of its points.
+#[test]
+fn planes_lean_and_lie_higher() {
+    let tilted = Flat {
+        at: Vector3::new(10.0, 20.0, 30.0),
+        normal: Vector3::new(0.0, -0.6, 0.8),
+    };
+    for flat in [tilted, Flat::GROUND] {
+        let [u, v] = flat.within();
+        for (a, b) in [(u, v), (u, flat.normal), (v, flat.normal)] {
+            assert!(a.dot(&b).abs() < 1e-15 && (a.norm() - 1.0).abs() < 1e-15);
+        }
+        assert!((u - Vector3::x()).norm() < 1e-15);
+        let model = Model {
+            planes: [flat; PLANES],
+            ..arm()
+        };
+        let mut values = [0.0; PARAMETERS];
+        let place = CATALOGUE.iter().take_while(|e| e.name != "planes");
+        let start: usize = place.map(|e| e.parameters.len()).sum();
+        values[start..start + 3].copy_from_slice(&[0.03, -0.02, 5.0]);
+        let chain = model.with(&values).unwrap();
+        let mut row = row();
+        row.aim.from = Some(Fixed::Plane(0));
+        row.push = Vector3::zeros();
+        let read = chain.row_value(&row).unwrap().x;
+        let point = chain.row_point(&row).unwrap();
+        // the leaning plane by three points of it, then moved along its normal
+        let [o, p, q] = [
+            flat.at,
+            flat.at + u - flat.normal * 0.03,
+            flat.at + v + flat.normal * 0.02,
+        ];
+        let normal = (p - o).cross(&(q - o)).normalize();
+        assert!((read - (normal.dot(&(point - o)) - 5.0)).abs() < 1e-9);
+    }
 }

@@ -14,12 +14,12 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use sherkit_core::Result;
 use sherkit_core::chain::effects::{Effect, Wanted};
-use sherkit_core::chain::{Aim, Chain, Covariates, Distances, Prediction, Robot, Row};
+use sherkit_core::chain::{Aim, Chain, Covariates, Distances, Fixed, Prediction, Robot, Row};
 
 /// A block of rows as it comes from Python: joints `(n, J)`, the other ends of distances `(n, J)`, covariates
 /// `(n, 2 + 2 J)` (time s, temperature °C, directions, velocities, which may be left out, and the number of the target where
-/// there are several) and displacements of the measured point `(n, 3)`. Where distances are read from fixed centres, the
-/// other ends are their numbers `(n, 1)`.
+/// there are several) and displacements of the measured point `(n, 3)`. Where distances are read from fixed centres and
+/// planes, the other ends are the number of one or the other `(n, 2)`.
 pub type Block<'py> = (
     PyReadonlyArray2<'py, f64>,
     Option<PyReadonlyArray2<'py, f64>>,
@@ -27,7 +27,7 @@ pub type Block<'py> = (
     Option<PyReadonlyArray2<'py, f64>>,
 );
 
-/// Targets and centres are numbered up to here.
+/// Targets, centres and planes are numbered up to here.
 const MOST: usize = 16;
 
 /// By parameters, joint readings and a displacement of the measured point, and which rows could be computed.
@@ -95,8 +95,9 @@ pub fn rows_of_first<const J: usize>(
     k: usize,
     distances: Distances,
 ) -> PyResult<Vec<Row<J>>> {
-    let fixed = distances == Distances::FromCentres;
-    let wide = if fixed { 1 } else { k };
+    let fixed = distances == Distances::FromFixed;
+    // the number of a centre, and that of a plane
+    let wide = if fixed { 2 } else { k };
     let n = block.0.shape().first().copied().unwrap_or(0);
     let joints = table("joints", &block.0, n, k)?;
     let to = optional("to_joints", block.1.as_ref(), n, wide)?;
@@ -119,9 +120,11 @@ pub fn rows_of_first<const J: usize>(
             target: covariates
                 .filter(|_| known > 2 + 2 * k)
                 .map_or(0, |c| counted(c[known * i + known - 2])),
-            centre: to
-                .filter(|to| fixed && !to[i].is_nan())
-                .map(|to| counted(to[i])),
+            from: to.filter(|_| fixed).and_then(|to| {
+                let number = |at: usize| Some(to[2 * i + at]).filter(|x| !x.is_nan());
+                let centre = number(0).map(|x| Fixed::Centre(counted(x)));
+                centre.or_else(|| number(1).map(|x| Fixed::Plane(counted(x))))
+            }),
         },
         covariates: covariates.map_or(Covariates::NONE, |c| {
             let c = &c[known * i..];

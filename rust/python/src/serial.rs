@@ -12,7 +12,7 @@ use numpy::{
 };
 use pyo3::prelude::*;
 use sherkit_core::chain::effects::Wanted;
-use sherkit_core::chain::{Covariates, Robot};
+use sherkit_core::chain::{Covariates, Flat, PLANES, Robot};
 use sherkit_core::flat::write_serial;
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::serial::{
@@ -47,6 +47,24 @@ fn points<const N: usize>(
     Ok(out)
 }
 
+/// As many planes as there are, the others the ground.
+fn flats(array: &PyReadonlyArray2<'_, f64>) -> PyResult<[Flat; PLANES]> {
+    let found = rows::<6, _>("planes", array)?;
+    if found.len() > PLANES {
+        return Err(shape(
+            "planes",
+            &format!("(up to {PLANES}, 6)"),
+            array.shape(),
+        ));
+    }
+    let mut out = [Flat::GROUND; PLANES];
+    for (plane, [x, y, z, normal @ ..]) in out.iter_mut().zip(found) {
+        plane.at = Vector3::new(*x, *y, *z);
+        plane.normal = Vector3::from(*normal);
+    }
+    Ok(out)
+}
+
 fn joint(numbers: &[f64; NUMBERS]) -> Joint {
     Joint {
         fixed: rigid(numbers),
@@ -65,14 +83,16 @@ pub struct SerialModel(Model);
 
 model_class!(SerialModel, Model, serial, {
     /// `joints` `(k, 19)`: of each its frame behind the one before it (turn row by row, shift in mm), 1 where it slides,
-    /// by how much it follows the one before, home reading, mass and the centre of it (mm); `targets` `(1 to 4, 3)` behind the last joint and `centres` `(0 to 4,
-    /// 3)` of distances in the base frame (mm); `tracker` `(12,)`: from base to tracker; `settings`:
+    /// by how much it follows the one before, home reading, mass and the centre of it (mm); `targets` `(1 to 4, 3)`
+    /// behind the last joint; `centres` `(0 to 4, 3)` of distances in the base frame (mm) and `planes` `(0 to 4, 6)`, a
+    /// point (mm) and the normal of each; `tracker` `(12,)`: from base to tracker; `settings`:
     /// direction of the weight (3), period of the encoders, time origin, slip times of target and tracker (s).
     #[new]
     fn new(
         joints: PyReadonlyArray2<'_, f64>,
         targets: PyReadonlyArray2<'_, f64>,
         centres: PyReadonlyArray2<'_, f64>,
+        planes: PyReadonlyArray2<'_, f64>,
         tracker: PyReadonlyArray1<'_, f64>,
         settings: PyReadonlyArray1<'_, f64>,
     ) -> PyResult<Self> {
@@ -102,6 +122,7 @@ model_class!(SerialModel, Model, serial, {
             count: found.len(),
             targets_mm: points("targets", &targets)?,
             centres_mm: points("centres", &centres)?,
+            planes: flats(&planes)?,
             tracker: rigid(&fixed::<RIGID, _>("tracker", &tracker)?),
             gravity: Vector3::new(gx, gy, gz),
             encoder_period,

@@ -6,7 +6,7 @@ from .columns import POSITION, layout_of_arm
 from .drawing import drawing
 from .model import SerialModel
 from .pose_sets import AREAS, postures
-from .robot import MOST_JOINTS, Joint, Serial
+from .robot import MOST_JOINTS, Joint, Plane, Serial
 from .virtual import Hidden, VirtualSerial
 
 _TURN = (-175.0, 175.0)
@@ -32,4 +32,14 @@ KIND = Kind(
     drawing=drawing,
 )  # fmt: skip
 
-__all__ = ["MOST_JOINTS", "Hidden", "Joint", "Serial", "SerialCalibration", "SerialModel", "VirtualSerial", "postures"]
+__all__ = [
+    "MOST_JOINTS",
+    "Hidden",
+    "Joint",
+    "Plane",
+    "Serial",
+    "SerialCalibration",
+    "SerialModel",
+    "VirtualSerial",
+    "postures",
+]

@@ -1,5 +1,5 @@
 """The columns of a run of a serial arm: its joints under their own names; where a tracker sees a target, or how far it
-is from a fixed centre."""
+is from a fixed centre or plane."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from ...data.columns import Layout
 
 POSITION = ("x_mm", "y_mm", "z_mm")
-#: Number of the target, from 1, where an arm carries several, and of the centre from which a distance counts.
-TARGET, CENTRE = "target", "centre"
+#: Number of the target, from 1, where an arm carries several, and of the centre or plane from which a distance counts.
+TARGET, CENTRE, PLANE = "target", "centre", "plane"
 #: What hangs at the first target besides the arm's own weight, kg.
 PAYLOAD = "payload_kg"
 
@@ -24,9 +24,9 @@ def layout_of_arm(joints: Sequence[tuple[str, str]]) -> Layout:
         "µm",
         1e3,
         "distance_mm",
-        (CENTRE,),
+        (CENTRE, PLANE),
         velocities,
-        apart=(TARGET, CENTRE),
+        apart=(TARGET, CENTRE, PLANE),
         from_fixed=True,
         loads=(PAYLOAD,),
     )

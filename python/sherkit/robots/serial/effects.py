@@ -96,9 +96,9 @@ def joint_of(name: str) -> int | None:
 def has(robot: Serial, name: str) -> bool:
     """Whether an arm has the instrument or target that a parameter or effect of the table belongs to by its name."""
     kind, _, rest = name.partition("_")
-    if kind in ("target", "centre"):
-        there = robot.targets_mm if kind == "target" else robot.centres_mm
-        return int(rest[0]) <= len(there)
+    there = {"target": robot.targets_mm, "centre": robot.centres_mm, "plane": robot.planes}
+    if kind in there:
+        return int(rest[0]) <= len(there[kind])
     if name == "bar_zero":
         return bool(robot.centres_mm)
     return robot.has_tracker or kind not in ("frame", "tracker", "sensor")

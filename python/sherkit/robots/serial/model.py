@@ -21,7 +21,7 @@ from ...model.chain import Block, ChainModel
 from ...model.effect import Effect, parameters_of_core
 from ...model.parameter import Parameter
 from ...types import Floats
-from .columns import CENTRE, PAYLOAD, POSITION, TARGET
+from .columns import CENTRE, PAYLOAD, PLANE, POSITION, TARGET
 from .effects import SERIAL_CATALOGUE, effects_of, has, joint_of, parameter_of
 from .frames import of_rpy
 from .robot import Serial
@@ -32,7 +32,7 @@ _POSES = 200
 #: are drawn parallel are so to fewer digits than numbers have.
 _BEYOND = 1e-3
 #: What every arm is measured with comes first.
-_FIRST = ("frame", "tool", "target", "centre")
+_FIRST = ("frame", "tool", "target", "centre", "plane")
 #: Poses from which the next ones are chosen.
 _NEXT = 500
 _JOINT_DIGITS = 5
@@ -45,12 +45,14 @@ _FEWEST, _ROUNDS, _FAR, _LINE = 6, 5, 5.0, 1e-3
 @dataclass(frozen=True)
 class SerialModel(ChainModel):
     """A nominal serial arm with named errors and effects to identify. Readings are x, y, z of a target, mm, as a
-    tracker shows them, or how far it is from a fixed centre; the columns ``target`` and ``centre`` hold their numbers.
+    tracker shows them, or how far it is from a fixed centre or above a plane; the columns ``target``, ``centre`` and
+    ``plane`` hold their numbers.
 
     ``free`` names what is identified of where the tracker sees the base frame (``frame_x``, ``frame_turn_x``, …), of
-    the targets (``tool_x`` … of the first, ``target_2_x`` …), of the centres (``centre_1_x`` …), of each joint's zero
-    (``offset_2``), and of where its axis lies (``shift_x_2``, ``shift_y_2``) and leans (``tilt_x_2``, ``tilt_y_2``), in
-    its own frame, whose z is the axis. Left out, it is :attr:`default`. ``period_rad``, or ``period_mm``
+    the targets (``tool_x`` … of the first, ``target_2_x`` …), of the centres (``centre_1_x`` …) and planes
+    (``plane_1_lean_u``, ``plane_1_height`` …), of each joint's zero (``offset_2``), and of where its axis lies
+    (``shift_x_2``, ``shift_y_2``) and leans (``tilt_x_2``, ``tilt_y_2``), in its own frame, whose z is the axis. Left
+    out, it is :attr:`default`. ``period_rad``, or ``period_mm``
     where every joint slides, is that of the encoders' cyclic error.
     """
 
@@ -138,11 +140,14 @@ class SerialModel(ChainModel):
         return q, ends, covariates, push
 
     def require_own(self, data: Measurements) -> None:
-        """Also refuses numbers of targets and centres that the arm has not."""
+        """Also refuses numbers of targets, centres and planes that the arm has not."""
         super().require_own(data)
-        given = {TARGET: data.covariates.get(TARGET), CENTRE: data.to_joints[:, 0] if data.is_distance.any() else None}
-        for name, there in ((TARGET, self.robot.targets_mm), (CENTRE, self.robot.centres_mm)):
-            numbers = given[name]
+        robot, ends = self.robot, data.to_joints.T if data.is_distance.any() else (None, None)
+        for name, numbers, there in (
+            (TARGET, data.covariates.get(TARGET), robot.targets_mm),
+            (CENTRE, ends[0], robot.centres_mm),
+            (PLANE, ends[1], robot.planes),
+        ):
             if name in data.labels:
                 raise FitError(f"{data.source}: column '{name}': expected numbers, 1 for the first in the robot file")
             if numbers is None:
@@ -187,7 +192,8 @@ class SerialModel(ChainModel):
         rows = data.unmeasured(joints)
         if not self.robot.has_tracker:
             taken = np.tile([name == rows.layout.distance for name in rows.layout.readings], (len(rows), 1))
-            rows = replace(rows, taken=taken, to_joints=np.ones((len(rows), 1)))
+            first = (1.0, np.nan) if self.robot.centres_mm else (np.nan, 1.0)
+            rows = replace(rows, taken=taken, to_joints=np.tile(first, (len(rows), 1)))
         return Reachable(dict(zip(self.targets, targets.T, strict=True)), rows)
 
     def reason(self, data: Measurements, row: int, values: Floats) -> str:
@@ -199,13 +205,16 @@ class SerialModel(ChainModel):
 def _every_reading(robot: Serial, joints: Floats) -> Measurements:
     """Rows at these joints (n, k) of all that can be read of an arm: each target by the tracker, and its distances."""
     seen = range(1, len(robot.targets_mm) + 1)
-    read = [(target, np.nan) for target in seen] if robot.has_tracker else []
-    read += [(target, float(centre)) for target in seen for centre in range(1, len(robot.centres_mm) + 1)]
-    target, centre = np.tile(read, (len(joints), 1)).T
-    layout, places = robot.layout, np.where(np.isnan(centre), 0.0, np.nan)
+    none = np.nan
+    read = [(target, none, none) for target in seen] if robot.has_tracker else []
+    read += [(target, centre, none) for target in seen for centre in range(1, len(robot.centres_mm) + 1)]
+    read += [(target, none, plane) for target in seen for plane in range(1, len(robot.planes) + 1)]
+    target, centre, plane = np.tile(read, (len(joints), 1)).T
+    is_place = np.isnan(centre) & np.isnan(plane)
+    layout, places = robot.layout, np.where(is_place, 0.0, np.nan)
     columns = dict(zip(layout.joints, np.repeat(joints, len(read), axis=0).T, strict=True))
     columns |= dict.fromkeys(layout.coordinates, places)
-    columns |= {"distance_mm": np.where(np.isnan(centre), np.nan, 0.0), CENTRE: centre, TARGET: target}
+    columns |= {"distance_mm": np.where(is_place, np.nan, 0.0), CENTRE: centre, PLANE: plane, TARGET: target}
     with warnings.catch_warnings():
         # readings that are all zero look as if they were in another unit
         warnings.simplefilter("ignore", SherkitWarning)

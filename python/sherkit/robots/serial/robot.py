@@ -30,7 +30,7 @@ Pair = tuple[float, float]
 TYPES = ("revolute", "prismatic")
 #: Joints that the compiled arm has room for.
 MOST_JOINTS = 9
-#: Targets that it has room for, and centres of distances.
+#: Targets that it has room for, and centres and planes of distances.
 MOST_POINTS = 4
 _ZERO: Triple = (0.0, 0.0, 0.0)
 #: Where a joint may stand if its file does not say it: a turn either way, or half a metre.
@@ -131,13 +131,29 @@ class Joint:
 
 
 @dataclass(frozen=True)
+class Plane:
+    """A plane that stands fixed, base frame: a point of it, mm, and its normal, of any length, towards the side where
+    distances are positive."""
+
+    at_mm: Triple
+    normal: Triple = (0.0, 0.0, 1.0)
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """The point, and a normal of length one (6,)."""
+        normal = np.array(self.normal) / np.linalg.norm(self.normal)
+        return (*self.at_mm, *normal.tolist())
+
+
+@dataclass(frozen=True)
 class Serial(Saved, Shown):
     """Nominal serial arm of one to nine joints. Lengths in mm, angles in degrees as in its file, joint readings rad or
     mm.
 
     ``target_mm`` is the measured point in the frame of the last joint, ``tool_rpy_deg`` how the tool stands there, and
     ``more_targets_mm`` up to three other points, numbers 2 to 4 of the column ``target``. ``centres_mm`` are up to four
-    fixed places in the base frame from which distances are read: numbers of the column ``centre``.
+    fixed places in the base frame from which distances are read: numbers of the column ``centre``; ``planes`` likewise
+    up to four above which heights are, numbers of the column ``plane``.
     ``gravity`` is the direction of the weight in the base frame. The tracker sees the origin of the base frame at
     ``tracker_mm``, and its axes turned by ``tracker_rpy_deg``; what it really sees is identified.
     ``has_tracker`` is False where distances alone are read. ``required_um`` is the accuracy that the arm is for.
@@ -151,6 +167,7 @@ class Serial(Saved, Shown):
     tracker_rpy_deg: Triple = _ZERO
     more_targets_mm: tuple[Triple, ...] = ()
     centres_mm: tuple[Triple, ...] = ()
+    planes: tuple[Plane, ...] = ()
     has_tracker: bool = True
     required_um: float | None = None
     kind: str = field(default="serial", init=False)
@@ -166,11 +183,15 @@ class Serial(Saved, Shown):
             raise ShapeError(f"joint {names[0]}: follows the one before it, and there is none")
         if not np.linalg.norm(self.gravity) > 0:
             raise ShapeError("gravity: expected a direction, got only zeros")
-        for what, points in (("targets", self.targets_mm), ("centres", self.centres_mm)):
-            if len(points) > MOST_POINTS:
-                raise ShapeError(f"{what}: an arm has at most {MOST_POINTS}, got {len(points)}")
-        if not (self.has_tracker or self.centres_mm):
-            raise ShapeError("nothing reads this arm: it has neither a tracker nor centres of distances")
+        several = {"targets": self.targets_mm, "centres": self.centres_mm, "planes": self.planes}
+        for what, there in several.items():
+            if len(there) > MOST_POINTS:
+                raise ShapeError(f"{what}: an arm has at most {MOST_POINTS}, got {len(there)}")
+        for k, plane in enumerate(self.planes, start=1):
+            if not np.linalg.norm(plane.normal) > 0:
+                raise ShapeError(f"plane {k}: normal: expected a direction, got only zeros")
+        if not (self.has_tracker or self.centres_mm or self.planes):
+            raise ShapeError("nothing reads this arm: it has neither a tracker nor centres or planes of distances")
         _ = self.nominal  # refuses numbers that are no arm
         know(self.layout)
 
@@ -186,7 +207,8 @@ class Serial(Saved, Shown):
         with table.table("base", optional=True) as b:
             vectors["gravity"] = b.numbers("gravity", 3, (0.0, 0.0, -1.0))
         points = {name: _points(table, name) for name in ("target", "centre")}
-        seen = table.has("tracker") or not points["centre"]
+        planes = tuple(_plane(one) for one in table.tables("plane"))
+        seen = table.has("tracker") or not (points["centre"] or planes)
         with table.table("tracker", optional=True) as t:
             vectors |= {
                 "tracker_mm": t.numbers("origin_mm", 3, _ZERO),
@@ -200,6 +222,7 @@ class Serial(Saved, Shown):
                 **{name: (v[0], v[1], v[2]) for name, v in vectors.items()},
                 more_targets_mm=points["target"],
                 centres_mm=points["centre"],
+                planes=planes,
                 has_tracker=seen,
                 required_um=required,
             )
@@ -219,6 +242,11 @@ class Serial(Saved, Shown):
                 for name, points in (("target", self.more_targets_mm), ("centre", self.centres_mm))
                 if points
             },
+            **(
+                {"plane": [{"at_mm": list(p.at_mm), "normal": list(p.normal)} for p in self.planes]}
+                if self.planes
+                else {}
+            ),
             **({"tracker": tracker} if self.has_tracker else {}),
             **({"workspace": {"required_um": self.required_um}} if self.required_um else {}),
         }
@@ -302,8 +330,9 @@ class Serial(Saved, Shown):
         seen = of_rpy(np.deg2rad(self.tracker_rpy_deg).tolist())
         tracker = np.array([*seen.ravel(), *self.tracker_mm])
         centres = np.array(self.centres_mm, dtype=float).reshape(-1, 3)
+        planes = np.array([plane.numbers for plane in self.planes], dtype=float).reshape(-1, 6)
         return _core.SerialModel(
-            np.array(rows, dtype=float), self.targets.copy(), centres, tracker, np.array([*pull, *settings])
+            np.array(rows, dtype=float), self.targets.copy(), centres, planes, tracker, np.array([*pull, *settings])
         )
 
     @cached_property
@@ -392,3 +421,11 @@ def _points(table: Table, name: str) -> tuple[Triple, ...]:
     """The places of tables ``[[name]]``."""
     found = (one.numbers("at_mm", 3) for one in table.tables(name))
     return tuple((v[0], v[1], v[2]) for v in found)
+
+
+def _plane(one: Table) -> Plane:
+    """A table ``[[plane]]``."""
+    at, normal = one.numbers("at_mm", 3), one.numbers("normal", 3, (0.0, 0.0, 1.0))
+    if not np.linalg.norm(normal) > 0:
+        raise one.fail("normal", "a direction, not only zeros")
+    return Plane((at[0], at[1], at[2]), (normal[0], normal[1], normal[2]))

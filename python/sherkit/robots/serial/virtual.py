@@ -19,7 +19,7 @@ from ...data.toml import Table
 from ...errors import ShapeError
 from ...model.kinds import Option
 from ...types import Floats
-from .columns import CENTRE, PAYLOAD, TARGET
+from .columns import CENTRE, PAYLOAD, PLANE, TARGET
 from .robot import Serial
 
 if TYPE_CHECKING:
@@ -76,8 +76,9 @@ class VirtualSerial:
 
     ``offset`` (k,) are errors of the joints' zeros, ``shift_mm`` (k, 2) and ``tilt_rad`` (k, 2) how far each axis lies
     beside its place and leans, in its frame; ``tool_mm`` (3,) or (t, 3) moves the targets, ``centres_mm`` (c, 3) the
-    centres of distances, ``stand`` (6,) is a turn and a shift of what the tracker sees, rad and mm. ``noise_mm`` is the
-    standard deviation of a reading, ``distance_noise_mm`` that of a distance, the same unless it is given.
+    centres of distances, ``planes`` (p, 4) turns planes about the base's axes, rad, and lifts them, mm; ``stand`` (6,)
+    is a turn and a shift of what the tracker sees, rad and mm. ``noise_mm`` is the standard deviation of a reading,
+    ``distance_noise_mm`` that of a distance, the same unless it is given.
     """
 
     robot: Serial
@@ -90,6 +91,7 @@ class VirtualSerial:
     noise_mm: float = 0.0
     centres_mm: ArrayLike = 0.0
     distance_noise_mm: float | None = None
+    planes: ArrayLike = 0.0
 
     OPTIONS: ClassVar[Mapping[str, Option]] = {
         "noise_um": Option(50.0, "of a reading"),
@@ -124,6 +126,7 @@ class VirtualSerial:
             hidden,
             1e-3 * sizes["noise_um"],
             centres,
+            planes=errors * np.array([*3 * [_SIZES["turn"]], _SIZES["tool"]]) * rng.normal(size=(len(robot.planes), 4)),
         )
 
     @classmethod
@@ -143,6 +146,8 @@ class VirtualSerial:
         shapes["tool_mm"] = (1 + len(self.robot.more_targets_mm), 3) if self.robot.more_targets_mm else (3,)
         if self.robot.centres_mm:
             shapes["centres_mm"] = (len(self.robot.centres_mm), 3)
+        if self.robot.planes:
+            shapes["planes"] = (len(self.robot.planes), 4)
         own = {name: np.broadcast_to(getattr(self, name), shape).tolist() for name, shape in shapes.items()}
         more = {name: np.asarray(value, dtype=float).tolist() for name, value in vars(self.effects).items()}
         return {**own, "effects": more}
@@ -261,6 +266,14 @@ class VirtualSerial:
         centre = np.asarray(self.robot.centres_mm[number]) + off
         return np.array([float(np.sqrt(np.sum((point - centre) ** 2))) + self.effects.bar_mm, 0.0, 0.0])
 
+    def height(self, point: Floats, number: int) -> Floats:
+        """How far a point is above a plane, mm, as the first of three numbers."""
+        drawn = self.robot.planes[number]
+        *turn, lift = np.broadcast_to(np.asarray(self.planes, dtype=float), (len(self.robot.planes), 4))[number]
+        up = scipy.spatial.transform.Rotation.from_rotvec(turn).apply(np.asarray(drawn.normal, dtype=float))
+        above = up @ (point - np.asarray(drawn.at_mm)) / float(np.sqrt(np.sum(up**2)))
+        return np.array([float(above) - lift, 0.0, 0.0])
+
     def noise_free(self, joints: ArrayLike) -> Floats:
         """What a run without noise, time and motion would hold (n, 3), mm."""
         rows = np.atleast_2d(np.asarray(joints, dtype=float))
@@ -292,17 +305,24 @@ class VirtualSerial:
         velocity = rng.normal(size=read.shape) * np.ptp(read, axis=0) / 10.0 if hidden.late_s else np.zeros_like(read)
         warmth = 20.0 + 3.0 * (1.0 - np.exp(-2.0 * np.arange(n) / max(n - 1, 1)))
         targets, centres = range(len(self.robot.targets_mm)), range(len(self.robot.centres_mm))
-        reads: list[tuple[int, int | None]] = [(t, None) for t in targets] if self.robot.has_tracker else []
-        reads += [(t, c) for t in targets for c in centres]
+        planes = range(len(self.robot.planes))
+        reads: list[tuple[int, int | None, int | None]] = (
+            [(t, None, None) for t in targets] if self.robot.has_tracker else []
+        )
+        reads += [(t, c, None) for t in targets for c in centres]
+        reads += [(t, None, p) for t in targets for p in planes]
         shown = []
         for k in range(n):
             late = k >= n // 2
-            for target, centre in reads:
+            for target, centre, plane in reads:
                 warmer = float(warmth[k] - 20.0)
                 point = self.true_target(read[k], came[k], velocity[k], target, warmer, float(payload[k]))
                 point = point * (1.0 + hidden.warmth_per_c * (warmth[k] - 20.0))
                 point = point + np.asarray(hidden.rate_mm_h) * time[k] / 3600.0 + np.asarray(hidden.step_mm) * late
-                shown.append(self.seen(point, late) if centre is None else self.distance(point, centre))
+                if centre is not None:
+                    shown.append(self.distance(point, centre))
+                else:
+                    shown.append(self.seen(point, late) if plane is None else self.height(point, plane))
         reading = np.array(shown) + self.noise_mm * rng.normal(size=(len(shown), 3))
         layout = self.robot.layout
         columns: dict[str, Any] = {"time_s": time, "temperature_c": warmth, "pose": pose + 1}
@@ -314,13 +334,14 @@ class VirtualSerial:
             columns |= dict(zip(layout.velocities, velocity.T, strict=True))
         columns = {name: np.repeat(values, len(reads), axis=0) for name, values in columns.items()}
         if len(targets) > 1:
-            columns[TARGET] = np.tile([target + 1 for target, _ in reads], n)
-        if centres:
-            far_from = np.tile([np.nan if c is None else c + 1.0 for _, c in reads], n)
+            columns[TARGET] = np.tile([target + 1 for target, _, _ in reads], n)
+        if centres or planes:
+            ends = np.array([[np.nan if one is None else one + 1.0 for one in end] for _, *end in reads])
             noise = self.noise_mm if self.distance_noise_mm is None else self.distance_noise_mm
             far = np.array(shown)[:, 0] + noise * rng.normal(size=len(shown))
-            is_place = np.isnan(far_from)
-            columns |= {CENTRE: far_from, "distance_mm": np.where(is_place, np.nan, far)}
+            is_place = np.tile(np.isnan(ends).all(axis=1), n)
+            columns |= dict(zip((CENTRE, PLANE), np.tile(ends, (n, 1)).T, strict=True))
+            columns["distance_mm"] = np.where(is_place, np.nan, far)
             reading = np.where(is_place[:, None], reading, np.nan)
         columns |= dict(zip(layout.coordinates, reading.T, strict=True))
         return Measurements.from_columns(columns, "simulation", layout=layout)

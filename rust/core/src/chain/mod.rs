@@ -22,6 +22,7 @@ mod joints;
 pub mod places;
 #[cfg(test)]
 mod planar;
+mod plane;
 mod row;
 mod tracker;
 
@@ -40,7 +41,8 @@ pub use camera::Eye;
 pub use cartesian::{Cartesian, LINEARITY_SPAN_MM};
 pub(crate) use inverse::inverse;
 pub use joints::{Joints, Turned};
-pub use row::{Aim, Covariates, Prediction, Row};
+pub use plane::{Flat, PLANES, Planes};
+pub use row::{Aim, Covariates, Fixed, Prediction, Row};
 pub use tracker::Tracker;
 
 /// Where a robot's parameters stand.
@@ -260,8 +262,8 @@ pub enum Distances {
     None,
     /// Between two of its places: readings are coordinates in one frame.
     BetweenPlaces,
-    /// Between a target and a fixed centre.
-    FromCentres,
+    /// Between a target and a fixed centre or plane.
+    FromFixed,
 }
 
 /// A nominal robot and the settings of its effects: what the drawing and the user say.
@@ -284,6 +286,12 @@ pub trait Robot<const J: usize, const M: usize, const P: usize>: Table {
     #[inline]
     fn centres(&self) -> [Vector3<f64>; CENTRES] {
         [Vector3::zeros(); CENTRES]
+    }
+
+    /// The fixed planes from which distances are read.
+    #[inline]
+    fn planes(&self) -> [Flat; PLANES] {
+        [Flat::GROUND; PLANES]
     }
 
     /// Settings of the effects that are no parameters.
@@ -324,6 +332,7 @@ pub trait Robot<const J: usize, const M: usize, const P: usize>: Table {
             body: Body::new::<Self, J, P>(values, &settings),
             sensor: self.sensor(values)?,
             bars: Bars::new::<Self, P>(&self.centres(), values),
+            planes: Planes::new::<Self, P>(&self.planes(), values),
         })
     }
 }
@@ -336,6 +345,7 @@ pub struct Chain<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usi
     pub(crate) body: Body,
     pub(crate) sensor: R::Sensor,
     pub(crate) bars: Bars,
+    pub(crate) planes: Planes,
 }
 
 /// What an iteration on the joints remembers of the last ones: the pose, and room for what is predicted.

@@ -1,6 +1,6 @@
 //! Where the effects of a robot stand, link by link.
 
-use super::{angles, bar, body, camera, cartesian, joints, tracker};
+use super::{angles, bar, body, camera, cartesian, joints, plane, tracker};
 
 /// Where all effects of a robot stand, link by link; `Own` are those of its mechanism.
 #[derive(Clone, Copy, Debug)]
@@ -13,6 +13,7 @@ pub struct Places<Own> {
     pub(crate) angles: angles::At,
     pub(crate) tracker: tracker::At,
     pub(crate) bar: bar::At,
+    pub(crate) plane: plane::At,
 }
 
 impl<Own: Copy> Places<Own> {
@@ -28,6 +29,7 @@ impl<Own: Copy> Places<Own> {
             angles: angles::At::NONE,
             tracker: tracker::At::NONE,
             bar: bar::At::NONE,
+            plane: plane::At::NONE,
         }
     }
 }

@@ -182,7 +182,7 @@ const ROW: Row<2> = Row {
     to: None,
     aim: Aim {
         target: 0,
-        centre: None,
+        from: None,
     },
     covariates: Covariates {
         time_s: 700.0,

@@ -32,13 +32,22 @@ impl<const J: usize> Covariates<J> {
     };
 }
 
+/// Something that stands fixed in the base frame, from which the distance of a target is read; by its number, from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fixed {
+    /// A centre.
+    Centre(usize),
+    /// A plane: how far above it.
+    Plane(usize),
+}
+
 /// What of a robot was read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Aim {
     /// Which of its targets, from 0.
     pub target: usize,
-    /// The fixed centre from which the distance of the target was read, instead of its place.
-    pub centre: Option<usize>,
+    /// From where the distance of the target was read, instead of its place.
+    pub from: Option<Fixed>,
 }
 
 /// A row: where the joints were, what else is known, what was read there.
@@ -93,7 +102,7 @@ impl<const J: usize> Row<J> {
     #[inline]
     #[must_use]
     pub fn is_distance(&self) -> bool {
-        self.to.is_some() || self.aim.centre.is_some()
+        self.to.is_some() || self.aim.from.is_some()
     }
 }
 
@@ -130,11 +139,16 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
     pub fn row_value(&self, row: &Row<J>) -> Result<SVector<f64, M>> {
         let at = |q: &[f64; J]| {
             let (joints, known) = (SVector::from(*q), &row.covariates);
-            match row.aim.centre {
-                None => self.value_by(&self.sensor, &joints, known, &row.push, row.aim.target),
-                Some(centre) => {
+            let target = row.aim.target;
+            match row.aim.from {
+                None => self.value_by(&self.sensor, &joints, known, &row.push, target),
+                Some(Fixed::Centre(centre)) => {
                     let bar = self.bars.at(centre);
-                    self.value_by(&bar, &joints, known, &row.push, row.aim.target)
+                    self.value_by(&bar, &joints, known, &row.push, target)
+                }
+                Some(Fixed::Plane(plane)) => {
+                    let plane = self.planes.at(plane);
+                    self.value_by(&plane, &joints, known, &row.push, target)
                 }
             }
         };
@@ -174,15 +188,20 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
     ) -> Result<()> {
         let (joints, known) = (SVector::from(*joints), &row.covariates);
         let target = row.aim.target;
-        match row.aim.centre {
+        match row.aim.from {
             None => {
-                // no distance: what an earlier row left in the columns of the bars is cleared
+                // no distance: what an earlier row left in the columns of what stands fixed is cleared
                 super::bar::clear::<R, M, P>(wanted, &mut out.by_parameters);
+                super::plane::clear::<R, M, P>(wanted, &mut out.by_parameters);
                 self.predict_by(&self.sensor, &joints, known, &row.push, target, wanted, out)
             }
-            Some(centre) => {
+            Some(Fixed::Centre(centre)) => {
                 let bar = self.bars.at(centre);
                 self.predict_by(&bar, &joints, known, &row.push, target, wanted, out)
+            }
+            Some(Fixed::Plane(plane)) => {
+                let plane = self.planes.at(plane);
+                self.predict_by(&plane, &joints, known, &row.push, target, wanted, out)
             }
         }
     }

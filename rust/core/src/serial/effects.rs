@@ -52,6 +52,13 @@ effects! { At;
         centre_1_x, centre_1_y, centre_1_z, centre_2_x, centre_2_y, centre_2_z, centre_3_x, centre_3_y, centre_3_z,
         centre_4_x, centre_4_y, centre_4_z: "mm", 20.0, 1.0;
     }
+    // how the fixed planes lean, along two directions of their own, and how much higher they lie
+    planes: Sensor by plane (base) {
+        plane_1_lean_u, plane_1_lean_v: "rad", 0.02, OWN_LEVER; plane_1_height: "mm", 20.0, 1.0;
+        plane_2_lean_u, plane_2_lean_v: "rad", 0.02, OWN_LEVER; plane_2_height: "mm", 20.0, 1.0;
+        plane_3_lean_u, plane_3_lean_v: "rad", 0.02, OWN_LEVER; plane_3_height: "mm", 20.0, 1.0;
+        plane_4_lean_u, plane_4_lean_v: "rad", 0.02, OWN_LEVER; plane_4_height: "mm", 20.0, 1.0;
+    }
     // relative scale error of each encoder, about its home reading
     joint_scale: Joints by joints {
         scale_1, scale_2, scale_3, scale_4, scale_5, scale_6, scale_7, scale_8, scale_9: "rad/rad", 1e-3, LEVER;

@@ -4,7 +4,7 @@ use super::effects::{AT, At, CATALOGUE, PARAMETERS, Values};
 use super::structure::Structure;
 use crate::chain::effects::Effect;
 use crate::chain::places::Places;
-use crate::chain::{self, CENTRES, Distances, Robot, Settings, Table, Tracker};
+use crate::chain::{self, CENTRES, Distances, Flat, PLANES, Robot, Settings, Table, Tracker};
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
 use core::f64::consts::TAU;
@@ -73,6 +73,8 @@ pub struct Model {
     pub targets_mm: [Vector3<f64>; TARGETS],
     /// The fixed centres from which distances are read, base frame, mm.
     pub centres_mm: [Vector3<f64>; CENTRES],
+    /// The fixed planes from which distances are read.
+    pub planes: [Flat; PLANES],
     /// From the base frame to that of the tracker, mm.
     pub tracker: Rigid,
     /// Direction of the weight, base frame, of length one.
@@ -103,7 +105,7 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
     type Structure = Structure;
     type Sensor = Tracker;
 
-    const DISTANCES: Distances = Distances::FromCentres;
+    const DISTANCES: Distances = Distances::FromFixed;
 
     fn joints(&self) -> usize {
         self.count
@@ -111,6 +113,10 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
 
     fn centres(&self) -> [Vector3<f64>; CENTRES] {
         self.centres_mm
+    }
+
+    fn planes(&self) -> [Flat; PLANES] {
+        self.planes
     }
 
     fn settings(&self) -> Settings<JOINTS> {
@@ -148,6 +154,7 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
             self.encoder_period,
         ];
         let points = self.targets_mm.iter().chain(&self.centres_mm);
+        let points = points.chain(self.planes.iter().map(|plane| &plane.at));
         let settings = times.iter().chain(points.flatten()).chain(&self.gravity);
         let mut settings = settings.chain(&self.tracker.translation);
         if let Some(index) = settings.position(|v| !v.is_finite()) {
@@ -159,8 +166,13 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
         if self.encoder_period <= 0.0 {
             return refuse(0, "the period of the encoders must be positive");
         }
-        if (self.gravity.norm() - 1.0).abs() > SQUARE {
+        // nor is a direction that is not a number
+        let is_one = |v: &Vector3<f64>| (v.norm() - 1.0).abs() <= SQUARE;
+        if !is_one(&self.gravity) {
             return refuse(0, "gravity needs a direction of length one");
+        }
+        if !self.planes.iter().all(|plane| is_one(&plane.normal)) {
+            return refuse(0, "a plane needs a normal of length one");
         }
         Ok(())
     }
