@@ -56,14 +56,15 @@ def spherical() -> _core.SphericalCalibrated:
 
 
 def serial() -> _core.SerialCalibrated:
-    """A six-axis arm with small errors of its geometry, and joints that give way and have play."""
+    """A six-axis arm with small errors of its geometry, and joints that give way, also under a payload, and have play."""
+    at_work = ("joint_compliance", "payload_compliance", "joint_coupling", "backlash", "encoder_eccentricity")
     random = np.random.default_rng(2)
     arm, values = KIND.example, np.zeros(_core.SerialModel.PARAMETERS)
     start = 0
     for row in _core.SerialModel.CATALOGUE:
         own = slice(start, start := start + len(row["parameters"]))
         sizes = [p["size"] for p in row["parameters"]]
-        if row["base"] or row["name"] in ("joint_compliance", "joint_coupling", "backlash", "encoder_eccentricity"):
+        if row["base"] or row["name"] in at_work:
             values[own] = 0.3 * random.normal(size=len(sizes)) * sizes
     return _core.SerialCalibrated(arm.core(), values, *(np.ascontiguousarray(one) for one in arm.ranges))
 

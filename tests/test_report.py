@@ -409,13 +409,16 @@ def test_heights_alone(runs: Path) -> None:
         assert max(map(abs, a["ey"])) > 1
 
 
-def test_distances_alone_are_refused_in_a_sentence(runs: Path) -> None:
-    """Catches a traceback, or a report without a word on what it could not ask."""
-    for name in ("diagnose", "calibrate"):
-        code, _, err = command(runs, name, "robot.toml", "distances.csv", "--report", "distances.html")
-        assert code == 1
-        assert err == "error: distances.csv: diagnosis needs coordinates; these rows are distances only\n"
-        assert not (runs / "distances.html").exists()
+@needs_browser
+def test_distances_alone(runs: Path) -> None:
+    """Catches pictures that need coordinates, all arrows at one place, and words of readings that were not taken."""
+    text = report(runs, "distances.html", "diagnose", "robot.toml", "distances.csv")
+    assert "An arrow and its colour show the error in distance" in text
+    with opened(runs / "distances.html") as page:
+        a = source(page, "before_0")
+        assert max(map(abs, a["ex"])) == 0
+        assert np.ptp(a["x"]) > 20
+        assert np.ptp(a["y"]) > 20
 
 
 @pytest.mark.slow

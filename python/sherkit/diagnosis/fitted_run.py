@@ -38,7 +38,7 @@ class FittedRun(Saved):
         self.model: ModelWithEffects = fit.model
         self.data = data
         self.names = data.layout.names
-        self.axes = tuple(k for k in range(data.coordinates) if data.taken[:, k].any())
+        self.axes = tuple(k for k in range(data.coordinates) if data.taken[:, k].any()) or (data.coordinates,)
         if not self.axes:
             raise FitError(f"{data.source}: diagnosis needs coordinates; these rows are distances only")
         self._last: tuple[Ints, tuple[Effect, ...], Floats, Linearised] | None = None

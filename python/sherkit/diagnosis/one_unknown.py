@@ -161,7 +161,10 @@ def _unknowns(run: FittedRun) -> list[tuple[Effect, str]]:
             out.append(
                 (_effect("joints", scaled, coupled, names), f"an error of the joints that depends {how} on all of them")
             )
-        moved = [(k, term) for term in together for k in run.axes]
+        # a distance has no column that what is added to readings could name
+        moved = [(k, term) for term in together for k in run.axes if k < data.coordinates]
+        if not moved:
+            continue
         out.append(
             (_effect("sensor", scaled, moved, read), f"a displacement of the readings that depends {how} on all joints")
         )

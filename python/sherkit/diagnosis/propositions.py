@@ -16,6 +16,7 @@ from .lack_of_fit import LackOfFit
 from .named import Named
 from .one_unknown import OneUnknown
 from .sizes import ABSURD, PLAUSIBLE, largest, sizes_of
+from .steady import Wander
 
 #: Held-out error over noise up to which what is left is as small as the noise.
 PRAISE = 1.25
@@ -34,12 +35,13 @@ def claims_of(
     level: float,
     wild: Ints,
     mistakes: Sequence[Mistake],
+    wander: Wander | None,
 ) -> tuple[Claim, ...]:
     """Every claim about a final fit, those that decide first.
 
     ``sigma`` (columns,) is the noise, ``fitness`` what poses leave beyond their repeats, ``unknown`` one cause in place
     of several, ``needed`` what the effects that were in the model earn, ``wild`` the rows left out,
-    ``mistakes`` those of the set-up.
+    ``mistakes`` those of the set-up, ``wander`` what is left in the course of time.
     """
     unit, used = final.unit, f"all {int(final.whole.sum())} rows that are used"
     out = [_set_up(mistakes, final), _converged(final, used), _plausible(final, used)]
@@ -54,6 +56,7 @@ def claims_of(
     )  # fmt: skip
     out.append(_poses(final, fitness))
     out.append(_small(final, found.steps[-1].held_out_rms, sigma, origin))
+    out.append(_steady(final, wander, used))
     if unknown is not None:
         out.append(_several(unknown))
     for one in found.earned:
@@ -162,6 +165,18 @@ def _poses(final: FittedRun, fitness: LackOfFit | None) -> Claim:
             "repeats (how the marker is found, seating, a reading taken before it is still); where that is known, "
             f"declare it: {declare}"
         ),
+    )  # fmt: skip
+
+
+def _steady(final: FittedRun, wander: Wander | None, used: str) -> Claim:
+    tested = "what is left is steady in the course of time"
+    if wander is None:
+        told = "no times, or too few"
+        return Claim("steady", tested, used, told, holds=None, decisive=False)
+    return Claim(
+        "steady", tested, used,
+        f"{wander.axis} wanders by {wander.size:.3g} {final.unit} beside {wander.beside:.3g} from reading to reading",
+        holds=not wander.counts, p=wander.p, decisive=False,
     )  # fmt: skip
 
 

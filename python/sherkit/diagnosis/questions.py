@@ -37,6 +37,7 @@ from .setting import periods_shown
 from .shapes import Shape
 from .sizes import implausible
 from .stage import Candidate, Stage, stage_of
+from .steady import wander_of
 from .where import neighbour_correlation, where
 
 LEVEL = 0.01
@@ -123,10 +124,19 @@ def diagnose(
     # many numbers imitate what is in no catalogue, as one effect or as several
     many = len(found.names) > 1 or numbers > _FEW
     unknown = one_unknown(run, final, found.names, run.noise[0], deals) if many else None
-    claims = claims_of(final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes)
+    wander = wander_of(final)
+    claims = claims_of(final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, wander)
     verdict = verdict_of(claims, found.names)
     reservations = [str(unknown)] if unknown is not None and unknown.rivals else []
     reservations += [told] if (told := implausible(final.fit, found.names)) else []
+    # where something else is left, that may be what changes with time
+    if wander is not None and wander.counts and verdict in ("adequate", "explained"):
+        reservations.append(
+            f"{wander.axis} wanders by {wander.size:.3g} {run.unit} in the course of the run, beside "
+            f"{wander.beside:.3g} from reading to reading, and nothing in the file says with what: here that counts "
+            "as noise; look for what changes slowly (temperature, humidity, a stand that gives way) and record it as a "
+            "column"
+        )
     ties = _ties(found.result)
     reports = _candidate_reports(base_stage, gains, final, found.result, found.steps)
     smallest: dict[str, tuple[float, float]] = {}

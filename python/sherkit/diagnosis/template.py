@@ -52,6 +52,8 @@ def template(
     if not name.isidentifier() or iskeyword(name):
         raise EffectError(f"'{name}' cannot be the name of an effect; expected a name as of a Python function")
     joint = signature.get("joint")
+    if not joint and not set(signature["axis"]) <= set(layout.names[: len(layout.coordinates)]):
+        raise EffectError("what is left is one of distances, to which an effect of yours can add nothing of its own")
     names, terms = _terms(signature, layout)
     # the point is pushed where its coordinates are what is read
     columns, at = (

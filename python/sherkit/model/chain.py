@@ -271,8 +271,15 @@ class ChainModel(ModelWithEffects):
         return out | dict(data.covariates)
 
     def place(self, data: Measurements, predicted: Floats) -> dict[str, Floats]:
-        """The coordinates that the model gives."""
-        return {name: predicted[:, k] for k, name in enumerate(data.layout.coordinates)}
+        """The coordinates that the model gives; where a distance was read, those that the drawing does."""
+        places, far = predicted[:, : data.coordinates], data.is_distance
+        if far.any():
+            joints, _, covariates, push = self.block(data.select(far))
+            core = self.core_for(data)
+            drawn, _ = core.predict(np.zeros(len(self.core_parameters)), (joints, None, covariates, push))
+            places = places.copy()
+            places[far] = drawn[:, : data.coordinates]
+        return {name: places[:, k] for k, name in enumerate(data.layout.coordinates)}
 
     def axes_of(self, effect: Effect, data: Measurements) -> int:
         """What a NumPy effect gives at its link: joints, a displacement, or coordinates read."""

@@ -220,5 +220,6 @@ def _pattern(atlas: Atlas, tile: Tile) -> str:
         shown[:, : min(3, one.error.shape[1])] = 1e-3 * one.error[:, :3]
         note = f"explains {100 * one.share:.0f} % of the squared error" if one is tile else atlas.plane
         panels.append(Panel(title, place, shown, round_bar(1e-3 * atlas.tiles[0].error), note))
-    maps = residual_maps(panels, "Arrows: the first two readings; colour: the third.")
+    colour = f"; colour: {atlas.names[2]}" if len(atlas.names) > 2 else ""
+    maps = residual_maps(panels, f"Arrows: {' and '.join(atlas.names[:2])}{colour}.")
     return f"<h4>Its pattern on these poses</h4>{maps}"

@@ -100,14 +100,15 @@ static void run_serial(size_t count, size_t rows)
     for (size_t i = 0; i < rows; i++) {
         double row[32], x[3] = {0}, j[27] = {0}, q[9] = {0};
         sherkit_serial_covariates now = {0};
-        get(row, 5 + 3 * k);
+        get(row, 6 + 3 * k);
         now.time_s = row[k];
         now.temperature_c = row[k + 1];
         memcpy(now.direction, row + k + 2, k * sizeof *row);
+        now.payload_kg = row[2 * k + 2];
         put_one(sherkit_serial_forward(&robot, row, &now, x, j));
         put(x, 3);
         put(j, 3 * k);
-        put_one(sherkit_serial_inverse(&robot, row + 2 + 2 * k, row + 5 + 2 * k, &now, q));
+        put_one(sherkit_serial_inverse(&robot, row + 3 + 2 * k, row + 6 + 2 * k, &now, q));
         put(q, k);
     }
 }

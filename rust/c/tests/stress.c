@@ -197,7 +197,7 @@ static void kinematics(void)
     }
     double turned[9], spin[27], there[9];
     size_t joints = 0;
-    sherkit_serial_covariates last = {spoilt(0.0), spoilt(20.0), {1.0, spoilt(-1.0), 0.0}};
+    sherkit_serial_covariates last = {spoilt(0.0), spoilt(20.0), {1.0, spoilt(-1.0), 0.0}, spoilt(2.0)};
     need(sherkit_serial_joints(&serial.it, &joints) == SHERKIT_OK && joints == 6, "the arm lost a joint");
     for (size_t k = 0; k < 9; k++)
         turned[k] = there[k] = k < joints ? spoilt(uniform(-3.0, 3.0)) : FENCE;

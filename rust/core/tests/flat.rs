@@ -6,7 +6,7 @@ use common::{Random, Robot, config, effects, model_of, robots, some_covariates};
 use nalgebra::{SVector, Vector2, Vector3};
 use proptest::prelude::*;
 use sherkit_core::camera::{Description, Face};
-use sherkit_core::chain::{CENTRES, Robot as _};
+use sherkit_core::chain::{CENTRES, Flat, PLANES, Robot as _};
 use sherkit_core::delta::correction::{Correction, Domain, coefficients_len};
 use sherkit_core::delta::{Branch, Calibrated, Values};
 use sherkit_core::flat::{
@@ -138,6 +138,7 @@ fn an_arm_comes_back_to_the_last_bit() {
         count: 4,
         targets_mm: [Vector3::new(10.0, 20.0, 30.0); serial::TARGETS],
         centres_mm: [Vector3::new(-1.0, -2.0, -3.0); CENTRES],
+        planes: [Flat::GROUND; PLANES],
         tracker: Rigid::identity(),
         gravity: -Vector3::z(),
         encoder_period: 0.4,

@@ -13,14 +13,14 @@ pub const CENTRES: usize = 4;
 
 /// The centres of a robot where they really are, base frame, and what its bars add to every distance, mm.
 #[derive(Clone, Copy, Debug)]
-pub struct Bars {
+pub(super) struct Bars {
     centres: [Vector3<f64>; CENTRES],
     zero: f64,
 }
 
 /// One of them.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Bar {
+pub struct Bar {
     number: usize,
     centre: Vector3<f64>,
     zero: f64,
@@ -48,21 +48,6 @@ impl Bars {
             number,
             centre: self.centres[number],
             zero: self.zero,
-        }
-    }
-}
-
-/// Clears the columns of the bars.
-#[inline]
-pub(super) fn clear<T: Table, const M: usize, const P: usize>(
-    wanted: Wanted,
-    d: &mut SMatrix<f64, M, P>,
-) {
-    for place in [T::AT.bar.centres, T::AT.bar.bar_zero] {
-        if let Some(place) = wanted.wants(place) {
-            for column in place.range() {
-                d.column_mut(column).fill(0.0);
-            }
         }
     }
 }

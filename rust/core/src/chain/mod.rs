@@ -17,6 +17,7 @@ pub(crate) mod body;
 mod camera;
 mod cartesian;
 pub mod effects;
+mod gauges;
 mod inverse;
 mod joints;
 pub mod places;
@@ -35,14 +36,15 @@ use places::Places;
 
 pub use angles::Angles;
 pub(crate) use angles::{angles_by_axis, angles_of};
-pub use bar::{Bars, CENTRES};
+pub use bar::CENTRES;
 pub use body::{Body, REFERENCE_TEMPERATURE_C};
 pub use camera::Eye;
 pub use cartesian::{Cartesian, LINEARITY_SPAN_MM};
+pub use gauges::{Around, Fixed, Gauge, Gauges};
 pub(crate) use inverse::inverse;
 pub use joints::{Joints, Turned};
-pub use plane::{Flat, PLANES, Planes};
-pub use row::{Aim, Covariates, Fixed, Prediction, Row};
+pub use plane::{Flat, PLANES};
+pub use row::{Aim, Covariates, Prediction, Row};
 pub use tracker::Tracker;
 
 /// Where a robot's parameters stand.
@@ -272,6 +274,8 @@ pub trait Robot<const J: usize, const M: usize, const P: usize>: Table {
     type Structure: Mechanism<J, P>;
     /// What it is measured with.
     type Sensor: Sensor<M>;
+    /// What stands fixed around it, from which distances are read.
+    type Around: Around;
 
     /// Which distances can be read of it.
     const DISTANCES: Distances = Distances::None;
@@ -280,18 +284,6 @@ pub trait Robot<const J: usize, const M: usize, const P: usize>: Table {
     #[inline]
     fn joints(&self) -> usize {
         J
-    }
-
-    /// The fixed centres from which distances are read, base frame, mm.
-    #[inline]
-    fn centres(&self) -> [Vector3<f64>; CENTRES] {
-        [Vector3::zeros(); CENTRES]
-    }
-
-    /// The fixed planes from which distances are read.
-    #[inline]
-    fn planes(&self) -> [Flat; PLANES] {
-        [Flat::GROUND; PLANES]
     }
 
     /// Settings of the effects that are no parameters.
@@ -315,6 +307,9 @@ pub trait Robot<const J: usize, const M: usize, const P: usize>: Table {
     /// [`Error::InvalidCamera`] where the errors leave no camera.
     fn sensor(&self, values: &[f64; P]) -> Result<Self::Sensor>;
 
+    /// What stands fixed around it, with its errors.
+    fn around(&self, values: &[f64; P]) -> Self::Around;
+
     /// The robot with the given values of all its parameters.
     ///
     /// # Errors
@@ -331,8 +326,7 @@ pub trait Robot<const J: usize, const M: usize, const P: usize>: Table {
             structure: self.structure(values)?,
             body: Body::new::<Self, J, P>(values, &settings),
             sensor: self.sensor(values)?,
-            bars: Bars::new::<Self, P>(&self.centres(), values),
-            planes: Planes::new::<Self, P>(&self.planes(), values),
+            around: self.around(values),
         })
     }
 }
@@ -344,8 +338,7 @@ pub struct Chain<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usi
     pub(crate) structure: R::Structure,
     pub(crate) body: Body,
     pub(crate) sensor: R::Sensor,
-    pub(crate) bars: Bars,
-    pub(crate) planes: Planes,
+    pub(crate) around: R::Around,
 }
 
 /// What an iteration on the joints remembers of the last ones: the pose, and room for what is predicted.

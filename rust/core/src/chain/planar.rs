@@ -80,6 +80,7 @@ impl Table for Arm {
 impl Robot<2, 3, PARAMETERS> for Arm {
     type Structure = Structure;
     type Sensor = Cartesian;
+    type Around = ();
     const DISTANCES: Distances = Distances::BetweenPlaces;
 
     fn settings(&self) -> Settings<2> {
@@ -114,6 +115,8 @@ impl Robot<2, 3, PARAMETERS> for Arm {
     fn sensor(&self, values: &Values) -> Result<Cartesian> {
         Ok(Cartesian::new::<Self, PARAMETERS>(values))
     }
+
+    fn around(&self, _: &Values) {}
 }
 
 /// Along the links, and the tip without its fall.

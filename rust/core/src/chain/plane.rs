@@ -54,11 +54,11 @@ impl Flat {
 
 /// The planes of a robot where they really are.
 #[derive(Clone, Copy, Debug)]
-pub struct Planes([Plane; PLANES]);
+pub(super) struct Planes([Plane; PLANES]);
 
 /// One of them.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Plane {
+pub struct Plane {
     number: usize,
     at: Vector3<f64>,
     within: [Vector3<f64>; 2],
@@ -97,19 +97,6 @@ impl Planes {
     /// The plane of a number; the first where there is none of this number.
     pub(crate) fn at(&self, number: usize) -> Plane {
         self.0[if number < PLANES { number } else { 0 }]
-    }
-}
-
-/// Clears the columns of the planes.
-#[inline]
-pub(super) fn clear<T: Table, const M: usize, const P: usize>(
-    wanted: Wanted,
-    d: &mut SMatrix<f64, M, P>,
-) {
-    if let Some(place) = wanted.wants(T::AT.plane.planes) {
-        for column in place.range() {
-            d.column_mut(column).fill(0.0);
-        }
     }
 }
 

@@ -2,6 +2,7 @@
 //! in which the datum cancels.
 
 use super::effects::Wanted;
+use super::gauges::{self, Around, Fixed, Gauge};
 use super::{Chain, Mechanism, Robot};
 use crate::Result;
 use nalgebra::{SMatrix, SVector, Vector3};
@@ -30,15 +31,6 @@ impl<const J: usize> Covariates<J> {
         direction: [f64::NAN; J],
         velocity: [f64::NAN; J],
     };
-}
-
-/// Something that stands fixed in the base frame, from which the distance of a target is read; by its number, from 0.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fixed {
-    /// A centre.
-    Centre(usize),
-    /// A plane: how far above it.
-    Plane(usize),
 }
 
 /// What of a robot was read.
@@ -140,16 +132,9 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         let at = |q: &[f64; J]| {
             let (joints, known) = (SVector::from(*q), &row.covariates);
             let target = row.aim.target;
-            match row.aim.from {
+            match self.gauge(row.aim) {
                 None => self.value_by(&self.sensor, &joints, known, &row.push, target),
-                Some(Fixed::Centre(centre)) => {
-                    let bar = self.bars.at(centre);
-                    self.value_by(&bar, &joints, known, &row.push, target)
-                }
-                Some(Fixed::Plane(plane)) => {
-                    let plane = self.planes.at(plane);
-                    self.value_by(&plane, &joints, known, &row.push, target)
-                }
+                Some(gauge) => self.value_by(&gauge, &joints, known, &row.push, target),
             }
         };
         let value = at(&row.joints)?;
@@ -188,22 +173,20 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
     ) -> Result<()> {
         let (joints, known) = (SVector::from(*joints), &row.covariates);
         let target = row.aim.target;
-        match row.aim.from {
+        match self.gauge(row.aim) {
             None => {
                 // no distance: what an earlier row left in the columns of what stands fixed is cleared
-                super::bar::clear::<R, M, P>(wanted, &mut out.by_parameters);
-                super::plane::clear::<R, M, P>(wanted, &mut out.by_parameters);
+                gauges::clear::<R, M, P>(wanted, &mut out.by_parameters);
                 self.predict_by(&self.sensor, &joints, known, &row.push, target, wanted, out)
             }
-            Some(Fixed::Centre(centre)) => {
-                let bar = self.bars.at(centre);
-                self.predict_by(&bar, &joints, known, &row.push, target, wanted, out)
-            }
-            Some(Fixed::Plane(plane)) => {
-                let plane = self.planes.at(plane);
-                self.predict_by(&plane, &joints, known, &row.push, target, wanted, out)
-            }
+            Some(gauge) => self.predict_by(&gauge, &joints, known, &row.push, target, wanted, out),
         }
+    }
+
+    /// What reads the distance that a row holds; None where it holds a place.
+    #[inline]
+    fn gauge(&self, aim: Aim) -> Option<Gauge> {
+        aim.from.and_then(|from| self.around.gauge(from))
     }
 
     /// [`Self::row_predict_into`] as a value of its own.

@@ -31,6 +31,7 @@ impl Table for Model {
 impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
     type Structure = Structure;
     type Sensor = Cartesian;
+    type Around = ();
     const DISTANCES: Distances = Distances::BetweenPlaces;
 
     fn settings(&self) -> Settings<LIMBS> {
@@ -67,4 +68,6 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
     fn sensor(&self, values: &Values) -> Result<Cartesian> {
         Ok(Cartesian::new::<Self, PARAMETERS>(values))
     }
+
+    fn around(&self, _: &Values) {}
 }

@@ -4,7 +4,9 @@ use super::effects::{AT, At, CATALOGUE, PARAMETERS, Values};
 use super::structure::Structure;
 use crate::chain::effects::Effect;
 use crate::chain::places::Places;
-use crate::chain::{self, CENTRES, Distances, Flat, PLANES, Robot, Settings, Table, Tracker};
+use crate::chain::{
+    self, CENTRES, Distances, Flat, Gauges, PLANES, Robot, Settings, Table, Tracker,
+};
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
 use core::f64::consts::TAU;
@@ -104,19 +106,12 @@ fn is_square(rigid: &Rigid) -> bool {
 impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
     type Structure = Structure;
     type Sensor = Tracker;
+    type Around = Gauges;
 
     const DISTANCES: Distances = Distances::FromFixed;
 
     fn joints(&self) -> usize {
         self.count
-    }
-
-    fn centres(&self) -> [Vector3<f64>; CENTRES] {
-        self.centres_mm
-    }
-
-    fn planes(&self) -> [Flat; PLANES] {
-        self.planes
     }
 
     fn settings(&self) -> Settings<JOINTS> {
@@ -187,5 +182,9 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
             self.tracker_slip_time_s,
             values,
         ))
+    }
+
+    fn around(&self, values: &Values) -> Gauges {
+        Gauges::new::<Self, PARAMETERS>(&self.centres_mm, &self.planes, values)
     }
 }

@@ -78,6 +78,7 @@ impl Table for Model {
 impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
     type Structure = Structure;
     type Sensor = Instrument;
+    type Around = ();
 
     fn settings(&self) -> Settings<LIMBS> {
         Settings {
@@ -125,4 +126,6 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
             Readings::Angles => Instrument::Angles(Angles::new::<Self, PARAMETERS>(values)),
         })
     }
+
+    fn around(&self, _: &Values) {}
 }

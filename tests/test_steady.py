@@ -1,0 +1,93 @@
+"""What wanders in the course of a run: told from noise that neighbours in time share, and said in the verdict."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+import sherkit as sk
+from second_simulator import NOMINAL_CONFIG, Robot, grid, make_plan, simulate
+from sherkit.diagnosis.fitted_run import FittedRun
+from sherkit.diagnosis.steady import wander_of
+from strategies import EXAMPLE
+
+Floats = NDArray[np.float64]
+
+
+def left(residuals: Floats, times: Floats) -> FittedRun:
+    """A fit of a machine whose model is zero: what is read is what is left."""
+    machine = sk.Machine(
+        lambda q, p: np.zeros((len(q), 3)) + 0.0 * p.nothing, ("q_mm",), ("x_mm", "y_mm", "z_mm"),
+        {"nothing": ("mm", 1.0)}, name="still",
+    )  # fmt: skip
+    columns = dict(zip(machine.readings, residuals.T, strict=True))
+    columns |= {"q_mm": np.arange(len(times)) % 7.0, "time_s": times}
+    return FittedRun(sk.identify(machine, pl.DataFrame(columns)))
+
+
+def noise(rng: np.random.Generator, n: int, rho: float) -> Floats:
+    """Autoregressive noise (n, 3) of variance one."""
+    white = rng.normal(size=(n + 100, 3)) * np.sqrt(1.0 - rho**2)
+    return np.asarray(lfilter([1.0], [1.0, -rho], white, axis=0))[100:]
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.3, 0.7])
+def test_noise_that_neighbours_share_does_not_wander(rho: float) -> None:
+    """Catches a level that is not kept: at 1 in 1,000 of each, two of 240 runs would be one chance in forty."""
+    rng, count = np.random.default_rng(3), 0
+    for n in (80, 240, 900):
+        for _ in range(80):
+            found = wander_of(left(noise(rng, n, rho), np.arange(n) * 4.0))
+            assert found is not None
+            count += found.counts
+    assert count <= 1
+
+
+@pytest.mark.parametrize("shape", ["wave", "saw", "walk"])
+def test_what_wanders_is_found_on_its_axis_and_in_its_size(shape: str) -> None:
+    """Catches the wrong axis, and a size that holds noise, or half the power of a wave."""
+    rng, n = np.random.default_rng(8), 300
+    times = np.arange(n) * 4.0
+    slow = {
+        "wave": np.sin(times / 80.0),
+        "saw": (times % 400.0) / 400.0 - 0.5,
+        "walk": np.cumsum(rng.normal(size=n)) / 10.0,
+    }[shape]
+    moved = 3.0 * slow / np.std(slow)
+    residuals = noise(rng, n, 0.2)
+    residuals[:, 1] += moved
+    order = rng.permutation(n)  # rows need not stand in the order of time
+    found = wander_of(left(residuals[order], times[order]))
+    assert found is not None
+    assert found.counts
+    assert found.axis == "y"
+    assert found.size == pytest.approx(3000.0, rel=0.2)
+    if shape == "wave":  # the others are not only slow
+        assert found.beside == pytest.approx(1000.0, rel=0.2)
+
+
+def test_too_little_says_nothing() -> None:
+    """Catches a claim about time where none is known, and a crash on a run of a few rows."""
+    rng = np.random.default_rng(1)
+    assert wander_of(left(noise(rng, 40, 0.0), np.arange(40.0))) is None
+    run = left(noise(rng, 100, 0.0), np.zeros(100))
+    assert wander_of(run) is None
+
+
+def test_a_verdict_says_that_readings_wander() -> None:
+    """Catches praise for a run whose x moves by three times the noise of a reading and comes back, again and again: too
+    quick for a smooth shape in time, it counts as noise of the repeats, and was "adequate" without a word."""
+    robot = Robot.from_dict(NOMINAL_CONFIG)
+    plan = make_plan(robot, grid(18.0, 6, (-15.0, 0.0, 15.0)), repeats=3, order="shuffled", seed=4)
+    columns = simulate(robot, plan, noise=0.005, seed=4)
+    frame = pl.DataFrame(columns)
+    steady = sk.diagnose(EXAMPLE, sk.from_frame(frame))
+    assert "wanders" not in steady.headline
+    assert next(c for c in steady.claims if c.name == "steady").holds
+    humid = 0.015 * np.sin(2 * np.pi * frame["time_s"] / 150.0 + 1.0)
+    found = sk.diagnose(EXAMPLE, sk.from_frame(frame.with_columns(pl.col("x_mm") + humid)))
+    assert "x wanders by" in found.headline
+    assert not next(c for c in found.claims if c.name == "steady").holds
