@@ -135,7 +135,7 @@ def _scores_beside(view: Linearised, effects: Sequence[slice], periods: Sequence
         parts = [there[:, :, place] for place in effects]
         return np.concatenate([view.fitted(rows), *parts, *(waves_of(view, 1.0 / p, rows) for p in periods)], axis=2)
 
-    counts = [*(place.stop - place.start for place in effects), *(2 * len(view.inputs) for _ in periods)]
+    counts = [*(place.stop - place.start for place in effects), *(2 * len(view.waving) for _ in periods)]
     folds = Folds.of(columns, view.residual, fold)
     gram, right, squares, count = folds.outside
     first = gram.shape[1] - sum(counts)

@@ -15,6 +15,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from ..data.columns import unit_in
 from ..model.effect import Effect
 from ..types import Floats, Ints
 
@@ -115,6 +116,14 @@ class Linearised:
     def blocks(self) -> list[slice]:
         """Stretches of rows."""
         return blocks(len(self))
+
+    @property
+    def waving(self) -> tuple[str, ...]:
+        """Inputs along which waves of one period are looked for: those in the unit of the period that an effect has,
+        where some are in another."""
+        units = {(effect.search or "").removeprefix("period_") for effect, _ in self.periodic}
+        mine = tuple(name for name in self.inputs if unit_in(name) in units)
+        return mine or tuple(self.inputs)
 
     @cached_property
     def patterns(self) -> dict[str, Floats]:

@@ -131,7 +131,7 @@ def _other_periods(result: SearchResult, candidate: Candidate) -> tuple[float, .
     if not candidate.effect.is_periodic:
         return ()
     found = candidate.setting or stage.run.model.setting_of(candidate.effect) or np.inf
-    apart = 1.0 / max(float(np.ptp(v)) for v in stage.view.inputs.values())
+    apart = 1.0 / max(float(np.ptp(stage.view.inputs[n])) for n in stage.view.waving)
     tried = [
         (gain, c.setting)
         for gain, c in zip(stage.gains.tolist(), stage.candidates, strict=True)

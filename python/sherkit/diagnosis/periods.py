@@ -100,7 +100,7 @@ def period_of(stage: Stage, tried: Sequence[Candidate], *, aliases: bool = False
     profile = _Profile(stage)
     top = int(np.argmax(gains))
     best, most = profile.peak(at[top])
-    noise = (stage.scan.sum_of_squares - most) / max(stage.scan.free - 2 * len(stage.view.inputs), 1)
+    noise = (stage.scan.sum_of_squares - most) / max(stage.scan.free - 2 * len(stage.view.waving), 1)
     clearly = (2.0 * np.log(len(at)) + _CLEARLY) * noise
     had = next(period for effect, period in stage.view.periodic if effect is waves[top].effect)
     usual = 0.5 * TURN if had is None and profile.whole else had
@@ -141,7 +141,7 @@ class _Profile:
         self.stage = stage
         self.whole = rings(stage.view)
         grid = np.sort(frequencies(stage.view))
-        self.span = max(float(np.ptp(v)) for v in stage.view.inputs.values())
+        self.span = max(float(np.ptp(stage.view.inputs[n])) for n in stage.view.waving)
         self.step = float(np.median(np.diff(grid))) if len(grid) > 1 else 1.0 / (OVERSAMPLING * self.span)
 
     def taken(self, frequency: float) -> float:

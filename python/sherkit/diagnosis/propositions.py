@@ -54,7 +54,7 @@ def claims_of(
             holds=p > level and not found.result.signature, p=p, fails="what is left has a structure",
         )
     )  # fmt: skip
-    out.append(_poses(final, fitness))
+    out.append(_poses(final, fitness, shaped=bool(found.result.signature)))
     out.append(_small(final, found.steps[-1].held_out_rms, sigma, origin))
     out.append(_steady(final, wander, used))
     if unknown is not None:
@@ -149,7 +149,7 @@ def _gross(final: FittedRun, wild: Ints) -> Claim:
     )  # fmt: skip
 
 
-def _poses(final: FittedRun, fitness: LackOfFit | None) -> Claim:
+def _poses(final: FittedRun, fitness: LackOfFit | None, *, shaped: bool) -> Claim:
     tested = "poses are as near to the model as their repeats are to one another"
     if fitness is None:
         return Claim("poses_as_repeats", tested, "no rows", "too few poses were repeated", holds=None)
@@ -160,7 +160,8 @@ def _poses(final: FittedRun, fitness: LackOfFit | None) -> Claim:
     declare = f"columns {columns}" + (f", or {file} in the robot file" if file else "")
     return Claim(
         "poses_as_repeats", tested, f"{fitness.poses} repeated poses", told, holds=not fitness.counts, p=fitness.p,
-        fails=(
+        # what has a shape is not each pose's own
+        fails=told if shaped else (
             f"{told}, which no effect and no shape follows: look at what differs from pose to pose but not between "
             "repeats (how the marker is found, seating, a reading taken before it is still); where that is known, "
             f"declare it: {declare}"

@@ -154,7 +154,7 @@ def build(
         for name in poses:
             if name in waves.names:
                 b.shapes += _of_input(waves, name, view.pattern_of[name])
-            elif name in view.inputs:
+            elif name in view.waving:
                 if len(waves.turns):
                     b.waves_on_axes(name, waves.unit, waves.turns)
             else:

@@ -183,7 +183,7 @@ def stage_of(
     for effect, _ in view.periodic:
         if effect.name in (at or {}):
             period = (at or {})[effect.name]
-            about = full(_periodic(view, 1.0 / period), 2 * len(view.inputs))
+            about = full(_periodic(view, 1.0 / period), 2 * len(view.waving))
             candidates.append(Candidate(effect, about, period))
 
     lag, back = _one_after_another(run.data.order, run.data.series, rows)

@@ -23,35 +23,39 @@ from .linearised import Linearised, Whitening
 TURN = 2.0 * np.pi
 #: Frequencies per width of a peak: halfway between two of them a wave still takes four fifths of what it would.
 OVERSAMPLING = 2.0
-#: Most waves over the range of a joint: each more makes a false alarm likelier, and the test dearer.
-_MOST_WAVES = 150
+#: Fewest and most waves over the range of a joint: fewer are any bend, and each more makes a false alarm likelier and
+#: the test dearer.
+_FEWEST_WAVES, _MOST_WAVES = 2, 150
 #: Readings that are closer than this part of the range are one: no wave is so short that it would tell them apart.
 _SAME = 1e-3
 
 
 def frequencies(view: Linearised) -> Floats:
-    """The frequencies (k,) at which waves of the inputs are looked for, waves per unit, the same for every input.
+    """The frequencies (k,) at which waves of the inputs are looked for, waves per unit, the same for every input that
+    has that unit.
 
-    From one wave over the range to as many as there are distinct readings: their mean distance is the shortest period,
-    since further up there are more waves than readings to tell them by. Never more than 150. Where an effect has a
-    period in rad, a joint has a ring: its error closes in a turn, so the periods are whole parts of one, from the half
-    turn on, which two reading heads leave; once per turn is an effect of its own.
+    From two waves over the range, since what comes but once may be any bend, to as many as there are distinct readings:
+    their mean distance is the shortest period, since further up there are more waves than readings to tell them by.
+    Never more than 150. Where an effect has a period in rad, a joint has a ring: its error closes in a turn, so the
+    periods are whole parts of one, from the half turn on, which two reading heads leave; once per turn is an effect of
+    its own.
     """
-    spans = [float(np.ptp(v)) for v in view.inputs.values()]
+    waving = [view.inputs[name] for name in view.waving]
+    spans = [float(np.ptp(v)) for v in waving]
     if max(spans, default=0.0) <= 0.0:
         return np.zeros(0)
     span = max(spans)
-    distinct = max(len(np.unique(np.round(v / (_SAME * span)))) for v in view.inputs.values())
+    distinct = max(len(np.unique(np.round(v / (_SAME * span)))) for v in waving)
     waves = min(distinct, _MOST_WAVES)
     if rings(view):
         step = max(TURN / (OVERSAMPLING * span), 1.0)
         return np.unique(np.round(np.arange(2.0, waves * TURN / span + 1.0, step))) * _unit(view)
-    return np.arange(OVERSAMPLING, OVERSAMPLING * waves + 1.0) * _unit(view)
+    return np.arange(_FEWEST_WAVES * OVERSAMPLING, OVERSAMPLING * waves + 1.0) * _unit(view)
 
 
 def _unit(view: Linearised) -> float:
     """The frequency of which all that are looked for are whole multiples."""
-    return 1.0 / (TURN if rings(view) else OVERSAMPLING * max(float(np.ptp(v)) for v in view.inputs.values()))
+    return 1.0 / (TURN if rings(view) else OVERSAMPLING * max(float(np.ptp(view.inputs[n])) for n in view.waving))
 
 
 def rings(view: Linearised) -> bool:
@@ -64,8 +68,8 @@ def waves_of(view: Linearised, frequency: float, rows: slice | None = None) -> F
     stretch of rows where one is given."""
     rows = view.whole if rows is None else rows
     columns = []
-    for name, pattern in view.patterns.items():
-        angle = TURN * frequency * view.inputs[name][rows]
+    for name in view.waving:
+        pattern, angle = view.patterns[name], TURN * frequency * view.inputs[name][rows]
         columns += [pattern[rows] * np.sin(angle)[:, None], pattern[rows] * np.cos(angle)[:, None]]
     return np.stack(columns, axis=2)
 
@@ -79,7 +83,7 @@ class Waves:
     """
 
     def __init__(self, view: Linearised) -> None:
-        self.names: Sequence[str] = tuple(view.pattern_of)
+        self.names: Sequence[str] = tuple(name for name in view.pattern_of if name in view.waving)
         self.at = frequencies(view)
         self._whitening: Whitening | None = None
         if not len(self.at):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..arguments import as_annotated
+from ..data.columns import unit_in
 from ..errors import EffectError, FitError
 from ..names import listed, nearest
 from ..notebook import Shown
@@ -76,6 +77,11 @@ class Effect(Shown):
     def is_periodic(self) -> bool:
         """Whether it is sine and cosine of each joint reading, joint by joint, with a period that can be searched."""
         return self.search is not None and self.search.startswith("period_")
+
+    def waving(self, joints: Sequence[str]) -> list[int]:
+        """Which of these joints, by the names of their readings, are in the unit of its period: those that it moves."""
+        unit = (self.search or "").removeprefix("period_")
+        return [k for k, name in enumerate(joints) if unit_in(name) == unit]
 
     def qualified(self) -> tuple[Parameter, ...]:
         """The parameters under the names they have in a model."""

@@ -142,12 +142,12 @@ def at_rest(
     return found[:, :m], by_joints[:, :m], read
 
 
-def waves(by_joints: Floats, joints: Floats, period: float) -> Floats:
-    """Derivatives (n, m, 2 j) by sine and cosine of each joint (n, j) at a period, joint by joint, from those by the
-    joints (n, m, j)."""
-    angle = 2.0 * np.pi / period * joints
+def waves(by_joints: Floats, joints: Floats, period: float, which: list[int]) -> Floats:
+    """Derivatives (n, m, 2 w) by sine and cosine of ``which`` (w) of the joints (n, j) at a period, joint by joint,
+    from those by the joints (n, m, j)."""
+    angle = 2.0 * np.pi / period * joints[:, which]
     both = np.stack([np.sin(angle), np.cos(angle)], axis=2)
-    made: Floats = (by_joints[:, :, :, None] * both[:, None]).reshape(*by_joints.shape[:2], -1)
+    made: Floats = (by_joints[:, :, which, None] * both[:, None]).reshape(*by_joints.shape[:2], -1)
     return made
 
 
@@ -166,7 +166,8 @@ def by_effect(
     (n, m, j). A periodic effect may be in the model already, with another period."""
     if effect.is_periodic and setting is not None:
         columns, by_joints, _ = at_rest(model, values, readings, joints, now)
-        return columns, waves(by_joints, joints, setting), by_joints
+        which = effect.waving(model.layouts[0].joints)
+        return columns, waves(by_joints, joints, setting, which), by_joints
     wider, more, own = with_effect(model, values, effect, setting)
     columns, by_joints, _ = at_rest(wider, more, readings, joints, now)
     return np.delete(columns, own, axis=2), columns[:, :, own], by_joints

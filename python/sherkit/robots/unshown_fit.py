@@ -66,9 +66,15 @@ class LinearFit:
         return at_rows, there[1]
 
     def wave(self, frequency: float) -> tuple[Floats, Floats]:
-        """The same of sine and cosine of each joint; of a distance as its first end alone has it."""
-        here = waves(self._by_joints, self.joints, 1.0 / frequency)
-        return here, waves(self._there[1], self.asked.joints, 1.0 / frequency)
+        """The same of sine and cosine of each joint that has waves; of a distance as its first end alone has it."""
+        here = waves(self._by_joints, self.joints, 1.0 / frequency, self._waving)
+        return here, waves(self._there[1], self.asked.joints, 1.0 / frequency, self._waving)
+
+    @cached_property
+    def _waving(self) -> list[int]:
+        """The joints that a periodic effect moves."""
+        periodic = next(e for e in self.fit.model.known_effects.values() if e.is_periodic)
+        return periodic.waving(self.fit.data.layout.joints)
 
     @cached_property
     def joints(self) -> Floats:

@@ -98,10 +98,12 @@ def generic_effects(joints: Sequence[str], readings: Sequence[str], spans: Seque
         rings = [joints[i] for i in turning]
         for name, times in (("encoder_eccentricity", 1.0), ("encoder_two_per_turn", 2.0)):
             out.append(Generic(name, "joints", _waves(rings, "rad", 2e-3 / times), _wave_of(turning, times)))
-    if len(set(units)) == 1 and units[0] in ("mm", "rad"):
-        size = {"mm": 0.005, "rad": 1e-3}[units[0]]
-        lines = _waves(joints, units[0], size)
-        out.append(Generic("encoder_cyclic", "joints", lines, _cyclic(k), search=f"period_{units[0]}"))
+    # one period for joints of one unit: that of most of them
+    unit = max(units, key=units.count)
+    if unit in ("mm", "rad"):
+        which = [i for i in range(k) if units[i] == unit]
+        lines = _waves([joints[i] for i in which], unit, {"mm": 0.005, "rad": 1e-3}[unit])
+        out.append(Generic("encoder_cyclic", "joints", lines, _cyclic(which), search=f"period_{unit}"))
     widths = _each("width", joints, units, [0.2 * s for s in small])
     out.append(Generic("backlash", "joints", widths, lambda q, at: _diagonal(0.5 * at.direction), ("direction",)))
     if tuple(readings) == _POINT:
@@ -178,8 +180,8 @@ def _wave_of(which: Sequence[int], turns: float) -> Formula:
     return lambda q, _: _wave(q, which, turns)
 
 
-def _cyclic(k: int) -> Formula:
-    return lambda q, at: _wave(q, range(k), at.wave)
+def _cyclic(which: Sequence[int]) -> Formula:
+    return lambda q, at: _wave(q, which, at.wave)
 
 
 def _warmer(at: Known) -> Floats:

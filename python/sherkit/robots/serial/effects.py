@@ -130,7 +130,6 @@ def effects_of(robot: Serial) -> Mapping[str, Effect]:
     """The effects that an arm can have, with the parameters of its own joints."""
     joints, out = robot.joints, {}
     idle = _idle(robot)
-    slides = {joint.slides for joint in joints}
     for name, effect in SERIAL_CATALOGUE.items():
         if not has(robot, name):
             continue
@@ -140,9 +139,8 @@ def effects_of(robot: Serial) -> Mapping[str, Effect]:
             # once per turn: what slides has none
             own = [p for p in own if p.unit == "rad"]
         elif effect.is_periodic:
-            # one period for all of them, in one unit
-            if len(slides) > 1:
-                continue
+            # one period for joints of one unit: that of most of them
+            own = [p for p in own if p.unit == robot.joint_unit]
             effect = replace(effect, search=f"period_{robot.joint_unit}")
         elif name == "reading_delay":
             effect = replace(effect, needs=robot.layout.velocities)
