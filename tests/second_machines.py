@@ -50,6 +50,8 @@ def gantry(q: Floats, came: Floats, time_h: float, warm: float, h: Hidden) -> Fl
     x, y, z = q + 0.5 * h.play_mm * came
     x = x + h.ripple_mm * np.sin(2 * np.pi * x / (h.sizes.get("ripple_period_mm", 7.3)) + 0.4)
     y = y * (1 + h.pitch)
+    # a rail that bends pitches what stands on it: once over its length
+    x = x + h.bow_mm * (x / 200.0 - 1.0) ** 2
     frame = shift(x, 0, 0) @ turn(2, -4e-4 - h.square_xy) @ shift(0, y, 0) @ turn(0, h.square_yz) @ shift(0, 0, z)
     point = frame[:3, 3] * (1 + h.growth * warm)
     point[2] -= 2e-4 * point[0] + h.droop * (point[0] ** 2 + point[1] ** 2)
@@ -59,7 +61,7 @@ def gantry(q: Floats, came: Floats, time_h: float, warm: float, h: Hidden) -> Fl
 def scara(q: Floats, came: Floats, time_h: float, warm: float, h: Hidden) -> Floats:
     """Two arms and a quill; the base, seen by the tracker, is turned and shifted."""
     first, second, quill = q + 0.5 * np.array([h.play_rad, h.play_rad, 0.0]) * came
-    first = first + h.ring_rad * np.sin(first + 0.7)
+    first = first + h.ring_rad * np.sin(first + 0.7) + h.ripple_rad * np.sin(50 * first + 0.3)
     second = second + 0.006 + h.belt * q[0] + h.oval_rad * np.cos(2 * second)
     reach = shift(250.4, 0, 0) @ turn(2, second) @ shift(199.7, 0, 0)
     frame = turn(2, 0.03) @ turn(2, first) @ reach @ turn(0, h.quill_lean) @ shift(0, 0, -quill)

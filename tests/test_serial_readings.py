@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import sherkit as sk
 from sherkit.errors import FitError, MeasurementError, RobotError
 from sherkit.model.kinds import model_of, robot_from_tables
-from sherkit.robots.serial import KIND, Hidden, Plane, Serial, VirtualSerial, postures
+from sherkit.robots.serial import KIND, Hidden, Joint, Plane, Serial, VirtualSerial, postures
 
 PLAIN = {"noise_um": 50.0, "yield_mrad": 0.0, "play_mrad": 0.0, "ring_mrad": 0.0}
 
@@ -141,6 +141,25 @@ def test_distances_alone_tell_what_is_missing(
     # poses are held out by where they stand, though nothing read says where that is
     where = found.fit.model.place(found.fit.data, found.fit.predicted)
     assert min(np.ptp(one) for one in where.values()) > 500.0
+
+
+def test_joints_that_turn_ripple_beside_one_that_slides() -> None:
+    """Catches an arm of joints in two units, as every SCARA, that has no periodic effect, or one period in both; and a
+    quill "counted the other way" because four joints reach a place in many postures, of which the file gives one."""
+    joints = (
+        Joint("shoulder", origin_mm=(0.0, 0.0, 300.0), limits=(-130.0, 130.0)),
+        Joint("elbow", origin_mm=(350.0, 0.0, 0.0), limits=(-140.0, 140.0)),
+        Joint("quill", "prismatic", (250.0, 0.0, 0.0), axis=(0.0, 0.0, -1.0), limits=(0.0, 150.0)),
+        Joint("wrist", limits=(-180.0, 180.0)),
+    )
+    robot = Serial(joints, target_mm=(40.0, 0.0, -30.0))
+    lines = np.array([[3e-4, 1e-4], [-2e-4, 2e-4], [0.0, 0.0], [0.0, 3e-4]])
+    virtual = VirtualSerial.simulated(robot, 3, 1.0, PLAIN).with_hidden(lines=lines, per_turn=40.0)
+    found = sk.diagnose(robot, virtual.measure(postures(robot, 160, 0.9, 3), repeats=2, seed=4))
+    assert found.effects == ("encoder_cyclic",)
+    period = model_of(robot).known_effects["encoder_cyclic"]
+    assert [p.name for p in period.parameters] == [f"{w}_{k}" for k in (1, 2, 4) for w in ("sine", "cosine")]
+    assert any("period 0.157080 ± 0.000079 rad, 40 per turn" in note for note in found.notes)
 
 
 def test_a_mixed_run_weighs_each_reading_by_its_own_noise() -> None:

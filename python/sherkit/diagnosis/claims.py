@@ -8,6 +8,8 @@ from typing import Any
 
 #: The claim of which the first line speaks though nothing is decided by it.
 AS_DRAWN = "as_drawn"
+#: Claims without which the drawing is not judged.
+_MOVES = {"set_up", "plausible"}
 #: Reasons that the first line gives; the claims have all.
 _MOST = 2
 
@@ -67,7 +69,10 @@ def headline(claims: Sequence[Claim], effects: Sequence[str], not_needed: Sequen
         line = f"{verdict}: {named or 'no effect added'}"
         if failing:
             line += "; " + "; ".join(failing[:_MOST])
-    line += "".join(f"; but {claim.fails}" for claim in claims if claim.name == AS_DRAWN and claim.holds is False)
+    # a wrong column, or an absurd number, moves the drawing as well
+    wrong = {claim.name for claim in claims if claim.holds is False}
+    if not wrong & _MOVES:
+        line += "".join(f"; but {claim.fails}" for claim in claims if claim.name == AS_DRAWN and claim.name in wrong)
     if not_needed:
         verb = "is" if len(not_needed) == 1 else "are"
         line += f"; but {' and '.join(not_needed)}, in the model already, {verb} not needed"

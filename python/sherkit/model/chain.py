@@ -52,6 +52,8 @@ class ChainModel(ModelWithEffects):
     within: ClassVar = frozenset({"datum"})
     #: The built-in effects of this kind of robot by name, in the order of the chain.
     catalogue: ClassVar[Mapping[str, Effect]]
+    #: Whether the robot's file says at which joints a place is reached; an arm leaves open how it stands there.
+    one_posture: ClassVar[bool] = True
     #: The compiled table: every row of parameters with names, units, sizes and levers, in the order of the core.
     table: ClassVar[Sequence[Mapping[str, Any]]]
     #: The kinds of run that show this robot.

@@ -175,9 +175,9 @@ def spread_of(data: Measurements) -> Floats:
 
 def part_elsewhere(model: ModelWithEffects, data: Measurements) -> float:
     """The part of rows whose joints are not those that the robot's file gives for the same place; zero where the robot
-    is not known or its joints follow from the place."""
+    is not known or its file leaves open which joints it takes."""
     robot = model.robot
-    if not isinstance(model, ChainModel):
+    if not isinstance(model, ChainModel) or not model.one_posture:
         return 0.0
     rows = np.unique(np.linspace(0, len(data) - 1, _COMPARED).astype(np.int64))
     joints, places = [], []

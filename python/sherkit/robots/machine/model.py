@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy
@@ -35,6 +35,8 @@ class MachineModel(ChainModel):
     time_origin_s: float = 0.0
     period_mm: float | None = None
     period_rad: float | None = None
+
+    one_posture: ClassVar = False
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Its class is made again with the machine."""

@@ -66,6 +66,7 @@ class SerialModel(ChainModel):
     catalogue: ClassVar = SERIAL_CATALOGUE
     table: ClassVar = _core.SerialModel.CATALOGUE
     targets: ClassVar = POSITION
+    one_posture: ClassVar = False
 
     @property
     def layouts(self) -> tuple[Layout, ...]:  # type: ignore[override]
