@@ -6,10 +6,11 @@ from pathlib import Path
 
 import click
 
-from ..model.robot_file import save_robot
+from ..errors import RobotError
+from ..model.robot_file import load_robot, save_robot
 from ..robots.printer import import_duet, import_klipper, import_marlin
 from ..robots.printer.probings import Found
-from ..robots.serial import Serial
+from ..robots.serial import Serial, points_of_poses
 from ..robots.serial.dh import CONVENTIONS, import_dh
 from ..robots.serial.urdf import import_urdf
 from . import output
@@ -96,3 +97,21 @@ def _write_arm(robot: Serial, destination: Path) -> None:
     known = f"masses of {weighed}" if weighed else "no masses: links count as sticks under gravity"
     output.say(f"{destination}: {len(robot.joints)} joints, {known}")
     output.say(f"a run of it has the columns {', '.join((*robot.layout.joints, *robot.layout.coordinates))}")
+
+
+@import_group.command("poses")
+@click.argument("robot", type=click.Path(path_type=Path))
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--lever-mm", type=float, default=100.0, show_default=True, help="How far two more points lie off.")
+@_FOLDER
+def poses(robot: Path, run: Path, lever_mm: float, folder: Path) -> None:
+    """An arm's full poses (x_mm … and rx_rad …, rx_deg … or qx …), as the places of three points of its tool."""
+    arm = load_robot(robot)
+    if not isinstance(arm, Serial):
+        raise RobotError(f'{robot}: expected an arm (kind = "serial"), found kind = "{arm.kind}"')
+    arm, data = points_of_poses(arm, run, lever_mm)
+    folder.mkdir(parents=True, exist_ok=True)
+    save_robot(arm, folder / "robot.toml")
+    data.save(folder / "run.csv")
+    output.say(f"{folder / 'robot.toml'}: the arm with targets 2 and 3, {lever_mm:g} mm along x and y of its tool")
+    output.say(f"{folder / 'run.csv'}: {len(data)} rows, three for each pose")

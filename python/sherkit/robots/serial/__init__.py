@@ -4,6 +4,7 @@ from ...model.kinds import Kind
 from .calibration import SerialCalibration
 from .columns import POSITION, layout_of_arm
 from .drawing import drawing
+from .full_poses import points_of_poses
 from .model import SerialModel
 from .pose_sets import AREAS, postures
 from .robot import MOST_JOINTS, Joint, Plane, Serial
@@ -41,5 +42,6 @@ __all__ = [
     "SerialCalibration",
     "SerialModel",
     "VirtualSerial",
+    "points_of_poses",
     "postures",
 ]
