@@ -73,8 +73,8 @@ def checked(path: str | Path) -> Path:
         raise MeasurementError(f"{path}: is the run file of an experiment; {hint}")
     if head.lstrip()[:1] in (b"[", b"{"):
         raise MeasurementError(
-            f"{path}: is JSON, expected CSV or Parquet; bluesky's documents are read by sk.from_bluesky and sherkit import "
-            "bluesky"
+            f"{path}: is JSON, expected CSV or Parquet; bluesky's documents are read by sk.from_bluesky and sherkit "
+            "import bluesky"
         )
     return path
 
