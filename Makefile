@@ -75,7 +75,7 @@ header-check: | check-tools
 	cargo run --quiet --locked --profile quick -p sherkit-header -- --check
 
 test-python: $(STAMP)
-	$(BIN)/python -m pytest -n 2 -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
 # what takes longer, and the property tests once more with other inputs in each run: a failure prints its own
 test-slow: $(STAMP)

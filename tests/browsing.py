@@ -20,11 +20,31 @@ _IDLE = "window.Bokeh?.index?.roots.length > 0 && Bokeh.index.roots.every(view =
 _TIMEOUT_MS = 600_000
 
 
+_running: list[Any] = []
+
+
+def chromium() -> Any:
+    """Chromium without a page, the same one for all tests of a module: to start it takes longer than to look."""
+    if not _running:
+        from playwright.sync_api import sync_playwright
+
+        play = sync_playwright().start()
+        _running.append(play)
+        _running.append(play.chromium.launch(executable_path=browser(), args=["--no-sandbox"]))
+    return _running[1]
+
+
+def close() -> None:
+    """Ends it: while it runs, no test can have a loop of events of its own."""
+    if _running:
+        _running[1].close()
+        _running[0].stop()
+        _running.clear()
+
+
 @contextmanager
 def opened(file: Path, *, width: int = 1200, height: int = 900, javascript: bool = True) -> Iterator[Any]:
     """A page of a file, without a network. Fails where it asks for anything else, or complains, or opens a dialog."""
-    from playwright.sync_api import Page, sync_playwright
-
     address = file.resolve().as_uri()
     outside: list[str] = []
     complaints: list[str] = []
@@ -41,24 +61,22 @@ def opened(file: Path, *, width: int = 1200, height: int = 900, javascript: bool
         complaints.append(f"dialog: {shown.message}")
         shown.dismiss()
 
-    with sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=browser(), args=["--no-sandbox"])
-        try:
-            context = chromium.new_context(
-                viewport={"width": width, "height": height}, java_script_enabled=javascript, accept_downloads=True
-            )
-            context.route("**/*", asked)
-            context.set_offline(True)
-            page: Page = context.new_page()
-            page.on("dialog", dialog)
-            page.on("pageerror", lambda error: complaints.append(str(error)))
-            page.on("console", lambda m: complaints.append(m.text) if m.type in ("error", "warning") else None)
-            page.goto(address)
-            if javascript:
-                page.wait_for_function(_IDLE, timeout=_TIMEOUT_MS)
-            yield page
-        finally:
-            chromium.close()
+    context = chromium().new_context(
+        viewport={"width": width, "height": height}, java_script_enabled=javascript, accept_downloads=True
+    )
+    try:
+        context.route("**/*", asked)
+        context.set_offline(True)
+        page = context.new_page()
+        page.on("dialog", dialog)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("console", lambda m: complaints.append(m.text) if m.type in ("error", "warning") else None)
+        page.goto(address)
+        if javascript:
+            page.wait_for_function(_IDLE, timeout=_TIMEOUT_MS)
+        yield page
+    finally:
+        context.close()
     assert outside == [], "the page asked for something outside itself"
     assert complaints == []
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+import browsing
 from consistency import consistent
 from sherkit.diagnosis import Diagnosis
 
@@ -30,18 +32,40 @@ if _MEMORY.is_dir() and os.access(_MEMORY, os.W_OK) and shutil.disk_usage(_MEMOR
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(_MEMORY))
 
 
+def pytest_collection_finish() -> None:
+    """What is loaded stays: to look for garbage among it, again and again, takes a tenth of the time of all tests."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(100_000)
+
+
 @pytest.fixture(scope="session")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a reader has after ``make demo``, and the files that the documents name as the reader's own."""
+    """What a reader has after ``make demo``, what that said (``said.txt``), and the files that the documents name as
+    the reader's own. The worker that is first makes it for all; tests that write there take a copy (:func:`work`)."""
     from test_docs import sherkit
     from test_klipper import SAVED, TRUE, config
 
+    base = tmp_path_factory.getbasetemp()
+    shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "made_by_demo"
+    if shared.exists():
+        return shared
     folder = tmp_path_factory.mktemp("made")
-    sherkit(["demo"], folder)
+    (folder / "said.txt").write_text(sherkit(["demo"], folder), encoding="utf-8")
     shutil.copy(folder / "demo" / "robot.toml", folder / "robot.toml")
     shutil.copy(folder / "demo" / "local.csv", folder / "run.csv")
     (folder / "printer.cfg").write_text(config(TRUE, SAVED), encoding="utf-8")
-    return folder
+    try:
+        return folder.rename(shared)
+    except OSError:  # another worker was first
+        return folder
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_chromium_for_a_module() -> Iterator[None]:
+    """See :func:`browsing.chromium`."""
+    yield
+    browsing.close()
 
 
 @pytest.fixture

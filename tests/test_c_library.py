@@ -5,6 +5,7 @@ Needs a C compiler and cargo; without them the tests are skipped and say so.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
@@ -20,8 +21,9 @@ from numpy.typing import NDArray
 
 import sherkit as sk
 from sherkit import _core
+from sherkit.cli.c_library import archive as shipped
 from sherkit.cli.main import cli
-from sherkit.errors import NotFinite, OutOfReach
+from sherkit.errors import NotFinite, OutOfReach, SherkitError
 from sherkit.robots.serial import KIND, VirtualSerial, postures
 from sherkit.robots.tool.filters import estimate
 from sherkit.robots.tool.tool import FlexibleTool, ToolDoubt
@@ -55,8 +57,10 @@ def tool(*names: str) -> str:
 
 
 def built_archive() -> Path:
-    """The static library, built; skips where it cannot be."""
+    """The static library: that of the wheel where one is installed, else built; skips where it cannot be."""
     tool("cc")
+    with contextlib.suppress(SherkitError):
+        return shipped()
     command = [tool("cargo"), "build", "--quiet", "--locked", "--profile", "control", "-p", "sherkit-c"]
     run(*command, "--target-dir", TARGET, cwd=ROOT)
     return TARGET / "control" / "libsherkit.a"

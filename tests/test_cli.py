@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import io
 import json
 import os
 import re
@@ -28,6 +30,8 @@ from sherkit.robots.delta import VirtualDelta, paper_whole
 from sherkit.robots.delta.virtual import TABLE_II_SIZES
 
 SHERKIT = str(Path(sys.executable).with_name("sherkit"))
+# as the command's own process has it
+pytestmark = pytest.mark.filterwarnings("always::sherkit.SherkitWarning")
 COMMANDS = {
     "": ["calibrate", "demo", "import", "simulate"],
     "calibrate": [
@@ -48,7 +52,20 @@ COMMANDS = {
 
 
 def sherkit(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Runs the command in ``folder``."""
+    """Runs the command in ``folder``, in this process: starting one takes longer than most commands do."""
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+        pytest.raises(SystemExit) as end,
+    ):
+        main(list(arguments))
+    return subprocess.CompletedProcess(arguments, end.value.code, out.getvalue(), err.getvalue())
+
+
+def installed(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Runs the installed command in ``folder``, as a shell would."""
     return subprocess.run([SHERKIT, *arguments], cwd=folder, capture_output=True, encoding="utf-8", timeout=600)
 
 
@@ -104,6 +121,12 @@ def whole(work: Path) -> Measurements:
         os.chdir(old)
 
 
+@pytest.fixture(scope="module")
+def plain(work: Path, whole: Measurements) -> Any:
+    """What the library makes of that run without any option, as the command would print it."""
+    return as_told(calibrate(load_robot(work / "robot.toml"), whole))
+
+
 def as_told(result: Result) -> Any:
     """What the command would print of a result."""
     return json.loads(json.dumps(to_json(result)))
@@ -143,7 +166,7 @@ def test_simulate_sizes_and_parquet(work: Path) -> None:
 
 def test_json_agrees_with_the_library(work: Path, whole: Measurements) -> None:
     """Catches numbers that are computed, rounded or labelled otherwise on the way out, NaN in JSON, a lossy file."""
-    done = sherkit(
+    done = installed(
         work, "calibrate", "robot.toml", "whole.csv", "--local", "local.csv", "-o", "calibrated.toml", "--json"
     )
     said = told(done)
@@ -194,13 +217,12 @@ def test_tables_hold_the_same_numbers(work: Path, whole: Measurements) -> None:
     ids=lambda v: " ".join(v) if isinstance(v, list) else "",
 )
 def test_options_reach_the_library(
-    arguments: list[str], options: dict[str, Any], work: Path, whole: Measurements
+    arguments: list[str], options: dict[str, Any], work: Path, whole: Measurements, plain: Any
 ) -> None:
     """Catches an option that is parsed and then dropped, or that changes nothing."""
-    robot = load_robot("robot.toml")
     said = told(sherkit(work, "calibrate", "robot.toml", "whole.csv", "--json", *arguments))
-    assert said == as_told(calibrate(robot, whole, **options))
-    assert said != as_told(calibrate(robot, whole))
+    assert said == as_told(calibrate(load_robot("robot.toml"), whole, **options))
+    assert said != plain
 
 
 def test_excluded_lines_are_named_and_not_fitted(work: Path, whole: Measurements) -> None:
@@ -228,7 +250,7 @@ SOME = ("a misspelt column", "NaN", "letters of an old encoding", "an empty file
 def test_bad_runs_end_in_one_sentence(bad: Bad, work: Path, tmp_path: Path) -> None:
     """Catches a traceback, a wrong exit code, or words that are not those of the library."""
     path = bad.write(tmp_path)
-    assert one_sentence(sherkit(work, "calibrate", "robot.toml", str(path))) == bad.message(path)
+    assert one_sentence(installed(work, "calibrate", "robot.toml", str(path))) == bad.message(path)
 
 
 @pytest.mark.parametrize(
@@ -261,7 +283,7 @@ def test_other_mistakes_end_in_one_sentence(arguments: list[str], says: str, wor
 )
 def test_wrong_command_lines_end_with_two(arguments: list[str], work: Path) -> None:
     """Catches a slip in the command taken for bad data: scripts tell them apart by the exit code."""
-    done = sherkit(work, *arguments)
+    done = installed(work, *arguments)
     assert (done.returncode, done.stdout) == (2, "")
     assert "Usage: sherkit" in done.stderr
     assert "Traceback" not in done.stderr
@@ -289,7 +311,7 @@ def test_warnings_are_sentences_beside_the_result(work: Path) -> None:
     """Catches a warning that shows Python code, spoils the JSON on stdout, or stops the work."""
     text = Path("whole.csv").read_text().replace("repeat", "repeats", 1)
     Path("slip.csv").write_text(text)
-    done = sherkit(work, "calibrate", "robot.toml", "slip.csv", "--json")
+    done = installed(work, "calibrate", "robot.toml", "slip.csv", "--json")
     assert done.returncode == 0
     assert json.loads(done.stdout)["whole"]["rows"] == 588
     message = "warning: slip.csv: column 'repeats' is taken as a covariate; is it meant to be 'repeat'?\n"
@@ -398,22 +420,22 @@ def test_demo_shows_the_tables_of_the_paper(tmp_path: Path) -> None:
     assert [float(c) for c in cells.groups()] == pytest.approx([after[a] for a in "xyz"], abs=0.051)
 
 
-def test_demo_tells_its_story_on_one_screen(tmp_path: Path) -> None:
+def test_demo_tells_its_story_on_one_screen(made: Path) -> None:
     """Catches a story that does not fit a screen of 80 columns, tells its parts in another order, or names one thing
     by two numbers."""
-    done = sherkit(tmp_path, "demo")
-    lines = done.stdout.splitlines()
+    said = (made / "said.txt").read_text(encoding="utf-8")
+    lines = said.splitlines()
     assert len(lines) <= 40
     assert max(map(len, lines)) <= 80
     heads = [line for line in lines if re.match(r"\d\. ", line)]
     assert [head.split()[0] for head in heads] == ["1.", "2.", "3.", "4.", "5."]
-    left = re.search(r"(\S+) µm at places it was not fitted to", done.stdout)
-    falls = re.search(r"the geometric model +█+ (\S+) µm", done.stdout)
+    left = re.search(r"(\S+) µm at places it was not fitted to", said)
+    falls = re.search(r"the geometric model +█+ (\S+) µm", said)
     assert left is not None
     assert falls is not None
     assert left[1] == falls[1]
-    assert "rail_lean" in done.stdout
-    assert "sherkit app demo/robot.toml demo/whole.csv" in done.stdout
+    assert "rail_lean" in said
+    assert "sherkit app demo/robot.toml demo/whole.csv" in said
 
 
 @pytest.mark.parametrize("command", COMMANDS)

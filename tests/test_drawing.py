@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import closing
 from html import unescape
 from itertools import pairwise
 from pathlib import Path
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
-from browsing import browser, needs_browser
+from browsing import chromium, needs_browser
 from second_simulator import NOMINAL_CONFIG, Robot, grid, make_plan, platform_pose, simulate, truth
 from second_simulator.effects import EFFECTS as SIMULATED
 from second_simulator.effects import draw_effect
@@ -268,8 +269,6 @@ def test_errors_stand_where_they_were_measured(study: sk.Study) -> None:
 @needs_browser
 def test_scenes_move(study: sk.Study, tmp_path: Path) -> None:
     """Catches a scene that stays empty, a slider that moves nothing, and a hover without the row's number."""
-    from playwright.sync_api import sync_playwright
-
     before = next(s.fit for s in study.history if s.fit is not None)
     scene = space_of(before, study.fit, ("as it came", "now"))
     assert scene is not None
@@ -277,9 +276,7 @@ def test_scenes_move(study: sk.Study, tmp_path: Path) -> None:
     file = tmp_path / "card.html"
     file.write_text(card_page("cards", [card, scene.html()]), encoding="utf-8")
     complaints: list[str] = []
-    with sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=browser(), args=["--no-sandbox"])
-        page = chromium.new_page(viewport={"width": 1100, "height": 900})
+    with closing(chromium().new_page(viewport={"width": 1100, "height": 900})) as page:
         page.on("console", lambda m: complaints.append(m.text) if m.type in ("error", "warning") else None)
         page.on("pageerror", lambda e: complaints.append(str(e)))
         page.goto(file.resolve().as_uri())
@@ -308,7 +305,6 @@ def test_scenes_move(study: sk.Study, tmp_path: Path) -> None:
               e.hover({clientX: c.left + e.from[0], clientY: c.top + e.from[1]}); return e.tip.textContent }"""
         )
         assert re.match(r"pose at row \d+\nas it came: [\d.]+ µm\nnow: [\d.]+ µm$", said), said
-        chromium.close()
     assert complaints == []
 
 
@@ -338,17 +334,13 @@ def test_bokeh_stands_once_in_a_notebook(study: sk.Study, monkeypatch: pytest.Mo
 @needs_browser
 def test_cells_borrow_bokeh(study: sk.Study, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Catches a cell that stays empty because what the first one brought lacks a part, and a frame that is too low."""
-    from playwright.sync_api import sync_playwright
-
     where = iter(["one", "two"])
     monkeypatch.setattr(notebook, "_cell_that_runs", lambda: next(where))
     monkeypatch.setattr(notebook._Bringer, "cell", None)
     cells = f"{study._repr_html_()}<hr>{study.fit._repr_html_()}<hr>{EXAMPLE._repr_html_()}"
     file = tmp_path / "notebook.html"
     file.write_text(f"<!DOCTYPE html><meta charset='utf-8'>{cells}", encoding="utf-8")
-    with sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=browser(), args=["--no-sandbox"])
-        page = chromium.new_page(viewport={"width": 1200, "height": 900})
+    with closing(chromium().new_page(viewport={"width": 1200, "height": 900})) as page:
         page.set_default_timeout(300_000)
         page.goto(file.resolve().as_uri())
         for frame in page.frames[1:3]:
@@ -359,7 +351,6 @@ def test_cells_borrow_bokeh(study: sk.Study, monkeypatch: pytest.MonkeyPatch, tm
             high = held.bounding_box()
             assert high is not None
             assert 0 <= high["height"] - frame.evaluate("document.documentElement.offsetHeight") < 40
-        chromium.close()
 
 
 def test_the_command_draws_a_card(tmp_path: Path) -> None:

@@ -60,6 +60,24 @@ def test_each_machine_is_diagnosed_by_itself(found: Fleet, runs: list[str]) -> N
     assert found.machines[3].as_it_came > 2 * found.machines[3].left
 
 
+def test_a_row_is_flat_and_the_same_from_a_diagnosis_and_a_fleet(found: Fleet, runs: list[str]) -> None:
+    """Catches a table that cannot be made of its rows, errors without a unit, and a failed run that ends the table."""
+    alone = sk.diagnose(EXAMPLE, runs[3])
+    row = alone.row()
+    assert all(value is None or isinstance(value, str | int | float) for value in row.values())
+    assert row["effects"] == "rail_lean"
+    assert row["left_um"] == alone.steps[-1].held_out_rms
+    assert row["ratio"] == pytest.approx(row["left_um"] / row["as_it_came_um"])
+    assert row["p_lack_of_fit"] == next(c.p for c in alone.claims if c.name == "poses_as_repeats")
+    table = found.to_frame()
+    assert table["run"].to_list() == runs
+    assert table.row(3, named=True) == {"run": runs[3], "failed": None} | row
+    assert "column 'q3_mm' is missing" in table["failed"][5]
+    assert table["verdict"].null_count() == 1
+    reversed_too = Fleet(found.machines[::-1]).to_frame()
+    assert set(reversed_too.columns) == set(table.columns)
+
+
 def test_a_thread_pool_says_the_same(found: Fleet, runs: list[str]) -> None:
     """Catches an answer that depends on who computes it, or comes in the order of its being ready."""
     with ThreadPoolExecutor(2) as pool:

@@ -284,6 +284,23 @@ def test_order_of_names_does_not_matter() -> None:
     np.testing.assert_allclose(other.std[::-1], fit.std, rtol=1e-6)
 
 
+def test_parameters_are_a_table() -> None:
+    """Catches a table that says other than the fit or its print, and one that leaves out what is held."""
+    rng = np.random.default_rng(56)
+    fit = identify(EXAMPLE, run(TWELVE, planted(TWELVE, rng), rng), free=GEOMETRIC[:4])
+    printed = str(fit).splitlines()
+    rows = {row["name"]: row for row in fit.params.iter_rows(named=True)}
+    assert list(rows) == [p.name for p in (*fit.parameters, *fit.model.fixed)]
+    for k, p in enumerate(fit.parameters):
+        row = rows[p.name]
+        assert (row["value"], row["std"], row["std_from_readings"]) == (
+            fit.values[k], fit.std[k], fit.std_from_readings[k],
+        )  # fmt: skip
+        assert (row["unit"], row["plausible"]) == (p.unit, p.size)
+        assert any(line.startswith(f"{p.name} ") and line.endswith(f"  {row['state']}") for line in printed)
+    assert [rows[p.name]["state"] for p in fit.model.fixed] == ["fixed"] * len(fit.model.fixed)
+
+
 # -- what is observed, and what is not -----------------------------------------------------------------------
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import sherkit as sk
+from sherkit.cli import main
 from sherkit.errors import MeasurementError, SherkitWarning
 
 JOINTS = np.array([[130.0, 129.0, 131.0], [128.0, 130.5, 129.5], [131.0, 131.0, 130.0]])
@@ -108,6 +109,50 @@ def test_what_bluesky_itself_gives_is_read():
     np.testing.assert_allclose(run.readings[:, :3], JOINTS, atol=1e-3)
 
 
+def typed(capsys, *arguments):
+    """Exit code of the command, and what it printed on both sides."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(one) for one in arguments])
+    return ended.value.code, "".join(capsys.readouterr())
+
+
+@pytest.mark.filterwarnings("always::sherkit.SherkitWarning")
+def test_the_command_makes_a_run_of_documents(tmp_path, capsys):
+    """Catches a verb that drops a column, a stream or the time, and one that numbers poses unasked."""
+    documents, made = tmp_path / "documents.jsonl", tmp_path / "run.csv"
+    documents.write_text("\n".join(json.dumps(one) for one in told()), encoding="utf-8")
+    columns = [word for ours, key in COLUMNS.items() for word in ("--column", f"{ours}={key}")]
+    code, said = typed(capsys, "import", "bluesky", documents, *columns, "-o", made)
+    assert code == 0, said
+    assert f"{made}: 3 rows of q1_mm, q2_mm, q3_mm, x_mm, y_mm, z_mm" in said
+    run = sk.read_measurements(made)
+    np.testing.assert_allclose(run.readings[:, :3], 1e-3 * PLACES_UM)
+    np.testing.assert_allclose(run.time_s, [1.0, 2.0, 4.0])
+    assert run.pose is None
+    assert typed(capsys, "import", "bluesky", documents, *columns, "--each-a-pose", "-o", made)[0] == 0
+    assert sk.read_measurements(made).pose.tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--column", "q1_mm"], "--column q1_mm: expected a column and its name there, as q1_mm=rails_q1"),
+        (["--column", "q1_mm=a", "--column", "q1_mm=b"], "--column q1_mm=b: 'q1_mm' is given twice"),
+        (["--column", "q1_mm=rails_q9"], "no key 'rails_q9'"),
+        (["--stream", "baseline"], "no event of the stream 'baseline'"),
+    ],
+)
+def test_what_is_typed_wrong_of_documents_is_a_sentence(more, said, tmp_path, capsys):
+    """Catches a traceback, or a file that is written all the same."""
+    documents, made = tmp_path / "documents.jsonl", tmp_path / "run.csv"
+    documents.write_text("\n".join(json.dumps(one) for one in told()), encoding="utf-8")
+    code, printed = typed(capsys, "import", "bluesky", documents, *more, "-o", made)
+    assert code == 1
+    assert said in printed
+    assert printed.count("\n") == 1
+    assert not made.exists()
+
+
 # -- ROS -------------------------------------------------------------------------------------------------------
 
 RAILS = ("rail_1", "rail_2", "rail_3")
@@ -197,6 +242,32 @@ def test_a_bag_is_a_run(tmp_path, kind):
     (tmp_path / "torn").mkdir()
     with pytest.raises(MeasurementError, match="no bag that can be read"):
         sk.from_rosbag(tmp_path / "torn", OURS, "/tracker")
+
+
+def test_the_command_makes_a_run_of_a_bag(tmp_path, capsys):
+    """Catches a verb that drops a joint, a topic or an option, and bad input that is more than a sentence."""
+    true = bag(tmp_path / "bag")
+    made = tmp_path / "run.parquet"
+    joints = [word for ours, name in OURS.items() for word in ("--joint", f"{ours}={name}")]
+    line = ("import", "rosbag", tmp_path / "bag", *joints, "-o", made)
+    code, said = typed(capsys, *line, "--poses", "/tracker")
+    assert code == 0, said
+    run = sk.read_measurements(made)
+    np.testing.assert_allclose(run.joints, [q for _, q, _ in true], atol=1e-8)
+    np.testing.assert_allclose(run.readings[:, :3], [p for _, _, p in true])
+    np.testing.assert_allclose(np.diff(run.time_s), np.diff([at for at, _, _ in true]), atol=1e-6)
+    made.unlink()
+    for more, wrong in (
+        (["--poses", "/trakcer"], "no topic '/trakcer'"),
+        (["--poses", "/tracker", "--joint-states", "/joints"], "no topic '/joints'"),
+        (["--poses", "/tracker", "--coordinates", "x_rad,y_rad,z_rad"], "cannot be read from a number in m"),
+        (["--poses", "/tracker", "--joint", "q4_mm"], "--joint q4_mm: expected a column and its name there"),
+    ):
+        code, said = typed(capsys, *line, *more)
+        assert code == 1
+        assert wrong in said
+        assert said.count("\n") == 1
+        assert not made.exists()
 
 
 def test_poses_that_no_joints_go_with_are_said(tmp_path):

@@ -19,10 +19,9 @@ import numpy as np
 import pytest
 
 import sherkit as sk
-from browsing import needs_browser, source
+from browsing import chromium, needs_browser, source
 from sherkit import save_robot
 from sherkit.cli.demo import EXAMPLE
-from sherkit.report.export import browser
 from sherkit.robots.delta.paper import paper_whole
 from sherkit.robots.delta.poses import grid
 from sherkit.robots.delta.virtual import VirtualDelta
@@ -91,31 +90,25 @@ def seen(url: str, *, ends: bool = False) -> Iterator[Any]:
 
     Where the server ``ends``, Chromium tells of the connection that is gone.
     """
-    from playwright.sync_api import sync_playwright
-
     outside: list[str] = []
     complaints: list[str] = []
     host = url.split("/")[2]
-    with sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=browser(), args=["--no-sandbox"])
-        try:
-            context = chromium.new_context(viewport={"width": 1720, "height": 1700}, accept_downloads=True)
-            context.on(
-                "request",
-                lambda r: (
-                    None
-                    if r.url.startswith(("data:", "blob:")) or r.url.split("/")[2] == host
-                    else outside.append(r.url)
-                ),
-            )
-            page = context.new_page()
-            page.set_default_timeout(_WAIT_MS)
-            page.on("pageerror", lambda error: complaints.append(str(error)))
-            page.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)
-            page.goto(url)
-            yield page
-        finally:
-            chromium.close()
+    context = chromium().new_context(viewport={"width": 1720, "height": 1700}, accept_downloads=True)
+    try:
+        context.on(
+            "request",
+            lambda r: (
+                None if r.url.startswith(("data:", "blob:")) or r.url.split("/")[2] == host else outside.append(r.url)
+            ),
+        )
+        page = context.new_page()
+        page.set_default_timeout(_WAIT_MS)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)
+        page.goto(url)
+        yield page
+    finally:
+        context.close()
     assert outside == [], "a request left the machine"
     assert [c for c in complaints if not (ends and re.search("websocket|not connected", c, re.IGNORECASE))] == []
 

@@ -3,6 +3,7 @@ polars loaded already, since to load it takes a hundred times longer than to rea
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -33,7 +34,11 @@ for line in sys.stdin:
 
 @contextmanager
 def forked(patch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Trials are forked while this lasts. One that takes longer than five seconds fails the test."""
+    """Trials are forked while this lasts, where there is such a thing. One that takes longer than five seconds fails
+    the test."""
+    if not hasattr(os, "fork"):
+        yield
+        return
     command = [sys.executable, "-c", _SERVER]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as server:
         assert server.stdin

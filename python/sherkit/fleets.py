@@ -16,12 +16,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import polars as pl
 import scipy
 
 from .arguments import Level, Seed, as_annotated
 from .data.given import RunLike
 from .data.noise import MAD
 from .diagnosis import diagnose
+from .diagnosis.summary import Summary
 from .errors import FitError, SherkitError, SherkitWarning
 from .fit.identify import identify
 from .model.effect import Effect, effects_by_name
@@ -38,29 +40,24 @@ _EFFICIENCY = 0.37
 
 
 @dataclass(frozen=True)
-class Machine:
-    """One run of the fleet.
+class Machine(Summary):
+    """One run of the fleet, and what was found in it.
 
-    ``failed`` is the sentence that says why there is no more, None where all went well. ``as_it_came`` and ``left``
-    are errors (RMS of single readings on poses held out) in ``unit`` without and with the ``effects`` that were found
-    missing; ``noise`` is that of a reading. ``values``, ``std`` and ``units`` are those of the fitted parameters, with
-    these effects.
-    ``remarks`` are the warnings that were given.
+    ``failed`` is the sentence that says why there is no more, None where all went well. ``values``, ``std`` and
+    ``units`` are those of the fitted parameters, with the effects that were found missing. ``remarks`` are the
+    warnings that were given.
     """
 
     run: str
     failed: str | None = None
-    rows: int = 0
-    verdict: str = ""
-    effects: tuple[str, ...] = ()
-    unit: str = ""
-    as_it_came: float | None = None
-    left: float | None = None
-    noise: float | None = None
     values: Mapping[str, float] | None = None
     std: Mapping[str, float] | None = None
     units: Mapping[str, str] | None = None
     remarks: tuple[str, ...] = ()
+
+    def row(self) -> dict[str, str | int | float | None]:
+        """As that of a diagnosis, with the run; of one that failed the reason alone."""
+        return {"run": self.run, "failed": self.failed} | ({} if self.failed else super().row())
 
 
 @dataclass(frozen=True)
@@ -164,6 +161,10 @@ class Fleet:
         lines += [f"  {name} in {len(runs)} of {len(self.diagnosed)}" for name, runs in self.shared.items()]
         return "\n".join([*lines, *(f"  {one}" for one in self.stands_out)])
 
+    def to_frame(self) -> pl.DataFrame:
+        """A polars frame with a row for each machine: its run, why it failed, and what its diagnosis says."""
+        return pl.from_dicts([m.row() for m in self.machines], infer_schema_length=None)
+
     def to_json(self) -> dict[str, Any]:
         """For programs: no NaN, keys as the attributes."""
 
@@ -260,14 +261,8 @@ def _machine(task: _Task) -> Machine:
             return Machine(task.name, failed=str(error), remarks=_said(said))
     names = [p.name for p in found.fit.parameters]
     return Machine(
+        **vars(found.summary),
         run=task.name,
-        rows=len(data),
-        verdict=found.verdict,
-        effects=found.effects,
-        unit=found.unit,
-        as_it_came=float(found.steps[0].held_out_rms),
-        left=float(found.steps[-1].held_out_rms),
-        noise=float(np.sqrt(np.mean(np.square(list(found.noise.values()))))),
         values=dict(zip(names, found.fit.values.tolist(), strict=True)),
         std=dict(zip(names, found.fit.std.tolist(), strict=True)),
         units={p.name: p.unit for p in found.fit.parameters},

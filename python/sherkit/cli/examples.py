@@ -28,6 +28,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "import": (
         "sherkit import klipper printer.cfg -o printer",
         "sherkit import urdf arm.urdf -o robot.toml",
+        "sherkit import bluesky run.jsonl --column q1_mm=rails_q1 --column x_mm=laser_x -o run.csv",
+        "sherkit import rosbag recorded --joint q1_mm=rail_1 --poses /tracker -o run.csv",
     ),
     "intrinsics": ("sherkit intrinsics boards/ --chessboard 9x6 --square-mm 10 -o camera.toml",),
     "lab": ("sherkit lab --demo", "sherkit lab lab.toml --ports ports.json"),

@@ -25,7 +25,7 @@ def from_bluesky(
     ``documents`` are pairs of name and document, as ``RE.subscribe`` hears them and ``run.documents()`` of Tiled or
     ``run.canonical(fill="yes")`` of databroker gives them; or the path of a file with one such pair as JSON on each
     line (``suitcase.jsonl``). Of each event of ``stream`` a row is made: a number for every data key that holds one,
-    ``time_s`` from the beginning of the run, and with ``poses`` its number as ``pose``.
+    ``time_s`` from the beginning of the run, and with ``poses`` its number as ``pose``: no two rows are repeats then.
 
     A key is read under its name with its unit at the end (``x`` in mm as ``x_mm``); ``columns`` gives the keys of
     others by our names, ``{"q1_mm": "rails_q1"}``, as in :func:`~sherkit.data.read_measurements`.

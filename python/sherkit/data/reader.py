@@ -54,7 +54,7 @@ def checked(path: str | Path) -> Path:
     path = Path(path)
     if path.is_dir():
         bag = (
-            "; it looks like a ROS 2 bag, which sk.from_rosbag reads"
+            "; it looks like a ROS 2 bag, which sk.from_rosbag and sherkit import rosbag read"
             if any(path.glob("*.db3")) or any(path.glob("*.mcap"))
             else ""
         )
@@ -73,7 +73,8 @@ def checked(path: str | Path) -> Path:
         raise MeasurementError(f"{path}: is the run file of an experiment; {hint}")
     if head.lstrip()[:1] in (b"[", b"{"):
         raise MeasurementError(
-            f"{path}: is JSON, expected CSV or Parquet; bluesky's documents are read by sk.from_bluesky"
+            f"{path}: is JSON, expected CSV or Parquet; bluesky's documents are read by sk.from_bluesky and sherkit "
+            "import bluesky"
         )
     return path
 

@@ -13,8 +13,9 @@ from ..fit.forms import Known, known
 from ..fit.identify import Fit
 from ..notebook import Shown
 from ..types import Ints
-from .claims import Claim, headline
+from .claims import POSES_AS_REPEATS, Claim, headline
 from .stage import Stage
+from .summary import Summary
 from .template import sentence
 from .where import Dependence
 
@@ -98,14 +99,40 @@ class Diagnosis(Shown):
         """What is really known of the effects in :attr:`fit` that have a number for each limb, by name."""
         return known(self.fit)
 
+    @cached_property
+    def summary(self) -> Summary:
+        """What it says in words and numbers alone, without rows or fits."""
+        return Summary(
+            rows=len(self.fit.data),
+            verdict=self.verdict,
+            effects=self.effects,
+            not_needed=self.not_needed,
+            unit=self.unit,
+            as_it_came=float(self.steps[0].held_out_rms),
+            left=float(self.steps[-1].held_out_rms),
+            noise=float(np.sqrt(np.mean(np.square(list(self.noise.values()))))),
+            noise_origin=self.noise_origin,
+            p_missing=self.p_missing,
+            p_lack_of_fit=next((claim.p for claim in self.claims if claim.name == POSES_AS_REPEATS), None),
+            p_confirmed=self.confirmed,
+            outliers=len(self.outliers),
+        )
+
+    def row(self) -> dict[str, str | int | float | None]:
+        """One flat dict, for a table over many runs: verdict, effects, errors held out before and after, their ratio, p
+        values; keys name their units. See :class:`~sherkit.diagnosis.summary.Summary`.
+
+            table = pl.DataFrame([sk.diagnose(robot, run).row() for run in runs])
+        """
+        return self.summary.row()
+
     def __repr__(self) -> str:
         lines = [self.headline]
         lines += [f"  these rows cannot tell {' from '.join(tie)}" for tie in self.ties]
         for s in self.steps:
             name = "as it came" if s.effect is None else "+ " + s.effect
             lines.append(f"  {name:<24} {s.held_out_rms:8.2f} {self.unit} held out")
-        noise = float(np.sqrt(np.mean(np.square(list(self.noise.values())))))
-        lines.append(f"  {'noise':<24} {noise:8.2f} {self.unit} ({self.noise_origin})")
+        lines.append(f"  {'noise':<24} {self.summary.noise:8.2f} {self.unit} ({self.noise_origin})")
         if self.signature is not None:
             lines.append(f"  {sentence(self.signature)}")
         return "\n".join(lines)

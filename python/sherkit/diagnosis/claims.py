@@ -8,6 +8,8 @@ from typing import Any
 
 #: The claim of which the first line speaks though nothing is decided by it.
 AS_DRAWN = "as_drawn"
+#: The claim that tests lack of fit.
+POSES_AS_REPEATS = "poses_as_repeats"
 #: Claims without which the drawing is not judged.
 _MOVES = {"set_up", "plausible"}
 #: Reasons that the first line gives; the claims have all.

@@ -9,7 +9,7 @@ import numpy as np
 from ..fit.set_up import Mistake
 from ..names import listed
 from ..types import Floats, Ints
-from .claims import AS_DRAWN, Claim
+from .claims import AS_DRAWN, POSES_AS_REPEATS, Claim
 from .earned import Earned
 from .fitted_run import FittedRun
 from .lack_of_fit import LackOfFit
@@ -152,14 +152,14 @@ def _gross(final: FittedRun, wild: Ints) -> Claim:
 def _poses(final: FittedRun, fitness: LackOfFit | None, *, shaped: bool) -> Claim:
     tested = "poses are as near to the model as their repeats are to one another"
     if fitness is None:
-        return Claim("poses_as_repeats", tested, "no rows", "too few poses were repeated", holds=None)
+        return Claim(POSES_AS_REPEATS, tested, "no rows", "too few poses were repeated", holds=None)
     each = ", ".join(f"{axis} {value:.2g}" for axis, value in fitness.own.items())
     told = f"each pose is off by {fitness.size:.2g} {final.unit} of its own ({each})"
     columns = listed([name for k, name in enumerate(final.data.layout.pose_sigmas) if k in final.axes])
     file = final.model.pose_sigma_in_file
     declare = f"columns {columns}" + (f", or {file} in the robot file" if file else "")
     return Claim(
-        "poses_as_repeats", tested, f"{fitness.poses} repeated poses", told, holds=not fitness.counts, p=fitness.p,
+        POSES_AS_REPEATS, tested, f"{fitness.poses} repeated poses", told, holds=not fitness.counts, p=fitness.p,
         # what has a shape is not each pose's own
         fails=told if shaped else (
             f"{told}, which no effect and no shape follows: look at what differs from pose to pose but not between "

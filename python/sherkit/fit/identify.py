@@ -15,6 +15,7 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
+import polars as pl
 import scipy
 from numpy.typing import NDArray
 
@@ -38,7 +39,7 @@ from .iterate import reached
 from .least_squares import LeastSquares
 from .robust import LOSSES, scale, spread
 from .set_up import set_up_mistakes
-from .table import table_of
+from .table import frame_of, table_of
 
 #: A robust fit settles in a few rounds; wild rows from which the first round starts may take some more.
 _ROBUST_ROUNDS = 30
@@ -166,6 +167,16 @@ class Fit(Identified, Shown):
             f"combination{'s' if beyond > 1 else ''} noise moves them further than is plausible, which fits better and "
             f"predicts worse. Free fewer, measure more{ways}"
         )
+
+    @cached_property
+    def params(self) -> pl.DataFrame:
+        """Every parameter, those that are held at zero last, as a polars frame.
+
+        ``name``, ``value``, ``std_from_readings``, ``std`` and ``plausible`` size, all in ``unit``; ``state`` says
+        what the readings tell of it: ``observed``, ``in part``, ``unobserved``, of an effect with a simpler form ``not
+        by itself``, or ``fixed``.
+        """
+        return frame_of(self)
 
     @cached_property
     def outliers(self) -> NDArray[np.int64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import polars as pl
 
 from .forms import known
 
@@ -41,17 +42,12 @@ def table_of(fit: Any) -> str:
         *([("supported", fit.crowded)] if fit.crowded else []),
         ("converged", f"{'yes' if fit.converged else 'NO'}, {fit.evaluations} evaluations"),
     ]  # fmt: skip
-    forms = known(fit)
-    size = np.array([p.size for p in fit.parameters])
-    unseen = np.diag(fit.unobserved_covariance) / size**2
     lines = [_COLUMNS]
-    for k, p in enumerate(fit.parameters):
-        deviations = (f"{fit.std_from_readings[k]:.2g}", f"{fit.std[k]:.2g}")
-        effect = p.name.partition(".")[0]
-        alone = effect not in forms or abs(fit.values[k]) > _CLEAR * fit.std[k]
-        state = _state(float(unseen[k])) if alone else "not by itself"
-        lines.append((p.name, f"{fit.values[k]:.6g}", *deviations, p.unit, state))
-    for name, one in forms.items():
+    for p, value, readings, sizes, state in zip(
+        fit.parameters, fit.values, fit.std_from_readings, fit.std, _states(fit), strict=True
+    ):
+        lines.append((p.name, f"{value:.6g}", f"{readings:.2g}", f"{sizes:.2g}", p.unit, state))
+    for name, one in known(fit).items():
         for value in one.values:
             std = f"{value.std:.2g}"
             lines.append((f"{name}: {one.where} {value.what}", f"{value.value:.6g}", std, std, value.unit, "known"))
@@ -67,6 +63,33 @@ def table_of(fit: Any) -> str:
         for line in lines
     ]
     return "\n".join([*head, "", *body])
+
+
+def frame_of(fit: Any) -> pl.DataFrame:
+    """The same for programs, without the forms; see :attr:`~sherkit.fit.identify.Fit.params`."""
+    parameters, held = (*fit.parameters, *fit.model.fixed), len(fit.model.fixed)
+    return pl.DataFrame(
+        {
+            "name": [p.name for p in parameters],
+            "value": [*fit.values.tolist(), *[0.0] * held],
+            "std_from_readings": [*fit.std_from_readings.tolist(), *[None] * held],
+            "std": [*fit.std.tolist(), *[None] * held],
+            "unit": [p.unit for p in parameters],
+            "plausible": [float(p.size) for p in parameters],
+            "state": [*_states(fit), *["fixed"] * held],
+        }
+    )
+
+
+def _states(fit: Any) -> list[str]:
+    """What the readings tell of each parameter by itself."""
+    forms = known(fit)
+    unseen = np.diag(fit.unobserved_covariance) / np.array([p.size for p in fit.parameters]) ** 2
+    clear = np.abs(fit.values) > _CLEAR * fit.std
+    return [
+        _state(float(unseen[k])) if clear[k] or p.name.partition(".")[0] not in forms else "not by itself"
+        for k, p in enumerate(fit.parameters)
+    ]
 
 
 def _state(unseen: float) -> str:

@@ -1,0 +1,51 @@
+"""A diagnosis in words and numbers alone: one line of a table over many runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """What a diagnosis says of a run, without its rows.
+
+    ``as_it_came`` and ``left`` are errors (RMS of single readings on poses held out) in ``unit`` without and with the
+    ``effects`` that were found missing; ``noise`` is that of a reading, by ``noise_origin``. ``p_missing`` is that of
+    the one test over all effects and shapes before anything is added, ``p_lack_of_fit`` that of poses against their
+    repeats with what was found in the model, None where too few were repeated; ``p_confirmed`` the largest with which
+    an effect earns its place on rows held out, None where none is named.
+    """
+
+    rows: int = 0
+    verdict: str = ""
+    effects: tuple[str, ...] = ()
+    not_needed: tuple[str, ...] = ()
+    unit: str = ""
+    as_it_came: float | None = None
+    left: float | None = None
+    noise: float | None = None
+    noise_origin: str = ""
+    p_missing: float | None = None
+    p_lack_of_fit: float | None = None
+    p_confirmed: float | None = None
+    outliers: int = 0
+
+    def row(self) -> dict[str, str | int | float | None]:
+        """One flat dict with the unit in each name (``left_um`` for µm), names of effects in one text, and ``ratio``:
+        the error left over that as it came."""
+        end = f"_{self.unit.replace('µ', 'u')}"
+        return {
+            "rows": self.rows,
+            "verdict": self.verdict,
+            "effects": ", ".join(self.effects),
+            "not_needed": ", ".join(self.not_needed),
+            f"as_it_came{end}": self.as_it_came,
+            f"left{end}": self.left,
+            "ratio": self.left / self.as_it_came if self.left is not None and self.as_it_came else None,
+            f"noise{end}": self.noise,
+            "noise_origin": self.noise_origin,
+            "p_missing": self.p_missing,
+            "p_lack_of_fit": self.p_lack_of_fit,
+            "p_confirmed": self.p_confirmed,
+            "outliers": self.outliers,
+        }
