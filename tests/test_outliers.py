@@ -45,7 +45,7 @@ def pushed(world: worlds.World, rows: Floats, um: float, seed: int = 0) -> Float
 @pytest.mark.parametrize("noises", [20.0, 50.0])
 def test_what_was_bumped_and_put_back_is_listed(order: Order, noises: float) -> None:
     """Catches a bump taken for a slip, or pressed into a smooth course in time: a tenth of the run, off by one vector,
-    whether it holds whole poses or single readings of many."""
+    whether it holds whole poses or single readings of many. And praise that does not say what was left out of it."""
     world = worlds.delta_world(3, order=order)
     n = len(world.columns["pose"])
     bumped = np.arange(n // 3, n // 3 + n // 10)
@@ -53,6 +53,18 @@ def test_what_was_bumped_and_put_back_is_listed(order: Order, noises: float) -> 
     assert set(bumped) <= set(d.outliers.tolist())
     assert len(d.outliers) <= len(bumped) + 3
     assert (d.verdict, d.effects) == ("adequate", ())
+    assert "were read one after another, are wrong and left out: was the instrument or the target knocked" in d.headline
+
+
+def test_wrong_rows_here_and_there_are_not_in_the_first_line() -> None:
+    """Catches a knock that is suspected behind wild readings, and behind one pose whose repeats all are wrong."""
+    world = worlds.delta_world(3, order="planes")
+    n = len(world.columns["pose"])
+    add = sum(pushed(world, np.arange(k, k + 1), 50 * worlds.NOISE_UM, k) for k in range(7, n, n // 9))
+    add = add + pushed(world, world.columns["pose"] == world.columns["pose"][n // 2], 50 * worlds.NOISE_UM)
+    d = diagnosed(world, add)
+    assert len(d.outliers) >= 9
+    assert d.headline == "adequate: no effect is missing"
 
 
 @pytest.mark.parametrize("noises", [5.0, 50.0])

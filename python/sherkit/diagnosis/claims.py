@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-#: The claim of which the first line speaks though nothing is decided by it.
-AS_DRAWN = "as_drawn"
+#: Claims of which the first line speaks though nothing is decided by them.
+AS_DRAWN, APART = "as_drawn", "apart"
 #: The claim that tests lack of fit.
 POSES_AS_REPEATS = "poses_as_repeats"
 #: Claims without which the drawing is not judged.
@@ -73,8 +73,8 @@ def headline(claims: Sequence[Claim], effects: Sequence[str], not_needed: Sequen
             line += "; " + "; ".join(failing[:_MOST])
     # a wrong column, or an absurd number, moves the drawing as well
     wrong = {claim.name for claim in claims if claim.holds is False}
-    if not wrong & _MOVES:
-        line += "".join(f"; but {claim.fails}" for claim in claims if claim.name == AS_DRAWN and claim.name in wrong)
+    spoken = {APART} if wrong & _MOVES else {APART, AS_DRAWN}
+    line += "".join(f"; but {claim.fails}" for claim in claims if claim.name in wrong & spoken)
     if not_needed:
         verb = "is" if len(not_needed) == 1 else "are"
         line += f"; but {' and '.join(not_needed)}, in the model already, {verb} not needed"

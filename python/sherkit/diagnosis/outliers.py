@@ -31,6 +31,8 @@ _FITS = 8
 _PAUSE = 20.0
 _WILD_VISIT = 0.5
 _FEWEST_OF_A_VISIT = 4
+#: Wrong rows that follow one another are of something that lasted where they are so many, at so many poses.
+_LASTS, _POSES = 5, 3
 #: What gross errors may add to what a fit leaves before it is said that they decide it.
 _MATTERS = 1.1
 
@@ -73,7 +75,7 @@ def warn_of_outliers(fit: Fit, effects: Sequence[Effect] = ()) -> None:
         return
     many, data = len(wild) > 1, fit.data
     warnings.warn(
-        f"{data.source}: {data.counted}{'s' if many else ''} {_spans(data.line[wild])} look{'' if many else 's'} wrong "
+        f"{data.source}: {data.counted}{'s' if many else ''} {spans(data.line[wild])} look{'' if many else 's'} wrong "
         f"and {'are' if many else 'is'} in this fit: it leaves {left[0]:.4g} {run.unit}, without "
         f"{'them' if many else 'it'} {left[1]:.4g}; leave out what a diagnosis lists (--without-outliers, "
         "without_outliers=True, study.mark_outliers()), or mark the rows by a column 'outlier' = 1",
@@ -118,7 +120,7 @@ def sentences(data: Measurements, rows: Ints) -> tuple[str, ...]:
         many = len(numbers) > 1
         out.append(
             f"{f'{len(numbers)} poses are' if many else 'one pose is'} wrong in all {'their' if many else 'its'} "
-            f"repeats (pose {_spans(numbers)}; {data.counted}s {_spans(data.line[poses])}): "
+            f"repeats (pose {spans(numbers)}; {data.counted}s {spans(data.line[poses])}): "
             "no noise, no effect and no smooth shape explains it; all figures here are without them. "
             "Look for a wrong index, a target that was knocked, a stage that was bumped"
         )
@@ -127,12 +129,24 @@ def sentences(data: Measurements, rows: Ints) -> tuple[str, ...]:
         what, are = (f"{len(single)} {data.counted}s", "are suspected outliers") if len(single) > 1 else (
             f"one {data.counted}", "is a suspected outlier"
         )  # fmt: skip
-        where = f"{data.counted}{'s' if len(single) > 1 else ''} {_spans(data.line[single])}"
+        where = f"{data.counted}{'s' if len(single) > 1 else ''} {spans(data.line[single])}"
         out.append(f"{what} {are} ({where}); all figures here are without {'them' if len(single) > 1 else 'it'}")
     return tuple(out)
 
 
-def _spans(numbers: Ints) -> str:
+def in_one_go(data: Measurements, rows: Ints) -> Ints:
+    """Those of gross errors (indices of ``data``) that were read one after another, with none between that is right: no
+    accidents of single readings but something that lasted."""
+    wild = np.zeros(len(data), dtype=bool)
+    wild[rows] = True
+    order = np.argsort(data.order, kind="stable")
+    order = order[wild[order] | ~data.outlier[order]]
+    runs = np.split(order, np.flatnonzero(np.diff(wild[order].astype(int))) + 1)
+    lasting = (r for r in runs if len(r) >= _LASTS and wild[r[0]] and len(np.unique(data.standing[r])) >= _POSES)
+    return np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *lasting]))
+
+
+def spans(numbers: Ints) -> str:
     """Sorted numbers for a sentence, neighbours as one span: 12-14, 40."""
     numbers = np.unique(numbers)
     parts = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)

@@ -9,12 +9,13 @@ import numpy as np
 from ..fit.set_up import Mistake
 from ..names import listed
 from ..types import Floats, Ints
-from .claims import AS_DRAWN, POSES_AS_REPEATS, Claim
+from .claims import APART, AS_DRAWN, POSES_AS_REPEATS, Claim
 from .earned import Earned
 from .fitted_run import FittedRun
 from .lack_of_fit import LackOfFit
 from .named import Named
 from .one_unknown import OneUnknown
+from .outliers import in_one_go, spans
 from .sizes import ABSURD, PLAUSIBLE, largest, sizes_of
 from .steady import Wander
 
@@ -45,7 +46,7 @@ def claims_of(
     """
     unit, used = final.unit, f"all {int(final.whole.sum())} rows that are used"
     out = [_set_up(mistakes, final), _converged(final, used), _plausible(final, used)]
-    out += [_as_drawn(final, used), _gross(final, wild)]
+    out += [_as_drawn(final, used), _gross(final, wild), *_apart(final, wild)]
     p = found.result.p_left if not found.result.signature else found.result.p_first
     out.append(
         Claim(
@@ -147,6 +148,23 @@ def _gross(final: FittedRun, wild: Ints) -> Claim:
         f"{len(wild)} are listed as wrong and are in none of these numbers", holds=share <= _WRONG,
         fails=f"{len(wild)} of {len(final.data)} rows stand apart from the others",
     )  # fmt: skip
+
+
+def _apart(final: FittedRun, wild: Ints) -> list[Claim]:
+    if not len(wild):
+        return []
+    lasting = in_one_go(final.data, wild)
+    tested, rows = "rows that are wrong are so each for itself", f"the {len(wild)} rows listed as wrong"
+    if not len(lasting):
+        return [Claim(APART, tested, rows, "between them others are right", holds=True, decisive=False)]
+    where = f"{final.data.counted}s {spans(final.data.line[lasting])}"
+    told = f"{where} were read one after another"
+    return [
+        Claim(
+            APART, tested, rows, told, holds=False, decisive=False,
+            fails=f"{told}, are wrong and left out: was the instrument or the target knocked, and put back?",
+        )
+    ]  # fmt: skip
 
 
 def _poses(final: FittedRun, fitness: LackOfFit | None, *, shaped: bool) -> Claim:
