@@ -56,7 +56,7 @@ def spherical() -> _core.SphericalCalibrated:
 
 
 def serial() -> _core.SerialCalibrated:
-    """A six-axis arm with small errors of its geometry, and joints that give way, under a payload too, and have play."""
+    """A six-axis arm with small geometric errors; its joints give way, under a payload too, and have play."""
     at_work = ("joint_compliance", "payload_compliance", "joint_coupling", "backlash", "encoder_eccentricity")
     random = np.random.default_rng(2)
     arm, values = KIND.example, np.zeros(_core.SerialModel.PARAMETERS)
