@@ -364,6 +364,7 @@ def test_wrong_input_is_refused() -> None:
         assert caught.value.limb == 1
 
 
+@pytest.mark.filterwarnings("ignore::sherkit.SherkitWarning")  # most places are far from the run
 @settings(max_examples=500, deadline=None)
 @given(st.tuples(*[st.floats(allow_nan=True, allow_infinity=True)] * 3))
 @example((1e308, 1e308, 1e308))
