@@ -33,10 +33,9 @@ if _MEMORY.is_dir() and os.access(_MEMORY, os.W_OK) and shutil.disk_usage(_MEMOR
 
 
 def pytest_collection_finish() -> None:
-    """What is loaded stays: to look for garbage among it, again and again, takes a tenth of the time of all tests."""
+    """What is loaded stays: nobody need look for garbage among it, again and again."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(100_000)
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ Levels: as in test_identification, the chance of failure over the choice of the 
 from __future__ import annotations
 
 import copy
+import pickle
 import tomllib
 from dataclasses import replace
 from functools import cache
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import comb
 
 from second_simulator import Robot, truth
-from sherkit import SherkitError, calibrate
+from sherkit import SherkitError, SherkitWarning, calibrate
 from sherkit.calibration import Result
 from sherkit.errors import CalibrationError, NotFinite, OutOfReach, ShapeError
 from sherkit.model.effect import effects_by_name
@@ -123,6 +124,18 @@ def experiment(seed: int, lean: float) -> tuple[VirtualDelta, Result]:
 
 
 # -- forward, inverse, Jacobian ------------------------------------------------------------------------------
+
+
+def test_a_place_far_from_the_run_is_said_once() -> None:
+    """Catches silence where nothing like the place was measured, a warning among the poses, and one for each step."""
+    whole = part(np.random.default_rng(0), np.zeros(len(SIZES)), 2.0, corrected=False)
+    calibration = DeltaCalibration(EXAMPLE, whole)
+    calibration.inverse([5.0, 0.0, 0.0])
+    with pytest.warns(SherkitWarning, match="12, 0, 0 mm is 10 mm beyond the poses of a test, which cover 4 mm"):
+        first = calibration.inverse([12.0, 0.0, 0.0])
+    assert np.array_equal(calibration.inverse([12.0, 0.0, 0.0]), first)
+    with pytest.warns(SherkitWarning, match="beyond the poses"):
+        pickle.loads(pickle.dumps(calibration)).inverse([12.0, 0.0, 0.0])
 
 
 @MANY
@@ -351,6 +364,7 @@ def test_wrong_input_is_refused() -> None:
         assert caught.value.limb == 1
 
 
+@pytest.mark.filterwarnings("ignore::sherkit.SherkitWarning")  # most places are far from the run
 @settings(max_examples=500, deadline=None)
 @given(st.tuples(*[st.floats(allow_nan=True, allow_infinity=True)] * 3))
 @example((1e308, 1e308, 1e308))

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
+import numpy as np
 from numpy.typing import ArrayLike
 
+from ..data.columns import unit_in
+from ..errors import SherkitWarning
 from ..model.batch import Batch, matrix, vector
 from ..model.kinds import Robot
 from ..saved import Saved
 from ..types import Bools, Floats
 from .part import Part
+
+#: A place is far from the poses of a run from this many times their extent on.
+_FAR = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +66,12 @@ class Deployed(Saved, ABC):
         """Joint readings (j,) at which the corrected model gives ``coordinates`` (k,), to 1e-6 mm or 1e-12 rad.
 
         Arguments as :meth:`forward`. Raises :class:`~sherkit.errors.OutOfReach`, or ``NotConverged`` where a
-        correction folds over.
+        correction folds over. Warns once (:class:`~sherkit.errors.SherkitWarning`) of a place that is farther from the
+        poses of the run than these lie apart.
         """
-        made: Floats = self.core.inverse(self._place(coordinates), self._now(temperature_c, direction))
+        x = self._place(coordinates)
+        made: Floats = self.core.inverse(x, self._now(temperature_c, direction))
+        self._went_to(x)
         return made
 
     def forward_batch(self, joints: ArrayLike) -> Batch:
@@ -78,6 +89,34 @@ class Deployed(Saved, ABC):
         reach are marked."""
         values, reached = self.core.inverse_batch(self._places(coordinates), self._now(None, direction))
         return Batch(values, reached)
+
+    def _went_to(self, x: Floats) -> None:
+        """Says once that it is asked where nothing like the place was measured: quick, for control loops."""
+        for value, (low, high) in zip(x.tolist(), self._near, strict=True):
+            if not low <= value <= high:
+                return self._say_far(x)
+        return None
+
+    @cached_property
+    def _near(self) -> list[tuple[float, float]]:
+        """Places (k) that the poses of the run are near to, coordinate by coordinate."""
+        low, high = self.whole.low, self.whole.high
+        extent = float((high - low).max())
+        # a single pose says of no place that it is far
+        reach = _FAR * extent if extent > 0 else np.inf
+        return list(zip((low - reach).tolist(), (high + reach).tolist(), strict=True))
+
+    def _say_far(self, x: Floats) -> None:
+        low, high, unit = self.whole.low, self.whole.high, unit_in(self.coordinates[0])
+        beyond, extent = float(np.maximum(low - x, x - high).max()), float((high - low).max())
+        warnings.warn(
+            f"{', '.join(f'{v:.4g}' for v in x)} {unit} is {beyond:.3g} {unit} beyond the poses of "
+            f"{self.whole.made_from}, which cover {extent:.3g} {unit}: what is so far outside is extrapolated, and no "
+            "accuracy is promised there; measure nearer to it",
+            SherkitWarning,
+            stacklevel=4,
+        )
+        self.__dict__["_near"] = [(-np.inf, np.inf)] * len(x)
 
     def _one(
         self, joints: ArrayLike, temperature_c: float | None, direction: ArrayLike | None

@@ -19,6 +19,8 @@ from .unshown import Unshown, at_rest, by_effect, waves, with_effect
 _UNOBSERVED = 1e-7
 #: An effect alone explains the readings as well as a correction does, if it leaves at most this times its variance.
 _AS_WELL = 1.5
+#: Eigenvalues below this part of the largest are rounding.
+_ROUNDING = 1e-15
 #: Sum of squares over the noise that is none.
 _NOTHING = 1e-200
 
@@ -214,16 +216,17 @@ class LinearFit:
         are taken. Errors that all repeats of a pose share count once for the pose.
         """
         prior, scaled = np.diag(size**2), kept * size
-        normal, along = scaled.T @ scaled, scaled.T @ residual
-        rest = residual - scaled @ (np.linalg.pinv(normal, hermitian=True) @ along)
+        # by eigenvalues, as readings without noise leave next to nothing beside them
+        value, vector = np.linalg.eigh(scaled.T @ scaled)
+        along = scaled.T @ residual
+        told = value > _ROUNDING * value[-1]
+        rest = residual - scaled @ (vector[:, told] @ ((vector[:, told].T @ along) / value[told]))
         squares = float(rest @ rest)
         free = int(np.count_nonzero(residual)) - used - len(size)
         if free <= 0 or squares <= _NOTHING:
             return prior, np.inf
         shared = max(float((np.bincount(cells, rest) ** 2).sum()) / squares, 1.0)
         noise = squares / free
-        # by eigenvalues, as readings without noise leave next to nothing beside them
-        value, vector = np.linalg.eigh(normal)
         inverse = (vector / (np.maximum(value, 0.0) + noise * shared)) @ vector.T
         mean = inverse @ along
         return (noise * shared * inverse + np.outer(mean, mean)) * np.outer(size, size), noise

@@ -33,6 +33,9 @@ _LEAST = 0.01
 _ADVISED = 4
 _LEFT = 0.2
 
+#: Derivatives by sine and cosine, at the rows and at the asked places.
+_Wave = tuple[Floats, Floats]
+
 
 @dataclass(frozen=True, eq=False)
 class Search:
@@ -124,23 +127,26 @@ class Search:
             # the error of a ring closes in a turn; once per turn is an effect of its own
             tried = np.unique(np.round(tried * _TURN).clip(2.0)) / _TURN
 
-        def hides(frequency: float) -> float:
-            made, missed = quick.assess(effect, 1.0 / frequency, *quick.wave(frequency))
+        def hides(frequency: float, wave: _Wave) -> float:
+            made, missed = quick.assess(effect, 1.0 / frequency, *wave)
             return made.hides(missed)
 
-        def unseen(frequency: float) -> float:
-            return -quick.least_seen(quick.wave(frequency)[0])
+        def unseen(_: float, wave: _Wave) -> float:
+            return -quick.least_seen(wave[0])
 
-        def taken(frequency: float) -> float:
-            return quick.taken(quick.wave(frequency)[0])
+        def taken(_: float, wave: _Wave) -> float:
+            return quick.taken(wave[0])
 
         out: list[float] = []
         # what alone takes all that a correction took is hidden by that, in a peak too narrow for the first measure
-        for measure in (hides, unseen, taken) if self.part.corrects else (hides, unseen):
-            for k in _peaks(np.array([measure(f) for f in tried])):
+        measures = (hides, unseen, taken) if self.part.corrects else (hides, unseen)
+        waves = ((f, quick.wave(f)) for f in tried)
+        found = np.array([[measure(f, wave) for measure in measures] for f, wave in waves])
+        for measure, values in zip(measures, found.T, strict=True):
+            for k in _peaks(values):
                 best = float(tried[k])
                 if not ring:
-                    best = _nearby(measure, best, step)
+                    best = _nearby(measure, quick.wave, best, step)
                 if all(abs(best - other) * span > 0.5 for other in out):
                     out.append(best)
         given = self.run.fit.model.setting_of(effect)
@@ -148,10 +154,12 @@ class Search:
         return [*known, *(1.0 / f for f in out)]
 
 
-def _nearby(measure: Callable[[float], float], middle: float, step: float) -> float:
-    """Where a measure is highest within a step of a peak."""
+def _nearby(
+    measure: Callable[[float, _Wave], float], wave: Callable[[float], _Wave], middle: float, step: float
+) -> float:
+    """Where a measure of a frequency and its wave is highest within a step of a peak."""
     found = scipy.optimize.minimize_scalar(
-        lambda f: -measure(f), bounds=(max(middle - step, 0.5 * step), middle + step), method="bounded",
+        lambda f: -measure(f, wave(f)), bounds=(max(middle - step, 0.5 * step), middle + step), method="bounded",
         options={"xatol": 1e-5 * step},
     )  # fmt: skip
     return float(found.x)

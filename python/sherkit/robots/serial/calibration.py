@@ -135,8 +135,10 @@ class SerialCalibration(Calibration):
         Of many postures that to which damped steps lead from ``start`` (k,); left out, as :meth:`Serial.inverse`. Other
         arguments as :meth:`forward`. Raises :class:`~sherkit.errors.OutOfReach` with how near it comes.
         """
-        now = self._now(temperature_c, direction, payload_kg)
-        return self.robot.found_from(lambda x, q: self.core.inverse(x, now, q), self._place(coordinates), start)
+        now, place = self._now(temperature_c, direction, payload_kg), self._place(coordinates)
+        made = self.robot.found_from(lambda x, q: self.core.inverse(x, now, q), place, start)
+        self._went_to(place)
+        return made
 
     def inverse_batch(
         self, coordinates: ArrayLike, *, direction: ArrayLike | None = None, starts: ArrayLike | None = None
