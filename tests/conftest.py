@@ -36,6 +36,7 @@ def pytest_collection_finish() -> None:
     """What is loaded stays: nobody need look for garbage among it, again and again."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(100_000)
 
 
 @pytest.fixture(scope="session")

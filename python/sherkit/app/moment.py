@@ -32,7 +32,8 @@ class Moment:
     ``residuals`` (one for each step of the history) are None where the rows of that step are no longer those of today.
     ``without`` is the error held out that the model would leave without each of its effects, known with the diagnosis;
     so are the ``drawings``, as HTML, of the user's own effects that are in the model or named: a page never asks lines
-    that a person typed.
+    that a person typed. So is the ``space``, as HTML: the workspace in three dimensions with the errors of the first
+    step and of this one, empty where the run says no places.
     """
 
     data: Measurements
@@ -50,6 +51,7 @@ class Moment:
     required_um: float | None = None
     without: Mapping[str, float] = field(default_factory=dict)
     drawings: Mapping[str, str] = field(default_factory=dict)
+    space: str = ""
 
     @property
     def now(self) -> Residuals:

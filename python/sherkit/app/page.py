@@ -102,6 +102,7 @@ class StudyPage:
         self._selection = Selection(bench, self._notices, self._do)
         self._maps = Maps(lambda: self._selection.select(()), self._selection.watch)
         self._fall = Fall()
+        self._space = text("space", visible=False)
         controls = row(
             self._undo, self._redo, self._advised, self._ask, self._fall.unfold, self._cancel, self._status,
             styles={"flex-wrap": "wrap"},
@@ -117,6 +118,7 @@ class StudyPage:
             ),
             "choices": self._maps.choices,
             "map": self._maps.map,
+            "space": self._space,
             "variable": self._maps.variable,
             "against": self._maps.against,
             "rows": self._selection.root,
@@ -188,6 +190,9 @@ class StudyPage:
             self._draw(value)
             # a browser paints the answer before it is given the rest
             self.document.add_timeout_callback(self._rest, _ANSWER_MS)
+        elif kind == "space":
+            self.moment = value
+            self._show_space(value)
         elif kind == "progress":
             self._status.text = f"<i>{escape(value)} …</i>" if value else "Ready."
             self._cancel.visible = bool(value)
@@ -248,6 +253,12 @@ class StudyPage:
             self._selection.show(self.moment)
             self._maps.show(self.moment)
             self._fall.show_parameters(self.moment)
+            # that of the moment before stays until the new one is drawn
+            if self.moment.space:
+                self._show_space(self.moment)
+
+    def _show_space(self, moment: Moment) -> None:
+        self._space.text, self._space.visible = moment.space, bool(moment.space)
 
     def _draw_numbers(self, moment: Moment) -> None:
         left, last = moment.now, moment.history[-1]

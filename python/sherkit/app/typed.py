@@ -49,6 +49,7 @@ class Typed:
         write_whole(trial, source)
         known = dict(study.own)
         used = self._names & set(study.effects)
+        made: Apart | None = None
         try:
             if used and not _contains(source, self.path.read_text(encoding="utf-8")):
                 # the model would go on with the old lines, and the study come back with the new ones
@@ -61,6 +62,8 @@ class Typed:
                 if effect.name not in used:
                     study.register(effect)
         except BaseException:
+            if made is not None:
+                made.end()
             study.own = known
             trial.unlink()
             raise

@@ -28,7 +28,9 @@ from ..model.effect_file import load_effects
 from ..model.kinds import required_um
 from ..model.robot_file import columns_of
 from ..report.card import drawing_of
+from ..report.error_history import current_path
 from ..report.residuals import Residuals, residuals_of
+from ..report.space import space_of
 from ..robots.machine.file import is_machine, robot_at
 from ..study import Study
 from .folder import SOURCES, TYPED, begun_from, hold, require_effects, require_same
@@ -118,7 +120,7 @@ class Workbench:
         return cls(study, folder, sources, columns=columns, trusted=trusted, typed=lines, lock=held)
 
     def listen(self, listener: Callable[[str, Any], None]) -> Callable[[], None]:
-        """Tells ``listener`` of ``moment``, ``progress``, ``error`` and ``warning``, as (kind, value).
+        """Tells ``listener`` of ``moment``, ``space``, ``progress``, ``error`` and ``warning``, as (kind, value).
 
         Returns what ends it.
         """
@@ -163,6 +165,8 @@ class Workbench:
                 drawings = self._drawings(found, step)
                 self.moment = replace(self.moment, diagnosis=found, without=without, drawings=drawings)
                 self._say("moment", self.moment)
+                self.moment = replace(self.moment, space=self._space(step))
+                self._say("space", self.moment)
             except BaseException as error:
                 self._told_of(error, "diagnosing", HISTORY)
 
@@ -179,6 +183,16 @@ class Workbench:
                 self._typed.forgive()
                 step("diagnosing")  # what was cancelled meanwhile is not shown as a failure to draw
         return out
+
+    def _space(self, step: Progress) -> str:
+        """The workspace with the errors of the first step and the last; typed lines are asked in this thread alone."""
+        path = [self.moment.history[k] for k in current_path(self.moment.history) if self.moment.residuals[k]]
+        first, last = path[0], path[-1]
+        if first.fit is None or last.fit is None:
+            return ""
+        step("drawing the workspace")
+        scene = space_of(first.fit, last.fit, (first.action, last.action))
+        return "" if scene is None else scene.html()
 
     def tell(self, error: BaseException, about: str = EXPORTS) -> None:
         """Shows an error on every page."""
