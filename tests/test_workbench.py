@@ -77,6 +77,20 @@ def test_a_change_is_shown_then_diagnosed_and_saved(bench: Workbench, tmp_path: 
     assert bench.moment.effects == ()
 
 
+def test_the_workspace_follows_the_model(bench: Workbench) -> None:
+    """Catches a workspace of the model as it came under a model that has changed, or none; it comes after the verdict,
+    which must not wait for it."""
+    told = heard(bench)
+    bench.toggle("rail_lean")
+    settled(bench)
+    assert [kind for kind, _ in told if kind in ("moment", "space")] == ["moment", "moment", "space"]
+    assert bench.moment.space.startswith("<sherkit-scene")
+    assert "the geometric model and added rail_lean" in bench.moment.space
+    bench.toggle("rail_lean")
+    settled(bench)
+    assert "rail_lean" not in bench.moment.space
+
+
 def test_errors_are_sentences_and_change_nothing(bench: Workbench, tmp_path: Path) -> None:
     """Catches a traceback on the page, and half a change."""
     told = heard(bench)
