@@ -279,6 +279,10 @@ def test_rows_are_brushed_and_marked_and_a_crash_loses_nothing(lab: Path) -> Non
             r"<tr><td>(\d+)</td>", page.evaluate("Bokeh.documents[0].get_model_by_name('selection').text")
         )
         assert shown == ["5", "9", "10", "11"]
+        # the workspace knows a pose by any of its lines
+        data = sk.read_measurements(lab / "run.csv")
+        poses = data.pose[np.isin(data.line, [5, 9, 10, 11])]
+        assert page.evaluate("window.sherkitChosen") == data.line[np.isin(data.pose, poses)].tolist()
         button(page, "Mark as outliers").click()
         wait_for(page, "headline", "4 marked")
         typed.fill("twelve")
@@ -441,15 +445,18 @@ def test_axe_finds_nothing_serious(lab: Path) -> None:
         diagnosed(page)
         button(page, "An effect of your own …").click()
         page.get_by_label("Effects, as NumPy lines").wait_for()
-        for width, height in ((1440, 900), (1024, 768), (400, 800)):
+        for width, height, scheme in (
+            (1440, 900, "light"), (1440, 900, "dark"), (1024, 768, "light"), (400, 800, "light"), (400, 800, "dark")
+        ):  # fmt: skip
             page.set_viewport_size({"width": width, "height": height})
+            page.emulate_media(color_scheme=scheme)
             found = axe.run(page).response["violations"]
             serious = [
                 (one["id"], one["impact"], [node["html"][:200] for node in one["nodes"][:3]])
                 for one in found
                 if one["impact"] in ("serious", "critical")
             ]
-            assert serious == [], width
+            assert serious == [], (width, scheme)
 
 
 def test_typing_effects_is_off_beyond_loopback(lab: Path) -> None:

@@ -7,21 +7,23 @@ from typing import Any
 
 from bokeh.models import Button, Div
 
-from ..report.style import INK
 from .moment import Said
 
-#: Of a sentence about a mistake; on white it has a contrast of 7 (the orange of the pictures has 3.9).
-WRONG = "#9c3a00"
+#: Of a sentence about a mistake, as the page defines it for light and dark; on white it has a contrast of 7 (the orange
+#: of the pictures has 3.9).
+WRONG = "var(--wrong)"
 #: One size of type for what is pressed, chosen and typed, and colours of buttons on which white can be read.
 TYPE = """
 :host, .bk-btn, .bk-input, .bk-input-group, label { font-size: 16px !important; }
+:host, label { color: var(--ink); }
+.bk-input { color: var(--ink) !important; background-color: var(--paper) !important; }
 .bk-btn-success, .bk-btn-success:hover { background: #00664b !important; border-color: #00664b !important; }
 .bk-btn-primary, .bk-btn-primary:hover { background: #005a8e !important; border-color: #005a8e !important; }
 .bk-btn-default { color: #222 !important; border-color: #767676 !important; }
 .bk-btn:disabled, .bk-btn[disabled] { opacity: 1 !important; color: #595959 !important; background: #eee !important; }
-.bk-btn:focus-visible, .bk-input:focus-visible { outline: 3px solid #0072b2 !important; outline-offset: 1px; }
+.bk-btn:focus-visible, .bk-input:focus-visible { outline: 3px solid var(--part) !important; outline-offset: 1px; }
 """
-TEXT = {"font-size": "16px", "color": INK}
+TEXT = {"font-size": "16px", "color": "var(--ink)"}
 
 
 def button(label: str, name: str, **settings: Any) -> Button:

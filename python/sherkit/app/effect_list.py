@@ -15,14 +15,14 @@ from bokeh.models import Button, CustomJS, Div
 from ..diagnosis import Diagnosis
 from ..model.effect import Effect
 from ..report.card import drawing_of, its_numbers, ties, what_it_is
-from ..report.style import MUTED, number
+from ..report.style import number
 from .controls import TYPE, button
 from .moment import Moment
 
 _BUTTON, _WIDTH = 190, 356
 _CARD = """
-details { font-size: 15px; margin: 0 0 6px 6px; color: #222; } summary { cursor: pointer; color: #005a8e; }
-summary:focus-visible { outline: 3px solid #0072b2; } p { margin: 2px 0; line-height: 1.3; } h4 { margin: 5px 0 0; }
+details { font-size: 15px; margin: 0 0 6px 6px; color: var(--ink); } summary { cursor: pointer; color: var(--link); }
+summary:focus-visible { outline: 3px solid var(--part); } p { margin: 2px 0; line-height: 1.3; } h4 { margin: 5px 0 0; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 14px; }
 th, td { text-align: right; padding: 1px 8px 1px 0; } th:first-child, td:first-child { text-align: left; }
 """
@@ -165,7 +165,7 @@ def _said(name: str, moment: Moment) -> str:
     if found is None:
         return ""
     if name in found.untestable:
-        return f'<span style="color:{MUTED}">{escape(found.untestable[name])}</span>'
+        return f'<span style="color:var(--muted)">{escape(found.untestable[name])}</span>'
     would = next((c for c in found.candidates if c.effect == name), None)
     if would is None:
         return ""
@@ -175,6 +175,6 @@ def _said(name: str, moment: Moment) -> str:
     note = " · tied" if tied else "" if would.plausible else " · implausible"
     return (
         f"leaves <b>{number(would.held_out_rms)}</b> {unit}{note}"
-        f'<div style="background:#e5e5e5;height:5px;width:130px"><div style="background:#0072b2;height:5px;'
+        f'<div style="background:var(--whole);height:5px;width:130px"><div style="background:var(--part);height:5px;'
         f'width:{part:.0f}%"></div></div>'
     )

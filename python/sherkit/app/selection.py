@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from bokeh.layouts import column, row
-from bokeh.models import TextInput
+from bokeh.models import CustomJS, TextInput
 
 from ..report.picture import Picture
 from .controls import TYPE, Notices, button, text
@@ -17,6 +17,7 @@ from .workbench import Workbench
 
 _SHOWN = 40
 _SUSPECTS = "No rows are suspected"
+_TELL = "window.sherkitChosen = cb_obj.tags; window.dispatchEvent(new Event('sherkit-chosen'))"
 _NOTHING = "Select points in the pictures, or type their rows, to see which they are."
 
 
@@ -31,6 +32,7 @@ class Selection:
         self._brushable: list[Any] = []
         self._filling = False
         self._list = text("selection")
+        self._list.js_on_change("tags", CustomJS(code=_TELL))
         self._mark = button("Mark as outliers", "mark", disabled=True, width=180)
         self._mark.on_click(self._marked)
         self._suspects = button(_SUSPECTS, "suspects", disabled=True, width=220)
@@ -100,7 +102,15 @@ class Selection:
             if source.selected.indices != indices:
                 source.selected.indices = indices
         self._filling = False
+        self._tell()
         self._draw()
+
+    def _tell(self) -> None:
+        """Shows the workspace which poses are chosen: it knows each by one of its lines."""
+        data = None if self._moment is None else self._moment.data
+        poses = [] if data is None else data.line[np.isin(data.groups, data.groups[list(self._rows)])].tolist()
+        if self._list.tags != poses:
+            self._list.tags = poses
 
     def _select_typed(self) -> None:
         """Rows given by their numbers in the file."""

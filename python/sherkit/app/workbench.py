@@ -31,6 +31,7 @@ from ..report.card import drawing_of
 from ..report.error_history import current_path
 from ..report.residuals import Residuals, residuals_of
 from ..report.space import space_of
+from ..report.states import title_of
 from ..robots.machine.file import is_machine, robot_at
 from ..study import Study
 from .folder import SOURCES, TYPED, begun_from, hold, require_effects, require_same
@@ -185,13 +186,17 @@ class Workbench:
         return out
 
     def _space(self, step: Progress) -> str:
-        """The workspace with the errors of the first step and the last; typed lines are asked in this thread alone."""
+        """The workspace with the errors of the first step and the last, or of what is found missing where there is one
+        step alone; typed lines are asked in this thread alone."""
         path = [self.moment.history[k] for k in current_path(self.moment.history) if self.moment.residuals[k]]
-        first, last = path[0], path[-1]
-        if first.fit is None or last.fit is None:
+        before, after, titles = path[0].fit, path[-1].fit, (path[0].action, path[-1].action)
+        found = self.moment.diagnosis
+        if len(path) == 1 and found is not None and found.effects:
+            after, titles = found.fit, (titles[0], title_of(found.effects))
+        if before is None or after is None:
             return ""
         step("drawing the workspace")
-        scene = space_of(first.fit, last.fit, (first.action, last.action))
+        scene = space_of(before, after, titles)
         return "" if scene is None else scene.html()
 
     def tell(self, error: BaseException, about: str = EXPORTS) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from ..figures import in_people_units, with_error
 from .forms import known
 
 #: A parameter counts as observed where no more than this part of its plausible variance is unobserved, and as
@@ -21,7 +22,8 @@ def table_of(fit: Any) -> str:
     """Text of some lines for a :class:`~sherkit.fit.identify.Fit`: errors, noise, rank, then each parameter.
 
     ``± readings`` is the standard deviation that the readings leave, ``± with sizes`` that with what they do not tell
-    at all, from plausible sizes. A parameter is ``observed``, ``in part`` or ``unobserved`` by the readings, or
+    at all, from plausible sizes. Angles are in degrees; :attr:`~sherkit.fit.identify.Fit.params` has the numbers as they
+    are computed with. A parameter is ``observed``, ``in part`` or ``unobserved`` by the readings, or
     ``fixed``; of an effect of which a simpler form is ``known``, which has a line of its own, it may be known ``not by
     itself``.
     """
@@ -46,12 +48,12 @@ def table_of(fit: Any) -> str:
     for p, value, readings, sizes, state in zip(
         fit.parameters, fit.values, fit.std_from_readings, fit.std, _states(fit), strict=True
     ):
-        lines.append((p.name, f"{value:.6g}", f"{readings:.2g}", f"{sizes:.2g}", p.unit, state))
+        lines.append((p.name, *_cells(p.unit, value, readings, sizes), state))
     for name, one in known(fit).items():
         for value in one.values:
-            std = f"{value.std:.2g}"
-            lines.append((f"{name}: {one.where} {value.what}", f"{value.value:.6g}", std, std, value.unit, "known"))
-    lines += [(p.name, "0", "", "", p.unit, "fixed") for p in fit.model.fixed]
+            cells = _cells(value.unit, value.value, value.std, value.std)
+            lines.append((f"{name}: {one.where} {value.what}", *cells, "known"))
+    lines += [(p.name, "0", "", "", in_people_units(p.unit)[0], "fixed") for p in fit.model.fixed]
     widths = [max(len(line[k]) for line in lines) for k in range(len(_COLUMNS))]
     words = (True, False, False, False, True, True)
     head = [f"{name:<10} {text}" for name, text in about]
@@ -63,6 +65,12 @@ def table_of(fit: Any) -> str:
         for line in lines
     ]
     return "\n".join([*head, "", *body])
+
+
+def _cells(unit: str, *numbers: float) -> tuple[str, ...]:
+    """A value and its deviations, rounded to the first of these, then the unit in which people read them."""
+    shown, factor = in_people_units(unit)
+    return (*with_error(*(factor * float(v) for v in numbers)), shown)
 
 
 def frame_of(fit: Any) -> pl.DataFrame:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from html import escape
 from typing import Any
 
+import numpy as np
 from bokeh.layouts import column
 from bokeh.models import Div
 from bokeh.resources import Resources
@@ -80,24 +81,26 @@ def pictures_of(value: Any) -> list[Picture[Any]]:
     """The pictures that say most about a value, the first one first. Raises ``TypeError`` for what has none."""
     if isinstance(value, Study):
         before = next((s.fit for s in value.history if s.fit is not None), value.fit)
-        change = Change(
-            residuals_of(before), residuals_of(value.fit), value.history[0].action, value.history[-1].action
-        )
-        return [error_history(error_history_of(value)), residual_map(change)]
+        steps = (value.history[0].action, value.history[-1].action)
+        return [error_history(error_history_of(value)), _map(before, value.fit, steps)]
     if isinstance(value, Diagnosis):
-        change = Change(
-            residuals_of(value.base), residuals_of(value.fit), "as it came", " and ".join(value.effects) or "the same"
-        )
         shown: list[Picture[Any]] = [candidates(value)] if value.candidates else []
-        return [*shown, residual_map(change)]
+        return [*shown, _map(value.base, value.fit, ("as it came", " and ".join(value.effects)))]
     if isinstance(value, Calibration):
         return [accuracy_map(accuracy_of(value))]
     if isinstance(value, Fit):
-        left = residuals_of(value)
-        return [residual_map(Change(left, left, "left by the fit", "left by the fit")), parameters(value)]
+        return [_map(value, value, ("", "left by the fit")), parameters(value)]
     if isinstance(value, Estimate):
         return [estimate_picture(depth_over_time(value))]
     raise TypeError(f"no picture is known for {type(value).__name__}")
+
+
+def _map(before: Fit, after: Fit, titles: tuple[str, str]) -> Picture[Change]:
+    """What two fits leave, or the one where they leave the same."""
+    left = residuals_of(after)
+    if np.array_equal(before.residuals, after.residuals, equal_nan=True):
+        return residual_map(Change(left, left, after_title=titles[1] or titles[0]), alone=True)
+    return residual_map(Change(residuals_of(before), left, *titles))
 
 
 def cell(value: Any) -> str | None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from bokeh.core.properties import value
-from bokeh.models import ColumnDataSource, FixedTicker, LinearColorMapper, Range1d
+from bokeh.models import Circle, ColumnDataSource, FixedTicker, LinearColorMapper, Range1d, Segment, Text
 from numpy.typing import NDArray
 
 from ..types import Bools, Floats
@@ -71,21 +71,31 @@ class _Panels:
     y: Floats
 
 
-def residual_map(change: Change, *, planes_across: bool = False, width_px: int = 870) -> Picture[Change]:
+def residual_map(
+    change: Change, *, planes_across: bool = False, width_px: int = 870, alone: bool = False
+) -> Picture[Change]:
     """Arrows of the error, before and after side by side on one scale, a row of panels for each plane.
 
     ``planes_across`` puts planes side by side instead, before above after: wider and less high. ``width_px`` is that of
-    all panels together. Where the run moved along one coordinate only, arrows stand along a line.
+    all panels together. Where the run moved along one coordinate only, arrows stand along a line. ``alone`` draws what
+    is left after, with nothing beside it.
     """
     panels = _cut(change.before)
     count = len(panels.names)
+    moments = _MOMENTS[1:] if alone else _MOMENTS
     planes_across = planes_across and count > 1
     columns = count if planes_across else 2
     width = max(width_px // columns, _NARROWEST) - _AROUND
     scale = _Scale(change, panels, width)
-    sources = sources_of(_tables(change, panels, scale))
+
+    def tables(state: Change) -> Tables:
+        every = _tables(state, panels, current)
+        return {name: table for name, table in every.items() if name.partition("_")[0] in moments}
+
+    current = scale
+    sources = sources_of(tables(change))
     mappers = {m: LinearColorMapper(palette=DIVERGING) for m in _MOMENTS}
-    order = [(moment, k) for k in range(count) for moment in _MOMENTS]
+    order = [(moment, k) for k in range(count) for moment in moments]
     if planes_across:
         order.sort(key=lambda one: one[0] == "after")
     ranges = scale.ranges
@@ -94,9 +104,9 @@ def residual_map(change: Change, *, planes_across: bool = False, width_px: int =
     named = []
     if len(change.before.names) != 2:
         # beside what is always seen; where rows of panels are moments, each has its own
-        ends = {"before": count - 1, "after": -1} if planes_across else {"after": 1}
+        last = min(columns, len(figures)) - 1
+        ends = dict.fromkeys(moments, count - 1) | {"after": -1} if planes_across else {"after": last}
         named = [colour_bar(figures[k], mappers[m], "", ticker=tickers[m]) for m, k in ends.items()]
-    current = scale
 
     def colour(state: Change) -> None:
         for moment, mapper in mappers.items():
@@ -108,9 +118,6 @@ def residual_map(change: Change, *, planes_across: bool = False, width_px: int =
             title.text = f"{left.names[2 if len(left.names) > 2 else 0]}, {left.unit}"
 
     colour(change)
-
-    def tables(state: Change) -> Tables:
-        return _tables(state, panels, current)
 
     def tune(state: Change) -> None:
         nonlocal current
@@ -417,12 +424,15 @@ def _panel(
     # the tail is where the pose is; its head has the arrow's colour
     tail = made.scatter("x", "y", source=source, size=4 if width > _WIDE else 3, color=INK, nonselection_alpha=0.2)
     made.scatter("x1", "y1", source=source, size=6 if width > _WIDE else 4, color=colour, nonselection_alpha=0.15)
-    tip = {"text_font_size": FONT_SIZE, "text_font": value(FONT), "text_color": INK}
-    made.text("title_x", "title_y", "title", source=key, text_baseline="top", text_font_style="bold", **tip)
-    made.segment("bar_x0", "bar_y", "bar_x1", "bar_y", source=key, color=INK, line_width=3)
-    made.text("bar_text_x", "bar_text_y", "bar_text", source=key, text_align="right", text_baseline="bottom", **tip)
-    made.circle("noise_x", "noise_y", "noise_r", source=key, fill_color=None, line_color=MUTED, line_width=1.5)
-    made.text("noise_text_x", "noise_y", "noise_text", source=key, text_baseline="middle", **tip)
+    # glyphs that nobody selects: a figure's own methods make four more of each
+    tip = {"text_font_size": value(FONT_SIZE), "text_font": value(FONT), "text_color": INK}
+    title = Text(x="title_x", y="title_y", text="title", text_baseline="top", text_font_style="bold", **tip)
+    bar = Text(x="bar_text_x", y="bar_text_y", text="bar_text", text_align="right", text_baseline="bottom", **tip)
+    noise = Text(x="noise_text_x", y="noise_y", text="noise_text", text_baseline="middle", **tip)
+    circle = Circle(x="noise_x", y="noise_y", radius="noise_r", fill_color=None, line_color=MUTED, line_width=1.5)
+    line = Segment(x0="bar_x0", y0="bar_y", x1="bar_x1", y1="bar_y", line_color=INK, line_width=3)
+    for glyph in (title, line, bar, circle, noise):
+        made.add_glyph(key, glyph)
     columns = ("ex", "ey", "ez") if len(left.names) > 1 else ("ey",)
     reading = [(name, f"@{column}{{0.0}} {left.unit}") for name, column in zip(left.names, columns, strict=False)]
     places = [(quantity(panels.across), "@x{0.00}")] + ([(quantity(panels.up), "@y{0.00}")] if panels.up else [])

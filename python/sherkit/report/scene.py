@@ -231,13 +231,15 @@ def _still_arrows(
     """The last state's arrows, those before it paler beneath."""
     out = []
     start = projected(a.where_mm, centre, scale, frame)
-    for errors, colour in zip((a.errors_mm[0], a.errors_mm[-1]), ("#e8a878", "#0072b2"), strict=True):
+    states = list(zip(a.errors_mm, a.titles, strict=True))
+    ends = [(*states[0], "#e8a878", "#b5622a"), (*states[-1], "#0072b2", "#0072b2")][-len(states) :]
+    for errors, _, colour, _ in ends:
         end = projected(a.where_mm + _times(a, size) * errors, centre, scale, frame)
         path = "".join(f"M{p[0]:.1f} {p[1]:.1f}L{q[0]:.1f} {q[1]:.1f}" for p, q in zip(start, end, strict=True))
         out.append(f'<path d="{path}" stroke="{colour}" stroke-width="1.3" fill="none"/>')
     long, y = a.bar_mm * _times(a, size) * scale, frame[1] - 20
     out.append(f'<path d="M14 {y:.0f}h{long:.1f}" stroke="#222" stroke-width="2"/>')
-    for k, (title, ink) in enumerate(((a.titles[0], "#b5622a"), (a.titles[-1], "#0072b2"))):
+    for k, (_, title, _, ink) in enumerate(ends):
         out.append(f'<text x="14" y="{24 + 20 * k}" {_TYPE} fill="{ink}">{escape(title)}</text>')
     bar = f"{a.bar_mm * a.per_mm:g} {a.unit}"
     out.append(

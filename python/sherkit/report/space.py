@@ -29,9 +29,10 @@ _PLANES, _SLABS = 12, 6
 
 
 def space_of(
-    before: Fit, after: Fit, titles: tuple[str, str], calibration: Calibration | None = None
+    before: Fit, after: Fit, titles: tuple[str, ...], calibration: Calibration | None = None
 ) -> Scene | None:  # fmt: skip
-    """The scene of two fits of one run: errors of the one and of the other, mean of the repeats of a pose.
+    """The scene of two fits of one run: errors of the one and of the other, mean of the repeats of a pose. Where both
+    are the same, its errors once.
 
     Errors are those of the place that who trusts the drawing reads off the instrument: for a camera, on the sphere of
     the drawing. None where the run says no places: distances alone, or poses with a coordinate that was not read.
@@ -47,6 +48,8 @@ def space_of(
         where, errors, machine = _errors(draw, (before, after), data.select(rows), first[keep], group, keep)
     except SherkitError:
         return None
+    if before is after:
+        errors, titles = errors[:1], titles[:1]
     good = np.isfinite(where).all(axis=1) & np.isfinite(errors).all(axis=(0, 2))
     where, errors, lines = where[good], errors[:, good], data.line[rows[first[keep]]][good]
     if len(where) < 2:
@@ -59,7 +62,7 @@ def space_of(
         "µm" if mm else machine.unit, 1e3 if mm else 1.0, _round(float(np.quantile(sizes[0], 0.9))),
     )  # fmt: skip
     field = None if calibration is None else _field(calibration, draw, after, where)
-    label = f"{machine_name(after.model)} and the errors of {len(where)} poses, {titles[0]} and {titles[1]}"
+    label = f"{machine_name(after.model)} and the errors of {len(where)} poses, {' and '.join(titles)}"
     return Scene(label, [(0.0, machine)], 0.0, arrows, field, machine.unit, _ASPECT)
 
 

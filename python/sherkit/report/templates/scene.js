@@ -46,6 +46,8 @@ class Scene extends HTMLElement {
       line: floats(s.arrows.line), worst: s.arrows.worst.map(floats)}
     if (s.field) s.field = {...s.field, where: floats(s.field.where), value: floats(s.field.value)}
     this.at = s.begin; this.moment = 0; this.slab = -1; this.showField = false
+    // poses that a person chose elsewhere on the page, by their lines
+    window.addEventListener("sherkit-chosen", () => this.ask())
     this.controls()
     this.listen()
     new ResizeObserver(() => this.ask()).observe(this.canvas)
@@ -214,15 +216,17 @@ class Scene extends HTMLElement {
     const from = this.from = this.project(a.where, new Float32Array(2 * n))
     const to = this.project(ends, new Float32Array(2 * n))
     // by size in so many colours, each drawn in one go
-    const groups = Array.from({length: 6}, () => [])
+    const chosen = new Set(window.sherkitChosen ?? []), groups = Array.from({length: 12}, () => [])
     for (let i = 0; i < n; i++) {
       if (!this.inSlab(a.where[3 * i + 2])) continue
-      const size = Math.hypot(e[3 * i], e[3 * i + 1], e[3 * i + 2])
-      groups[Math.min(5, Math.floor(6 * size / big))].push(i)
+      const size = Math.hypot(e[3 * i], e[3 * i + 1], e[3 * i + 2]), aside = chosen.size && !chosen.has(a.line[i])
+      groups[Math.min(5, Math.floor(6 * size / big)) + (aside ? 0 : 6)].push(i)
     }
     const inks = ["#56b4e9", "#3a95cf", "#0072b2", "#8a6a6a", "#d55e00", "#c03000"]
     groups.forEach((group, k) => {
-      g.strokeStyle = g.fillStyle = inks[k]
+      if (!group.length) return
+      g.strokeStyle = g.fillStyle = inks[k % 6]
+      g.globalAlpha = k < 6 ? 0.18 : 1
       g.lineWidth = n > 1000 ? 1 : 1.5
       // round ends of thousands of lines are most of what drawing them costs
       g.lineCap = "butt"
@@ -238,8 +242,11 @@ class Scene extends HTMLElement {
         }
       }
       g.stroke()
-      for (const i of group) g.fillRect(from[2 * i] - 1, from[2 * i + 1] - 1, 2, 2)
+      g.beginPath()
+      for (const i of group) g.rect(from[2 * i] - 1, from[2 * i + 1] - 1, 2, 2)
+      g.fill()
     })
+    g.globalAlpha = 1
     g.strokeStyle = g.fillStyle = colour["--off"]
     g.lineWidth = 2
     g.font = "13px sans-serif"
