@@ -431,7 +431,8 @@ def test_twenty_thousand_rows(runs: Path) -> None:
     text = report(runs, "many.html", "diagnose", "robot.toml", "many.csv")
     # whole poses of the run, and of these as many points as can be told apart
     kept = re.search(r"Drawn are (\d+) of the 20000 rows", text)
-    assert kept is not None and 6000 <= int(kept[1]) < 6050
+    assert kept is not None
+    assert 6000 <= int(kept[1]) < 6050
     assert f"3000 of {kept[1]} are drawn" in text
     assert f"4000 of {kept[1]} rows, chosen at random" in text
     assert "it is the mean of a cell" in text

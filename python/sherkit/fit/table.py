@@ -22,10 +22,10 @@ def table_of(fit: Any) -> str:
     """Text of some lines for a :class:`~sherkit.fit.identify.Fit`: errors, noise, rank, then each parameter.
 
     ``± readings`` is the standard deviation that the readings leave, ``± with sizes`` that with what they do not tell
-    at all, from plausible sizes. Angles are in degrees; :attr:`~sherkit.fit.identify.Fit.params` has the numbers as they
-    are computed with. A parameter is ``observed``, ``in part`` or ``unobserved`` by the readings, or
-    ``fixed``; of an effect of which a simpler form is ``known``, which has a line of its own, it may be known ``not by
-    itself``.
+    at all, from plausible sizes. Angles are in degrees; numbers to compute with are in
+    :attr:`~sherkit.fit.identify.Fit.params`. A parameter is ``observed``, ``in part`` or ``unobserved`` by the
+    readings, or ``fixed``; of an effect of which a simpler form is ``known``, which has a line of its own, it may be known ``not
+    by itself``.
     """
     layout = fit.data.layout
     named = dict(zip(layout.readings, layout.names, strict=True))
@@ -44,7 +44,7 @@ def table_of(fit: Any) -> str:
         *([("supported", fit.crowded)] if fit.crowded else []),
         ("converged", f"{'yes' if fit.converged else 'NO'}, {fit.evaluations} evaluations"),
     ]  # fmt: skip
-    lines = [_COLUMNS]
+    lines: list[tuple[str, ...]] = [_COLUMNS]
     for p, value, readings, sizes, state in zip(
         fit.parameters, fit.values, fit.std_from_readings, fit.std, _states(fit), strict=True
     ):
