@@ -24,8 +24,8 @@ def table_of(fit: Any) -> str:
     ``± readings`` is the standard deviation that the readings leave, ``± with sizes`` that with what they do not tell
     at all, from plausible sizes. Angles are in degrees; numbers to compute with are in
     :attr:`~sherkit.fit.identify.Fit.params`. A parameter is ``observed``, ``in part`` or ``unobserved`` by the
-    readings, or ``fixed``; of an effect of which a simpler form is ``known``, which has a line of its own, it may be known ``not
-    by itself``.
+    readings, or ``fixed``; of an effect of which a simpler form is ``known``, which has a line of its own, it may be
+    known ``not by itself``.
     """
     layout = fit.data.layout
     named = dict(zip(layout.readings, layout.names, strict=True))
