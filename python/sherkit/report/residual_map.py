@@ -425,7 +425,7 @@ def _panel(
     tail = made.scatter("x", "y", source=source, size=4 if width > _WIDE else 3, color=INK, nonselection_alpha=0.2)
     made.scatter("x1", "y1", source=source, size=6 if width > _WIDE else 4, color=colour, nonselection_alpha=0.15)
     # glyphs that nobody selects: a figure's own methods make four more of each
-    tip = {"text_font_size": value(FONT_SIZE), "text_font": value(FONT), "text_color": INK}
+    tip: dict[str, Any] = {"text_font_size": FONT_SIZE, "text_font": value(FONT), "text_color": INK}
     title = Text(x="title_x", y="title_y", text="title", text_baseline="top", text_font_style="bold", **tip)
     bar = Text(x="bar_text_x", y="bar_text_y", text="bar_text", text_align="right", text_baseline="bottom", **tip)
     noise = Text(x="noise_text_x", y="noise_y", text="noise_text", text_baseline="middle", **tip)
