@@ -258,7 +258,7 @@ def test_an_effect_without_its_column_is_untestable_and_says_why() -> None:
     run = measured(GRIDS["small"], 0)
     frame = run.data.to_frame().drop("temperature_c", "time_s", "humidity_pct")
     d = sk.diagnose(sk.identify(DELTA, sk.from_frame(frame)))
-    assert set(d.untestable) == {"thermal_growth", "drift", "slip", "backlash"}
+    assert set(d.untestable) == {"thermal_growth", "link_growth", "drift", "slip", "backlash"}
     assert "temperature_c" in d.untestable["thermal_growth"]
     assert not set(d.untestable) & {c.effect for c in d.candidates}
 

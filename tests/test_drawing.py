@@ -138,7 +138,7 @@ def test_arm_is_drawn_as_it_stands() -> None:
 def test_exaggerated_delta_is_that_of_the_second_simulator(name: str) -> None:
     """Catches a drawing that moves another way, or by another amount, than the effect's formula written apart: of what
     is read, of the carriages, of the platform and of its tilt."""
-    times = 20.0 if name in ("rail_lean", "joint_scale", "drift", "slip", "thermal_growth") else 3.0
+    times = 20.0 if name in ("rail_lean", "joint_scale", "drift", "slip", "thermal_growth", "link_growth") else 3.0
     planted = draw_effect(name, np.random.default_rng(5), 300.0)
     planted[: SIMULATED[name].amplitudes] *= times
     plan = make_plan(SECOND, grid(15.0, 3, (-12.0, 12.0)), repeats=1, order="shuffled", seed=2)

@@ -29,6 +29,7 @@ EXPECTED = {
     "limb_twist": (3, "structure", ()),
     "drive_compliance": (3, "structure", ()),
     "gravity_sag": (3, "body", ()),
+    "link_growth": (3, "structure", ("temperature_c",)),
     "thermal_growth": (1, "body", ("temperature_c",)),
     "drift": (3, "body", ("time_s",)),
     "slip": (3, "body", ("time_s",)),

@@ -13,6 +13,8 @@ Mechanism:
   limb_twist (3)           rad: the rod pair's axis at carriage i is turned by this about the vertical against the one
                            at the platform, so that the limb is no parallelogram and the platform tilts
   drive_compliance (3)     mm/N: carriage i gives way along its rail under the force that its limb pulls with
+  link_growth (3)          1/degC of rods, frame, rails: rod lengths, base and platform radii, and heights of carriages
+                           above the base, each times 1 + a (T - 20)
 Measured point, all evaluated at the point p the mechanism reaches:
   thermal_growth (1)       a, 1/degC: a (T - 20) p
   drift (3)                mm/h, linear in time_s from its zero
@@ -80,6 +82,7 @@ EFFECTS: dict[str, Effect] = {
     "periodic_z": Effect(3, 0.01, fixed=1, catalogued=False),
     "limb_twist": Effect(3, 5e-3),
     "drive_compliance": Effect(3, 0.01, positive=True),
+    "link_growth": Effect(3, 1e-4),
 }
 CATALOGUE = tuple(name for name, effect in EFFECTS.items() if effect.catalogued)
 OUTSIDE_CATALOGUE = tuple(name for name, effect in EFFECTS.items() if not effect.catalogued)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -40,6 +41,20 @@ def platform_pose(
     real = with_errors(robot, errors)
     home = inverse_kinematics(robot, np.zeros(3))[0]
     joints = true_joints(real, home, columns, full)
+    if not full["link_growth"].any():
+        return _pose_of(real, home, joints, full)
+    rods, frame, rails = 1 + full["link_growth"][:, None] * (columns["temperature_c"] - 20.0)
+    each = []
+    for k, q in enumerate(joints):  # every row has a robot of its own
+        radii = {"base_radius": real.base_radius * frame[k], "platform_radius": real.platform_radius * frame[k]}
+        larger = replace(real, rod_length=real.rod_length * rods[k], **radii)
+        each.append(_pose_of(larger, home * rails[k], rails[k] * q[None], full))
+    carriages, centres, turns = zip(*each, strict=True)
+    return np.concatenate(carriages), np.concatenate(centres), np.concatenate(turns)
+
+
+def _pose_of(real: Robot, home: Array, joints: Array, full: dict[str, Array]) -> tuple[Array, Array, Array]:
+    """The same of a robot that is the same at all rows."""
     # Repeats of a pose share their mechanism: each distinct one is solved once.
     distinct, row = np.unique(joints, axis=0, return_inverse=True)
     carriages = carriage_points(real, home, distinct, full["rail_lean"])

@@ -29,6 +29,7 @@ const ENCODER_CYCLIC: Range<usize> = of("encoder_cyclic");
 const GRAVITY_SAG: Range<usize> = of("gravity_sag");
 const JOINT_SCALE: Range<usize> = of("joint_scale");
 const LIMB_TWIST: Range<usize> = of("limb_twist");
+const LINK_GROWTH: Range<usize> = of("link_growth");
 const ROD_MISMATCH: Range<usize> = of("rod_mismatch");
 const SENSOR_LINEARITY: Range<usize> = of("sensor_linearity");
 const SLIP: Range<usize> = of("slip");
@@ -79,8 +80,10 @@ proptest! {
                     model.with(&v).unwrap().row_value(&row).unwrap()
                 }, steps[p]);
                 let column = predicted.by_parameters.column(p).into_owned();
-                let difference = (column - differences).norm() / column.norm().max(1.0);
-                prop_assert!(difference < 1e-7, "{:?} parameter {p}: {difference}", row.to);
+                let difference = (column - differences).norm();
+                // a step moves a far robot by little more than its last digits, of which a distance keeps the difference
+                let room = 1e-7 * column.norm().max(1.0) + 1e-11 / steps[p];
+                prop_assert!(difference < room, "{:?} parameter {p}: {difference} of {room}", row.to);
             }
             for axis in 0..3 {
                 let differences = derivative(|h| {
@@ -113,7 +116,7 @@ proptest! {
         push in prop::array::uniform3(-1.0..1.0_f64),
     ) {
         let model = model_of(&robot);
-        let one_by_one = [BACKLASH, ENCODER_CYCLIC, JOINT_SCALE, DRIFT, SLIP, THERMAL_GROWTH, GRAVITY_SAG, DRIVE_COMPLIANCE, LIMB_TWIST, ROD_MISMATCH];
+        let one_by_one = [BACKLASH, ENCODER_CYCLIC, JOINT_SCALE, DRIFT, SLIP, THERMAL_GROWTH, GRAVITY_SAG, DRIVE_COMPLIANCE, LIMB_TWIST, LINK_GROWTH, ROD_MISMATCH];
         let mut plain = values;
         for range in &one_by_one {
             plain[range.clone()].fill(0.0);

@@ -45,6 +45,13 @@ _OWN = {
         residuals="Smooth over the workspace, deeper where one limb hangs steep; mostly hidden in rod lengths.",
         workshop="Stiffen joints and rods, or balance the platform's weight.",
     ),
+    "link_growth": Sentences(
+        physics="Rods, frame and rails expand with temperature, each by its own part: carbon rods between steel rails, "
+        "a warm frame around cool rods. Where all parts are equal, it is thermal_growth.",
+        residuals="Proportional to the deviation of temperature from 20 °C: rods that grow push the platform along "
+        "the rails, a frame that grows pulls it back, rails that grow stretch the heights.",
+        workshop="Warm up before measuring; hold the temperature; rods and frame of one material, or of Invar.",
+    ),
     "slip": Sentences(
         physics="Something let go at one moment: a clamp, a magnet, the calibration cube.",
         residuals="A step over time: all readings before it agree, all after it agree.",

@@ -94,7 +94,7 @@ pub trait Mechanism<const J: usize, const P: usize>: Copy + Debug {
     /// Says why the joints make no pose, or one without derivatives.
     fn solve(&self, joints: &SVector<f64, J>) -> Result<Self::Solved>;
 
-    /// Puts the pose of these joints in the place of one nearby, if any: as far as one step goes. Whether that is all the
+    /// Puts the pose of these joints, as by [`Self::solve_at`], in the place of one nearby, if any: as far as one step goes. Whether that is all the
     /// way is returned. Who iterates on the joints besides need not solve each pose to the end.
     ///
     /// # Errors
@@ -103,9 +103,10 @@ pub trait Mechanism<const J: usize, const P: usize>: Copy + Debug {
     fn solve_near(
         &self,
         joints: &SVector<f64, J>,
+        row: &Covariates<J>,
         near: &mut Option<Self::Solved>,
     ) -> Result<bool> {
-        *near = Some(self.solve(joints)?);
+        *near = Some(self.solve_at(joints, row)?);
         Ok(true)
     }
 
@@ -488,7 +489,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         let joints = self.joints.at::<R>(readings, row, wanted);
         let settled = self
             .structure
-            .solve_near(&joints.value, &mut trail.solved)?;
+            .solve_near(&joints.value, row, &mut trail.solved)?;
         let solved = trail.solved.as_ref().ok_or(Error::Singular)?;
         let out = &mut trail.prediction;
         self.shown(&self.sensor, &joints, solved, row, &still, wanted, out)?;

@@ -11,7 +11,7 @@ const DEGREE: f64 = 1.0_f64.to_radians();
 // what the mechanism computes itself, in `structure.rs`
 places! {
     limb_1 platform_1 limb_2 platform_2 limb_3 platform_3 rail_lean rod_mismatch limb_twist gravity_sag
-    drive_compliance
+    drive_compliance link_growth
 }
 
 effects! { At;
@@ -78,6 +78,10 @@ effects! { At;
     // expansion of the measured position
     thermal_growth: Body by body needs "temperature_c" {
         coefficient "α": "1/°C", 2e-5, 20.0;
+    }
+    // expansion of the rods, of frame and platform across, of the rails with their scales
+    link_growth: Structure by structure needs "temperature_c" {
+        rods, frame, rails: "1/°C", 2e-5, 20.0;
     }
     // drift of the measured point
     drift: Body by body needs "time_s" {

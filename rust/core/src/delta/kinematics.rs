@@ -35,6 +35,25 @@ pub struct Kinematics {
     pivot: [f64; LIMBS],
 }
 
+/// Factors by which parts of the robot have grown.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Growth {
+    pub rods: f64,
+    /// Base and platform radii.
+    pub frame: f64,
+    /// Rails with their scales, from the plane of the base on.
+    pub rails: f64,
+}
+
+impl Growth {
+    /// Nothing has grown.
+    pub(super) const NONE: Self = Self {
+        rods: 1.0,
+        frame: 1.0,
+        rails: 1.0,
+    };
+}
+
 /// How the sphere centre of a limb moves with each of its parameters.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ByLimb {
@@ -172,6 +191,31 @@ impl Kinematics {
     pub(super) fn with_rods(mut self, rods: [f64; LIMBS]) -> Self {
         self.rods = rods;
         self
+    }
+
+    /// The same robot whose parts have grown by these factors; its joint readings have grown as its rails.
+    pub(super) fn grown(&self, factors: &Growth) -> Self {
+        let mut k = *self;
+        let Growth { rods, frame, rails } = *factors;
+        for i in 0..LIMBS {
+            k.rods[i] *= rods;
+            k.base_radius[i] *= frame;
+            k.platform_radius[i] *= frame;
+            k.joint_offset[i] *= rails;
+            k.pivot[i] *= rails;
+            k.origins[i] = self.across_origin(i) * frame + self.along_rail(i, 0.0) * rails;
+        }
+        k
+    }
+
+    /// How far the joint of a limb stands outside that of the platform, mm: base and platform radius.
+    pub(super) fn across_origin(&self, limb: usize) -> Vector3<f64> {
+        self.base[limb][0] * self.base_radius[limb] - self.platform_joint(limb)
+    }
+
+    /// From the foot of a limb in the plane of the base to its carriage, mm.
+    pub(super) fn along_rail(&self, limb: usize, joint: f64) -> Vector3<f64> {
+        Vector3::z() * self.pivot[limb] + self.rails[limb] * self.height(limb, joint)
     }
 
     /// Derivatives of a limb's sphere centre at a joint reading.

@@ -8,17 +8,21 @@
 //! middle of its joint on the platform and `Σ w_i μ_i = -ẑ` (force balance). Its rods are longer by `c_i w_i |μ_i|`, and
 //! its carriage gives way along its rail `r_i` by `d_i w_i (μ_i·r_i)`. Loads and pose are brought to agree.
 //!
+//! Rods, frame and rails grow with the temperature, each by its own part: lengths, radii and heights above the base. Where
+//! all parts are equal the whole robot is only larger.
+//!
 //! Every parameter acts by moving the ends of rods or lengthening them. With rods as rows of `A` and `g_k` the columns of
 //! `A⁻¹` a parallel platform moves by `Σ g_k (ρ_k·dv_k + L_k dL_k)`, a tilted one by the inverse of its six rods. Loads
 //! `y` answer to that by `dy = Φ + B dy`, with `Φ` what the movement alone makes of them and `B` what loads make of loads.
 
 use super::effects::{AT, PARAMETERS, Values};
 use super::geometry::{Geometry, IDENTIFIABLE, LIMBS, PER_LIMB};
-use super::kinematics::{Kinematics, Poses, answers};
+use super::kinematics::{Growth, Kinematics, Poses, answers};
 use super::nominal::Model;
 use super::six_rods::{Motion, Pairs, Rod, SIDES, Tilted, mismatched, one_step, six_rods, twisted};
+use crate::chain::body::warmer;
 use crate::chain::effects::{Wanted, values_of};
-use crate::chain::{Columns, Mechanism};
+use crate::chain::{Columns, Covariates, Mechanism};
 use crate::numbers::inverse::{Inverse, inverse};
 use crate::numbers::math::{Real, Triple, add, scale, sin_cos};
 use crate::{Error, Result};
@@ -37,6 +41,8 @@ const SINGULAR: f64 = 1e-12;
 pub struct Structure {
     kinematics: Kinematics,
     extras: Extras,
+    /// Growth of rods, frame and rails, 1/°C.
+    growth: [f64; 3],
 }
 
 /// What of the structure is not in [`Kinematics`].
@@ -85,7 +91,20 @@ impl Structure {
                 stretch: values_of(at.gravity_sag, values),
                 yielding: values_of(at.drive_compliance, values),
             },
+            growth: values_of(at.link_growth, values),
         })
+    }
+
+    /// The factors by which parts have grown, where any has: an effect at zero does not ask for its covariate.
+    #[inline]
+    fn grown(&self, row: &Covariates<LIMBS>) -> Option<Growth> {
+        if self.growth == [0.0; 3] {
+            return None;
+        }
+        let [rods, frame, rails] = self
+            .growth
+            .map(|a| if a == 0.0 { 1.0 } else { 1.0 + a * warmer(row) });
+        Some(Growth { rods, frame, rails })
     }
 
     /// Joint readings near those that bring the measured point to a place: effects but lean left out.
@@ -120,10 +139,43 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
     }
 
     #[inline]
-    fn solve_near(&self, joints: &Vector3<f64>, near: &mut Option<Solved>) -> Result<bool> {
+    fn solve_at(&self, joints: &Vector3<f64>, row: &Covariates<LIMBS>) -> Result<Solved> {
+        let mut solved = match self.grown(row) {
+            None => self.solve(joints)?,
+            Some(grown) => {
+                let larger = self.kinematics.grown(&grown);
+                let mut solved = Solved::of(&larger, &self.extras, &(joints * grown.rails))?;
+                solved.grown = Some(grown);
+                solved
+            }
+        };
+        solved.warmer = warmer(row);
+        Ok(solved)
+    }
+
+    #[inline]
+    fn target_at(
+        &self,
+        joints: &Vector3<f64>,
+        row: &Covariates<LIMBS>,
+        _: usize,
+    ) -> Result<Vector3<f64>> {
+        if self.growth == [0.0; 3] {
+            return self.point_at(joints);
+        }
+        Ok(self.solve_at(joints, row)?.point)
+    }
+
+    #[inline]
+    fn solve_near(
+        &self,
+        joints: &Vector3<f64>,
+        row: &Covariates<LIMBS>,
+        near: &mut Option<Solved>,
+    ) -> Result<bool> {
         let (kinematics, extras) = (&self.kinematics, &self.extras);
-        if extras.pairs.are_parallel() || !extras.is_stiff() {
-            *near = Some(self.solve(joints)?);
+        if extras.pairs.are_parallel() || !extras.is_stiff() || self.growth != [0.0; 3] {
+            *near = Some(self.solve_at(joints, row)?);
             return Ok(true);
         }
         // the platform stands beside the parallel one as it did nearby
@@ -176,13 +228,21 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
     #[inline]
     fn columns<const M: usize>(
         &self,
-        _: &Vector3<f64>,
+        joints: &Vector3<f64>,
         solved: &Solved,
         by_point: &SMatrix<f64, M, 3>,
         wanted: Wanted,
         d: &mut SMatrix<f64, M, PARAMETERS>,
     ) -> SMatrix<f64, M, LIMBS> {
         let (at, still) = (AT.structure, Vector3::zeros());
+        let larger;
+        let (kinematics, factors) = match &solved.grown {
+            None => (&self.kinematics, Growth::NONE),
+            Some(grown) => {
+                larger = self.kinematics.grown(grown);
+                (&larger, *grown)
+            }
+        };
         if let Some(place) = wanted.wants(at.rod_mismatch) {
             let columns = by_point * solved.by_rods(&self.extras.pairs, mismatched);
             d.fixed_columns_mut::<LIMBS>(place.start)
@@ -198,28 +258,29 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
         let mut by_joints = SMatrix::<f64, M, LIMBS>::zeros();
         for limb in 0..LIMBS {
             let joint = solved.joints[limb];
-            let by = self.kinematics.by_limb(limb, joint);
-            let by_joint = by_point * solved.by_carriage(limb, &by.joint, &still);
+            let by = kinematics.by_limb(limb, joint);
+            let by_joint = by_point * solved.by_carriage(limb, &by.joint, &still) * factors.rails;
             by_joints.set_column(limb, &by_joint);
             if wanted.wants(limbs[limb]).is_some() {
                 let first = limb * PER_LIMB;
-                let radius = solved.by_carriage(limb, &by.base_radius, &still);
+                let radius = solved.by_carriage(limb, &by.base_radius, &still) * factors.frame;
                 let angle = solved.by_carriage(limb, &by.base_angle, &by.rail_by_angle);
                 d.set_column(first, &(by_point * radius));
                 d.set_column(first + 1, &(by_point * angle));
                 d.set_column(first + 2, &by_joint);
-                d.set_column(first + 3, &(by_point * solved.by_length(limb)));
+                let length = solved.by_length(limb) * factors.rods;
+                d.set_column(first + 3, &(by_point * length));
             }
             if wanted.wants(platforms[limb]).is_some() {
                 let first = limb * PER_LIMB + IDENTIFIABLE;
-                let radius = solved.by_platform(limb, &by.platform_radius);
+                let radius = solved.by_platform(limb, &by.platform_radius) * factors.frame;
                 let angle = solved.by_platform(limb, &by.platform_angle);
                 d.set_column(first, &(by_point * radius));
                 d.set_column(first + 1, &(by_point * angle));
             }
             if let Some(place) = wanted.wants(at.rail_lean) {
-                let height = self.kinematics.height(limb, joint);
-                for (k, rail) in self.kinematics.rail_by_lean(limb).iter().enumerate() {
+                let height = kinematics.height(limb, joint);
+                for (k, rail) in kinematics.rail_by_lean(limb).iter().enumerate() {
                     let column = by_point * solved.by_carriage(limb, &(rail * height), rail);
                     d.set_column(place.start + 2 * limb + k, &column);
                 }
@@ -233,6 +294,11 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
                 d.set_column(place.start + limb, &column);
             }
         }
+        if let Some(place) = wanted.wants(at.link_growth) {
+            let by_growth = solved.by_growth(&self.kinematics, joints);
+            d.fixed_columns_mut::<3>(place.start)
+                .copy_from(&(by_point * by_growth * solved.warmer));
+        }
         by_joints
     }
 
@@ -243,14 +309,17 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
         wanted: Wanted,
     ) -> Option<(Triple<T>, T, Poses<T>)> {
         let at = AT.structure;
-        // what tilts the platform or loads it is solved by iteration, or its derivatives are
+        // what tilts the platform or loads it is solved by iteration, or its derivatives are; what grows is another robot in
+        // each row
         let iterated = [
             at.rod_mismatch,
             at.limb_twist,
             at.gravity_sag,
             at.drive_compliance,
+            at.link_growth,
         ];
-        let plain = self.extras.pairs.are_parallel() && self.extras.is_stiff();
+        let plain =
+            self.extras.pairs.are_parallel() && self.extras.is_stiff() && self.growth == [0.0; 3];
         if !plain
             || iterated
                 .into_iter()
@@ -356,6 +425,9 @@ pub struct Solved {
     beside: Vector3<f64>,
     tilted: Option<Tilted>,
     loaded: Option<Loaded>,
+    /// By how much it is warmer than the drawing, °C, and what has grown by that.
+    warmer: f64,
+    grown: Option<Growth>,
 }
 
 impl Solved {
@@ -409,6 +481,8 @@ impl Solved {
             beside: Vector3::zeros(),
             tilted: None,
             loaded: None,
+            warmer: f64::NAN,
+            grown: None,
         })
     }
 
@@ -555,6 +629,27 @@ impl Solved {
     fn by_length(&self, limb: usize) -> Vector3<f64> {
         let still = Vector3::zeros();
         self.settled(&self.by_longer(limb), limb, &still, &still)
+    }
+
+    /// Derivatives by the parts by which rods, frame and rails of the `plain` robot have grown, at the readings of its
+    /// joints: how far a carriage gives way does not grow.
+    fn by_growth(&self, plain: &Kinematics, joints: &Vector3<f64>) -> Matrix3<f64> {
+        let still = Vector3::zeros();
+        let mut out = Matrix3::zeros();
+        for limb in 0..LIMBS {
+            let platform = plain.platform_joint(limb);
+            let base = plain.across_origin(limb) + platform;
+            let along = plain.along_rail(limb, joints[limb]);
+            let columns = [
+                self.by_length(limb) * plain.rods()[limb],
+                self.by_carriage(limb, &base, &still) + self.by_platform(limb, &-platform),
+                self.by_carriage(limb, &along, &still),
+            ];
+            for (mut sum, column) in out.column_iter_mut().zip(columns) {
+                sum += column;
+            }
+        }
+        out
     }
 
     /// Derivative by the compliance of a limb along itself.
