@@ -41,7 +41,11 @@ EXPECTED = {
 UNITS = {"gravity_sag": 5.0, "drive_compliance": 5.0}
 #: Where the two programs differ in the product of two small effects, mm, at three times the typical size: ours bends
 #: what a misaligned beam sees, the other the point itself.
-CONVENTIONS = (({"beam_alignment", "sensor_linearity"}, 2e-3),)
+CONVENTIONS = (
+    ({"beam_alignment", "sensor_linearity"}, 2e-3),
+    # ours grows by what is drawn, the other by what is built
+    ({"link_growth"}, 5e-4),
+)
 
 
 def test_the_catalogue_says_what_each_effect_is() -> None:
@@ -113,6 +117,24 @@ def agree(names: tuple[str, ...], seed: int, times: float) -> None:
 def test_readings_are_those_of_the_independent_simulator(name: str, seed: int, times: float) -> None:
     """Catches a wrong sign, order, unit, lever or link of an effect: two programs agree to 1e-9 mm, errors planted."""
     agree((name,), seed, times)
+
+
+@pytest.mark.parametrize("part", [0, 1, 2])
+def test_growth_of_a_robot_as_drawn_is_that_of_the_independent_simulator(part: int) -> None:
+    """Catches a part that grows with another, from another place or by another temperature: two programs agree to 1e-9
+    mm where the robot is built as drawn; and that all parts together are the robot made larger."""
+    growth = np.zeros(3)
+    growth[part] = 5e-4
+    plan = make_plan(ROBOT, grid(18.0, 4, (-18.0, 0.0, 18.0)), repeats=1, order="shuffled", seed=part)
+    data = sk.from_frame(pl.DataFrame(simulate(ROBOT, plan, {}, {"link_growth": growth})))
+    model = model_of(("link_growth",))
+    predicted = model.predict(data, values_of(model, {}, {"link_growth": growth}))[:, :3]
+    assert np.abs(predicted - data.readings[:, :3]).max() < 1e-9
+    larger, all_parts = model_of(("thermal_growth",)), values_of(model, {}, {"link_growth": np.full(3, 5e-4)})
+    whole = larger.predict(data, values_of(larger, {}, {"thermal_growth": np.array([5e-4])}))[:, :3]
+    together = model.predict(data, all_parts)[:, :3]
+    target = np.outer(data.covariates["temperature_c"] - 20.0, ROBOT.target_offset) * 5e-4
+    assert np.abs(whole - together - target).max() < 1e-9
 
 
 @pytest.mark.parametrize("names", [*combinations(EXPECTED, 2), tuple(EXPECTED)], ids="+".join)

@@ -27,6 +27,7 @@ from .folds import Folds, roots_of
 from .held_out import folds_of, rms, squares_of
 from .linearised import Linearised
 from .scan import FLIPS, codes_of
+from .sizes import displaces
 from .stage import testable
 from .waves import waves_of
 
@@ -93,8 +94,12 @@ def earned(
         # what comes nearest to first order is fitted in full: far from zero its derivatives there do not tell
         for k in np.argsort(linear[: len(others)].mean(axis=1))[:_REFITTED]:
             try:
-                view = less.refit([(others[int(k)][0], None)]).linearised(rows, (), scale)
+                rival = less.refit([(others[int(k)][0], None)])
+                view = rival.linearised(rows, (), scale)
             except SherkitError:
+                continue
+            # what fits only on another machine would not have been chosen
+            if displaces(rival.fit, less.fit):
                 continue
             exact.append(_scores(folds_of(view, fold)))
         best = np.concatenate([np.stack(exact), linear]).min(axis=0)

@@ -24,7 +24,7 @@ from .fitted_run import FittedRun
 from .periods import period_of
 from .scan import FLIPS, Block, Scan
 from .shapes import Shape, wave
-from .sizes import PLAUSIBLE, sizes_of
+from .sizes import PLAUSIBLE, displaces, sizes_of
 from .stage import Candidate, Stage, stage_of
 from .waves import OVERSAMPLING, Waves
 
@@ -154,6 +154,7 @@ class Search:
             p = self.left(stage)
         found.p_left = p
         self._prune(found)
+        self._forget(found)
         return found
 
     def as_it_stands(self) -> SearchResult:
@@ -239,7 +240,7 @@ class Search:
         pairs = self._refitted(stage, both, _MOST_PAIRS)
         if explaining := [e for e in pairs if e.p_left > self.level]:
             return as_near(explaining, pairs), singles, None
-        return [], singles, next(filter(plausible, pairs), None)
+        return [], singles, next((e for e in pairs if plausible(e, self.base)), None)
 
     def beats(self, pair: Explanation, after: Stage, single: Candidate) -> bool:
         """Whether a pair that leaves something is still clearly better than a single one with whatever, shape or
@@ -276,7 +277,7 @@ class Search:
             if float(after.scan.deviates.max()) <= _PLAINLY_LEFT:
                 after = self.stage(run, stage.nuisance)
             out.append(Explanation(members, after, self.left(after)))
-        out.sort(key=lambda e: (not plausible(e), bic(e.stage.scan, e.candidates)))
+        out.sort(key=lambda e: (not plausible(e, self.base), bic(e.stage.scan, e.candidates)))
         return out
 
     def strongest_settings(self, stage: Stage) -> list[Candidate]:
@@ -334,6 +335,21 @@ class Search:
                 found.p_left = p
 
 
+    def _forget(self, found: SearchResult) -> None:
+        """Takes out shapes of which nothing is left beside an effect that was found later."""
+        scan = found.stages[-1].scan
+        image, columns, kept = scan.image([]), scan.fitted, []
+        for shape, model in zip(found.signature, scan.model, strict=True):
+            before, columns = image.given(columns)[1], columns + len(scan.numbers(model))
+            if image.given(columns)[1] > before:
+                kept.append(shape)
+        if len(kept) < len(found.signature):
+            found.signature = kept
+            stage = self.stage(found.stages[-1].run, kept)
+            found.stages.append(stage)
+            found.p_left = self.left(stage)
+
+
 def refit(run: FittedRun, candidates: Sequence[Candidate]) -> FittedRun:
     """The full fit with these candidates, at the settings they were found with."""
     return run.refit([c.addition for c in candidates])
@@ -371,10 +387,10 @@ def _schwarz(left: float, n: int, count: int) -> float:
     return float(n * np.log(left / n) + count * np.log(n))
 
 
-def plausible(explanation: Explanation) -> bool:
-    """Whether every added effect came out with a plausible size."""
+def plausible(explanation: Explanation, base: FittedRun) -> bool:
+    """Whether every added effect came out with a plausible size, and left what was known of the ``base`` so."""
     run = explanation.stage.run
-    return all(is_plausible(run, c.effect) for c in explanation.candidates)
+    return all(is_plausible(run, c.effect) for c in explanation.candidates) and not displaces(run.fit, base.fit)
 
 
 def is_plausible(run: FittedRun, effect: Effect) -> bool:

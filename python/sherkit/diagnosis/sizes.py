@@ -21,6 +21,21 @@ def sizes_of(fit: Fit) -> Floats:
     return np.maximum(np.abs(fit.values) - 2 * fit.std_from_readings, 0.0) / size
 
 
+def displaces(fit: Fit, before: Fit) -> bool:
+    """Whether what was added to a fit pushes a parameter that it had ``before`` beyond what is plausible.
+
+    An effect that fits only where the machine stands as nobody would have built it is no cause: expansion about the
+    origin of the base, say, does what warm rods do if the base lies a tenth of a metre elsewhere.
+    """
+    was = {p.name: size for p, size in zip(before.parameters, sizes_of(before), strict=True)}
+    # a robot that is far from its drawing already is not the effect's doing
+    return any(
+        size > PLAUSIBLE + 2 * was[p.name]
+        for p, size in zip(fit.parameters, sizes_of(fit), strict=True)
+        if p.name in was
+    )
+
+
 def largest(fit: Fit, k: int) -> str:
     """A parameter by its number, beside what is usual."""
     p = fit.parameters[k]

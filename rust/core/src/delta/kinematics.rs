@@ -30,12 +30,14 @@ pub struct Kinematics {
     platform: [[Vector3<f64>; 2]; LIMBS],
     base_radius: [f64; LIMBS],
     platform_radius: [f64; LIMBS],
+    /// What the joints of the platform stand farther out than that.
+    platform_growth: [Vector3<f64>; LIMBS],
     joint_offset: [f64; LIMBS],
     lean: [[f64; 2]; LIMBS],
     pivot: [f64; LIMBS],
 }
 
-/// Factors by which parts of the robot have grown.
+/// By what part of their drawn lengths parts of the robot have grown.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Growth {
     pub rods: f64,
@@ -45,13 +47,27 @@ pub(super) struct Growth {
     pub rails: f64,
 }
 
-impl Growth {
-    /// Nothing has grown.
-    pub(super) const NONE: Self = Self {
-        rods: 1.0,
-        frame: 1.0,
-        rails: 1.0,
-    };
+/// The lengths of which parts grow, mm: rods, from the middle out to the rails and to the joints of the platform, and joint
+/// offsets.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Drawn {
+    pub rods: [f64; LIMBS],
+    pub base: [Vector3<f64>; LIMBS],
+    pub platform: [Vector3<f64>; LIMBS],
+    pub joint_offset: [f64; LIMBS],
+}
+
+impl Drawn {
+    /// Those of a drawing.
+    pub(super) fn new(geometry: &Geometry) -> Self {
+        let limbs = &geometry.limbs;
+        Self {
+            rods: limbs.map(|l| l.rod_length_mm),
+            base: limbs.map(|l| unit_vectors(l.base_angle_rad)[0] * l.base_radius_mm),
+            platform: limbs.map(|l| unit_vectors(l.platform_angle_rad)[0] * l.platform_radius_mm),
+            joint_offset: limbs.map(|l| l.joint_offset_mm),
+        }
+    }
 }
 
 /// How the sphere centre of a limb moves with each of its parameters.
@@ -121,6 +137,7 @@ impl Kinematics {
             platform: [[Vector3::zeros(); 2]; LIMBS],
             base_radius: limbs.map(|l| l.base_radius_mm),
             platform_radius: limbs.map(|l| l.platform_radius_mm),
+            platform_growth: zero,
             joint_offset: limbs.map(|l| l.joint_offset_mm),
             lean,
             pivot,
@@ -135,10 +152,7 @@ impl Kinematics {
             let [out, along] = &k.base[i];
             let rail = Vector3::z() + out * lean[i][0] + along * lean[i][1];
             k.rails[i] = rail / rail.norm();
-            k.origins[i] = out * limb.base_radius_mm
-                + Vector3::z() * pivot[i]
-                + k.rails[i] * (limb.joint_offset_mm - pivot[i])
-                - k.platform[i][0] * limb.platform_radius_mm;
+            k.origins[i] = k.origin(i);
         }
         // rails lean by little, so the normal of the carriages' plane never turns from up to down
         let [a1, a2, a3] = k.origins;
@@ -177,7 +191,7 @@ impl Kinematics {
 
     /// Platform joint of a limb, seen from the platform centre.
     pub(super) fn platform_joint(&self, limb: usize) -> Vector3<f64> {
-        self.platform[limb][0] * self.platform_radius[limb]
+        self.platform[limb][0] * self.platform_radius[limb] + self.platform_growth[limb]
     }
 
     pub(super) fn rods(&self) -> &[f64; LIMBS] {
@@ -193,29 +207,34 @@ impl Kinematics {
         self
     }
 
-    /// The same robot whose parts have grown by these factors; its joint readings have grown as its rails.
-    pub(super) fn grown(&self, factors: &Growth) -> Self {
+    /// The sphere centre of a limb at a joint reading of zero.
+    fn origin(&self, limb: usize) -> Vector3<f64> {
+        self.base[limb][0] * self.base_radius[limb]
+            + Vector3::z() * self.pivot[limb]
+            + self.rails[limb] * (self.joint_offset[limb] - self.pivot[limb])
+            - self.platform_joint(limb)
+    }
+
+    /// The same robot once parts of it have grown by their part of what is drawn; its joint readings grow as its rails.
+    ///
+    /// By what is drawn, not by what is identified: the difference is of second order, and the other way growth would tell,
+    /// from next to nothing, where the base lies.
+    pub(super) fn grown(&self, drawn: &Drawn, by: &Growth) -> Self {
         let mut k = *self;
-        let Growth { rods, frame, rails } = *factors;
         for i in 0..LIMBS {
-            k.rods[i] *= rods;
-            k.base_radius[i] *= frame;
-            k.platform_radius[i] *= frame;
-            k.joint_offset[i] *= rails;
-            k.pivot[i] *= rails;
-            k.origins[i] = self.across_origin(i) * frame + self.along_rail(i, 0.0) * rails;
+            k.rods[i] += drawn.rods[i] * by.rods;
+            k.joint_offset[i] += drawn.joint_offset[i] * by.rails;
+            k.pivot[i] *= 1.0 + by.rails;
+            k.platform_growth[i] = drawn.platform[i] * by.frame;
+            k.origins[i] = k.origin(i) + drawn.base[i] * by.frame;
         }
         k
     }
 
-    /// How far the joint of a limb stands outside that of the platform, mm: base and platform radius.
-    pub(super) fn across_origin(&self, limb: usize) -> Vector3<f64> {
-        self.base[limb][0] * self.base_radius[limb] - self.platform_joint(limb)
-    }
-
-    /// From the foot of a limb in the plane of the base to its carriage, mm.
-    pub(super) fn along_rail(&self, limb: usize, joint: f64) -> Vector3<f64> {
-        Vector3::z() * self.pivot[limb] + self.rails[limb] * self.height(limb, joint)
+    /// How far a carriage moves with the growth of the rails, at a joint reading.
+    pub(super) fn by_rails(&self, drawn: &Drawn, limb: usize, joint: f64) -> Vector3<f64> {
+        let along = joint + drawn.joint_offset[limb] - self.pivot[limb];
+        Vector3::z() * self.pivot[limb] + self.rails[limb] * along
     }
 
     /// Derivatives of a limb's sphere centre at a joint reading.

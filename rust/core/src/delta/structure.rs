@@ -8,8 +8,8 @@
 //! middle of its joint on the platform and `Σ w_i μ_i = -ẑ` (force balance). Its rods are longer by `c_i w_i |μ_i|`, and
 //! its carriage gives way along its rail `r_i` by `d_i w_i (μ_i·r_i)`. Loads and pose are brought to agree.
 //!
-//! Rods, frame and rails grow with the temperature, each by its own part: lengths, radii and heights above the base. Where
-//! all parts are equal the whole robot is only larger.
+//! Rods, frame and rails grow with the temperature, each by its own part of what is drawn: lengths, radii and heights
+//! above the base. Where all parts are equal the whole robot is only larger.
 //!
 //! Every parameter acts by moving the ends of rods or lengthening them. With rods as rows of `A` and `g_k` the columns of
 //! `A⁻¹` a parallel platform moves by `Σ g_k (ρ_k·dv_k + L_k dL_k)`, a tilted one by the inverse of its six rods. Loads
@@ -17,7 +17,7 @@
 
 use super::effects::{AT, PARAMETERS, Values};
 use super::geometry::{Geometry, IDENTIFIABLE, LIMBS, PER_LIMB};
-use super::kinematics::{Growth, Kinematics, Poses, answers};
+use super::kinematics::{Drawn, Growth, Kinematics, Poses, answers};
 use super::nominal::Model;
 use super::six_rods::{Motion, Pairs, Rod, SIDES, Tilted, mismatched, one_step, six_rods, twisted};
 use crate::chain::body::warmer;
@@ -41,8 +41,9 @@ const SINGULAR: f64 = 1e-12;
 pub struct Structure {
     kinematics: Kinematics,
     extras: Extras,
-    /// Growth of rods, frame and rails, 1/°C.
+    /// Growth of rods, frame and rails, 1/°C, of these lengths.
     growth: [f64; 3],
+    drawn: Drawn,
 }
 
 /// What of the structure is not in [`Kinematics`].
@@ -92,10 +93,11 @@ impl Structure {
                 yielding: values_of(at.drive_compliance, values),
             },
             growth: values_of(at.link_growth, values),
+            drawn: Drawn::new(&model.geometry),
         })
     }
 
-    /// The factors by which parts have grown, where any has: an effect at zero does not ask for its covariate.
+    /// By what parts have grown, where any has: an effect at zero does not ask for its covariate.
     #[inline]
     fn grown(&self, row: &Covariates<LIMBS>) -> Option<Growth> {
         if self.growth == [0.0; 3] {
@@ -103,7 +105,7 @@ impl Structure {
         }
         let [rods, frame, rails] = self
             .growth
-            .map(|a| if a == 0.0 { 1.0 } else { 1.0 + a * warmer(row) });
+            .map(|a| if a == 0.0 { 0.0 } else { a * warmer(row) });
         Some(Growth { rods, frame, rails })
     }
 
@@ -143,8 +145,9 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
         let mut solved = match self.grown(row) {
             None => self.solve(joints)?,
             Some(grown) => {
-                let larger = self.kinematics.grown(&grown);
-                let mut solved = Solved::of(&larger, &self.extras, &(joints * grown.rails))?;
+                let larger = self.kinematics.grown(&self.drawn, &grown);
+                let longer = joints * (1.0 + grown.rails);
+                let mut solved = Solved::of(&larger, &self.extras, &longer)?;
                 solved.grown = Some(grown);
                 solved
             }
@@ -236,11 +239,11 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
     ) -> SMatrix<f64, M, LIMBS> {
         let (at, still) = (AT.structure, Vector3::zeros());
         let larger;
-        let (kinematics, factors) = match &solved.grown {
-            None => (&self.kinematics, Growth::NONE),
+        let (kinematics, scale) = match &solved.grown {
+            None => (&self.kinematics, 1.0),
             Some(grown) => {
-                larger = self.kinematics.grown(grown);
-                (&larger, *grown)
+                larger = self.kinematics.grown(&self.drawn, grown);
+                (&larger, 1.0 + grown.rails)
             }
         };
         if let Some(place) = wanted.wants(at.rod_mismatch) {
@@ -259,21 +262,20 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
         for limb in 0..LIMBS {
             let joint = solved.joints[limb];
             let by = kinematics.by_limb(limb, joint);
-            let by_joint = by_point * solved.by_carriage(limb, &by.joint, &still) * factors.rails;
-            by_joints.set_column(limb, &by_joint);
+            let by_joint = by_point * solved.by_carriage(limb, &by.joint, &still);
+            by_joints.set_column(limb, &(by_joint * scale));
             if wanted.wants(limbs[limb]).is_some() {
                 let first = limb * PER_LIMB;
-                let radius = solved.by_carriage(limb, &by.base_radius, &still) * factors.frame;
+                let radius = solved.by_carriage(limb, &by.base_radius, &still);
                 let angle = solved.by_carriage(limb, &by.base_angle, &by.rail_by_angle);
                 d.set_column(first, &(by_point * radius));
                 d.set_column(first + 1, &(by_point * angle));
                 d.set_column(first + 2, &by_joint);
-                let length = solved.by_length(limb) * factors.rods;
-                d.set_column(first + 3, &(by_point * length));
+                d.set_column(first + 3, &(by_point * solved.by_length(limb)));
             }
             if wanted.wants(platforms[limb]).is_some() {
                 let first = limb * PER_LIMB + IDENTIFIABLE;
-                let radius = solved.by_platform(limb, &by.platform_radius) * factors.frame;
+                let radius = solved.by_platform(limb, &by.platform_radius);
                 let angle = solved.by_platform(limb, &by.platform_angle);
                 d.set_column(first, &(by_point * radius));
                 d.set_column(first + 1, &(by_point * angle));
@@ -295,9 +297,17 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
             }
         }
         if let Some(place) = wanted.wants(at.link_growth) {
-            let by_growth = solved.by_growth(&self.kinematics, joints);
+            let mut sums = Matrix3::zeros();
+            for limb in 0..LIMBS {
+                let frame = solved.by_carriage(limb, &self.drawn.base[limb], &still)
+                    + solved.by_platform(limb, &-self.drawn.platform[limb]);
+                let rails = self.kinematics.by_rails(&self.drawn, limb, joints[limb]);
+                let rails = solved.by_carriage(limb, &rails, &still);
+                let rods = solved.by_length(limb) * self.drawn.rods[limb];
+                sums += Matrix3::from_columns(&[rods, frame, rails]);
+            }
             d.fixed_columns_mut::<3>(place.start)
-                .copy_from(&(by_point * by_growth * solved.warmer));
+                .copy_from(&(by_point * sums * solved.warmer));
         }
         by_joints
     }
@@ -629,27 +639,6 @@ impl Solved {
     fn by_length(&self, limb: usize) -> Vector3<f64> {
         let still = Vector3::zeros();
         self.settled(&self.by_longer(limb), limb, &still, &still)
-    }
-
-    /// Derivatives by the parts by which rods, frame and rails of the `plain` robot have grown, at the readings of its
-    /// joints: how far a carriage gives way does not grow.
-    fn by_growth(&self, plain: &Kinematics, joints: &Vector3<f64>) -> Matrix3<f64> {
-        let still = Vector3::zeros();
-        let mut out = Matrix3::zeros();
-        for limb in 0..LIMBS {
-            let platform = plain.platform_joint(limb);
-            let base = plain.across_origin(limb) + platform;
-            let along = plain.along_rail(limb, joints[limb]);
-            let columns = [
-                self.by_length(limb) * plain.rods()[limb],
-                self.by_carriage(limb, &base, &still) + self.by_platform(limb, &-platform),
-                self.by_carriage(limb, &along, &still),
-            ];
-            for (mut sum, column) in out.column_iter_mut().zip(columns) {
-                sum += column;
-            }
-        }
-        out
     }
 
     /// Derivative by the compliance of a limb along itself.
