@@ -79,7 +79,7 @@ typedef int32_t sherkit_result;
 
 // A calibrated delta robot. Its content is nobody's business.
 typedef struct sherkit_delta {
-    uint64_t words[416];
+    uint64_t words[512];
 } sherkit_delta;
 
 // What a reading of the delta depends on beside its joints. NaN where it is not known; an effect that needs it then

@@ -10,14 +10,14 @@ use sherkit_core::{Result, flat};
 /// A calibrated delta robot. Its content is nobody's business.
 #[repr(C)]
 pub struct sherkit_delta {
-    words: [u64; 416],
+    words: [u64; 512],
 }
 
 // SAFETY: one array of so many words.
 unsafe impl Opaque for sherkit_delta {
     type Value = Calibrated<'static>;
     const MARK: u64 = 0x7368_6b64_656c_7461;
-    const WORDS: usize = 416;
+    const WORDS: usize = 512;
 }
 
 /// What a reading of the delta depends on beside its joints. NaN where it is not known; an effect that needs it then
