@@ -334,7 +334,6 @@ class Search:
                 found.stages.append(stage)
                 found.p_left = p
 
-
     def _forget(self, found: SearchResult) -> None:
         """Takes out shapes of which nothing is left beside an effect that was found later."""
         scan = found.stages[-1].scan
