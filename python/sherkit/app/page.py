@@ -90,7 +90,7 @@ class StudyPage:
         self._findings = text("findings")
         self._cancel = button("Cancel", "cancel", width=80, visible=False)
         self._cancel.on_click(bench.cancel)
-        self._undo, self._redo = button("Undo", "undo"), button("Redo", "redo", visible=False)
+        self._undo, self._redo = button("Undo", "undo", visible=False), button("Redo", "redo", visible=False)
         self._undo.on_click(lambda: self._do(bench.undo))
         self._redo.on_click(lambda: self._do(bench.redo))
         # a diagnosis that was cancelled, or that failed, can be asked for again
@@ -239,7 +239,7 @@ class StudyPage:
         self._draw_numbers(moment)
         self._draw_headline(moment)
         self._effects.show(moment)
-        self._undo.disabled, self._undo.label = not moment.undoes, _called("Undo", moment.undoes)
+        self._undo.visible, self._undo.label = bool(moment.undoes), _called("Undo", moment.undoes)
         self._redo.visible, self._redo.label = bool(moment.redoes), _called("Redo", moment.redoes)
         idle = moment.diagnosis.not_needed if moment.diagnosis is not None else ()
         self._advised.visible = bool(idle)

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from ..diagnosis import Diagnosis
+from ..figures import stated
+from ..fit.forms import known
+from ..fit.identify import Fit
+from ..model.effect import Effect
 from ..names import listed
 from .style import number
 
@@ -41,7 +47,7 @@ def answer(found: Diagnosis) -> Answer:
             "Look at the pattern below, ask what could leave it, and add that as an effect of your own.",
         )
     causes = [effect for effect in found.fit.model.effects if effect.name in found.effects]
-    physics = " ".join(_first_sentence(e.physics) for e in causes)
+    physics = " ".join(f"{_first_sentence(e.physics)} {_most(found.fit, e)}".strip() for e in causes)
     tied = f" These poses cannot tell it from {listed(found.ties[0][1:])}." if found.ties else ""
     whole = "" if found.verdict == "explained" else " That is not all: the rest has a pattern, too."
     doubt = f" With a reservation: {found.reservation}." if found.reservation else ""
@@ -53,6 +59,19 @@ def answer(found: Diagnosis) -> Answer:
         + doubt,
         f"To be rid of it in the machine: {repair[:1].lower()}{repair[1:]}" if repair else "",
     )
+
+
+def _most(fit: Fit, effect: Effect) -> str:
+    """What is known of an effect, or the largest of its numbers, in a sentence."""
+    one = known(fit).get(effect.name)
+    if one is not None:
+        return f"As fitted: {one.short}."
+    place = fit.model.owns(effect)
+    sizes = np.array([p.size for p in effect.parameters])
+    k = int(np.argmax(np.abs(fit.values[place]) / sizes))
+    p, value, std = effect.parameters[k], fit.values[place][k], fit.std[place][k]
+    said = f"{p.name} = {stated(float(value), float(std), p.unit)}"
+    return f"As fitted: {said}{', the largest' if len(sizes) > 1 else ''}."
 
 
 def _first_sentence(text: str) -> str:

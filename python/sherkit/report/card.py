@@ -136,8 +136,8 @@ def _read(shown: Exaggerated, *, fitted: bool) -> str:
     unit, factor = ("µm", 1e3) if shown.plain.unit == "mm" else (shown.plain.unit, 1.0)
     last = f" Beyond × {shown.factors[-1]:g} nothing could be told any more." if shown.factors[-1] < 100 else ""
     return (
-        "Grey: as drawn. In colour: with the effect, so much larger that it can be seen (slider). Blue dot: the "
-        f"measured point; orange ring: where it is read. {size} it moves what is read by "
+        "Grey: as drawn. In colour: with the effect, so much larger that it can be seen (slider). Blue dot: where "
+        f"the measured point is; orange ring: where a reading shows it. {size} it moves what is read by "
         f"{number(factor * shown.moves_mm)} {unit} here. "
         f"{shown.told}{last}"
     )

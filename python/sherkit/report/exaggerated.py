@@ -114,7 +114,7 @@ def exaggerated(
         raise SherkitError(f"{effect.name} of this size leaves no machine to be drawn")
     begin = next((f for f, o in zip(factors, off, strict=True) if o >= _SEEN), factors[-1])
     where = f"at {row.counted} {row.line[0]} of the run" if measured else "at the pose where it shows most"
-    told = f"Drawn {where}{_moment(effect, row, measured)}."
+    told = f"This is the machine {where}{_moment(effect, row, measured)}."
     return Exaggerated(
         effect, values, nominal, tuple(factors), tuple(drawings), float(moved[best]), begin, told, model, row
     )

@@ -147,7 +147,8 @@ def _note(change: Change) -> str:
         if change.before.noise_origin != "unknown"
         else ""
     )
-    return f"{arrow}{colour}{many}. {_SAID[change.scale]}{circle}"
+    rms = " The number over a panel is the RMS of its single readings: an arrow of several is longer."
+    return f"{arrow}{colour}{many}. {_SAID[change.scale]}{circle}{rms if len(names) > 1 else ''}"
 
 
 _MOMENTS = ("before", "after")

@@ -259,7 +259,15 @@ class Scene extends HTMLElement {
     g.strokeStyle = g.fillStyle = colour["--ink"]
     g.beginPath(); g.moveTo(16, y); g.lineTo(16 + long, y); g.stroke()
     g.font = "15px sans-serif"
-    g.fillText(`${digits(a.bar * a.perUnit).replace(/\.0+$/, "")} ${a.unit}`, 22 + long, y + 5)
+    const said = v => digits(v * a.perUnit).replace(/\.0+$/, "")
+    g.fillText(`${said(a.bar)} ${a.unit}`, 22 + long, y + 5)
+    // what the colours say, where there is room for it
+    if (this.w < 520) return
+    const end = `${said(big)} ${a.unit} and more`, left = this.w - 216 - g.measureText(end).width
+    g.fillText("0", left - 14, y + 5)
+    inks.forEach((ink, k) => { g.fillStyle = ink; g.fillRect(left + 16 * k, y - 6, 16, 12) })
+    g.fillStyle = colour["--ink"]
+    g.fillText(end, left + 102, y + 5)
   }
   drawAxes() {
     const g = this.g, s = this.scene, colour = this.palette(), k = this.scale, [cx, cy, cz] = s.centre

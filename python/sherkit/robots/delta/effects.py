@@ -14,8 +14,7 @@ _OWN = {
         workshop="Compare each axis with a gauge block or laser over its travel; correct counts per millimetre.",
     ),
     "rail_lean": Sentences(
-        physics="The rails are not parallel: each leans outwards (radial) or sideways (tangential) by some "
-        "milliradians.",
+        physics="The rails are not parallel: each leans outwards (radial) or sideways (tangential).",
         residuals="A shear that grows with height; the common tangential part twists the frame.",
         workshop="Square the rails to the base with a level or autocollimator; shim the feet.",
     ),
