@@ -30,8 +30,8 @@ pub struct Kinematics {
     platform: [[Vector3<f64>; 2]; LIMBS],
     base_radius: [f64; LIMBS],
     platform_radius: [f64; LIMBS],
-    /// What the joints of the platform stand farther out than that.
-    platform_growth: [Vector3<f64>; LIMBS],
+    /// Joints of the platform, seen from its centre.
+    platform_joints: [Vector3<f64>; LIMBS],
     joint_offset: [f64; LIMBS],
     lean: [[f64; 2]; LIMBS],
     pivot: [f64; LIMBS],
@@ -137,7 +137,7 @@ impl Kinematics {
             platform: [[Vector3::zeros(); 2]; LIMBS],
             base_radius: limbs.map(|l| l.base_radius_mm),
             platform_radius: limbs.map(|l| l.platform_radius_mm),
-            platform_growth: zero,
+            platform_joints: zero,
             joint_offset: limbs.map(|l| l.joint_offset_mm),
             lean,
             pivot,
@@ -149,6 +149,7 @@ impl Kinematics {
             }
             k.base[i] = unit_vectors(limb.base_angle_rad);
             k.platform[i] = unit_vectors(limb.platform_angle_rad);
+            k.platform_joints[i] = k.platform[i][0] * limb.platform_radius_mm;
             let [out, along] = &k.base[i];
             let rail = Vector3::z() + out * lean[i][0] + along * lean[i][1];
             k.rails[i] = rail / rail.norm();
@@ -191,7 +192,7 @@ impl Kinematics {
 
     /// Platform joint of a limb, seen from the platform centre.
     pub(super) fn platform_joint(&self, limb: usize) -> Vector3<f64> {
-        self.platform[limb][0] * self.platform_radius[limb] + self.platform_growth[limb]
+        self.platform_joints[limb]
     }
 
     pub(super) fn rods(&self) -> &[f64; LIMBS] {
@@ -225,7 +226,7 @@ impl Kinematics {
             k.rods[i] += drawn.rods[i] * by.rods;
             k.joint_offset[i] += drawn.joint_offset[i] * by.rails;
             k.pivot[i] *= 1.0 + by.rails;
-            k.platform_growth[i] = drawn.platform[i] * by.frame;
+            k.platform_joints[i] += drawn.platform[i] * by.frame;
             k.origins[i] = k.origin(i) + drawn.base[i] * by.frame;
         }
         k

@@ -177,8 +177,12 @@ impl Mechanism<LIMBS, PARAMETERS> for Structure {
         near: &mut Option<Solved>,
     ) -> Result<bool> {
         let (kinematics, extras) = (&self.kinematics, &self.extras);
-        if extras.pairs.are_parallel() || !extras.is_stiff() || self.growth != [0.0; 3] {
+        if self.growth != [0.0; 3] {
             *near = Some(self.solve_at(joints, row)?);
+            return Ok(true);
+        }
+        if extras.pairs.are_parallel() || !extras.is_stiff() {
+            *near = Some(self.solve(joints)?);
             return Ok(true);
         }
         // the platform stands beside the parallel one as it did nearby
