@@ -194,7 +194,7 @@ def _steady(final: FittedRun, wander: Wander | None, used: str) -> Claim:
         return Claim("steady", tested, used, told, holds=None, decisive=False)
     return Claim(
         "steady", tested, used,
-        f"{wander.axis} wanders by {wander.size:.3g} {final.unit} beside {wander.beside:.3g} from reading to reading",
+        f"{wander.axis} wanders by {wander.size:.3g} {final.unit} beside {wander.beside:.3g} from row to row",
         holds=not wander.counts, p=wander.p, decisive=False,
     )  # fmt: skip
 

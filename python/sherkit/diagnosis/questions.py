@@ -133,7 +133,7 @@ def diagnose(
     if wander is not None and wander.counts and verdict in ("adequate", "explained"):
         reservations.append(
             f"{wander.axis} wanders by {wander.size:.3g} {run.unit} in the course of the run, beside "
-            f"{wander.beside:.3g} from reading to reading, and nothing in the file says with what: here that counts "
+            f"{wander.beside:.3g} from row to row, and nothing in the file says with what: here that counts "
             "as noise; look for what changes slowly (temperature, humidity, a stand that gives way) and record it as a "
             "column"
         )
