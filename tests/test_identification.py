@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import least_squares, minimize_scalar
 
+import sherkit._core as _core
 from second_simulator import Robot, draw_geometric_errors, make_plan, simulate, whole_grid
 from sherkit import Measurements, from_frame, identify, read_measurements
 from sherkit.data import MeasurementStream
@@ -684,3 +685,26 @@ def _far_off() -> Measurements:
     rng = np.random.default_rng(2843)
     values = 6.0 * planted(TWELVE, rng)
     return run(TWELVE, values, rng, poses=rng.uniform(-1.0, 1.0, (12, 3)) * np.array([40.0, 40.0, 20.0]))
+
+
+@pytest.mark.parametrize(("weight", "at_the_end"), [(0.0003, True), (0.003, False), (0.01, False), (0.03, False)])
+def test_a_curved_valley_that_hardly_gains_is_left(weight: float, at_the_end: bool) -> None:
+    """Catches a fit that creeps to its last evaluation along a valley that bends, where all that it gains on the way is
+    less than noise would give: with many rows that took minutes of a diagnosis. The rows: noise of variance one, a
+    parabola that binds, and a wish to be far along it."""
+    solver = _core.Solver(np.array([-1.0, 1.0]), np.ones(2))
+    ended, n = "evaluate", 1002
+    while ended == "evaluate":
+        x, y = solver.trial
+        derivatives, left = np.zeros((n, 1, 2)), np.ones((n, 1))
+        derivatives[:2, 0] = [[-40.0 * x, 20.0], [weight, 0.0]]
+        left[:2, 0] = [-20.0 * (y - x * x), weight * (50.0 - x)]
+        solver.clear()
+        solver.push(derivatives, left, np.ones((n, 1)))
+        ended = solver.advance()
+    result = solver.result()
+    # where nothing is left to gain this is the minimum for all that counts; else it is said that it is none
+    assert ended == ("converged" if at_the_end else "exhausted")
+    assert result["evaluations"] <= 45
+    np.testing.assert_array_equal(result["values"], solver.trial)
+    assert result["cost"] <= 1000.0 + (51.0 * weight) ** 2

@@ -83,7 +83,8 @@ def _slow(left: Floats) -> tuple[Floats, Floats, Floats]:
     p = np.ones(left.shape[1])
     for count in {_FEWEST, lines}:
         share = of_white[:count].sum(axis=0) / np.where(total > 0, total, 1.0)
-        once = scipy.stats.beta.sf(share, count, every - count)
+        # the upper tail of the beta distribution; scipy.stats would take longer to import than all of this to say
+        once = scipy.special.betainc(every - count, count, 1.0 - share)
         p = np.minimum(p, np.where(total > 0, 2.0 * once, 1.0))
     slow, quick = np.split(2.0 * _periodogram(left)[1:] / n**2, [lines])
     # steady noise is as strong in the slow lines as in others

@@ -14,8 +14,6 @@ from ..types import Floats
 _NOTHING = 1e-2
 #: So many steps that leave what the model can compute say that it ends on the way to the minimum.
 _EDGE = 12
-#: Evaluations after which a fit is asked whether it still gains.
-_LONG = 15
 
 
 def iterate(solver: _core.Solver, feed: Callable[[Floats], None]) -> str:
@@ -23,8 +21,7 @@ def iterate(solver: _core.Solver, feed: Callable[[Floats], None]) -> str:
 
     ``feed`` gives the solver every row at the parameters asked for. A step that leaves what the model can compute
     (:class:`~sherkit.errors.FitError`, or :class:`~sherkit.errors.RobotError` where it leaves no robot) is damped,
-    until there were a dozen; where the start does already, the error is raised. A fit that still steps after so many
-    evaluations ends where next to nothing is left to gain.
+    until there were a dozen; where the start does already, the error is raised.
     """
     evaluations, outside, over = 0, 0, ""
     while True:
@@ -46,8 +43,6 @@ def iterate(solver: _core.Solver, feed: Callable[[Floats], None]) -> str:
             return over or ended
         if outside >= _EDGE:
             over = "exhausted"
-        elif evaluations >= _LONG and not over and reached(ended, solver.result()):
-            over = "converged"
 
 
 def reached(ended: str, result: Mapping[str, Any]) -> bool:

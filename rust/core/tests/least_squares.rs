@@ -1023,8 +1023,8 @@ fn nist_eckerle4() {
     check_nist("Eckerle4", &nist::ECKERLE4, [true, false]);
 }
 
-/// As above, almost rank-deficient: Bennett5. The valley is so narrow that the iteration may run out of
-/// evaluations, but it must not claim a minimum elsewhere, and from nearby it gets there.
+/// As above, almost rank-deficient: Bennett5. Its valley is so narrow that damping which begins too strong crawls
+/// through it for thousands of evaluations.
 #[test]
 fn nist_bennett5() {
     let near = nist::BENNETT5.certified.map(|b| b * (1.0 + 1e-5));
@@ -1033,7 +1033,7 @@ fn nist_bennett5() {
         ..nist::BENNETT5
     };
     check_nist("Bennett5 from nearby", &near, [false; 2]);
-    check_nist("Bennett5", &nist::BENNETT5, [true; 2]);
+    check_nist("Bennett5", &nist::BENNETT5, [false; 2]);
 }
 
 proptest! {

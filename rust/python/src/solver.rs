@@ -13,6 +13,13 @@ use sherkit_core::fit::{
 };
 use sherkit_core::numbers::wide::{LANES, Wide};
 
+/// Evaluations after which a fit is asked whether it still gains, and over so many.
+const LONG: usize = 15;
+/// Part of the variance of the noise that is not worth a step: it would move what is estimated by a tenth of a deviation.
+const NOTHING: f64 = 1e-2;
+/// Part of the variance that so many evaluations must gain to be worth as many more.
+const LITTLE: f64 = 1e-1;
+
 /// Iterates to the minimum with rows that `evaluate` adds at the solver's trial. Returns how it ended and the rows
 /// that cannot be computed at the start, with which nothing is solved.
 pub fn iterate(
@@ -50,6 +57,8 @@ pub struct Solver {
     stack: Stack<Vec<f64>>,
     loss: Loss,
     cost: f64,
+    /// Evaluations and cost when the fit was last asked whether it still gains.
+    asked: (usize, f64),
     /// One weighted row with its residual, on its way into the stack.
     row: Vec<f64>,
 }
@@ -132,7 +141,15 @@ impl Solver {
     pub fn step(&mut self) -> PyResult<Progress> {
         let folded = self.stack.triangle();
         let Some(descent) = &mut self.descent else {
-            return self.levenberg.advance(folded, self.cost).map_err(to_python);
+            let next = self
+                .levenberg
+                .advance(folded, self.cost)
+                .map_err(to_python)?;
+            return if next == Progress::Evaluate {
+                self.worth_it()
+            } else {
+                Ok(next)
+            };
         };
         let evaluations = descent.evaluations() + 1;
         match descent.advance(folded, self.cost) {
@@ -145,6 +162,32 @@ impl Solver {
         }
         self.descent = None;
         Ok(Progress::Evaluate)
+    }
+
+    /// Ends a long fit where next to nothing is left to gain, and one that gains next to nothing although more is promised:
+    /// along a combination that the rows hardly tell steps stay long however small their use, and in a curved valley short
+    /// however much there is at its end.
+    fn worth_it(&mut self) -> PyResult<Progress> {
+        let evaluations = self.levenberg.evaluations();
+        let cost = self.levenberg.cost();
+        if evaluations < self.asked.0 + LONG {
+            return Ok(Progress::Evaluate);
+        }
+        let (rank, to_gain) = self
+            .levenberg
+            .with_decomposition(|d| (d.rank(), d.gain(0.0)))
+            .map_err(to_python)?;
+        let variance = cost / self.stack.rows().saturating_sub(rank).max(1) as f64;
+        let ended = if to_gain <= NOTHING * variance {
+            Progress::Converged
+        } else if self.asked.1 - cost <= LITTLE * variance {
+            Progress::Exhausted
+        } else {
+            self.asked = (evaluations, cost);
+            return Ok(Progress::Evaluate);
+        };
+        self.levenberg.stop();
+        Ok(ended)
     }
 
     /// Adds the rows of a prior: each parameter at zero, the drawing, give or take its plausible size.
@@ -197,6 +240,7 @@ impl Solver {
             loss: Loss::from_name(loss)
                 .ok_or_else(|| shape("loss", "'linear', 'huber', 'cauchy' or 'tukey'", &[]))?,
             cost: 0.0,
+            asked: (0, f64::INFINITY),
             row: vec![0.0; n + 1],
         })
     }
@@ -274,7 +318,7 @@ impl Solver {
                     d.rank(),
                     d.singular_values().to_vec(),
                     directions,
-                    d.to_gain(),
+                    d.gain(0.0),
                 )
             })
             .map_err(to_python)?;

@@ -213,10 +213,22 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Decomposition<S> {
         }
     }
 
-    /// By how much the undamped step would lower the sum of squares, were the rows linear.
+    /// By how much a step of this damping would lower the sum of squares, were the rows linear.
     #[must_use]
-    pub fn to_gain(&self) -> f64 {
-        self.observed().map(|(_, c, _)| c * c).sum()
+    pub fn gain(&self, damping: f64) -> f64 {
+        self.observed()
+            .map(|(_, c, s)| {
+                let left = damping / (s * s + damping);
+                c * c * (1.0 - left * left)
+            })
+            .sum()
+    }
+
+    /// The damping that halves the step along the weakest direction observed.
+    #[must_use]
+    pub fn weakest(&self) -> f64 {
+        let weakest = self.observed().map(|(_, _, s)| s * s).reduce(f64::min);
+        weakest.unwrap_or(0.0).max(f64::MIN_POSITIVE)
     }
 
     /// Takes the unobserved directions out of a change of the parameters.

@@ -2,8 +2,10 @@
 //!
 //! The caller evaluates rows at [`Levenberg::trial`], folds them into a stack, and calls
 //! [`Levenberg::advance`]. Damping is zero until a step fails, so that a good start converges quadratically
-//! (Nocedal and Wright, *Numerical Optimization*, 10.3; column scaling as in Moré 1978). Along directions that
-//! no row observes the estimate stays at the smallest deviation from the start, in plausible sizes.
+//! (Nocedal and Wright, *Numerical Optimization*, 10.3; column scaling as in Moré 1978). It begins where it halves the
+//! step along the weakest direction, for in most valleys only that step is too long, grows ever faster while steps fail,
+//! and shrinks as well as a step kept what it promised (Nielsen, *Damping parameter in Marquardt's method*, 1999). Along
+//! directions that no row observes the estimate stays at the smallest deviation from the start, in plausible sizes.
 
 use super::decomposition::{Decomposition, decomposition_len};
 use crate::{Error, Result};
@@ -58,11 +60,24 @@ pub struct Levenberg<S> {
     settings: Settings,
     evaluations: usize,
     damping: f64,
+    /// By what the damping grows where the next step fails too.
+    growth: f64,
+    /// By how much the trial lowers the cost, were the rows linear.
+    promised: f64,
     cost: f64,
     rank: usize,
     /// start | sizes | best | trial | step | decomposition at best
     storage: S,
 }
+
+/// Part of the cost by which rounding may change it.
+const ROUNDING: f64 = 1e-12;
+/// By what damping grows at first, and by what that grows.
+const GROWTH: f64 = 10.0;
+/// Damping never grows by more at once.
+const FASTEST: f64 = 1e3;
+/// Damping never shrinks by more at once.
+const LEAST: f64 = 0.1;
 
 const START: usize = 0;
 const SIZES: usize = 1;
@@ -99,6 +114,8 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Levenberg<S> {
             settings,
             evaluations: 0,
             damping: 0.0,
+            growth: GROWTH,
+            promised: 0.0,
             cost: f64::INFINITY,
             rank: 0,
             storage,
@@ -150,6 +167,13 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Levenberg<S> {
         self.cost
     }
 
+    /// Ends the iteration where it stands: the trial is the best so far.
+    pub fn stop(&mut self) {
+        let n = self.n;
+        let slots = self.storage.as_mut();
+        slots.copy_within(BEST * n..(BEST + 1) * n, TRIAL * n);
+    }
+
     /// Runs `read` on the decomposition at the estimate.
     ///
     /// # Errors
@@ -186,9 +210,15 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Levenberg<S> {
         }
         let (slots, room) = self.storage.as_mut().split_at_mut(5 * n);
         // a step that changes the cost by less than rounding is neither better nor worse: accept it
-        let accepted = cost <= self.cost * (1.0 + 1e-12);
+        let accepted = cost <= self.cost * (1.0 + ROUNDING);
         let mut decomposition;
         if accepted {
+            // a promise below rounding cannot be checked
+            let kept = if self.promised > ROUNDING * self.cost {
+                (self.cost - cost) / self.promised
+            } else {
+                1.0
+            };
             self.cost = cost.min(self.cost);
             slots.copy_within(TRIAL * n..(TRIAL + 1) * n, BEST * n);
             decomposition = Decomposition::new(n, room)?;
@@ -198,14 +228,16 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Levenberg<S> {
                 self.settings.rank_tolerance,
             )?;
             self.rank = decomposition.rank();
-            self.damping = if self.damping < 1e-9 {
-                0.0
-            } else {
-                self.damping * 0.1
-            };
+            let well = 2.0 * kept - 1.0;
+            self.damping *= (1.0 - well * well * well).clamp(LEAST, 1.0 / LEAST);
+            self.growth = GROWTH;
+            if self.damping <= LEAST * decomposition.weakest() {
+                self.damping = 0.0;
+            }
         } else {
             decomposition = Decomposition::restore(n, self.rank, room)?;
-            self.damping = (self.damping * 10.0).max(1e-4);
+            self.damping = (self.damping * self.growth).max(decomposition.weakest());
+            self.growth = (self.growth * GROWTH).min(FASTEST);
         }
         // the last step, taken from the estimate: how far would the next one go?
         let (head, step) = slots.split_at_mut(STEP * n);
@@ -218,6 +250,7 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Levenberg<S> {
             .map(|(t, s)| (t / s).abs())
             .fold(0.0, f64::max);
         decomposition.step(self.damping, step);
+        self.promised = decomposition.gain(self.damping);
         let (head, trial) = head.split_at_mut(TRIAL * n);
         let (start, rest) = head.split_at(n);
         let (sizes, best) = rest.split_at(n);
@@ -242,7 +275,7 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Levenberg<S> {
             return Ok(Progress::Converged);
         }
         if exhausted && !converged {
-            trial.copy_from_slice(&best[..n]);
+            self.stop();
             return Ok(Progress::Exhausted);
         }
         if converged {
