@@ -6,6 +6,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 import sherkit as sk
+from second_simulator import NOMINAL_CONFIG, write_robot_toml
 from sherkit import _core
 from sherkit.cli import c_library, doctor
 from sherkit.cli.examples import EXAMPLES
@@ -87,6 +89,52 @@ def test_the_doctor_knows_every_extra(monkeypatch):
     monkeypatch.setattr(doctor, "_version", lambda name: None)
     shown = CliRunner().invoke(cli, ["doctor"], standalone_mode=False)
     assert shown.return_value == 1
+
+
+#: Modules of Python's own library that are left out where a library lacked when it was built.
+LEFT_OUT = (
+    "_sqlite3",
+    "_bz2",
+    "_lzma",
+    "_ssl",
+    "_hashlib",
+    "_curses",
+    "readline",
+    "_tkinter",
+    "_uuid",
+    "_dbm",
+    "_ctypes_test",
+)
+
+
+def test_a_python_that_lacks_libraries_does_all_that_needs_none_of_them(tmp_path):
+    """Catches a module that nothing here needs, and is imported before anybody asked: SQLite, for reading a CSV."""
+    lame = (
+        "import sys\n"
+        f"for name in {LEFT_OUT!r}: sys.modules[name] = None\n"
+        "from sherkit.cli import main\n"
+        "main(sys.argv[1:])"
+    )
+
+    def told(*words):
+        command = [sys.executable, "-c", lame, *map(str, words)]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, encoding="utf-8", check=False)
+
+    robot, run = tmp_path / "robot.toml", tmp_path / "run.csv"
+    write_robot_toml(robot, NOMINAL_CONFIG)
+    for words in [
+        ("simulate", robot, "-o", run, "--poses", "local", "--noise-um", "5"),
+        ("diagnose", robot, run),
+        ("calibrate", robot, run, "-o", "calibrated.toml"),
+        ("export", "c", "calibrated.toml", "-o", "robot.h"),
+    ]:
+        said = told(*words)
+        assert said.returncode == 0, said.stderr
+    assert "this Python was built without it" in " ".join(told("doctor").stdout.replace("│", " ").split())
+    for words in [("measure", "--help"), ("export", "run.sherkit", "-o", "run2.csv")]:
+        said = told(*words)
+        assert (said.returncode, "Traceback" in said.stderr) == (1, False)
+        assert "without SQLite" in " ".join(said.stderr.split())
 
 
 # -- C -------------------------------------------------------------------------------------------------------------

@@ -60,6 +60,7 @@ def findings() -> Iterator[Finding]:
         )
         said = found if not lacks else f"lacks {', '.join(lacks)}" + ("" if needed else f", for {_PURPOSE[extra]}")
         yield Finding(title, not lacks, said, mend, needed)
+    yield _sqlite()
     yield _browser()
     yield _ports()
     yield _c_library()
@@ -90,6 +91,14 @@ def _version(package: str) -> str | None:
     except PackageNotFoundError:
         module = _FIRST_OF.get(package, package.replace("-", "_"))
         return "of unknown version" if find_spec(module) is not None else None
+
+
+def _sqlite() -> Finding:
+    if find_spec("_sqlite3") is not None:
+        return Finding("SQLite", True, "runs of experiments, bags of ROS 2")
+    said = "this Python was built without it: no experiment is run, and no bag of ROS 2 read"
+    mend = "sudo apt-get install libsqlite3-dev, then build Python again" if sys.platform == "linux" else ""
+    return Finding("SQLite", False, said, mend or "install Python from python.org")
 
 
 def _browser() -> Finding:

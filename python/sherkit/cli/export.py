@@ -9,7 +9,6 @@ import click
 
 from ..data.files import write_whole
 from ..errors import SherkitError
-from ..lab.experiment import export_run
 from ..robots.c_header import calibration_header
 from ..robots.calibrated import Calibration
 from ..robots.files import load_calibration
@@ -32,6 +31,9 @@ def export(what: tuple[str, ...], destination: Path, config: Path | None) -> Non
     flexible TOOL as a C header for the control loop; with klipper, reprapfirmware or marlin, a printer's CALIBRATION
     for its firmware."""
     if len(what) == 1:
+        # only what reads a run's file needs SQLite
+        from ..lab.experiment import export_run
+
         rows = export_run(Path(what[0]), destination)
         output.say(f"{rows} rows written to {destination}", destination)
     elif len(what) == 2 and what[0] in FIRMWARES:

@@ -88,6 +88,14 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(error.exit_code)
     except BrokenPipeError:
         sys.exit(1)
+    except ModuleNotFoundError as error:
+        if error.name not in ("sqlite3", "_sqlite3"):
+            raise
+        _output().fail(
+            "this Python was built without SQLite, which keeps the rows of a run; use one that has it: those of Debian "
+            "and of python.org do, one built from source (pyenv too) does where libsqlite3-dev was there before"
+        )
+        sys.exit(1)
     except OSError as error:
         _output().fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
         sys.exit(1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -146,6 +145,9 @@ def _stacked(found: list[tuple[float, list[float]]], path: Path, topic: str) -> 
 
 def _whole(database: Path) -> None:
     """Raises where a database is not whole: SQLite reads on from a damaged page for minutes, or until memory ends."""
+    # some Pythons are built without it, and nobody else needs it
+    import sqlite3
+
     try:
         with closing(sqlite3.connect(f"{database.resolve().as_uri()}?immutable=1", uri=True)) as opened:
             # what is damaged may be the very name that is told
