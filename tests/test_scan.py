@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+import scipy
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -152,7 +153,8 @@ def test_a_deviate_has_the_tail_of_its_f(k: int, free: int) -> None:
 
 
 def test_flips_are_flips_of_whole_poses_fitted_again() -> None:
-    """Catches a null distribution without the fit after each flip, or with repeats of a pose flipped apart.
+    """Catches a null distribution without the fit after each flip, with repeats of a pose flipped apart, or of
+    residuals that are small since their poses have pulled the fit to themselves.
 
     The same signs, each flipped residual projected anew and scored by brute force, 8 flips, the first of them none.
     """
@@ -162,6 +164,14 @@ def test_flips_are_flips_of_whole_poses_fitted_again() -> None:
     model = np.concatenate([parts["fitted"].reshape(N * M, P), extra], axis=1)
     residual = left(parts["residual"].ravel(), model).reshape(N, M)
     poses = np.unique(parts["group"])
+    remains = np.eye(N * M) - model @ np.linalg.pinv(model, rcond=1e-9)
+    for pose in poses:
+        rows = parts["group"] == pose
+        own = remains.reshape(N, M, N, M)[rows][:, :, rows].reshape(3 * M, 3 * M)
+        larger = np.linalg.inv(scipy.linalg.sqrtm(0.5 * (own + own.T)).real)
+        residual[rows] = (larger @ residual[rows].ravel()).reshape(3, M)
+        # as independent noise would have been before it was fitted
+        np.testing.assert_allclose(larger @ own @ larger.T, np.eye(3 * M), atol=1e-9)
     codes = codes_of(len(poses), 11)
     assert len(set(codes.tolist())) == len(poses)
     which = [0, 1, 2, 3, 500, 1023, 1024, 2047]

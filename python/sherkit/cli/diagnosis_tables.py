@@ -15,7 +15,13 @@ _ORIGIN = {
     "repeats": "from repeats of poses",
     "unknown": "unknown; this is what the model leaves",
 }
-_COLOUR = {"adequate": "green", "explained": "green", "partly explained": "yellow", "unexplained": "red"}
+_COLOUR = {
+    "adequate": "green",
+    "explained": "green",
+    "partly explained": "yellow",
+    "unexplained": "red",
+    "undecided": "yellow",
+}
 _MOST = 8
 
 

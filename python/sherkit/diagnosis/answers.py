@@ -13,7 +13,7 @@ from ..fit.forms import Known, known
 from ..fit.identify import Fit
 from ..notebook import Shown
 from ..types import Ints
-from .claims import POSES_AS_REPEATS, Claim, headline
+from .claims import LOOSE, POSES_AS_REPEATS, Claim, headline
 from .stage import Stage
 from .summary import Summary
 from .template import sentence
@@ -48,11 +48,11 @@ class StepReport:
 class Diagnosis(Shown):
     """The answers, in the order a person asks.
 
-    ``verdict`` is ``adequate``, ``explained``, ``partly explained`` or ``unexplained``: it follows from ``claims``
-    alone. ``effects`` are those that are missing, ``not_needed`` those in the model that bring nothing;
-    ``reservation`` says what one unknown would look like where many numbers explain, and which size is implausible.
-    ``ties`` are groups of effects that these rows cannot tell apart, the leading one first; ``confirmed`` is the
-    largest p with which a named effect earns its place on rows held out. ``next_poses`` are
+    ``verdict`` is ``adequate``, ``explained``, ``partly explained``, ``unexplained`` or ``undecided``, where the poses
+    are too few to tell: it follows from ``claims`` alone. ``effects`` are those that are missing, ``not_needed`` those
+    in the model that bring nothing; ``reservation`` says what one unknown would look like where many numbers explain,
+    and which size is implausible. ``ties`` are groups of effects that these rows cannot tell apart, the leading one
+    first; ``confirmed`` is the largest p with which a named effect earns its place on rows held out. ``next_poses`` are
     joints to drive to and the coordinates that these are, in the order to measure them, each with the separation in
     standard deviations that run and poses up to it reach; ``advice`` says what no reachable pose tells, and what would.
     ``fit`` is the model with the named effects on all rows.
@@ -93,6 +93,11 @@ class Diagnosis(Shown):
         """The verdict in one line, with why it is no better."""
         line = headline(self.claims, self.effects, self.not_needed, noise_known=self.noise_origin != "unknown")
         return f"{line}; with a reservation: {self.reservation}" if self.reservation else line
+
+    @property
+    def too_few_poses(self) -> bool:
+        """Whether nothing stands against praise but that the poses fix the parameters too loosely."""
+        return {claim.name for claim in self.claims if claim.decisive and claim.holds is False} == {LOOSE}
 
     @cached_property
     def known(self) -> dict[str, Known]:

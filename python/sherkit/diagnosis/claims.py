@@ -10,6 +10,8 @@ from typing import Any
 AS_DRAWN, APART = "as_drawn", "apart"
 #: The claim that tests lack of fit.
 POSES_AS_REPEATS = "poses_as_repeats"
+#: The claims that compare rows held out with the noise, and with what few poses make of it.
+SMALL, LOOSE = "as_small_as_noise", "poses_suffice"
 #: Claims without which the drawing is not judged.
 _MOVES = {"set_up", "plausible"}
 #: Reasons that the first line gives; the claims have all.
@@ -48,10 +50,14 @@ class Claim:
 
 
 def verdict_of(claims: Sequence[Claim], effects: Sequence[str]) -> str:
-    """The verdict, from claims alone: of praise only where no decisive one fails."""
-    if all(claim.holds is not False for claim in claims if claim.decisive):
+    """The verdict, from claims alone: of praise only where no decisive one fails, of blame only where another fails
+    than that the poses are enough."""
+    failing = {claim.name for claim in claims if claim.decisive and claim.holds is False}
+    if not failing:
         return "explained" if effects else "adequate"
-    return "partly explained" if effects else "unexplained"
+    if effects:
+        return "partly explained"
+    return "undecided" if failing == {LOOSE} else "unexplained"
 
 
 def headline(claims: Sequence[Claim], effects: Sequence[str], not_needed: Sequence[str], *, noise_known: bool) -> str:
@@ -68,7 +74,7 @@ def headline(claims: Sequence[Claim], effects: Sequence[str], not_needed: Sequen
         if not noise_known:
             line += "; nothing with structure is left, how much of the rest is noise is not known"
     else:
-        line = f"{verdict}: {named or 'no effect added'}"
+        line = f"{verdict}: {named or ('no effect shows' if verdict == 'undecided' else 'no effect added')}"
         if failing:
             line += "; " + "; ".join(failing[:_MOST])
     # a wrong column, or an absurd number, moves the drawing as well

@@ -13,13 +13,15 @@ import numpy as np
 from ..errors import FitError
 from ..types import Floats, Ints
 from .fitted_run import FittedRun
-from .folds import Folds
+from .folds import Folds, roots_of
 from .linearised import Linearised
 from .stage import testable
 
 #: Blocks that are held out in turn, and how often they are dealt anew so that nothing hangs on one deal.
 _FOLDS = 6
 _DEALS = 5
+#: Noises that are drawn to know what they leave on rows held out.
+_DRAWS = 999
 
 
 def deals_of(run: FittedRun, seed: int) -> list[Ints]:
@@ -63,6 +65,46 @@ def squares_of(view: Linearised, fold: Ints) -> tuple[Floats, Folds]:
     folds = folds_of(view, fold)
     parts = [folds.errors(view.fitted(rows), view.residual[rows], rows) for rows in view.blocks]
     return np.concatenate(parts, axis=1) ** 2, folds
+
+
+def by_noise_alone(run: FittedRun, sigma: Floats, deals: Sequence[Ints], level: float, seed: int) -> float:
+    """Root of the mean square, in noises, below which rows held out stay with a chance of 1 - ``level`` where the model
+    lacks nothing.
+
+    Few poses fix a model loosely, and a block that is held out lies beyond them: its error is noise and, of noise too,
+    that of the parameters. ``sigma`` (columns,) is the noise; where repeats told it, it is itself uncertain. Of the
+    noise all that counts are its products with the columns, normal with the Gram matrices as covariances: these are
+    drawn.
+    """
+    rows = testable(run, np.flatnonzero(run.whole))
+    view = run.linearised(rows, (), sigma[list(run.axes)])
+    rng = np.random.default_rng(seed)
+    each = [_drawn(folds_of(view, deal[None, rows]), rng) for deal in deals]
+    told = run.data.repeatability if run.noise[1] == "repeats" else None
+    if told is not None:
+        free = max(sum(told.degrees_of_freedom.values()), 1)
+        each = [one * free / rng.chisquare(free, size=_DRAWS) for one in each]
+    return float(np.sqrt(np.mean(np.quantile(each, 1.0 - level, axis=1))))
+
+
+def _drawn(folds: Folds, rng: np.random.Generator) -> Floats:
+    """Mean squares (draws,) of unit noise on rows held out."""
+    root = _square_root(folds.grams)
+    z = rng.normal(size=(_DRAWS, *root.shape[:2]))
+    right = np.einsum("fkl,dfl->dfk", root, z)
+    outside = roots_of(folds.outside[0])
+    x = np.einsum("fkl,fml,dfm->dfk", outside, outside, right.sum(axis=1, keepdims=True) - right, optimize=True)
+    seen = (root != 0.0).any(axis=1)
+    beside = np.maximum(folds.counts - seen.sum(axis=1), 0)
+    squares = (z**2 * seen).sum(axis=2) + rng.chisquare(np.maximum(beside, 1), size=x.shape[:2]) * (beside > 0)
+    squares += np.einsum("dfk,fkl,dfl->df", x, folds.grams, x, optimize=True) - 2.0 * (x * right).sum(axis=2)
+    return np.asarray(squares.sum(axis=1) / folds.counts.sum())
+
+
+def _square_root(grams: Floats) -> Floats:
+    """Matrices (f, k, k) whose products with their transposes are these."""
+    value, vector = np.linalg.eigh(grams)
+    return vector * np.sqrt(np.where(value > 1e-12 * value[:, -1:], value, 0.0))[:, None, :]
 
 
 def _all_squares(run: FittedRun, scale: Floats, deals: Sequence[Ints]) -> Floats:

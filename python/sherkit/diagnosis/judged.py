@@ -214,7 +214,7 @@ class Judged:
         variance = max(variance, shared)
         gain, tried = self._gains(tame[self._seen])
         best = int(np.argmax(gain)) if len(gain) else -1
-        chance = chi2_log_tail(gain[best] / variance, 1) + np.log(tried) if best >= 0 else np.inf
+        chance = chi2_log_tail(gain[best] / variance, 1) + np.log(tried) if tried else np.inf
         stepped = self._step(tame, variance)
         if stepped is not None and stepped[0] < min(chance, np.log(_DESCRIBED)):
             self.has_step = True

@@ -147,6 +147,9 @@ def _unknowns(run: FittedRun) -> list[tuple[Effect, str]]:
     middle, half = 0.5 * (joints.max(axis=0) + joints.min(axis=0)), 0.5 * np.ptp(joints, axis=0)
     scaled = _Scaled(middle, np.where(half > 0, half, 1.0))
     names, read = data.layout.joints, data.layout.coordinates
+    most = int(run.whole.sum()) * len(run.axes) // 4
+    # m readings of a pose tell m combinations of its joints' errors: many numbers for more joints are told by none
+    limit = {"sensor": most, "joints": most * min(len(run.axes), len(moving)) // len(moving)}
     out: list[tuple[Effect, str]] = []
     for order in _ORDERS:
         each = [tuple([k] * power) for k in moving for power in range(1, order + 1)]
@@ -168,8 +171,7 @@ def _unknowns(run: FittedRun) -> list[tuple[Effect, str]]:
         out.append(
             (_effect("sensor", scaled, moved, read), f"a displacement of the readings that depends {how} on all joints")
         )
-    limit = int(run.whole.sum()) * len(run.axes) // 4
-    return sorted((o for o in out if len(o[0].parameters) <= limit), key=lambda o: len(o[0].parameters))
+    return sorted((o for o in out if len(o[0].parameters) <= limit[o[0].link]), key=lambda o: len(o[0].parameters))
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,6 +104,8 @@ def period_of(stage: Stage, tried: Sequence[Candidate], *, aliases: bool = False
     clearly = (2.0 * np.log(len(at)) + _CLEARLY) * noise
     had = next(period for effect, period in stage.view.periodic if effect is waves[top].effect)
     usual = 0.5 * TURN if had is None and profile.whole else had
+    if usual is not None and 1.0 / usual > profile.highest:
+        usual = None
     taken = profile.taken(1.0 / usual) if usual is not None else 0.0
     if usual is not None and most - taken < clearly:
         best, most = 1.0 / usual, taken
@@ -142,6 +144,7 @@ class _Profile:
         self.whole = rings(stage.view)
         grid = np.sort(frequencies(stage.view))
         self.span = max(float(np.ptp(stage.view.inputs[n])) for n in stage.view.waving)
+        self.highest = stage.scan.waves.waves.highest * stage.scan.waves.waves.unit if stage.scan.waves else 0.0
         self.step = float(np.median(np.diff(grid))) if len(grid) > 1 else 1.0 / (OVERSAMPLING * self.span)
 
     def taken(self, frequency: float) -> float:

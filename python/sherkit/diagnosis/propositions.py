@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from ..fit.set_up import Mistake
 from ..names import listed
 from ..types import Floats, Ints
-from .claims import APART, AS_DRAWN, POSES_AS_REPEATS, Claim
+from .claims import APART, AS_DRAWN, LOOSE, POSES_AS_REPEATS, SMALL, Claim
 from .earned import Earned
 from .fitted_run import FittedRun
 from .lack_of_fit import LackOfFit
@@ -37,12 +37,14 @@ def claims_of(
     wild: Ints,
     mistakes: Sequence[Mistake],
     wander: Wander | None,
+    by_noise: Callable[[], float],
 ) -> tuple[Claim, ...]:
     """Every claim about a final fit, those that decide first.
 
     ``sigma`` (columns,) is the noise, ``fitness`` what poses leave beyond their repeats, ``unknown`` one cause in place
     of several, ``needed`` what the effects that were in the model earn, ``wild`` the rows left out,
-    ``mistakes`` those of the set-up, ``wander`` what is left in the course of time.
+    ``mistakes`` those of the set-up, ``wander`` what is left in the course of time, ``by_noise`` gives what noise alone
+    leaves on rows held out of these poses, in noises.
     """
     unit, used = final.unit, f"all {int(final.whole.sum())} rows that are used"
     out = [_set_up(mistakes, final), _converged(final, used), _plausible(final, used)]
@@ -56,7 +58,11 @@ def claims_of(
         )
     )  # fmt: skip
     out.append(_poses(final, fitness, shaped=bool(found.result.signature)))
-    out.append(_small(final, found.steps[-1].held_out_rms, sigma, origin))
+    error = found.steps[-1].held_out_rms
+    small = _small(final, error, sigma, origin, by_noise)
+    out.append(small)
+    if (loose := _loosely(final, small, error, sigma)) is not None:
+        out.append(loose)
     out.append(_steady(final, wander, used))
     if unknown is not None:
         out.append(_several(unknown))
@@ -199,13 +205,38 @@ def _steady(final: FittedRun, wander: Wander | None, used: str) -> Claim:
     )  # fmt: skip
 
 
-def _small(final: FittedRun, error: float, sigma: Floats, origin: str) -> Claim:
+def _small(final: FittedRun, error: float, sigma: Floats, origin: str, by_noise: Callable[[], float]) -> Claim:
     tested = "the error on rows held out is as small as the noise"
-    noise = final.per_unit * float(np.sqrt(np.mean(sigma[list(final.axes)] ** 2)))
+    noise = _noise(final, sigma)
     if origin == "unknown":
-        return Claim("as_small_as_noise", tested, _HELD, f"{error:.4g} {final.unit}; the noise is unknown", holds=None)
+        return Claim(SMALL, tested, _HELD, f"{error:.4g} {final.unit}; the noise is unknown", holds=None)
+    most, told = PRAISE * noise, f"{error:.4g} {final.unit} at a noise of {noise:.4g} ({origin})"
+    if error > most and (bound := by_noise() * noise) > most:
+        told += f", which alone leaves up to {bound:.4g} on rows held out of these poses"
+        most = bound
     return Claim(
-        "as_small_as_noise", tested, _HELD,
-        f"{error:.4g} {final.unit} at a noise of {noise:.4g} ({origin})", holds=error <= PRAISE * noise,
+        SMALL, tested, _HELD, told, holds=error <= most,
         fails=f"{error:.4g} {final.unit} are left on rows held out at a noise of {noise:.4g}",
     )  # fmt: skip
+
+
+def _loosely(final: FittedRun, small: Claim, error: float, sigma: Floats) -> Claim | None:
+    """Said of poses whose fit predicts others worse than they were read, though nothing is missing; and of so few that
+    their fit goes through all of them."""
+    noise, fit = _noise(final, sigma), final.fit
+    poses = len(np.unique(final.data.standing[final.whole]))
+    told = f"{poses} pose{'s fix' if poses > 1 else ' fixes'} {len(fit.values)} parameters so loosely that "
+    if poses * len(final.axes) <= fit.rank:
+        told += "a fit goes through all of them, and nothing tells whether it holds elsewhere"
+    elif small.holds and error > PRAISE * noise:
+        told += f"rows held out are off by {error:.3g} {final.unit} where the noise is {noise:.3g}"
+    else:
+        return None
+    return Claim(
+        LOOSE, "the poses fix the parameters well enough to predict others", _HELD, told, holds=False,
+        fails=f"{told}: measure more poses, out to the rim of the workspace",
+    )  # fmt: skip
+
+
+def _noise(final: FittedRun, sigma: Floats) -> float:
+    return final.per_unit * float(np.sqrt(np.mean(sigma[list(final.axes)] ** 2)))

@@ -13,7 +13,7 @@ from ..data.given import RunLike
 from ..errors import EffectError, FitError
 from ..fit.forms import known
 from ..fit.identify import Fit, identify
-from ..fit.set_up import held, set_up_mistakes
+from ..fit.set_up import held, set_up_mistakes, unread
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
@@ -22,7 +22,7 @@ from .answers import CandidateReport, Diagnosis, StepReport
 from .claims import verdict_of
 from .crossvalidation import HeldOutError, held_out
 from .fitted_run import FittedRun
-from .held_out import deals_of
+from .held_out import by_noise_alone, deals_of
 from .hiding import hides_in
 from .lack_of_fit import lack_of_fit
 from .linearised import orthonormal
@@ -85,7 +85,7 @@ def diagnose(
     for effect in effects:
         run.model.check_effect(effect, run.data, fit.values)
     every = (*run.catalogue, *effects)
-    notes = [*(mistake.sentence for mistake in mistakes), *held(run.data)]
+    notes = [*(mistake.sentence for mistake in mistakes), *held(run.data), *unread(run.data)]
 
     step("noise and outliers")
     # beside a mistake of the set-up every row may look wrong
@@ -125,7 +125,10 @@ def diagnose(
     many = len(found.names) > 1 or numbers > _FEW
     unknown = one_unknown(run, final, found.names, run.noise[0], deals) if many else None
     wander = wander_of(final)
-    claims = claims_of(final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, wander)
+    claims = claims_of(
+        final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, wander,
+        lambda: by_noise_alone(final, sigma, deals, level, seed),
+    )  # fmt: skip
     verdict = verdict_of(claims, found.names)
     reservations = [str(unknown)] if unknown is not None and unknown.rivals else []
     reservations += [told] if (told := implausible(final.fit, found.names)) else []

@@ -27,6 +27,12 @@ from .waves import FilteredWaves, Products
 _LEFT = 0.02
 #: The same for physical effects, whose derivatives are exact.
 _LEFT_EXACT = 1e-4
+#: Part of the readings of all poses that parameters take, from which on what they take of each pose counts.
+_PULLED = 0.02
+#: A pose that leaves less of a direction to the others decides it alone.
+_DECIDES = 1e-6
+#: Part of a deviate within which two are equal.
+_ROUNDING = 1e-9
 #: Patterns of signs under which the family is seen.
 FLIPS = 2048
 
@@ -269,7 +275,7 @@ class Scan:
     _null: tuple[int, Floats] | None = None
 
     def _drawn(self, seed: int) -> Floats:
-        codes, sums, of_model = self._by_code(seed)
+        codes, sums, of_model, total = self._by_code(seed)
         size, each = np.array([len(of_model)]), np.arange(len(of_model))
         lost = largest_under_flips(
             of_model, codes, FLIPS, each, np.eye(len(of_model)).ravel(), size, size, np.zeros(1, dtype=np.int64), 1
@@ -293,18 +299,24 @@ class Scan:
             sums, codes, FLIPS, np.concatenate(columns), np.concatenate(roots), np.concatenate(sizes), rank_of,
             np.searchsorted(ranks, rank_of), len(ranks),
         )  # fmt: skip
-        return deviate(most, ranks[:, None], self.sum_of_squares - lost, self.free).max(axis=0, initial=-np.inf)
+        return deviate(most, ranks[:, None], total - lost, self.free).max(axis=0, initial=-np.inf)
 
-    def _by_code(self, seed: int) -> tuple[Ints, Floats, Floats]:
+    def _by_code(self, seed: int) -> tuple[Ints, Floats, Floats, float]:
         """Codes (c,) that poses have; products of what the model leaves of all columns (K, c), and of the orthonormal
-        model (rank, c), with the residual, summed over the poses of each code."""
+        model (rank, c), with the residual whose signs are flipped, summed over the poses of each code; and the square
+        of that."""
         pose = np.unique(self.group, return_inverse=True)[1].ravel()
+        taken = self._taken_by_fit(pose)
+        total = self.sum_of_squares if taken is None else 0.0
         used, codes = np.unique(codes_of(int(pose.max()) + 1, seed)[pose], return_inverse=True)
         sums = np.zeros((self.count, len(used)))
         of_model: Any = 0.0
         for rows, block, model in self.every_block():
             orthonormal = model @ self.root
             left = block.residual - orthonormal @ self.of_residual
+            if taken is not None:
+                left = left + np.einsum("nmk,nk->nm", orthonormal, taken[pose[rows]])
+                total += float((left**2).sum())
             here = codes[rows]
             by_code = scipy.sparse.csr_matrix(
                 (np.ones(len(here)), (here, np.arange(len(here)))), (len(used), len(here))
@@ -320,11 +332,37 @@ class Scan:
                 self.along.add_sums(rows, left, here, sums[self.first_along :])
         # in place: it is as large as all sums
         scipy.linalg.blas.dgemm(-1.0, of_model.T, self.by_model, 1.0, sums.T, trans_b=True, overwrite_c=True)
-        return used, sums, of_model
+        return used, sums, of_model, total
+
+    def _taken_by_fit(self, pose: Ints) -> Floats | None:
+        """What the fit took of the residual of each pose, as numbers (poses, rank) of the orthonormal model; None where
+        that is next to nothing.
+
+        A pose of few has pulled the fit to itself: its residual is smaller than its error, and a flip, which the model
+        is taken out of once more, is smaller still. Multiplied by ``(1 - H)^(-1/2)``, H being the pose's block of the
+        projection on the model, its covariance is that of independent noise again, so that what a flip leaves is as
+        large as what the fit left (Bell and McCaffrey, "Bias reduction in standard errors for linear regression with
+        multi-stage samples", Survey Methodology 2002).
+        """
+        count, rank = int(pose.max()) + 1, self.root.shape[1]
+        if rank < _PULLED * count * self.m:
+            return None
+        own, of_residual = np.zeros((count, rank, rank)), np.zeros((count, rank))
+        for rows, block, model in self.every_block():
+            orthonormal = model @ self.root
+            left = block.residual - orthonormal @ self.of_residual
+            np.add.at(own, pose[rows], np.einsum("nmk,nml->nkl", orthonormal, orthonormal))
+            np.add.at(of_residual, pose[rows], np.einsum("nmk,nm->nk", orthonormal, left))
+        value, vector = np.linalg.eigh(own)
+        # of what a pose alone decides nothing is left
+        free = np.where(value < 1.0 - _DECIDES, 1.0 - value, 1.0)
+        more = np.where(value > 1e-12, (1.0 / np.sqrt(free) - 1.0) / np.maximum(value, 1e-12), 0.5)
+        return np.einsum("gkl,gl,gml,gm->gk", vector, more, vector, of_residual)
 
     def p_value(self, largest: float, *, seed: int = 0) -> float:
         """Familywise p of a largest deviate."""
-        return (1 + int((self.null(seed)[1:] >= largest).sum())) / FLIPS
+        # of few poses many patterns are the same, which rounding must not tell from the one that flips nothing
+        return (1 + int((self.null(seed)[1:] >= largest - _ROUNDING * abs(largest)).sum())) / FLIPS
 
     def among(self, sets: Sequence[Columns]) -> Image:
         """A few candidates in full."""

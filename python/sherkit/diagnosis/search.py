@@ -383,7 +383,8 @@ def _bic(left: float, n: int, members: Sequence[Candidate]) -> float:
 
 
 def _schwarz(left: float, n: int, count: int) -> float:
-    return float(n * np.log(left / n) + count * np.log(n))
+    # what explains everything leaves rounding, of either sign
+    return float(n * np.log(max(left / n, np.finfo(float).tiny)) + count * np.log(n))
 
 
 def plausible(explanation: Explanation, base: FittedRun) -> bool:

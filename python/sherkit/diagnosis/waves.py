@@ -28,6 +28,8 @@ OVERSAMPLING = 2.0
 _FEWEST_WAVES, _MOST_WAVES = 2, 150
 #: Readings that are closer than this part of the range are one: no wave is so short that it would tell them apart.
 _SAME = 1e-3
+#: Waves over the range up to which a period that the model has is looked at, however few the readings are.
+_FINEST = 100_000
 
 
 def frequencies(view: Linearised) -> Floats:
@@ -90,6 +92,10 @@ class Waves:
             self.names = ()
         self.unit = _unit(view) if len(self.at) else 1.0
         self.turns = np.round(self.at / self.unit).astype(np.int64)
+        had = [1.0 / (period * self.unit) for _, period in view.periodic if period]
+        #: Up to which multiple of the unit any frequency can be asked for: few readings have few waves to look for, but
+        #: the model may have a period that is shorter than all of them.
+        self.highest = max([int(self.turns.max(initial=1)), *(int(np.ceil(k)) for k in had if k <= _FINEST)]) + 1
         self.patterns = [view.patterns[view.pattern_of[name]] for name in self.names]
         self.values = [view.inputs[name] for name in self.names]
         self.low = [float(v.min()) for v in self.values]
@@ -120,8 +126,7 @@ class Waves:
 
     def sums_along(self, j: int, count: int) -> Gridded:
         """Sums of ``count`` weights times waves of input j."""
-        highest = int(self.turns.max(initial=1)) + 1
-        return Gridded(min(self.low), max(self.high), self.unit, highest, count, self.low[j])
+        return Gridded(min(self.low), max(self.high), self.unit, self.highest, count, self.low[j])
 
     def filtered(self, whitening: Whitening) -> FilteredWaves:
         """The same under a filter in time; what was asked for last is remembered."""
@@ -186,7 +191,7 @@ class FilteredWaves:
         """Pairs of inputs, and their sums over difference and sum: all that Gram matrices are made of."""
         waves, now = self.waves, self.whitening
         low, high = np.array(waves.low), np.array(waves.high)
-        highest = int(waves.turns.max(initial=1)) + 1
+        highest = waves.highest
         pairs, apart, together = [], [], []
         for i in range(len(low)):
             for j in range(0 if now.rho else i, len(low)):

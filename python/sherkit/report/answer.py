@@ -41,6 +41,13 @@ def answer(found: Diagnosis) -> Answer:
                 "",
                 "Use the calibration as it is; only better or more readings could tell more.",
             )
+        if found.verdict == "undecided":
+            return Answer(
+                f"The model is off by {first} {unit} on poses that it was not fitted to, and that may be because these "
+                "are too few: nothing shows beside what they leave open.",
+                "",
+                "Measure more poses, out to the rim of the workspace, and ask again.",
+            )
         return Answer(
             f"The model is off by {first} {unit}, and no effect that is known explains it: what is left has a pattern.",
             "",
@@ -50,6 +57,8 @@ def answer(found: Diagnosis) -> Answer:
     physics = " ".join(f"{_first_sentence(e.physics)} {_most(found.fit, e)}".strip() for e in causes)
     tied = f" These poses cannot tell it from {listed(found.ties[0][1:])}." if found.ties else ""
     whole = "" if found.verdict == "explained" else " That is not all: the rest has a pattern, too."
+    if found.too_few_poses:
+        whole = " These poses are too few to say whether that is all."
     doubt = f" With a reservation: {found.reservation}." if found.reservation else ""
     repair = " ".join(found.known[e.name].workshop if e.name in found.known else e.workshop for e in causes)
     return Answer(

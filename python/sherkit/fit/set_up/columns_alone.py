@@ -1,6 +1,6 @@
 """Mistakes that the columns show by themselves: no fit gets better without them.
 
-A reading that is the same in every row, times in milliseconds, joints as they were commanded.
+A reading that is the same in every row, times in milliseconds, joints as they were commanded, rows given twice.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from ...data import Measurements
 from ...data.columns import TIME
 from ...errors import SherkitError
 from ...model.base import ModelWithEffects
+from ...names import listed
 from ...types import Ints
 
 #: A reading that never changes is a mistake where the place moves it by more than this part of what moves most.
@@ -25,6 +26,9 @@ _LONG_S = 86_400.0
 _SCATTER = 3.0
 _LEVEL = 1e-6
 _FEWEST = 5
+#: So many rows that are others once more were copied, where their times are the same; without times, so many in a row.
+_COPIED = 3
+_COPIED_IN_A_ROW = 10
 
 
 def constant(data: Measurements) -> Ints:
@@ -44,6 +48,15 @@ def held(data: Measurements) -> tuple[str, ...]:
         "robot move less would fit it, so that gains and scales cannot be told from it"
         for k in constant(data)
     )
+
+
+def unread(data: Measurements) -> tuple[str, ...]:
+    """Coordinates that no row reads where others are read, in a sentence."""
+    read = np.asarray(data.used[:, : data.coordinates].any(axis=0))
+    if read.all() or not read.any():
+        return ()
+    names = listed([name for name, one in zip(data.layout.coordinates, read, strict=True) if not one])
+    return (f"{names}: not read in any row, so that nothing is said of what moves the robot there alone",)
 
 
 def constant_by_mistake(model: ModelWithEffects, data: Measurements) -> Iterator[tuple[int, str]]:
@@ -96,6 +109,37 @@ def time_in_milliseconds(data: Measurements) -> str | None:
         f"{TIME} looks like milliseconds (ms): {len(data)} readings would have taken {hours:.0f} hours, "
         f"{usual / 60:.0f} minutes each, instead of {usual / 1000:.1f} s; divide {TIME} by 1000"
     )
+
+
+def copied(data: Measurements) -> str | None:
+    """Rows that are earlier ones once more, to the last digit, as a sentence: repeats that are none, by which noise
+    would seem smaller than it is."""
+    given = [data.joints, data.readings]
+    if data.time_s is not None:
+        given.append(data.time_s[:, None])
+    rows = np.ascontiguousarray(np.column_stack(given) + 0.0)  # a zero has no sign
+    factors = np.random.default_rng(0).integers(1, 2**63, rows.shape[1], dtype=np.uint64) | np.uint64(1)
+    bits = (rows.view(np.uint64) * factors).sum(axis=1, dtype=np.uint64)
+    _, first, inverse = np.unique(bits, return_index=True, return_inverse=True)
+    before = first[inverse]
+    copies = np.flatnonzero(before < np.arange(len(rows)))
+    copies = copies[(rows[copies].view(np.uint64) == rows[before[copies]].view(np.uint64)).all(axis=1)]
+    if data.time_s is None:
+        # instruments of few digits show a reading again, but not many in the same order
+        follows = (np.diff(copies) == 1) & (np.diff(before[copies]) == 1)
+        stretches = np.split(copies, np.flatnonzero(~follows) + 1)
+        stretches = [one for one in stretches if len(one) >= _COPIED_IN_A_ROW and _moves(data, one)]
+        copies = np.concatenate([np.zeros(0, dtype=np.int64), *stretches])
+    if len(copies) < _COPIED:
+        return None
+    return (
+        f"{data.place(copies)} are copies of earlier rows, to the last digit of every reading: files that overlap were "
+        "joined, it seems; leave the copies out, or the noise looks smaller than it is"
+    )
+
+
+def _moves(data: Measurements, rows: Ints) -> bool:
+    return bool((np.ptp(data.joints[rows], axis=0) > 0).any())
 
 
 def commanded_joints(data: Measurements) -> str | None:

@@ -10,7 +10,7 @@ from ...data import Measurements
 from ...data.noise import noise_of
 from ...model.base import ModelWithEffects
 from ...types import Bools, Floats
-from .columns_alone import commanded_joints, constant, constant_by_mistake, time_in_milliseconds
+from .columns_alone import commanded_joints, constant, constant_by_mistake, copied, time_in_milliseconds
 from .hypotheses import SetUp, hypotheses, turned_frame
 from .plausible import COUNTED, NOT_COMPUTED, Plausible, as_fitted, only_shift, plausible_fit, thinned
 
@@ -66,8 +66,7 @@ def set_up_mistakes(model: ModelWithEffects, data: Measurements, values: Floats 
 
     ``values`` (p,) are those of a fit, None where there is none, as where rows cannot be reached.
     """
-    late = time_in_milliseconds(data)
-    out = [Mistake(late)] if late else []
+    out = [Mistake(told) for told in (time_in_milliseconds(data), copied(data)) if told]
     if not data.layout.follows:
         # what is wrong is told by how far readings move
         return tuple(out)

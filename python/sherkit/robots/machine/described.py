@@ -68,9 +68,10 @@ class Described(Saved, Shown):
         if len(units) > 1:
             raise RobotError(f"readings: expected one unit for all, got {listed(sorted(units))}")
         for parameter, told in self.parameters.items():
-            if not parameter.isidentifier() or not isinstance(told, tuple) or len(told) != 2 or not told[1] > 0:
+            if not parameter.isidentifier() or not _is_unit_and_size(told):
                 raise RobotError(
-                    f"parameter '{parameter}': expected a name for Python code, with unit and plausible size"
+                    f"parameter '{parameter}': expected a name for Python code, with unit and plausible size such as "
+                    f'("mm", 0.5), got {told!r}'
                 )
         if not isinstance(self.columns, Mapping) or not all(isinstance(one, str) for one in self.columns.values()):
             raise RobotError(f"columns: expected names of the file by those of the machine, got {self.columns!r}")
@@ -185,6 +186,14 @@ class Described(Saved, Shown):
 
     def __repr__(self) -> str:
         return f"Machine({self.name}: {listed(self.joint_names)} → {listed(self.readings)})"
+
+
+def _is_unit_and_size(told: object) -> bool:
+    """Whether this is ("mm", 0.5) or the like."""
+    if not isinstance(told, tuple) or len(told) != 2:
+        return False
+    unit, size = told
+    return isinstance(unit, str) and isinstance(size, int | float | np.number) and bool(0 < size < np.inf)
 
 
 def _called(function: Forward) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ...errors import FitError, SherkitError
 from ...model.parameter import Parameter
+from ...names import listed
 from ...types import Floats
 from .derivative import AGREE, Steps, steps_for
 
@@ -63,13 +64,16 @@ class UserFunction:
         p = SimpleNamespace(**{one.name: column for one, column in zip(self.parameters, columns, strict=True)})
         try:
             with np.errstate(all="ignore"):
-                out = np.asarray(self.forward(joints, p))
+                # a copy: what the function does to it must not reach the run
+                out = np.asarray(self.forward(joints.copy(), p))
         except SherkitError:
             raise
         except Exception as error:
             if np.iscomplexobj(joints):
                 raise
-            raise FitError(f"the model's function '{self.name}' failed: {type(error).__name__}: {error}") from error
+            raise FitError(
+                f"the model's function '{self.name}' failed: {type(error).__name__}: {error}{self._hint(error)}"
+            ) from error
         expected = (len(joints), len(self.readings))
         if out.shape != expected:
             raise FitError(
@@ -79,6 +83,13 @@ class UserFunction:
         if out.dtype.kind not in "fciu":
             raise FitError(f"the model's function '{self.name}' gives {out.dtype} and no numbers")
         return out
+
+    def _hint(self, error: Exception) -> str:
+        """What was meant, where a parameter is asked for that is none, or in another way."""
+        if "SimpleNamespace" not in str(error):
+            return ""
+        names = listed([one.name for one in self.parameters]) or "none"
+        return f"; parameters are asked for as p.name, and this machine's are {names}"
 
     def _beside(self, at: NDArray[Any]) -> NDArray[Any]:
         """The function of joints and parameters side by side (n, k + p)."""
