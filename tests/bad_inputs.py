@@ -157,6 +157,17 @@ BAD = (
         "a row too short", ("line 4 has 7 cells", "header has 8"), _line(4, "1,2,128.923,128.923,128.923,0.013,-0.019")
     ),
     Bad(
+        "lines above the names",
+        ("line 4 has 8 cells", "names of the columns stand in line 4", "put #"),
+        "Tracker 4711\nOperator: somebody\n\n" + GOOD,
+    ),
+    Bad(
+        "times of day",
+        ("line 2, column 'time_s': '09:00:20'", "expected seconds"),
+        "\n".join(f"{line},{'time_s' if k == 0 else f'09:00:{20 + k - 1}'}" for k, line in enumerate(GOOD.splitlines()))
+        + "\n",
+    ),
+    Bad(
         "decimal commas between commas",
         ("line 3 has 14 cells", "header has 8", "semicolons"),
         GOOD.replace(".", ","),

@@ -125,7 +125,10 @@ def _numbers(column: pl.Series, name: str, place: str, line: Ints, layout: c.Lay
     if bad.any():
         if not known and bad.sum() > 0.5 * (len(raw) - raw.null_count()):
             return None
-        _refuse(place, line, bad, name, f"'{raw[int(np.argmax(bad))]}' is not a number{hint}")
+        first = raw[int(np.argmax(bad))]
+        if name == c.TIME and ":" in first:
+            hint = "; expected seconds, counted from any moment"
+        _refuse(place, line, bad, name, f"'{first}' is not a number{hint}")
     missing = number.is_null().to_numpy()
     # NaN is how pandas and NumPy say "nothing"; in a file it is a number that went wrong
     broken = np.isinf(values) | (np.abs(values) > _LARGEST) | (np.isnan(values) & ~missing if text else False)

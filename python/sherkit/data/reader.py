@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterator
 from contextlib import suppress
 from itertools import chain, islice
@@ -143,6 +144,8 @@ def _block(
         found, wanted = len(row), len(names)
         if found != wanted:
             hint = "; decimal commas need semicolons between cells" if found > wanted and separator == "," else ""
+            if found > wanted and not any(map(_is_number, row)):
+                hint = f"; if the names of the columns stand in line {number}, put # before the lines above it"
             raise MeasurementError(f"{path}: line {number} has {found} cells, the header has {wanted}{hint}")
         lines.append(number)
         cells.append(row)
@@ -158,6 +161,10 @@ def _frame(rows: str | list[list[str]], names: list[str], separator: str) -> pl.
     else:
         frame = pl.DataFrame(rows, schema=schema, orient="row")
     return frame.select(pl.col(str(k)).alias(name) for k, name in enumerate(names) if name)
+
+
+def _is_number(cell: str) -> bool:
+    return bool(re.fullmatch(r"\s*[-+]?[\d.,]*\d[\d.,eE+-]*\s*", cell))
 
 
 def _not_text(path: Path) -> MeasurementError:
