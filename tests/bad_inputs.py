@@ -111,6 +111,13 @@ def _poses() -> str:
     return "\n".join(lines) + "\n"
 
 
+def _times_of_day() -> str:
+    """The good file with times in its last column, one of them by the clock."""
+    note, names, *rows = GOOD.splitlines()
+    times = ["0", "20", "09:00:40", *(str(20 * k) for k in range(3, len(rows)))]
+    return "\n".join([note, f"{names},time_s", *(f"{row},{t}" for row, t in zip(rows, times, strict=True))]) + "\n"
+
+
 BAD = (
     Bad("a reading in micrometres", ("'x_um'", "millimetres", "'x_mm'"), GOOD.replace("x_mm", "x_um")),
     Bad("a unit in the header", ("'x [um]'", '[columns] x_mm = "x [um]"'), GOOD.replace("x_mm", "x [um]")),
@@ -158,15 +165,10 @@ BAD = (
     ),
     Bad(
         "lines above the names",
-        ("line 4 has 8 cells", "names of the columns stand in line 4", "put #"),
-        "Tracker 4711\nOperator: somebody\n\n" + GOOD,
+        ("line 3 has 8 cells", "names of the columns stand in line 3", "put #"),
+        "Tracker 4711\n" + GOOD,
     ),
-    Bad(
-        "times of day",
-        ("line 2, column 'time_s': '09:00:20'", "expected seconds"),
-        "\n".join(f"{line},{'time_s' if k == 0 else f'09:00:{20 + k - 1}'}" for k, line in enumerate(GOOD.splitlines()))
-        + "\n",
-    ),
+    Bad("times of day", ("line 5, column 'time_s': '09:00:40'", "expected seconds"), _times_of_day()),
     Bad(
         "decimal commas between commas",
         ("line 3 has 14 cells", "header has 8", "semicolons"),
