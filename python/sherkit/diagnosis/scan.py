@@ -28,7 +28,7 @@ _LEFT = 0.02
 #: The same for physical effects, whose derivatives are exact.
 _LEFT_EXACT = 1e-4
 #: Part of the readings of all poses that parameters take, from which on what they take of each pose counts.
-_PULLED = 0.02
+_PULLED = 0.04
 #: A pose that leaves less of a direction to the others decides it alone.
 _DECIDES = 1e-6
 #: Part of a deviate within which two are equal.
