@@ -67,6 +67,13 @@ class Folds:
         w = list(which)
         return Folds(self.grams[:, w][:, :, w], self.right[:, w], self.squares, self.counts, self.place, self.length[w])
 
+    def deal(self, k: int) -> Folds:
+        """Those of one deal."""
+        count = len(self) // len(self.place)
+        own = slice(k * count, (k + 1) * count)
+        place = self.place[k : k + 1] - own.start
+        return Folds(self.grams[own], self.right[own], self.squares[own], self.counts[own], place, self.length)
+
     def _outside(self, inside: Floats | Ints) -> Floats:
         """Of something summed over each fold, what is outside it, within its deal."""
         deals = inside.reshape(len(self.place), -1, *inside.shape[1:])
