@@ -9,13 +9,14 @@ import numpy as np
 from ..fit.set_up import Mistake
 from ..names import listed
 from ..types import Floats, Ints
-from .claims import APART, AS_DRAWN, LOOSE, POSES_AS_REPEATS, SMALL, Claim
+from .claims import APART, AS_DRAWN, DIGITS, LOOSE, POSES_AS_REPEATS, SMALL, Claim
 from .earned import Earned
 from .fitted_run import FittedRun
 from .lack_of_fit import LackOfFit
 from .named import Named
 from .one_unknown import OneUnknown
 from .outliers import in_one_go, spans
+from .rounded import Rounded, rounded
 from .sizes import ABSURD, PLAUSIBLE, largest, sizes_of
 from .steady import Wander
 
@@ -50,19 +51,22 @@ def claims_of(
     out = [_set_up(mistakes, final), _converged(final, used), _plausible(final, used)]
     out += [_as_drawn(final, used), _gross(final, wild), *_apart(final, wild)]
     p = found.result.p_left if not found.result.signature else found.result.p_first
-    out.append(
-        Claim(
-            "nothing_left", "no effect and no shape takes anything from what is left", used,
-            f"familywise over {len(found.result.stages[-1].scan.candidates)} effects and shapes",
-            holds=p > level and not found.result.signature, p=p, fails="what is left has a structure",
-        )
+    left = Claim(
+        "nothing_left", "no effect and no shape takes anything from what is left", used,
+        f"familywise over {len(found.result.stages[-1].scan.candidates)} effects and shapes",
+        holds=p > level and not found.result.signature, p=p, fails="what is left has a structure",
     )  # fmt: skip
-    out.append(_poses(final, fitness, shaped=bool(found.result.signature)))
     error = found.steps[-1].held_out_rms
     small = _small(final, error, sigma, origin, by_noise)
-    out.append(small)
+    fails = not left.holds or small.holds is False or (fitness is not None and fitness.counts)
+    known = origin != "unknown"
+    # few poses predict worse than they were read: what is their own tells more
+    beyond = fitness.size if fitness else float(np.sqrt(max(error**2 - known * _noise(final, sigma) ** 2, 0.0)))
+    steps = rounded(final, beyond, sigma, noise_known=known) if fails else None
+    out += [left, _poses(final, fitness, followed=bool(found.result.signature) or steps is not None), small]
     if (loose := _loosely(final, small, error, sigma)) is not None:
         out.append(loose)
+    out.append(_digits(steps, used, asked=fails))
     out.append(_steady(final, wander, used))
     if unknown is not None:
         out.append(_several(unknown))
@@ -173,7 +177,7 @@ def _apart(final: FittedRun, wild: Ints) -> list[Claim]:
     ]  # fmt: skip
 
 
-def _poses(final: FittedRun, fitness: LackOfFit | None, *, shaped: bool) -> Claim:
+def _poses(final: FittedRun, fitness: LackOfFit | None, *, followed: bool) -> Claim:
     tested = "poses are as near to the model as their repeats are to one another"
     if fitness is None:
         return Claim(POSES_AS_REPEATS, tested, "no rows", "too few poses were repeated", holds=None)
@@ -184,13 +188,21 @@ def _poses(final: FittedRun, fitness: LackOfFit | None, *, shaped: bool) -> Clai
     declare = f"columns {columns}" + (f", or {file} in the robot file" if file else "")
     return Claim(
         POSES_AS_REPEATS, tested, f"{fitness.poses} repeated poses", told, holds=not fitness.counts, p=fitness.p,
-        # what has a shape is not each pose's own
-        fails=told if shaped else (
+        # what follows something is not each pose's own
+        fails=told if followed else (
             f"{told}, which no effect and no shape follows: look at what differs from pose to pose but not between "
             "repeats (how the marker is found, seating, a reading taken before it is still); where that is known, "
             f"declare it: {declare}"
         ),
     )  # fmt: skip
+
+
+def _digits(steps: Rounded | None, used: str, *, asked: bool) -> Claim:
+    tested = "columns have digits enough"
+    told = "what is left is not what steps of their columns leave" if asked else "nothing asks for more of them"
+    if steps is not None:
+        told = str(steps)
+    return Claim(DIGITS, tested, used, told, holds=steps is None, decisive=False, fails=told)
 
 
 def _steady(final: FittedRun, wander: Wander | None, used: str) -> Claim:

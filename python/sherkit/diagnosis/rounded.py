@@ -1,0 +1,158 @@
+"""Digits that a file leaves out: columns that stand in steps, and what these alone do to what a fit leaves.
+
+A joint that is written in steps of g is wrong by up to g/2, the same whenever the robot stands there; a reading is
+rounded after its noise, so that repeats agree on a part of the error that grows as the noise gets small.
+Source: Widrow and Kollár, *Quantization Noise* (2008), chapters 4 and 5: the variance g²/12, and the characteristic
+function from which :func:`shared_by_repeats` follows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from ..data import Measurements
+from ..data.columns import unit_in
+from ..errors import SherkitError
+from ..figures import sized
+from ..names import listed
+from ..types import Floats
+from .fitted_run import FittedRun
+
+#: Different values from which steps can be read, so many that are looked at first, and how far values may stand beside
+#: a step, in steps.
+_FEWEST = 8
+_FIRST = 256
+_BESIDE = 0.01
+#: The smallest difference between values may be this many steps.
+_MOST_STEPS = 100
+#: What is left beyond noise is that of steps where it has this part of its square at least, at most this many
+#: of it; of what is left with a noise that nobody knows, this part.
+_SHARE = (0.5, 1.7)
+_SHARE_WITH_NOISE = 0.25
+#: Rows that tell how a joint moves a reading.
+_ROWS = 2000
+#: Terms of a series whose terms fall at least as 1/k²: what is cut off is less than 1 % of its sum.
+_TERMS = 200
+
+
+@dataclass(frozen=True)
+class Rounded:
+    """Columns that stand in steps, and the error per reading that these alone would leave, in the unit of the run."""
+
+    steps: tuple[str, ...]
+    size: float
+    unit: str
+    joints: bool
+
+    def __str__(self) -> str:
+        cure = (
+            "write joints with all the digits that the encoders give; if the robot was exactly there, look elsewhere"
+            if self.joints else "write what the instrument read with all its digits"
+        )  # fmt: skip
+        return f"{'; '.join(self.steps)}: that alone leaves {self.size:.2g} {self.unit}; {cure}"
+
+
+def step_of(values: Floats) -> float:
+    """The largest step of which all differences between ``values`` (n,) are multiples; zero where there is none.
+
+    Values that are no further apart than rounding are one.
+    """
+    apart = _apart(values[np.unique(np.linspace(0, len(values) - 1, min(len(values), _FIRST)).astype(np.int64))])
+    if len(apart) < _FEWEST - 1:
+        return 0.0
+    every = _apart(values)
+    for several in range(1, _MOST_STEPS + 1):
+        step = _fitted(apart, apart.min() / several)
+        if _are_multiples(apart, step) and _are_multiples(every, step := _fitted(every, step)):
+            return step
+    return 0.0
+
+
+def _apart(values: Floats) -> Floats:
+    """Differences between neighbours among different values; such as are no further apart than rounding are one."""
+    u = np.unique(values)
+    apart = np.diff(u)
+    return apart[apart > 1e-12 * max(abs(u[0]), abs(u[-1]))]
+
+
+def _fitted(apart: Floats, step: float) -> float:
+    """A step from the whole range, which tells it better than two values."""
+    return float(apart.sum() / np.rint(apart / step).sum())
+
+
+def _are_multiples(apart: Floats, step: float) -> bool:
+    count = apart / step
+    return bool((np.abs(count - np.rint(count)) < _BESIDE).all())
+
+
+def shared_by_repeats(step: float, spread: float) -> float:
+    """The standard deviation of the error that rounding to ``step`` leaves in the mean of many repeats, where these
+    differ by ``spread``.
+
+    Of Gaussian noise σ the mean error at a place is a Fourier series in the place, with the variance
+    B² = g²/(2π²) Σ exp(-(2πkσ/g)²)/k²; repeats then differ by σ² + g²/12 - B² (Widrow and Kollár, 4.3 and 5).
+    """
+    k = np.arange(1, _TERMS)
+
+    def square(sigma: float) -> float:
+        return float(step**2 / (2 * np.pi**2) * (np.exp(-((2 * np.pi * k * sigma / step) ** 2)) / k**2).sum())
+
+    def beyond(sigma: float) -> float:
+        return sigma**2 + step**2 / 12 - square(sigma) - spread**2
+
+    if beyond(0.0) >= 0:
+        return float(np.sqrt(square(0.0)))
+    return float(np.sqrt(square(float(scipy.optimize.brentq(beyond, 0.0, spread + step)))))
+
+
+def rounded(run: FittedRun, beyond: float, sigma: Floats, *, noise_known: bool) -> Rounded | None:
+    """What columns in steps leave, where that is as much as what is left ``beyond`` the noise, the RMS of readings in
+    the unit of the run; else None. ``sigma`` (columns,) is the noise of a reading; where it is not known, what is left
+    has it in it."""
+    axes = list(run.axes)
+    rows = np.flatnonzero(run.whole)
+    data = run.data.select(rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _ROWS)).astype(np.int64))])
+    least = _SHARE[0] if noise_known else _SHARE_WITH_NOISE
+    by_joints = _of_joints(run, data, run.data.joints[rows])
+    by_readings = {}
+    for a in axes:
+        step = step_of(run.data.readings[rows, a])
+        left = shared_by_repeats(step, float(sigma[a])) if noise_known and step else step / np.sqrt(12.0)
+        by_readings[run.data.layout.readings[a]] = (step, left * run.per_unit / np.sqrt(len(axes)))
+    for joints, parts in ((True, by_joints), (False, by_readings)):
+        square = sum(left**2 for _, left in parts.values())
+        if 0 < least * beyond**2 <= square <= _SHARE[1] * beyond**2:
+            return Rounded(_told(parts, square), float(np.sqrt(square)), run.unit, joints)
+    return None
+
+
+def _of_joints(run: FittedRun, data: Measurements, joints: Floats) -> dict[str, tuple[float, float]]:
+    """The step of each joint (k, joints) and what it leaves, RMS of readings, in the unit of the run."""
+    out = {}
+    for j, name in enumerate(data.layout.joints):
+        step = step_of(joints[:, j])
+        half = np.zeros(joints.shape[1])
+        half[j] = 0.5 * step
+        try:
+            ends = [
+                run.model.predict(replace(data, joints=data.joints + s * half), run.fit.values) for s in (-1.0, 1.0)
+            ]
+        except SherkitError:
+            # a place that the robot cannot reach
+            return {}
+        moved = (ends[1] - ends[0])[:, list(run.axes)]
+        out[name] = (step, run.per_unit * float(np.sqrt(np.mean(moved**2) / 12.0)))
+    return out
+
+
+def _told(parts: dict[str, tuple[float, float]], square: float) -> tuple[str, ...]:
+    """Columns that matter, by their step."""
+    told: dict[str, list[str]] = {}
+    for name, (step, left) in parts.items():
+        if left**2 > 0.02 * square:
+            told.setdefault(sized(step, unit_in(name)), []).append(name)
+    verb = {True: "stands", False: "stand"}
+    return tuple(f"{listed(names)} {verb[len(names) == 1]} in steps of {step}" for step, names in told.items())
