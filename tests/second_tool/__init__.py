@@ -1,6 +1,7 @@
 """A second simulator of the flexible tool: exact rod, true kinematics about the hole, fibres as strains.
 
 It shares nothing with the package whose tests use it, and imports nothing of it; agreement is then evidence.
+:class:`World` is a world of chosen conditions, :class:`Wide` one whose every convention and error a seed draws.
 """
 
 from . import faults
@@ -8,6 +9,7 @@ from .conditions import CONDITIONS, FAULTS
 from .honesty import Honesty, honesty, pooled
 from .motion import EXPERIMENTS
 from .rod import Rod
+from .wide import Wide, WideRun
 from .world import Gratings, Recorded, World, write_csv
 
 __all__ = [
@@ -18,6 +20,8 @@ __all__ = [
     "Honesty",
     "Recorded",
     "Rod",
+    "Wide",
+    "WideRun",
     "World",
     "faults",
     "honesty",
