@@ -38,7 +38,7 @@ def run(chosen: list[str], rows: int | None, rounds: int) -> str:
         "delta": kinematics.delta, "spherical": kinematics.spherical, "projection": kinematics.projection,
         "identification": fitting.identification, "study": fitting.study, "bernstein": fitting.bernstein,
         "streaming": fitting.streaming, "diagnosis": diagnosing.diagnosis, "growth": diagnosing.growth,
-        "starting": starting.starting, "tables": starting.tables, "filter": tool.tip_filter, "loop": tool.control_loop,
+        "starting": starting.starting, "tables": starting.tables, "filter": tool.paper_filters, "loop": tool.control_loop,  # noqa: E501
         "arms": arm.arms,
     }  # fmt: skip
     bench = Bench(rounds)

@@ -12,7 +12,7 @@ import filterpy_tool
 import numpy as np
 from timing import Bench, Timed
 
-import sherkit as sk
+from sherkit import _core
 
 ROOT = Path(__file__).parent.parent
 
@@ -22,23 +22,23 @@ def built(*command: str) -> str:
     return subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout
 
 
-def tip_filter(bench: Bench) -> None:
-    """A recorded run, from Python, and one step, in Rust."""
+def paper_filters(bench: Bench) -> None:
+    """A recorded run through the paper's filters, from Python, and one step of them and of the tool's, in Rust."""
     run = filterpy_tool.recorded(100_000)
-    n = len(run.times_s)
-    beam, noise = sk._core.ToolBeam.ebrahimi_2020(), sk._core.FilterNoise.ebrahimi_2020()
-    poses = np.hstack([run.rotations.reshape(n, 9), run.shifts_mm])
-    depths = np.column_stack([run.depths_mm, np.zeros(n)])
-    measured = np.zeros((n, 11))
-    measured[:, 0], measured[:, 1:3], measured[:, 7] = run.times_s, run.forces_mN, run.depths_mm
+    gratings = filterpy_tool.GAINS, filterpy_tool.DISTANCES_MM, filterpy_tool.REFERENCE_NM, filterpy_tool.NOISE_NM
+    beam, there = _core.ToolBeam.ebrahimi_2020(), np.ones(len(run.times_s), dtype=bool)
+    start = filterpy_tool.START_MM, filterpy_tool.START_MM2, 0.0
 
     def ours() -> np.ndarray:
-        tip = sk._core.TipFilter(beam, poses[0], 1.0, 0.0, noise)
-        return tip.filter(run.times_s, run.velocities_mm_s, poses, depths, measured)[0]
+        both = _core.PaperFilter(*gratings, beam, start, run.poses[0])
+        return both.run(run.times_s, run.poses, run.times_s, run.wavelengths_nm, there)["state"]
 
-    assert np.abs(filterpy_tool.TipFilter(run).whole() - ours()).max() < 1e-6
-    runs = {"sherkit": ours, "filterpy, step by step": lambda: filterpy_tool.TipFilter(run).whole()}
-    bench.compare("tip filter over a recorded run of 100,000 steps, from Python", runs, 3, goal="100 ×")
+    def theirs() -> np.ndarray:
+        return filterpy_tool.PaperFilters(run).whole()
+
+    assert np.abs(theirs() - ours()).max() < 1e-6
+    runs = {"sherkit": ours, "filterpy, step by step": theirs}
+    bench.compare("the paper's filters over a recorded run of 100,000 steps, from Python", runs, 3, goal="100 ×")
     step_time = ("cargo", "run", "--quiet", "--release", "--locked", "-p", "sherkit-core", "--example", "step_time")
     for line in built(*step_time).splitlines():
         said = re.fullmatch(r"(.*\S)\s+([\d.]+) ns(.*)", line)
@@ -57,7 +57,7 @@ def control_loop(bench: Bench) -> None:
     folder = f"{target}/loop"
     built("cmake", "-S", "rust/c/examples/loop", "-B", folder, f"-DSHERKIT_TARGET_DIR={target}")
     built("cmake", "--build", folder)
-    print("1 kHz loop in C++: fibres, the tool's filter, the paper's two and inverse kinematics in every step")
+    print("1 kHz loop in C++: fibres, the tool's filter, the paper's and inverse kinematics in every step")
     said = built(f"{folder}/loop", "--seconds", "30", "--load", str(max(1, (os.cpu_count() or 2) - 1)))
     print(said)
     for what, line in re.findall(r"^(a step takes|it begins late by) (.*)$", said, re.MULTILINE):

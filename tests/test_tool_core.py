@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from plain_tool import plain_filter
 from sherkit import _core
 from sherkit.errors import FitError, NotFinite, RobotError, ShapeError
 
@@ -20,8 +21,6 @@ NOISE_NM = 2e-4
 SENSOR = _core.ToolSensor(GAINS, DISTANCES, REFERENCE, NOISE_NM)
 BEAM = _core.ToolBeam.ebrahimi_2020()
 LENGTH, STIFFNESS = 60.0, 3.39e6 / 3.0
-PROPAGATED = _core.FilterNoise.propagated((0.5, 2.0), (1e-3, 1e-4))
-PAPER = _core.FilterNoise.ebrahimi_2020()
 COUNTED = ("updated", "missing", "late", "not_finite", "no_force", "no_motion", "clock")
 
 
@@ -42,7 +41,7 @@ def rotations(angles: Floats) -> Floats:
 
 
 def recorded(n: int, seed: int = 3) -> dict[str, Any]:
-    """A run in which the force comes and goes, measurements drop out, come late, or are not finite."""
+    """A run in which the force comes and goes, readings drop out, come late, or are not finite."""
     rng = np.random.default_rng(seed)
     times = 0.005 * np.arange(1, n + 1)
     depths = 10.0 + 5.0 * np.sin(2.0 * times)
@@ -50,20 +49,30 @@ def recorded(n: int, seed: int = 3) -> dict[str, Any]:
     w = wavelengths(forces, depths, 0.01 * np.sin(times)) + NOISE_NM * rng.normal(size=(n, 9))
     stamps = np.where(rng.random(n) < 0.02, times - 0.02, times)
     w[rng.random(n) < 0.02] = np.nan
-    measurements, _, _, _, codes = SENSOR.measure_batch(stamps, w)
     turned = rotations(0.3 + 0.2 * np.sin(times))
     shifts = np.stack([np.sin(times), np.cos(times), depths], axis=1)
-    velocities = rng.normal(size=(n, 3))
-    velocities[rng.random(n) < 0.01] = np.inf
+    shifts[rng.random(n) < 0.01] = np.inf
     return {
         "times": times,
-        "velocities": velocities,
         "poses": np.ascontiguousarray(np.hstack([turned.reshape(n, 9), shifts])),
-        "depths": np.stack([depths, np.full(n, 0.01)], axis=1),
-        "measurements": measurements,
+        "stamps": stamps,
+        "wavelengths": w,
         "present": rng.random(n) > 0.1,
-        "codes": codes,
     }
+
+
+def filters(pose: Floats) -> dict[str, Any]:
+    """Both filters at their start."""
+    start = (8.0, 4.0, 0.0)
+    doubts = (0.1, 0.005, 0.002, 1e-4, 0.003, 0.02, 0.02, 1.0)
+    none = np.zeros((2, 2))
+    return {
+        "rod": _core.ToolFilter(
+            GAINS, none, DISTANCES, REFERENCE, NOISE_NM, np.zeros((2, 3)), BEAM, 1e-3 * np.eye(3), none, doubts, 0.5,
+            0.004, start, pose,
+        ),
+        "paper": _core.PaperFilter(GAINS, DISTANCES, REFERENCE, NOISE_NM, BEAM, start, pose),
+    }  # fmt: skip
 
 
 def test_fibres_tell_force_and_depth_as_numpy_says() -> None:
@@ -150,8 +159,9 @@ def test_the_beam_bends_as_the_second_integral_of_its_moment() -> None:
 def test_the_tip_and_its_covariance_follow_from_the_measurement() -> None:
     """Catches a pose read by columns, and a covariance that forgets how depth goes with force."""
     run = recorded(40)
-    with_force = (run["codes"] == 0) & (run["measurements"][:, 8] < 1)
-    m, poses = run["measurements"][with_force], run["poses"][with_force]
+    measured, _, _, _, codes = SENSOR.measure_batch(run["stamps"], run["wavelengths"])
+    with_force = (codes == 0) & (measured[:, 8] < 1)
+    m, poses = measured[with_force], run["poses"][with_force]
     forces, depths = np.ascontiguousarray(m[:, 1:3]), np.ascontiguousarray(m[:, 7])
     tips = BEAM.tip_batch(forces, depths, poses)
     deflections, by = BEAM.deflection_batch(forces, depths)
@@ -162,91 +172,49 @@ def test_the_tip_and_its_covariance_follow_from_the_measurement() -> None:
         np.testing.assert_allclose(found, b[:, :3] @ p @ b[:, :3].T, rtol=1e-9)
 
 
-def filters(noise: _core.FilterNoise, run: dict[str, Any]) -> list[tuple[Any, tuple[Any, ...]]]:
-    """Each filter at its start, with the columns that its run takes before the measurements."""
-    pose = run["poses"][0]
-    along = np.ascontiguousarray(run["velocities"][:, 2])
-    return [
-        (_core.DepthFilter(8.0, 4.0, 0.0, noise), (along,)),
-        (_core.TipFilter(BEAM, pose, 1.0, 0.0, noise), (run["velocities"], run["poses"], run["depths"])),
-    ]
-
-
-@pytest.mark.parametrize("noise", [PAPER, PROPAGATED], ids=["paper", "propagated"])
-def test_steps_and_a_whole_run_agree_to_the_last_bit(noise: _core.FilterNoise) -> None:
-    """Catches a row that is read differently by the two, a status or a NIS of the wrong step, a lost measurement."""
+@pytest.mark.parametrize("name", ["rod", "paper"])
+def test_steps_and_a_whole_run_agree_to_the_last_bit(name: str) -> None:
+    """Catches a row that is read differently by the two, a status or a NIS of the wrong step, a lost reading."""
     run = recorded(600)
-    for filter_, columns in filters(noise, run):
-        single = filter_.copy()
-        n = len(run["times"])
-        means, covariances, status, nis, degrees = filter_.filter(
-            run["times"], *columns, run["measurements"], run["present"]
-        )
-        for i in range(n):
-            measurement = run["measurements"][i] if run["present"][i] else None
-            inputs = [tuple(c[i]) if c is run["depths"] else c[i] for c in columns]
-            assert single.step(run["times"][i], *inputs, measurement) == status[i]
-            last = single.statistics()
-            assert (last["nis_last"], last["nis_last_degrees"]) == (nis[i], degrees[i])
-            if isinstance(single, _core.DepthFilter):
-                found, spread = np.array([single.depth_mm]), np.array([[single.variance]])
-            else:
-                found, spread = single.tip_mm, single.covariance
-            np.testing.assert_array_equal(found, means[i])
-            np.testing.assert_array_equal(spread, covariances[i])
-        assert single.statistics() == filter_.statistics()
-        assert single.time_s == filter_.time_s == run["times"][-1]
-        flags = {name: getattr(_core, f"STATUS_{name.upper()}") for name in COUNTED}
-        assert {name: int(((status & flag) != 0).sum()) for name, flag in flags.items()} == {
-            name: filter_.statistics()[name] for name in COUNTED
-        }
-        assert all(filter_.statistics()[name] > 0 for name in COUNTED[:4])
-
-
-def test_the_depth_filter_is_the_textbook_s() -> None:
-    """Catches a process noise per step taken per second, a gain or a NIS that is not Eq. 8's."""
-    run = recorded(400)
-    run["velocities"][~np.isfinite(run["velocities"])] = 0.0
-    filter_ = _core.DepthFilter(8.0, 4.0, 0.0, PAPER)
-    v = np.ascontiguousarray(run["velocities"][:, 2])
-    means, covariances, status, nis, _ = filter_.filter(run["times"], v, run["measurements"], run["present"])
-    x, p, before = 8.0, 4.0, 0.0
+    filter_ = filters(run["poses"][0])[name]
+    single = filter_.copy()
+    told = filter_.run(run["times"], run["poses"], run["stamps"], run["wavelengths"], run["present"])
     for i, t in enumerate(run["times"]):
-        x, p, before = x + v[i] * (t - before), p + 0.0025, t
-        if status[i] & _core.STATUS_UPDATED:
-            m = run["measurements"][i]
-            r = 1e6 if np.hypot(m[1], m[2]) < 50.0 else 0.005
-            s = p + r
-            np.testing.assert_allclose(nis[i], (m[7] - x) ** 2 / s, rtol=1e-7, atol=1e-12)
-            x, p = x + p / s * (m[7] - x), p * r / s
-        np.testing.assert_allclose([means[i, 0], covariances[i, 0, 0]], [x, p], rtol=1e-9)
+        reading = (run["stamps"][i], run["wavelengths"][i]) if run["present"][i] else ()
+        assert single.step(t, run["poses"][i], *reading) == told["status"][i]
+        last = single.statistics()
+        assert (last["nis_last"], last["nis_last_degrees"]) == (told["nis"][i], told["degrees"][i])
+        np.testing.assert_array_equal(
+            [single.depth_mm, *single.tip_mm, single.arc_mm], [*told["state"][i], told["arc_mm"][i]]
+        )
+        np.testing.assert_array_equal(single.covariance, told["covariance"][i])
+    assert single.statistics() == filter_.statistics()
+    assert single.time_s == filter_.time_s == run["times"][-1]
+    flags = {flag: getattr(_core, f"STATUS_{flag.upper()}") for flag in COUNTED}
+    counted = {flag: int(((told["status"] & bit) != 0).sum()) for flag, bit in flags.items()}
+    assert counted == {flag: filter_.statistics()[flag] for flag in COUNTED}
+    assert all(counted[flag] > 0 for flag in ("updated", "missing", "no_motion"))
+    assert counted["late"] > 0 or name == "paper"
+    assert np.isfinite(told["state"]).all()
+    assert np.isfinite(told["covariance"]).all()
 
 
-def test_calibration_finds_what_made_the_rows() -> None:
-    """Catches gains of another section, a stiffness for its triple, rows that are not finite taken for rows."""
-    rng = np.random.default_rng(5)
-    forces, depths = rng.normal(size=(200, 2)) * 100.0, rng.uniform(0, 25, 200)
-    w = wavelengths(forces, depths, rng.normal(size=200)) - REFERENCE
-    w[7, [1, 4]] = np.nan
-    for section in range(2):
-        shifts = np.ascontiguousarray(w[:, 3 * section : 3 * section + 3])
-        found = _core.tool_fit_gain(DISTANCES[section], shifts, forces, depths)
-        expected = GAINS[section] - GAINS[section].mean(axis=1, keepdims=True)
-        np.testing.assert_allclose(found["gain"], expected, rtol=1e-6, atol=1e-3)
-        assert found["used"].sum() == 199
-        assert not found["used"][7]
-    f, d = np.linspace(40, 150, 60), np.tile([0.0, 10.0, 20.0], 20)
-    at_tip = np.arange(60) % 2 == 0
-    contact = f * BEAM.contact_compliance_batch(d)
-    value, deviation = _core.tool_fit_slope(LENGTH, f, d, contact)
-    np.testing.assert_allclose(value, STIFFNESS, rtol=1e-9)
-    assert deviation < 1e-5 * value
-    bends = np.where(at_tip, f * BEAM.compliance_batch(d)[:, 0], contact)
-    bends[3] = np.inf
-    fit = _core.tool_fit_beam(f, d, bends, at_tip, _core.ToolBeam(55.0, 1e6))
-    np.testing.assert_allclose([fit["length_mm"], fit["stiffness"]], [LENGTH, STIFFNESS], rtol=1e-8)
-    assert fit["covariance"].shape == (2, 2)
-    assert fit["used"].sum() == 59
+def test_the_paper_s_filter_is_the_plain_one() -> None:
+    """Catches a process noise per second taken per step, a gain that is not Eq. 7's, a tip whose exact line is lost."""
+    run = recorded(800)
+    poses = run["poses"]
+    still = ~np.isfinite(poses).all(axis=1)
+    poses[still] = poses[np.maximum.accumulate(np.where(still, 0, np.arange(800)))[still]]
+    waves = np.where(run["present"][:, None], run["wavelengths"], np.nan)
+    told = filters(poses[0])["paper"].run(run["times"], poses, run["times"], run["wavelengths"], run["present"])
+    plain = plain_filter(
+        GAINS, DISTANCES, LENGTH, STIFFNESS, REFERENCE, poses[:, :9].reshape(-1, 3, 3), poses[:, 9:], waves, 8.0, 4.0
+    )
+    np.testing.assert_allclose(told["state"][:, 0], plain.depth_mm, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(told["covariance"][:, 0, 0], plain.variance, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(told["state"][:, 1:], plain.tip_mm, rtol=1e-9, atol=1e-9)
+    spread = np.einsum("nii->ni", told["covariance"])[:, 1:]
+    np.testing.assert_allclose(spread, plain.tip_variance, rtol=1e-8, atol=1e-11)
 
 
 @pytest.mark.parametrize("method", ["quaternion", "svd"])
@@ -292,46 +260,31 @@ def test_what_makes_no_sense_is_refused_in_words() -> None:
         _core.ToolSensor(GAINS, DISTANCES[::-1].copy(), REFERENCE, NOISE_NM)
     with pytest.raises(ShapeError, match="gains"):
         _core.ToolSensor(GAINS.reshape(2, 3, 2), DISTANCES, REFERENCE, NOISE_NM)
-    with pytest.raises(RobotError, match="zero or more"):
-        _core.FilterNoise.propagated((-1.0, 0.0), (0.0, 0.0))
-    with pytest.raises(RobotError, match="finite"):
-        _core.DepthFilter(np.nan, 1.0, 0.0, PAPER)
-    with pytest.raises(FitError, match="at least 3"):
-        _core.tool_fit_gain(28.0, np.zeros((2, 3)), np.zeros((2, 2)), np.zeros(2))
-    with pytest.raises(RobotError, match="above the section"):
-        _core.tool_fit_gain(28.0, np.zeros((1, 3)), np.zeros((1, 2)), np.array([40.0]))
     run = recorded(10)
-    filter_ = _core.DepthFilter(8.0, 1.0, 0.0, PAPER)
-    before = filter_.statistics()
-    with pytest.raises(ShapeError, match="measurement"):
-        filter_.step(0.1, 0.0, np.zeros(10))
-    with pytest.raises(ShapeError, match="present"):
-        filter_.filter(run["times"], np.zeros(10), run["measurements"], np.ones(9, dtype=bool))
-    with pytest.raises(ShapeError, match="velocities"):
-        filter_.filter(run["times"], np.zeros(9), run["measurements"])
-    assert filter_.statistics() == before
+    with pytest.raises(RobotError, match="finite"):
+        _core.PaperFilter(GAINS, DISTANCES, REFERENCE, NOISE_NM, BEAM, (np.nan, 1.0, 0.0), run["poses"][0])
+    for filter_ in filters(run["poses"][0]).values():
+        before = filter_.statistics()
+        with pytest.raises(ShapeError, match="wavelengths"):
+            filter_.step(0.1, run["poses"][0], 0.1, np.zeros(10))
+        with pytest.raises(ShapeError, match="present"):
+            filter_.run(run["times"], run["poses"], run["stamps"], run["wavelengths"], np.ones(9, dtype=bool))
+        with pytest.raises(ShapeError, match="poses"):
+            filter_.run(run["times"], run["poses"][:9], run["stamps"], run["wavelengths"], run["present"])
+        assert filter_.statistics() == before
 
 
 def test_a_run_of_no_steps_and_a_clock_that_stands_or_runs_back() -> None:
     """Catches a division by no steps, and a state that a wrong clock moves."""
-    filter_ = _core.DepthFilter(8.0, 1.0, 0.0, PAPER)
-    empty = filter_.filter(np.zeros(0), np.zeros(0), np.zeros((0, 11)))
-    assert [a.shape for a in empty] == [(0, 1), (0, 1, 1), (0,), (0,), (0,)]
-    times = np.array([0.1, 0.05, np.nan, 0.1])
-    _, _, status, _, _ = filter_.filter(times, np.ones(4), np.full((4, 11), np.nan), np.zeros(4, dtype=bool))
-    missing, clock = _core.STATUS_MISSING, _core.STATUS_CLOCK
-    assert status.tolist() == [missing, clock, clock, missing]
-    assert filter_.depth_mm == 8.1
-    assert filter_.time_s == 0.1
-
-
-def test_noise_by_name_says_its_numbers() -> None:
-    """Catches numbers of the paper mistyped, and two noises that are one."""
-    numbers = PAPER.numbers()
-    assert numbers["below"] == (1e6, 10.0)
-    assert numbers["above"] == (0.005, 0.002)
-    assert (numbers["at_mn"], numbers["of_force"]) == (50.0, False)
-    assert list(numbers["per_step"]) == [0.0025, 0.01]
-    assert _core.FilterNoise.ebrahimi_2020_of_force().numbers()["of_force"]
-    assert _core.FilterNoise.switched(50.0, (1e6, 10.0), (0.005, 0.002), (0.0025, 0.01)) == PAPER
-    assert PROPAGATED != PAPER
+    poses = recorded(4)["poses"][[0, 0, 0, 0]]
+    none = np.zeros(4, dtype=bool)
+    for filter_ in filters(poses[0]).values():
+        empty = filter_.run(np.zeros(0), np.zeros((0, 12)), np.zeros(0), np.zeros((0, 9)), none[:0])
+        assert empty["state"].shape == (0, 4)
+        assert empty["covariance"].shape == (0, 4, 4)
+        times = np.array([0.1, 0.05, np.nan, 0.1])
+        status = filter_.run(times, poses, times, np.full((4, 9), np.nan), none)["status"]
+        missing, clock = _core.STATUS_MISSING, _core.STATUS_CLOCK
+        assert status.tolist() == [missing, clock, clock, missing]
+        assert filter_.depth_mm == pytest.approx(8.0)
+        assert filter_.time_s == 0.1

@@ -145,7 +145,7 @@ def test_no_reading_is_lost_where_stamps_jitter() -> None:
     run = VirtualTool(TOOL).run("phantom", seconds=5.0)
     stamps = np.sort(run.time_s - 0.02 + 0.004 * rng.standard_normal(len(run)))
     there = stamps >= run.time_s[0]
-    _, _, at, waves, used = _ordered(run.time_s, run.poses, stamps, run.wavelengths_nm, there, "left")
+    _, _, at, waves, used = _ordered(run.time_s, run.poses, stamps, run.wavelengths_nm, there)
     assert used.sum() == there.sum()
     np.testing.assert_array_equal(at[used], stamps[there])
     np.testing.assert_array_equal(waves[used], run.wavelengths_nm[there])

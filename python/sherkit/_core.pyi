@@ -1,6 +1,6 @@
 """The compiled core: numerics in Rust. Arrays are float64 and contiguous; errors are ``sherkit.errors``."""
 
-from typing import Any, Self, final, type_check_only
+from typing import Any, final, type_check_only
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,15 +24,13 @@ __all__ = [
     "Camera",
     "DeltaKinematics",
     "DeltaModel",
-    "DepthFilter",
-    "FilterNoise",
+    "PaperFilter",
     "SerialCalibrated",
     "SerialModel",
     "Solver",
     "SphericalCalibrated",
     "SphericalKinematics",
     "SphericalModel",
-    "TipFilter",
     "ToolBeam",
     "ToolFilter",
     "ToolSensor",
@@ -46,9 +44,6 @@ __all__ = [
     "register_points",
     "spherical_camera_placement",
     "spread_rows",
-    "tool_fit_beam",
-    "tool_fit_gain",
-    "tool_fit_slope",
     "walsh_hadamard",
     "wave_sums",
 ]
@@ -398,9 +393,14 @@ class ToolBeam:
     def stiffness(self) -> float: ...
     @property
     def exact(self) -> bool: ...
-    def loads_batch(self, lateral_mn: _Floats, depths_mm: _Floats, distances_mm: tuple[float, float]) -> _Floats:
-        """Of loads with this part across the clamp's axis (n,): the moment over it at two distances from the tip, and
-        the deflection at the contact, mm (n, 3)."""
+    def loads_batch(
+        self, forces_mn: _Floats, depths_mm: _Floats, distances_mm: tuple[float, float], axial: bool, across: bool
+    ) -> _Floats:
+        """Of loads (n,) at depths (n,) as a bench reads them, the depth ``axial`` or by the shaft, the force
+        ``across`` the
+        clamp's axis or the shaft: force across the rod, length of shaft beyond it, moments at two distances from the
+        tip,
+        mN·mm, and the deflection of the contact, mm (n, 5)."""
 
     def compliance_batch(self, depths_mm: _Floats) -> _Floats:
         """Tip deflection per force, mm/mN, and its derivatives by depth, length and stiffness (n, 4)."""
@@ -420,116 +420,7 @@ class ToolBeam:
     def covariance_batch(self, measurements: _Floats) -> _Floats:
         """Covariance of the deflection's x and y (n, 2, 2), mm², from measurements (n, 11)."""
 
-@final
-class FilterNoise:
-    """What the filters trust. Pairs are (depth, tip) or, for measurements, (depth, across the shaft); mm²."""
-
-    @staticmethod
-    def ebrahimi_2020() -> FilterNoise: ...
-    @staticmethod
-    def ebrahimi_2020_of_force() -> FilterNoise: ...
-    @staticmethod
-    def propagated(
-        per_second: tuple[float, float],
-        floor: tuple[float, float],
-        per_step: tuple[float, float] = ...,
-    ) -> FilterNoise: ...
-    @staticmethod
-    def switched(
-        at_mn: float,
-        below: tuple[float, float],
-        above: tuple[float, float],
-        per_step: tuple[float, float],
-        per_second: tuple[float, float] = ...,
-        of_force: bool = False,
-    ) -> FilterNoise: ...
-    def numbers(self) -> dict[str, Any]: ...
-
-_Run = tuple[_Floats, _Floats, _Bytes, _Floats, _Bytes]
-
 class _ToolFilter:
-    """A filter of the flexible tool. ``step`` and ``filter`` run the same steps, to the last bit.
-
-    ``step`` returns the status, a sum of the STATUS flags. ``filter``: as many steps as there are times; a measurement
-    that ``present`` says is not there is missing. Returns estimates (n, k), covariances (n, k, k), status (n,), NIS
-    (n,) and its degrees of freedom (n,), and leaves the filter at the end. Velocities are mm/s, poses (n, 12) take the
-    tool's frame to the base.
-    """
-
-    @property
-    def time_s(self) -> float: ...
-    def statistics(self) -> dict[str, Any]: ...
-    def copy(self) -> Self: ...
-
-@final
-class DepthFilter(_ToolFilter):
-    """Insertion depth (1,), by Eq. 8. Velocities (n,) are those along the shaft."""
-
-    def __new__(cls, depth_mm: float, variance: float, time_s: float, noise: FilterNoise) -> DepthFilter: ...
-    def step(self, time_s: float, velocity_mm_s: float, measurement: _Floats | None = None) -> int: ...
-    def filter(
-        self, times_s: _Floats, velocities_mm_s: _Floats, measurements: _Floats, present: _Bools | None = None
-    ) -> _Run: ...
-    @property
-    def depth_mm(self) -> float: ...
-    @property
-    def variance(self) -> float: ...
-
-@final
-class TipFilter(_ToolFilter):
-    """The tip (3,), by Eqs. 10 to 14. Velocities (n, 3) are those of the unbent tip; ``depths`` (n, 2): mm, mm²."""
-
-    def __new__(
-        cls, beam: ToolBeam, pose: _Floats, variance: float, time_s: float, noise: FilterNoise
-    ) -> TipFilter: ...
-    def step(
-        self,
-        time_s: float,
-        velocity_mm_s: _Floats,
-        pose: _Floats,
-        depth: tuple[float, float],
-        measurement: _Floats | None = None,
-    ) -> int: ...
-    def filter(
-        self,
-        times_s: _Floats,
-        velocities_mm_s: _Floats,
-        poses: _Floats,
-        depths: _Floats,
-        measurements: _Floats,
-        present: _Bools | None = None,
-    ) -> _Run: ...
-    @property
-    def tip_mm(self) -> _Floats: ...
-    @property
-    def covariance(self) -> _Floats: ...
-
-@final
-class ToolFilter:
-    """Depth and tip from wavelengths and poses, with a deviation that owns to what the calibration does not know.
-
-    ``gains`` (2, 2, 3), mN·mm/nm, and their covariance by rows (2, 2, 3, 3); ``warmth`` (2, 3): how much more than its
-    section's mean each fibre answers to it; ``doubts``: deviations of a reference (nm), of the fibres' answers to
-    warmth among each other and of ``warmth``, of clearance and sections (mm); ``start``: depth (mm), its variance
-    (mm²), time (s).
-    """
-
-    def __new__(
-        cls,
-        gains: _Floats,
-        gain_covariance: _Floats,
-        distances_mm: _Floats,
-        reference_nm: _Floats,
-        noise_nm: float,
-        warmth: _Floats,
-        beam: ToolBeam,
-        beam_covariance: _Floats,
-        doubts: tuple[float, float, float, float, float],
-        clearance_mm: float,
-        per_second_mm2: float,
-        start: tuple[float, float, float],
-        pose: _Floats,
-    ) -> ToolFilter: ...
     def step(
         self, time_s: float, pose: _Floats, stamp_s: float | None = None, wavelengths_nm: _Floats | None = None
     ) -> int:
@@ -539,11 +430,19 @@ class ToolFilter:
         self, times_s: _Floats, poses: _Floats, stamps_s: _Floats, wavelengths_nm: _Floats, present: _Bools
     ) -> dict[str, Any]:
         """As many steps as there are times; by name ``state`` (n, 4), ``covariance`` (n, 4, 4), ``force_mn`` (n, 2),
-        and (n,) ``force_variance``, ``misfit``, ``nis``, ``degrees``, ``per_second_mm2``, ``faulty``, ``status``; for
-        smoothing ``noise`` (n,) and ``tied`` (n, k)."""
+        ``inner`` (n, 10) and (n,) ``arc_mm``, ``force_variance``, ``misfit``, ``nis``, ``degrees``, ``faulty``,
+        ``status``;
+        of the rows ``read`` (m,) whose reading was looked at ``smoothed`` (m, 3): by how much all readings move the
+        depth,
+        the one expected before it (mm), and its variance (mm²). ``inner``: pace of the hole along the shaft (mm²/s) and
+        across ((mm/s)²), clearance (mm), give (mm/mN), the gratings' turn (rad), how much deeper they are (mm), the
+        four
+        moments of no force (mN·mm)."""
 
     @property
     def depth_mm(self) -> float: ...
+    @property
+    def arc_mm(self) -> float: ...
     @property
     def tip_mm(self) -> _Floats: ...
     @property
@@ -555,28 +454,58 @@ class ToolFilter:
     @property
     def time_s(self) -> float: ...
     def statistics(self) -> dict[str, Any]: ...
-    def anew(self, start: tuple[float, float, float], pose: _Floats) -> ToolFilter:
-        """The same tool from another start, with what was learnt of how the eye moves: for a smoother."""
 
-    def copy(self) -> ToolFilter: ...
+@final
+class ToolFilter(_ToolFilter):
+    """Depth and tip from wavelengths and poses, by the rod, its pivot and its gratings.
 
-def tool_fit_gain(
-    distance_mm: float, shifts_nm: _Floats, forces_mn: _Floats, depths_mm: _Floats, noise_nm: float = 0.0
-) -> dict[str, Any]:
-    """Gains K (2, 3) of a section from wavelengths less those of the unloaded tool (n, 3), forces (n, 2), depths (n,).
-
-    Keys: gain, residual_covariance (2, 2), unit_covariance (3, 3), weakest, used (n,): rows that are finite.
+    ``gains`` (2, 2, 3), mN·mm/nm; ``means_nm`` (2, 2): what the mean of a section's fibres answers to a moment, nm per
+    mN·mm; ``warmth`` (2, 3): how much more than its section's mean each fibre answers to it; ``doubts``: deviations
+    of all
+    depths alike (mm), of the gratings' turn (rad), of a force (relative), of a reference (nm), of ``means_nm`` (over a
+    fibre's answer), of the fibres' answers to warmth among each other and of ``warmth``, of the clearance (mm);
+    ``depth_covariance`` (3, 3) of θ where the depth is off by θ₀ + θ₁ d/10 + θ₂ (d/10)²; ``start``: depth (mm), its
+    variance (mm²), time (s).
     """
 
-def tool_fit_slope(
-    length_mm: float, forces_mn: _Floats, depths_mm: _Floats, deflections_mm: _Floats, intercept: bool = False
-) -> tuple[float, float]:
-    """Stiffness EI and its standard deviation by the paper's slope, from bends measured at the contact (n,)."""
+    def __new__(
+        cls,
+        gains: _Floats,
+        means_nm: _Floats,
+        distances_mm: _Floats,
+        reference_nm: _Floats,
+        noise_nm: float,
+        warmth: _Floats,
+        beam: ToolBeam,
+        depth_covariance: _Floats,
+        beam_covariance: _Floats,
+        doubts: tuple[float, float, float, float, float, float, float, float],
+        clearance_mm: float,
+        per_second_mm2: float,
+        start: tuple[float, float, float],
+        pose: _Floats,
+    ) -> ToolFilter: ...
+    def copy(self) -> ToolFilter: ...
 
-def tool_fit_beam(
-    forces_mn: _Floats, depths_mm: _Floats, deflections_mm: _Floats, at_tip: _Bools, start: ToolBeam
-) -> dict[str, Any]:
-    """Length and stiffness together from bends (n,). Keys: length_mm, stiffness, covariance, residual_mm, used."""
+@final
+class PaperFilter(_ToolFilter):
+    """The paper's two filters as they are printed (Eqs. 8 and 14), with the noise of its section VII.
+
+    ``of_force``: its entries for the tip are variances of the force (mN²), not of the deflection (mm²).
+    """
+
+    def __new__(
+        cls,
+        gains: _Floats,
+        distances_mm: _Floats,
+        reference_nm: _Floats,
+        noise_nm: float,
+        beam: ToolBeam,
+        start: tuple[float, float, float],
+        pose: _Floats,
+        of_force: bool = False,
+    ) -> PaperFilter: ...
+    def copy(self) -> PaperFilter: ...
 
 def register_points(source: _Floats, target: _Floats, method: str = "quaternion") -> dict[str, Any]:
     """The rigid transform that takes points (n, 3) to points (n, 3), by "quaternion" or "svd".

@@ -108,7 +108,7 @@ class World:
         for fault in self.faults:
             waves = fault(t, waves)
         camera_t, camera = self._seen(t, tip, rng)
-        known = bent.depth_mm if m.touched and not m.held else None
+        known = self.rod.length_mm - bent.along_mm if m.touched and not m.held else None
         force = bent.force_mn[:, None] * way
         return Recorded(t, m.place_mm, m.turn_rad, waves, stamps, camera_t, camera, known, tip, force, bent)
 
@@ -116,7 +116,9 @@ class World:
         self, *, loads: int = 80, unloaded: int = 20, force_std_mn: float = 0.0, deflection_std_mm: float = 0.01,
         largest_mn: float = 250.0, seed: int = 0,
     ) -> dict[str, Array]:  # fmt: skip
-        """Rows of a bench of known loads, by column: their force across the clamp's axis with the load cell's noise."""
+        """Rows of a bench of known loads, by column: their force across the clamp's axis with the load cell's noise,
+        and
+        how far each stands from the unbent tip along that axis."""
         rng = np.random.default_rng([seed, 5])
         depth = rng.uniform(0.0, 25.0, loads + unloaded)
         size = np.concatenate([rng.uniform(20.0, largest_mn, loads), np.zeros(unloaded)])
@@ -128,7 +130,8 @@ class World:
         force = size[:, None] * way
         force[:loads] += force_std_mn * rng.standard_normal((loads, 2))
         deflection = bent.across_mm + deflection_std_mm * rng.standard_normal(len(size))
-        return {"force_x_mn": force[:, 0], "force_y_mn": force[:, 1], "depth_mm": depth, "deflection_mm": deflection,
+        stands = self.rod.length_mm - bent.along_mm
+        return {"force_x_mn": force[:, 0], "force_y_mn": force[:, 1], "depth_mm": stands, "deflection_mm": deflection,
                 **_fibres(waves)}  # fmt: skip
 
     def file(self, seed: int = 0) -> dict[str, Any]:
@@ -219,7 +222,8 @@ class World:
 
 @dataclass(frozen=True)
 class Recorded:
-    """A run as recorded, with the truth: ``depth_mm`` (n,; None where no hole is entered), ``tip_mm`` (n, 3) in the
+    """A run as recorded, with the truth: ``depth_mm`` (n,; along the unbent axis; None where no hole is entered),
+    ``tip_mm`` (n, 3) in the
     base, ``force_mn`` (n, 2) across the shaft in the tool's frame."""
 
     time_s: Array

@@ -22,9 +22,11 @@ from ..robots.tool.filters import estimate as run_filters
 from ..robots.tool.judge import Errors, Judgement, judge
 from ..robots.tool.known import Knowledge, known
 from ..robots.tool.runs import read_tool_run, require_camera, summary
-from ..robots.tool.tool import NOISES, FlexibleTool, load_tool
+from ..robots.tool.tool import FlexibleTool, load_tool
 from . import output, reporting
 
+#: Filters by the name that a person gives, and by what a tool file calls their noise.
+_FILTERS = {"rod": "propagated", "paper": "ebrahimi_2020", "paper-of-force": "ebrahimi_2020_of_force"}
 #: Beyond this share of the variance a truth says more about the camera than about the tip.
 _COARSE = 0.8
 _KNOWLEDGE = ("rows", "95 % cover", "NEES", "99 % band", "largest / σ", "verdict")
@@ -36,24 +38,30 @@ _KNOWLEDGE = ("rows", "95 % cover", "NEES", "99 % band", "largest / σ", "verdic
 @click.option(
     "-o", "--output", "destination", type=click.Path(path_type=Path), help="Write the estimates (CSV, Parquet)."
 )
-@click.option("--noise", type=click.Choice(NOISES), help="What the filters trust; default: as the tool file says.")
+@click.option(
+    "--filter",
+    "which",
+    type=click.Choice(tuple(_FILTERS)),
+    help="Whose estimates are written: of the rod about its pivot, or the paper's own filters.",
+)
+@click.option("--both", is_flag=True, help="Write the paper's filters beside, as columns of their own.")
 @click.option("--report", "picture", type=click.Path(path_type=Path, dir_okay=False),
               help="Draw estimate, band, truth and force over time (HTML, PNG or SVG).")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 def estimate(
-    tool: Path, run: Path, destination: Path | None, noise: str | None, picture: Path | None, as_json: bool
+    tool: Path, run: Path, destination: Path | None, which: str | None, both: bool, picture: Path | None, as_json: bool
 ) -> None:
     """Replay RUN (CSV or Parquet) of a flexible TOOL (TOML): insertion depth and tip, and how far they are off."""
     if picture is not None:
         reporting.require_view()
     made = load_tool(tool)
-    if noise is not None:
-        made = made.with_noise(noise)
+    if which is not None:
+        made = made.with_noise(_FILTERS[which])
     recorded = read_tool_run(run)
     result = run_filters(made, recorded)
     judged, truths = judge(result), known(result)
     if destination is not None:
-        write_table(_frame(result), destination)
+        write_table(_frame(result, both=both), destination)
     if picture is not None:
         from ..report.estimate import depth_over_time, estimate_picture
         from ..report.export import save_picture
@@ -65,7 +73,7 @@ def estimate(
     sizes = summary(recorded)
     output.say(
         f"{sizes['rows']} rows of the robot at {sizes['robot_hz']:.0f} Hz, {sizes['pictures']} pictures; "
-        f"noise: {made.noise}"
+        f"filter: {next(name for name, noise in _FILTERS.items() if noise == made.noise)}"
     )
     for j in judged:
         _print_errors(j)
@@ -73,6 +81,7 @@ def estimate(
         output.say("neither depth_mm nor a camera is in this run: nothing to judge by")
     print_knowledge(truths)
     _print_consistency(result)
+    output.say(left_gratings(result))
     if destination is not None:
         output.say(f"estimates written to {destination}")
     if picture is not None:
@@ -180,8 +189,8 @@ def _json(e: Estimate, judged: list[Judgement], truths: list[Knowledge]) -> dict
     }  # fmt: skip
 
 
-def _frame(e: Estimate) -> pl.DataFrame:
-    """Estimates by row, with what the gratings alone say."""
+def _frame(e: Estimate, *, both: bool = False) -> pl.DataFrame:
+    """Estimates by row, with what the gratings alone say, and ``both``: with the paper's filters."""
     smooth, spread = e.smooth_together
     axes = "xyz"
     columns = {
@@ -191,6 +200,7 @@ def _frame(e: Estimate) -> pl.DataFrame:
         "fibre_depth_mm": e.fibre_depth_mm,
         "fibre_depth_std_mm": np.where(np.isfinite(e.fibre_depth_std_mm), e.fibre_depth_std_mm, np.nan),
         "depth_mm": e.depth.value[:, 0],
+        "arc_mm": e.arc_mm,
         "depth_std_mm": e.depth.std[:, 0],
         **{f"tip_{a}_mm": e.tip.value[:, k] for k, a in enumerate(axes)},
         **{f"tip_{a}_std_mm": e.tip.std[:, k] for k, a in enumerate(axes)},
@@ -206,14 +216,30 @@ def _frame(e: Estimate) -> pl.DataFrame:
             for k, n in enumerate(("depth", *axes))
             if i <= k
         },
+        **({} if not both else {
+            "paper_depth_mm": e.paper.value[:, 0],
+            "paper_depth_std_mm": e.paper.std[:, 0],
+            **{f"paper_tip_{a}_mm": e.paper.value[:, k + 1] for k, a in enumerate(axes)},
+            **{f"paper_tip_{a}_std_mm": e.paper.std[:, k + 1] for k, a in enumerate(axes)},
+        }),
         "misfit": e.misfit,
         "gated": e.gated,
         "faulty": e.faulty,
         "status": e.depth.status | e.tip.status,
         "nis_depth": e.depth.nis,
         "nis_tip": e.tip.nis,
-    }
+    }  # fmt: skip
     return pl.DataFrame(columns).with_columns(pl.col(pl.Float64).fill_nan(None))
+
+
+def left_gratings(e: Estimate) -> str:
+    """One line on where the filter left its own gratings for longer than half a second."""
+    spans = e.away
+    if not spans:
+        return "the filter nowhere left its own gratings by more than their deviation for longer than 0.5 s"
+    total = sum(b - a for a, b in spans)
+    some = listed((f"{a:.1f} to {b:.1f} s" for a, b in spans), 4)
+    return f"the filter left its own gratings by more than their deviation for {total:.1f} s: {some}"
 
 
 def calibrate_tool(tool: Path, loads: Path, destination: Path | None) -> None:
@@ -239,10 +265,19 @@ def print_calibration(result: ToolCalibration) -> None:
             )
             table.add_row(f"K_{section} {axis}, mN mm/nm", *cells, f"{result.rms_mn_mm[s]:.2f}" if a == 0 else "")
     output.out.print(table)
+    output.say(f"   {result.read_as}")
+    scatter = result.scatter
+    output.say(
+        f"   rows scatter by {scatter.load_mn:.2g} mN of the cell, friction of {scatter.friction:.2g} and "
+        f"{1000 * scatter.gauge_mm:.2g} µm of the gauge; the bench counts {result.zero_mm[0]:+.2f} ± "
+        f"{result.zero_mm[1]:.2f} mm too deep"
+    )
     if result.slope_mn_mm2 and result.stiffness_mn_mm2 and result.length_mm:
         shaft = output.table("Shaft", "", "value", "± std")
         shaft.add_row("EI by the paper's slope, mN mm²", *(f"{v:.4g}" for v in result.slope_mn_mm2))
         shaft.add_row("EI with the length, mN mm²", *(f"{v:.4g}" for v in result.stiffness_mn_mm2))
+        for k, section in enumerate(("I", "II")):
+            shaft.add_row(f"tip to section {section}, mm", *(f"{v:.4g}" for v in result.distances_mm[:, k]))
         shaft.add_row("free length h, mm", *(f"{v:.4g}" for v in result.length_mm))
         output.out.print(shaft)
     else:

@@ -14,15 +14,6 @@
 #include <stddef.h>
 #include <stdint.h>
 
-// Measurement noise switched at a force, as in the paper.
-#define SHERKIT_NOISE_SWITCHED 0
-
-// The same, with the variances across the shaft those of the force, mN^2.
-#define SHERKIT_NOISE_SWITCHED_OF_FORCE 1
-
-// Measurement noise from the measurement's own covariance.
-#define SHERKIT_NOISE_PROPAGATED 2
-
 // Done.
 #define SHERKIT_OK 0
 
@@ -93,61 +84,66 @@ typedef struct sherkit_delta_covariates {
     double direction[3];
 } sherkit_delta_covariates;
 
-// The filter of the insertion depth. Its content is nobody's business.
-typedef struct sherkit_depth_filter {
-    uint64_t words[64];
-} sherkit_depth_filter;
+// The filters of Ebrahimi et al. 2020 (Eqs. 8 and 14). Their content is nobody's business.
+typedef struct sherkit_paper_filter {
+    uint64_t words[128];
+} sherkit_paper_filter;
 
-// What a filter trusts. Pairs are depth, then across the shaft (measurements) or each axis of the tip (process); mm^2.
-typedef struct sherkit_noise {
-    // One of the SHERKIT_NOISE kinds.
-    uint32_t kind;
-    // Force at which it is switched, mN. Not read where it is propagated.
-    double at_mn;
-    // Variances below that force. Not read where it is propagated.
-    double below[2];
-    // Variances from it on; where it is propagated, what is added for what the models leave out.
-    double above[2];
-    // Process noise that each step adds, mm^2.
-    double per_step[2];
-    // Process noise per time, mm^2/s.
-    double per_second[2];
-} sherkit_noise;
+// Calibration of the gratings.
+typedef struct sherkit_sensor_calibration {
+    // K_I and K_II, mN mm/nm: a row for each of the moments' components, a column for each fibre.
+    double gains[2][2][3];
+    // From the tip to sections I and II, mm.
+    double distances_mm[2];
+    // Wavelengths of the unloaded tool, nm: a row of fibres for each of the sections I, II, III.
+    double reference_nm[3][3];
+    // Standard deviation of one wavelength, nm.
+    double noise_nm;
+} sherkit_sensor_calibration;
 
-// What the fibres tell a filter at one time.
-typedef struct sherkit_measurement {
-    // When the fibres were read, s, on the clock of the steps.
-    double time_s;
-    // Sclera force, tool frame, mN.
-    double force_mn[2];
-    // Its covariance, mN^2.
-    double force_covariance[2][2];
-    // Insertion depth, mm; not read where its variance is infinite.
-    double depth_mm;
-    // Its variance, mm^2; infinite where there is no force that would tell the depth.
-    double depth_variance;
-    // Covariance of depth with force, mm mN.
-    double depth_with_force[2];
-} sherkit_measurement;
+// Length and stiffness of the shaft.
+typedef struct sherkit_beam {
+    // Free length h, mm.
+    double length_mm;
+    // Bending stiffness EI, mN mm^2.
+    double stiffness;
+} sherkit_beam;
+
+// Pose of the tool: takes tool coordinates to the base frame. The tool's z axis runs along the unbent shaft and out
+// of the tip, its origin is where the unbent tip would be.
+typedef struct sherkit_pose {
+    // Rotation, rows.
+    double rotation[3][3];
+    // Where the origin goes, mm.
+    double translation_mm[3];
+} sherkit_pose;
 
 // What a step did with what it was given: a sum of these flags. Without SHERKIT_STATUS_UPDATED it only predicted.
 typedef uint32_t sherkit_status;
 
-// Insertion depth after a step.
-typedef struct sherkit_depth_estimate {
+// Depth and tip after a step.
+typedef struct sherkit_tool_estimate {
     // Time of the estimate, s.
     double time_s;
-    // Depth, mm.
+    // Insertion depth, the paper's l: from the hole to the unbent tip, along the unbent axis, mm.
     double depth_mm;
-    // Its variance, mm^2.
-    double variance;
-    // Normalised innovation squared of this step; zero where it only predicted.
-    double nis;
-    // Its degrees of freedom.
-    uint32_t nis_degrees;
+    // Length of shaft beyond the hole, mm: shorter than the depth by what the bend takes.
+    double arc_mm;
+    // The tip in the base frame, mm.
+    double tip_mm[3];
+    // Covariance of depth and tip, mm^2.
+    double covariance[4][4];
+    // Force of the hole across the shaft, tool frame, mN.
+    double force_mn[2];
+    // Variance of each of its components, mN^2.
+    double force_variance;
+    // Square of what the moments of the last reading say across the force over its variance: about 1.
+    double misfit;
+    // Gratings that were not believed in the last reading: bit 3 section + fibre.
+    uint32_t faulty;
     // What the step did.
     sherkit_status status;
-} sherkit_depth_estimate;
+} sherkit_tool_estimate;
 
 // How often what happened, and the innovation statistics (NIS). nis_sum over nis_degrees is 1 where the noise is
 // right, more where the filter is overconfident.
@@ -178,60 +174,26 @@ typedef struct sherkit_statistics {
     double nis_sum;
 } sherkit_statistics;
 
-// The filter of the tip's position. Its content is nobody's business.
-typedef struct sherkit_tip_filter {
-    uint64_t words[128];
-} sherkit_tip_filter;
-
-// Length and stiffness of the shaft.
-typedef struct sherkit_beam {
-    // Free length h, mm.
-    double length_mm;
-    // Bending stiffness EI, mN mm^2.
-    double stiffness;
-} sherkit_beam;
-
-// Pose of the tool: takes tool coordinates to the base frame. The tool's z axis runs along the unbent shaft and out
-// of the tip, its origin is where the unbent tip would be.
-typedef struct sherkit_pose {
-    // Rotation, rows.
-    double rotation[3][3];
-    // Where the origin goes, mm.
-    double translation_mm[3];
-} sherkit_pose;
-
-// Position of the tip after a step.
-typedef struct sherkit_tip_estimate {
-    // Time of the estimate, s.
-    double time_s;
-    // The tip in the base frame, mm.
-    double tip_mm[3];
-    // Its covariance, mm^2.
-    double covariance[3][3];
-    // Normalised innovation squared of this step; zero where it only predicted.
-    double nis;
-    // Its degrees of freedom.
-    uint32_t nis_degrees;
-    // What the step did.
-    sherkit_status status;
-} sherkit_tip_estimate;
-
 // The fibres of a calibrated tool. Its content is nobody's business.
 typedef struct sherkit_sensor {
     uint64_t words[64];
 } sherkit_sensor;
 
-// Calibration of the gratings.
-typedef struct sherkit_sensor_calibration {
-    // K_I and K_II, mN mm/nm: a row for each of the moments' components, a column for each fibre.
-    double gains[2][2][3];
-    // From the tip to sections I and II, mm.
-    double distances_mm[2];
-    // Wavelengths of the unloaded tool, nm: a row of fibres for each of the sections I, II, III.
-    double reference_nm[3][3];
-    // Standard deviation of one wavelength, nm.
-    double noise_nm;
-} sherkit_sensor_calibration;
+// What the fibres tell at one time.
+typedef struct sherkit_measurement {
+    // When the fibres were read, s, on the clock of the steps.
+    double time_s;
+    // Sclera force, tool frame, mN.
+    double force_mn[2];
+    // Its covariance, mN^2.
+    double force_covariance[2][2];
+    // Insertion depth, mm; not read where its variance is infinite.
+    double depth_mm;
+    // Its variance, mm^2; infinite where there is no force that would tell the depth.
+    double depth_variance;
+    // Covariance of depth with force, mm mN.
+    double depth_with_force[2];
+} sherkit_measurement;
 
 // A calibrated serial arm. Its content is nobody's business.
 typedef struct sherkit_serial {
@@ -280,8 +242,20 @@ typedef struct sherkit_tool {
     struct sherkit_beam beam;
     // 1: it bends as an elastica; 0: as a cantilever by small angles.
     uint32_t exact;
-    // Covariance of each row of K_I and K_II, (mN mm/nm)^2.
-    double gain_covariance[2][2][3][3];
+    // What the mean of three fibres answers to a moment at sections I and II, nm per mN mm, and the standard deviation of
+    // that over a fibre's own answer.
+    double means_nm[2][2];
+    // See above.
+    double mean_doubt;
+    // Covariance of t0, t1, t2, mm^2: at a length d beyond the hole the depth that the gratings measure is off by
+    // t0 + t1 (d/10) + t2 (d/10)^2.
+    double depth_covariance[3][3];
+    // Standard deviation of how much deeper than that the gratings count all depths, mm.
+    double deeper_doubt_mm;
+    // Of how far the gratings are turned about the shaft against the robot's frame, rad.
+    double turn_doubt_rad;
+    // Of a force over the force.
+    double force_doubt;
     // Standard deviation of a reference wavelength, nm.
     double reference_doubt_nm;
     // How unlike fibres answer to warmth: standard deviation over the mean answer.
@@ -293,8 +267,6 @@ typedef struct sherkit_tool {
     double warmth_doubt;
     // Covariance of length (mm) and stiffness (mN mm^2).
     double beam_covariance[2][2];
-    // Standard deviation of where the sections stand, mm.
-    double distance_doubt_mm;
     // Radius by which the hole is wider than the shaft, and its standard deviation, mm.
     double clearance_mm;
     // See above.
@@ -302,28 +274,6 @@ typedef struct sherkit_tool {
     // How fast the hole strays along the shaft at least, mm^2/s.
     double per_second_mm2;
 } sherkit_tool;
-
-// Depth and tip after a step.
-typedef struct sherkit_tool_estimate {
-    // Time of the estimate, s.
-    double time_s;
-    // Insertion depth: length of shaft inside the eye, mm.
-    double depth_mm;
-    // The tip in the base frame, mm.
-    double tip_mm[3];
-    // Covariance of depth and tip, mm^2.
-    double covariance[4][4];
-    // Force of the hole across the shaft, tool frame, mN.
-    double force_mn[2];
-    // Variance of each of its components, mN^2.
-    double force_variance;
-    // Square of what the moments of the last reading say across the force over its variance: about 1.
-    double misfit;
-    // Gratings that were not believed in the last reading: bit 3 section + fibre.
-    uint32_t faulty;
-    // What the step did.
-    sherkit_status status;
-} sherkit_tool_estimate;
 
 #ifdef __cplusplus
 extern "C" {
@@ -350,58 +300,32 @@ sherkit_result sherkit_delta_inverse(const struct sherkit_delta *robot,
                                      const struct sherkit_delta_covariates *covariates,
                                      double *joints);
 
-// Starts at a depth (mm) with a variance (mm^2) at a time (s). Where it fails the filter is not initialised.
-sherkit_result sherkit_depth_filter_init(struct sherkit_depth_filter *filter,
+// Starts at a depth (mm) with a variance (mm^2, of each axis of the tip as well), with the tool at a pose, at a time
+// (s), with the paper's noise for steps of 200 Hz. of_force: 1 where its entries for the tip are variances of the force
+// (mN^2), 0 where they are of the deflection (mm^2); the paper gives no units. Where it fails the filter is not
+// initialised.
+sherkit_result sherkit_paper_filter_init(struct sherkit_paper_filter *filter,
+                                         const struct sherkit_sensor_calibration *sensor,
+                                         const struct sherkit_beam *beam,
+                                         uint32_t of_force,
                                          double depth_mm,
                                          double variance,
-                                         double time_s,
-                                         const struct sherkit_noise *noise);
+                                         const struct sherkit_pose *pose,
+                                         double time_s);
 
-// One step to a time, with the velocity of the tip along the tool's z axis since the last step (mm/s), and what was
-// measured; null where nothing was. What could not be used is said by the estimate's status, not by the code.
-sherkit_result sherkit_depth_filter_step(struct sherkit_depth_filter *filter,
+// One step to a time (s) with the tool at a pose, and nine wavelengths of that time (nm; three fibres at each of the
+// sections I, II, III; null where there are none). In the estimate depth and tip are independent, arc_mm is depth_mm,
+// force_variance and misfit are zero, and no grating is faulty: of these the paper says nothing. What could not be used
+// is said by its status, not by the code.
+sherkit_result sherkit_paper_filter_step(struct sherkit_paper_filter *filter,
                                          double time_s,
-                                         double velocity_mm_s,
-                                         const struct sherkit_measurement *measurement,
-                                         struct sherkit_depth_estimate *estimate);
+                                         const struct sherkit_pose *pose,
+                                         const double *wavelengths_nm,
+                                         struct sherkit_tool_estimate *estimate);
 
-// How often what happened since the filter was initialised.
-sherkit_result sherkit_depth_filter_statistics(const struct sherkit_depth_filter *filter,
+// How often what happened since the filter was initialised, and the innovations of the depth.
+sherkit_result sherkit_paper_filter_statistics(const struct sherkit_paper_filter *filter,
                                                struct sherkit_statistics *statistics);
-
-// Starts with the unbent tip of a pose, with a variance per axis (mm^2), at a time (s). Where it fails the filter is
-// not initialised.
-sherkit_result sherkit_tip_filter_init(struct sherkit_tip_filter *filter,
-                                       const struct sherkit_beam *beam,
-                                       const struct sherkit_pose *pose,
-                                       double variance,
-                                       double time_s,
-                                       const struct sherkit_noise *noise);
-
-// One step to a time, with the velocity of the unbent tip in the base frame since the last step (3, mm/s), the pose
-// of the tool now, the depth (mm) with its variance (mm^2), and what was measured; null where nothing was. What could
-// not be used is said by the estimate's status, not by the code.
-sherkit_result sherkit_tip_filter_step(struct sherkit_tip_filter *filter,
-                                       double time_s,
-                                       const double *velocity_mm_s,
-                                       const struct sherkit_pose *pose,
-                                       double depth_mm,
-                                       double depth_variance,
-                                       const struct sherkit_measurement *measurement,
-                                       struct sherkit_tip_estimate *estimate);
-
-// How often what happened since the filter was initialised.
-sherkit_result sherkit_tip_filter_statistics(const struct sherkit_tip_filter *filter,
-                                             struct sherkit_statistics *statistics);
-
-// The noise of Ebrahimi et al. 2020, for steps of 200 Hz.
-struct sherkit_noise sherkit_noise_ebrahimi_2020(void);
-
-// Measurement noise from the sensing; process noise per time, and what the models leave out, of depth and tip.
-struct sherkit_noise sherkit_noise_propagated(double depth_per_second,
-                                              double tip_per_second,
-                                              double depth_floor,
-                                              double across_floor);
 
 // The tool of Ebrahimi et al. 2020: 60 mm, 3 EI = 3.39e6 mN mm^2.
 struct sherkit_beam sherkit_beam_ebrahimi_2020(void);
@@ -410,7 +334,7 @@ struct sherkit_beam sherkit_beam_ebrahimi_2020(void);
 sherkit_result sherkit_sensor_init(struct sherkit_sensor *sensor, const struct sherkit_sensor_calibration *calibration);
 
 // Force and depth from wavelengths (9, nm; three fibres at each of the sections I, II, III) read at a time. With
-// SHERKIT_NOT_FINITE the measurement is written too, all NaN but the time, so that a filter that is given it counts it.
+// SHERKIT_NOT_FINITE the measurement is written too, all NaN but the time.
 sherkit_result sherkit_sensor_read(const struct sherkit_sensor *sensor,
                                    double time_s,
                                    const double *wavelengths_nm,

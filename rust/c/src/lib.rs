@@ -18,8 +18,7 @@
 #![allow(clippy::missing_errors_doc, clippy::doc_markdown)]
 
 mod delta;
-mod filter;
-mod noise;
+mod paper;
 mod result;
 mod robot;
 mod sensing;

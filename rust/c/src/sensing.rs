@@ -5,8 +5,7 @@ use crate::storage::{get, given, init, opaque, wanted};
 use nalgebra::{Matrix2x3, Matrix3, Vector3};
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::beam::Beam;
-use sherkit_core::tool::filters::Measurement;
-use sherkit_core::tool::sensing::{Calibration, Sensor};
+use sherkit_core::tool::sensing::{Calibration, Depth, Reading, Sensor};
 
 /// Calibration of the gratings.
 #[repr(C)]
@@ -43,7 +42,7 @@ pub struct sherkit_sensor {
 
 opaque!(sherkit_sensor, Sensor, 0x7368_6b73_656e_736f, 64);
 
-/// What the fibres tell a filter at one time.
+/// What the fibres tell at one time.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct sherkit_measurement {
@@ -61,15 +60,37 @@ pub struct sherkit_measurement {
     pub depth_with_force: [f64; 2],
 }
 
-impl From<&sherkit_measurement> for Measurement {
-    fn from(m: &sherkit_measurement) -> Self {
+impl sherkit_measurement {
+    /// What was read at a time.
+    fn of(time_s: f64, reading: &Reading) -> Self {
+        let c = &reading.force_covariance;
+        let (depth_mm, depth_variance, depth_with_force) = match reading.depth {
+            Depth::Measured {
+                mm,
+                variance,
+                with_force,
+            } => (mm, variance, with_force.into()),
+            Depth::NoForce => (0.0, f64::INFINITY, [0.0; 2]),
+        };
         Self {
-            time_s: m.time_s,
-            force: m.force_mn,
-            force_covariance: m.force_covariance,
-            depth: m.depth_mm,
-            depth_variance: m.depth_variance,
-            depth_with_force: m.depth_with_force,
+            time_s,
+            force_mn: reading.force.into(),
+            force_covariance: [[c.m11, c.m12], [c.m21, c.m22]],
+            depth_mm,
+            depth_variance,
+            depth_with_force,
+        }
+    }
+
+    /// What could not be read.
+    fn none(time_s: f64) -> Self {
+        Self {
+            time_s,
+            force_mn: [f64::NAN; 2],
+            force_covariance: [[f64::NAN; 2]; 2],
+            depth_mm: f64::NAN,
+            depth_variance: f64::NAN,
+            depth_with_force: [f64::NAN; 2],
         }
     }
 }
@@ -137,7 +158,7 @@ pub unsafe extern "C" fn sherkit_sensor_init(
 }
 
 /// Force and depth from wavelengths (9, nm; three fibres at each of the sections I, II, III) read at a time. With
-/// SHERKIT_NOT_FINITE the measurement is written too, all NaN but the time, so that a filter that is given it counts it.
+/// SHERKIT_NOT_FINITE the measurement is written too, all NaN but the time.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_sensor_read(
     sensor: *const sherkit_sensor,
@@ -155,22 +176,9 @@ pub unsafe extern "C" fn sherkit_sensor_read(
             )
         };
         let read = coded(sensor.read(wavelengths));
-        let m = match &read {
-            Ok(reading) => Measurement::from_reading(time_s, reading),
-            Err(_) => Measurement {
-                force_covariance: [[f64::NAN; 2]; 2],
-                depth_variance: f64::NAN,
-                depth_with_force: [f64::NAN; 2],
-                ..Measurement::plain(time_s, [f64::NAN; 2], f64::NAN)
-            },
-        };
-        *measurement = sherkit_measurement {
-            time_s: m.time_s,
-            force_mn: m.force,
-            force_covariance: m.force_covariance,
-            depth_mm: m.depth,
-            depth_variance: m.depth_variance,
-            depth_with_force: m.depth_with_force,
+        *measurement = match &read {
+            Ok(reading) => sherkit_measurement::of(time_s, reading),
+            Err(_) => sherkit_measurement::none(time_s),
         };
         read.map(|_| ())
     };

@@ -1,7 +1,6 @@
 //! What the steps of a filter did, as flags and as counts.
 
-use sherkit_core::tool::filters::track::Track;
-use sherkit_core::tool::filters::{Consistency, Counts};
+use sherkit_core::tool::filter::{Consistency, Counts};
 
 /// What a step did with what it was given: a sum of these flags. Without SHERKIT_STATUS_UPDATED it only predicted.
 pub type sherkit_status = u32;
@@ -24,7 +23,7 @@ pub const SHERKIT_STATUS_CLOCK: u32 = 64;
 pub const SHERKIT_STATUS_GATED: u32 = 128;
 
 const _: () = {
-    use sherkit_core::tool::filters::Status;
+    use sherkit_core::tool::filter::Status;
     assert!(SHERKIT_STATUS_UPDATED == Status::UPDATED.0 as u32);
     assert!(SHERKIT_STATUS_MISSING == Status::MISSING.0 as u32);
     assert!(SHERKIT_STATUS_LATE == Status::LATE.0 as u32);
@@ -67,11 +66,6 @@ pub struct sherkit_statistics {
 }
 
 impl sherkit_statistics {
-    /// Those of a state.
-    pub fn of<const N: usize>(track: &Track<N>) -> Self {
-        Self::from(track.counts(), track.consistency())
-    }
-
     /// Of counts and innovations.
     pub fn from(counts: &Counts, nis: &Consistency) -> Self {
         Self {
@@ -89,9 +83,4 @@ impl sherkit_statistics {
             nis_sum: nis.sum,
         }
     }
-}
-
-/// Degrees of freedom of the last update, of which there are at most four.
-pub fn degrees<const N: usize>(track: &Track<N>) -> u32 {
-    u32::try_from(track.consistency().last_degrees).unwrap_or(u32::MAX)
 }

@@ -4,10 +4,10 @@ use crate::result::{answer, coded, sherkit_result};
 use crate::sensing::{sherkit_beam, sherkit_pose, sherkit_sensor_calibration};
 use crate::status::{sherkit_statistics, sherkit_status};
 use crate::storage::{get, get_mut, given, init, opaque, wanted};
-use nalgebra::{Matrix2, Matrix3};
+use nalgebra::{Matrix2, Matrix3, Vector2};
 use sherkit_core::numbers::rigid::Rigid;
+use sherkit_core::tool::filter::{Doubt, Look, Status, Told, ToolFilter, Trusted};
 use sherkit_core::tool::rod::{Bending, Rod};
-use sherkit_core::tool::tracker::{Doubt, ToolFilter, Trusted};
 
 /// A calibrated tool, and what its calibration does not know. A doubt of zero is certainty.
 #[repr(C)]
@@ -19,8 +19,20 @@ pub struct sherkit_tool {
     pub beam: sherkit_beam,
     /// 1: it bends as an elastica; 0: as a cantilever by small angles.
     pub exact: u32,
-    /// Covariance of each row of K_I and K_II, (mN mm/nm)^2.
-    pub gain_covariance: [[[[f64; 3]; 3]; 2]; 2],
+    /// What the mean of three fibres answers to a moment at sections I and II, nm per mN mm, and the standard deviation of
+    /// that over a fibre's own answer.
+    pub means_nm: [[f64; 2]; 2],
+    /// See above.
+    pub mean_doubt: f64,
+    /// Covariance of t0, t1, t2, mm^2: at a length d beyond the hole the depth that the gratings measure is off by
+    /// t0 + t1 (d/10) + t2 (d/10)^2.
+    pub depth_covariance: [[f64; 3]; 3],
+    /// Standard deviation of how much deeper than that the gratings count all depths, mm.
+    pub deeper_doubt_mm: f64,
+    /// Of how far the gratings are turned about the shaft against the robot's frame, rad.
+    pub turn_doubt_rad: f64,
+    /// Of a force over the force.
+    pub force_doubt: f64,
     /// Standard deviation of a reference wavelength, nm.
     pub reference_doubt_nm: f64,
     /// How unlike fibres answer to warmth: standard deviation over the mean answer.
@@ -32,8 +44,6 @@ pub struct sherkit_tool {
     pub warmth_doubt: f64,
     /// Covariance of length (mm) and stiffness (mN mm^2).
     pub beam_covariance: [[f64; 2]; 2],
-    /// Standard deviation of where the sections stand, mm.
-    pub distance_doubt_mm: f64,
     /// Radius by which the hole is wider than the shaft, and its standard deviation, mm.
     pub clearance_mm: f64,
     /// See above.
@@ -44,10 +54,10 @@ pub struct sherkit_tool {
 
 impl sherkit_tool {
     fn trusted(&self) -> Result<Trusted, sherkit_result> {
-        let matrix = |m: [[f64; 3]; 3]| Matrix3::from(m).transpose();
         let exact = self.exact != 0;
         Ok(Trusted {
             calibration: self.sensor.calibration(),
+            means: self.means_nm.map(Vector2::from),
             warmth: self.warmth,
             rod: Rod {
                 beam: self.beam.beam()?,
@@ -58,13 +68,16 @@ impl sherkit_tool {
                 },
             },
             doubt: Doubt {
-                gains: self.gain_covariance.map(|rows| rows.map(matrix)),
+                depth: Matrix3::from(self.depth_covariance).transpose(),
+                deeper_mm: self.deeper_doubt_mm,
+                turn_rad: self.turn_doubt_rad,
+                force: self.force_doubt,
+                beam: Matrix2::from(self.beam_covariance).transpose(),
                 reference_nm: self.reference_doubt_nm,
+                mean: self.mean_doubt,
                 unlike: self.warmth_unlike,
                 warmth: self.warmth_doubt,
-                beam: Matrix2::from(self.beam_covariance).transpose(),
                 clearance_mm: self.clearance_doubt_mm,
-                distance_mm: self.distance_doubt_mm,
             },
             clearance_mm: self.clearance_mm,
             per_second_mm2: self.per_second_mm2,
@@ -86,8 +99,10 @@ opaque!(sherkit_tool_filter, ToolFilter, 0x7368_6b74_6f6f_6c66, 2048);
 pub struct sherkit_tool_estimate {
     /// Time of the estimate, s.
     pub time_s: f64,
-    /// Insertion depth: length of shaft inside the eye, mm.
+    /// Insertion depth, the paper's l: from the hole to the unbent tip, along the unbent axis, mm.
     pub depth_mm: f64,
+    /// Length of shaft beyond the hole, mm: shorter than the depth by what the bend takes.
+    pub arc_mm: f64,
     /// The tip in the base frame, mm.
     pub tip_mm: [f64; 3],
     /// Covariance of depth and tip, mm^2.
@@ -102,6 +117,24 @@ pub struct sherkit_tool_estimate {
     pub faulty: u32,
     /// What the step did.
     pub status: sherkit_status,
+}
+
+impl sherkit_tool_estimate {
+    /// After a step.
+    pub fn from(told: &Told, look: &Look, status: Status) -> Self {
+        Self {
+            time_s: told.time_s,
+            depth_mm: told.depth_mm,
+            arc_mm: told.arc_mm,
+            tip_mm: told.tip_mm,
+            covariance: told.covariance,
+            force_mn: told.force_mn,
+            force_variance: told.force_variance,
+            misfit: look.misfit,
+            faulty: u32::from(look.faulty),
+            status: u32::from(status.0),
+        }
+    }
 }
 
 /// Starts at a depth (mm) with a variance (mm^2), with the tool at a pose, at a time (s). Where it fails the filter is
@@ -147,18 +180,7 @@ pub unsafe extern "C" fn sherkit_tool_filter_step(
             )
         };
         let status = filter.step(time_s, &pose, waves.map(|w| (stamp_s, w)));
-        let (told, look) = (filter.told(), filter.look());
-        *out = sherkit_tool_estimate {
-            time_s: told.time_s,
-            depth_mm: told.depth_mm,
-            tip_mm: told.tip_mm,
-            covariance: told.covariance,
-            force_mn: told.force_mn,
-            force_variance: told.force_variance,
-            misfit: look.misfit,
-            faulty: u32::from(look.faulty),
-            status: u32::from(status.0),
-        };
+        *out = sherkit_tool_estimate::from(&filter.told(), &filter.look(), status);
         Ok(())
     };
     answer(run())

@@ -113,103 +113,101 @@ static void run_serial(size_t count, size_t rows)
     }
 }
 
-/* First the sensor's 24 numbers and the noise's 10, then rows: time, stamp, whether there is a measurement,
- * wavelengths 9, velocity 3, pose 12, depth, its variance. */
+static void put_estimate(const sherkit_tool_estimate *e)
+{
+    put_one(e->depth_mm);
+    put(e->tip_mm, 3);
+    put(&e->covariance[0][0], 16);
+    put(e->force_mn, 2);
+    put_one(e->arc_mm);
+    put_one(e->force_variance);
+    put_one(e->misfit);
+    put_one(e->faulty);
+    put_one(e->status);
+}
+
+static void put_statistics(const sherkit_statistics *s)
+{
+    const double counts[] = {(double)s->steps,      (double)s->updated,   (double)s->missing,     (double)s->late,
+                             (double)s->not_finite, (double)s->no_force,  (double)s->no_motion,   (double)s->clock,
+                             (double)s->gated,      (double)s->nis_count, (double)s->nis_degrees, s->nis_sum};
+    put(counts, 12);
+}
+
+/* First the sensor's 24 numbers and whether the paper's noise is of the force, then rows: time, stamp, whether there is a
+ * reading, wavelengths 9, pose 12. */
 static void run_tool(size_t rows)
 {
     static sherkit_sensor sensor;
-    static sherkit_depth_filter depth;
-    static sherkit_tip_filter tip;
+    static sherkit_paper_filter paper;
     static sherkit_tool_filter whole;
     const sherkit_beam beam = sherkit_beam_ebrahimi_2020();
     sherkit_sensor_calibration calibration;
-    double numbers[24], n[10];
-    get(numbers, 24);
+    double numbers[25];
+    get(numbers, 25);
     memcpy(calibration.gains, numbers, sizeof calibration.gains);
     memcpy(calibration.distances_mm, numbers + 12, sizeof calibration.distances_mm);
     memcpy(calibration.reference_nm, numbers + 14, sizeof calibration.reference_nm);
     calibration.noise_nm = numbers[23];
-    get(n, 10);
-    sherkit_noise noise = {(uint32_t)n[0],
-                           n[1],
-                           {n[2], n[3]},
-                           {n[4], n[5]},
-                           {n[6], n[7]},
-                           {n[8], n[9]}};
+    const uint32_t of_force = (uint32_t)numbers[24];
     need(sherkit_sensor_init(&sensor, &calibration) == SHERKIT_OK, "the sensor");
     sherkit_tool tool = {0};
     tool.sensor = calibration;
     tool.beam = beam;
     tool.exact = 1;
-    for (int s = 0; s < 2; s++)
-        for (int a = 0; a < 2; a++)
-            for (int k = 0; k < 3; k++)
-                tool.gain_covariance[s][a][k][k] = 100.0 * (k + 1);
+    tool.means_nm[0][1] = 2e-6;
+    tool.means_nm[1][0] = -3e-6;
+    tool.mean_doubt = 0.02;
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            tool.depth_covariance[i][j] = i == j ? 0.01 * (i + 1) : 0.001 * (i + j);
+    tool.deeper_doubt_mm = 0.1;
+    tool.turn_doubt_rad = 0.005;
+    tool.force_doubt = 0.01;
     tool.reference_doubt_nm = 1e-4;
     tool.warmth_unlike = 0.02;
     tool.warmth[0][0] = 0.01;
     tool.warmth[0][2] = -0.01;
     tool.warmth_doubt = 0.003;
     tool.beam_covariance[0][0] = 0.01;
+    tool.beam_covariance[0][1] = tool.beam_covariance[1][0] = 20.0;
     tool.beam_covariance[1][1] = 1e6;
-    tool.distance_doubt_mm = 0.02;
     tool.clearance_mm = 0.05;
     tool.clearance_doubt_mm = 0.02;
     tool.per_second_mm2 = 0.01;
     for (size_t i = 0; i < rows; i++) {
-        double row[29];
+        double row[24];
         sherkit_measurement measured;
-        sherkit_depth_estimate a;
-        sherkit_tip_estimate b;
+        sherkit_tool_estimate estimate;
         sherkit_pose pose;
-        get(row, 29);
-        memcpy(pose.rotation, row + 15, sizeof pose.rotation);
-        memcpy(pose.translation_mm, row + 24, sizeof pose.translation_mm);
+        get(row, 24);
+        memcpy(pose.rotation, row + 12, sizeof pose.rotation);
+        memcpy(pose.translation_mm, row + 21, sizeof pose.translation_mm);
         if (i == 0) {
-            need(sherkit_depth_filter_init(&depth, 8.0, 4.0, 0.0, &noise) == SHERKIT_OK, "the depth filter");
-            need(sherkit_tip_filter_init(&tip, &beam, &pose, 1.0, 0.0, &noise) == SHERKIT_OK, "the tip filter");
+            need(sherkit_paper_filter_init(&paper, &calibration, &beam, of_force, 8.0, 4.0, &pose, 0.0) == SHERKIT_OK,
+                 "the paper's filter");
             need(sherkit_tool_filter_init(&whole, &tool, 8.0, 4.0, &pose, 0.0) == SHERKIT_OK, "the tool's filter");
         }
         sherkit_result read = sherkit_sensor_read(&sensor, row[1], row + 3, &measured);
         need(read == SHERKIT_OK || read == SHERKIT_NOT_FINITE, "the reading");
-        const sherkit_measurement *given = row[2] != 0.0 ? &measured : NULL;
-        need(sherkit_depth_filter_step(&depth, row[0], row[14], given, &a) == SHERKIT_OK, "a depth step");
-        need(sherkit_tip_filter_step(&tip, row[0], row + 12, &pose, row[27], row[28], given, &b) == SHERKIT_OK,
-             "a tip step");
         put_one(measured.time_s);
         put(measured.force_mn, 2);
         put(&measured.force_covariance[0][0], 4);
         put_one(measured.depth_mm);
         put_one(measured.depth_variance);
         put(measured.depth_with_force, 2);
-        put_one(a.depth_mm);
-        put_one(a.variance);
-        put_one(a.nis);
-        put_one(a.nis_degrees);
-        put_one(a.status);
-        put(b.tip_mm, 3);
-        put(&b.covariance[0][0], 9);
-        put_one(b.nis);
-        put_one(b.nis_degrees);
-        put_one(b.status);
-        sherkit_tool_estimate c;
-        need(sherkit_tool_filter_step(&whole, row[0], &pose, row[1], row[2] != 0.0 ? row + 3 : NULL, &c) == SHERKIT_OK,
+        const double *given = row[2] != 0.0 ? row + 3 : NULL;
+        need(sherkit_paper_filter_step(&paper, row[0], &pose, given, &estimate) == SHERKIT_OK, "a step of the paper's");
+        put_estimate(&estimate);
+        need(sherkit_tool_filter_step(&whole, row[0], &pose, row[1], given, &estimate) == SHERKIT_OK,
              "a step of the tool");
-        put_one(c.depth_mm);
-        put(c.tip_mm, 3);
-        put(&c.covariance[0][0], 16);
-        put(c.force_mn, 2);
-        put_one(c.force_variance);
-        put_one(c.misfit);
-        put_one(c.faulty);
-        put_one(c.status);
+        put_estimate(&estimate);
     }
     sherkit_statistics s;
+    need(sherkit_paper_filter_statistics(&paper, &s) == SHERKIT_OK, "the statistics");
+    put_statistics(&s);
     need(sherkit_tool_filter_statistics(&whole, &s) == SHERKIT_OK, "the statistics");
-    double counts[] = {(double)s.steps,    (double)s.updated,   (double)s.missing, (double)s.late,
-                       (double)s.not_finite, (double)s.no_force, (double)s.no_motion, (double)s.clock,
-                       (double)s.nis_count, (double)s.nis_degrees, s.nis_sum};
-    put(counts, 11);
+    put_statistics(&s);
 }
 
 int main(int argc, char **argv)

@@ -1,17 +1,16 @@
-//! Nanoseconds that one step of each filter of the flexible tool takes, and one reading of the fibres:
+//! Nanoseconds that one step of the flexible tool's filter and of the paper's takes, and one reading of the fibres:
 //! `cargo run --release -p sherkit-core --example step_time`.
 //!
 //! Every line is the median of batches, after a warm-up; the force comes and goes, so that both sides of each branch
 //! are taken.
 
-use nalgebra::{Matrix2x3, Vector2, Vector3};
+use nalgebra::{Matrix2x3, Matrix3, Vector2};
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::beam::Beam;
-use sherkit_core::tool::filters::noise::Variances;
-use sherkit_core::tool::filters::{DepthFilter, Measurement, Noise, TipFilter};
+use sherkit_core::tool::filter::{Doubt, ToolFilter, Trusted};
+use sherkit_core::tool::paper::{PaperFilter, PaperNoise};
 use sherkit_core::tool::rod::{Bending, Rod};
 use sherkit_core::tool::sensing::{Calibration, Sensor};
-use sherkit_core::tool::tracker::{Doubt, ToolFilter, Trusted};
 use std::hint::black_box;
 use std::time::Instant;
 
@@ -74,13 +73,20 @@ fn wavelengths(calibration: &Calibration) -> Vec<[[f64; 3]; 3]> {
 fn whole_filter(calibration: Calibration, beam: Beam, wavelengths: &[[[f64; 3]; 3]]) {
     let (dt, tool) = (0.005, Rigid::identity());
     let doubt = Doubt {
+        depth: Matrix3::from_diagonal_element(0.01),
+        deeper_mm: 0.1,
+        turn_rad: 0.005,
+        force: 0.01,
         reference_nm: 2e-4,
+        mean: 0.02,
+        clearance_mm: 0.02,
         unlike: 0.02,
         warmth: 0.02,
         ..Doubt::default()
     };
     let trusted = Trusted {
         calibration,
+        means: [Vector2::new(1e-6, 0.0); 2],
         warmth: [[0.01, -0.02, 0.01]; 2],
         rod: Rod {
             beam,
@@ -123,19 +129,7 @@ fn main() {
     };
     let sensor = Sensor::new(calibration).expect("a calibration");
     let wavelengths = wavelengths(&calibration);
-    let readings: Vec<_> = wavelengths
-        .iter()
-        .map(|w| sensor.read(w).expect("finite wavelengths"))
-        .collect();
-    let dt = 0.005;
-    let at = |k: usize| Measurement::from_reading(k as f64 * dt, &readings[k % BATCH]);
-    let measured: Vec<_> = (0..BATCH).map(at).collect();
     let (beam, tool) = (Beam::ebrahimi_2020(), Rigid::identity());
-    let velocity = Vector3::new(0.1, -0.2, 0.05);
-    let floor = Variances {
-        depth: 1e-3,
-        across: 1e-4,
-    };
 
     println!("sensing        {:8.1} ns", {
         median(|k| {
@@ -143,30 +137,13 @@ fn main() {
         })
     });
     whole_filter(calibration, beam, &wavelengths);
-    let noises = [
-        ("paper", Noise::ebrahimi_2020()),
-        ("propagated", Noise::propagated([0.5, 2.0], floor)),
-    ];
-    for (name, noise) in noises {
-        let mut depth = DepthFilter::new(5.0, 1.0, 0.0, noise).expect("a filter");
-        let mut tip = TipFilter::new(beam, &tool, 0.5, 0.0, noise).expect("a filter");
-        let stamped = |k: usize| {
-            let mut m = measured[k % BATCH];
-            m.time_s = (k + 1) as f64 * dt;
-            m
-        };
-        println!("depth {name:11} {:5.1} ns", {
-            median(|k| {
-                let m = black_box(stamped(k));
-                black_box(depth.step(m.time_s, 0.1, Some(&m)));
-            })
-        });
-        println!("tip   {name:11} {:5.1} ns", {
-            median(|k| {
-                let m = black_box(stamped(k));
-                let given = black_box((5.0, 0.01));
-                black_box(tip.step(m.time_s, &velocity, black_box(&tool), given, Some(&m)));
-            })
-        });
-    }
+    let noise = PaperNoise::ebrahimi_2020();
+    let mut paper =
+        PaperFilter::new(&calibration, beam, noise, 5.0, 1.0, &tool, 0.0).expect("a filter");
+    println!("paper          {:8.1} ns", {
+        median(|k| {
+            let w = black_box(&wavelengths[k % BATCH]);
+            black_box(paper.step((k + 1) as f64 * 0.005, black_box(&tool), Some(w)));
+        })
+    });
 }

@@ -5,7 +5,7 @@
 mod common;
 
 use common::{Robot, drawing, model_of, some_covariates};
-use nalgebra::{SMatrix, Vector3};
+use nalgebra::{SMatrix, Vector2, Vector3};
 use sherkit_core::camera::{Description, Face};
 use sherkit_core::chain::effects::Wanted;
 use sherkit_core::chain::{Aim, Robot as _};
@@ -19,12 +19,10 @@ use sherkit_core::numbers::registration::{Method, Moments};
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::spherical;
 use sherkit_core::tool::beam::Beam;
-use sherkit_core::tool::calibration::{Bend, GainFit, Place, SlopeFit, fit_beam};
-use sherkit_core::tool::filters::noise::Variances;
-use sherkit_core::tool::filters::{DepthFilter, Measurement, Noise, TipFilter};
+use sherkit_core::tool::filter::{Doubt, ToolFilter, Trusted};
+use sherkit_core::tool::paper::{PaperFilter, PaperNoise};
 use sherkit_core::tool::rod::{Bending, Rod};
 use sherkit_core::tool::sensing::{Calibration, Sensor};
-use sherkit_core::tool::tracker::{Doubt, ToolFilter, Trusted};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::hint::black_box;
@@ -219,7 +217,7 @@ fn least_squares_allocate_nothing() {
     assert_eq!(found, 0);
 }
 
-/// As above, for the flexible tool: sensing, filters, registration, calibration.
+/// As above, for the flexible tool: sensing, filters, registration.
 #[test]
 fn the_flexible_tool_allocates_nothing() {
     let calibration = Calibration {
@@ -228,19 +226,15 @@ fn the_flexible_tool_allocates_nothing() {
         reference_nm: [[1550.0; 3]; 3],
         noise_nm: 1e-3,
     };
-    let floor = Variances {
-        depth: 1e-3,
-        across: 1e-4,
-    };
-    let noise = Noise::propagated([0.5, 2.0], floor);
+    let noise = PaperNoise::ebrahimi_2020();
     let tool = Rigid::identity();
     let beam = Beam::ebrahimi_2020();
     let found = requests(|| {
         let sensor = Sensor::new(calibration).unwrap();
-        let mut depth = DepthFilter::new(5.0, 1.0, 0.0, noise).unwrap();
-        let mut tip = TipFilter::new(beam, &tool, 0.5, 0.0, noise).unwrap();
+        let mut paper = PaperFilter::new(&calibration, beam, noise, 5.0, 1.0, &tool, 0.0).unwrap();
         let trusted = Trusted {
             calibration,
+            means: [Vector2::new(1e-6, 0.0); 2],
             warmth: [[0.01, -0.02, 0.01]; 2],
             rod: Rod {
                 beam,
@@ -251,7 +245,6 @@ fn the_flexible_tool_allocates_nothing() {
             per_second_mm2: 0.01,
         };
         let mut whole = ToolFilter::new(&trusted, 5.0, 1.0, &tool, 0.0).unwrap();
-        let still = Vector3::zeros();
         for k in 1..=500 {
             let time = 0.005 * f64::from(k);
             let mut w = calibration.reference_nm;
@@ -265,39 +258,18 @@ fn the_flexible_tool_allocates_nothing() {
             }
             black_box(whole.step(time, &tool, Some((time - 0.1, &w))));
             black_box(whole.told());
-            let m = sensor.read(&w).ok();
-            let m = m.map(|r| Measurement::from_reading(time, &r));
-            black_box(depth.step(time, 1.0, m.as_ref()));
-            let given = (depth.depth_mm(), depth.variance());
-            black_box(tip.step(time, &still, &tool, given, m.as_ref()));
+            black_box(sensor.read(&w)).ok();
+            black_box(paper.step(time, &tool, Some(&w)));
+            black_box(paper.told());
         }
         let mut moments = Moments::default();
-        let mut gains = GainFit::new(28.0).unwrap();
-        let mut slope = SlopeFit::new(60.0).unwrap();
-        let bends: [Bend; 60] = std::array::from_fn(|k| {
-            let (force_mn, depth_mm) = (50.0 + k as f64, (k % 20) as f64);
-            Bend {
-                force_mn,
-                depth_mm,
-                deflection_mm: force_mn * beam.contact_compliance(depth_mm) * 1.1,
-                place: Place::Contact,
-            }
-        });
-        for (k, bend) in bends.iter().enumerate() {
-            let (x, y) = (k as f64, (k * k % 17) as f64);
-            let a = Vector3::new(x, y, (k % 5) as f64);
+        for k in 0..60_u32 {
+            let a = Vector3::new(f64::from(k), f64::from(k * k % 17), f64::from(k % 5));
             moments.push(&a, &(a * 1.001)).unwrap();
-            gains.push(&[x, y, -x - y], &[y, x], bend.depth_mm).unwrap();
-            slope
-                .push(bend.force_mn, bend.depth_mm, bend.deflection_mm)
-                .unwrap();
         }
         for method in [Method::Quaternion, Method::SingularValues] {
             black_box(moments.solve(method)).unwrap();
         }
-        black_box(gains.solve(1e-4)).unwrap();
-        black_box(slope.solve(true)).unwrap();
-        black_box(fit_beam(&bends, &beam)).unwrap();
     });
     assert_eq!(found, 0);
 }

@@ -1,4 +1,4 @@
-//! The flexible tool: fibres, beam, and the calibration of both.
+//! The flexible tool: fibres and beam.
 
 mod common;
 
@@ -8,7 +8,6 @@ use proptest::prelude::*;
 use sherkit_core::Error;
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::beam::Beam;
-use sherkit_core::tool::calibration::{Bend, GainFit, Place, SlopeFit, fit_beam};
 use sherkit_core::tool::sensing::{Calibration, Depth, Sensor};
 
 /// A tool with random gains and reference wavelengths near 1550 nm.
@@ -264,57 +263,6 @@ proptest! {
         );
         prop_assert!((found - expected).amax() < 1e-8 * (1.0 + expected.amax()));
     }
-
-    /// Gains in another order, of the other section, or with a say in the common mode.
-    #[test]
-    fn gains_come_back(seed in any::<u64>(), n in 3..40_usize) {
-        let mut random = Random(seed);
-        let c = calibration(&mut random, 0.0);
-        for section in 0..2 {
-            let mut fit = GainFit::new(c.distances_mm[section]).unwrap();
-            for _ in 0..n {
-                let (f, depth) = (force(&mut random, 50.0), 10.0 + 10.0 * random.unit());
-                let w = wavelengths(&c, &f, depth, [random.unit(); 3]);
-                let shift = std::array::from_fn(|k| w[section][k] - c.reference_nm[section][k]);
-                fit.push(&shift, &[f.x, f.y], depth).unwrap();
-            }
-            let found = fit.solve(0.0).unwrap();
-            prop_assume!(found.weakest > 1e-2);
-            let g = c.gains[section];
-            let expected = g - g * Matrix3::repeat(1.0 / 3.0);
-            prop_assert!((found.gain - expected).amax() < 1e-5 * g.amax());
-            prop_assert_eq!(fit.rows(), n);
-        }
-    }
-
-    /// A slope that is not 3EI, a joint fit that stops elsewhere or mixes tip and contact.
-    #[test]
-    fn beams_come_back(h in 45.0..75.0_f64, scale in 0.5..2.0_f64, seed in any::<u64>()) {
-        let mut random = Random(seed);
-        let truth = Beam::new(h, 1.13e6 * scale).unwrap();
-        let mut slope = SlopeFit::new(h).unwrap();
-        let mut bends = Vec::new();
-        for i in 0..30 {
-            let (force_mn, depth_mm) = (100.0 + 50.0 * random.unit(), 15.0 + 12.0 * random.unit());
-            let deflection_mm = force_mn * truth.contact_compliance(depth_mm);
-            slope.push(force_mn, depth_mm, deflection_mm).unwrap();
-            bends.push(if i % 3 == 0 {
-                let deflection_mm = force_mn * truth.compliance(depth_mm).value;
-                Bend { force_mn, depth_mm, deflection_mm, place: Place::Tip }
-            } else {
-                Bend { force_mn, depth_mm, deflection_mm, place: Place::Contact }
-            });
-        }
-        for intercept in [false, true] {
-            let found = slope.solve(intercept).unwrap();
-            prop_assert!((found.value / truth.stiffness() - 1.0).abs() < 1e-10);
-            prop_assert!(found.deviation < 1e-6 * found.value);
-        }
-        let found = fit_beam(&bends, &Beam::ebrahimi_2020()).unwrap();
-        prop_assert!((found.beam.length_mm() - h).abs() < 1e-8);
-        prop_assert!((found.beam.stiffness() / truth.stiffness() - 1.0).abs() < 1e-9);
-        prop_assert!(found.residual_mm < 1e-9);
-    }
 }
 
 /// A first-order covariance that is not that of noisy readings, and a misfit that is not 1 on average.
@@ -368,63 +316,7 @@ fn covariance_and_misfit_are_those_of_many_readings() {
     assert!(bent > 5.0, "{bent}");
 }
 
-/// A covariance of gains or of a beam that is not that of many calibrations; the paper's slope, which noise in the
-/// deflection flattens, beside the joint fit, which it does not.
-#[test]
-fn calibrations_scatter_as_they_say() {
-    const RUNS: usize = 3000;
-    let mut random = Random(5);
-    let truth = Beam::ebrahimi_2020();
-    let c = calibration(&mut random, 0.0);
-    let noise = 2.0;
-    let (mut normalised, mut beam_scatter, mut bias) = (0.0, Matrix2::zeros(), 0.0);
-    let (mut predicted, mut flat) = (Matrix2::zeros(), 0.0);
-    for _ in 0..RUNS {
-        let mut fit = GainFit::new(c.distances_mm[0]).unwrap();
-        let mut slope = SlopeFit::new(truth.length_mm()).unwrap();
-        let mut bends = Vec::new();
-        for _ in 0..40 {
-            let (f, depth) = (force(&mut random, 50.0), 10.0 + 10.0 * random.unit());
-            let w = wavelengths(&c, &f, depth, [0.0; 3]);
-            let shift = std::array::from_fn(|k| w[0][k] - c.reference_nm[0][k]);
-            // noise of the moment: of the force's reading, over the lever
-            let lever = c.distances_mm[0] - depth;
-            let noisy = [0, 1].map(|k| f[k] + noise / lever * random.normal());
-            fit.push(&shift, &noisy, depth).unwrap();
-            let force_mn = 100.0 + 40.0 * random.unit();
-            let deflection_mm = force_mn * truth.contact_compliance(depth) + 0.1 * random.normal();
-            slope.push(force_mn, depth, deflection_mm).unwrap();
-            bends.push(Bend {
-                force_mn,
-                depth_mm: depth,
-                deflection_mm,
-                place: Place::Contact,
-            });
-        }
-        let found = fit.solve(0.0).unwrap();
-        let g = c.gains[0];
-        let miss = found.gain - (g - g * Matrix3::repeat(1.0 / 3.0));
-        normalised += miss[(0, 0)].powi(2) / (found.unit_covariance.m11 * noise * noise);
-        let joint = fit_beam(&bends, &truth).unwrap();
-        let miss = Vector2::new(
-            joint.beam.length_mm() - truth.length_mm(),
-            joint.beam.stiffness() - truth.stiffness(),
-        );
-        beam_scatter += miss * miss.transpose() / RUNS as f64;
-        predicted += joint.covariance / RUNS as f64;
-        bias += miss.y / truth.stiffness() / RUNS as f64;
-        flat += slope.solve(true).unwrap().value / truth.stiffness() / RUNS as f64;
-    }
-    assert!((normalised / RUNS as f64 - 1.0).abs() < 0.1);
-    for k in 0..2 {
-        let ratio = beam_scatter[(k, k)] / predicted[(k, k)];
-        assert!((ratio - 1.0).abs() < 0.1, "{k} {ratio}");
-    }
-    assert!(bias.abs() < 0.005, "{bias}");
-    assert!(flat < 0.998, "{flat}");
-}
-
-/// Numbers that are no tool, rows that tell nothing, taken.
+/// Numbers that are no tool, taken.
 #[test]
 fn nonsense_is_refused() {
     let good = calibration(&mut Random(1), 1e-4);
@@ -448,48 +340,4 @@ fn nonsense_is_refused() {
     ] {
         assert!(matches!(Beam::new(h, k), Err(Error::Invalid { .. })));
     }
-    let mut fit = GainFit::new(30.0).unwrap();
-    assert!(GainFit::new(f64::NAN).is_err() && SlopeFit::new(0.0).is_err());
-    assert!(matches!(
-        fit.push(&[0.0; 3], &[1.0, 0.0], 31.0),
-        Err(Error::Invalid { .. })
-    ));
-    assert_eq!(
-        fit.push(&[0.0; 3], &[1.0, f64::NAN], 0.0),
-        Err(Error::NotFinite { index: 4 })
-    );
-    assert_eq!(
-        fit.solve(0.0).err(),
-        Some(Error::TooFew {
-            needed: 3,
-            found: 0
-        })
-    );
-    // all forces along one line
-    for i in 1..9 {
-        let f = f64::from(i);
-        fit.push(&[f, -f, 0.0], &[f, 0.5 * f], 3.0).unwrap();
-    }
-    assert_eq!(fit.solve(0.0).err(), Some(Error::Singular));
-    let mut slope = SlopeFit::new(60.0).unwrap();
-    assert!(slope.push(f64::NAN, 1.0, 1.0).is_err() && slope.solve(false).is_err());
-    slope.push(0.0, 1.0, 0.0).unwrap();
-    slope.push(0.0, 2.0, 0.0).unwrap();
-    assert_eq!(slope.solve(false).err(), Some(Error::Singular));
-    let beam = Beam::ebrahimi_2020();
-    let bend = |force_mn: f64| Bend {
-        force_mn,
-        depth_mm: 10.0,
-        deflection_mm: 0.01 * force_mn,
-        place: Place::Contact,
-    };
-    assert!(matches!(
-        fit_beam(&[bend(1.0)], &beam),
-        Err(Error::TooFew { .. })
-    ));
-    assert_eq!(
-        fit_beam(&[bend(50.0), bend(60.0), bend(70.0)], &beam).err(),
-        Some(Error::Singular)
-    );
-    assert!(fit_beam(&[bend(50.0), bend(f64::NAN), bend(70.0)], &beam).is_err());
 }

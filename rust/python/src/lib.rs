@@ -5,17 +5,15 @@ mod bernstein;
 mod camera;
 mod delta;
 mod errors;
-mod filter;
 mod flips;
 mod lanes;
-mod noise;
 mod problem;
+mod registration;
 mod robot;
 mod serial;
 mod solver;
 mod spherical;
 mod tool;
-mod tool_calibration;
 mod tool_filter;
 mod waves;
 
@@ -38,17 +36,12 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<delta::Calibrated>()?;
     m.add_class::<tool::ToolSensor>()?;
     m.add_class::<tool::ToolBeam>()?;
-    m.add_class::<noise::FilterNoise>()?;
-    m.add_class::<filter::DepthFilter>()?;
-    m.add_class::<filter::TipFilter>()?;
     m.add_class::<tool_filter::ToolFilter>()?;
-    for (name, flag) in filter::STATUS {
+    m.add_class::<tool_filter::PaperFilter>()?;
+    for (name, flag) in tool_filter::STATUS {
         m.add(name, flag)?;
     }
-    m.add_function(wrap_pyfunction!(tool_calibration::tool_fit_gain, m)?)?;
-    m.add_function(wrap_pyfunction!(tool_calibration::tool_fit_slope, m)?)?;
-    m.add_function(wrap_pyfunction!(tool_calibration::tool_fit_beam, m)?)?;
-    m.add_function(wrap_pyfunction!(tool_calibration::register_points, m)?)?;
+    m.add_function(wrap_pyfunction!(registration::register_points, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_basis, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_fit, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_held_out, m)?)?;

@@ -10,7 +10,6 @@ use numpy::{
 use pyo3::prelude::*;
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::beam::Beam;
-use sherkit_core::tool::filters::Measurement;
 use sherkit_core::tool::rod::{Bending, Rod};
 use sherkit_core::tool::sensing::{Calibration, Depth, Reading, Sensor};
 
@@ -43,8 +42,17 @@ pub fn pose_of(numbers: &[f64; POSE]) -> Rigid {
     }
 }
 
-/// A measurement from its numbers.
-pub fn measurement_of(numbers: &[f64; MEASUREMENT]) -> Measurement {
+/// What the fibres tell at one time, as numbers.
+struct Measurement {
+    time_s: f64,
+    force: [f64; 2],
+    force_covariance: [[f64; 2]; 2],
+    depth: f64,
+    depth_variance: f64,
+    depth_with_force: [f64; 2],
+}
+
+fn measurement_of(numbers: &[f64; MEASUREMENT]) -> Measurement {
     let [time_s, fx, fy, xx, xy, yx, yy, depth, variance, dx, dy] = *numbers;
     Measurement {
         time_s,
@@ -70,7 +78,23 @@ pub struct ToolSensor(Sensor, Option<Rod>);
 impl ToolSensor {
     /// A measurement of a reading; of a rod that bends as an elastica, where one is given.
     fn measured(&self, time_s: f64, reading: &Reading) -> Measurement {
-        let mut m = Measurement::from_reading(time_s, reading);
+        let c = &reading.force_covariance;
+        let (depth, depth_variance, with) = match reading.depth {
+            Depth::Measured {
+                mm,
+                variance,
+                with_force,
+            } => (mm, variance, [with_force.x, with_force.y]),
+            Depth::NoForce => (0.0, f64::INFINITY, [0.0; 2]),
+        };
+        let mut m = Measurement {
+            time_s,
+            force: [reading.force.x, reading.force.y],
+            force_covariance: [[c.m11, c.m12], [c.m21, c.m22]],
+            depth,
+            depth_variance,
+            depth_with_force: with,
+        };
         let size = reading.force.norm();
         if let (Some(rod), true) = (self.1, m.depth_variance.is_finite() && size > 0.0) {
             let (force, depth) = rod.exactly(size, m.depth, self.0.calibration().distances_mm);
@@ -234,28 +258,31 @@ impl ToolBeam {
         self.0.bending == Bending::Exact
     }
 
-    /// Loads of a bench, whose cell has the part of the force (mN) `(n,)` across the clamp's axis, at depths `(n,)`: the
-    /// moment over that part at each of two distances from the tip, and the deflection at the contact, mm `(n, 3)`.
+    /// Loads of a bench `(n,)`, mN, at depths `(n,)`, mm, both as the bench reads them (see the core's `Rod::loaded`):
+    /// force across the rod, length of shaft beyond it, moments at two distances from the tip (mN·mm), and the deflection
+    /// of the contact (mm) `(n, 5)`.
     fn loads_batch<'py>(
         &self,
         py: Python<'py>,
-        lateral_mn: PyReadonlyArray1<'_, f64>,
+        forces_mn: PyReadonlyArray1<'_, f64>,
         depths_mm: PyReadonlyArray1<'_, f64>,
         distances_mm: [f64; 2],
+        axial: bool,
+        across: bool,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let lateral = lateral_mn.as_slice()?;
-        let depths = same_length("depths_mm", &depths_mm, lateral.len())?;
-        let mut out = Vec::with_capacity(3 * lateral.len());
-        for (f, d) in lateral.iter().zip(depths) {
-            let force = self.0.force_of_lateral(*f, *d);
-            let raised = if *f > 0.0 { force / f } else { 1.0 };
+        let forces = forces_mn.as_slice()?;
+        let depths = same_length("depths_mm", &depths_mm, forces.len())?;
+        let mut out = Vec::with_capacity(5 * forces.len());
+        for (f, d) in forces.iter().zip(depths) {
+            let (force, depth) = self.0.loaded(*f, *d, axial, across);
+            out.extend([force, depth]);
             for l in distances_mm {
-                let arm = (l - d).max(0.0);
-                out.push(raised * arm * self.0.moment_share(force, arm));
+                let arm = (l - depth).max(0.0);
+                out.push(force * arm * self.0.moment_share(force, arm));
             }
-            out.push(self.0.shape(force, *d).contact_across);
+            out.push(self.0.aside(force, self.0.beam.length_mm() - depth));
         }
-        shaped(py, out, [lateral.len(), 3])
+        shaped(py, out, [forces.len(), 5])
     }
 
     #[getter]

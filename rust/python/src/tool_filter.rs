@@ -1,248 +1,416 @@
-//! `ToolFilter`: wavelengths and poses to depth and tip, in a loop or over a recorded run, with the same bits.
+//! `ToolFilter` and `PaperFilter`: wavelengths and poses to depth and tip, in a loop or over a recorded run, with the same
+//! bits.
 
 use crate::arrays::{fixed, rows, rows_like, same_length, shaped};
 use crate::errors::{shape, to_python};
-use crate::filter::statistics;
 use crate::tool::{POSE, ToolBeam, WAVELENGTHS, pose_of, sections};
-use nalgebra::{Matrix2, Matrix2x3, Matrix3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2};
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
-    PyReadonlyArray4, PyUntypedArrayMethods,
+    PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use sherkit_core::numbers::rigid::Rigid;
+use sherkit_core::tool::filter::{
+    Consistency, Counts, Doubt, Look, Node, Shifts, Smoothed, Status, Told, ToolFilter as CoreTool,
+    Trusted, smooth,
+};
+use sherkit_core::tool::paper::{PaperFilter as CorePaper, PaperNoise};
 use sherkit_core::tool::sensing::Calibration;
-use sherkit_core::tool::tracker::{Doubt, ToolFilter as Core, Trusted};
 
-/// Depth and tip from wavelengths and poses.
-#[pyclass(module = "sherkit._core")]
-pub struct ToolFilter(Core);
+type Numbers<'py> = PyReadonlyArray1<'py, f64>;
 
-#[pymethods]
-impl ToolFilter {
-    /// `gains` `(2, 2, 3)` and their covariance by rows `(2, 2, 3, 3)`; `reference_nm` `(9,)`; `warmth`
-    /// `(2, 3)`: how much more than its section's mean each fibre answers to it; `doubts`: deviations of a reference (nm),
-    /// of the fibres' answers to warmth among each other and of `warmth`, of the clearance (mm), of the sections' distance
-    /// (mm);    /// `beam_covariance` `(2, 2)` of length and stiffness; `start`: depth (mm), its variance (mm²), time (s).
+/// What both filters do.
+trait Stepped: Copy + Send {
+    fn advance(&mut self, time_s: f64, pose: &Rigid, reading: Option<(f64, &Shifts)>) -> Status;
+    fn told(&self) -> Told;
+    fn look(&self) -> Look;
+    fn fared(&self) -> (&Counts, &Consistency);
+    /// Pace of the hole along the shaft (mm²/s) and across ((mm/s)²), and what was learnt: clearance (mm), give (mm/mN), the
+    /// gratings' turn (rad), how much deeper they are (mm), moments of no force (4, mN·mm).
+    fn inner(&self) -> [f64; INNER];
+    /// The last reading, for a smoother, and its time.
+    fn node(&self) -> Option<(f64, Node)>;
+}
+const INNER: usize = 10;
+
+impl Stepped for CoreTool {
+    fn node(&self) -> Option<(f64, Node)> {
+        Some(self.node())
+    }
+    fn advance(&mut self, time_s: f64, pose: &Rigid, reading: Option<(f64, &Shifts)>) -> Status {
+        self.step(time_s, pose, reading)
+    }
+    fn told(&self) -> Told {
+        self.told()
+    }
+    fn look(&self) -> Look {
+        self.look()
+    }
+    fn fared(&self) -> (&Counts, &Consistency) {
+        (self.counts(), self.consistency())
+    }
+    fn inner(&self) -> [f64; INNER] {
+        let [c, g, t, m, a, b, d, e] = self.learnt();
+        [self.per_second_mm2(), self.pace(), c, g, t, m, a, b, d, e]
+    }
+}
+
+impl Stepped for CorePaper {
+    fn node(&self) -> Option<(f64, Node)> {
+        None
+    }
+    fn advance(&mut self, time_s: f64, pose: &Rigid, reading: Option<(f64, &Shifts)>) -> Status {
+        self.step(time_s, pose, reading.map(|(_, w)| w))
+    }
+    fn told(&self) -> Told {
+        self.told()
+    }
+    fn look(&self) -> Look {
+        Look::default()
+    }
+    fn fared(&self) -> (&Counts, &Consistency) {
+        (self.counts(), self.consistency())
+    }
+    fn inner(&self) -> [f64; INNER] {
+        [0.0; INNER]
+    }
+}
+
+/// A recorded run, as Python gives it.
+struct Recorded<'a> {
+    times_s: Numbers<'a>,
+    poses: PyReadonlyArray2<'a, f64>,
+    stamps_s: Numbers<'a>,
+    wavelengths_nm: PyReadonlyArray2<'a, f64>,
+    present: PyReadonlyArray1<'a, bool>,
+}
+
+fn run<'py, F: Stepped>(
+    py: Python<'py>,
+    filter: &mut F,
+    r: &Recorded<'_>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let times = r.times_s.as_slice()?.to_vec();
+    let n = times.len();
+    let poses = rows_like::<POSE>("poses", &r.poses, n)?.to_vec();
+    let stamps = same_length("stamps_s", &r.stamps_s, n)?.to_vec();
+    let waves = rows::<WAVELENGTHS, _>("wavelengths_nm", &r.wavelengths_nm)?.to_vec();
+    if waves.len() != n {
+        return Err(shape(
+            "wavelengths_nm",
+            "a row for each time",
+            r.wavelengths_nm.shape(),
+        ));
+    }
+    let present = same_length("present", &r.present, n)?.to_vec();
+    let (mut state, mut covariance) = (Vec::with_capacity(4 * n), Vec::with_capacity(16 * n));
+    let (mut force, mut inner) = (Vec::with_capacity(2 * n), Vec::with_capacity(INNER * n));
+    let mut columns: [Vec<f64>; 4] = core::array::from_fn(|_| Vec::with_capacity(n));
+    let (mut status, mut degrees, mut faulty) = (vec![], vec![], vec![]);
+    let (mut nodes, mut rows_of) = (Vec::new(), Vec::new());
+    let mut last = f64::NAN;
+    py.detach(|| {
+        for i in 0..n {
+            let w = sections(&waves[i]);
+            let reading = present[i].then_some((stamps[i], &w));
+            let done = filter.advance(times[i], &pose_of(&poses[i]), reading);
+            let told = filter.told();
+            if let Some((time, node)) = filter.node()
+                && time != last
+                && present[i]
+            {
+                last = time;
+                nodes.push(node);
+                rows_of.push(i64::try_from(i).unwrap_or(i64::MAX));
+            }
+            state.push(told.depth_mm);
+            state.extend_from_slice(&told.tip_mm);
+            covariance.extend_from_slice(told.covariance.as_flattened());
+            force.extend_from_slice(&told.force_mn);
+            inner.extend_from_slice(&filter.inner());
+            let (look, (_, nis)) = (filter.look(), filter.fared());
+            let row = [told.arc_mm, told.force_variance, look.misfit, nis.last];
+            for (column, x) in columns.iter_mut().zip(row) {
+                column.push(x);
+            }
+            degrees.push(u8::try_from(nis.last_degrees).unwrap_or(u8::MAX));
+            faulty.push(look.faulty);
+            status.push(done.0);
+        }
+    });
+    let mut smoothed = vec![Smoothed::default(); nodes.len()];
+    py.detach(|| smooth(&nodes, &mut smoothed));
+    let out = PyDict::new(py);
+    let back: Vec<f64> = smoothed
+        .iter()
+        .flat_map(|s| [s.moved_mm, s.expected_moved_mm, s.variance])
+        .collect();
+    out.set_item::<_, Bound<'py, PyArray2<f64>>>("smoothed", shaped(py, back, [nodes.len(), 3])?)?;
+    out.set_item("read", PyArray1::from_vec(py, rows_of))?;
+    let covariance: Bound<'py, PyArray3<f64>> = shaped(py, covariance, [n, 4, 4])?;
+    out.set_item("covariance", covariance)?;
+    for (name, data, width) in [
+        ("state", state, 4),
+        ("force_mn", force, 2),
+        ("inner", inner, INNER),
+    ] {
+        out.set_item::<_, Bound<'py, PyArray2<f64>>>(name, shaped(py, data, [n, width])?)?;
+    }
+    let names = ["arc_mm", "force_variance", "misfit", "nis"];
+    for (name, column) in names.iter().zip(columns) {
+        out.set_item(name, PyArray1::from_vec(py, column))?;
+    }
+    out.set_item("degrees", PyArray1::from_vec(py, degrees))?;
+    out.set_item("faulty", PyArray1::from_vec(py, faulty))?;
+    out.set_item("status", PyArray1::from_vec(py, status))?;
+    Ok(out)
+}
+
+/// How often what happened, and the innovation statistics.
+fn statistics<'py>(
+    py: Python<'py>,
+    (counts, nis): (&Counts, &Consistency),
+) -> PyResult<Bound<'py, PyDict>> {
+    let out = PyDict::new(py);
+    for (name, count) in [
+        ("steps", counts.steps),
+        ("updated", counts.updated),
+        ("missing", counts.missing),
+        ("late", counts.late),
+        ("not_finite", counts.not_finite),
+        ("no_force", counts.no_force),
+        ("no_motion", counts.no_motion),
+        ("clock", counts.clock),
+        ("gated", counts.gated),
+        ("nis_count", nis.count),
+        ("nis_degrees", nis.degrees),
+        ("nis_last_degrees", nis.last_degrees),
+    ] {
+        out.set_item(name, count)?;
+    }
+    out.set_item("nis_sum", nis.sum)?;
+    out.set_item("nis_last", nis.last)?;
+    out.set_item("nis_ratio", nis.ratio())?;
+    Ok(out)
+}
+
+/// Gratings as Python gives them.
+fn calibration(
+    gains: &PyReadonlyArray3<'_, f64>,
+    distances_mm: &Numbers<'_>,
+    reference_nm: &Numbers<'_>,
+    noise_nm: f64,
+) -> PyResult<Calibration> {
+    if gains.shape() != [2, 2, 3] {
+        return Err(shape("gains", "(2, 2, 3)", gains.shape()));
+    }
+    let k = fixed::<12, _>("gains", gains)?;
+    Ok(Calibration {
+        gains: [
+            Matrix2x3::from_row_slice(&k[..6]),
+            Matrix2x3::from_row_slice(&k[6..]),
+        ],
+        distances_mm: fixed("distances_mm", distances_mm)?,
+        reference_nm: sections(&fixed("reference_nm", reference_nm)?),
+        noise_nm,
+    })
+}
+
+/// A filter of the core as a class: what both have, and what is a filter's own.
+macro_rules! filter_class {
+    ($(#[$about:meta])* $class:ident($core:ident); $($own:tt)*) => {
+        $(#[$about])*
+        #[pyclass(module = "sherkit._core")]
+        pub struct $class($core);
+
+        #[pymethods]
+        #[allow(clippy::too_many_arguments, reason = "a tool has that many numbers")]
+        impl $class {
+            $($own)*
+
+            /// One step to a time and a pose `(12,)`; where there is a reading, its stamp (s) and wavelengths `(9,)`. The
+            /// status is a sum of the module's `STATUS_…` flags.
+            #[pyo3(signature = (time_s, pose, stamp_s=None, wavelengths_nm=None))]
+            fn step(
+                &mut self,
+                time_s: f64,
+                pose: Numbers<'_>,
+                stamp_s: Option<f64>,
+                wavelengths_nm: Option<Numbers<'_>>,
+            ) -> PyResult<u8> {
+                let pose = pose_of(&fixed("pose", &pose)?);
+                let row = wavelengths_nm
+                    .map(|w| Ok::<_, PyErr>(sections(&fixed("wavelengths_nm", &w)?)))
+                    .transpose()?;
+                let reading = row.as_ref().map(|w| (stamp_s.unwrap_or(time_s), w));
+                Ok(self.0.advance(time_s, &pose, reading).0)
+            }
+
+            /// As many steps as there are times `(n,)`, at poses `(n, 12)`, with wavelengths `(n, 9)` of stamps `(n,)`
+            /// where `present` `(n,)`. By name: `state` (depth, tip) `(n, 4)`, `covariance` `(n, 4, 4)`, `force_mn`
+            /// `(n, 2)`, `inner` `(n, 10)`, and `(n,)` `arc_mm`, `force_variance`, `misfit`, `nis`, `degrees`, `faulty`
+            /// (a bit for each grating), `status`; of the rows `read` `(m,)` whose
+            /// reading was looked at, `smoothed` `(m, 3)`: by how much all readings move the depth, the one expected
+            /// before it (mm), and its variance (mm²).
+            fn run<'py>(
+                &mut self,
+                py: Python<'py>,
+                times_s: Numbers<'_>,
+                poses: PyReadonlyArray2<'_, f64>,
+                stamps_s: Numbers<'_>,
+                wavelengths_nm: PyReadonlyArray2<'_, f64>,
+                present: PyReadonlyArray1<'_, bool>,
+            ) -> PyResult<Bound<'py, PyDict>> {
+                run(py, &mut self.0, &Recorded { times_s, poses, stamps_s, wavelengths_nm, present })
+            }
+
+            #[getter]
+            fn depth_mm(&self) -> f64 {
+                self.0.told().depth_mm
+            }
+
+            #[getter]
+            fn arc_mm(&self) -> f64 {
+                self.0.told().arc_mm
+            }
+
+            #[getter]
+            fn tip_mm<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+                PyArray1::from_slice(py, &self.0.told().tip_mm)
+            }
+
+            /// Of depth and tip `(4, 4)`, mm².
+            #[getter]
+            fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+                shaped(py, self.0.told().covariance.as_flattened().to_vec(), [4, 4])
+            }
+
+            #[getter]
+            fn misfit(&self) -> f64 {
+                self.0.look().misfit
+            }
+
+            /// A bit for each grating that was not believed in the last reading.
+            #[getter]
+            fn faulty(&self) -> u16 {
+                self.0.look().faulty
+            }
+
+            #[getter]
+            fn time_s(&self) -> f64 {
+                self.0.told().time_s
+            }
+
+            /// How often what happened, and the innovation statistics of the depth.
+            fn statistics<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+                statistics(py, self.0.fared())
+            }
+
+            fn copy(&self) -> Self {
+                Self(self.0)
+            }
+        }
+    };
+}
+
+filter_class! {
+    /// Depth and tip from wavelengths and poses, by the rod, its pivot and its gratings.
+    ToolFilter(CoreTool);
+
+    /// `gains` `(2, 2, 3)`; `means_nm` `(2, 2)`: what the mean of a section's fibres answers to a moment, nm per mN·mm;
+    /// `reference_nm` `(9,)`; `warmth` `(2, 3)`: how much more than its section's mean each fibre answers to it.
+    /// `doubts`: deviations of a force (relative), of a reference (nm), of `means_nm` (over a fibre's answer), of the
+    /// fibres' answers to warmth among each other and of `warmth`, of the clearance (mm); `depth_covariance` `(3, 3)` of
+    /// what the depth is off, `θ₀ + θ₁ d/10 + θ₂ (d/10)²`; `beam_covariance` `(2, 2)` of length and stiffness; `start`:
+    /// depth (mm), its variance (mm²), time (s).
     #[new]
-    #[allow(clippy::too_many_arguments, reason = "a tool has that many numbers")]
     fn new(
         gains: PyReadonlyArray3<'_, f64>,
-        gain_covariance: PyReadonlyArray4<'_, f64>,
-        distances_mm: PyReadonlyArray1<'_, f64>,
-        reference_nm: PyReadonlyArray1<'_, f64>,
+        means_nm: PyReadonlyArray2<'_, f64>,
+        distances_mm: Numbers<'_>,
+        reference_nm: Numbers<'_>,
         noise_nm: f64,
         warmth: PyReadonlyArray2<'_, f64>,
         beam: &ToolBeam,
+        depth_covariance: PyReadonlyArray2<'_, f64>,
         beam_covariance: PyReadonlyArray2<'_, f64>,
-        doubts: [f64; 5],
+        doubts: [f64; 8],
         clearance_mm: f64,
         per_second_mm2: f64,
         start: [f64; 3],
-        pose: PyReadonlyArray1<'_, f64>,
+        pose: Numbers<'_>,
     ) -> PyResult<Self> {
-        if gains.shape() != [2, 2, 3] {
-            return Err(shape("gains", "(2, 2, 3)", gains.shape()));
-        }
-        if gain_covariance.shape() != [2, 2, 3, 3] {
-            return Err(shape(
-                "gain_covariance",
-                "(2, 2, 3, 3)",
-                gain_covariance.shape(),
-            ));
-        }
-        let k = fixed::<12, _>("gains", &gains)?;
-        let spread = fixed::<36, _>("gain_covariance", &gain_covariance)?;
-        let row = |i: usize| Matrix3::from_row_slice(&spread[9 * i..9 * i + 9]);
         if warmth.shape() != [2, 3] {
             return Err(shape("warmth", "(2, 3)", warmth.shape()));
         }
         let [a, b, c, d, e, f] = fixed::<6, _>("warmth", &warmth)?;
-        let [reference, unlike, of_warmth, clearance, distance] = doubts;
+        let [p, q, r, s] = fixed::<4, _>("means_nm", &means_nm)?;
+        let [deeper, turn, force, reference, mean, unlike, of_warmth, clearance] = doubts;
         let trusted = Trusted {
-            calibration: Calibration {
-                gains: [
-                    Matrix2x3::from_row_slice(&k[..6]),
-                    Matrix2x3::from_row_slice(&k[6..]),
-                ],
-                distances_mm: fixed("distances_mm", &distances_mm)?,
-                reference_nm: sections(&fixed("reference_nm", &reference_nm)?),
-                noise_nm,
-            },
+            calibration: calibration(&gains, &distances_mm, &reference_nm, noise_nm)?,
+            means: [Vector2::new(p, q), Vector2::new(r, s)],
             warmth: [[a, b, c], [d, e, f]],
             rod: beam.rod(),
             doubt: Doubt {
-                gains: [[row(0), row(1)], [row(2), row(3)]],
+                depth: Matrix3::from_row_slice(&fixed::<9, _>("depth_covariance", &depth_covariance)?),
+                deeper_mm: deeper,
+                turn_rad: turn,
+                force,
+                beam: Matrix2::from_row_slice(&fixed::<4, _>("beam_covariance", &beam_covariance)?),
                 reference_nm: reference,
+                mean,
                 unlike,
                 warmth: of_warmth,
-                beam: Matrix2::from_row_slice(&fixed::<4, _>("beam_covariance", &beam_covariance)?),
                 clearance_mm: clearance,
-                distance_mm: distance,
             },
             clearance_mm,
             per_second_mm2,
         };
         let [depth, variance, time_s] = start;
         let pose = pose_of(&fixed("pose", &pose)?);
-        Core::new(&trusted, depth, variance, &pose, time_s)
+        CoreTool::new(&trusted, depth, variance, &pose, time_s)
             .map(Self)
             .map_err(to_python)
-    }
-
-    /// One step to a time and a pose `(12,)`; where there is a reading, its stamp (s) and wavelengths `(9,)`. The status
-    /// is a sum of the module's `STATUS_…` flags.
-    #[pyo3(signature = (time_s, pose, stamp_s=None, wavelengths_nm=None))]
-    fn step(
-        &mut self,
-        time_s: f64,
-        pose: PyReadonlyArray1<'_, f64>,
-        stamp_s: Option<f64>,
-        wavelengths_nm: Option<PyReadonlyArray1<'_, f64>>,
-    ) -> PyResult<u8> {
-        let pose = pose_of(&fixed("pose", &pose)?);
-        let row = wavelengths_nm
-            .map(|w| Ok::<_, PyErr>(sections(&fixed("wavelengths_nm", &w)?)))
-            .transpose()?;
-        let reading = row.as_ref().map(|w| (stamp_s.unwrap_or(time_s), w));
-        Ok(self.0.step(time_s, &pose, reading).0)
-    }
-
-    /// As many steps as there are times `(n,)`, at poses `(n, 12)`, with wavelengths `(n, 9)` of stamps `(n,)` where
-    /// `present` `(n,)`. By name: `state` (depth, tip) `(n, 4)`, `covariance` `(n, 4, 4)`, `force_mn` `(n, 2)`,
-    /// `force_variance`, `misfit`, `nis`, `degrees`, `per_second_mm2`, `faulty` (a bit for each grating), `status` `(n,)`,
-    /// and for smoothing `noise` (variance) `(n,)` and `tied` `(n, k)`.
-    fn run<'py>(
-        &mut self,
-        py: Python<'py>,
-        times_s: PyReadonlyArray1<'_, f64>,
-        poses: PyReadonlyArray2<'_, f64>,
-        stamps_s: PyReadonlyArray1<'_, f64>,
-        wavelengths_nm: PyReadonlyArray2<'_, f64>,
-        present: PyReadonlyArray1<'_, bool>,
-    ) -> PyResult<Bound<'py, PyDict>> {
-        let times = times_s.as_slice()?.to_vec();
-        let n = times.len();
-        let poses = rows_like::<POSE>("poses", &poses, n)?.to_vec();
-        let stamps = same_length("stamps_s", &stamps_s, n)?.to_vec();
-        let waves = rows::<WAVELENGTHS, _>("wavelengths_nm", &wavelengths_nm)?.to_vec();
-        if waves.len() != n {
-            return Err(shape(
-                "wavelengths_nm",
-                "a row for each time",
-                wavelengths_nm.shape(),
-            ));
-        }
-        let present = same_length("present", &present, n)?.to_vec();
-        let mut state = Vec::with_capacity(4 * n);
-        let mut covariance = Vec::with_capacity(16 * n);
-        let mut force = Vec::with_capacity(2 * n);
-        let mut columns: [Vec<f64>; 6] = core::array::from_fn(|_| Vec::with_capacity(n));
-        let (mut status, mut degrees, mut faulty) = (vec![], vec![], vec![]);
-        let width = self.0.told_tied().1.len();
-        let mut tied = Vec::with_capacity(width * n);
-        py.detach(|| {
-            for i in 0..n {
-                let w = sections(&waves[i]);
-                let reading = present[i].then_some((stamps[i], &w));
-                let done = self.0.step(times[i], &pose_of(&poses[i]), reading);
-                let told = self.0.told();
-                state.push(told.depth_mm);
-                state.extend_from_slice(&told.tip_mm);
-                covariance.extend_from_slice(told.covariance.as_flattened());
-                force.extend_from_slice(&told.force_mn);
-                let (look, nis) = (self.0.look(), self.0.consistency());
-                let (noise, of) = self.0.told_tied();
-                tied.extend_from_slice(&of);
-                let row = [
-                    told.force_variance,
-                    look.misfit,
-                    nis.last,
-                    self.0.per_second_mm2(),
-                    noise,
-                    self.0.pace(),
-                ];
-                for (column, x) in columns.iter_mut().zip(row) {
-                    column.push(x);
-                }
-                degrees.push(u8::try_from(nis.last_degrees).unwrap_or(u8::MAX));
-                faulty.push(look.faulty);
-                status.push(done.0);
-            }
-        });
-        let out = PyDict::new(py);
-        out.set_item("state", shaped(py, state, [n, 4])?)?;
-        out.set_item::<_, Bound<'py, PyArray3<f64>>>(
-            "covariance",
-            shaped(py, covariance, [n, 4, 4])?,
-        )?;
-        out.set_item::<_, Bound<'py, PyArray2<f64>>>("force_mn", shaped(py, force, [n, 2])?)?;
-        out.set_item::<_, Bound<'py, PyArray2<f64>>>("tied", shaped(py, tied, [n, width])?)?;
-        let names = [
-            "force_variance",
-            "misfit",
-            "nis",
-            "per_second_mm2",
-            "noise",
-            "pace",
-        ];
-        for (name, column) in names.iter().zip(columns) {
-            out.set_item(name, PyArray1::from_vec(py, column))?;
-        }
-        out.set_item("degrees", PyArray1::from_vec(py, degrees))?;
-        out.set_item("faulty", PyArray1::from_vec(py, faulty))?;
-        out.set_item("status", PyArray1::from_vec(py, status))?;
-        Ok(out)
-    }
-
-    #[getter]
-    fn depth_mm(&self) -> f64 {
-        self.0.told().depth_mm
-    }
-
-    #[getter]
-    fn tip_mm<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        PyArray1::from_slice(py, &self.0.told().tip_mm)
-    }
-
-    /// Of depth and tip `(4, 4)`, mm².
-    #[getter]
-    fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        shaped(py, self.0.told().covariance.as_flattened().to_vec(), [4, 4])
-    }
-
-    #[getter]
-    fn misfit(&self) -> f64 {
-        self.0.look().misfit
-    }
-
-    /// A bit for each grating that was not believed in the last reading.
-    #[getter]
-    fn faulty(&self) -> u16 {
-        self.0.look().faulty
-    }
-
-    #[getter]
-    fn time_s(&self) -> f64 {
-        self.0.time_s()
-    }
-
-    /// The same tool from another `start` (depth, variance, time) and pose, with what was learnt of how the eye moves.
-    fn anew(&self, start: [f64; 3], pose: PyReadonlyArray1<'_, f64>) -> PyResult<Self> {
-        let [depth, variance, time_s] = start;
-        let pose = pose_of(&fixed("pose", &pose)?);
-        self.0
-            .anew(depth, variance, &pose, time_s)
-            .map(Self)
-            .map_err(to_python)
-    }
-
-    /// How often what happened, and the innovation statistics of the depth.
-    fn statistics<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        statistics(py, self.0.counts(), self.0.consistency())
-    }
-
-    fn copy(&self) -> Self {
-        Self(self.0)
     }
 }
+
+filter_class! {
+    /// The paper's two filters as they are printed (Eqs. 8 and 14), with the noise of its section VII.
+    PaperFilter(CorePaper);
+
+    /// `of_force`: the entries of the noise for the tip are variances of the force (mN²), not of the deflection (mm²).
+    #[new]
+    #[pyo3(signature = (gains, distances_mm, reference_nm, noise_nm, beam, start, pose, of_force=false))]
+    fn new(
+        gains: PyReadonlyArray3<'_, f64>,
+        distances_mm: Numbers<'_>,
+        reference_nm: Numbers<'_>,
+        noise_nm: f64,
+        beam: &ToolBeam,
+        start: [f64; 3],
+        pose: Numbers<'_>,
+        of_force: bool,
+    ) -> PyResult<Self> {
+        let made = calibration(&gains, &distances_mm, &reference_nm, noise_nm)?;
+        let noise = PaperNoise { of_force, ..PaperNoise::ebrahimi_2020() };
+        let [depth, variance, time_s] = start;
+        let pose = pose_of(&fixed("pose", &pose)?);
+        CorePaper::new(&made, beam.beam(), noise, depth, variance, &pose, time_s)
+            .map(Self)
+            .map_err(to_python)
+    }
+}
+
+/// Names and values of the status flags.
+pub const STATUS: [(&str, u8); 8] = [
+    ("STATUS_UPDATED", Status::UPDATED.0),
+    ("STATUS_MISSING", Status::MISSING.0),
+    ("STATUS_LATE", Status::LATE.0),
+    ("STATUS_NOT_FINITE", Status::NOT_FINITE.0),
+    ("STATUS_NO_FORCE", Status::NO_FORCE.0),
+    ("STATUS_NO_MOTION", Status::NO_MOTION.0),
+    ("STATUS_CLOCK", Status::CLOCK.0),
+    ("STATUS_GATED", Status::GATED.0),
+];

@@ -42,6 +42,10 @@ def at_times(time_s: ArrayLike, values: ArrayLike, moments_s: ArrayLike) -> Floa
     return np.asarray(v[after - 1] + share * (v[after] - v[after - 1]))
 
 
+#: A force from which on a shaft leans, mN.
+_LEANS_MN = 10.0
+
+
 @dataclass(frozen=True, eq=False)
 class Aligned:
     """A camera brought into the robot's frame and clock.
@@ -138,7 +142,7 @@ def fibre_delay(tool: FlexibleTool, run: ToolRun, *, longest_s: float = _LONGEST
     def left(delay: float) -> float:
         stamps = np.ascontiguousarray(run.fibre_times_s - delay)
         told = tool.tracker(float(run.time_s[0]), run.poses[0]).run(run.time_s, run.poses, stamps, waves, reading)
-        return float(told["pace"].mean())
+        return float(told["inner"][:, 1].mean())
 
     grid = np.arange(0.0, longest_s + 1e-9, 0.01)
     squares = np.array([left(d) for d in grid])
@@ -150,7 +154,11 @@ def fibre_delay(tool: FlexibleTool, run: ToolRun, *, longest_s: float = _LONGEST
     step = 2.0 * float(grid[1] - grid[0])
     sides = [left(max(delay + s, 0.0)) for s in (-step, step)]
     curvature = (sides[0] + sides[1] - 2.0 * least) / step**2
-    count = max(2.0 * float(run.time_s[-1] - run.time_s[0]) / 0.1, 1.0)
+    # only where it leans does a window tell anything
+    leans = float(
+        (np.linalg.norm(tool.sensor.measure_batch(run.fibre_times_s, waves)[0][:, 1:3], axis=1) > _LEANS_MN).mean()
+    )
+    count = max(2.0 * leans * float(run.time_s[-1] - run.time_s[0]) / 0.1, 1.0)
     std = float(np.sqrt(2.0 * least / (count * curvature))) if curvature > 0 else float("inf")
     if best == len(grid) - 1 or not std < _WORST_DELAY_S:
         raise FitError(

@@ -12,7 +12,7 @@ import polars as pl
 from ...data.tables import write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
 from ...types import Bools, Floats
-from .columns import DEFLECTION, DEPTH, FIBRES, FORCE
+from .columns import ARC, DEFLECTION, DEPTH, FIBRES, FORCE
 from .plausible import check_unit
 from .tables import numbers_of, table_at
 from .tool import FlexibleTool
@@ -22,6 +22,8 @@ _NO_FORCE_MN = 1e-9
 LEAST_UNLOADED, LEAST_LOADED = 5, 12
 #: Forces across a line must be this part of those along it, and depths span this much, mm.
 _LEAST_WIDTH, _LEAST_SPAN_MM = 0.05, 1.0
+#: A bench may have its zero so far off, mm.
+_ZERO_MM = 1.0
 #: A stiffness or a gain further from the tool file than this comes of another unit.
 _UNIT = 100.0
 
@@ -29,13 +31,14 @@ _UNIT = 100.0
 @dataclass(frozen=True, eq=False)
 class Loads:
     """Rows of a load bench: ``force_mn`` (n, 2), ``depth_mm`` (n,), ``wavelengths_nm`` (n, 9), ``deflection_mm`` (n,),
-    NaN where it was not measured."""
+    NaN where it was not measured. ``told`` is what the table says of how depth and force are to be read."""
 
     force_mn: Floats
     depth_mm: Floats
     wavelengths_nm: Floats
     deflection_mm: Floats
     source: str = "loads"
+    told: tuple[str | None, str | None] = (None, None)
 
     def __len__(self) -> int:
         return len(self.force_mn)
@@ -47,25 +50,36 @@ class Loads:
 
     def save(self, path: str | Path) -> None:
         """Writes CSV or Parquet that :func:`read_loads` reads."""
-        columns = {**dict(zip(FORCE, self.force_mn.T, strict=True)), DEPTH: self.depth_mm}
+        columns = {
+            **dict(zip(FORCE, self.force_mn.T, strict=True)),
+            ARC if self.told[0] == "arc" else DEPTH: self.depth_mm,
+        }
         columns |= {DEFLECTION: self.deflection_mm, **dict(zip(FIBRES, self.wavelengths_nm.T, strict=True))}
         write_table(pl.DataFrame(columns).with_columns(pl.col(DEFLECTION).fill_nan(None)), path)
 
 
 def read_loads(path: str | Path) -> Loads:
-    """Reads the rows of a load bench. Raises :class:`~sherkit.errors.MeasurementError` naming file, column and row."""
-    needed = (*FORCE, DEPTH, *FIBRES)
-    numbers = numbers_of(table_at(Path(path)), needed, (*needed, DEFLECTION), str(path))
+    """Reads the rows of a load bench, whose depths stand in ``depth_mm``, or in ``arc_mm`` where they are lengths of
+    shaft.
+
+    Raises :class:`~sherkit.errors.MeasurementError` naming file, column and row."""
+    frame = table_at(Path(path))
+    by_arc = ARC in frame.columns and DEPTH not in frame.columns
+    depth = ARC if by_arc else DEPTH
+    needed = (*FORCE, depth, *FIBRES)
+    numbers = numbers_of(frame, needed, (*needed, DEFLECTION), str(path))
     for name, values in numbers.items():
         bad = np.isinf(values) if name == DEFLECTION else ~np.isfinite(values)
         if bad.any():
             raise MeasurementError(f"{path}: row {int(np.argmax(bad)) + 1}, column '{name}': expected a finite number")
-    numbers.setdefault(DEFLECTION, np.full(len(numbers[DEPTH]), np.nan))
+    numbers.setdefault(DEFLECTION, np.full(len(numbers[depth]), np.nan))
 
     def array(*names: str) -> Floats:
         return np.ascontiguousarray(np.column_stack([numbers[n] for n in names]))
 
-    return Loads(array(*FORCE), numbers[DEPTH], array(*FIBRES), numbers[DEFLECTION], str(path))
+    return Loads(
+        array(*FORCE), numbers[depth], array(*FIBRES), numbers[DEFLECTION], str(path), ("arc" if by_arc else None, None)
+    )
 
 
 def check_loads(tool: FlexibleTool, loads: Loads) -> None:
@@ -76,7 +90,7 @@ def check_loads(tool: FlexibleTool, loads: Loads) -> None:
         raise FitError(f"{source}: {int(rows.sum())} rows with a force; expected {LEAST_LOADED} or more")
     check_unit(loads.wavelengths_nm, np.array(tool.reference_nm), source)
     near = tool.distances_mm[0]
-    bad = rows & ~((loads.depth_mm >= 0.0) & (loads.depth_mm < near))
+    bad = rows & ~((loads.depth_mm >= -_ZERO_MM) & (loads.depth_mm < near))
     if bad.any():
         row = int(np.argmax(bad))
         raise MeasurementError(

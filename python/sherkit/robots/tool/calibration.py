@@ -1,13 +1,10 @@
-"""Calibration of a tool from known loads: gains of the gratings, stiffness and free length of the shaft.
+"""Calibration of a tool from known loads: gains of the gratings, where they stand, stiffness and free length of the
+shaft.
 
-Rows of a load bench: a known force (mN, tool frame) at a known distance from the tip (mm), nine wavelengths, and where
-it was measured the deflection of the shaft at the contact, along the force (mm). Rows without force give the reference.
-Sources: Eq. 1 and section VII of Ebrahimi et al. (slope); He et al. 2014 (common mode removed).
-
-Loads have noise, too. Gains are the loads' regression on the wavelengths, whose own noise, known from the unloaded
-rows, is taken back out of the normal matrix (Fuller, Measurement Error Models, 2.2). Stiffness is a regression of the
-deflection on the force: for it the force is the one that the calibrated gratings feel, not the load cell's, so that its
-noise does not make the shaft softer (instrumental variables, ibid. 1.4).
+Rows of a load bench: a known force (mN, tool frame) at a known place (mm), nine wavelengths, and where it was measured
+the deflection of the shaft at the contact, along the force (mm). Rows without force give the reference. Sources: Eq.
+1 and
+section VII of Ebrahimi et al. (slope); He et al. 2014 (common mode removed); the fit itself is :mod:`.bench_fit`.
 """
 
 from __future__ import annotations
@@ -16,29 +13,43 @@ import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
-import sherkit._core as _core
-
-from ...errors import SherkitWarning
+from ...errors import FitError, SherkitWarning
 from ...types import Floats
 from .bench import LEAST_LOADED, LEAST_UNLOADED, Loads, check_loads, check_sizes
+from .bench_fit import (
+    CONVENTIONS,
+    DIFFERENCES,
+    BenchFit,
+    Convention,
+    Drawn,
+    Lack,
+    Rows,
+    Scatter,
+    best_fit,
+    chi2_as,
+    lack_of_fit,
+    left_open,
+)
 from .tool import FlexibleTool, nested
 
-_ROUNDS = 3
 #: Lack of fit is said below this p-value.
-_LACK_P = 1e-3
+_LACK_P = 1e-4
+#: What a mean of three fibres answers is not known better than this, over a fibre's own shift.
+_MEAN_DOUBT = 0.003
 
 
 @dataclass(frozen=True, eq=False)
 class ToolCalibration:
     """What the loads say. ``tool`` has it all; deviations are one σ.
 
-    ``gains_std`` (2, 2, 3); ``rms_mn_mm`` (2,) is what the moments leave at sections I and II. ``slope_mn_mm2`` is EI
-    by the paper's slope at the drawn length, ``stiffness_mn_mm2`` and ``length_mm`` by the fit of both; all None
-    without deflections. ``tool.doubt`` holds the covariances of all of it.
-
-    ``lack_of_fit`` are sentences on what the loads do that the model does not say, each with its p-value.
+    ``gains_std`` (2, 2, 3); ``rms_mn_mm`` (2,) is what the moments leave at sections I and II. ``convention`` is how
+    the
+    table was read, ``chi2`` that of every other reading beside it, by the scatter of the one that was chosen.
+    ``distances_mm`` (2, 2) are sections with their deviations, ``zero_mm`` by how much the bench counts too deep;
+    ``slope_mn_mm2`` is EI by the paper's slope at the drawn length, ``stiffness_mn_mm2`` and ``length_mm`` are fitted,
+    all three None without deflections. ``scatter`` is what rows scatter by. ``lack_of_fit`` are sentences on what the
+    loads do that the model does not say, each with its p-value.
     """
 
     tool: FlexibleTool
@@ -46,162 +57,146 @@ class ToolCalibration:
     rms_mn_mm: Floats
     loaded: int
     unloaded: int
+    convention: Convention
+    chi2: dict[Convention, float]
+    distances_mm: Floats
+    zero_mm: tuple[float, float]
+    scatter: Scatter
     slope_mn_mm2: tuple[float, float] | None
     stiffness_mn_mm2: tuple[float, float] | None
     length_mm: tuple[float, float] | None
     lack_of_fit: tuple[str, ...] = ()
 
+    @property
+    def read_as(self) -> str:
+        """How the table was read, and how much worse every other reading is."""
+        others = [f"{self.chi2[c]:.0f}" for c in CONVENTIONS if c in self.chi2 and c != self.convention]
+        if not others:
+            return f"{self.convention}, as told"
+        return f"{self.convention}: χ² {self.chi2[self.convention]:.0f} against {', '.join(others)}"
+
 
 def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
-    """K_I and K_II, and where deflections were measured EI (by the paper's slope, and with the length h together).
+    """K_I and K_II, the sections' places, and where deflections were measured EI (also by the paper's slope) and h.
 
     The reference and the noise come from the unloaded rows, or stay the tool's where there are fewer than five of them.
     Raises :class:`~sherkit.errors.FitError` for too few loads, loads in one direction or at one place only, and
     :class:`~sherkit.errors.MeasurementError` for numbers that cannot be.
     """
     check_loads(tool, loads)
-    unloaded = ~loads.loaded
+    unloaded, loaded = ~loads.loaded, loads.loaded
+    count = int(unloaded.sum())
     reference, noise = np.array(tool.reference_nm), tool.noise_nm
-    if int(unloaded.sum()) >= LEAST_UNLOADED:
+    if count >= LEAST_UNLOADED:
         rest = loads.wavelengths_nm[unloaded]
         reference = rest.mean(axis=0)
         # warmth moves all fibres alike, and is no noise
         within = rest - reference
         within = within - within.mean(axis=1, keepdims=True)
-        noise = float(np.sqrt((within**2).sum() / ((len(rest) - 1) * 8)))
-    loaded = ~unloaded
-    force, depth = loads.force_mn[loaded], np.ascontiguousarray(loads.depth_mm[loaded])
-    size = np.ascontiguousarray(np.linalg.norm(force, axis=1))
-    shifts = loads.wavelengths_nm[loaded, :6] - reference[:6]
-    measured = np.isfinite(loads.deflection_mm[loaded])
-    enough = int(measured.sum()) >= LEAST_LOADED
-    slope = stiffness = length = None
-    made = replace(tool, reference_nm=tuple(reference.tolist()), noise_nm=noise if noise > 0 else tool.noise_nm)
-    # gains hang on the beam by what an elastica adds to a moment, and the beam on the gains by the force felt
-    for _ in range(_ROUNDS):
-        gains = _gains(made, shifts, force, size, depth)
-        if slope is None and enough:
-            pushed, at, bent = (np.ascontiguousarray(v[measured]) for v in (size, depth, loads.deflection_mm[loaded]))
-            slope = _core.tool_fit_slope(tool.length_mm, pushed, at, bent)
-        check_sizes(tool, gains.value, slope and slope[0], loads.source)
-        made = replace(made, gains=nested(gains.value))
-        if not enough:
-            break
-        felt = gains.felt(made, shifts, force, size, depth)[measured]
-        at, bent = (np.ascontiguousarray(v[measured]) for v in (depth, loads.deflection_mm[loaded]))
-        both, covariance = _beam(made, felt, at, bent, gains.relative)
-        std = np.sqrt(np.diag(covariance))
-        length, stiffness = (both[0], float(std[0])), (both[1], float(std[1]))
-        made = replace(made, length_mm=both[0], stiffness_mn_mm2=both[1], doubt=replace(
-            made.doubt, beam=nested(covariance)))  # fmt: skip
-    count = int(unloaded.sum())
+        noise = float(np.sqrt((within**2).sum() / ((count - 1) * 8))) or tool.noise_nm
+    rows, shifts = _rows(loads, reference)
+    enough = int(rows.bent.sum()) >= LEAST_LOADED
+    slope = _slope(tool.length_mm, rows) if enough else None
+    check_sizes(tool, _roughly(tool, rows), slope and slope[0], loads.source)
+    distances = np.array(tool.distances_mm)
+    drawn = Drawn(distances, tool.length_mm, tool.stiffness_mn_mm2, tool.bending == "exact")
+    if not enough:
+        rows = replace(rows, deflection_mm=np.full(len(rows.depth_mm), np.nan))
+    told = (loads.told[0] or tool.bench[0], loads.told[1] or tool.bench[1])
+    fits = best_fit(rows, drawn, noise, told)
+    best = fits[0]
+    value = best.value
+    check_sizes(tool, value.gains, slope and slope[0], loads.source)
+    if not (0.0 < value.distances_mm[0] < value.distances_mm[1] < value.length_mm):
+        raise FitError(
+            f"{loads.source}: no tool makes these rows: sections at {value.distances_mm[0]:.3g} and "
+            f"{value.distances_mm[1]:.3g} mm of {value.length_mm:.3g} mm; is the drawing that of this tool?"
+        )
+    lack = [one for one in lack_of_fit(best) if one.p < _LACK_P]
+    left = left_open(best, tuple(lack))
+    means, off = _means(best, shifts)
+    beam = left.beam if enough else np.zeros((2, 2))
+    if bent := [float((one.relative**2).mean()) for one in lack if one.unit == "mm"]:
+        beam = beam + np.diag([0.0, bent[0] * value.stiffness_mn_mm2**2])
     doubt = replace(
-        made.doubt,
-        gains=nested(gains.covariance),
-        reference_nm=made.noise_nm / float(np.sqrt(count)) if count >= LEAST_UNLOADED else made.doubt.reference_nm,
-    )
-    made = replace(made, doubt=doubt)
-    lack = _lack_of_fit(made, shifts, force, size, depth, loads.deflection_mm[loaded])
-    for sentence in lack:
+        tool.doubt,
+        depth=nested(left.depth), deeper_mm=left.deeper_mm, force=left.force, beam=nested(beam), mean=off,
+        reference_nm=noise / float(np.sqrt(count)) if count >= LEAST_UNLOADED else tool.doubt.reference_nm,
+    )  # fmt: skip
+    made = replace(
+        tool,
+        gains=nested(value.gains), means=nested(means), distances_mm=nested(value.distances_mm),
+        reference_nm=nested(reference), noise_nm=noise, doubt=doubt,
+    )  # fmt: skip
+    if enough:
+        made = replace(made, length_mm=value.length_mm, stiffness_mn_mm2=value.stiffness_mn_mm2)
+    sentences = tuple(_sentence(one) for one in lack)
+    for sentence in sentences:
         warnings.warn(f"{loads.source}: {sentence}", SherkitWarning, stacklevel=2)
-    std = np.sqrt(np.einsum("sakk->sak", gains.covariance).clip(0.0))
-    return ToolCalibration(made, std, gains.left_mn_mm, int(loaded.sum()), count, slope, stiffness, length, lack)
+    std = np.sqrt(np.diag(best.covariance).clip(0.0))
+    gains = np.sqrt(np.einsum("dk,sadf,fk->sak", DIFFERENCES, _of_gains(best.covariance), DIFFERENCES).clip(0.0))
+    moments = np.sqrt((best.left[:, :4].reshape(-1, 2, 2) ** 2).mean(axis=(0, 1)))
+    return ToolCalibration(
+        made, gains, moments, int(loaded.sum()), count, best.convention, chi2_as(fits, noise),
+        np.stack([value.distances_mm, std[8:10]]), (value.zero_mm, float(std[12])), best.scatter, slope,
+        (value.stiffness_mn_mm2, value.stiffness_mn_mm2 * float(std[11])) if enough else None,
+        (value.length_mm, float(std[10])) if enough else None, sentences,
+    )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _Gains:
-    """Gains (2, 2, 3), the covariance of their rows (2, 2, 3, 3), what the moments leave at each section (2,)."""
-
-    value: Floats
-    covariance: Floats
-    left_mn_mm: Floats
-
-    @property
-    def relative(self) -> float:
-        """Deviation of a force felt by what the gains do not know, over the force."""
-        own = np.einsum("sakk->", self.covariance) / (self.value**2).sum()
-        return float(np.sqrt(max(own, 0.0)))
-
-    def felt(self, tool: FlexibleTool, shifts: Floats, force: Floats, size: Floats, depth: Floats) -> Floats:
-        """The loads (n,) as the gratings feel them, along the cell's direction."""
-        way = force / size[:, None]
-        arms = tool.beam.loads_batch(size, depth, tool.distances_mm)[:, :2]
-        moments = np.stack([_moment(self.value[s], shifts[:, 3 * s : 3 * s + 3], way) for s in range(2)], axis=1)
-        weight = 1.0 / np.einsum("sak,sak->s", self.value, self.value)
-        return np.ascontiguousarray((moments * arms * weight).sum(axis=1) / (arms**2 * weight).sum(axis=1))
+def _rows(loads: Loads, reference_nm: Floats) -> tuple[Rows, Floats]:
+    """The loaded rows, and their shifts (n, 6)."""
+    on = loads.loaded
+    force = loads.force_mn[on]
+    size = np.linalg.norm(force, axis=1)
+    shifts = loads.wavelengths_nm[on, :6] - reference_nm[:6]
+    differences = np.einsum("dk,nsk->nsd", DIFFERENCES, shifts.reshape(-1, 2, 3))
+    return Rows(size, force / size[:, None], loads.depth_mm[on], differences, loads.deflection_mm[on]), shifts
 
 
-def _moment(gain: Floats, shifts: Floats, way: Floats) -> Floats:
-    """Moments (n,) of a section along ways (n, 2)."""
-    return np.asarray(np.einsum("na,ak,nk->n", way, gain, shifts - shifts.mean(axis=1, keepdims=True)))
+def _roughly(tool: FlexibleTool, rows: Rows) -> Floats:
+    """Gains (2, 2, 3) by plain least squares on the drawing's arms: for their size."""
+    arms = np.array(tool.distances_mm) - rows.depth_mm[:, None]
+    moments = (rows.size_mn[:, None] * arms)[:, :, None] * rows.way[:, None, :]
+    found = [np.linalg.lstsq(rows.differences_nm[:, s], moments[:, s], rcond=None)[0].T for s in range(2)]
+    return np.array(found) @ DIFFERENCES
 
 
-def _gains(tool: FlexibleTool, shifts: Floats, force: Floats, size: Floats, depth: Floats) -> _Gains:
-    arms = tool.beam.loads_batch(size, depth, tool.distances_mm)[:, :2]
-    value, covariance, left = np.zeros((2, 2, 3)), np.zeros((2, 2, 3, 3)), np.zeros(2)
+def _of_gains(covariance: Floats) -> Floats:
+    """Of each row of the gains by differences (2, 2, 2, 2)."""
+    blocks = [[covariance[4 * s + 2 * a : 4 * s + 2 * a + 2, 4 * s + 2 * a : 4 * s + 2 * a + 2] for a in range(2)]
+              for s in range(2)]  # fmt: skip
+    return np.array(blocks)
+
+
+def _means(fit: BenchFit, shifts: Floats) -> tuple[Floats, float]:
+    """What the means of sections I and II answer to moments (2, 2), nm per mN·mm, and how unsure that is over what the
+    fibres answer."""
+    out, off = np.zeros((2, 2)), [_MEAN_DOUBT]
     for s in range(2):
-        # the fit takes a moment for force times arm; an elastica's is a little less
-        arm = np.where(tool.distances_mm[s] > depth, tool.distances_mm[s] - depth, 1.0)
-        share = np.ascontiguousarray(force * (arms[:, s] / arm)[:, None])
-        own = np.ascontiguousarray(shifts[:, 3 * s : 3 * s + 3])
-        found = _core.tool_fit_gain(tool.distances_mm[s], own, share, depth, tool.noise_nm)
-        value[s] = found["gain"]
-        variance = np.diag(found["residual_covariance"])
-        covariance[s] = variance[:, None, None] * found["unit_covariance"]
-        left[s] = float(np.sqrt(variance.mean()))
-    return _Gains(value, covariance, left)
+        moments = fit.expected[:, s, None] * fit.rows.way
+        mean = shifts[:, 3 * s : 3 * s + 3].mean(axis=1)
+        base = np.column_stack([moments, np.ones(len(mean))])
+        found, *_ = np.linalg.lstsq(base, mean, rcond=None)
+        left = mean - base @ found
+        out[s] = found[:2]
+        spread = np.linalg.inv(base.T @ base)[:2, :2] * float(left @ left) / (len(mean) - 3)
+        own = np.linalg.norm(np.linalg.inv(fit.value.by_difference[s]), 2)
+        off.append(float(np.sqrt(np.linalg.norm(spread, 2)) / own))
+    return out, max(off)
 
 
-def _beam(
-    tool: FlexibleTool, felt: Floats, at: Floats, bent: Floats, relative: float
-) -> tuple[tuple[float, float], Floats]:
-    """Length and stiffness, and their covariance, from deflections at the contact under the forces felt."""
-    start = tool.beam
-    small = felt * start.contact_compliance_batch(at)
-    exact = start.loads_batch(felt, at, tool.distances_mm)[:, 2]
-    # as a cantilever would have bent
-    same = np.ascontiguousarray(bent * np.where(exact > 0, small / np.where(exact > 0, exact, 1.0), 1.0))
-    found = _core.tool_fit_beam(felt, at, same, np.zeros(len(at), dtype=bool), start)
-    covariance = np.array(found["covariance"])
-    # forces that are all too large by a share make a shaft that is too stiff by the same
-    covariance[1, 1] += (relative * found["stiffness"]) ** 2
-    return (found["length_mm"], found["stiffness"]), covariance
+def _slope(length_mm: float, rows: Rows) -> tuple[float, float]:
+    """EI and its deviation by the paper's slope: ``F (h - d)³`` over the deflection, a line through the origin."""
+    there = rows.bent > 0
+    bend, load = rows.deflection_mm[there], (rows.size_mn * (length_mm - rows.depth_mm) ** 3)[there]
+    slope = float(bend @ load / (bend @ bend))
+    left = load - slope * bend
+    return slope / 3.0, float(np.sqrt(left @ left / (len(bend) - 1) / (bend @ bend))) / 3.0
 
 
-def _lack_of_fit(
-    tool: FlexibleTool, shifts: Floats, force: Floats, size: Floats, depth: Floats, deflection: Floats
-) -> tuple[str, ...]:
-    """What is left of moments and deflections against load and depth: an F-test for what the model has no term for."""
-    said = []
-    way = force / size[:, None]
-    predicted = tool.beam.loads_batch(size, depth, tool.distances_mm)
-    for s, name in enumerate(("I", "II")):
-        expected = size * predicted[:, s]
-        left = _moment(np.array(tool.gains[s]), shifts[:, 3 * s : 3 * s + 3], way) - expected
-        said.append((f"the moments at section {name}", "mN mm", expected, left))
-    there = np.isfinite(deflection)
-    if int(there.sum()) >= LEAST_LOADED:
-        said.append(("the deflections", "mm", predicted[there, 2], (deflection - predicted[:, 2])[there]))
-    out = []
-    for what, unit, expected, left in said:
-        at = depth[there] if unit == "mm" else depth
-        scaled, deep = expected / np.abs(expected).max(), at / max(float(at.max()), 1e-9)
-        p, most = _f_test(left, scaled[:, None], np.column_stack([scaled**2, scaled**3, scaled * deep]))
-        if p < _LACK_P:
-            out.append(
-                f"{what} do not follow the calibrated model: up to {most:.2g} {unit} go with load and depth as nothing "
-                f"in it does (p = {p:.1g}); look for a bend beyond the model, a depth that is off, or fibres that slip"
-            )
-    return tuple(out)
-
-
-def _f_test(values: Floats, base: Floats, more: Floats) -> tuple[float, float]:
-    """p-value of ``more`` regressors beyond ``base``, and the most that they explain."""
-    full = np.hstack([base, more])
-    (a, *_), (b, *_) = (np.linalg.lstsq(x, values, rcond=None) for x in (base, full))
-    less, least = ((values - base @ a) ** 2).sum(), ((values - full @ b) ** 2).sum()
-    free = len(values) - full.shape[1]
-    if free < 1 or least <= 0:
-        return 1.0, 0.0
-    ratio = (less - least) / more.shape[1] / (least / free)
-    return float(scipy.stats.f.sf(ratio, more.shape[1], free)), float(np.abs(full @ b - base @ a).max())
+def _sentence(one: Lack) -> str:
+    return (
+        f"{one.what} do not follow the calibrated model: up to {one.most:.2g} {one.unit} go with load and depth as nothing "  # noqa: E501
+        f"in it does (p = {one.p:.1g}); look for a bend beyond the model, a depth that is off, or fibres that slip"
+    )

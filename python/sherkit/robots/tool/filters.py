@@ -6,9 +6,10 @@ the last bit.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import scipy
@@ -26,10 +27,10 @@ from .tool import FlexibleTool
 
 #: Places of the columns of a measurement.
 _FORCE, _DEPTH, _DEPTH_VARIANCE = slice(1, 3), 7, 8
+#: A filter that stands off its gratings for longer, s, has left them.
+_AWAY_S = 0.5
 #: Two-sided band for the mean NIS.
 NIS_LEVEL = 0.99
-#: Deviation of a depth of which nothing is known.
-_UNKNOWN_MM = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +98,12 @@ class Estimate(Shown):
     noise, the filters of Eqs. 8 and 14. ``smooth_depth`` and ``smooth_together`` are values and covariances from all
     measurements of the run. ``misfit`` (n,) is about 1 where the moments agree; ``faulty`` (n,) has a bit for each
     grating that was not believed, ``faulty_sections`` (n, 3) says where, ``gated`` (n,) whose reading was not used, and
-    ``faults`` names them.
+    ``faults`` names them. ``arc_mm`` (n,) is the length of shaft beyond the hole, where ``depth`` is the paper's l.
+    ``paper`` are depth and tip (n, 4) by the paper's own filters (Eqs. 8 and 14), always beside the others, and
+    ``hole``
+    (n, 4) what was learnt: its clearance (mm), what it gives way (mm/mN), the gratings' turn (rad), and by how much
+    they
+    count all depths deeper (mm).
     """
 
     tool: FlexibleTool
@@ -110,6 +116,9 @@ class Estimate(Shown):
     smooth_depth: tuple[Floats, Floats]
     smooth_together: tuple[Floats, Floats]
     faulty: NDArray[np.uint16]
+    arc_mm: Floats
+    paper: Track
+    hole: Floats
 
     def __repr__(self) -> str:
         depth = self.depth.value[:, 0]
@@ -135,6 +144,20 @@ class Estimate(Shown):
         """Gratings that were left out for a while, and what they did."""
         run = self.run
         return faults_of(run.time_s, run.wavelengths_nm, np.array(self.tool.reference_nm), self.faulty)
+
+    @cached_property
+    def away(self) -> list[tuple[float, float]]:
+        """Spans, s, of more than half a second in which the filter stood off what its gratings said of the depth,
+        always to
+        the same side and by more than the deviation of their difference."""
+        off = self.arc_mm + self.hole[:, 3] - self.fibre_depth_mm
+        known = np.isfinite(off)
+        ratio = off[known] / np.sqrt(self.fibre_depth_std_mm[known] ** 2 + self.together.covariance[known, 0, 0])
+        side = np.where(ratio > 1.0, 1, np.where(ratio < -1.0, -1, 0))
+        time = self.run.time_s[known]
+        edges = np.flatnonzero(np.diff(side, prepend=0, append=0))
+        spans = [(time[a], time[b - 1]) for a, b in pairwise(edges) if side[a] != 0]
+        return [(float(a), float(b)) for a, b in spans if b - a > _AWAY_S]
 
     @property
     def depth_std_mm(self) -> Floats:
@@ -195,20 +218,25 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     check_wavelengths(waves, np.array(tool.reference_nm), run.source)
     stamps = np.ascontiguousarray(run.fibre_times_s - tool.fibre_delay_s)
     measured = tool.sensor.measure_batch(stamps, tool.as_if_cold(waves))[0]
-    told = tool.tracker(float(run.time_s[0]), run.poses[0]).run(run.time_s, run.poses, stamps, waves, reading)
-    together = Track(told["state"], told["covariance"], told["status"], told["nis"], told["degrees"])
-    smooth = smoothed(tool, run, stamps, reading, told["faulty"])
-    if tool.noise == "propagated":
-        depth = Track(together.value[:, :1], together.covariance[:, :1, :1], *_fared(together))
-        tip = Track(together.value[:, 1:], together.covariance[:, 1:, 1:], *_fared(together))
-    else:
-        depth, tip = _as_printed(tool, run, measured)
+    start, pose = float(run.time_s[0]), run.poses[0]
+    told = tool.tracker(start, pose).run(run.time_s, run.poses, stamps, waves, reading)
+    together = _track(told)
+    # the paper's measurement is of the row that it came in
+    there = np.ascontiguousarray(run.present)
+    paper = _track(tool.paper_filter(start, pose).run(run.time_s, run.poses, run.time_s, waves, there))
+    chosen = together if tool.noise == "propagated" else paper
+    depth = replace(chosen, value=chosen.value[:, :1], covariance=chosen.covariance[:, :1, :1])
+    tip = replace(chosen, value=chosen.value[:, 1:], covariance=chosen.covariance[:, 1:, 1:])
+    smooth = smoothed(tool, run, stamps, reading)
     smooth_depth = smooth[0][:, :1], smooth[1][:, :1, :1]
-    return Estimate(tool, run, measured, told["misfit"], depth, tip, together, smooth_depth, smooth, told["faulty"])
+    return Estimate(
+        tool, run, measured, told["misfit"], depth, tip, together, smooth_depth, smooth, told["faulty"], told["arc_mm"],
+        paper, told["inner"][:, 2:6],
+    )  # fmt: skip
 
 
-def _fared(track: Track) -> tuple[NDArray[np.uint8], Floats, NDArray[np.uint8]]:
-    return track.status, track.nis, track.degrees
+def _track(told: dict[str, Any]) -> Track:
+    return Track(told["state"], told["covariance"], told["status"], told["nis"], told["degrees"])
 
 
 def _readings(run: ToolRun) -> Bools:
@@ -220,66 +248,47 @@ def _readings(run: ToolRun) -> Bools:
     return np.asarray(some & (run.fibre_times_s > np.concatenate([[-np.inf], before[:-1]])))
 
 
-def _as_printed(tool: FlexibleTool, run: ToolRun, measured: Floats) -> tuple[Track, Track]:
-    """The filters of Eqs. 8 and 14, whose measurement is of the row that it came in."""
-    there = np.ascontiguousarray(run.present)
-    measured = measured.copy()
-    measured[:, 0] = run.time_s
-    noise, start, variance = tool.filter_noise, float(run.time_s[0]), tool.start_std_mm**2
-    along, moved = np.ascontiguousarray(run.insertion_mm_s), np.ascontiguousarray(run.velocities_mm_s)
-    depth_filter = _core.DepthFilter(tool.start_depth_mm, variance, start, noise)
-    depth = Track(*depth_filter.filter(run.time_s, along, measured, there))
-    depths = np.ascontiguousarray(np.column_stack([depth.value[:, 0], depth.covariance[:, 0, 0]]))
-    tip_filter = _core.TipFilter(tool.beam, run.poses[0], variance, start, noise)
-    return depth, Track(*tip_filter.filter(run.time_s, moved, run.poses, depths, measured, there))
-
-
-def smoothed(
-    tool: FlexibleTool, run: ToolRun, stamps_s: Floats, reading: Bools, faulty: NDArray[np.uint16]
-) -> tuple[Floats, Floats]:
+def smoothed(tool: FlexibleTool, run: ToolRun, stamps_s: Floats, reading: Bools) -> tuple[Floats, Floats]:
     """Depth and tip (n, 4) from all measurements of the run, and their covariance (n, 4, 4).
 
-    The filter runs forwards and, over the run turned round, backwards; both depths are weighted so that the variance is
-    least, where what both owe to the calibration is one error (Fraser and Potter 1969; Schmidt 1966 for the latter).
-    At a row the one knows the readings up to its time and the other those after it: none counts twice. Gratings that
-    were found to lie (``faulty`` (n,), bit ``3 section + fibre``) are left out of the way back, on which a grating that
-    lies from the first reading on has nothing to be held against.
+    The filter runs once more, with each reading at its stamp, and its states are gone through from the last to the
+    first
+    (Rauch, Tung and Striebel 1965). Between readings the correction goes straight from one to the next, and the tip
+    follows as it hangs on the depth.
     """
-    ahead = _ordered(run.time_s, run.poses, stamps_s, run.wavelengths_nm, reading, "left")
-    lies = (faulty[:, None] >> np.arange(run.wavelengths_nm.shape[1])) & 1 > 0
-    waves = np.where(lies, np.nan, run.wavelengths_nm)
-    back = _ordered(-run.time_s[::-1], run.poses[::-1], -stamps_s[::-1], waves[::-1], reading[::-1], "right")
-    forwards = tool.tracker(float(ahead[0][0]), ahead[1][0])
-    first = forwards.run(*ahead)
-    end = float(first["state"][-1, 0])
-    # how the eye moves is known by then
-    turned = forwards.anew((end, _UNKNOWN_MM**2, float(back[0][0])), back[1][0]).run(*back)
-    here, there = first["noise"], turned["noise"][::-1]
-    a, b = first["tied"], turned["tied"][::-1]
-    alike = np.einsum("nk,nk->n", a, b)
-    own, other = here + (a**2).sum(axis=1) - alike, there + (b**2).sum(axis=1) - alike
-    share = (other / (own + other).clip(np.finfo(float).tiny)).clip(0.0, 1.0)
-    tied = share[:, None] * a + (1.0 - share)[:, None] * b
-    moved = (1.0 - share) * (turned["state"][::-1, 0] - first["state"][:, 0])
-    variance = share**2 * here + (1.0 - share) ** 2 * there + (tied**2).sum(axis=1)
-    # the tip follows as it hangs on the depth
-    spread = first["covariance"]
+    ahead = _ordered(run.time_s, run.poses, stamps_s, run.wavelengths_nm, reading)
+    told = tool.tracker(float(ahead[0][0]), ahead[1][0]).run(*ahead)
+    value, spread = told["state"], told["covariance"]
+    rows, back = told["read"], told["smoothed"]
+    if not len(rows):
+        return value, spread
+    n = len(value)
+    here = np.arange(n)
+    before = np.searchsorted(rows, here, side="right") - 1
+    after = np.minimum(before + 1, len(rows) - 1)
+    first = before < 0
+    one, two = rows[before.clip(0)], rows[after]
+    share = np.where(two > one, (here - one) / np.where(two > one, two - one, 1), 0.0)
+    moved = np.where(first, back[0, 1], back[before.clip(0), 0] * (1.0 - share) + back[after, 1] * share)
+    moved = np.where(here == one, back[before.clip(0), 0], moved)
+    at = np.where(first, back[0, 2], back[before.clip(0), 2] * (1.0 - share) + back[after, 2] * share)
+    variance = np.minimum(at, spread[:, 0, 0])
     gain = spread[:, :, 0] / spread[:, :1, 0].clip(np.finfo(float).tiny)
     less = spread[:, 0, 0] - variance
-    covariance = spread - less[:, None, None] * gain[:, :, None] * gain[:, None, :]
-    return first["state"] + gain * moved[:, None], covariance
+    return value + gain * moved[:, None], spread - less[:, None, None] * gain[:, :, None] * gain[:, None, :]
 
 
 def _ordered(
-    times_s: Floats, poses: Floats, stamps_s: Floats, waves: Floats, reading: Bools, side: Literal["left", "right"]
+    times_s: Floats, poses: Floats, stamps_s: Floats, waves: Floats, reading: Bools
 ) -> tuple[Floats, Floats, Floats, Floats, Bools]:
-    """The run with each reading at the first row not before its stamp (``left``), or after it (``right``); where that
-    has one already, as where rows or stamps jitter, at the next that has none."""
+    """The run with each reading at the first row not before its stamp; where that has one already, as where rows or
+    stamps
+    jitter, at the next that has none."""
     rows = np.flatnonzero(reading)
     rows = rows[np.argsort(stamps_s[rows], kind="stable")]
     rows = rows[stamps_s[rows] >= times_s[0]]
     turn = np.arange(len(rows))
-    place = np.maximum.accumulate(np.searchsorted(times_s, stamps_s[rows], side=side) - turn) + turn
+    place = np.maximum.accumulate(np.searchsorted(times_s, stamps_s[rows]) - turn) + turn
     rows, place = rows[place < len(times_s)], place[place < len(times_s)]
     at, taken, there = times_s.copy(), np.full_like(waves, np.nan), np.zeros(len(times_s), dtype=bool)
     at[place], taken[place], there[place] = stamps_s[rows], waves[rows], True

@@ -65,6 +65,7 @@ def judge(e: Estimate) -> list[Judgement]:
             "kinematics": e.kinematic_depth_mm,
             "filter": e.depth.value[:, 0],
             "filter of both": e.together.value[:, 0],
+            "paper's filter": e.paper.value[:, 0],
             "smoother": e.smooth_depth[0][:, 0],
         }
         errors = {name: np.abs(value - truth)[rows] for name, value in signals.items()}
@@ -80,6 +81,7 @@ def judge(e: Estimate) -> list[Judgement]:
                 "kinematics": at_times(run.time_s, e.kinematic_tip_mm, moment),
                 "filter": at_times(run.time_s, e.tip.value, moment),
                 "filter of both": at_times(run.time_s, e.together.value[:, 1:], moment),
+                "paper's filter": at_times(run.time_s, e.paper.value[:, 1:], moment),
                 "smoother": at_times(run.time_s, e.smooth_together[0][:, 1:], moment),
             }
             check_camera(places["kinematics"], truth, run.source)

@@ -44,53 +44,51 @@ def even_gains(shift_nm_per_moment: float = _SHIFT_NM_PER_MOMENT, turn_rad: floa
 class ToolDoubt:
     """What a calibration does not know; :func:`~sherkit.robots.tool.calibrate_tool` writes it into the tool file.
 
-    ``gains`` (2, 2, 3, 3) is the covariance of each row of K_I and K_II, (mN·mm/nm)², ``reference_nm`` the deviation of
-    a reference wavelength, ``unlike`` how unlike the fibres answer to warmth (deviation over the mean answer),
-    ``warmth`` what is not known of the tool's own ``warmth``: as much, where nothing was learnt of it. ``beam`` (2, 2)
-    is the covariance of length (mm) and stiffness (mN·mm²), ``distance_mm`` the deviation of where the sections stand.
-    Nothing of it is white noise: the filters never average it away (Schmidt 1966).
+    ``depth`` (3, 3) is the covariance of θ where gains and sections put the depth off by θ₀ + θ₁ d/10 + θ₂ (d/10)², mm;
+    ``deeper_mm`` the deviation of all depths alike (where the bench had its zero), ``turn_rad`` of the gratings' turn
+    about the shaft against the robot's frame: both are learnt in a run. ``force`` is relative, ``beam`` (2, 2) the
+    covariance of length (mm) and of the stiffness that the gratings' own force sees (mN·mm²), ``reference_nm`` the
+    deviation of a reference wavelength, ``mean`` of what a bend leaves in the mean of three fibres, over the shift that
+    it makes; ``unlike`` how unlike the fibres answer to warmth (deviation over the mean answer), ``warmth`` what is not
+    known of the tool's own ``warmth``: as much, where nothing was learnt of it. ``depth`` and ``force`` are never
+    averaged away (Schmidt 1966).
     """
 
-    gains: tuple[tuple[tuple[Triple, ...], ...], ...] = tuple(
-        tuple(tuple((0.0, 0.0, 0.0) for _ in range(3)) for _ in range(2)) for _ in range(2)
-    )
+    depth: tuple[Triple, Triple, Triple] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    deeper_mm: float = 0.0
+    turn_rad: float = 0.005
+    force: float = 0.0
+    beam: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
     reference_nm: float = 0.0
+    mean: float = 0.02
     unlike: float = 0.02
     warmth: float = 0.02
-    beam: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
-    distance_mm: float = 0.0
 
     @classmethod
     def from_table(cls, table: Table) -> ToolDoubt:
-        """Reads ``[doubt]``; what is not said is known, but for the fibres' warmth."""
+        """Reads ``[doubt]``; what is not said is known, but for the turn and what fibres have by themselves."""
         d = cls()
-        zero = tuple(0.0 for _ in range(9))
-
-        def square(name: str) -> tuple[Triple, ...]:
-            v = table.numbers(name, 9, zero)
-            return (v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8])
-
+        depth = table.numbers("depth", 9, (0.0,) * 9)
         beam = table.numbers("beam", 4, (0.0,) * 4)
         warmth = table.number("warmth", d.warmth, least=0.0)
+        names = ("deeper_mm", "turn_rad", "force", "reference_nm", "mean")
         return cls(
-            gains=tuple(tuple(square(f"gain_{s}_{a}") for a in ("x", "y")) for s in ("I", "II")),
-            reference_nm=table.number("reference_nm", d.reference_nm, least=0.0),
+            depth=nested(np.reshape(depth, (3, 3))),
+            beam=((beam[0], beam[1]), (beam[2], beam[3])),
             unlike=table.number("unlike", warmth, least=0.0),
             warmth=warmth,
-            beam=((beam[0], beam[1]), (beam[2], beam[3])),
-            distance_mm=table.number("distance_mm", d.distance_mm, least=0.0),
+            **{name: table.number(name, getattr(d, name), least=0.0) for name in names},
         )
 
     def to_table(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
-        named = {f"gain_{s}_{a}": self.gains[i][j] for i, s in enumerate(("I", "II")) for j, a in enumerate(("x", "y"))}
         return {
-            **{name: [x for row in matrix for x in row] for name, matrix in named.items()},
-            "reference_nm": self.reference_nm,
-            "unlike": self.unlike,
-            "warmth": self.warmth,
+            "depth": [x for row in self.depth for x in row],
             "beam": [x for row in self.beam for x in row],
-            "distance_mm": self.distance_mm,
+            **{
+                name: getattr(self, name)
+                for name in ("deeper_mm", "turn_rad", "force", "reference_nm", "mean", "unlike", "warmth")
+            },
         }
 
 
@@ -100,12 +98,17 @@ class FlexibleTool(Saved):
 
     ``length_mm`` is the free length h, ``stiffness_mn_mm2`` the bending stiffness EI, ``distances_mm`` from the tip to
     the sections I and II, ``gains`` (2, 2, 3) K_I and K_II in mN·mm/nm, ``reference_nm`` (9,) the wavelengths of the
-    unloaded tool (sections I, II, III, three fibres each), ``noise_nm`` the standard deviation of one, ``warmth``
-    (2, 3) how much more than its section's mean each fibre of I and II answers to warmth, relative. ``camera_*`` take
+    unloaded tool (sections I, II, III, three fibres each), ``noise_nm`` the standard deviation of one, ``means`` (2, 2)
+    what the mean of a section's three fibres answers to a moment, nm per mN·mm (with the gains: 3 × 2 answers a
+    section), ``warmth`` (2, 3) how much more than its section's mean each fibre of I and II answers to warmth,
+    relative. ``camera_*`` take
     the camera's frame to the base: x_base = R(``camera_rotation_rad``) x_camera + ``camera_translation_mm``; its clock
     stands ``camera_delay_s`` later than the robot's, and that of the fibres ``fibre_delay_s``. ``bending`` is
     ``"exact"``, an elastica, or ``"small"``, the paper's cantilever, which is off by 0.03 mm and more above 150 mN.
-    ``clearance_mm`` is how much wider than the shaft the hole is (radius). ``noise`` names what the filters trust:
+    ``clearance_mm`` is how much wider than the shaft the hole is (radius), as far as that is known before it is felt.
+    ``bench`` says how its table of loads is to be read, depth and force (see :mod:`.bench_fit`); ``"any"``: as fits
+    best.
+    ``noise`` names what the filters trust:
     ``"propagated"`` follows the force and the calibration's ``doubt``, with ``per_second_mm2`` (depth, tip; the depth's
     is the least, faster motion of the eye is learnt) and, for the filters of Eqs. 8 and 14, ``floor_mm2``; the others
     are the paper's.
@@ -120,6 +123,7 @@ class FlexibleTool(Saved):
     )
     reference_nm: tuple[float, ...] = (1531.0, 1531.2, 1530.9, 1545.1, 1545.0, 1544.8, 1559.0, 1559.1, 1558.9)
     noise_nm: float = 1e-3
+    means: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
     warmth: tuple[Triple, Triple] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     camera_rotation_rad: Triple = (0.0, 0.0, 0.0)
     camera_translation_mm: Triple = (0.0, 0.0, 0.0)
@@ -132,12 +136,15 @@ class FlexibleTool(Saved):
     start_std_mm: float = 0.5
     bending: str = "exact"
     fibre_delay_s: float = 0.0
-    clearance_mm: float = 0.05
-    clearance_std_mm: float = 0.02
+    clearance_mm: float = 0.5
+    clearance_std_mm: float = 1.0
+    bench: tuple[str, str] = ("any", "any")
     doubt: ToolDoubt = ToolDoubt()
 
     def __post_init__(self) -> None:
-        _ = self.beam, self.sensor, self.filter_noise  # refuses numbers that are no tool
+        _ = self.beam, self.sensor  # refuses numbers that are no tool
+        if self.noise not in NOISES:
+            raise RobotError(f"noise: '{self.noise}' is not known; choose {', '.join(NOISES)}")
         if not self.fibre_delay_s >= 0.0:
             raise RobotError(
                 f"[gratings] delay_s: {self.fibre_delay_s:g} s would be readings from the future; expected 0 or more. "
@@ -166,6 +173,9 @@ class FlexibleTool(Saved):
             )
             values["reference_nm"] = g.numbers("reference_nm", 9, positive=True)
             values["noise_nm"] = g.number("noise_nm", positive=True)
+            values["means"] = tuple(
+                g.numbers(f"mean_{section}", 2, of) for section, of in zip(("I", "II"), d.means, strict=True)
+            )
             values["warmth"] = tuple(
                 g.numbers(f"warmth_{section}", 3, of) for section, of in zip(("I", "II"), d.warmth, strict=True)
             )
@@ -186,6 +196,10 @@ class FlexibleTool(Saved):
             values["start_std_mm"] = f.number("start_std_mm", d.start_std_mm, positive=True)
             values["clearance_mm"] = f.number("clearance_mm", d.clearance_mm, least=0.0)
             values["clearance_std_mm"] = f.number("clearance_std_mm", d.clearance_std_mm, least=0.0)
+        with table.table("bench", optional=True) as bench:
+            values["bench"] = (
+                bench.text("depth", ("axis", "arc", "any"), "any"), bench.text("force", ("across", "normal", "any"), "any")  # noqa: E501
+            )  # fmt: skip
         with table.table("doubt", optional=True) as known:
             values["doubt"] = ToolDoubt.from_table(known)
         return cls(**values)
@@ -204,6 +218,8 @@ class FlexibleTool(Saved):
                 },
                 "reference_nm": list(self.reference_nm),
                 "noise_nm": self.noise_nm,
+                "mean_I": list(self.means[0]),
+                "mean_II": list(self.means[1]),
                 "warmth_I": list(self.warmth[0]),
                 "warmth_II": list(self.warmth[1]),
                 "delay_s": self.fibre_delay_s,
@@ -223,6 +239,7 @@ class FlexibleTool(Saved):
                 "clearance_mm": self.clearance_mm,
                 "clearance_std_mm": self.clearance_std_mm,
             },
+            "bench": {"depth": self.bench[0], "force": self.bench[1]},
             "doubt": self.doubt.to_table(),
         }
 
@@ -254,12 +271,20 @@ class FlexibleTool(Saved):
         depth = self.start_depth_mm if depth_mm is None else depth_mm
         std = self.start_std_mm if std_mm is None else std_mm
         d = self.doubt
-        doubts = (d.reference_nm, d.unlike, d.warmth, self.clearance_std_mm, d.distance_mm)
+        doubts = (d.deeper_mm, d.turn_rad, d.force, d.reference_nm, d.mean, d.unlike, d.warmth, self.clearance_std_mm)
         return _core.ToolFilter(
-            np.array(self.gains, dtype=float), np.array(d.gains, dtype=float), np.array(self.distances_mm),
+            np.array(self.gains, dtype=float), np.array(self.means, dtype=float), np.array(self.distances_mm),
             np.array(self.reference_nm), self.noise_nm, np.array(self.warmth, dtype=float), self.beam,
-            np.array(d.beam, dtype=float), doubts, self.clearance_mm, self.per_second_mm2[0],
-            (depth, std**2, time_s), np.ascontiguousarray(pose),
+            np.array(d.depth, dtype=float), np.array(d.beam, dtype=float), doubts, self.clearance_mm,
+            self.per_second_mm2[0], (depth, std**2, time_s), np.ascontiguousarray(pose),
+        )  # fmt: skip
+
+    def paper_filter(self, time_s: float, pose: Floats) -> _core.PaperFilter:
+        """The paper's own filters, started as :meth:`tracker`."""
+        return _core.PaperFilter(
+            np.array(self.gains, dtype=float), np.array(self.distances_mm), np.array(self.reference_nm), self.noise_nm,
+            self.beam, (self.start_depth_mm, self.start_std_mm**2, time_s), np.ascontiguousarray(pose),
+            self.noise == "ebrahimi_2020_of_force",
         )  # fmt: skip
 
     def as_if_cold(self, wavelengths_nm: Floats) -> Floats:
@@ -268,16 +293,6 @@ class FlexibleTool(Saved):
         common = (wavelengths_nm - rest).reshape(-1, 3, 3).mean(axis=2)
         own = np.vstack([np.array(self.warmth), np.zeros(3)])
         return np.ascontiguousarray(wavelengths_nm - (common[:, :, None] * own).reshape(-1, 9))
-
-    @cached_property
-    def filter_noise(self) -> _core.FilterNoise:
-        """What the filters trust."""
-        if self.noise == "propagated":
-            return _core.FilterNoise.propagated(self.per_second_mm2, self.floor_mm2)
-        if self.noise not in NOISES:
-            raise RobotError(f"noise: '{self.noise}' is not known; choose {', '.join(NOISES)}")
-        made: _core.FilterNoise = getattr(_core.FilterNoise, self.noise)()
-        return made
 
     def with_noise(self, noise: str) -> FlexibleTool:
         """The same tool with filters that trust otherwise. Raises :class:`~sherkit.errors.RobotError`."""

@@ -69,6 +69,8 @@ class VirtualTool:
         position, turn, depth, offset, clearance = make(t, rng)
         true = self.true or self.tool
         force = self._force(true, depth, offset, clearance)
+        # where the tool is bent in free space there is no insertion whose depth could be off
+        known = None if experiment == "bends" else depth
         depth = depth - _shortening(true, np.linalg.norm(force, axis=1), true.length_mm - depth)
         bent = self._tip(true, force, depth) + np.array([*self.shaft_bend_mm, 0.0])
         tip = position + np.einsum("nij,nj->ni", rotation_of(turn), bent)
@@ -78,8 +80,6 @@ class VirtualTool:
         if self.lost > 0:
             waves[rng.random(len(t)) < self.lost] = np.nan
         camera_t, camera = self._seen(true, t, tip, rng)
-        # where the tool is bent in free space there is no insertion whose depth could be off
-        known = None if experiment == "bends" else depth
         return ToolRun(t, position, turn, waves, camera_t, camera, known, f"simulated {experiment}")
 
     def free_motion(self, *, seconds: float = 20.0, seed: int = 0) -> ToolRun:
@@ -96,7 +96,9 @@ class VirtualTool:
         return ToolRun(t, position, turn, waves, camera_t, camera, None, "simulated free motion")
 
     def bench(self, *, loads: int = 80, unloaded: int = 20, deflection_std_mm: float = 0.01, seed: int = 0) -> Loads:
-        """Known loads on a bench, from 20 to 250 mN, all around the shaft and 0 to 25 mm from the tip."""
+        """Known loads on a bench, from 20 to 250 mN across the clamp's axis, all around the shaft and 0 to 25 mm from
+        the
+        tip; ``depth_mm`` is how far each stands from the unbent tip along the unbent axis."""
         rng = np.random.default_rng([seed, 5])
         true = self.true or self.tool
         depth = rng.uniform(0.0, 25.0, loads + unloaded)
@@ -111,6 +113,7 @@ class VirtualTool:
         along = pushed / np.where(size > 0, size, 1.0)
         waves = self._wavelengths(true, force * along[:, None], depth, np.zeros(len(size)), rng)
         bent = pushed * _softness(true, pushed, a)
+        depth = depth + a * _bent(true, pushed, a) ** 2 / 15.0
         return Loads(force, depth, waves, bent + deflection_std_mm * rng.standard_normal(len(size)), "simulated loads")
 
     def pressed(self, offset_mm: Floats, depth_mm: Floats, clearance_mm: float) -> tuple[Floats, Floats]:

@@ -44,9 +44,8 @@ void need(sherkit_result done, const char* what)
 struct Controller {
     sherkit_delta robot;
     sherkit_sensor sensor;
-    sherkit_depth_filter depth;
-    sherkit_tip_filter tip;
-    sherkit_tool_filter whole;
+    sherkit_tool_filter filter;
+    sherkit_paper_filter paper;
     sherkit_pose pose{};
     double joints[3] = {130.0, 130.0, 130.0};
 
@@ -71,24 +70,20 @@ struct Controller {
         std::memcpy(pose.rotation, Tool::rotation, sizeof pose.rotation);
         std::copy(first.unbent_mm.begin(), first.unbent_mm.end(), pose.translation_mm);
         const sherkit_beam beam = sherkit_beam_ebrahimi_2020();
-        const sherkit_noise noise = sherkit_noise_propagated(0.02, 0.02, 1e-3, 1e-4);
         const double start = simulated::Tool::first_depth_mm;
-        need(sherkit_depth_filter_init(&depth, start, 1.0, 0.0, &noise), "the depth filter");
-        need(sherkit_tip_filter_init(&tip, &beam, &pose, 1.0, 0.0, &noise), "the tip filter");
         sherkit_tool tool{};
         tool.sensor = calibration;
         tool.beam = beam;
         tool.per_second_mm2 = 0.02;
-        need(sherkit_tool_filter_init(&whole, &tool, start, 1.0, &pose, 0.0), "the tool's filter");
+        need(sherkit_tool_filter_init(&filter, &tool, start, 1.0, &pose, 0.0), "the tool's filter");
+        need(sherkit_paper_filter_init(&paper, &calibration, &beam, 0, start, 1.0, &pose, 0.0), "the paper's filter");
     }
 };
 
 // What a step leaves for the log.
 struct Line {
     double time_s, true_depth_mm, true_tip_mm[3], force_mn, took_us, late_us;
-    sherkit_depth_estimate depth;
-    sherkit_tip_estimate tip;
-    sherkit_tool_estimate whole;
+    sherkit_tool_estimate tool, paper;
     double joints_mm[3];
     sherkit_result reached;
 };
@@ -97,14 +92,12 @@ struct Line {
 void step(Controller& c, double t, const simulated::Moment& seen, bool lost, Line& line)
 {
     std::copy(seen.unbent_mm.begin(), seen.unbent_mm.end(), c.pose.translation_mm);
-    const double* velocity = seen.velocity_mm_s.data();
     sherkit_measurement measured;
-    // a reading that is not finite is written all the same, and the filters count it
     sherkit_sensor_read(&c.sensor, t, seen.wavelengths_nm.data(), &measured);
-    const sherkit_measurement* given = lost ? nullptr : &measured;
-    sherkit_depth_filter_step(&c.depth, t, -velocity[2], given, &line.depth);
-    sherkit_tip_filter_step(&c.tip, t, velocity, &c.pose, line.depth.depth_mm, line.depth.variance, given, &line.tip);
-    sherkit_tool_filter_step(&c.whole, t, &c.pose, t, lost ? nullptr : seen.wavelengths_nm.data(), &line.whole);
+    // filters say and count what they cannot use
+    const double* given = lost ? nullptr : seen.wavelengths_nm.data();
+    sherkit_tool_filter_step(&c.filter, t, &c.pose, t, given, &line.tool);
+    sherkit_paper_filter_step(&c.paper, t, &c.pose, given, &line.paper);
     // the platform's own place follows the unbent tip
     double next[3];
     line.reached = sherkit_delta_inverse(&c.robot, seen.unbent_mm.data(), nullptr, next);
@@ -219,7 +212,8 @@ int main(int argc, char** argv)
         thread.join();
 
     std::vector<double> took, late;
-    double depth = 0.0, tip = 0.0, whole[2] = {0.0, 0.0}, unbent = 0.0;
+    // depth, tip
+    double ours[2] = {0.0, 0.0}, papers[2] = {0.0, 0.0}, unbent = 0.0;
     for (std::size_t i = 0; i < count; ++i) {
         const auto& truth = world[i];
         Line& line = lines[i];
@@ -228,15 +222,15 @@ int main(int argc, char** argv)
         std::copy(truth.tip_mm.begin(), truth.tip_mm.end(), line.true_tip_mm);
         took.push_back(line.took_us);
         late.push_back(line.late_us);
-        depth += std::pow(line.depth.depth_mm - truth.depth_mm, 2);
-        whole[0] += std::pow(line.whole.depth_mm - truth.depth_mm, 2);
+        ours[0] += std::pow(line.tool.depth_mm - truth.depth_mm, 2);
+        papers[0] += std::pow(line.paper.depth_mm - truth.depth_mm, 2);
         for (int k = 0; k < 3; ++k) {
-            tip += std::pow(line.tip.tip_mm[k] - truth.tip_mm[k], 2);
-            whole[1] += std::pow(line.whole.tip_mm[k] - truth.tip_mm[k], 2);
+            ours[1] += std::pow(line.tool.tip_mm[k] - truth.tip_mm[k], 2);
+            papers[1] += std::pow(line.paper.tip_mm[k] - truth.tip_mm[k], 2);
             unbent += std::pow(truth.unbent_mm[k] - truth.tip_mm[k], 2);
         }
-        if (!std::isfinite(line.depth.depth_mm) || !std::isfinite(line.tip.tip_mm[0]) ||
-            !std::isfinite(line.whole.tip_mm[0]) || line.reached != SHERKIT_OK) {
+        if (!std::isfinite(line.tool.tip_mm[0]) || !std::isfinite(line.paper.tip_mm[0]) ||
+            line.reached != SHERKIT_OK) {
             std::fprintf(stderr, "loop: step %zu has no estimate or no joints\n", i);
             return 1;
         }
@@ -244,10 +238,11 @@ int main(int argc, char** argv)
     std::printf("%zu steps of 1 kHz, %u busy threads beside them\n", count, load);
     quantiles("a step takes", took);
     quantiles("it begins late by", late);
-    std::printf("rms error: depth %.4f mm, tip %.4f mm; of the tool's filter %.4f mm, %.4f mm (unbent: %.4f mm)\n",
-                rms(depth, count), rms(tip, count), rms(whole[0], count), rms(whole[1], count), rms(unbent, count));
+    std::printf("rms error: depth %.4f mm, tip %.4f mm; of the paper's filters %.4f mm, %.4f mm (unbent: %.4f mm)\n",
+                rms(ours[0], count), rms(ours[1], count), rms(papers[0], count), rms(papers[1], count),
+                rms(unbent, count));
     sherkit_statistics s;
-    need(sherkit_tool_filter_statistics(&controller.whole, &s), "the statistics");
+    need(sherkit_tool_filter_statistics(&controller.filter, &s), "the statistics");
     std::printf("the tool's filter: %llu updates, %llu missing, %llu not finite, %llu without force, NIS ratio %.3f\n",
                 (unsigned long long)s.updated, (unsigned long long)s.missing, (unsigned long long)s.not_finite,
                 (unsigned long long)s.no_force, s.nis_sum / double(s.nis_degrees));
@@ -259,13 +254,13 @@ int main(int argc, char** argv)
             return 1;
         }
         std::fprintf(file, "time_s,force_mN,depth_true_mm,depth_mm,depth_sigma_mm,x_true_mm,y_true_mm,z_true_mm,x_mm,"
-                           "y_mm,z_mm,x_whole_mm,y_whole_mm,z_whole_mm,q1_mm,q2_mm,q3_mm,status,took_us,late_us\n");
+                           "y_mm,z_mm,x_paper_mm,y_paper_mm,z_paper_mm,q1_mm,q2_mm,q3_mm,status,took_us,late_us\n");
         for (const Line& l : lines) {
-            std::fprintf(file, "%.4f,%.4f,%.6f,%.6f,%.6f,", l.time_s, l.force_mn, l.true_depth_mm, l.depth.depth_mm,
-                         std::sqrt(l.depth.variance));
-            for (const double* v : {l.true_tip_mm, l.tip.tip_mm, l.whole.tip_mm, l.joints_mm})
+            std::fprintf(file, "%.4f,%.4f,%.6f,%.6f,%.6f,", l.time_s, l.force_mn, l.true_depth_mm, l.tool.depth_mm,
+                         std::sqrt(l.tool.covariance[0][0]));
+            for (const double* v : {l.true_tip_mm, l.tool.tip_mm, l.paper.tip_mm, l.joints_mm})
                 std::fprintf(file, "%.6f,%.6f,%.6f,", v[0], v[1], v[2]);
-            std::fprintf(file, "%u,%.3f,%.3f\n", l.whole.status, l.took_us, l.late_us);
+            std::fprintf(file, "%u,%.3f,%.3f\n", l.tool.status, l.took_us, l.late_us);
         }
         std::fclose(file);
     }

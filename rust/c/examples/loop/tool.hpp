@@ -14,7 +14,6 @@ struct Moment {
     double depth_mm;
     std::array<double, 2> force_mn;  // tool frame
     Vector unbent_mm;                // base frame, where the unbent tip would be
-    Vector velocity_mm_s;            // of the unbent tip
     Vector tip_mm;                   // where the tip really is
     std::array<double, 9> wavelengths_nm;
 };
@@ -44,10 +43,7 @@ public:
     Moment at(double t)
     {
         Moment m{};
-        const double h = 1e-6;
-        const Vector now = unbent(t), before = unbent(t - h), after = unbent(t + h);
-        for (int k = 0; k < 3; ++k)
-            m.velocity_mm_s[k] = (after[k] - before[k]) / (2 * h);
+        const Vector now = unbent(t);
         m.unbent_mm = now;
         m.depth_mm = first_depth_mm - now[2];
         // contact that comes and goes

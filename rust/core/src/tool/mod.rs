@@ -2,16 +2,15 @@
 //!
 //! Source: Ebrahimi et al., "Stochastic force-based insertion depth and tip position estimations of flexible
 //! FBG-equipped instruments", 2020 (the tool paper). [`sensing`] turns wavelengths into force and depth, [`beam`]
-//! force and depth into where the tip is; [`calibration`] finds the parameters of both; [`filters`] are the paper's
-//! filters on them; [`tracker`] is what a control loop runs.
+//! force and depth into where the tip is; [`paper`] are the paper's
+//! filters on them; [`filter`] is what a control loop runs.
 //!
 //! Wavelengths are nm, forces mN, lengths mm, moments mN·mm. The tool frame has its z axis along the unbent
 //! shaft, pointing out of the tip, and its origin where the unbent tip would be. Depth is counted from the tip
 //! up the shaft: zero where the sclera touches the tip.
 
 pub mod beam;
-pub mod calibration;
-pub mod filters;
+pub mod filter;
+pub mod paper;
 pub mod rod;
 pub mod sensing;
-pub mod tracker;

@@ -116,19 +116,27 @@ impl Rod {
         }
     }
 
-    /// Force across the rod at the contact, for one whose part across the clamp's axis is known, as a load cell
-    /// has it (mN), at a depth (mm).
+    /// A load of a bench as it truly is: its force across the rod (mN) and the length of shaft beyond it (mm).
+    ///
+    /// `force_mn` is that, or where `across` the part of it across the clamp's axis, as a load cell has it; `depth_mm` is
+    /// that, or where `axial` how far the load stands from the unbent tip along the unbent axis.
     #[must_use]
-    pub fn force_of_lateral(&self, lateral_mn: f64, depth_mm: f64) -> f64 {
-        let mut force = lateral_mn;
+    pub fn loaded(&self, force_mn: f64, depth_mm: f64, axial: bool, across: bool) -> (f64, f64) {
+        let (mut force, mut depth) = (force_mn, depth_mm);
         if self.bending == Bending::Exact {
-            let arc = self.beam.length_mm() - depth_mm;
-            // the angle hardly changes with what its cosine adds
-            for _ in 0..12 {
-                force = lateral_mn / self.turn(force, arc).1;
+            // shape and load hardly change with what they add to each other
+            for _ in 0..20 {
+                let arc = self.beam.length_mm() - depth;
+                if across {
+                    force = force_mn / self.turn(force, arc).1;
+                }
+                if axial {
+                    let share = series(&AXIAL, self.q(force, arc));
+                    depth = self.beam.length_mm() - (self.beam.length_mm() - depth_mm) / share;
+                }
             }
         }
-        force
+        (force, depth)
     }
 
     /// Sine and cosine of the angle at the contact.
@@ -180,29 +188,54 @@ impl Rod {
         if depth < length { length - depth } else { 0.0 }
     }
 
+    /// Deflection of a contact across the unbent shaft, mm, at a length from the clamp: beyond the end as well, where a bench
+    /// counts from a zero of its own.
+    #[must_use]
+    #[inline]
+    pub fn aside(&self, force_mn: f64, arc_mm: f64) -> f64 {
+        match self.bending {
+            Bending::Small => force_mn * arc_mm * arc_mm * arc_mm / (3.0 * self.beam.stiffness()),
+            Bending::Exact => {
+                let q = self.q(force_mn, arc_mm);
+                arc_mm * sqrt(q) * series(&LATERAL, q)
+            }
+        }
+    }
+
     /// Shape under a force across the rod (mN, zero or more) at a depth: the length of shaft beyond the contact (mm).
     #[must_use]
     #[inline]
     pub fn shape(&self, force_mn: f64, depth_mm: f64) -> Shape {
+        self.bent(force_mn, depth_mm, depth_mm)
+    }
+
+    /// The same where a tip stands another length beyond the contact than the rod's end, by which the depth is counted.
+    #[must_use]
+    #[inline]
+    pub fn bent(&self, force_mn: f64, depth_mm: f64, beyond_mm: f64) -> Shape {
+        let beyond = if beyond_mm > 0.0 { beyond_mm } else { 0.0 };
+        let arc = self.arc(depth_mm);
         match self.bending {
-            Bending::Small => Shape {
-                contact_across: force_mn * self.beam.contact_compliance(depth_mm),
-                contact_short: 0.0,
-                across: force_mn * self.beam.compliance(depth_mm).value,
-                short: 0.0,
-            },
+            Bending::Small => {
+                let contact = force_mn * self.beam.contact_compliance(depth_mm);
+                let turn = force_mn * arc * arc / (2.0 * self.beam.stiffness());
+                Shape {
+                    contact_across: contact,
+                    contact_short: 0.0,
+                    across: contact + beyond * turn,
+                    short: 0.0,
+                }
+            }
             Bending::Exact => {
-                let arc = self.arc(depth_mm);
-                let depth = if depth_mm > 0.0 { depth_mm } else { 0.0 };
                 let q = self.q(force_mn, arc);
                 let (sine, cosine) = self.turn(force_mn, arc);
-                let contact_across = arc * sqrt(q) * series(&LATERAL, q);
+                let contact_across = self.aside(force_mn, arc);
                 let contact_short = arc * (1.0 - series(&AXIAL, q));
                 Shape {
                     contact_across,
                     contact_short,
-                    across: contact_across + depth * sine,
-                    short: contact_short + depth * (1.0 - cosine),
+                    across: contact_across + beyond * sine,
+                    short: contact_short + beyond * (1.0 - cosine),
                 }
             }
         }

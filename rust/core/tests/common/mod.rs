@@ -2,6 +2,7 @@
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
 pub mod closed_form;
+pub mod fibres;
 pub mod paper_vision;
 
 use nalgebra::{SVector, Vector3};

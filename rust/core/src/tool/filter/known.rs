@@ -1,0 +1,160 @@
+//! A calibrated tool as the filter takes it, and what its calibration does not know.
+//!
+//! What a filter must not average away is *considered* (Schmidt 1966; Jazwinski, *Stochastic Processes and Filtering
+//! Theory*, 8.4): it stays in the error, as three unknowns of unit variance. Whatever the bench leaves open, of gains,
+//! of where sections and loads stood, the depth that follows from two moments is off by `θ₀ + θ₁ d + θ₂ d²`: a section
+//! that stands elsewhere puts it off in proportion to the other's arm, gains in proportion to both. So the three are all.
+
+use crate::numbers::math::sqrt;
+use crate::tool::rod::Rod;
+use crate::tool::sensing::{Calibration, FIBRES, Sensor};
+use crate::{Error, Result};
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+
+/// Depth is counted in this unit in the error's powers, mm.
+const TENTH: f64 = 0.1;
+
+/// A tool and how far it is trusted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trusted {
+    /// The gratings.
+    pub calibration: Calibration,
+    /// What the mean of three fibres answers to a moment at sections I and II, nm per mN·mm: nothing where fibres stand
+    /// evenly, two per cent of a fibre's own answer where they are off by as much.
+    pub means: [Vector2<f64>; 2],
+    /// How much more than the mean of its section each fibre of sections I and II answers to warmth, relative.
+    pub warmth: [[f64; FIBRES]; 2],
+    /// The shaft.
+    pub rod: Rod,
+    /// What the calibration does not know.
+    pub doubt: Doubt,
+    /// Radius by which the hole is wider than the shaft, mm, as far as it is known before it is felt.
+    pub clearance_mm: f64,
+    /// How fast the hole strays along the shaft at least, mm²/s.
+    pub per_second_mm2: f64,
+}
+
+/// What the calibration says of its own errors. All zero: it is exact.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Doubt {
+    /// Covariance of `θ₀, θ₁, θ₂`: the depth is off by `θ₀ + θ₁ d/10 + θ₂ (d/10)²`, all in mm.
+    pub depth: Matrix3<f64>,
+    /// By how much more than that the gratings may count all depths deeper, mm: where the bench had its zero.
+    pub deeper_mm: f64,
+    /// How far the gratings may be turned about the shaft against the robot's frame, rad.
+    pub turn_rad: f64,
+    /// Deviation of a force over the force.
+    pub force: f64,
+    /// Covariance of length (mm) and stiffness (mN·mm²).
+    pub beam: Matrix2<f64>,
+    /// Standard deviation of a reference wavelength, nm.
+    pub reference_nm: f64,
+    /// Of what a bend leaves in the mean of three fibres, over the shift that it makes.
+    pub mean: f64,
+    /// How unlike fibres answer to warmth: standard deviation over the mean answer.
+    pub unlike: f64,
+    /// What is not known of a fibre's own answer ([`Trusted::warmth`]): the same, where nothing was learnt of it.
+    pub warmth: f64,
+    /// Standard deviation of the clearance of the hole, mm.
+    pub clearance_mm: f64,
+}
+
+impl Default for Doubt {
+    fn default() -> Self {
+        Self {
+            depth: Matrix3::zeros(),
+            deeper_mm: 0.0,
+            turn_rad: 0.0,
+            force: 0.0,
+            beam: Matrix2::zeros(),
+            reference_nm: 0.0,
+            mean: 0.0,
+            unlike: 0.0,
+            warmth: 0.0,
+            clearance_mm: 0.0,
+        }
+    }
+}
+
+/// Considered unknowns: three of the bench, and the friction of the hole.
+pub const UNKNOWNS: usize = 4;
+/// Deviation of the part of a force that drags along the shaft while it slides.
+const FRICTION: f64 = 0.08;
+/// How an error hangs on the unknowns.
+pub type Tied = [f64; UNKNOWNS];
+
+/// `Σ a b`.
+#[inline]
+pub(super) fn dot(a: &Tied, b: &Tied) -> f64 {
+    (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3])
+}
+
+/// What the bench leaves open of the depth: the factor `L` of its covariance, so that `L u` has it for unit `u`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct OfDepth(Matrix3<f64>);
+
+impl OfDepth {
+    pub(super) fn new(c: &Matrix3<f64>) -> Self {
+        let mut l = Matrix3::zeros();
+        for i in 0..3 {
+            for j in 0..=i {
+                let mut left = c[(i, j)];
+                for k in 0..j {
+                    left -= l[(i, k)] * l[(j, k)];
+                }
+                l[(i, j)] = if i == j {
+                    sqrt(if left > 0.0 { left } else { 0.0 })
+                } else if l[(j, j)] > 0.0 {
+                    left / l[(j, j)]
+                } else {
+                    0.0
+                };
+            }
+        }
+        Self(l)
+    }
+
+    /// How a measured depth hangs on the unknowns; `drag` is by how much friction of the force's own size puts it off, mm.
+    #[inline]
+    pub(super) fn at(&self, depth_mm: f64, drag: f64) -> Tied {
+        let d = TENTH * depth_mm;
+        let l = &self.0;
+        let row = Vector3::new(1.0, d, d * d);
+        let of = |k: usize| l[(0, k)] * row.x + l[(1, k)] * row.y + l[(2, k)] * row.z;
+        [of(0), of(1), of(2), FRICTION * drag]
+    }
+}
+
+impl Trusted {
+    /// Whether the numbers mean something.
+    pub(super) fn check(&self) -> Result<()> {
+        Sensor::new(self.calibration)?;
+        let d = &self.doubt;
+        let deviations = [
+            d.deeper_mm,
+            d.turn_rad,
+            d.force,
+            d.reference_nm,
+            d.mean,
+            d.unlike,
+            d.warmth,
+            d.clearance_mm,
+            self.clearance_mm,
+            self.per_second_mm2,
+        ];
+        let mut numbers = d.depth.iter().chain(d.beam.iter());
+        let mut warmth = self.warmth.as_flattened().iter();
+        let means = self
+            .means
+            .iter()
+            .all(|m| m.x.is_finite() && m.y.is_finite());
+        let known = means && warmth.all(|x| x.is_finite()) && numbers.all(|x| x.is_finite());
+        if known && deviations.iter().all(|x| *x >= 0.0 && x.is_finite()) {
+            Ok(())
+        } else {
+            Err(Error::Invalid {
+                what: "tool: deviations, clearance and variances must be zero or more, and finite",
+            })
+        }
+    }
+}
