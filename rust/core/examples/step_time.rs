@@ -1,10 +1,10 @@
 //! Nanoseconds that one step of the flexible tool's filter and of the paper's takes, and one reading of the fibres:
 //! `cargo run --release -p sherkit-core --example step_time`.
 //!
-//! Every line is the median of batches, after a warm-up; the force comes and goes, so that both sides of each branch
-//! are taken.
+//! Every line is the median of batches, after a warm-up. The shaft leans on its hole and leaves it again, as its pose has
+//! it, so that both sides of each branch are taken; nothing is at fault.
 
-use nalgebra::{Matrix2x3, Matrix3, Vector2};
+use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::beam::Beam;
 use sherkit_core::tool::filter::{Doubt, ToolFilter, Trusted};
@@ -35,8 +35,8 @@ fn median(mut step: impl FnMut(usize)) -> f64 {
     times[BATCHES / 2]
 }
 
-/// Of a force that comes and goes at a depth of 5 mm, with noise in all fibres.
-fn wavelengths(calibration: &Calibration) -> Vec<[[f64; 3]; 3]> {
+/// Where the shaft is led, and the wavelengths there: the hole stands still, with 5 mm of shaft beyond it.
+fn led(trusted: &Trusted) -> Vec<(Rigid, [[f64; 3]; 3])> {
     let mut state = 1_u64;
     let mut noise = || {
         (0..12).fold(-6.0, |sum, _| {
@@ -46,32 +46,76 @@ fn wavelengths(calibration: &Calibration) -> Vec<[[f64; 3]; 3]> {
             sum + (state >> 11) as f64 / (1_u64 << 53) as f64
         })
     };
-    let rod = Rod {
-        beam: Beam::ebrahimi_2020(),
-        bending: Bending::Exact,
-    };
+    let (c, rod, depth, gives) = (&trusted.calibration, &trusted.rod, 5.0, 0.005);
+    let way = Vector2::new(80.0, 30.0).normalize();
     (0..BATCH)
         .map(|k| {
-            let force = Vector2::new(80.0, 30.0) * (0.01 * k as f64).sin().abs();
-            let mut w = calibration.reference_nm;
+            let phase = std::f64::consts::TAU * k as f64 / BATCH as f64;
+            let lean = 60.0 * (1.0 - 1.3 * phase.cos());
+            let size = lean.max(0.0);
+            let shape = rod.shape(size, depth);
+            let within = (trusted.clearance_mm + 0.001 * lean.min(0.0)).max(-0.05);
+            let aside = way * (shape.contact_across + gives * size + within);
+            let place = Vector3::new(-aside.x, -aside.y, depth + shape.contact_short);
+            let mut w = c.reference_nm;
             for i in 0..2 {
-                let gain = calibration.gains[i];
+                let gain = c.gains[i];
                 let back =
                     gain.transpose() * (gain * gain.transpose()).try_inverse().expect("a gain");
-                let arm = calibration.distances_mm[i] - 5.0;
-                let shift = back * force * (arm * rod.moment_share(force.norm(), arm));
+                let arm = c.distances_mm[i] - depth;
+                let moment = way * (size * arm * rod.moment_share(size, arm));
+                let shift = back * moment;
+                let mean = trusted.means[i].dot(&moment);
                 for j in 0..3 {
-                    w[i][j] += shift[j];
+                    w[i][j] += shift[j] + mean;
                 }
             }
-            w.map(|section| section.map(|x| x + calibration.noise_nm * noise()))
+            let read = w.map(|section| section.map(|x| x + c.noise_nm * noise()));
+            let pose = Rigid {
+                rotation: Matrix3::identity(),
+                translation: place,
+            };
+            (pose, read)
         })
         .collect()
 }
 
 /// The filter that takes wavelengths and poses.
-fn whole_filter(calibration: Calibration, beam: Beam, wavelengths: &[[[f64; 3]; 3]]) {
-    let (dt, tool) = (0.005, Rigid::identity());
+fn whole_filter(trusted: &Trusted, led: &[(Rigid, [[f64; 3]; 3])]) {
+    let (dt, first) = (0.005, &led[0].0);
+    for (name, late) in [("in time", 0.0), ("late", 0.1)] {
+        let mut whole = ToolFilter::new(trusted, 5.0, 1.0, first, 0.0).expect("a filter");
+        println!("tool  {name:11} {:5.1} ns", {
+            median(|k| {
+                let time = (k + 1) as f64 * dt;
+                let (pose, w) = black_box(&led[k % BATCH]);
+                black_box(whole.step(time, pose, Some((time - late, w))));
+            })
+        });
+        println!("tool  {name:11} {:5.1} ns with what it tells", {
+            let mut whole = ToolFilter::new(trusted, 5.0, 1.0, first, 0.0).expect("a filter");
+            median(|k| {
+                let time = (k + 1) as f64 * dt;
+                let (pose, w) = black_box(&led[k % BATCH]);
+                black_box(whole.step(time, pose, Some((time - late, w))));
+                black_box(whole.told());
+            })
+        });
+    }
+}
+
+fn main() {
+    let side = |k: usize| std::f64::consts::TAU * k as f64 / 3.0;
+    let gain =
+        Matrix2x3::from_fn(|i, k| 3200.0 * if i == 0 { side(k).cos() } else { side(k).sin() });
+    let calibration = Calibration {
+        gains: [gain; 2],
+        distances_mm: [40.0, 50.0],
+        reference_nm: [[1550.0; 3]; 3],
+        noise_nm: 1e-3,
+    };
+    let sensor = Sensor::new(calibration).expect("a calibration");
+    let beam = Beam::ebrahimi_2020();
     let doubt = Doubt {
         depth: Matrix3::from_diagonal_element(0.01),
         deeper_mm: 0.1,
@@ -96,54 +140,21 @@ fn whole_filter(calibration: Calibration, beam: Beam, wavelengths: &[[[f64; 3]; 
         clearance_mm: 0.05,
         per_second_mm2: 0.004,
     };
-    for (name, late) in [("in time", 0.0), ("late", 0.1)] {
-        let mut whole = ToolFilter::new(&trusted, 5.0, 1.0, &tool, 0.0).expect("a filter");
-        println!("tool  {name:11} {:5.1} ns", {
-            median(|k| {
-                let time = (k + 1) as f64 * dt;
-                let w = black_box(&wavelengths[k % BATCH]);
-                black_box(whole.step(time, black_box(&tool), Some((time - late, w))));
-            })
-        });
-        println!("tool  {name:11} {:5.1} ns with what it tells", {
-            let mut whole = ToolFilter::new(&trusted, 5.0, 1.0, &tool, 0.0).expect("a filter");
-            median(|k| {
-                let time = (k + 1) as f64 * dt;
-                let w = black_box(&wavelengths[k % BATCH]);
-                black_box(whole.step(time, black_box(&tool), Some((time - late, w))));
-                black_box(whole.told());
-            })
-        });
-    }
-}
-
-fn main() {
-    let side = |k: usize| std::f64::consts::TAU * k as f64 / 3.0;
-    let gain =
-        Matrix2x3::from_fn(|i, k| 3200.0 * if i == 0 { side(k).cos() } else { side(k).sin() });
-    let calibration = Calibration {
-        gains: [gain; 2],
-        distances_mm: [40.0, 50.0],
-        reference_nm: [[1550.0; 3]; 3],
-        noise_nm: 1e-3,
-    };
-    let sensor = Sensor::new(calibration).expect("a calibration");
-    let wavelengths = wavelengths(&calibration);
-    let (beam, tool) = (Beam::ebrahimi_2020(), Rigid::identity());
+    let led = led(&trusted);
 
     println!("sensing        {:8.1} ns", {
         median(|k| {
-            black_box(sensor.read(black_box(&wavelengths[k % BATCH]))).ok();
+            black_box(sensor.read(black_box(&led[k % BATCH].1))).ok();
         })
     });
-    whole_filter(calibration, beam, &wavelengths);
+    whole_filter(&trusted, &led);
     let noise = PaperNoise::ebrahimi_2020();
     let mut paper =
-        PaperFilter::new(&calibration, beam, noise, 5.0, 1.0, &tool, 0.0).expect("a filter");
+        PaperFilter::new(&calibration, beam, noise, 5.0, 1.0, &led[0].0, 0.0).expect("a filter");
     println!("paper          {:8.1} ns", {
         median(|k| {
-            let w = black_box(&wavelengths[k % BATCH]);
-            black_box(paper.step((k + 1) as f64 * 0.005, black_box(&tool), Some(w)));
+            let (pose, w) = black_box(&led[k % BATCH]);
+            black_box(paper.step((k + 1) as f64 * 0.005, pose, Some(w)));
         })
     });
 }
