@@ -74,9 +74,9 @@ impl Known {
     pub(super) fn see(&self, row: &Row) -> Seen {
         let (mut with, mut tied) = ([0.0; N], row.tied);
         for j in 0..N {
-            let h = row.h[j];
+            let (h, of_j) = (row.h[j], &self.p[j]);
             for i in 0..N {
-                with[i] += self.p[i][j] * h;
+                with[i] += of_j[i] * h;
             }
             for k in 0..UNKNOWNS {
                 tied[k] += self.tied[j][k] * h;
@@ -105,17 +105,19 @@ impl Known {
         for i in 0..N {
             gain[i] = (gain[i] + dot(&self.tied[i], &seen.tied)) * per_total;
         }
+        let mut less = [0.0; N];
         for i in 0..N {
             self.x[i] += gain[i] * innovation;
-            // P - g aᵀ - a gᵀ + s g gᵀ
-            for j in 0..=i {
-                let of_j = 0.5 * seen.own * gain[j] - seen.with[j];
-                let of_i = 0.5 * seen.own * gain[i] - seen.with[i];
-                self.p[i][j] += of_i * gain[j] + gain[i] * of_j;
-                self.p[j][i] = self.p[i][j];
+            less[i] = 0.5 * seen.own * gain[i] - seen.with[i];
+        }
+        for i in 0..N {
+            // P - g aᵀ - a gᵀ + s g gᵀ, as symmetric as before to the last bit
+            let (g, l, own) = (gain[i], less[i], &mut self.p[i]);
+            for j in 0..N {
+                own[j] += l * gain[j] + g * less[j];
             }
-            if self.p[i][i] < 0.0 {
-                self.p[i][i] = 0.0;
+            if own[i] < 0.0 {
+                own[i] = 0.0;
             }
             for k in 0..UNKNOWNS {
                 self.tied[i][k] -= gain[i] * seen.tied[k];
