@@ -93,14 +93,26 @@ def test_where_no_fibre_is_read_the_tip_is_not_known(since_s: float, until_s: fl
         assert honesty(off, told["covariance"][lost][:, 1:, 1:], np.zeros_like(off)).coverage > 0.95
 
 
-@pytest.mark.xfail(reason="a grating that creeps while nothing is touched is taken for its reference", strict=True)
-def test_a_grating_that_crept_away_is_not_believed_again() -> None:
-    """Catches a creeping grating that is believed when it passes unnoticed among large bends: the depth was off by
-    0.2 mm at a stated 0.03 for 1.4 s."""
-    world = FAULTS["drifting"]
-    recorded = world.run("phantom", seed=6)
-    e = estimate(tool_of(world, 6), run_of(recorded))
-    assert honest(e, recorded)["depth"].beyond_5 == 0
+@pytest.mark.parametrize("seed", [2, 6])
+def test_references_that_creep_are_followed(seed: int) -> None:
+    """Catches a grating that creeps by 1 pm a second while nothing touches and passes for a force in another hole: the
+    mean error was 2.9 and 3.6 mm at a stated 0.5, and healthy gratings were named."""
+    recorded = FAULTS["drifting"].run("phantom", seed=seed)
+    e = estimate(tool_of(FAULTS["drifting"], seed), run_of(recorded))
+    depth = honest(e, recorded)["depth"]
+    assert depth.mean_error_mm < 0.15
+    assert depth.beyond_5 == 0
+
+
+def test_single_wild_readings_cost_nothing_that_lasts() -> None:
+    """Catches a wild reading that stays in the mean of the last second, which is then doubted (depth off by 0.7 mm), and a
+    smoother that takes a refused reading for one that was used (10³⁰ mm)."""
+    world, seed = FAULTS["spikes"], 1
+    recorded, sound = world.run("phantom", seed=seed), replace(world, faults=()).run("phantom", seed=seed)
+    told, well = (honest(estimate(tool_of(world, seed), run_of(run)), run) for run in (recorded, sound))
+    assert told["depth"].mean_error_mm < 2.0 * well["depth"].mean_error_mm
+    assert told["depth smoothed"].mean_error_mm < told["depth"].mean_error_mm
+    assert told["depth smoothed"].coverage > 0.9
 
 
 def test_what_warms_an_untouched_tool_is_learnt() -> None:

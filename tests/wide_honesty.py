@@ -222,6 +222,22 @@ RUNGS: dict[str, Callable[[FlexibleTool], FlexibleTool]] = {
 }
 
 
+def true_tool(tool: FlexibleTool, world: Wide, experiment: str) -> FlexibleTool:
+    """The tool with everything true but the state: what no calibration could do better."""
+    d = world.drawn
+    answers = d.glass.answers(d.rod.stiffness_mn_mm2)[:2]
+    apart = np.eye(3) - 1.0 / 3.0
+    gains = [(np.linalg.pinv(apart @ one) @ apart).tolist() for one in answers]
+    warmth = d.glass.warmth_nm_k.reshape(3, 3)[:2]
+    return replace(
+        tool, length_mm=d.rod.length_mm, stiffness_mn_mm2=d.rod.stiffness_mn_mm2, gains=gains,
+        distances_mm=tuple(d.glass.from_tip_mm[:2].tolist()), means=answers.mean(axis=1).tolist(),
+        warmth=(warmth / warmth.mean(axis=1, keepdims=True) - 1.0).tolist(), reference_nm=tuple(d.glass.rest_nm.tolist()),
+        noise_nm=d.glass.noise_nm, clearance_mm=d.clearance_mm[experiment], clearance_std_mm=0.0,
+        doubt=ToolDoubt(turn_rad=0.0, mean=1e-3, warmth=0.0),
+    )  # fmt: skip
+
+
 def rungs(seed: int, experiment: str, size: str) -> tuple[Score, dict[str, Score]]:
     """The paper's filter and every rung on one run."""
     warnings.simplefilter("ignore", SherkitWarning)
@@ -233,6 +249,9 @@ def rungs(seed: int, experiment: str, size: str) -> tuple[Score, dict[str, Score
         e = estimate(made(tool), run)
         told[name] = scored(run, truth, e.together.value, e.together.covariance)
     told["smoothed"] = scored(run, truth, *e.smooth_together)
+    e = estimate(true_tool(tool, world, experiment), run)
+    told["all true but the state"] = scored(run, truth, e.together.value, e.together.covariance)
+    told["all true but the state, smoothed"] = scored(run, truth, *e.smooth_together)
     return scored(run, truth, plain(tool, run), None), told
 
 
@@ -287,7 +306,7 @@ def print_faults(first: int, seeds: int, faults: Iterable[str]) -> None:
 
 
 def table_of_rungs(first: int, seeds: int) -> str:
-    """In Markdown: medians, worst runs and coverage over all kinds of runs."""
+    """In Markdown: medians, worst runs and coverage over all kinds of runs; of the depth by kind as well."""
     done: list[tuple[Score, dict[str, Score]]] = _every(rungs, _healthy_runs(first, seeds))  # type: ignore[assignment]
     lines = ["| rung | depth, × the paper's | worst run | tip, × the paper's | worst run | 95 % covers depth | tip |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip

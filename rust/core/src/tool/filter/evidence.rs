@@ -12,7 +12,7 @@
 use super::known::Trusted;
 use super::moments::{Moments, Set, Shifts, of_fibre, of_section};
 use super::reading::Said;
-use super::state::{OFFSETS, State, TURN};
+use super::state::{State, TURN};
 use super::status::Status;
 use super::{Look, ToolFilter};
 use crate::numbers::math::sqrt;
@@ -45,8 +45,6 @@ const IN_ORDER: f64 = 12.0;
 const SLOW: f64 = 200.0;
 /// Warmth of two sections differs by this, nm.
 const UNLIKE_NM: f64 = 0.15e-3;
-/// What a section that lost a grating does not know of its warmth, nm.
-const LOST_NM: f64 = 1.5e-3;
 /// What a force may jump whatever its pace, mN, and of its size.
 const JUMP_MN: f64 = 1.0;
 const JUMP_SHARE: f64 = 0.06;
@@ -54,10 +52,6 @@ const JUMP_SHARE: f64 = 0.06;
 const BENT_MM: f64 = 7.0;
 /// A bend, as a fibre's shift, in which fibres that slip show, nm.
 const SHOWS_NM: f64 = 0.1;
-/// A section warms slowly: what it is warmer by is followed over this time, s, and goes on by no more meanwhile, nm.
-const WARMS_S: f64 = 0.25;
-const WARMS_NM: f64 = 2.5e-3;
-const FORGETS_S: f64 = 10.0;
 /// A regression's memory, s, and least readings; the least `a` of a fibre that slips, five in a hundred; what it may leave
 /// of the differences at most, and by how much more any other must.
 const REGRESSED_S: f64 = 10.0;
@@ -80,7 +74,7 @@ const SWAPS: usize = WARM + SECTIONS;
 const HYPOTHESES: usize = SWAPS + 2 * FIBRES;
 
 /// Comparisons of the means.
-const COMPARED: usize = 5;
+const COMPARED: usize = 4;
 
 /// Which fibre slips: means' differences regressed on what each fibre should show of the bend.
 ///
@@ -167,8 +161,7 @@ pub(super) struct Evidence {
     slow: Shifts,
     slow_bends: [f64; 2],
     slow_count: f64,
-    /// By how much each section is warmer than the two others, followed, nm; time of the last reading, s.
-    warmer: [f64; SECTIONS],
+    /// Time of the last reading, s.
     at_s: f64,
     /// Evidence against the readings as they are, for each hypothesis.
     sums: [f64; HYPOTHESES],
@@ -206,7 +199,6 @@ impl Evidence {
             slow: [[0.0; FIBRES]; SECTIONS],
             slow_bends: [0.0; 2],
             slow_count: 0.0,
-            warmer: [0.0; SECTIONS],
             at_s: f64::NEG_INFINITY,
             sums: [0.0; HYPOTHESES],
             slips: Slips::default(),
@@ -261,8 +253,8 @@ impl Evidence {
         (shifts, silent)
     }
 
-    /// Comparisons without warmth, nm, and their variances: means of I and II, of III and both, two bends at III, and how
-    /// steadily a section is warmer that is held to be; zero where a grating of them is left out.
+    /// Comparisons without warmth, nm, and their variances: means of I and II, of III and both, two bends at III; zero
+    /// where a grating of them is left out.
     #[inline]
     fn compared(
         &self,
@@ -284,11 +276,6 @@ impl Evidence {
         if tells(0) && tells(1) {
             off[0] = m.means_nm[0] - m.means_nm[1];
             size[0] = one + two;
-        }
-        if b.warm != 0 && readings == 1.0 && b.bad == 0 && deep_mm > BENT_MM {
-            let section = (b.warm.trailing_zeros() as usize).min(SECTIONS - 1);
-            off[4] = warmer(shifts, m)[section] - self.warmer[section];
-            size[4] = one + two + shared + WARMS_NM * WARMS_NM;
         }
         if deep_mm > BENT_MM {
             let left = (!b.bad >> (2 * FIBRES)) & 0b111;
@@ -325,20 +312,7 @@ impl Evidence {
 
     /// Keeps the means over the last readings.
     #[inline]
-    fn keep(&mut self, elapsed: f64, shifts: &Shifts, m: &Moments, bends: [f64; 2], deep_mm: f64) {
-        let share = if elapsed < FORGETS_S {
-            elapsed / (elapsed + WARMS_S)
-        } else {
-            1.0
-        };
-        let now = warmer(shifts, m);
-        for i in 0..SECTIONS {
-            let more = (now[i] - self.warmer[i]) * share;
-            // false for NaN
-            if more.abs() < FARTHEST_NM {
-                self.warmer[i] += more;
-            }
-        }
+    fn keep(&mut self, shifts: &Shifts, bends: [f64; 2], deep_mm: f64) {
         if !(deep_mm > BENT_MM) {
             self.slow_count = 0.0;
         }
@@ -355,15 +329,6 @@ impl Evidence {
             self.slow_bends[i] += (bends[i] * bends[i] - self.slow_bends[i]) * weight;
         }
     }
-}
-
-/// By how much each section is warmer than the two others, nm.
-#[inline]
-fn warmer(shifts: &Shifts, m: &Moments) -> [f64; SECTIONS] {
-    let [p, q, r] = shifts[2];
-    let [one, two, three] = [m.means_nm[0], m.means_nm[1], (p + q + r) / 3.0];
-    let sum = one + two + three;
-    [one, two, three].map(|mean| 1.5 * mean - 0.5 * sum)
 }
 
 /// What a comparison counts: nothing is gained by how well it comes out, but that it does.
@@ -449,16 +414,6 @@ impl Believed {
     }
 }
 
-/// The one of sections I and II that a hypothesis is about.
-fn section_of(h: usize) -> Option<usize> {
-    match h {
-        0..FIBRES | WARM => Some(0),
-        FIBRES..6 => Some(1),
-        _ if h == WARM + 1 => Some(1),
-        _ => None,
-    }
-}
-
 /// The two gratings of a change of places: of the section, all but the fibre that stays.
 fn changed(swap: usize) -> (usize, usize, usize) {
     let (section, stays) = (swap / FIBRES, swap % FIBRES);
@@ -520,6 +475,7 @@ impl ToolFilter {
             self.watch.look.faulty = silent;
             return Status::NOT_FINITE;
         }
+        self.before = self.state.known;
         let elapsed = self.state.time_s - self.evidence.at_s;
         self.evidence.at_s = self.state.time_s;
         if silent == 0 && self.evidence.calm > 0 {
@@ -528,17 +484,16 @@ impl ToolFilter {
         let mut b = self.evidence.held;
         b.bad |= silent;
         let put_back = self.put_back(&shifts, b.swap);
-        if b.bad & !self.left_out & 0b111_111 != 0 {
-            self.leave_out(b.bad);
-        }
         let m = self.moments(&put_back, b);
         let bends = self.bends(&m);
         let (off, size) = self
             .evidence
             .compared(&put_back, &m, b, self.state.l(), bends, 1.0);
-        self.evidence
-            .keep(elapsed, &shifts, &m, bends, self.state.l());
-        let agrees = !weighed(&off, &size).1 && !self.over_time(b).1;
+        let wild = weighed(&off, &size).1;
+        if !wild {
+            self.evidence.keep(&shifts, bends, self.state.l());
+        }
+        let agrees = !wild && !self.over_time(b).1;
         let warm = (m.means_nm[0] + m.means_nm[1]) * 0.5;
         self.warmth.pass(warm, &mut self.state.known);
         let said = self.say(&self.state, &m);
@@ -602,19 +557,6 @@ impl ToolFilter {
         if let Some((h, seen)) = best {
             let of = b.and(Believed::of(h));
             let told = self.leads(h, LEADS / 4.0);
-            if let (false, Some(section)) = (told, section_of(h)) {
-                // one of its gratings, or its warmth: until that is told it says nothing
-                let out = b.and(Believed {
-                    bad: of_section(section),
-                    ..Believed::default()
-                });
-                let put_back = self.put_back(shifts, out.swap);
-                let moments = self.moments(&put_back, out);
-                let said = self.say(&self.state, &moments);
-                used = self.seen(&here, &put_back, out, &moments, &said);
-                self.watch.look.faulty |= of_section(section);
-                open = false;
-            }
             if told {
                 self.watch.look.faulty |= of.faulty();
                 self.watch.look.misfit = seen.said.misfit;
@@ -644,8 +586,9 @@ impl ToolFilter {
                 return Status::GATED;
             }
             if alone {
-                // no fault explains it: another hole
+                // no fault explains it: references that crept unseen, or another hole
                 if let Some((mm, row, seen)) = &mut used.said.off {
+                    self.creep.doubt(&mut self.state.known);
                     self.state.known.forget_depth(*mm * *mm + seen.total);
                     *seen = self.state.known.see(row);
                 }
@@ -653,23 +596,6 @@ impl ToolFilter {
             }
         }
         self.take(&used.moments, &used.said)
-    }
-
-    /// Gratings are left out: what they told of the warmth of their section is not known so well, and makes moments.
-    #[inline(never)]
-    fn leave_out(&mut self, bad: Set) {
-        let more = bad & !self.left_out;
-        self.left_out |= bad;
-        for i in 0..2 {
-            if more & of_section(i) == 0 {
-                continue;
-            }
-            let spread = 9.0 * LOST_NM * LOST_NM / self.gratings.noise.max(f64::MIN_POSITIVE);
-            for k in 0..2 {
-                let o = OFFSETS + 2 * i + k;
-                self.state.known.p[o][o] += spread * self.variances[i] / 2.0;
-            }
-        }
     }
 
     /// The comparisons of the means over the last readings: they are as linear as those of one.

@@ -2,8 +2,8 @@
 //! tool.
 //!
 //! [`state`] carries the hole from pose to pose, [`moments`] says what the fibres feel, [`reading`] what that makes of
-//! force and depth, [`evidence`] which gratings not to believe, [`pace`] and [`drift`] how the hole strays, [`told`] where
-//! depth and tip are. Beside it stands the paper's own filter, [`super::paper`].
+//! force and depth, [`evidence`] which gratings not to believe, [`creep`] how the references go, [`pace`] and [`drift`] how
+//! the hole strays, [`told`] where depth and tip are. Beside it stands the paper's own filter, [`super::paper`].
 //!
 //! A reading belongs to its stamp. The state stands at the last stamp and goes on to the present by the pose alone, so
 //! that a late reading costs what any other does ([`poses`]).
@@ -11,6 +11,7 @@
 // a comparison that is false for NaN is meant so
 #![allow(clippy::neg_cmp_op_on_partial_ord)]
 
+mod creep;
 mod drift;
 mod evidence;
 mod known;
@@ -33,6 +34,7 @@ use super::rod::{Rod, Shaft};
 use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
+use creep::Creep;
 use drift::Drift;
 use evidence::Evidence;
 use known::OfDepth;
@@ -40,7 +42,7 @@ use moments::Gratings;
 use nalgebra::Matrix2;
 use pace::{Felt, Pace};
 use poses::{Posed, Poses};
-use reading::{Rests, Said};
+use reading::Said;
 use state::{Known, State};
 
 /// A stamp further ahead of the present than this is a wild number and no clock, s.
@@ -101,8 +103,7 @@ pub struct ToolFilter {
     state: State,
     felt: Option<Felt>,
     free_for: u16,
-    rests: Rests,
-    left_out: Set,
+    creep: Creep,
     warmth: Warmth,
     drift: Drift,
     pace: Pace,
@@ -225,8 +226,7 @@ impl ToolFilter {
             state,
             felt: None,
             free_for: 0,
-            rests: Rests::default(),
-            left_out: 0,
+            creep: Creep::new(per_nm, &known),
             warmth: Warmth {
                 now_nm: 0.0,
                 rest_nm: 0.0,
@@ -299,6 +299,7 @@ impl ToolFilter {
         }
         self.used_s = used;
         self.drift.pass(at - before);
+        self.creep.pass(before, at, &mut self.state.known);
         let status = self.fold(w);
         if !status.has(Status::UPDATED) {
             self.state.lean(&self.shaft);

@@ -24,9 +24,6 @@ const NEAREST_MM: f64 = 2.0;
 const FREE: u16 = 40;
 const FREE_NOISE: f64 = 10.0;
 const FREE_CHI2: f64 = 60.0;
-/// Square over its variance from which on the mean of so many rests is another than before: references creep.
-const CREEPS: f64 = 20.0;
-const RESTS: f64 = 50.0;
 /// Part of the moment that no error of a calibration puts across the force: so many of its deviations, but neither less
 /// nor more than these.
 const PLAIN: f64 = 5.0;
@@ -287,53 +284,37 @@ impl ToolFilter {
         let Some(v) = m.j[0].try_inverse().zip(m.j[1].try_inverse()) else {
             return;
         };
-        let chi2 = m.m[0].dot(&m.z[0]) + m.m[1].dot(&m.z[1]);
-        if !(chi2 < FREE_CHI2) {
-            return;
-        }
         let known = &mut self.state.known;
         let before = *known;
-        let rest = [
+        let mut felt = [
             (m.m[0].x, v.0.m11),
             (m.m[0].y, v.0.m22),
             (m.m[1].x, v.1.m11),
             (m.m[1].y, v.1.m22),
         ];
-        for (k, (felt, variance)) in rest.into_iter().enumerate() {
+        let mut chi2 = 0.0;
+        for (k, (moment, variance)) in felt.iter().enumerate() {
+            chi2 += moment * moment / (variance + before.p[OFFSETS + k][OFFSETS + k]);
+        }
+        if !(chi2 < FREE_CHI2) {
+            return;
+        }
+        for (k, (moment, variance)) in felt.iter_mut().enumerate() {
             let mut h = [0.0; N];
             h[OFFSETS + k] = 1.0;
             let row = Row {
                 h,
                 tied: [0.0; UNKNOWNS],
-                noise: FREE_NOISE * variance,
+                noise: FREE_NOISE * *variance,
             };
             let seen = known.see(&row);
-            let left = felt + before.x[OFFSETS + k] - known.x[OFFSETS + k];
-            self.rests.off[k] += left;
-            if !(variance > 0.0 && known.take(&seen, left)) {
+            *moment += before.x[OFFSETS + k];
+            if !(*variance > 0.0 && known.take(&seen, *moment - known.x[OFFSETS + k])) {
                 *known = before;
                 return;
             }
         }
-        self.rests.count += 1.0;
-        if self.rests.count >= RESTS {
-            let per = 1.0 / self.rests.count;
-            for (k, (_, variance)) in rest.into_iter().enumerate() {
-                let mean = self.rests.off[k] * per;
-                let own = &mut known.p[OFFSETS + k][OFFSETS + k];
-                if mean * mean > CREEPS * (*own + variance * per * FREE_NOISE) {
-                    *own += mean * mean;
-                }
-            }
-            self.rests = Rests::default();
-        }
+        self.creep.rest(self.state.time_s, felt);
         self.warmth.rest(&before, &self.state.known);
     }
-}
-
-/// How far moments of no force lie from what they were, over some readings.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Rests {
-    off: [f64; 4],
-    count: f64,
 }
