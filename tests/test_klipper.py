@@ -269,6 +269,25 @@ def test_a_round_mesh_may_be_rounded_in_one_way_more(tmp_path: Path) -> None:
     assert len(import_klipper(saved(tmp_path, text.replace("max_x = 69.99", "max_x = 69.9"))).measurements) == rows
 
 
+def test_corners_of_a_round_mesh_need_not_be_reached(tmp_path: Path) -> None:
+    """Catches "the point −156, 156 mm cannot be": corners that are no copies of the ends of their rows, as an older
+    Klipper or an interpolation leaves them, and that no arm reaches, lie outside ``mesh_radius``."""
+    text = config(TRUE, SAVED)
+    rows = len(import_klipper(saved(tmp_path, text)).measurements)
+    first = re.search(r"#\*# \t(.*)\n", text)
+    assert first is not None
+    other = ", ".join(f"{0.1 * k:.6f}" for k in range(COUNT))
+    found = import_klipper(saved(tmp_path, text.replace(first[1], other, 1)))
+    assert len(found.measurements) == rows
+    far = text.replace(first[1], other, 1)
+    for end in ("max_x", "max_y"):
+        far = far.replace(f"{end} = {EDGE}", f"{end} = 110.0")
+    for end in ("min_x", "min_y"):
+        far = far.replace(f"{end} = {-EDGE}", f"{end} = -110.0")
+    far = far.replace("mesh_radius: 70", "mesh_radius: 110")
+    assert len(import_klipper(saved(tmp_path, far)).measurements) == rows
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
