@@ -350,6 +350,8 @@ SLIPS = [
     Slip("repeats", "averages of most", (("repeats",), ("average",)), _averages(0.92)),
     Slip("repeats", "the first for each repeat", (("repeats",), ("average", "copies")), _averages(1.0, first=True)),
     Slip("repeats", "averages of five digits", (("repeats",), ("average",)), _averages(1.0, 5)),
+    Slip("digits", "readings cut a little towards zero", (("{0}",), ("steps of",), ("cut off",)),
+         _cut("readings", np.trunc, 2.5)),
     Slip("digits", "readings cut downwards", (("{0}",), ("steps of",)), _cut("readings", np.floor, 20.0)),
     Slip("digits", "readings cut towards zero", (("{0}",), ("steps of",)), _cut("readings", np.trunc, 20.0)),
     Slip("digits", "readings of few digits", (("{0}",), ("steps of",)), _cut("readings", np.round, 50.0)),

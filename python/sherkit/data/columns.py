@@ -122,9 +122,9 @@ def layout_of(names: Collection[str]) -> Layout:
 def layout_to_come(names: Collection[str]) -> Layout | None:
     """The kind of run of a robot that is not known yet, whose joints have names of their own: what is left of the
     columns that are angles or lengths are its joints, until it is there (:func:`is_known`). None where some robot that
-    is known has such a joint, or where none is an angle."""
-    known = known_layouts()
-    if any(joint in names for one in known for joint in one.joints):
+    is known has such a joint, in whatever unit, or where none is an angle."""
+    known, bares = known_layouts(), {bare(name) for name in names}
+    if any(bare(joint) in bares for one in known for joint in one.joints):
         return None
     for one in known:
         if one.own_joints and set(one.coordinates) <= set(names):

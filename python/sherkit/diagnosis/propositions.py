@@ -24,6 +24,8 @@ from .steady import Wander
 
 #: Held-out error over noise up to which what is left is as small as the noise.
 PRAISE = 1.25
+#: Held-out error over what the fit itself leaves from which poses are too few, where nobody knows the noise.
+_LOOSE = 2.0
 #: Part of the rows that may be listed as wrong before the rest is no run any more.
 _WRONG = 0.2
 
@@ -255,6 +257,8 @@ def _loosely(final: FittedRun, small: Claim, error: float, sigma: Floats) -> Cla
     told = f"{poses} pose{'s fix' if poses > 1 else ' fixes'} {len(fit.values)} parameters so loosely that "
     if poses * len(final.axes) <= fit.rank:
         told += "a fit goes through all of them, and nothing tells whether it holds elsewhere"
+    elif small.holds is None and error > _LOOSE * _left(final):
+        told += f"rows held out are off by {error:.3g} {final.unit} where the fit itself leaves {_left(final):.3g}"
     elif small.holds and error > PRAISE * noise:
         told += f"rows held out are off by {error:.3g} {final.unit} where the noise is {noise:.3g}"
     else:
@@ -263,6 +267,15 @@ def _loosely(final: FittedRun, small: Claim, error: float, sigma: Floats) -> Cla
         LOOSE, "the poses fix the parameters well enough to predict others", _HELD, told, holds=False,
         fails=f"{told}: measure more poses, out to the rim of the workspace",
     )  # fmt: skip
+
+
+def _left(final: FittedRun) -> float:
+    """What a fit leaves, for each number that the poses have more than it: all that is known of a noise that nobody
+    knows."""
+    axes, rows = list(final.axes), final.whole
+    poses = len(np.unique(final.data.standing[rows]))
+    free = max(poses * len(axes) - final.fit.rank, 1) / (poses * len(axes))
+    return final.per_unit * float(np.sqrt(np.mean(final.residuals[rows][:, axes] ** 2) / free))
 
 
 def _noise(final: FittedRun, sigma: Floats) -> float:

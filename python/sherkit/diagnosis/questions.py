@@ -33,7 +33,7 @@ from .one_unknown import OneUnknown, one_unknown
 from .outliers import sentences, without_outliers
 from .power import smallest_found
 from .propositions import claims_of
-from .rounded import digits_alone
+from .rounded import steps_in
 from .search import SearchResult, is_plausible
 from .setting import periods_shown
 from .shapes import Shape
@@ -95,8 +95,6 @@ def diagnose(
     step("noise and outliers")
     # beside a mistake of the set-up every row may look wrong
     run, wild = (run, np.zeros(0, dtype=np.int64)) if not look else without_outliers(run, every)
-    digits = digits_alone(run) if look else None
-    look &= digits is None
     sigma, origin = run.noise
     rows = np.flatnonzero(run.whole)
     notes += sentences(run.data, wild)
@@ -112,6 +110,12 @@ def diagnose(
             "it has structure; repeat some poses or add sigma columns"
         )
     deals = deals_of(run, seed)
+    steps = steps_in(run) if look else None
+    if steps is not None and not steps.alone and steps.put_back is not None:
+        # digits were cut off where nothing is missing once they are put back
+        there = searched(steps.put_back, every, rows, sigma, deals, level=level, seed=seed, step=step, look=True)
+        steps = None if there.names or there.result.p_first <= level else steps
+    look, rounded = look and steps is None, None if steps is None else steps.rounded
     found = searched(run, every, rows, sigma, deals, level=level, seed=seed, step=step, look=look)
     final, rho = found.final, found.search.rho
     notes += found.notes
@@ -133,7 +137,7 @@ def diagnose(
     unknown = one_unknown(run, final, found.names, run.noise[0], deals) if many else None
     wander = wander_of(final)
     claims = claims_of(
-        final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, table, digits, wander,
+        final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, table, rounded, wander,
         lambda: by_noise_alone(final, sigma, deals, level, seed),
     )  # fmt: skip
     verdict = verdict_of(claims, found.names)

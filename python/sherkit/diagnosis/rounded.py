@@ -27,10 +27,10 @@ from .fitted_run import FittedRun
 #: of it; of what is left with a noise that nobody knows, this part.
 _SHARE = (0.5, 1.7)
 _SHARE_WITH_NOISE = 0.25
-#: What is left of digits that were cut off is rounding, beside noise no larger, times two: they are looked at where
-#: rounding alone has this part of what is left at least. Put back, they leave less than this part.
-_CUT = 0.3
-_WORTH = 0.9
+#: Digits are looked at where rounding alone has this part of what is left at least, and were cut off where all poses
+#: together are so much likelier once they are put back, as twice a logarithm.
+_CUT = 0.1
+_LIKELIER = 30.0
 #: Rows that tell how a joint moves a reading.
 _ROWS = 2000
 #: Terms of a series whose terms fall at least as 1/k²: what is cut off is less than 1 % of its sum.
@@ -97,40 +97,59 @@ def rounded(run: FittedRun, beyond: float, sigma: Floats, *, noise_known: bool) 
     return None
 
 
-def digits_alone(run: FittedRun) -> Rounded | None:
-    """What columns in steps leave, where that is most of all that a fit leaves, noise and all; else None.
+@dataclass(frozen=True)
+class Steps:
+    """What columns in steps leave, what a fit ``left`` in all, and where the columns fit better ``put_back`` by half a
+    step, that fit."""
+
+    rounded: Rounded
+    left: float
+    put_back: FittedRun | None
+
+    @property
+    def alone(self) -> bool:
+        """Whether they are most of all that is left; far larger ones are those of a grid of round numbers, to which the
+        robot was sent."""
+        return _SHARE[0] * self.left**2 <= self.rounded.size**2 <= _SHARE[1] * self.left**2
+
+
+def steps_in(run: FittedRun) -> Steps | None:
+    """Columns whose steps are most of all that a fit leaves, noise and all, or which were cut off to them; else None.
 
     On a grid such errors repeat from place to place and look like physics. Digits that were cut off leave four times as
     much of the square as digits that were rounded, the same way everywhere or towards zero: columns are put back by
-    half a step, and it is seen whether that is what was left.
+    half a step, and it is seen whether that was left.
     """
     rows = np.flatnonzero(run.whole)
     data = run.data.select(rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _ROWS)).astype(np.int64))])
-    axes = list(run.axes)
-    left = run.per_unit * float(np.sqrt(np.mean(run.residuals[rows][:, axes] ** 2)))
+    readings = len(np.unique(run.data.standing[rows])) * len(run.axes)
     by_readings = {}
-    for a in axes:
+    for a in run.axes:
         step = step_of(run.data.readings[rows, a])
-        by_readings[run.data.layout.readings[a]] = (step, step * run.per_unit / np.sqrt(12.0 * len(axes)))
+        by_readings[run.data.layout.readings[a]] = (step, step * run.per_unit / np.sqrt(12.0 * len(run.axes)))
+    out = []
     for joints, parts in ((True, _of_joints(run, data, run.data.joints[rows])), (False, by_readings)):
         size = float(np.sqrt(sum(one**2 for _, one in parts.values())))
-        if size == 0 or size < left * _CUT:
+        best, put_back = _rms(run), None
+        if size == 0 or size < best * _CUT:
             continue
-        each = [step for step, _ in parts.values()]
-        best, cut = left, False
+        each = np.array([step for step, _ in parts.values()])
         for towards_zero in (False, True):
-            there = _put_back(run, np.array(each), joints=joints, towards_zero=towards_zero)
-            if there is not None and there < _WORTH * best:
-                best, cut = there, True
-        # far larger steps are those of a grid of round numbers, to which the robot was sent
-        if _SHARE[0] * best**2 <= size**2 <= _SHARE[1] * best**2:
-            return Rounded(_told(parts, size**2), size, run.unit, joints, cut)
-    return None
+            there = _put_back(run, each, joints=joints, towards_zero=towards_zero)
+            if there is not None and readings * np.log(best / max(_rms(there), 1e-300)) > _LIKELIER / 2.0:
+                best, put_back = _rms(there), there
+        told = Rounded(_told(parts, size**2), size, run.unit, joints, put_back is not None)
+        out.append(Steps(told, best, put_back))
+    return next((one for one in out if one.alone), next((one for one in out if one.put_back), None))
 
 
-def _put_back(run: FittedRun, steps: Floats, *, joints: bool, towards_zero: bool) -> float | None:
-    """What a fit leaves once columns are half a step higher, or half a step farther from zero, RMS of readings in the
-    unit of the run; None where it cannot be made."""
+def _rms(run: FittedRun) -> float:
+    """What a fit leaves, RMS of readings in the unit of the run."""
+    return run.per_unit * float(np.sqrt(np.mean(run.residuals[run.whole][:, list(run.axes)] ** 2)))
+
+
+def _put_back(run: FittedRun, steps: Floats, *, joints: bool, towards_zero: bool) -> FittedRun | None:
+    """The fit to columns that are half a step higher, or half a step farther from zero; None where there is none."""
     data, axes = run.data, list(run.axes)
     columns = data.joints if joints else data.readings[:, axes]
     moved = columns + 0.5 * steps * (np.sign(columns) if towards_zero else 1.0)
@@ -141,10 +160,9 @@ def _put_back(run: FittedRun, steps: Floats, *, joints: bool, towards_zero: bool
         readings[:, axes] = moved
         changed = replace(data, readings=np.where(data.taken, readings, 0.0))
     try:
-        fit = identify(run.model, changed, noise=run.fit.noise, start=run.fit.values)
+        return FittedRun(identify(run.model, changed, noise=run.fit.noise, start=run.fit.values))
     except SherkitError:
         return None
-    return run.per_unit * float(np.sqrt(np.mean(fit.residuals[run.whole][:, axes] ** 2)))
 
 
 def _of_joints(run: FittedRun, data: Measurements, joints: Floats) -> dict[str, tuple[float, float]]:
