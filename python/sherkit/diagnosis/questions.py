@@ -110,11 +110,11 @@ def diagnose(
             "it has structure; repeat some poses or add sigma columns"
         )
     deals = deals_of(run, seed)
-    steps = steps_in(run) if look else None
+    steps = steps_in(run) if look and not run.is_exact else None
     if steps is not None and not steps.alone and steps.put_back is not None:
-        # digits were cut off where nothing is missing once they are put back
+        # digits were cut off where no effect is missing once they are put back
         there = searched(steps.put_back, every, rows, sigma, deals, level=level, seed=seed, step=step, look=True)
-        steps = None if there.names or there.result.p_first <= level else steps
+        steps = None if there.names else steps
     look, rounded = look and steps is None, None if steps is None else steps.rounded
     found = searched(run, every, rows, sigma, deals, level=level, seed=seed, step=step, look=look)
     final, rho = found.final, found.search.rho
