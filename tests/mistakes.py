@@ -14,6 +14,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from second_simulator import NOMINAL_CONFIG, Noise, Robot, draw_geometric_errors, grid, make_plan, simulate
 from worlds import SPHERICAL, Settings, World, real_spherical, spherical_world
@@ -163,6 +164,22 @@ def in_radians(g: dict[str, Any]) -> dict[str, Any]:
     return {name: np.deg2rad(g[name]).tolist() for name in names}
 
 
+def radii_exchanged(g: dict[str, Any]) -> dict[str, Any]:
+    return {"base_radius_mm": g["platform_radius_mm"], "platform_radius_mm": g["base_radius_mm"]}
+
+
+def rolled(degrees: float) -> Callable[[World], World]:
+    """The camera turned about its axis."""
+
+    def change(c: dict[str, Any]) -> dict[str, Any]:
+        middle = (np.array(SPHERICAL["camera"]["size_px"]) - 1) / 2
+        turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()[:2, :2]
+        seen = turn @ (np.stack([c["u_px"], c["v_px"]]) - middle[:, None]) + middle[:, None]
+        return {"u_px": seen[0], "v_px": seen[1]}
+
+    return columns(change)
+
+
 def seen_as(kind: str) -> tuple[str, ...]:
     """Joints and readings of a kind, with the sigmas of the readings: what a wrong unit touches."""
     return (*JOINTS[kind], *READINGS[kind], *(f"sigma_{name}" for name in READINGS[kind]))
@@ -210,6 +227,7 @@ def _delta() -> list[Mistake]:
         Mistake("assembly mode", (("assembly",), ("above", "below")), geometry(lambda g: {"assembly_mode": "above"})),
         Mistake("clockwise limbs", (("clockwise", "mirror", "base_angle"),), geometry(clockwise)),
         Mistake("base angles in radians", (("base_angle",), ("radian", "rad")), geometry(in_radians)),
+        Mistake("radii exchanged", (("base_radius",), ("platform_radius",), SWAPPED), geometry(radii_exchanged)),
         Mistake("time in milliseconds", time, times(1e3, "time_s")),
     ]
     for by in (-2, -1, 1, 2):
@@ -254,6 +272,22 @@ def _spherical() -> list[Mistake]:
         out.append(Mistake(f"joint {k + 1} counted backwards", ((name[:6],), MIRRORED), times(-1.0, name)))
     out += [
         Mistake("both joints counted backwards", (("joint", "theta"), MIRRORED), times(-1.0, *t)),
+        Mistake("a camera that is turned", (("picture",), ("turned by 70",)), rolled(70.0)),
+        Mistake(
+            "a picture that is cropped",
+            (("u_px",), ("cropped",), ("+120 to u_px",)),
+            columns(lambda c: {"u_px": c["u_px"] - 120.0, "v_px": c["v_px"] - 60.0}),
+        ),
+        Mistake(
+            "a picture that is cropped at the left",
+            (("u_px",), ("cropped",), ("+100 to u_px",)),
+            columns(lambda c: {"u_px": c["u_px"] - 100.0}),
+        ),
+        Mistake(
+            "alpha in radians",
+            (("alpha",), ("radian",)),
+            geometry(lambda g: {"alpha_deg": float(np.deg2rad(g["alpha_deg"]))}),
+        ),
         Mistake("assembly mode", (("assembly",), ("inner", "outer")), geometry(lambda g: {"assembly_mode": "inner"})),
         Mistake("working mode", (("working",), ("open", "crossed")), geometry(lambda g: {"working_mode": "crossed"})),
         Mistake("time in milliseconds", time, times(1e3, "time_s")),

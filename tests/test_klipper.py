@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import re
@@ -15,7 +16,8 @@ import pytest
 from numpy.typing import NDArray
 
 from second_printer.firmware import Firmware
-from sherkit import Measurements, SherkitError, identify, load_robot, read_measurements
+from second_printer.trials import Trial
+from sherkit import Measurements, SherkitError, diagnose, identify, load_robot, read_measurements
 from sherkit.cli import main
 from sherkit.printers import examine
 from sherkit.robots.printer import PrinterModel, import_klipper
@@ -242,6 +244,20 @@ def test_the_command_writes_what_the_function_reads(tmp_path: Path) -> None:
     assert read.labels["what"].tolist() == found.measurements.labels["what"].tolist()
 
 
+def test_thirteen_points_decide_nothing(tmp_path: Path) -> None:
+    """Catches an effect named, or a printer praised, by points that hardly outnumber the parameters: a mesh of five
+    across, as printers come, of printers without a fault; that of seed 47 once had a leaning rail."""
+    for seed in (0, 1, 47):
+        trial = dataclasses.replace(Trial.of("none", 3, seed), count=5)
+        (path,) = trial.write(tmp_path, "klipper", (0.0,), seed)
+        found = import_klipper(path)
+        d = diagnose(found.robot, found.measurements)
+        assert len(found.measurements) == 13
+        assert d.effects == ()
+        assert "13 poses fix" in d.headline
+        assert d.verdict == "undecided" or seed == 47, d.headline
+
+
 # -- files that are refused ----------------------------------------------------------------------------------
 
 Change = Callable[[str], str]
@@ -267,6 +283,25 @@ def test_a_round_mesh_may_be_rounded_in_one_way_more(tmp_path: Path) -> None:
     text = config(TRUE, SAVED)
     rows = len(import_klipper(saved(tmp_path, text)).measurements)
     assert len(import_klipper(saved(tmp_path, text.replace("max_x = 69.99", "max_x = 69.9"))).measurements) == rows
+
+
+def test_corners_of_a_round_mesh_need_not_be_reached(tmp_path: Path) -> None:
+    """Catches "the point −156, 156 mm cannot be": corners that are no copies of the ends of their rows, as an older
+    Klipper or an interpolation leaves them, and that no arm reaches, lie outside ``mesh_radius``."""
+    text = config(TRUE, SAVED)
+    rows = len(import_klipper(saved(tmp_path, text)).measurements)
+    first = re.search(r"#\*# \t(.*)\n", text)
+    assert first is not None
+    other = ", ".join(f"{0.1 * k:.6f}" for k in range(COUNT))
+    found = import_klipper(saved(tmp_path, text.replace(first[1], other, 1)))
+    assert len(found.measurements) == rows
+    far = text.replace(first[1], other, 1)
+    for end in ("max_x", "max_y"):
+        far = far.replace(f"{end} = {EDGE}", f"{end} = 110.0")
+    for end in ("min_x", "min_y"):
+        far = far.replace(f"{end} = {-EDGE}", f"{end} = -110.0")
+    far = far.replace("mesh_radius: 70", "mesh_radius: 110")
+    assert len(import_klipper(saved(tmp_path, far)).measurements) == rows
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from scipy import stats
 
 import sherkit as sk
 from second_machines import MACHINES, apart, run_of
+from sherkit.app.workbench import Workbench
 from sherkit.errors import FitError, RobotError
 from sherkit.model.effect_file import load_effects
 from sherkit.robots.machine.derivative import steps_for
@@ -365,6 +366,21 @@ def test_the_command_line_takes_a_machine_by_its_file(tmp_path: Path) -> None:
     assert told.returncode == 0, told.stderr
     assert (tmp_path / "c.toml").exists()
     assert "droop" in sherkit("effects", "--robot", EXAMPLES / "gantry.py").stdout
+
+
+def test_the_page_reads_the_columns_that_a_machine_names(tmp_path: Path) -> None:
+    """Catches a run that diagnose reads and app refuses: the names that a machine's file gives are those of both."""
+    machine, run = tmp_path / "named.py", tmp_path / "run.csv"
+    names = {"x_axis_mm": "Axis X [mm]", "z_mm": "Height [mm]"}
+    text = (EXAMPLES / "gantry.py").read_text()
+    machine.write_text(text.replace("    parameters=", f"    columns={names!r},\n    parameters=", 1))
+    run_of("gantry", 7, {"droop": 3e-7}).rename(names).write_csv(run)
+    bench = Workbench.open(machine, run, tmp_path / "study")
+    try:
+        assert bench._study.data.layout.joints == ("x_axis_mm", "y_axis_mm", "z_axis_mm")
+        assert "explained: droop" in sk.diagnose(load_machine(machine), run).headline
+    finally:
+        bench.close()
 
 
 BROKEN = {

@@ -85,6 +85,8 @@ def test_a_reading_off_by_kilometres_does_not_weigh_its_axis_down() -> None:
     add[7, 0], add[100, 2], add[150, 1] = 3e6, -1e4, 0.05
     d, clean = diagnosed(world, add), diagnosed(world)
     assert d.outliers.tolist() == [7, 100, 150]
+    assert "3 of 576 rows" in repr(d)
+    assert "left out" not in repr(clean)
     assert d.verdict == clean.verdict
     assert (np.abs(d.fit.values - clean.fit.values) < 0.5 * clean.fit.std_from_readings + 1e-9).all()
     assert d.noise["x"] == pytest.approx(clean.noise["x"], rel=0.02)

@@ -16,7 +16,8 @@ import sherkit as sk
 from sherkit.cli import main
 from sherkit.errors import ExperimentError, OutOfReach, RobotError, ShapeError
 from sherkit.lab.experiment import load_experiment
-from sherkit.model.kinds import kind_of, model_of, robot_from_tables
+from sherkit.model.kinds import kind_of, known_kinds, model_of, robot_from_tables
+from sherkit.model.robot_file import run_for
 from sherkit.robots.serial import KIND, Hidden, Joint, Serial, VirtualSerial, postures
 from sherkit.robots.serial.dh import import_dh
 from sherkit.robots.serial.frames import of_rpy, rpy_of
@@ -520,3 +521,20 @@ def test_an_experiment_says_what_it_cannot_drive(tmp_path: Path) -> None:
     gantry = Path(__file__).parents[1] / "examples" / "machines" / "gantry.py"
     with pytest.raises(RobotError, match="is a Python file, which is not run here; sherkit diagnose"):
         load_experiment(tmp_path / "e.toml", robot=gantry)
+
+
+def test_a_run_may_be_read_before_its_robot(tmp_path: Path) -> None:
+    """Catches "column 'q1_mm' is missing" of an arm whose joints have names of their own and whose file is read after
+    its run; and a file of no known robot that then passes for anything."""
+    text = UR5
+    for k in range(1, 7):
+        text = text.replace(text.splitlines()[k].split(",")[0], f"own_{k}", 1)
+    (tmp_path / "own.csv").write_text(text)
+    run = {f"own_{k}_rad": np.linspace(-0.5, 0.5, 12) ** k for k in range(1, 7)}
+    run |= {name: np.arange(12.0) for name in ("x_mm", "y_mm", "z_mm")} | {"payload_kg": np.zeros(12)}
+    early = sk.from_frame(run)
+    assert early.layout.joints == tuple(f"own_{k}_rad" for k in range(1, 7))
+    with pytest.raises(sk.SherkitError, match="is missing"):
+        run_for(known_kinds()["delta"].example, early)
+    arm = import_dh(tmp_path / "own.csv")
+    assert run_for(arm, early).layout == arm.layout == sk.from_frame(run).layout

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,11 @@ from sherkit.errors import FitError
 from sherkit.fit import Mistake, set_up_mistakes
 from sherkit.model import kinds
 from sherkit.model.kinds import model_of
+from sherkit.robots.serial import VirtualSerial, postures
+from sherkit.robots.serial.dh import import_dh
 from sherkit.types import Floats
+from test_arm_counted import TARGET_MM
+from test_serial import PLAIN, UR5
 from worlds import World
 
 NAMED = {m.name: m for m in mistakes.MISTAKES["delta"][1]}
@@ -84,6 +89,39 @@ def test_two_mistakes_are_both_said() -> None:
 def test_large_physics_is_no_mistake(world: World) -> None:
     """Catches an axis called swapped, or a camera called mirrored, since that fits a little better than nothing."""
     assert told(world) == ()
+
+
+@pytest.mark.parametrize("name", ["radii exchanged", "a camera that is turned", "alpha in radians"])
+def test_mistakes_of_a_robots_file_are_said_as_such(name: str) -> None:
+    """Catches "y is mirrored" of radii that are exchanged in the file, and a camera blamed for how it was mounted."""
+    kind, mistake = next((k, m) for k, (_, every) in mistakes.MISTAKES.items() for m in every if m.name == name)
+    right, short = mistakes.named(mistake, mistakes.MISTAKES[kind][0](0))
+    assert right, short
+
+
+def test_one_column_in_another_unit_is_said_of_that_column_alone() -> None:
+    """Catches a proposal that makes a coordinate worse, ten times as many µm as before, since others get better."""
+    world = mistakes.delta_run(2)
+    for name in ("x_mm", "q2_mm"):
+        changed = mistakes.times(1 / 25.4, name)(world)
+        try:
+            said = [m.sentence for m in told(changed)]
+        except FitError as error:
+            said = [str(error)]
+        assert f"{name} alone looks like inches" in said[0]
+
+
+@pytest.mark.parametrize("read", ["standard", "modified"])
+def test_a_table_of_the_other_convention_is_said(read: str, tmp_path: Path) -> None:
+    """Catches an arm that nothing explains where its table was read as standard and is modified, or the reverse."""
+    (tmp_path / "ur5.csv").write_text(UR5)
+    meant = {"standard": "modified", "modified": "standard"}[read]
+    right, wrong = (replace(import_dh(tmp_path / "ur5.csv", how), target_mm=TARGET_MM) for how in (meant, read))
+    arm = VirtualSerial.simulated(right, 1, 1.0, PLAIN)
+    data = arm.measure(postures(right, 80, 0.9, 1), repeats=2, order="shuffled", seed=1)
+    fit = sk.identify(wrong, data)
+    said = set_up_mistakes(fit.model, fit.data, fit.values)
+    assert f"looks {meant}, and was read as {read}" in said[0].sentence
 
 
 def test_wild_rows_neither_hide_nor_fake_a_mistake() -> None:

@@ -88,7 +88,7 @@ class Workbench:
         open.
         """
         nominal, _ = robot_at(robot)
-        columns = {} if is_machine(robot) else columns_of(robot)
+        columns: Columns = getattr(nominal, "columns", {}) if is_machine(robot) else columns_of(robot)
         own = [e for path in files for e in load_effects(path)]
         lines = Typed(folder / TYPED)
         sources = [robot, run, *files]

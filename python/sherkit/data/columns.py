@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from .. import built_in
@@ -28,7 +28,8 @@ class Layout:
     readings at one pose are no repeats of each other, as those of several targets. ``from_fixed``: the other end of a
     distance is no pose but something that stands fixed, a place or a plane, which one of ``to_joints`` names by its
     number.
-    ``loads`` are covariates that are zero for a robot that carries nothing.
+    ``loads`` are covariates that are zero for a robot that carries nothing. ``own_joints``: each robot names its joints
+    itself, so that its columns are known no sooner than it is.
     ``joints_tell_pose``: rows with the same joint readings stand at the same pose. ``follows``: readings move with the
     joints; heights above a plate that is probed do not, and how little they vary says nothing of a mistake.
     """
@@ -45,6 +46,7 @@ class Layout:
     apart: tuple[str, ...] = ()
     from_fixed: bool = False
     loads: tuple[str, ...] = ()
+    own_joints: bool = False
 
     @cached_property
     def readings(self) -> tuple[str, ...]:
@@ -117,6 +119,28 @@ def layout_of(names: Collection[str]) -> Layout:
     return max(known_layouts(), key=named)
 
 
+def layout_to_come(names: Collection[str]) -> Layout | None:
+    """The kind of run of a robot that is not known yet, whose joints have names of their own: what is left of the
+    columns that are angles or lengths are its joints, until it is there (:func:`is_known`). None where some robot that
+    is known has such a joint, in whatever unit, or where none is an angle."""
+    known, bares = known_layouts(), {bare(name) for name in names}
+    if any(bare(joint) in bares for one in known for joint in one.joints):
+        return None
+    for one in known:
+        if one.own_joints and set(one.coordinates) <= set(names):
+            taken = {*one.known, *one.apart, *one.loads} - {*one.joints}
+            angles = [n for n in names if n not in taken and unit_in(n) in ("rad", "mm")]
+            joints = tuple(n for n in angles if not n.startswith(("sigma_", "pose_sigma_")))
+            if any(unit_in(name) == "rad" for name in joints):
+                return replace(one, joints=joints, velocities=tuple(f"{name}_per_s" for name in joints))
+    return None
+
+
+def is_known(layout: Layout) -> bool:
+    """Whether it is that of a robot that is there, not of one to come."""
+    return not layout.own_joints or layout in known_layouts()
+
+
 #: Units that end the name of a column.
 _ENDINGS = ("mm", "um", "rad", "mrad", "deg", "px", "mN", "nm", "kg", "s")
 
@@ -146,12 +170,13 @@ def check_unique(names: list[str], where: str) -> None:
         raise MeasurementError(f"{where}: column {listed(twice)} appears more than once")
 
 
-def check_columns(names: list[str], where: str) -> Layout:
+def check_columns(names: list[str], where: str, *, to_come: bool = True) -> Layout:
     """The layout of a table. Refuses one that lacks what every run of its kind has, or holds a reading in another unit.
 
-    Raises ``MeasurementError``; warns of a covariate whose name looks like a misspelt column.
+    ``to_come``: the robot may be read later. Raises ``MeasurementError``; warns of a covariate whose name looks like a
+    misspelt column.
     """
-    layout = layout_of(names)
+    layout = (to_come and layout_to_come(names)) or layout_of(names)
     for needed in layout.joints:
         if needed not in names:
             raise MeasurementError(_missing(needed, names, where, "the reading of a joint", layout))

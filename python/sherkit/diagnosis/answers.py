@@ -138,6 +138,8 @@ class Diagnosis(Shown):
             name = "as it came" if s.effect is None else "+ " + s.effect
             lines.append(f"  {name:<24} {s.held_out_rms:8.2f} {self.unit} held out")
         lines.append(f"  {'noise':<24} {self.summary.noise:8.2f} {self.unit} ({self.noise_origin})")
+        if len(self.outliers):
+            lines.append(f"  {'left out':<24} {len(self.outliers):5d} of {len(self.fit.data)} rows, which look wrong")
         if self.signature is not None:
             lines.append(f"  {sentence(self.signature)}")
         return "\n".join(lines)

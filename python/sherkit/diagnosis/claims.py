@@ -12,8 +12,11 @@ AS_DRAWN, APART, DIGITS = "as_drawn", "apart", "digits"
 POSES_AS_REPEATS = "poses_as_repeats"
 #: The claims that compare rows held out with the noise, and with what few poses make of it.
 SMALL, LOOSE = "as_small_as_noise", "poses_suffice"
+#: The claim that the poses are no line; where it alone fails, or that they suffice, nothing is decided.
+PLACES = "poses_tell"
+_UNDECIDED = {LOOSE, PLACES}
 #: Claims without which the drawing is not judged.
-_MOVES = {"set_up", "plausible"}
+_MOVES = {"set_up", "plausible", PLACES}
 #: Reasons that the first line gives; the claims have all.
 _MOST = 2
 
@@ -57,7 +60,7 @@ def verdict_of(claims: Sequence[Claim], effects: Sequence[str]) -> str:
         return "explained" if effects else "adequate"
     if effects:
         return "partly explained"
-    return "undecided" if failing == {LOOSE} else "unexplained"
+    return "undecided" if failing <= _UNDECIDED else "unexplained"
 
 
 def headline(claims: Sequence[Claim], effects: Sequence[str], not_needed: Sequence[str], *, noise_known: bool) -> str:

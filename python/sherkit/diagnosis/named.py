@@ -85,6 +85,9 @@ def _refusal(
     absurd = [c.name for c in result.added if (sizes[final.owns(c.effect)] > ABSURD).any()]
     if absurd:
         return absurd[-1], "its size would be absurd"
+    left = len(np.unique(run.data.standing[run.whole])) * len(run.axes) - final.fit.rank
+    if left < final.fit.rank - run.fit.rank:
+        return result.added[-1].name, "it takes more numbers than these poses leave to judge it by"
     if run.fit.converged and not final.fit.converged:
         return result.added[-1].name, "with it the fit does not converge"
     failing = [one for one in judged if not one.holds]

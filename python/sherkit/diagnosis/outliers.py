@@ -8,7 +8,7 @@ from them; and each is judged by what the rows that are believed predict there, 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -33,6 +33,8 @@ _WILD_VISIT = 0.5
 _FEWEST_OF_A_VISIT = 4
 #: Wrong rows that follow one another are of something that lasted where they are so many, at so many poses.
 _LASTS, _POSES = 5, 3
+#: Part of the wrong rows that hold one value where that is what is wrong with them.
+_ONE_VALUE = 0.4
 #: What gross errors may add to what a fit leaves before it is said that they decide it.
 _MATTERS = 1.1
 
@@ -131,7 +133,22 @@ def sentences(data: Measurements, rows: Ints) -> tuple[str, ...]:
         )  # fmt: skip
         where = f"{data.counted}{'s' if len(single) > 1 else ''} {spans(data.line[single])}"
         out.append(f"{what} {are} ({where}); all figures here are without {'them' if len(single) > 1 else 'it'}")
-    return tuple(out)
+    return (*out, *_one_value(data, rows))
+
+
+def _one_value(data: Measurements, rows: Ints) -> Iterator[str]:
+    """Said of a reading that is one value in most of the rows that are wrong, and in hardly any other: it was lost."""
+    for k, name in enumerate(data.layout.coordinates):
+        values, count = np.unique(data.readings[rows[data.taken[rows, k]], k], return_counts=True)
+        if not len(values) or count.max() < max(_LASTS, _ONE_VALUE * len(rows)):
+            continue
+        value = float(values[np.argmax(count)])
+        there = int((data.taken[:, k] & (data.readings[:, k] == value)).sum())
+        if there <= count.max() / _ONE_VALUE:
+            yield (
+                f"{name} is {value + 0.0:.8g} in {int(count.max())} of these {len(rows)} rows: lost readings, "
+                "or an instrument at the end of its range, it seems; leave these cells empty"
+            )
 
 
 def in_one_go(data: Measurements, rows: Ints) -> Ints:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from ..data.doubts import Doubt
 from ..fit.set_up import Mistake
 from ..names import listed
 from ..types import Floats, Ints
-from .claims import APART, AS_DRAWN, DIGITS, LOOSE, POSES_AS_REPEATS, SMALL, Claim
+from .claims import APART, AS_DRAWN, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, SMALL, Claim
 from .earned import Earned
 from .fitted_run import FittedRun
 from .lack_of_fit import LackOfFit
@@ -22,6 +24,8 @@ from .steady import Wander
 
 #: Held-out error over noise up to which what is left is as small as the noise.
 PRAISE = 1.25
+#: Held-out error over what the fit itself leaves from which poses are too few, where nobody knows the noise.
+_LOOSE = 2.0
 #: Part of the rows that may be listed as wrong before the rest is no run any more.
 _WRONG = 0.2
 
@@ -37,18 +41,21 @@ def claims_of(
     level: float,
     wild: Ints,
     mistakes: Sequence[Mistake],
+    table: Sequence[Doubt],
+    digits: Rounded | None,
     wander: Wander | None,
     by_noise: Callable[[], float],
 ) -> tuple[Claim, ...]:
     """Every claim about a final fit, those that decide first.
 
     ``sigma`` (columns,) is the noise, ``fitness`` what poses leave beyond their repeats, ``unknown`` one cause in place
-    of several, ``needed`` what the effects that were in the model earn, ``wild`` the rows left out,
-    ``mistakes`` those of the set-up, ``wander`` what is left in the course of time, ``by_noise`` gives what noise alone
-    leaves on rows held out of these poses, in noises.
+    of several, ``needed`` what the effects that were in the model earn, ``wild`` the rows left out, ``mistakes`` those
+    of the set-up, ``table`` what its poses cannot tell, ``digits`` what steps of columns leave where that is most,
+    ``wander`` what is left in the course of time, ``by_noise`` gives what noise alone leaves on rows held out of these
+    poses, in noises.
     """
     unit, used = final.unit, f"all {int(final.whole.sum())} rows that are used"
-    out = [_set_up(mistakes, final), _converged(final, used), _plausible(final, used)]
+    out = [_set_up(mistakes, final), *_table(table, final), _converged(final, used), _plausible(final, used)]
     out += [_as_drawn(final, used), _gross(final, wild), *_apart(final, wild)]
     p = found.result.p_left if not found.result.signature else found.result.p_first
     left = Claim(
@@ -62,7 +69,7 @@ def claims_of(
     known = origin != "unknown"
     # few poses predict worse than they were read: what is their own tells more
     beyond = fitness.size if fitness else float(np.sqrt(max(error**2 - known * _noise(final, sigma) ** 2, 0.0)))
-    steps = rounded(final, beyond, sigma, noise_known=known) if fails else None
+    steps = digits or (rounded(final, beyond, sigma, noise_known=known) if fails else None)
     out += [left, _poses(final, fitness, followed=bool(found.result.signature) or steps is not None), small]
     if (loose := _loosely(final, small, error, sigma)) is not None:
         out.append(loose)
@@ -86,6 +93,9 @@ def claims_of(
                 told + _fall(one, unit), holds=one.holds, p=one.p, decisive=False,
             )
         )  # fmt: skip
+    if table:
+        # what these poses cannot tell does not decide
+        out = [replace(claim, decisive=claim.name in ("set_up", PLACES)) for claim in out]
     return tuple(out)
 
 
@@ -111,6 +121,13 @@ def _set_up(mistakes: Sequence[Mistake], final: FittedRun) -> Claim:
     tested = "no usual mistake is in the columns, their units and the robot file"
     told = "; ".join(m.sentence for m in mistakes) or "no usual mistake would make it better"
     return Claim("set_up", tested, f"all {len(final.data)} rows", told, holds=not mistakes, fails=told)
+
+
+def _table(table: Sequence[Doubt], final: FittedRun) -> list[Claim]:
+    """Said where there is something to be said."""
+    told = "; ".join(doubt.sentence for doubt in table)
+    tested = "the poses can tell what the model asks of them"
+    return [Claim(PLACES, tested, f"all {len(final.data)} rows", told, holds=False, fails=told)] if told else []
 
 
 def _converged(final: FittedRun, used: str) -> Claim:
@@ -240,6 +257,8 @@ def _loosely(final: FittedRun, small: Claim, error: float, sigma: Floats) -> Cla
     told = f"{poses} pose{'s fix' if poses > 1 else ' fixes'} {len(fit.values)} parameters so loosely that "
     if poses * len(final.axes) <= fit.rank:
         told += "a fit goes through all of them, and nothing tells whether it holds elsewhere"
+    elif small.holds is None and error > _LOOSE * _left(final):
+        told += f"rows held out are off by {error:.3g} {final.unit} where the fit itself leaves {_left(final):.3g}"
     elif small.holds and error > PRAISE * noise:
         told += f"rows held out are off by {error:.3g} {final.unit} where the noise is {noise:.3g}"
     else:
@@ -248,6 +267,15 @@ def _loosely(final: FittedRun, small: Claim, error: float, sigma: Floats) -> Cla
         LOOSE, "the poses fix the parameters well enough to predict others", _HELD, told, holds=False,
         fails=f"{told}: measure more poses, out to the rim of the workspace",
     )  # fmt: skip
+
+
+def _left(final: FittedRun) -> float:
+    """What a fit leaves, for each number that the poses have more than it: all that is known of a noise that nobody
+    knows."""
+    axes, rows = list(final.axes), final.whole
+    poses = len(np.unique(final.data.standing[rows]))
+    free = max(poses * len(axes) - final.fit.rank, 1) / (poses * len(axes))
+    return final.per_unit * float(np.sqrt(np.mean(final.residuals[rows][:, axes] ** 2) / free))
 
 
 def _noise(final: FittedRun, sigma: Floats) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from ..arguments import Level, Seed, as_annotated
+from ..data.doubts import doubts
 from ..data.given import RunLike
 from ..errors import EffectError, FitError
 from ..fit.forms import known
@@ -32,6 +33,7 @@ from .one_unknown import OneUnknown, one_unknown
 from .outliers import sentences, without_outliers
 from .power import smallest_found
 from .propositions import claims_of
+from .rounded import steps_in
 from .search import SearchResult, is_plausible
 from .setting import periods_shown
 from .shapes import Shape
@@ -82,14 +84,17 @@ def diagnose(
     step("mistakes of the set-up")
     run = FittedRun(fit)
     mistakes = () if run.is_exact else set_up_mistakes(fit.model, fit.data, fit.values)
+    table = () if run.is_exact else tuple(doubt for doubt in doubts(fit.data) if doubt.poses)
+    # what a mistake leaves says nothing on physics, nor do poses that cannot tell it
+    look = not mistakes and not table
     for effect in effects:
         run.model.check_effect(effect, run.data, fit.values)
     every = (*run.catalogue, *effects)
-    notes = [*(mistake.sentence for mistake in mistakes), *held(run.data), *unread(run.data)]
+    notes = [*(one.sentence for one in mistakes), *(one.sentence for one in table), *held(run.data), *unread(run.data)]
 
     step("noise and outliers")
     # beside a mistake of the set-up every row may look wrong
-    run, wild = (run, np.zeros(0, dtype=np.int64)) if mistakes else without_outliers(run, every)
+    run, wild = (run, np.zeros(0, dtype=np.int64)) if not look else without_outliers(run, every)
     sigma, origin = run.noise
     rows = np.flatnonzero(run.whole)
     notes += sentences(run.data, wild)
@@ -105,7 +110,13 @@ def diagnose(
             "it has structure; repeat some poses or add sigma columns"
         )
     deals = deals_of(run, seed)
-    found = searched(run, every, rows, sigma, deals, level=level, seed=seed, step=step, look=not mistakes)
+    steps = steps_in(run) if look and not run.is_exact else None
+    if steps is not None and not steps.alone and steps.put_back is not None:
+        # digits were cut off where no effect is missing once they are put back
+        there = searched(steps.put_back, every, rows, sigma, deals, level=level, seed=seed, step=step, look=True)
+        steps = None if there.names else steps
+    look, rounded = look and steps is None, None if steps is None else steps.rounded
+    found = searched(run, every, rows, sigma, deals, level=level, seed=seed, step=step, look=look)
     final, rho = found.final, found.search.rho
     notes += found.notes
     notes += [f"{one.sentence}. {one.workshop}" for one in known(final.fit).values()]
@@ -126,7 +137,7 @@ def diagnose(
     unknown = one_unknown(run, final, found.names, run.noise[0], deals) if many else None
     wander = wander_of(final)
     claims = claims_of(
-        final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, wander,
+        final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, table, rounded, wander,
         lambda: by_noise_alone(final, sigma, deals, level, seed),
     )  # fmt: skip
     verdict = verdict_of(claims, found.names)

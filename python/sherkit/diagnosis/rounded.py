@@ -15,23 +15,22 @@ import scipy
 
 from ..data import Measurements
 from ..data.columns import unit_in
+from ..data.steps import step_of
 from ..errors import SherkitError
 from ..figures import sized
+from ..fit.identify import identify
 from ..names import listed
 from ..types import Floats
 from .fitted_run import FittedRun
 
-#: Different values from which steps can be read, so many that are looked at first, and how far values may stand beside
-#: a step, in steps.
-_FEWEST = 8
-_FIRST = 256
-_BESIDE = 0.01
-#: The smallest difference between values may be this many steps.
-_MOST_STEPS = 100
 #: What is left beyond noise is that of steps where it has this part of its square at least, at most this many
 #: of it; of what is left with a noise that nobody knows, this part.
 _SHARE = (0.5, 1.7)
 _SHARE_WITH_NOISE = 0.25
+#: Digits are looked at where rounding alone has this part of what is left at least, and were cut off where all poses
+#: together are so much likelier once they are put back, as twice a logarithm.
+_CUT = 0.1
+_LIKELIER = 30.0
 #: Rows that tell how a joint moves a reading.
 _ROWS = 2000
 #: Terms of a series whose terms fall at least as 1/k²: what is cut off is less than 1 % of its sum.
@@ -46,46 +45,15 @@ class Rounded:
     size: float
     unit: str
     joints: bool
+    cut: bool = False
 
     def __str__(self) -> str:
         cure = (
             "write joints with all the digits that the encoders give; if the robot was exactly there, look elsewhere"
             if self.joints else "write what the instrument read with all its digits"
         )  # fmt: skip
-        return f"{'; '.join(self.steps)}: that alone leaves {self.size:.2g} {self.unit}; {cure}"
-
-
-def step_of(values: Floats) -> float:
-    """The largest step of which all differences between ``values`` (n,) are multiples; zero where there is none.
-
-    Values that are no further apart than rounding are one.
-    """
-    apart = _apart(values[np.unique(np.linspace(0, len(values) - 1, min(len(values), _FIRST)).astype(np.int64))])
-    if len(apart) < _FEWEST - 1:
-        return 0.0
-    every = _apart(values)
-    for several in range(1, _MOST_STEPS + 1):
-        step = _fitted(apart, apart.min() / several)
-        if _are_multiples(apart, step) and _are_multiples(every, step := _fitted(every, step)):
-            return step
-    return 0.0
-
-
-def _apart(values: Floats) -> Floats:
-    """Differences between neighbours among different values; such as are no further apart than rounding are one."""
-    u = np.unique(values)
-    apart = np.diff(u)
-    return apart[apart > 1e-12 * max(abs(u[0]), abs(u[-1]))]
-
-
-def _fitted(apart: Floats, step: float) -> float:
-    """A step from the whole range, which tells it better than two values."""
-    return float(apart.sum() / np.rint(apart / step).sum())
-
-
-def _are_multiples(apart: Floats, step: float) -> bool:
-    count = apart / step
-    return bool((np.abs(count - np.rint(count)) < _BESIDE).all())
+        how = ", cut off rather than rounded" if self.cut else ""
+        return f"{'; '.join(self.steps)}{how}: that alone leaves {self.size:.2g} {self.unit}; {cure}"
 
 
 def shared_by_repeats(step: float, spread: float) -> float:
@@ -127,6 +95,74 @@ def rounded(run: FittedRun, beyond: float, sigma: Floats, *, noise_known: bool) 
         if 0 < least * beyond**2 <= square <= _SHARE[1] * beyond**2:
             return Rounded(_told(parts, square), float(np.sqrt(square)), run.unit, joints)
     return None
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What columns in steps leave, what a fit ``left`` in all, and where the columns fit better ``put_back`` by half a
+    step, that fit."""
+
+    rounded: Rounded
+    left: float
+    put_back: FittedRun | None
+
+    @property
+    def alone(self) -> bool:
+        """Whether they are most of all that is left; far larger ones are those of a grid of round numbers, to which the
+        robot was sent."""
+        return _SHARE[0] * self.left**2 <= self.rounded.size**2 <= _SHARE[1] * self.left**2
+
+
+def steps_in(run: FittedRun) -> Steps | None:
+    """Columns whose steps are most of all that a fit leaves, noise and all, or which were cut off to them; else None.
+
+    On a grid such errors repeat from place to place and look like physics. Digits that were cut off leave four times as
+    much of the square as digits that were rounded, the same way everywhere or towards zero: columns are put back by
+    half a step, and it is seen whether that was left.
+    """
+    rows = np.flatnonzero(run.whole)
+    data = run.data.select(rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _ROWS)).astype(np.int64))])
+    readings = len(np.unique(run.data.standing[rows])) * len(run.axes)
+    by_readings = {}
+    for a in run.axes:
+        step = step_of(run.data.readings[rows, a])
+        by_readings[run.data.layout.readings[a]] = (step, step * run.per_unit / np.sqrt(12.0 * len(run.axes)))
+    out = []
+    for joints, parts in ((True, _of_joints(run, data, run.data.joints[rows])), (False, by_readings)):
+        size = float(np.sqrt(sum(one**2 for _, one in parts.values())))
+        best, put_back = _rms(run), None
+        if size == 0 or size < best * _CUT:
+            continue
+        each = np.array([step for step, _ in parts.values()])
+        for towards_zero in (False, True):
+            there = _put_back(run, each, joints=joints, towards_zero=towards_zero)
+            if there is not None and readings * np.log(best / max(_rms(there), 1e-300)) > _LIKELIER / 2.0:
+                best, put_back = _rms(there), there
+        told = Rounded(_told(parts, size**2), size, run.unit, joints, put_back is not None)
+        out.append(Steps(told, best, put_back))
+    return next((one for one in out if one.alone), next((one for one in out if one.put_back), None))
+
+
+def _rms(run: FittedRun) -> float:
+    """What a fit leaves, RMS of readings in the unit of the run."""
+    return run.per_unit * float(np.sqrt(np.mean(run.residuals[run.whole][:, list(run.axes)] ** 2)))
+
+
+def _put_back(run: FittedRun, steps: Floats, *, joints: bool, towards_zero: bool) -> FittedRun | None:
+    """The fit to columns that are half a step higher, or half a step farther from zero; None where there is none."""
+    data, axes = run.data, list(run.axes)
+    columns = data.joints if joints else data.readings[:, axes]
+    moved = columns + 0.5 * steps * (np.sign(columns) if towards_zero else 1.0)
+    if joints:
+        changed = replace(data, joints=np.ascontiguousarray(moved))
+    else:
+        readings = data.readings.copy()
+        readings[:, axes] = moved
+        changed = replace(data, readings=np.where(data.taken, readings, 0.0))
+    try:
+        return FittedRun(identify(run.model, changed, noise=run.fit.noise, start=run.fit.values))
+    except SherkitError:
+        return None
 
 
 def _of_joints(run: FittedRun, data: Measurements, joints: Floats) -> dict[str, tuple[float, float]]:

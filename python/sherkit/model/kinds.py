@@ -166,6 +166,10 @@ class Asked:
         return f"[{self.table}] {self.key} is left out: {self.without}; {self.instead}"
 
 
+def _read_as_meant(_: Any) -> Iterator[tuple[str, str, Any]]:
+    yield from ()
+
+
 @dataclass(frozen=True)
 class Kind:
     """What a kind of robot brings.
@@ -184,7 +188,9 @@ class Kind:
     ``asks`` are the settings of its file that are asked for where they are left out. ``example`` is a robot of this
     kind, whole, to show what its files hold; ``spelt`` are other ways to write tables of its file. ``own_layouts`` are
     those of one robot, where its columns are not those of every other of its kind, as the joints of an arm are not.
-    ``drawing`` gives its mechanism for each row of a run, by its model and the values of its parameters.
+    ``misread`` gives the robots that a file may have meant which was written otherwise than it is read, each with what
+    looks wrong and what to do. ``drawing`` gives its mechanism for each row of a run, by its model and the values of
+    its parameters.
     """
 
     name: str
@@ -204,6 +210,7 @@ class Kind:
     example: Any = None
     spelt: tuple[Mapping[str, Mapping[str, Any]], ...] = ()
     own_layouts: Callable[[Any], tuple[Layout, ...]] | None = None
+    misread: Callable[[Any], Iterator[tuple[str, str, Any]]] = _read_as_meant
     drawing: Draw = drawing_of_readings
 
     @property

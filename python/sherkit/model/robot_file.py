@@ -11,6 +11,7 @@ import tomli_w
 
 from ..arguments import as_annotated
 from ..data import Measurements
+from ..data.columns import check_columns, is_known
 from ..data.files import write_whole
 from ..data.given import RunLike, run_of
 from ..data.headers import Columns
@@ -60,7 +61,7 @@ def run_for(robot: object, data: RunLike, columns: Columns | None = None) -> Mea
         columns = columns_of(robot)
     own = getattr(robot, "brings", None)
     if own is None:
-        return run_of(data, columns)
+        return _by_what_is_known(run_of(data, columns))
     given = getattr(robot, "columns", None)
     try:
         return run_of(data, columns or given or None).read_as(own.layout)
@@ -71,6 +72,16 @@ def run_for(robot: object, data: RunLike, columns: Columns | None = None) -> Mea
         raise MeasurementError(
             f"{error} ({own.name} has {names}; for a file with other names: sk.Machine(…, columns={{ours: theirs}}))"
         ) from None
+
+
+def _by_what_is_known(data: Measurements) -> Measurements:
+    """Rows that were read before their robot, read again now that it is there."""
+    if is_known(data.layout):
+        return data
+    frame = data.to_frame()
+    layout = check_columns(frame.columns, data.source, to_come=False)
+    values = {name: frame[name].to_numpy() for name in frame.columns}
+    return Measurements.from_columns(values, data.source, data.line, data.counted, layout)
 
 
 def columns_of(path: str | os.PathLike[str]) -> Columns:

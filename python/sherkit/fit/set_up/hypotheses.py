@@ -22,7 +22,7 @@ from ...errors import SherkitError
 from ...model.base import ModelWithEffects
 from ...model.chain import ChainModel
 from ...model.kinds import kind_of, robot_from_tables
-from ...types import Floats, Ints
+from ...types import Bools, Floats, Ints
 
 #: What stands under a name by mistake: the unit it is in, how many of the name's units it has, what to do.
 UNITS: dict[str, tuple[tuple[str, float], ...]] = {
@@ -36,8 +36,15 @@ _QUARTERS = ((-1.0, 0.5), (-1.0, 1.0), (1.0, 0.5), (1.0, -0.5), (1.0, 1.0))
 _ROWS = (1, -1, 2, -2, 3, -3)
 #: A frame that is turned anyhow is less likely from the outset than a slip: its three angles fit more.
 _TURNED = 10.0
+#: Two shifts fit less, and pictures are cropped often.
+_SHIFTED = 2.0
+#: How much a plausible size counts beside what is off, all rows together.
+_HELD = 1e-3
 #: A turn is half a turn as long as it is as near to one as this.
 _PLANE_DEG = 3.0
+#: A camera stands no farther aside than by so much of its picture, and is turned by no more than this.
+_CROPPED = 0.06
+_TURNED_DEG = 4.0
 #: All subsets of so few columns are tried; of more, single ones and all together.
 _FEW = 3
 
@@ -267,38 +274,46 @@ def _of_rows(data: Measurements) -> Iterator[tuple[str, str, Measurements]]:
 
 
 def _of_robot(model: ModelWithEffects) -> Iterator[tuple[str, str, ModelWithEffects]]:
-    """The robots that the file may have meant: other words of its choices, angles in radians or counted clockwise."""
+    """The robots that the file may have meant: other words of its choices, two lengths exchanged, angles in radians or
+    counted clockwise, what its kind knows to be written in two ways."""
     if not isinstance(model, ChainModel):
         return
-    tables = model.robot.to_tables()
-    choices = kind_of(model.robot).choices
+    kind, tables = kind_of(model.robot), model.robot.to_tables()
     geometry = tables.get("geometry", {})
-    changes: list[tuple[str, str, dict[str, Any]]] = []
-    for key, words in choices.items():
+    changes: list[tuple[str, str, str, dict[str, Any]]] = []
+    for key, words in kind.choices.items():
         now = getattr(model.robot, key)
         for word in words:
             if word != now:
                 looks = f'{key} in the robot file looks wrong: "{now}" where the run shows "{word}"'
-                changes.append((looks, f'set {key} = "{word}"', {key: word}))
-    angles = [key for key in geometry if unit_in(key) == "deg"]
-    lists = [key for key in angles if isinstance(geometry[key], list) and len(geometry[key]) > 1]
-    if angles:
-        looks = f"{_and(angles)} in the robot file look like radians"
-        changes.append((looks, "write them in degrees", {key: np.rad2deg(geometry[key]).tolist() for key in angles}))
+                changes.append((looks, f'set {key} = "{word}"', "geometry", {key: word}))
+    for one, other in combinations([key for key in geometry if unit_in(key)], 2):
+        if unit_in(one) == unit_in(other) and np.shape(geometry[one]) == np.shape(geometry[other]):
+            looks = f"{one} and {other} in the robot file look exchanged"
+            swapped = {one: geometry[other], other: geometry[one]}
+            changes.append((looks, "write each where the other stands", "geometry", swapped))
+    for name, table in tables.items():
+        angles = [key for key in table if unit_in(key) == "deg"] if isinstance(table, dict) else []
+        for keys in ([angles] if angles else []) + [[key] for key in angles if len(angles) > 1]:
+            looks = f"{_and(keys)} in the robot file {'look' if len(keys) > 1 else 'looks'} like radians"
+            degrees = {key: np.rad2deg(table[key]).tolist() for key in keys}
+            changes.append((looks, f"write {'them' if len(keys) > 1 else 'it'} in degrees", name, degrees))
+    lists = [key for key in geometry if unit_in(key) == "deg" and np.size(geometry[key]) > 1]
     if lists:
         first = geometry[lists[0]][0]
-        names = _and(lists)
         for start, how in ((first, "from where limb 1 stands"), (0.0, "from x")):
             turned = {key: [(2 * start - a) % 360.0 for a in geometry[key]] for key in lists}
-            looks = f"{names} in the robot file look counted clockwise {how}"
-            changes.append((looks, f"count them anticlockwise: {_written(turned)}", turned))
-    for looks, advice, changed in changes:
-        other = deepcopy(tables)
-        other["geometry"] |= changed
+            looks = f"{_and(lists)} in the robot file look counted clockwise {how}"
+            changes.append((looks, f"count them anticlockwise: {_written(turned)}", "geometry", turned))
+    for looks, advice, name, changed in changes:
+        meant = deepcopy(tables)
+        meant[name] |= changed
         try:
-            robot = robot_from_tables(other, "robot file")
+            robot = robot_from_tables(meant, "robot file")
         except SherkitError:
             continue
+        yield looks, advice, replace(model, robot=robot)
+    for looks, advice, robot in kind.misread(model.robot):
         yield looks, advice, replace(model, robot=robot)
 
 
@@ -312,46 +327,101 @@ def _written(changed: dict[str, list[float]]) -> str:
 
 def turned_frame(model: ModelWithEffects, data: Measurements, values: Floats, *, mirrored: bool) -> SetUp | None:
     """The readings turned, or mirrored and turned, so that they come to lie on what the model predicts for ``values``;
-    None where readings are not three lengths.
+    those of a picture shifted as well, which is cropped where it is hardly turned. None where readings are neither
+    three lengths nor two of a picture.
 
     Source: Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976; rows far off weigh less
     (Cauchy), so that gross errors do not turn the frame. Raises as the model's ``predict``.
     """
     names = data.layout.coordinates
-    whole = data.used[:, : len(names)].all(axis=1)
-    if len(names) != 3 or {unit_in(name) for name in names} != {"mm"} or whole.sum() < 4:
+    n, units = len(names), {unit_in(name) for name in names}
+    whole = data.used[:, :n].all(axis=1)
+    is_picture = n == 2 and units == {"px"} and not mirrored
+    if not (is_picture or (n == 3 and units == {"mm"})) or whole.sum() < 4:
         return None
-    predicted = model.predict(data, values)[whole, :3]
-    turn, middle = _registered(data.readings[whole, :3], predicted, mirrored=mirrored)
+    predicted = model.predict(data, values)[whole, :n]
+    turn, middle, there = _registered(data.readings[whole, :n], predicted, mirrored=mirrored)
+    readings = data.readings.copy()
+    if is_picture and abs(_degrees(turn)) < _TURNED_DEG:
+        # a shift alone, where a little turn would take what belongs to the robot
+        turn = np.eye(n)
+        there = np.asarray(middle + _shift(model, data, values, np.asarray(whole)))
+    readings[:, :n] = (data.readings[:, :n] - middle) @ turn.T + (there if is_picture else middle)
+    what = _turned_picture(model, data, turn, middle, there) if is_picture else _turned_space(names, turn, mirrored)
+    if what is None:
+        return None
+    looks, advice, farther = what
+    return SetUp(looks, advice, model, replace(data, readings=np.where(data.taken, readings, 0.0)), farther)
+
+
+def _turned_space(names: Sequence[str], turn: Floats, mirrored: bool) -> tuple[str, str, float]:
     angle = scipy.spatial.transform.Rotation.from_matrix(turn * (-1.0 if mirrored else 1.0)).inv().as_rotvec()
     degrees = float(np.rad2deg(np.linalg.norm(angle)))
     axis = angle / max(float(np.linalg.norm(angle)), 1e-12)
-    readings = data.readings.copy()
-    readings[:, :3] = (data.readings[:, :3] - middle) @ turn.T + middle
     along = f"({', '.join(f'{v:.2f}' for v in np.round(axis, 2) + 0.0)})"
     what = f"turned by {degrees:.1f}° about {along}"
     if mirrored:
         # a point's mirror image turned by half a turn is that of a plane
         plane = degrees > 180.0 - _PLANE_DEG
         what = f"mirrored in the plane square to {along}" if plane else f"mirrored in a point and {what}"
-    return SetUp(
-        f"the frame of {_and(names)} looks {what}",
-        "turn the readings back, or the angles of the robot file with them",
-        model,
-        replace(data, readings=np.where(data.taken, readings, 0.0)),
-        farther=_TURNED,
-    )
+    advice = "turn the readings back, or the angles of the robot file with them"
+    return f"the frame of {_and(names)} looks {what}", advice, _TURNED
 
 
-def _registered(measured: Floats, predicted: Floats, *, mirrored: bool) -> tuple[Floats, Floats]:
-    """The orthogonal matrix that turns measured points about their middle onto the predicted ones, and the middle."""
+def _turned_picture(
+    model: ModelWithEffects, data: Measurements, turn: Floats, middle: Floats, there: Floats
+) -> tuple[str, str, float] | None:
+    """What the picture looks like, turned or cropped; None where a camera that stands a little aside does as much."""
+    names = data.layout.coordinates
+    ends = [model.ranges(data).get(name) for name in names]
+    size = np.array([np.inf if e is None else e[1] - e[0] for e in ends])
+    degrees, shift = _degrees(turn), there - middle
+    if degrees:
+        advice = "turn the pictures, or the camera, back"
+        return f"the picture of {_and(names)} looks turned by {-degrees:.1f}°", advice, _TURNED
+    if (np.abs(shift) > _CROPPED * size).any():
+        told = _and([f"{v:+.0f} to {name}" for name, v in zip(names, shift, strict=True)])
+        advice = f"give the pixels of the whole picture: add {told}"
+        return (
+            f"{_and(names)} look cropped: counted from another corner than that of the whole picture",
+            advice,
+            _SHIFTED,
+        )
+    return None
+
+
+def _shift(model: ModelWithEffects, data: Measurements, values: Floats, rows: Bools) -> Floats:
+    """What is to be added to readings (k,) in these ``rows`` so that the model fits them, whose parameters may move by
+    their plausible sizes: one step of Gauss and Newton for both, wild rows weighing less (Cauchy)."""
+    k, sizes = data.coordinates, np.array([p.size for p in model.parameters])
+    off = data.readings[rows, :k] - model.predict(data, values)[rows, :k]
+    moves = model.derivatives(data, values)[rows, :k] * sizes
+    columns = np.concatenate([moves, -np.broadcast_to(np.eye(k), (len(off), k, k))], axis=2)
+    weight, step = np.ones(len(off)), np.zeros(len(sizes) + k)
+    for _ in range(10):
+        root = np.sqrt(weight)[:, None]
+        flat = (columns * root[:, :, None]).reshape(-1, columns.shape[2])
+        prior = np.diag([*np.full(len(sizes), _HELD * np.linalg.norm(off)), *np.zeros(k)])
+        step = np.linalg.lstsq(np.concatenate([flat, prior]), np.append((off * root).ravel(), np.zeros(len(prior))))[0]
+        left = np.linalg.norm(off - columns @ step, axis=1)
+        weight = 1.0 / (1.0 + (left / max(float(np.median(left)), 1e-12)) ** 2)
+    return np.asarray(step[len(sizes) :])
+
+
+def _degrees(turn: Floats) -> float:
+    return float(np.rad2deg(np.arctan2(turn[1, 0], turn[0, 0])))
+
+
+def _registered(measured: Floats, predicted: Floats, *, mirrored: bool) -> tuple[Floats, Floats, Floats]:
+    """The orthogonal matrix that turns measured points about their middle onto the predicted ones, and the middles of
+    both."""
     weight = np.ones(len(measured))
     for _ in range(10):
         w = (weight / weight.sum())[:, None]
         middle, there = (w * measured).sum(axis=0), (w * predicted).sum(axis=0)
         u, _, vt = np.linalg.svd(((measured - middle) * w).T @ (predicted - there))
         sign = np.linalg.det(vt.T @ u.T) * (-1.0 if mirrored else 1.0)
-        turn = vt.T @ np.diag([1.0, 1.0, np.sign(sign)]) @ u.T
+        turn = vt.T @ np.diag([*np.ones(measured.shape[1] - 1), np.sign(sign)]) @ u.T
         off = np.linalg.norm((measured - middle) @ turn.T - (predicted - there), axis=1)
         weight = 1.0 / (1.0 + (off / max(float(np.median(off)), 1e-12)) ** 2)
-    return np.asarray(turn), np.asarray(middle)
+    return np.asarray(turn), np.asarray(middle), np.asarray(there)

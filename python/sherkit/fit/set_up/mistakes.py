@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...data import Measurements
+from ...data.doubts import angles, commanded, doubts
 from ...data.noise import noise_of
 from ...model.base import ModelWithEffects
 from ...types import Bools, Floats
-from .columns_alone import commanded_joints, constant, constant_by_mistake, copied, time_in_milliseconds
+from .columns_alone import constant, constant_by_mistake
 from .hypotheses import SetUp, hypotheses, turned_frame
 from .plausible import COUNTED, NOT_COMPUTED, Plausible, as_fitted, only_shift, plausible_fit, thinned
 
@@ -41,6 +43,8 @@ _READINGS = 3
 _NOT_RIGHT = 0.1
 #: One that leaves more than this is no set-up at all.
 _ABSURD = 0.3
+#: A coordinate is fitted better where less than this part is left of what was.
+_BETTER = 0.8
 #: An effect that leaves less than this part takes most.
 _MOST = 0.5
 
@@ -66,9 +70,10 @@ def set_up_mistakes(model: ModelWithEffects, data: Measurements, values: Floats 
 
     ``values`` (p,) are those of a fit, None where there is none, as where rows cannot be reached.
     """
-    out = [Mistake(told) for told in (time_in_milliseconds(data), copied(data)) if told]
-    if not data.layout.follows:
-        # what is wrong is told by how far readings move
+    table = [doubt for doubt in doubts(data) if not doubt.poses]
+    out = [Mistake(doubt.sentence) for doubt in table]
+    if not data.layout.follows or any(doubt.columns for doubt in table):
+        # what is wrong beside is told by how far readings move
         return tuple(out)
     if values is not None:
         still = dict(constant_by_mistake(model, data))
@@ -84,8 +89,12 @@ def set_up_mistakes(model: ModelWithEffects, data: Measurements, values: Floats 
         return tuple(out)
     free = None if values is None else as_fitted(model, data, values)
     wrong = [] if free is not None and _is_small(free, data) else _wrong(model, data, free)
-    commanded = None if wrong else commanded_joints(data)
-    return (*out, *wrong, *([Mistake(commanded)] if commanded else []))
+    if not wrong:
+        # each has another name where a fit shows one
+        small = free is not None and _is_small(free, data)
+        told = [*(() if small else angles(data)), *(() if out else commanded(data))]
+        wrong = [Mistake(doubt.sentence) for doubt in told]
+    return (*out, *wrong)
 
 
 def _is_small(now: Plausible, data: Measurements) -> bool:
@@ -113,7 +122,7 @@ def _wrong(
     if now is not None and _is_small(now, data):
         return []
     stands = min((p.misfit for p in (now, free) if p is not None), default=np.inf)
-    better = _much_better(model, data, datum, stands)
+    better = _much_better(model, data, datum, stands, now)
     unit, per_unit = data.layout.unit, data.layout.per_unit
     before = float("nan") if now is None else per_unit * now.rms_of_all
     if not better:
@@ -136,9 +145,10 @@ def _wrong(
 
 
 def _much_better(
-    model: ModelWithEffects, data: Measurements, datum: Bools, stands: float
+    model: ModelWithEffects, data: Measurements, datum: Bools, stands: float, now: Plausible | None
 ) -> list[tuple[SetUp, Plausible]]:
-    """The set-up that explains the run much better than it ``stands``, first, and those that are as good."""
+    """The set-up that explains the run much better than it ``stands`` or fits ``now``, first, and those that are as
+    good: every coordinate that it touches gets better, and none worse."""
     every = list(hypotheses(model, data))
     first = [plausible_fit(one.model, one.data, datum, rounds=1) for one in every]
     likely = sorted((found.misfit, k) for k, found in enumerate(first) if found is not None)[:_LOOKED_AT]
@@ -146,8 +156,14 @@ def _much_better(
     fitted += [_turned(model, data, datum, mirrored=mirrored) for mirrored in (False, True)]
     better = []
     for one, found in fitted:
-        if found is not None and found.misfit + one.farther < stands - _MUCH and found.relative < _NOT_RIGHT:
+        if found is None or found.misfit + one.farther >= stands - _MUCH or found.relative >= _NOT_RIGHT:
+            continue
+        if now is None or _nowhere_worse(one, found, now, data):
             better.append((one, found))
+    if any(one.farther for one, _ in better):
+        # an instrument that stands a little otherwise is physics, where that explains as much
+        physics = min((found.misfit for found in _with_an_effect(model, data, datum)), default=np.inf)
+        better = [(one, found) for one, found in better if not one.farther or found.misfit + one.farther < physics]
     best = min((found.misfit + one.farther for one, found in better), default=np.inf)
     as_good = [(one, found) for one, found in better if found.misfit < best + _AS_GOOD]
     columns = [pair for pair in better if _is_columns(pair[0], model, data)]
@@ -161,6 +177,24 @@ def _much_better(
         # a turn by which axes come to lie on axes is said by their columns
         as_good = [(one, found) for one, found in as_good if not one.farther]
     return sorted(as_good, key=lambda pair: pair[1].misfit + pair[0].farther)
+
+
+def _nowhere_worse(one: SetUp, found: Plausible, now: Plausible, data: Measurements) -> bool:
+    """Whether each coordinate that a set-up changes is fitted better with it, and none worse.
+
+    All are touched by another robot, other joints and other rows, but not all at once may be wrong: what is absurd
+    before and after waits for the next mistake.
+    """
+    left, was = found.rms / found.spread, now.rms / now.spread
+    with np.errstate(invalid="ignore"):
+        better = (left < _BETTER * was) | (left < _SMALL)
+        worse = (left > was / _BETTER) & (left > _SMALL) & (was < _ABSURD)
+    if len(one.data) == len(data) and not one.farther:
+        moves = now.spread > _LEAST_SPREAD * np.nanmax(now.spread)
+        touched = (one.data.readings != data.readings).any(axis=0) & data.used.any(axis=0) & moves
+        if touched.any() and not better[touched].all():
+            return False
+    return not worse[np.isfinite(was)].any()
 
 
 def _is_columns(one: SetUp, model: ModelWithEffects, data: Measurements) -> bool:
@@ -219,13 +253,17 @@ def _moves(model: ModelWithEffects, data: Measurements, now: Plausible) -> bool:
 def _is_physics(model: ModelWithEffects, data: Measurements, datum: Bools, now: Plausible) -> bool:
     """Whether a known effect of plausible size takes most of what is left: where readings move little, a large part of
     that may be physics."""
+    return any(found.relative < min(_ABSURD, _MOST * now.relative) for found in _with_an_effect(model, data, datum))
+
+
+def _with_an_effect(model: ModelWithEffects, data: Measurements, datum: Bools) -> Iterator[Plausible]:
+    """Fits with plausible parameters, each with one known effect."""
     for effect in model.can_be_tried(tuple(model.known_effects.values()), data)[0]:
         if effect.search is None:
             more = model.with_effect(effect)
             found = plausible_fit(more, data, np.append(datum, np.zeros(len(effect.parameters), dtype=bool)))
-            if found is not None and found.relative < min(_ABSURD, _MOST * now.relative):
-                return True
-    return False
+            if found is not None:
+                yield found
 
 
 def _nothing_usual(now: Plausible, before: float, unit: str) -> Mistake:

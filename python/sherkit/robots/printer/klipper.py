@@ -26,6 +26,8 @@ _FULL_STEPS = 200.0
 _CALIBRATED = "DELTA_CALIBRATE"
 #: Klipper rounds the spacing of a round mesh down to this, mm.
 _ROUNDED = 0.01
+#: A mesh that reaches so much farther than the radius that is set was probed with another, mm.
+_ANOTHER = 1.0
 
 
 def import_klipper(path: str | Path, plates: Mapping[str, float] | None = None) -> Found:
@@ -141,8 +143,22 @@ def _mesh(config: KlipperConfig, name: str) -> list[tuple[float, float, float]]:
             f"found {low[0]:g} to {high[0]:g} and {low[1]:g} to {high[1]:g}"
         )
     x, y = np.linspace(low[0], high[0], z.shape[1]), np.linspace(low[1], high[1], z.shape[0])
-    probed = _probed(x, y, z)
+    probed = _within(config, x, y) & _probed(x, y, z)
     return [(float(x[i]), float(y[j]), float(z[j, i])) for j, i in np.argwhere(probed)]
+
+
+def _within(config: KlipperConfig, x: Floats, y: Floats) -> Bools:
+    """Which points (rows, columns) of a mesh lie within the radius that the printer's bed has, where it has one: of a
+    mesh that was saved with another grid the corners are copies, or interpolated, and no arm may reach them."""
+    centre = 0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1])
+    away = np.hypot(x - centre[0], (y - centre[1])[:, None])
+    if config.get("bed_mesh", "mesh_radius") is None:
+        return np.ones(away.shape, dtype=bool)
+    radius = config.number("bed_mesh", "mesh_radius")
+    if radius < 0.5 * max(x[-1] - x[0], y[-1] - y[0]) - _ANOTHER:
+        # the mesh is older than the radius
+        return np.ones(away.shape, dtype=bool)
+    return away <= radius + _ROUNDED * max(len(x), len(y))
 
 
 def _probed(x: Floats, y: Floats, z: Floats) -> Bools:

@@ -3,6 +3,7 @@
 from ...model.kinds import Kind
 from .calibration import SerialCalibration
 from .columns import POSITION, layout_of_arm
+from .dh import read_in_the_other_convention
 from .drawing import drawing
 from .full_poses import points_of_poses
 from .model import SerialModel
@@ -30,7 +31,7 @@ _COMMON = tuple(layout_of_arm([(f"joint_{i + 1}", "rad") for i in range(count)])
 KIND = Kind(
     "serial", Serial, SerialModel, _COMMON, SerialCalibration, VirtualSerial, coordinates=POSITION, areas=AREAS,
     called="the serial arm", example=_EXAMPLE, own_layouts=lambda robot: (robot.layout,),
-    drawing=drawing,
+    misread=read_in_the_other_convention, drawing=drawing,
 )  # fmt: skip
 
 __all__ = [

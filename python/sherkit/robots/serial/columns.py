@@ -29,4 +29,5 @@ def layout_of_arm(joints: Sequence[tuple[str, str]]) -> Layout:
         apart=(TARGET, CENTRE, PLANE),
         from_fixed=True,
         loads=(PAYLOAD,),
+        own_joints=True,
     )

@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import RobotError
 from ...names import listed, nearest
-from .frames import about, as_written, frame
+from ...types import Floats
+from .frames import Triple, about, as_written, frame, of_rpy
 from .robot import MOST_JOINTS, TYPES, Joint, Serial
 
 CONVENTIONS = ("standard", "modified")
@@ -51,6 +54,52 @@ def import_dh(path: str | Path, convention: str = "standard") -> Serial:
         folded = np.eye(4) if convention == "modified" else link
     shift, turn = as_written(folded)
     return Serial(tuple(joints), shift, turn)
+
+
+def read_in_the_other_convention(arm: Serial) -> Iterator[tuple[str, str, Serial]]:
+    """The arms that a table gives which was read in the other convention, where the arm may come from a table: with the
+    part of each row that moves with the joint on the wrong side of it."""
+    rows = [_row_of(frame(joint.origin_mm, of_rpy(_rad(joint.rpy_deg)))) for joint in arm.joints]
+    if any(row is None for row in rows):
+        return
+    links, own = zip(*(row for row in rows if row is not None), strict=True)
+    end, nothing = frame(arm.target_mm, of_rpy(_rad(arm.tool_rpy_deg))), np.eye(4)
+    # read as standard, a link stands behind its joint, as modified before it; a target of one's own hides the last
+    last = end if _is_link(end) else frame((0.0, 0.0, 0.0), end[:3, :3])
+    if _is_link(last):
+        rest = nothing if _is_link(end) else frame(arm.target_mm, nothing[:3, :3])
+        yield _read_as("standard", "modified", arm, (*links[1:], last), own, rest)
+    yield _read_as("modified", "standard", arm, (nothing, *links[:-1]), own, links[-1] @ end)
+
+
+def _read_as(
+    read: str, meant: str, arm: Serial, links: Sequence[Floats], own: Sequence[Floats], end: Floats
+) -> tuple[str, str, Serial]:
+    made = [as_written(link @ moved) for link, moved in zip(links, own, strict=True)]
+    joints = [replace(one, origin_mm=shift, rpy_deg=turn) for one, (shift, turn) in zip(arm.joints, made, strict=True)]
+    target, tool = as_written(end)
+    looks = f"the table of Denavit and Hartenberg behind the robot file looks {meant}, and was read as {read}"
+    other = replace(arm, joints=tuple(joints), target_mm=target, tool_rpy_deg=tool)
+    return looks, f"import it with the convention {meant}", other
+
+
+def _rad(degrees: Triple) -> list[float]:
+    return [math.radians(value) for value in degrees]
+
+
+def _is_link(made: Floats) -> bool:
+    """Whether a transform is ``Tx(a) Rx(α)``."""
+    row = _row_of(made)
+    return row is not None and np.allclose(row[1], np.eye(4), atol=1e-6)
+
+
+def _row_of(made: Floats) -> tuple[Floats, Floats] | None:
+    """The two parts of ``Tx(a) Rx(α) Tz(d) Rz(θ)``; None for a transform that is no such product."""
+    alpha, theta = np.arctan2(-made[1, 2], made[2, 2]), np.arctan2(-made[0, 1], made[0, 0])
+    link = frame((made[0, 3], 0.0, 0.0), about(0, alpha))
+    along = float(np.cos(alpha) * made[2, 3] - np.sin(alpha) * made[1, 3])
+    own = frame((0.0, 0.0, along), about(2, theta))
+    return (link, own) if np.allclose(link @ own, made, atol=1e-6) else None
 
 
 class _Row:
