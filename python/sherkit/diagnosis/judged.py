@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from .. import linalg
 from ..data.noise import MAD
 from ..types import Bools, Floats, Ints
 from .believable import CUT, ROUNDS, huber
@@ -367,7 +368,7 @@ class Judged:
         q = self.basis.reshape(len(self.count), m, -1)
         part = q[believed].reshape(-1, q.shape[2])
         root_count = np.sqrt(self.count)[:, None]
-        value, vector = np.linalg.eigh(part.T @ part)
+        value, vector = linalg.eigh(part.T @ part)
         # what the believed ones do not tell is not held against the others
         root = vector / np.sqrt(np.maximum(value, 1e-9))
         x = root @ (root.T @ (part.T @ (root_count * self._mean_residual)[believed].reshape(-1)))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from .. import linalg
 from ..arguments import Level, Seed, as_annotated
 from ..data.given import RunLike
 from ..errors import EffectError, FitError
@@ -264,7 +265,7 @@ def _parameters(base: Stage, candidate: Candidate, run: FittedRun | None) -> tup
     squares = np.maximum(np.diag(gram), np.maximum(_ROUNDING * np.diag(columns.whole), 1e-300))
     np.fill_diagonal(gram, squares)
     length = np.sqrt(squares)
-    value, vector = np.linalg.eigh(gram / np.outer(length, length))
+    value, vector = linalg.eigh(gram / np.outer(length, length))
     keep = value > 1e-10
     inverse = (vector[:, keep] / value[keep]) @ vector[:, keep].T / np.outer(length, length)
     x = inverse @ columns.by_residual
@@ -312,9 +313,9 @@ def _axes_of(stage: Stage, shape: Shape) -> list[str]:
     first = len(scan.numbers(shape.columns))
     fitted, columns = image.model[:, : scan.fitted], image.model[:, scan.fitted : scan.fitted + first]
     basis = orthonormal(fitted)
-    x = np.linalg.lstsq(columns - basis @ (basis.T @ columns), image.residual, rcond=1e-9)[0]
+    x = linalg.lstsq(columns - basis @ (basis.T @ columns), image.residual, rcond=1e-9)[0]
     length = np.maximum(np.linalg.norm(fitted, axis=0), 1e-300)
-    covered = np.linalg.lstsq(fitted / length, columns @ x, rcond=1e-9)[0] / length
+    covered = linalg.lstsq(fitted / length, columns @ x, rcond=1e-9)[0] / length
     weights = np.concatenate([-covered, x])
     by_axis = sum(((model[:, :, : len(weights)] @ weights) ** 2).sum(axis=0) for _, _, model in scan.every_block())
     noise = stage.scan.sum_of_squares / stage.scan.free
