@@ -22,6 +22,7 @@ from ..types import Floats
 from .answers import CandidateReport, Diagnosis, StepReport
 from .claims import verdict_of
 from .crossvalidation import HeldOutError, held_out
+from .few_enough import few_enough
 from .fitted_run import FittedRun
 from .held_out import by_noise_alone, deals_of
 from .hiding import hides_in
@@ -33,6 +34,7 @@ from .one_unknown import OneUnknown, one_unknown
 from .outliers import sentences, without_outliers
 from .power import smallest_found
 from .propositions import claims_of
+from .repeats import by_repeats, in_repeats, with_the_way
 from .search import SearchResult, is_plausible
 from .setting import periods_shown
 from .shapes import Shape
@@ -105,8 +107,19 @@ def diagnose(
             "neither repeats nor a declared noise: how much of the rest is noise cannot be known, only whether "
             "it has structure; repeat some poses or add sigma columns"
         )
+    step("what repeats hold")
+    # what is left of a mistake of the set-up tells nothing of noise
+    repeats = None if mistakes or run.is_exact else in_repeats(run, seed=seed)
+    contradicted: dict[str, tuple[float, float]] = {}
+    if repeats is not None:
+        run = run.with_data(with_the_way(run.data, repeats.held, run))
+        sigma, contradicted = by_repeats(run, sigma, repeats, declared=origin == "declared")
+        origin = "repeats" if contradicted else origin
+    periods = repeats.periods if repeats is not None else ()
     deals = deals_of(run, seed)
-    found = searched(run, every, rows, sigma, deals, level=level, seed=seed, step=step, look=not mistakes)
+    found = searched(
+        run, every, rows, sigma, deals, level=level, seed=seed, step=step, look=not mistakes, periods=periods
+    )
     final, rho = found.final, found.search.rho
     notes += found.notes
     notes += [f"{one.sentence}. {one.workshop}" for one in known(final.fit).values()]
@@ -117,8 +130,9 @@ def diagnose(
     stage = stage_of(final, every, rows, sigma, rho=rho, thorough=False, at=at) if found.names else base_stage
     gains = held_out(base_stage, np.stack([deal[base_stage.rows] for deal in deals]))
 
+    left = None if repeats is None else repeats if final is run else in_repeats(final, seed=seed)
     if origin != "declared":
-        sigma = _noise_left(final, sigma)
+        sigma = _noise_left(final, sigma) if left is None else left.noise
     needed = not_needed(final, [e for e in run.model.effects if e.name not in run.model.within], sigma, deals, seed)
     fitness = lack_of_fit(final, level)
     numbers = sum(len(c.effect.parameters) for c in found.result.added)
@@ -127,8 +141,8 @@ def diagnose(
     unknown = one_unknown(run, final, found.names, run.noise[0], deals) if many else None
     wander = wander_of(final)
     claims = claims_of(
-        final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, wander,
-        lambda: by_noise_alone(final, sigma, deals, level, seed),
+        final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, wander, left, contradicted,
+        lambda: by_noise_alone(final, sigma, deals, level, seed), lambda: few_enough(final, sigma, deals),
     )  # fmt: skip
     verdict = verdict_of(claims, found.names)
     reservations = [str(unknown)] if unknown is not None and unknown.rivals else []
@@ -147,7 +161,9 @@ def diagnose(
     if verdict == "adequate" and not final.is_exact:
         threshold = float(np.quantile(found.result.stages[0].scan.null(seed)[1:], 1 - level))
         smallest = {c.name: smallest_found(stage, c, threshold) for c in found.search.strongest_settings(stage)}
-    signature = _signature(found.result, found.result.stages[-1]) if found.result.signature else None
+    signature = left.signature(final) if left is not None and left.held else None
+    if found.result.signature:
+        signature = _signature(found.result, found.result.stages[-1])
     proposal = _next(found.result, unknown, sigma)
     return Diagnosis(
         verdict=verdict,
