@@ -60,8 +60,8 @@ class FittedRun(Saved):
 
     @property
     def catalogue(self) -> tuple[Effect, ...]:
-        """Effects tried without being asked for."""
-        return tuple(self.model.known_effects.values())
+        """Effects tried without being asked for, and what is held at the drawing."""
+        return (*self.model.known_effects.values(), *self.model.held.values())
 
     @property
     def used(self) -> Bools:

@@ -349,6 +349,6 @@ def _over_the_wall(
 
 def extended_by(model: ModelWithEffects, effects: Sequence[str | Effect]) -> ModelWithEffects:
     """The model with more effects: by name, or the user's own. Raises :class:`~sherkit.errors.EffectError`."""
-    for effect in named_effects(model.known_effects, effects):
-        model = model.with_effect(effect)
+    for effect in named_effects({**model.known_effects, **model.held}, effects):
+        model = model.adopting(effect)
     return model
