@@ -79,15 +79,25 @@ def test_too_little_says_nothing() -> None:
 
 def test_a_verdict_says_that_readings_wander() -> None:
     """Catches praise for a run whose x moves by three times the noise of a reading and comes back, again and again: too
-    quick for a smooth shape in time, it counts as noise of the repeats, and was "adequate" without a word."""
+    quick for a smooth shape in time, it counts as noise, and was "adequate" without a word. Where poses were repeated
+    it is no noise at all."""
     robot = Robot.from_dict(NOMINAL_CONFIG)
-    plan = make_plan(robot, grid(18.0, 6, (-15.0, 0.0, 15.0)), repeats=3, order="shuffled", seed=4)
-    columns = simulate(robot, plan, noise=0.005, seed=4)
-    frame = pl.DataFrame(columns)
-    steady = sk.diagnose(EXAMPLE, sk.from_frame(frame))
-    assert "wanders" not in steady.headline
-    assert next(c for c in steady.claims if c.name == "steady").holds
-    humid = 0.015 * np.sin(2 * np.pi * frame["time_s"] / 150.0 + 1.0)
-    found = sk.diagnose(EXAMPLE, sk.from_frame(frame.with_columns(pl.col("x_mm") + humid)))
-    assert "x wanders by" in found.headline
-    assert not next(c for c in found.claims if c.name == "steady").holds
+    for repeats, side in ((3, 6), (1, 14)):
+        points = grid(18.0, side, (-15.0, 0.0, 15.0))
+        plan = make_plan(robot, points, repeats=repeats, order="shuffled", seed=4)
+        columns = simulate(robot, plan, noise=0.005, seed=4)
+        frame = pl.DataFrame(columns)
+        steady = sk.diagnose(EXAMPLE, sk.from_frame(frame))
+        assert "wanders" not in steady.headline
+        assert next(c for c in steady.claims if c.name == "steady").holds
+        humid = 0.015 * np.sin(2 * np.pi * frame["time_s"] / 150.0 + 1.0)
+        found = sk.diagnose(EXAMPLE, sk.from_frame(frame.with_columns(pl.col("x_mm") + humid)))
+        assert not next(c for c in found.claims if c.name == "steady").holds
+        if repeats == 1:
+            assert "x wanders by" in found.headline
+        else:
+            assert found.verdict == "unexplained"
+            assert found.signature is not None
+            assert (found.signature["depends_on"], found.signature["axis"]) == (["time_s"], ["x"])
+            assert found.signature["period"] == pytest.approx(150.0, rel=0.01)
+            assert max(found.noise.values()) < 5.5

@@ -105,8 +105,8 @@ def test_references_that_creep_are_followed(seed: int) -> None:
 
 
 def test_single_wild_readings_cost_nothing_that_lasts() -> None:
-    """Catches a wild reading that stays in the mean of the last second, which is then doubted (depth off by 0.7 mm), and a
-    smoother that takes a refused reading for one that was used (10³⁰ mm)."""
+    """Catches a wild reading that stays in the mean of the last second, which is then doubted (depth off by 0.7 mm),
+    and a smoother that takes a refused reading for one that was used (10³⁰ mm)."""
     world, seed = FAULTS["spikes"], 1
     recorded, sound = world.run("phantom", seed=seed), replace(world, faults=()).run("phantom", seed=seed)
     told, well = (honest(estimate(tool_of(world, seed), run_of(run)), run) for run in (recorded, sound))

@@ -82,7 +82,9 @@ def calibrate(
         raise FitError(f"correction: '{correction}' is not known; choose {', '.join(CORRECTIONS)}")
     whole, local = run_for(robot, whole), None if local is None else run_for(robot, local)
     robot = robot_of(robot)
-    added = named_effects(catalogue_of(robot), effects)
+    # what these parameters leave held can be freed by the name that a diagnosis gives it
+    held = model_of(robot, free).held if free else {}
+    added = named_effects({**catalogue_of(robot), **held}, effects)
     own = [effect for effect in added if effect.function is not None]
     made = calibration_class(robot)
     made.require(robot)
@@ -104,7 +106,7 @@ def calibrate(
             if missing:
                 raise EffectError(f"{data.source}: '{effect.name}' needs the column {listed(missing)}")
             at = setting_for(identify(model, data), effect) if effect.search else None
-            model = model.with_effect(effect, at=at)
+            model = model.adopting(effect, at=at)
         fit = identify(model, data, loss=loss, priors=priors, linear=linear)
         refuse_absurd(fit, [effect.name for effect in added])
         if loss == "linear" and not without_outliers:

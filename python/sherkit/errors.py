@@ -62,7 +62,7 @@ class NotFinite(SherkitError, ValueError):
 
 
 class Singular(SherkitError):
-    """The joints do not fix the position here."""
+    """What fixes nothing: joints that do not fix the position here, a matrix that has no inverse."""
 
 
 class NotConverged(SherkitError):

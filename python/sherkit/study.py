@@ -199,7 +199,8 @@ class Study(Shown):
             self._register(effect)
             chosen = effect
         else:
-            (chosen,) = effects_by_name(self.model.known_effects, (effect,), tuple(self.own.values()))
+            known = {**self.model.known_effects, **self.model.held}
+            (chosen,) = effects_by_name(known, (effect,), tuple(self.own.values()))
         if chosen.name in self.effects or chosen.name == "datum":
             raise EffectError(f"'{chosen.name}' is in the model already")
         missing = lacks(chosen, self.data)
@@ -215,7 +216,8 @@ class Study(Shown):
         at = {"time_s": slip_time_s, "period_mm": period_mm, "period_rad": period_rad}.get(chosen.search or "")
         if at is None:
             at = setting_for(self.fit, chosen)
-        return self._change(self.model.with_effect(chosen, at=at), self.data, f"added {chosen.name}")
+        action = chosen.name if chosen.frees else f"added {chosen.name}"
+        return self._change(self.model.adopting(chosen, at=at), self.data, action)
 
     @as_annotated
     def remove(self, name: str) -> StudyStep:

@@ -388,7 +388,7 @@ class Workbench:
             data=study.data,
             effects=study.effects,
             own=tuple(study.own),
-            known={**study.model.known_effects, **study.own},
+            known={**study.model.known_effects, **study.model.held, **study.own},
             history=tuple(study.history),
             residuals=tuple(residuals),
             diagnosis=None,

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import linalg
 from ..errors import RobotError, SherkitError
 from ..names import closest, listed, nearest
 from ..types import Floats
@@ -296,7 +297,7 @@ class Table:
     def covariance(self, key: str, size: int) -> Floats:
         """A covariance (size, size): no variance of it is negative."""
         made = self.array(key, size, size)
-        if size and np.linalg.eigvalsh(0.5 * (made + made.T))[0] < -1e-9 * max(float(np.trace(made)), 1e-300):
+        if size and linalg.eigvalsh(0.5 * (made + made.T))[0] < -1e-9 * max(float(np.trace(made)), 1e-300):
             raise self.fail(key, "a covariance (symmetric, no negative variance)")
         return made
 

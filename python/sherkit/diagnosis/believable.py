@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from .. import linalg
 from ..data.noise import MAD
 from ..errors import SherkitError
 from ..types import Floats, Ints
@@ -68,7 +69,7 @@ def _robust_step(residual: Floats, columns: Floats, floor: Floats) -> Floats:
     scale = np.maximum(np.linalg.norm(a, axis=0), 1e-300)
     q = orthonormal(a)
     left = huber(e, lambda tame: (q @ (q.T @ tame.reshape(-1))).reshape(e.shape))
-    return np.linalg.lstsq(a / scale, (e - left).reshape(-1), rcond=1e-9)[0] / scale
+    return linalg.lstsq(a / scale, (e - left).reshape(-1), rcond=1e-9)[0] / scale
 
 
 def huber(e: Floats, fitted: Callable[[Floats], Floats]) -> Floats:

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 #: Claims of which the first line speaks though nothing is decided by them.
-AS_DRAWN, APART, DIGITS = "as_drawn", "apart", "digits"
+AS_DRAWN, APART, DIGITS, DECLARED = "as_drawn", "apart", "digits", "noise_as_declared"
+#: The claim that repeats differ by noise alone.
+REPEATS = "repeats_are_noise"
 #: The claim that tests lack of fit.
 POSES_AS_REPEATS = "poses_as_repeats"
 #: The claims that compare rows held out with the noise, and with what few poses make of it.
@@ -82,7 +84,7 @@ def headline(claims: Sequence[Claim], effects: Sequence[str], not_needed: Sequen
             line += "; " + "; ".join(failing[:_MOST])
     # a wrong column, or an absurd number, moves the drawing as well
     wrong = {claim.name for claim in claims if claim.holds is False}
-    spoken = {APART, DIGITS} if wrong & _MOVES else {APART, DIGITS, AS_DRAWN}
+    spoken = {APART, DIGITS, DECLARED} | ({AS_DRAWN} if not wrong & _MOVES else set())
     line += "".join(f"; but {claim.fails}" for claim in claims if claim.name in wrong & spoken)
     if not_needed:
         verb = "is" if len(not_needed) == 1 else "are"

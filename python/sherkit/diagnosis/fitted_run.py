@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from ..data import Measurements
 from ..data.noise import Noise, noise_of
 from ..errors import FitError
 from ..fit.hold_out import blocks_of
@@ -59,8 +60,8 @@ class FittedRun(Saved):
 
     @property
     def catalogue(self) -> tuple[Effect, ...]:
-        """Effects tried without being asked for."""
-        return tuple(self.model.known_effects.values())
+        """Effects tried without being asked for, and what is held at the drawing."""
+        return (*self.model.known_effects.values(), *self.model.held.values())
 
     @property
     def used(self) -> Bools:
@@ -142,6 +143,10 @@ class FittedRun(Saved):
         # repeats that were wild told of too much noise
         noise = noise_of(data) if self.fit.noise.origin == "repeats" else self.fit.noise
         return FittedRun(identify(self.model, data, noise=noise))
+
+    def with_data(self, data: Measurements) -> FittedRun:
+        """The same fit of the same rows, with other columns beside them."""
+        return self if data is self.data else FittedRun(replace(self.fit, data=data))
 
     def residuals_on(self, rows: Ints, other: FittedRun) -> Floats:
         """What the fit of ``other`` leaves on these rows (rows, columns). Raises as :meth:`refit`."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import linalg
 from ..types import Floats, Ints
 from .linearised import blocks
 
@@ -90,8 +91,8 @@ class Folds:
         gram, right, _, _ = self.outside
         turn = self._turn
         turned = turn.T @ gram @ turn
-        if len(turn.T) and np.linalg.eigvalsh(turned).min() > _BEYOND:
-            return np.linalg.solve(turned, turn.T @ right[:, :, None])[:, :, 0] @ turn.T
+        if len(turn.T) and linalg.eigvalsh(turned).min() > _BEYOND:
+            return linalg.solve(turned, turn.T @ right[:, :, None])[:, :, 0] @ turn.T
         root = roots_of(gram)
         return (root @ (root.transpose(0, 2, 1) @ right[:, :, None]))[:, :, 0]
 
@@ -118,7 +119,7 @@ class Folds:
 def roots_of(grams: Floats, least: float = 0.0) -> Floats:
     """Matrices (…, k, k) whose products with their transposes are the pseudo-inverses; eigenvalues below ``least``
     count as none, and leave a column of zeros."""
-    value, vector = np.linalg.eigh(grams)
+    value, vector = linalg.eigh(grams)
     highest = np.max(value, axis=-1, initial=0.0, keepdims=True)
     keep = value > np.maximum(np.maximum(1e-11 * highest, least), 1e-300)
     return vector * np.where(keep, 1.0 / np.sqrt(np.where(keep, value, 1.0)), 0.0)[..., None, :]

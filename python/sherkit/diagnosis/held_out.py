@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from .. import linalg
 from ..errors import FitError
 from ..types import Floats, Ints
 from .fitted_run import FittedRun
@@ -107,7 +108,7 @@ def _drawn(folds: Folds, rng: np.random.Generator) -> Floats:
 
 def _square_root(grams: Floats) -> Floats:
     """Matrices (f, k, k) whose products with their transposes are these."""
-    value, vector = np.linalg.eigh(grams)
+    value, vector = linalg.eigh(grams)
     return vector * np.sqrt(np.where(value > 1e-12 * value[:, -1:], value, 0.0))[:, None, :]
 
 

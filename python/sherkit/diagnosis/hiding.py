@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy
 
+from .. import linalg
 from ..types import Floats
 from .linearised import orthonormal
 from .stage import Stage
@@ -51,10 +51,10 @@ def _taken_up(whole: Floats, left: Floats, columns: Floats, fitted: Floats, name
     ``whole`` (k, k) is the columns' Gram matrix and ``left`` that of what the parameters leave of them; ``fitted`` (r,
     p) are the parameters' columns in plausible sizes and ``columns`` (r, k) at least what of them lies in these.
     """
-    value, vector = np.linalg.eigh(whole)
+    value, vector = linalg.eigh(whole)
     root = vector[:, value > 1e-12 * value[-1]] / np.sqrt(value[value > 1e-12 * value[-1]])
-    if not root.shape[1] or np.linalg.eigvalsh(root.T @ left @ root)[-1] > 1.0 - _HIDDEN_FROM:
+    if not root.shape[1] or linalg.eigvalsh(root.T @ left @ root)[-1] > 1.0 - _HIDDEN_FROM:
         return ()
-    x = np.linalg.norm(scipy.linalg.lstsq(fitted, columns, cond=1e-9)[0], axis=1)
+    x = np.linalg.norm(linalg.lstsq(fitted, columns, rcond=1e-9)[0], axis=1)
     top = np.argsort(-x)[:_MOST_NAMED]
     return tuple(str(names[k]) for k in top if x[k] >= _NAMED_FROM * x[top[0]])

@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from .. import linalg
 from ..data.noise import MAD
 from ..types import Bools, Floats, Ints
 from .believable import CUT, ROUNDS, huber
@@ -33,6 +34,8 @@ _MOST_COLUMNS = 0.15
 _ABSORBED = 1e-3
 #: What is left counts as noise up to this many times the noise.
 _LIKE_NOISE = 1.5
+#: What is wild without a column, and alone tells so much of it with it, is no witness for it.
+_ALONE = 0.25
 #: Efficiency of a median absolute deviation.
 _MAD_EFFICIENCY = 0.37
 #: A prediction is never taken for better than this part of the reading's own variance.
@@ -98,6 +101,7 @@ class Judged:
             left = huber(self.e, self._taken)
         if self.basis.shape[1] > columns:
             described, lower, left_over = self._concentrated(left)
+            described = described & (believed | (self._fitted(described)[1] <= _ALONE).all(axis=1))
             if lower < criterion:
                 # where more than noise is left there is structure that no column describes, and its extremes look wild
                 believed = described if left_over <= _LIKE_NOISE else described | believed
@@ -367,7 +371,7 @@ class Judged:
         q = self.basis.reshape(len(self.count), m, -1)
         part = q[believed].reshape(-1, q.shape[2])
         root_count = np.sqrt(self.count)[:, None]
-        value, vector = np.linalg.eigh(part.T @ part)
+        value, vector = linalg.eigh(part.T @ part)
         # what the believed ones do not tell is not held against the others
         root = vector / np.sqrt(np.maximum(value, 1e-9))
         x = root @ (root.T @ (part.T @ (root_count * self._mean_residual)[believed].reshape(-1)))

@@ -15,6 +15,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from .. import linalg
 from ..data.columns import unit_in
 from ..model.effect import Effect
 from ..types import Floats, Ints
@@ -232,7 +233,7 @@ def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:
         return flat
     # the small Gram matrix decides on rank, a second pass restores orthogonality
     for _ in range(2):
-        value, vector = np.linalg.eigh(flat.T @ flat)
+        value, vector = linalg.eigh(flat.T @ flat)
         keep = value > max(tolerance**2, 1e-14) * value[-1]
         flat = flat @ (vector[:, keep] / np.sqrt(value[keep]))
     return flat

@@ -52,15 +52,16 @@ def searched(
     seed: int,
     step: Callable[[str], None],
     look: bool,
+    periods: Sequence[tuple[str, float]] = (),
 ) -> Named:
     """Searches on all rows. An effect that does not earn its place on rows held out, as a member of what was found, is
     not named: the search is made again without it. Nothing is looked for where there is nothing to ``look`` for: what a
-    mistake of the set-up leaves says nothing on physics."""
+    mistake of the set-up leaves says nothing on physics. ``periods`` (variable, period) are tried as shapes besides."""
     refused: list[str] = []
     notes: list[str] = []
     while True:
         tried = [e for e in effects if e.name not in refused]
-        search = Search(run, tried, rows, sigma, level=level, seed=seed, step=step)
+        search = Search(run, tried, rows, sigma, level=level, seed=seed, periods=periods, step=step)
         result = search.find() if look else search.as_it_stands()
         base = StepReport(None, held_out_rms(run, sigma, deals))
         if not result.added:

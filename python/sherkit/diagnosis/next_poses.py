@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .. import linalg
 from ..data import Measurements
 from ..data.columns import bare
 from ..errors import SherkitError
@@ -222,7 +223,7 @@ class _Problem:
     def scores(self, k: int) -> Floats:
         """Distance of the refitted rival from the true model once each pose is added as the k-th."""
         columns, away = self.new[k]
-        value, vector = np.linalg.eigh(self.gram)
+        value, vector = linalg.eigh(self.gram)
         keep = value > 1e-10 * value[-1]
         root = vector[:, keep] / np.sqrt(value[keep])
         rest = vector[:, ~keep]
@@ -234,7 +235,7 @@ class _Problem:
         covariance = (
             np.eye(columns.shape[1]) + spread @ spread.transpose(0, 2, 1) + 1e8 * free @ free.transpose(0, 2, 1)
         )
-        gained = np.einsum("na,na->n", miss, np.linalg.solve(covariance, miss[:, :, None])[:, :, 0])
+        gained = np.einsum("na,na->n", miss, linalg.solve(covariance, miss[:, :, None])[:, :, 0])
         return gained + self.square - float(self.right @ x)
 
     def add(self, pose: int, k: int) -> None:
@@ -243,7 +244,7 @@ class _Problem:
         self.gram += columns.T @ columns
         self.right += columns.T @ away
         self.square += float(away @ away)
-        value, vector = np.linalg.eigh(self.gram)
+        value, vector = linalg.eigh(self.gram)
         keep = value > 1e-10 * value[-1]
         root = vector[:, keep] / np.sqrt(value[keep])
         x = root @ (root.T @ self.right)

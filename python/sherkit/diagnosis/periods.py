@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from .. import linalg
 from ..names import listed
 from ..types import Floats, Ints
 from .stage import Candidate, Stage
@@ -153,7 +154,7 @@ class _Profile:
         # sine and cosine of an input share a scale: where it stands at multiples of a period, there is no sine
         pairs = whole.reshape(-1, 2).mean(axis=1)
         scale = 1.0 / np.sqrt(np.maximum(np.repeat(pairs, 2), np.finfo(float).tiny))
-        left, directions = np.linalg.eigh(scale[:, None] * gram * scale)
+        left, directions = linalg.eigh(scale[:, None] * gram * scale)
         seen = left > _SEEN
         taken = (directions[:, seen].T @ (scale * along)) ** 2 / left[seen]
         return float(taken.sum())

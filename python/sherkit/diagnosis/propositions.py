@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,21 +11,21 @@ from ..data.doubts import Doubt
 from ..fit.set_up import Mistake
 from ..names import listed
 from ..types import Floats, Ints
-from .claims import APART, AS_DRAWN, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, SMALL, Claim
+from .claims import APART, AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SMALL, Claim
 from .earned import Earned
+from .few_enough import FewEnough
 from .fitted_run import FittedRun
 from .lack_of_fit import LackOfFit
 from .named import Named
 from .one_unknown import OneUnknown
 from .outliers import in_one_go, spans
+from .repeats import Repeats
 from .rounded import Rounded, rounded
 from .sizes import ABSURD, PLAUSIBLE, largest, sizes_of
 from .steady import Wander
 
 #: Held-out error over noise up to which what is left is as small as the noise.
 PRAISE = 1.25
-#: Held-out error over what the fit itself leaves from which poses are too few, where nobody knows the noise.
-_LOOSE = 2.0
 #: Part of the rows that may be listed as wrong before the rest is no run any more.
 _WRONG = 0.2
 
@@ -44,15 +44,19 @@ def claims_of(
     table: Sequence[Doubt],
     digits: Rounded | None,
     wander: Wander | None,
+    repeats: Repeats | None,
+    contradicted: Mapping[str, tuple[float, float]],
     by_noise: Callable[[], float],
+    enough: Callable[[], FewEnough | None],
 ) -> tuple[Claim, ...]:
     """Every claim about a final fit, those that decide first.
 
     ``sigma`` (columns,) is the noise, ``fitness`` what poses leave beyond their repeats, ``unknown`` one cause in place
     of several, ``needed`` what the effects that were in the model earn, ``wild`` the rows left out, ``mistakes`` those
     of the set-up, ``table`` what its poses cannot tell, ``digits`` what steps of columns leave where that is most,
-    ``wander`` what is left in the course of time, ``by_noise`` gives what noise alone leaves on rows held out of these
-    poses, in noises.
+    ``wander`` what is left in the course of time, ``repeats`` what repeats of a pose hold, ``contradicted`` by axis the
+    noise that was declared and the one that repeats show; ``by_noise`` gives what noise alone leaves on rows held out
+    of these poses, in noises, and ``enough`` the parameters that are enough there.
     """
     unit, used = final.unit, f"all {int(final.whole.sum())} rows that are used"
     out = [_set_up(mistakes, final), *_table(table, final), _converged(final, used), _plausible(final, used)]
@@ -71,9 +75,11 @@ def claims_of(
     beyond = fitness.size if fitness else float(np.sqrt(max(error**2 - known * _noise(final, sigma) ** 2, 0.0)))
     steps = digits or (rounded(final, beyond, sigma, noise_known=known) if fails else None)
     out += [left, _poses(final, fitness, followed=bool(found.result.signature) or steps is not None), small]
-    if (loose := _loosely(final, small, error, sigma)) is not None:
+    if (loose := _loosely(final, small, error, sigma, enough)) is not None:
         out.append(loose)
     out.append(_digits(steps, used, asked=fails))
+    out.append(_repeats(repeats))
+    out.append(_as_declared(final, contradicted, origin))
     out.append(_steady(final, wander, used))
     if unknown is not None:
         out.append(_several(unknown))
@@ -222,6 +228,32 @@ def _digits(steps: Rounded | None, used: str, *, asked: bool) -> Claim:
     return Claim(DIGITS, tested, used, told, holds=steps is None, decisive=False, fails=told)
 
 
+def _repeats(repeats: Repeats | None) -> Claim:
+    tested = "what repeats of a pose differ by is noise alone"
+    if repeats is None:
+        return Claim(REPEATS, tested, "no rows", "too few poses were repeated", holds=None)
+    return Claim(
+        REPEATS, tested, f"{repeats.rows} rows of repeated poses", str(repeats), holds=not repeats.held, p=repeats.p,
+        fails=f"repeats of a pose differ by more than noise: {repeats}",
+    )  # fmt: skip
+
+
+def _as_declared(final: FittedRun, contradicted: Mapping[str, tuple[float, float]], origin: str) -> Claim:
+    tested, rows = "repeats scatter by the noise that was declared", "rows of repeated poses"
+    if not contradicted:
+        told = "nothing else was seen" if origin == "declared" else "none was declared"
+        return Claim(DECLARED, tested, rows, told, holds=True if origin == "declared" else None, decisive=False)
+    each = ", ".join(
+        f"{axis} {said:.3g} {final.unit} declared, {shown:.3g} shown" for axis, (said, shown) in contradicted.items()
+    )
+    ratio = max(max(said / shown, shown / said) for said, shown in contradicted.values())
+    told = f"{each}: {ratio:.2g} times apart; all that is said here is by what repeats show"
+    return Claim(
+        DECLARED, tested, rows, told, holds=False, decisive=False,
+        fails=f"the declared noise is not what repeats show ({told}): are the deviations in the unit of their column?",
+    )  # fmt: skip
+
+
 def _steady(final: FittedRun, wander: Wander | None, used: str) -> Claim:
     tested = "what is left is steady in the course of time"
     if wander is None:
@@ -249,33 +281,33 @@ def _small(final: FittedRun, error: float, sigma: Floats, origin: str, by_noise:
     )  # fmt: skip
 
 
-def _loosely(final: FittedRun, small: Claim, error: float, sigma: Floats) -> Claim | None:
+def _loosely(
+    final: FittedRun, small: Claim, error: float, sigma: Floats, enough: Callable[[], FewEnough | None]
+) -> Claim | None:
     """Said of poses whose fit predicts others worse than they were read, though nothing is missing; and of so few that
-    their fit goes through all of them."""
-    noise, fit = _noise(final, sigma), final.fit
+    their fit goes through all of them. Where the noise is not known, it is what the fit leaves for each reading that it
+    has not used up."""
+    fit, left = final.fit, final.residuals[final.whole][:, list(final.axes)]
     poses = len(np.unique(final.data.standing[final.whole]))
     told = f"{poses} pose{'s fix' if poses > 1 else ' fixes'} {len(fit.values)} parameters so loosely that "
+    known = small.holds is not None
+    noise = _noise(final, sigma) if known else (
+        final.per_unit * float(np.sqrt((left**2).sum() / max(left.size - fit.rank, 1)))
+    )  # fmt: skip
     if poses * len(final.axes) <= fit.rank:
         told += "a fit goes through all of them, and nothing tells whether it holds elsewhere"
-    elif small.holds is None and error > _LOOSE * _left(final):
-        told += f"rows held out are off by {error:.3g} {final.unit} where the fit itself leaves {_left(final):.3g}"
-    elif small.holds and error > PRAISE * noise:
-        told += f"rows held out are off by {error:.3g} {final.unit} where the noise is {noise:.3g}"
+    elif small.holds is not False and not final.is_exact and error > PRAISE * noise:
+        told += f"rows held out are off by {error:.3g} {final.unit} where "
+        told += f"the noise is {noise:.3g}" if known else f"what the fit leaves is no more than noise of {noise:.3g}"
     else:
         return None
+    few = enough()
+    few_words = f", or free fewer: {len(few.names)} of {few.every} are enough" if few else ""
     return Claim(
-        LOOSE, "the poses fix the parameters well enough to predict others", _HELD, told, holds=False,
-        fails=f"{told}: measure more poses, out to the rim of the workspace",
+        LOOSE, "the poses fix the parameters well enough to predict others", _HELD,
+        f"{told}; {few}" if few else told, holds=False,
+        fails=f"{told}: measure more poses, out to the rim of the workspace" + few_words,
     )  # fmt: skip
-
-
-def _left(final: FittedRun) -> float:
-    """What a fit leaves, for each number that the poses have more than it: all that is known of a noise that nobody
-    knows."""
-    axes, rows = list(final.axes), final.whole
-    poses = len(np.unique(final.data.standing[rows]))
-    free = max(poses * len(axes) - final.fit.rank, 1) / (poses * len(axes))
-    return final.per_unit * float(np.sqrt(np.mean(final.residuals[rows][:, axes] ** 2) / free))
 
 
 def _noise(final: FittedRun, sigma: Floats) -> float:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from .. import linalg
 from ..arguments import Level, Seed, as_annotated
 from ..data.doubts import doubts
 from ..data.given import RunLike
@@ -22,6 +23,7 @@ from ..types import Floats
 from .answers import CandidateReport, Diagnosis, StepReport
 from .claims import verdict_of
 from .crossvalidation import HeldOutError, held_out
+from .few_enough import few_enough
 from .fitted_run import FittedRun
 from .held_out import by_noise_alone, deals_of
 from .hiding import hides_in
@@ -33,6 +35,7 @@ from .one_unknown import OneUnknown, one_unknown
 from .outliers import sentences, without_outliers
 from .power import smallest_found
 from .propositions import claims_of
+from .repeats import by_repeats, in_repeats, with_the_way
 from .rounded import steps_in
 from .search import SearchResult, is_plausible
 from .setting import periods_shown
@@ -109,6 +112,15 @@ def diagnose(
             "neither repeats nor a declared noise: how much of the rest is noise cannot be known, only whether "
             "it has structure; repeat some poses or add sigma columns"
         )
+    step("what repeats hold")
+    # what is left of a mistake of the set-up tells nothing of noise
+    repeats = None if mistakes or run.is_exact else in_repeats(run, seed=seed)
+    contradicted: dict[str, tuple[float, float]] = {}
+    if repeats is not None:
+        run = run.with_data(with_the_way(run.data, repeats.held, run))
+        sigma, contradicted = by_repeats(run, sigma, repeats, declared=origin == "declared")
+        origin = "repeats" if contradicted else origin
+    periods = repeats.periods if repeats is not None else ()
     deals = deals_of(run, seed)
     steps = steps_in(run) if look and not run.is_exact else None
     if steps is not None and not steps.alone and steps.put_back is not None:
@@ -116,7 +128,7 @@ def diagnose(
         there = searched(steps.put_back, every, rows, sigma, deals, level=level, seed=seed, step=step, look=True)
         steps = None if there.names else steps
     look, rounded = look and steps is None, None if steps is None else steps.rounded
-    found = searched(run, every, rows, sigma, deals, level=level, seed=seed, step=step, look=look)
+    found = searched(run, every, rows, sigma, deals, level=level, seed=seed, step=step, look=look, periods=periods)
     final, rho = found.final, found.search.rho
     notes += found.notes
     notes += [f"{one.sentence}. {one.workshop}" for one in known(final.fit).values()]
@@ -127,8 +139,9 @@ def diagnose(
     stage = stage_of(final, every, rows, sigma, rho=rho, thorough=False, at=at) if found.names else base_stage
     gains = held_out(base_stage, np.stack([deal[base_stage.rows] for deal in deals]))
 
+    left = None if repeats is None else repeats if final is run else in_repeats(final, seed=seed)
     if origin != "declared":
-        sigma = _noise_left(final, sigma)
+        sigma = _noise_left(final, sigma) if left is None else left.noise
     needed = not_needed(final, [e for e in run.model.effects if e.name not in run.model.within], sigma, deals, seed)
     fitness = lack_of_fit(final, level)
     numbers = sum(len(c.effect.parameters) for c in found.result.added)
@@ -137,8 +150,8 @@ def diagnose(
     unknown = one_unknown(run, final, found.names, run.noise[0], deals) if many else None
     wander = wander_of(final)
     claims = claims_of(
-        final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, table, rounded, wander,
-        lambda: by_noise_alone(final, sigma, deals, level, seed),
+        final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, table, rounded, wander, left,
+        contradicted, lambda: by_noise_alone(final, sigma, deals, level, seed), lambda: few_enough(final, sigma, deals),
     )  # fmt: skip
     verdict = verdict_of(claims, found.names)
     reservations = [str(unknown)] if unknown is not None and unknown.rivals else []
@@ -157,7 +170,9 @@ def diagnose(
     if verdict == "adequate" and not final.is_exact:
         threshold = float(np.quantile(found.result.stages[0].scan.null(seed)[1:], 1 - level))
         smallest = {c.name: smallest_found(stage, c, threshold) for c in found.search.strongest_settings(stage)}
-    signature = _signature(found.result, found.result.stages[-1]) if found.result.signature else None
+    signature = left.signature(final) if left is not None and left.held else None
+    if found.result.signature:
+        signature = _signature(found.result, found.result.stages[-1])
     proposal = _next(found.result, unknown, sigma)
     return Diagnosis(
         verdict=verdict,
@@ -275,7 +290,7 @@ def _parameters(base: Stage, candidate: Candidate, run: FittedRun | None) -> tup
     squares = np.maximum(np.diag(gram), np.maximum(_ROUNDING * np.diag(columns.whole), 1e-300))
     np.fill_diagonal(gram, squares)
     length = np.sqrt(squares)
-    value, vector = np.linalg.eigh(gram / np.outer(length, length))
+    value, vector = linalg.eigh(gram / np.outer(length, length))
     keep = value > 1e-10
     inverse = (vector[:, keep] / value[keep]) @ vector[:, keep].T / np.outer(length, length)
     x = inverse @ columns.by_residual
@@ -323,9 +338,9 @@ def _axes_of(stage: Stage, shape: Shape) -> list[str]:
     first = len(scan.numbers(shape.columns))
     fitted, columns = image.model[:, : scan.fitted], image.model[:, scan.fitted : scan.fitted + first]
     basis = orthonormal(fitted)
-    x = np.linalg.lstsq(columns - basis @ (basis.T @ columns), image.residual, rcond=1e-9)[0]
+    x = linalg.lstsq(columns - basis @ (basis.T @ columns), image.residual, rcond=1e-9)[0]
     length = np.maximum(np.linalg.norm(fitted, axis=0), 1e-300)
-    covered = np.linalg.lstsq(fitted / length, columns @ x, rcond=1e-9)[0] / length
+    covered = linalg.lstsq(fitted / length, columns @ x, rcond=1e-9)[0] / length
     weights = np.concatenate([-covered, x])
     by_axis = sum(((model[:, :, : len(weights)] @ weights) ** 2).sum(axis=0) for _, _, model in scan.every_block())
     noise = stage.scan.sum_of_squares / stage.scan.free

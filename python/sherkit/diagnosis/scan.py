@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 import scipy
 
+from .. import linalg
 from .._core import largest_under_flips
 from ..types import Floats, Ints
 from .axis_waves import AxisProducts, AxisWaves
@@ -232,7 +233,7 @@ class Scan:
             gram = self._gram(columns) - by_model @ by_model.transpose(0, 2, 1)
             # of a column that is nothing but rounding nothing is left, whatever its length
             length = np.sqrt(np.where(self.squared[columns] > 1e-200, self.squared[columns], 1.0))
-            value, vector = np.linalg.eigh(gram / (length[:, :, None] * length[:, None, :]))
+            value, vector = linalg.eigh(gram / (length[:, :, None] * length[:, None, :]))
             exact = np.array([self.candidates[i].exact for i in which])
             limit = np.where(exact, _LEFT_EXACT, _LEFT) ** 2
             keep = value > limit[:, None]
@@ -353,7 +354,7 @@ class Scan:
             left = block.residual - orthonormal @ self.of_residual
             np.add.at(own, pose[rows], np.einsum("nmk,nml->nkl", orthonormal, orthonormal))
             np.add.at(of_residual, pose[rows], np.einsum("nmk,nm->nk", orthonormal, left))
-        value, vector = np.linalg.eigh(own)
+        value, vector = linalg.eigh(own)
         # of what a pose alone decides nothing is left
         free = np.where(value < 1.0 - _DECIDES, 1.0 - value, 1.0)
         more = np.where(value > 1e-12, (1.0 / np.sqrt(free) - 1.0) / np.maximum(value, 1e-12), 0.5)
@@ -406,13 +407,13 @@ class Triangle:
         """More rows (b, m, k)."""
         flat = columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
         stacked = np.concatenate([self.of, flat]) if len(self.of) else flat
-        self.of = np.asarray(np.linalg.qr(stacked, mode="r")) if stacked.shape[1] else np.zeros((0, 0))
+        self.of = linalg.triangle(stacked) if stacked.shape[1] else np.zeros((0, 0))
 
     def root(self, tolerance: float = 1e-7) -> Floats:
         """What makes the columns orthonormal (k, rank)."""
         norm = np.linalg.norm(self.of, axis=0)
         scale = np.where(norm > 0, norm, 1.0)
-        _, value, vector = np.linalg.svd(self.of / scale)
+        _, value, vector = linalg.svd(self.of / scale)
         keep = value > tolerance * value[:1]
         return vector[: len(value)][keep].T / value[keep] / scale[:, None]
 

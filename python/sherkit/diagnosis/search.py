@@ -81,6 +81,7 @@ class Search:
         level: float,
         rho: float | None = None,
         seed: int = 0,
+        periods: Sequence[tuple[str, float]] = (),
         step: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.effects = tuple(effects)
@@ -88,6 +89,7 @@ class Search:
         self.sigma = sigma
         self.level = level
         self.seed = seed
+        self.periods = tuple(periods)
         self.step = step
         self.rho = rho
         self.waves: Waves | None = None
@@ -98,7 +100,7 @@ class Search:
         rows = np.arange(len(self.rows))
         stage = stage_of(
             run, self.effects, rows, self.sigma,
-            rho=self.rho, nuisance=nuisance, thorough=thorough, waves=self.waves,
+            rho=self.rho, nuisance=nuisance, thorough=thorough, waves=self.waves, periods=self.periods,
         )  # fmt: skip
         self.rho, self.waves = stage.filtered.rho, stage.waves or self.waves
         return stage

@@ -144,12 +144,14 @@ def stage_of(
     thorough: bool = True,
     at: Mapping[str, float] | None = None,
     waves: Waves | None = None,
+    periods: Sequence[tuple[str, float]] = (),
 ) -> Stage:
     """Builds the stage for a run on the given ones of its rows. ``sigma`` (columns,) is the noise per reading.
 
     Only a ``thorough`` one has the shapes that cost time, periods and hysteresis, and tries periodic effects at every
     frequency; else they are tried at the period that the model has and at that of ``at``, by name. ``waves`` are those
-    of an earlier stage of the same rows, which need not be made again.
+    of an earlier stage of the same rows, which need not be made again; ``periods`` (variable, period) are tried as
+    shapes besides.
 
     Raises :class:`FitError` where no row has all readings.
     """
@@ -160,7 +162,7 @@ def stage_of(
         Candidate(effect, Columns(dense=tuple(range(at.start, at.stop)), exact=True)) for effect, at in view.effects
     ]
     offset = view.effects[-1][1].stop if view.effects else 0
-    periods = [(n.depends_on[0], n.period) for n in nuisance if n.period is not None]
+    periods = [*periods, *((n.depends_on[0], n.period) for n in nuisance if n.period is not None)]
     waves = (waves or Waves(view)) if thorough or at else None
     family = build(view, waves if thorough else None, periods=periods, number=offset)
     offset += len(family.dense)
@@ -281,7 +283,9 @@ def _rich_basis(fitted: Floats, physical: Floats, family: Family, rows: slice) -
     Functions on single axes are orthonormal on all axes once they are on one, so only the rest costs time.
     """
     n, m = fitted.shape[:2]
-    smooth = sorted({k for s in family.shapes if s.shape in ("smooth", "interaction") for k in s.functions})
+    # a period on single axes is one that was found
+    known = ("smooth", "interaction", "periodic")
+    smooth = sorted({k for s in family.shapes if s.shape in known for k in s.functions})
     # never so many that little is left to see the noise in
     f = orthonormal(family.functions_in(rows)[:, smooth[: n // 4]], 1e-6)
     columns = np.concatenate([fitted, physical], axis=2)

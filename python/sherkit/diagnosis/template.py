@@ -24,11 +24,15 @@ _SIZES = {"mm": 0.05, "rad": 1e-3, "px": 1.0}
 
 def sentence(signature: Mapping[str, Any]) -> str:
     """A signature in words."""
+    return f"{course(signature)} ({100 * signature['share_explained']:.0f} % of what is left)."
+
+
+def course(signature: Mapping[str, Any]) -> str:
+    """What follows what, in words."""
     what = " and ".join(signature["depends_on"])
     axes = ", ".join(signature["axis"])
     shape = signature["shape"]
     where = f"the error of joint {signature['joint']}" if signature.get("joint") else f"the error in {axes}"
-    share = f"{100 * signature['share_explained']:.0f} % of what is left"
     how = {
         "smooth": f"varies smoothly (order {signature['order']}) with {what}",
         "periodic": f"repeats with {what}, period {signature['period'] or 0.0:.3g}",
@@ -37,7 +41,7 @@ def sentence(signature: Mapping[str, Any]) -> str:
         f"(width {signature.get('at') or 0.0:g} {unit_in(signature['depends_on'][0])})",
         "interaction": f"depends on {what} together",
     }[shape]
-    return f"{where} {how} ({share})."
+    return f"{where} {how}"
 
 
 def template(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
+from .. import linalg
 from ..types import Floats
 
 
@@ -13,7 +14,7 @@ def radius_95(covariances: Floats) -> Floats:
 
     By matching two moments of the squared length (Satterthwaite).
     """
-    axes = np.linalg.eigvalsh(covariances).clip(0.0)
+    axes = linalg.eigvalsh(covariances).clip(0.0)
     total, squares = axes.sum(axis=1), (axes**2).sum(axis=1)
     freedom = np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1.0), 1.0)
     return np.asarray(np.sqrt(total / freedom * scipy.special.chdtri(freedom, 0.05)))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import linalg
 from ..model.parameter import Parameter
 from ..types import Floats
 
@@ -49,7 +50,7 @@ def badly_observed(
     each into one common unit, which they name.
     """
     lever, _ = levers
-    variance, axes = np.linalg.eigh(covariance * np.outer(lever, lever))
+    variance, axes = linalg.eigh(covariance * np.outer(lever, lever))
     out: list[Direction] = []
     for k in np.argsort(variance)[::-1][:_MOST]:
         std = float(np.sqrt(max(variance[k], 0.0)))

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from .. import linalg
 from ..model.effect import Effect
 from ..model.parameter import Parameter
 from ..names import listed
@@ -132,7 +133,7 @@ def known_of(fit: Any, effect: Effect) -> Known | None:
     theta, c = fit.values[place] / size, covariance / np.outer(size, size)
     if not (np.isfinite(theta).all() and np.isfinite(c).all() and np.diag(c).min() > 0):
         return None
-    weight = np.linalg.pinv(c, rcond=1e-12, hermitian=True)
+    weight = linalg.pinv(c, rcond=1e-12, hermitian=True)
     price = np.log(max(int(fit.data.used.sum()), 3))
     free = len(theta) * price
     scored = []
@@ -140,7 +141,7 @@ def known_of(fit: Any, effect: Effect) -> Known | None:
     for form in forms:
         # in plausible sizes, of which all limbs have the same
         a = form.matrix(len(theta))
-        inner = np.linalg.inv(a.T @ weight @ a)
+        inner = linalg.inv(a.T @ weight @ a)
         phi = inner @ (a.T @ weight @ theta)
         left = theta - a @ phi
         distance = float(left @ weight @ left)
@@ -220,7 +221,7 @@ def _combination(effect: Effect, theta: Floats, c: Floats, size: Floats) -> Know
     std = np.sqrt(np.diag(c))
     if (std < _KNOWN).all():
         return None
-    variance, axes = np.linalg.eigh(c)
+    variance, axes = linalg.eigh(c)
     values = []
     for k in np.flatnonzero(np.sqrt(variance.clip(0.0)) < _KNOWN)[:2]:
         parts = axes[:, k] / size * size[0]

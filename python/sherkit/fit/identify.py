@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 import sherkit._core as _core
 
+from .. import linalg
 from ..arguments import as_annotated
 from ..data import Measurements
 from ..data.given import RunLike
@@ -151,7 +152,7 @@ class Fit(Identified, Shown):
         and further from new ones than one with fewer parameters, or with ``priors``.
         """
         size = np.array([p.size for p in self.parameters])
-        told = np.linalg.eigvalsh(self.covariance / np.outer(size, size))
+        told = linalg.eigvalsh(self.covariance / np.outer(size, size))
         # with priors a combination that both tell alike has half the variance of either
         return self.rank - int(np.count_nonzero(told > (0.5 if self.priors else 1.0)))
 
@@ -348,6 +349,6 @@ def _over_the_wall(
 
 def extended_by(model: ModelWithEffects, effects: Sequence[str | Effect]) -> ModelWithEffects:
     """The model with more effects: by name, or the user's own. Raises :class:`~sherkit.errors.EffectError`."""
-    for effect in named_effects(model.known_effects, effects):
-        model = model.with_effect(effect)
+    for effect in named_effects({**model.known_effects, **model.held}, effects):
+        model = model.adopting(effect)
     return model

@@ -152,6 +152,15 @@ class ModelWithEffects(Saved, ABC):
         """Parameters that could be identified and are not: they stay at zero."""
         return ()
 
+    @property
+    def held(self) -> Mapping[str, Effect]:
+        """What is held at the drawing and could be told from the rest, by name: candidates like effects."""
+        return {}
+
+    def adopting(self, effect: Effect, *, at: float | None = None) -> Self:
+        """The model with one more effect, as a person has it; what was held and is freed is a parameter like others."""
+        return self.with_effect(effect, at=at)
+
     def settings(self) -> dict[str, float | None]:
         """Settings of the effects that are no parameters: what :meth:`with_effect` takes besides the effect."""
         return {}

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from ..errors import EffectError, FitError, ShapeError
 from ..names import listed, nearest
 from ..types import Bools, Floats
 from .base import Derivatives, ModelWithEffects, Reachable, Tried, beside_one_another
-from .effect import Effect, parameters_of_core
+from .effect import Effect, freeing, parameters_of_core
 from .parameter import Parameter
 from .rows import Rows
 
@@ -208,7 +208,20 @@ class ChainModel(ModelWithEffects):
     @property
     def fixed(self) -> tuple[Parameter, ...]:
         """Geometric errors and datum that ``free`` does not name."""
-        return tuple(p for p in self.base if p.name not in self.free)
+        freed = {p.name for p in self.parameters}
+        return tuple(p for p in self.base if p.name not in freed)
+
+    @cached_property
+    def held(self) -> Mapping[str, Effect]:
+        """Of what is held those that are free unless others are named: the rest says the same once more."""
+        made = (freeing(p) for p in self.base if p.name in self.default and p.name not in self.free)
+        return {effect.name: effect for effect in made}
+
+    def adopting(self, effect: Effect, *, at: float | None = None) -> Self:
+        """As of any model."""
+        if effect.frees:
+            return replace(self, free=(*self.free, *(p.name for p in effect.parameters)))
+        return self.with_effect(effect, at=at)
 
     @property
     def known_effects(self) -> Mapping[str, Effect]:

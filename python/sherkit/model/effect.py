@@ -47,7 +47,8 @@ class Effect(Shown):
     ``parameters`` carry unit and plausible size; inside a model their names are prefixed (``rail_lean.radial_1``).
     ``needs`` are the covariates without which it cannot be told. ``search`` names a setting that is looked for
     besides the parameters (``time_s``, or ``period_mm`` or ``period_rad`` of a wave of each joint). ``function`` is set
-    for effects given in NumPy.
+    for effects given in NumPy. One that ``frees`` is no physics of its own: its parameters are the model's, which were
+    held at the drawing.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Effect(Shown):
     residuals: str = ""
     workshop: str = ""
     search: str | None = None
+    frees: bool = False
     function: Function | None = field(default=None, repr=False)
     derivative: Callable[[Any, SimpleNamespace], Any] | None = field(default=None, repr=False)
 
@@ -85,6 +87,8 @@ class Effect(Shown):
 
     def qualified(self) -> tuple[Parameter, ...]:
         """The parameters under the names they have in a model."""
+        if self.frees:
+            return self.parameters
         return tuple(
             Parameter(f"{self.name}.{p.name}", p.symbol or p.name, p.unit, p.size, p.lever_mm) for p in self.parameters
         )
@@ -150,6 +154,20 @@ def _made(values: dict[str, Any]) -> Effect:
 def _found(place: Named, others: dict[str, Any]) -> Effect:
     """The effect of this place, but for what differs."""
     return replace(place.found(), **others)
+
+
+def freeing(parameter: Parameter) -> Effect:
+    """What a parameter of the model that is held at its drawing does once it is free."""
+    name = parameter.name
+    return Effect(
+        name=f"free {name}",
+        link="structure",
+        parameters=(parameter,),
+        frees=True,
+        physics=f"{name} is held at the drawing, and the robot is not as drawn there.",
+        residuals=f"What a {name} other than the drawing's leaves, as far as no free parameter takes its place.",
+        workshop=f"Free it (free=[…, '{name}'], --free {name}), or measure it and correct the robot file.",
+    )
 
 
 class Catalogue(dict[str, Effect], Shown):

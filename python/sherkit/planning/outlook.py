@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
+from .. import linalg
 from ..data import Measurements
 from ..errors import EffectError, FitError
 from ..model.base import lacks
@@ -257,7 +258,7 @@ def planning_of(
 
 
 def _orthonormal(columns: Floats) -> Floats:
-    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    left, singular, _ = linalg.svd(columns, full_matrices=False)
     return left[:, singular > _UNOBSERVED * max(float(singular[0]), 1e-300)]
 
 
@@ -265,4 +266,4 @@ def _rank(left: Floats, raw: Floats) -> int:
     """How many directions of an effect are left: what is as small as rounding is none."""
     size = np.linalg.norm(raw, axis=0)
     scaled = left / np.where(size > 0, size, 1.0)
-    return int((np.linalg.svd(scaled, compute_uv=False) > _UNOBSERVED).sum())
+    return int((linalg.singular_values(scaled) > _UNOBSERVED).sum())

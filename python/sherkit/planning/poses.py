@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import linalg
 from ..arguments import Positive, Seed, as_annotated
 from ..data import Measurements
 from ..errors import FitError, ShapeError
@@ -97,14 +98,14 @@ def _observed(
         raise FitError(f"the model has derivatives that are not finite at these poses, in units of sigma ({sigma})")
     # as identification does it, so that both hold the same directions
     size = np.array([p.size for p in model.parameters])
-    _, singular, right = np.linalg.svd((by * size).reshape(-1, len(size)), full_matrices=False)
+    _, singular, right = linalg.svd((by * size).reshape(-1, len(size)), full_matrices=False)
     basis = right[singular > _UNOBSERVED * singular[0]].T
     return (by * size) @ basis, size, basis
 
 
 def _known(rows: Floats, size: Floats, basis: Floats) -> tuple[Floats, float]:
     """Standard deviations of the parameters and O1, from derivatives (k, m, rank)."""
-    _, singular, right = np.linalg.svd(rows.reshape(-1, rows.shape[2]), full_matrices=False)
+    _, singular, right = linalg.svd(rows.reshape(-1, rows.shape[2]), full_matrices=False)
     root = basis @ (right.T / singular)
     o1 = float(np.exp(np.mean(np.log(singular))) / np.sqrt(len(rows)))
     return np.sqrt((root**2).sum(axis=1)) * size, o1
@@ -123,7 +124,7 @@ def _grown(rows: Floats, count: int) -> list[int]:
     information = 1e-6 * np.einsum("nar,nas->rs", rows, rows)
     chosen: list[int] = []
     for _ in range(count):
-        gains = _gains(rows, np.linalg.inv(information))
+        gains = _gains(rows, linalg.inv(information))
         gains[chosen] = -np.inf
         best = int(np.argmax(gains))
         chosen.append(best)
@@ -139,7 +140,7 @@ def _exchanged(rows: Floats, chosen: list[int]) -> list[int]:
         better = False
         for k, old in enumerate(chosen):
             rest = information - rows[old].T @ rows[old]
-            value, vector = np.linalg.eigh(rest)
+            value, vector = linalg.eigh(rest)
             if value[0] <= 1e-12 * value[-1]:
                 # without this pose a direction is lost
                 continue

@@ -14,6 +14,7 @@ import numpy as np
 from bokeh.core.properties import value
 from bokeh.models import Range1d
 
+from .. import linalg
 from ..diagnosis.fitted_run import FittedRun
 from ..diagnosis.linearised import orthonormal
 from ..diagnosis.stage import Stage, stage_of
@@ -107,7 +108,7 @@ def _signatures(stage: Stage) -> tuple[Floats, list[tuple[str, float, Floats]]]:
         columns = stage.raw(candidate.columns, view.whole).reshape(n * m, -1)
         columns = columns - basis @ (basis.T @ columns)
         scale = np.linalg.norm(columns, axis=0)
-        x = np.linalg.lstsq(columns / np.where(scale > 0, scale, 1.0), residual, rcond=1e-9)[0]
+        x = linalg.lstsq(columns / np.where(scale > 0, scale, 1.0), residual, rcond=1e-9)[0]
         shown = (columns / np.where(scale > 0, scale, 1.0)) @ x
         share = float(shown @ residual) / whole if whole > 0 else 0.0
         if candidate.name not in best or share > best[candidate.name][0]:

@@ -205,7 +205,7 @@ def _together(names: Sequence[str]) -> str:
 def _cards(story: Story, atlas: Atlas | None) -> tuple[list[str], list[tuple[str, str]]]:
     """The cards of the effects that are missing; by name, those of effects that these poses cannot tell from them."""
     found, study = story.found, story.study
-    every = {**found.base.model.known_effects, **study.own}
+    every = {**found.base.model.known_effects, **found.base.model.held, **study.own}
     inside = {e.name: e for e in study.fit.model.effects}
 
     def card(name: str) -> str:

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import linalg
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, TIME, unit_in
 from ..data.toml import Table
@@ -117,13 +118,13 @@ class Unshown:
 
     def beyond(self, missed: Floats) -> Floats:
         """Covariance (n, d, d) beyond what is shown at the poses, for what coordinates miss per unit (n, d, k)."""
-        size, axes = np.linalg.eigh(missed @ self.moment @ missed.transpose(0, 2, 1) - self.shown)
+        size, axes = linalg.eigh(missed @ self.moment @ missed.transpose(0, 2, 1) - self.shown)
         return np.asarray((axes * size.clip(0.0)[:, None, :]) @ axes.transpose(0, 2, 1))
 
     def hides(self, missed: Floats) -> float:
         """Mean square of what coordinates miss beyond what is shown."""
         spread = missed @ self.moment @ missed.transpose(0, 2, 1) - self.shown
-        return float(np.linalg.eigvalsh(spread).clip(0.0).sum(axis=1).mean())
+        return float(linalg.eigvalsh(spread).clip(0.0).sum(axis=1).mean())
 
 
 def at_rest(

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from .. import linalg
 from ..fit.identify import Fit
 from ..model.chain import ChainModel
 from ..model.effect import Effect
@@ -110,7 +111,7 @@ class LinearFit:
         """An orthonormal basis (N, s) of what the identified values move, and their change (p, s) along it."""
         size = np.array([p.size for p in self.fit.parameters])
         whole = (self._by_values * self._weights[:, :, None] * size).reshape(-1, len(size))
-        left, singular, right = np.linalg.svd(whole, full_matrices=False)
+        left, singular, right = linalg.svd(whole, full_matrices=False)
         use = singular > _UNOBSERVED * singular[0]
         return left[:, use], size[:, None] * (right[use].T / singular[use])
 
@@ -142,8 +143,8 @@ class LinearFit:
         at = self.part.functions(np.ascontiguousarray(self.fit.predicted[self.rows[self._full], :d]))
         if not at.shape[1]:
             return at, at, np.zeros((0, 0))
-        basis, upper = np.linalg.qr(at)
-        return at, basis, np.linalg.pinv(upper)
+        basis, upper = linalg.qr(at)
+        return at, basis, linalg.pinv(upper)
 
     @cached_property
     def _functions_there(self) -> Floats:
@@ -200,14 +201,14 @@ class LinearFit:
         """Of columns (r, m, k) in like units, how much the poses show of the combination of which they show least."""
         whole = (rows * self._weights[:, :, None]).reshape(-1, rows.shape[2])
         take = self._moved[0].T @ whole
-        return float(np.sqrt(np.linalg.eigvalsh(whole.T @ whole - take.T @ take)[0].clip(0.0)))
+        return float(np.sqrt(linalg.eigvalsh(whole.T @ whole - take.T @ take)[0].clip(0.0)))
 
     def taken(self, rows: Floats) -> float:
         """How much columns (r, m, k) take of the squares that the fit leaves."""
         kept = (rows * self._weights[:, :, None]).reshape(-1, rows.shape[2])
         kept = kept - self._moved[0] @ (self._moved[0].T @ kept)
         along = kept.T @ self._residual
-        return float(along @ np.linalg.pinv(kept.T @ kept, hermitian=True) @ along)
+        return float(along @ linalg.pinv(kept.T @ kept, hermitian=True) @ along)
 
     def _known(self, kept: Floats, residual: Floats, cells: Ints, used: int, size: Floats) -> tuple[Floats, float]:
         """Second moment (k, k) of an effect's parameters of plausible ``size`` (k,), and the variance that it leaves.
@@ -217,7 +218,7 @@ class LinearFit:
         """
         prior, scaled = np.diag(size**2), kept * size
         # by eigenvalues, as readings without noise leave next to nothing beside them
-        value, vector = np.linalg.eigh(scaled.T @ scaled)
+        value, vector = linalg.eigh(scaled.T @ scaled)
         along = scaled.T @ residual
         told = value > _ROUNDING * value[-1]
         rest = residual - scaled @ (vector[:, told] @ ((vector[:, told].T @ along) / value[told]))

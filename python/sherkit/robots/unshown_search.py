@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
+from .. import linalg
 from ..model.effect import Effect
 from ..types import Floats
 from .calibration_run import CalibrationRun
@@ -94,7 +95,7 @@ class Search:
         while before > 0.0 and len(chosen) < _ADVISED and left > _LEFT:
             there = missed @ moment
             # of readings without noise nothing is left in some directions
-            inverse = np.linalg.pinv(there @ missed.transpose(0, 2, 1) + noise, hermitian=True)
+            inverse = linalg.pinv(there @ missed.transpose(0, 2, 1) + noise, hermitian=True)
             gains = np.trace(inverse @ (there @ over @ there.transpose(0, 2, 1)), axis1=1, axis2=2)
             gains[chosen] = -np.inf  # twice at one place would tell of the noise there
             best = int(np.argmax(gains))

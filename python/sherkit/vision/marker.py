@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from .. import linalg
 from ..errors import SherkitError
 from ..types import Floats
 from .pictures import CameraPicture, picture_of
@@ -184,13 +185,13 @@ def _refined(grey: NDArray[np.uint8], u: float, v: float) -> tuple[float, float,
         left = at(spline, one, True) - at(spline, other, True)
         jacobian = np.stack([at(g, one, False) - at(g, other, False) for g in (slope_v, slope_u)], axis=1)
         normal = jacobian.T @ (weight[:, None] * jacobian) + 1e-9 * np.eye(2)
-        step = -np.linalg.solve(normal, jacobian.T @ (weight * left))
+        step = -linalg.solve(normal, jacobian.T @ (weight * left))
         centre = centre + np.clip(step, -1.0, 1.0)
         if float(np.abs(step).max()) < 1e-4:
             break
     variance = float((weight * left**2).sum() / weight.sum())
     # blurring ties neighbours together: about this many differences say the same
-    spread = np.linalg.inv(normal) * variance * _TIED
+    spread = linalg.inv(normal) * variance * _TIED
     place = centre + np.array([max(row - reach, 0), max(column - reach, 0)])
     return float(place[1]), float(place[0]), float(np.sqrt(max(np.trace(spread) / 2.0, 1e-8)))
 
@@ -217,6 +218,6 @@ def _tag(grey: NDArray[np.uint8], kind: str, identity: int | None) -> Seen:
 def _crossing(four: Floats) -> tuple[float, float]:
     """Where the diagonals cross: the middle of a square stays there under perspective, the mean of corners does not."""
     a, c, b, d = four[0], four[2], four[1], four[3]
-    s = np.linalg.solve(np.stack([c - a, b - d], axis=1), b - a)[0]
+    s = linalg.solve(np.stack([c - a, b - d], axis=1), b - a)[0]
     middle = a + s * (c - a)
     return float(middle[0]), float(middle[1])

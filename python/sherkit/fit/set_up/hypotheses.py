@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from ... import linalg
 from ...data import Measurements
 from ...data.columns import unit_in
 from ...errors import SherkitError
@@ -419,7 +420,7 @@ def _registered(measured: Floats, predicted: Floats, *, mirrored: bool) -> tuple
     for _ in range(10):
         w = (weight / weight.sum())[:, None]
         middle, there = (w * measured).sum(axis=0), (w * predicted).sum(axis=0)
-        u, _, vt = np.linalg.svd(((measured - middle) * w).T @ (predicted - there))
+        u, _, vt = linalg.svd(((measured - middle) * w).T @ (predicted - there))
         sign = np.linalg.det(vt.T @ u.T) * (-1.0 if mirrored else 1.0)
         turn = vt.T @ np.diag([*np.ones(measured.shape[1] - 1), np.sign(sign)]) @ u.T
         off = np.linalg.norm((measured - middle) @ turn.T - (predicted - there), axis=1)

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ... import linalg
 from ...data.columns import Layout
 from ...types import Floats
 
@@ -45,7 +46,7 @@ class Seen:
     def squares(self, kept: np.ndarray, miss: Floats | None = None) -> float:
         """Sum of whitened squares over the columns that are kept."""
         left = (self.miss if miss is None else miss)[kept]
-        return float(left @ np.linalg.solve(self.spread[np.ix_(kept, kept)], left)) if len(left) else 0.0
+        return float(left @ linalg.solve(self.spread[np.ix_(kept, kept)], left)) if len(left) else 0.0
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def accuse(odd: Sequence[Seen], before: Sequence[Seen], layout: Layout) -> Accus
 
 def _fitted(odd: Sequence[Seen], by: Sequence[Floats]) -> float:
     """By how much the joints would have to be elsewhere, along ``by`` of each row; generalised least squares."""
-    weights = [np.linalg.solve(s.spread, g) for s, g in zip(odd, by, strict=True)]
+    weights = [linalg.solve(s.spread, g) for s, g in zip(odd, by, strict=True)]
     squares = sum(float(w @ g) for w, g in zip(weights, by, strict=True))
     moved = sum(float(w @ np.nan_to_num(s.miss)) for w, s in zip(weights, odd, strict=True))
     return moved / squares if squares > 0 else 0.0

@@ -17,6 +17,7 @@ from functools import partial
 
 import numpy as np
 
+from ... import linalg
 from ...data import Measurements
 from ...data.columns import TIME
 from ...errors import SherkitError, SherkitWarning
@@ -234,7 +235,7 @@ class Watch:
         predicted, by = self._predicted(points, values)
         miss, columns = (readings - predicted)[there], by[there]
         information = columns.T @ columns / self._noise**2 + np.diag(self._prior**-2.0)
-        covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        covariance = np.asarray(linalg.inv(information), dtype=np.float64)
         step = covariance @ (columns.T @ miss / self._noise**2 - values / self._prior**2)
         cost = float((miss @ miss) / self._noise**2 + ((values / self._prior) ** 2).sum())
         for _ in range(_HALVINGS):
@@ -271,7 +272,7 @@ class Watch:
         there = np.isfinite(miss)
         by, miss = by[there], miss[there]
         spread = by @ self._covariance @ by.T + self._noise**2 * np.eye(len(miss))
-        gain = np.linalg.solve(spread, by @ self._covariance).T
+        gain = linalg.solve(spread, by @ self._covariance).T
         self._values = self._values + gain @ miss
         self._covariance = self._covariance - gain @ by @ self._covariance
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...data import Measurements
 from ...data.columns import TEMPERATURE, TIME
-from ...errors import EffectError, OutOfReach
+from ...errors import EffectError, NotFinite, OutOfReach, Singular
 from ...model.chain import ChainModel
 from ...model.kinds import SeenInPictures, Virtual, kind_of, model_of
 from ...names import nearest
@@ -155,7 +155,7 @@ class RobotOnTheBench(StillRobot):
         try:
             with np.errstate(all="ignore"):
                 place: Floats = self.virtual.noise_free(joints)[0]
-        except (OutOfReach, np.linalg.LinAlgError):
+        except (OutOfReach, NotFinite, Singular):
             return np.full(len(self.kind.layout.coordinates), np.nan)
         if self._effects is not None:
             model, values = self._effects

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import linalg
 from ...data import Measurements
 from ...data.columns import TEMPERATURE, TIME
 from ...errors import SherkitError
@@ -51,5 +52,5 @@ def signature(effect: Effect, robot: Delta) -> tuple[Floats, Floats]:
     values[with_it.owns(effect)] = size * np.where(np.arange(len(size)) % 2 == 0, 1.0, -1.0)
     change = (with_it.predict(data, values) - with_it.predict(data, np.zeros(len(values))))[:, :3].ravel()
     scale = np.linalg.norm(fitted, axis=0)
-    left = change - fitted @ (np.linalg.lstsq(fitted / scale, change, rcond=1e-10)[0] / scale)
+    left = change - fitted @ (linalg.lstsq(fitted / scale, change, rcond=1e-10)[0] / scale)
     return poses, left.reshape(n, 3)

@@ -14,9 +14,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ... import linalg
 from ...data import Measurements
 from ...data.toml import Table
-from ...errors import OutOfReach, ShapeError
+from ...errors import NotFinite, OutOfReach, ShapeError, Singular
 from ...model.kinds import Option
 from ...names import nearest
 from ...types import Floats
@@ -32,6 +33,7 @@ TABLE_II_SIZES = {
 _DWELL_S = 2.0
 _TRAVEL_S = 1.0
 _ORDERS = ("planes", "shuffled")
+_OUT_OF_REACH = "the virtual robot cannot reach one of these joint readings"
 
 
 @dataclass(frozen=True)
@@ -138,12 +140,15 @@ class VirtualDelta:
         for _ in range(50):
             rod = x[:, None, :] + joints - carriages
             miss = (rod**2).sum(axis=2) - rods**2
-            step = np.linalg.solve(2 * rod, -miss[:, :, None])[:, :, 0]
+            try:
+                step = linalg.solve(2 * rod, -miss[:, :, None])[:, :, 0]
+            except (NotFinite, Singular) as error:
+                raise OutOfReach(_OUT_OF_REACH, 0, float("nan")) from error
             x = x + step
             if np.abs(step).max() < 1e-12:
                 break
         else:
-            raise OutOfReach("the virtual robot cannot reach one of these joint readings", 0, float("nan"))
+            raise OutOfReach(_OUT_OF_REACH, 0, float("nan"))
         return x
 
     @cached_property

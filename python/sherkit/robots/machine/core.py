@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import linalg
 from ...fit.numpy_chain import NumpyChain
 from ...model.chain import Block
 from ...types import Bools, Floats
@@ -130,7 +131,7 @@ def not_in(function: UserFunction, effects: Sequence[Generic]) -> tuple[Generic,
     columns = columns[whole].reshape(-1, total)
     length = np.sqrt((columns**2).sum(axis=0))
     columns = columns / np.where(length > 0, length, 1.0)
-    basis, size, _ = np.linalg.svd(columns[:, :count], full_matrices=False)
+    basis, size, _ = linalg.svd(columns[:, :count], full_matrices=False)
     basis = basis[:, size > _SAME * size.max(initial=0.0)]
     left = np.sqrt(((columns - basis @ (basis.T @ columns)) ** 2).sum(axis=0))
     new = np.flatnonzero(left > _SAME)

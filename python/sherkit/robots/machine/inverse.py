@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy
 
+from ... import linalg
 from ...types import Bools, Floats
 
 #: Places over the ranges of the joints from which one begins.
@@ -63,7 +64,7 @@ def settled(
         fresh = good & np.isfinite(by_joints).all(axis=(1, 2))
         if fresh.any():
             by = by_joints[fresh] * span  # joints in parts of their ranges
-            now = np.linalg.pinv(by, rcond=1e-12) @ (readings[fresh] - shown[fresh])[:, :, None]
+            now = linalg.pinv(by, rcond=1e-12) @ (readings[fresh] - shown[fresh])[:, :, None]
             step[fresh] = now[:, :, 0] * span
         # what is already at its place stays
         shorter = np.where(

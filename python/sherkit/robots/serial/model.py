@@ -13,6 +13,7 @@ import scipy
 
 import sherkit._core as _core
 
+from ... import linalg
 from ...data import Measurements
 from ...data.columns import Layout
 from ...errors import FitError, SherkitWarning
@@ -172,10 +173,10 @@ class SerialModel(ChainModel):
         near = np.ones(len(rows), dtype=bool)
         for _ in range(_ROUNDS):
             a, b = drawn - drawn[near].mean(axis=0), read - read[near].mean(axis=0)
-            if np.linalg.matrix_rank(a[near], tol=_LINE * float(np.abs(a[near]).max())) < 2:
+            if linalg.matrix_rank(a[near], tol=_LINE * float(np.abs(a[near]).max())) < 2:
                 return out
             # the best turn of one cloud onto the other (Kabsch, 1976), no mirror
-            u, _, v = np.linalg.svd(b[near].T @ a[near])
+            u, _, v = linalg.svd(b[near].T @ a[near])
             rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
             missed = np.linalg.norm(b - a @ rotation.T, axis=1)
             near = missed <= _FAR * np.median(missed)

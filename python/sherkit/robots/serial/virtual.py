@@ -14,6 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from ... import linalg
 from ...data import Measurements
 from ...data.toml import Table
 from ...errors import ShapeError
@@ -171,7 +172,7 @@ class VirtualSerial:
             there[:3, 3] *= longer_by
             now = now @ there
             moved = _matrix(turns.identity(), (0, 0, q)) if joint.slides else _matrix(turns.from_rotvec([0, 0, q]))
-            now = now @ moved @ np.linalg.inv(aligned)
+            now = now @ moved @ linalg.inv(aligned)
             out.append(now)
         return out
 

@@ -11,6 +11,7 @@ import numpy as np
 
 import sherkit._core as _core
 
+from ... import linalg
 from ...fit.identify import Fit
 from ...types import Bools, Floats
 from ..accuracy import Planes
@@ -71,7 +72,7 @@ class SphericalCalibration(Calibration):
         _, by_joints, _, seen = model.core_for(data).derivatives(model.full(fit.values), model.block(data), [])
         angles, by_angles, reached = self._rows(data.joints)
         use = seen & reached & (np.abs(np.linalg.det(by_joints)) > 0)
-        turned = by_angles[use] @ np.linalg.solve(by_joints[use], held_out[rows][use][:, :, None])
+        turned = by_angles[use] @ linalg.solve(by_joints[use], held_out[rows][use][:, :, None])
         return angles[use], _across(turned[:, :, 0], angles[use])
 
     @classmethod
@@ -114,7 +115,7 @@ class SphericalCalibration(Calibration):
     def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:
         """Through the joints to angles across the tool."""
         angles, by_angles, _ = self._rows(joints)
-        turned = by_angles @ np.linalg.solve(by_joints, missed)
+        turned = by_angles @ linalg.solve(by_joints, missed)
         return np.stack([_across(turned[:, :, k], angles) for k in range(turned.shape[2])], axis=2)
 
     @property

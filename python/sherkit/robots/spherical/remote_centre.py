@@ -7,6 +7,7 @@ from typing import cast
 
 import numpy as np
 
+from ... import linalg
 from ...errors import FitError
 from ...fit.identify import Fit, identify
 from ...types import Floats
@@ -55,7 +56,7 @@ class RemoteCentre:
         distance = self.distance_mm[:, None]
         along = np.divide(self.displacement_mm, distance, out=np.zeros_like(self.displacement_mm), where=distance > 0)
         variance = np.einsum("ni,nij,nj->n", along, self.covariance_mm2, along)
-        worst = np.linalg.eigvalsh(self.covariance_mm2)[:, -1]
+        worst = linalg.eigvalsh(self.covariance_mm2)[:, -1]
         return np.sqrt(np.where(distance[:, 0] > 0, variance, worst).clip(0.0))
 
     def __repr__(self) -> str:

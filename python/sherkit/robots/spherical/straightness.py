@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ... import linalg
 from ...errors import ShapeError, SherkitError
 from ...types import Floats
 from .camera import CameraView
@@ -89,7 +90,7 @@ def straightness(places: ArrayLike) -> float:
     if not np.isfinite(x).all():
         row = int(np.argmax(~np.isfinite(x).all(axis=1)))
         raise ShapeError(f"straightness: row {row} holds a number that is not finite")
-    values = np.linalg.svd(x - x.mean(axis=0), compute_uv=False)
+    values = linalg.singular_values(x - x.mean(axis=0))
     return float(np.sqrt((values[1:] ** 2).sum() / len(x)))
 
 

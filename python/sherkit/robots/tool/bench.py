@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from ... import linalg
 from ...data.tables import write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
 from ...types import Bools, Floats
@@ -97,7 +98,7 @@ def check_loads(tool: FlexibleTool, loads: Loads) -> None:
             f"{source}: row {row + 1}, column '{DEPTH}': a load at {loads.depth_mm[row]:g} mm from the tip; expected 0 "
             f"to {near:g}, below section I: is it measured from the clamp?"
         )
-    width = np.linalg.svd(loads.force_mn[rows], compute_uv=False)
+    width = linalg.singular_values(loads.force_mn[rows])
     if width[1] < _LEAST_WIDTH * width[0]:
         raise FitError(f"{source}: all loads push along one line; gains need loads from all around the shaft")
     for name, values in zip(FIBRES[:6], loads.wavelengths_nm.T, strict=False):

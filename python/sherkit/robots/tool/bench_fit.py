@@ -22,6 +22,7 @@ from scipy.optimize import least_squares, minimize
 
 import sherkit._core as _core
 
+from ... import linalg
 from ...types import Floats
 
 #: How far a drawing may be off, mm: sections, free length; and the zero of the bench.
@@ -207,12 +208,12 @@ class _Model:
         total = float((self.prior(x) ** 2).sum())
         for block, columns in zip(self.covariance(x, s), ([0, 1, 4], [2, 3]), strict=True):
             one = left[:, columns]
-            total += float(np.einsum("ni,ni->", one, np.linalg.solve(block, one[..., None])[..., 0]))
+            total += float(np.einsum("ni,ni->", one, linalg.solve(block, one[..., None])[..., 0]))
             total += float(np.linalg.slogdet(block)[1].sum())
         return total
 
     def whitener(self, x: Floats, s: Scatter) -> tuple[Floats, Floats]:
-        along, across = (np.linalg.inv(np.linalg.cholesky(block)) for block in self.covariance(x, s))
+        along, across = (linalg.inv(linalg.cholesky(block)) for block in self.covariance(x, s))
         return along, across
 
     def whitened(self, x: Floats, by: tuple[Floats, Floats]) -> Floats:
@@ -254,7 +255,7 @@ def fit_bench(
     done = least_squares(model.whitened, x, x_scale=scale, args=(by,), method="trf", max_nfev=60)
     left, expected, _ = model.residuals(done.x)
     scaled = done.jac * scale
-    covariance = np.linalg.pinv(scaled.T @ scaled, hermitian=True, rcond=1e-12) * np.outer(scale, scale)
+    covariance = linalg.pinv(scaled.T @ scaled, hermitian=True, rcond=1e-12) * np.outer(scale, scale)
     return BenchFit(convention, rows, drawn, done.x, covariance, found, model.deviance(done.x, found), left, expected,
                     (done.fun, done.jac))  # fmt: skip
 
@@ -265,7 +266,7 @@ def _start(model: _Model) -> Floats:
     x = np.concatenate([np.zeros(8), d.distances_mm, [d.length_mm, np.log(d.stiffness_mn_mm2), 0.0]])
     _, expected, _ = model.residuals(x)
     for s in range(2):
-        found = np.linalg.lstsq(r.differences_nm[:, s], expected[:, s, None] * r.way, rcond=None)[0]
+        found = linalg.lstsq(r.differences_nm[:, s], expected[:, s, None] * r.way, rcond=None)[0]
         x[4 * s : 4 * s + 4] = found.T.ravel()
     return x
 
@@ -299,7 +300,7 @@ def left_open(fit: BenchFit, lacks: tuple[Lack, ...] = ()) -> Open:
     for k, angle in enumerate(np.pi / 4 * np.arange(4)):
         way = np.array([np.cos(angle), np.sin(angle)])
         # differences that a moment of one makes, and what another gain makes of them along the way
-        made = [np.linalg.solve(p.by_difference[s], way) for s in range(2)]
+        made = [linalg.solve(p.by_difference[s], way) for s in range(2)]
         for s, (arm, lever) in enumerate(((one, -two), (two, one))):
             moved = np.outer(way, made[s]).ravel()
             by_depth[k, :, 4 * s : 4 * s + 4] = (lever * arm / apart)[:, None] * moved
@@ -311,7 +312,7 @@ def left_open(fit: BenchFit, lacks: tuple[Lack, ...] = ()) -> Open:
     unlike = own.get(" I", np.zeros(1)) - own.get("II", np.zeros(1))
     off += float((unlike**2).mean()) * np.outer(one * two / apart, one * two / apart)
     basis = np.stack([np.ones_like(rng), rng / 10.0, (rng / 10.0) ** 2], axis=1)
-    shape = np.linalg.pinv(basis)
+    shape = linalg.pinv(basis)
     # all depths alike: that of the middle; the rest is what others differ from it
     less = np.eye(len(rng)) - np.eye(len(rng))[middle]
     depth = shape @ less @ off @ less.T @ shape.T
@@ -361,9 +362,9 @@ def lack_of_fit(fit: BenchFit) -> tuple[Lack, ...]:
         more = np.stack([scaled**2, scaled**3, scaled * deep], axis=1) * rows[:, None]
         block = np.einsum("ni,nk->nik", by[:, :, column], more).reshape(3 * n, 3)
         white = np.vstack([block, np.zeros((len(fun) - 3 * n, 3))])
-        white = white - jac @ np.linalg.lstsq(jac, white, rcond=None)[0]
+        white = white - jac @ linalg.lstsq(jac, white, rcond=None)[0]
         # loads at few depths show less than three terms
-        left, seen, terms = np.linalg.svd(white * np.abs(expected[rows]).max(), full_matrices=False)
+        left, seen, terms = linalg.svd(white * np.abs(expected[rows]).max(), full_matrices=False)
         told = seen > 1.0 / _TOLD
         if not told.any():
             continue

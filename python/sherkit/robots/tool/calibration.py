@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ... import linalg
 from ...errors import FitError, SherkitWarning
 from ...types import Floats
 from .bench import LEAST_LOADED, LEAST_UNLOADED, Loads, check_loads, check_sizes
@@ -158,7 +159,7 @@ def _roughly(tool: FlexibleTool, rows: Rows) -> Floats:
     """Gains (2, 2, 3) by plain least squares on the drawing's arms: for their size."""
     arms = np.array(tool.distances_mm) - rows.depth_mm[:, None]
     moments = (rows.size_mn[:, None] * arms)[:, :, None] * rows.way[:, None, :]
-    found = [np.linalg.lstsq(rows.differences_nm[:, s], moments[:, s], rcond=None)[0].T for s in range(2)]
+    found = [linalg.lstsq(rows.differences_nm[:, s], moments[:, s], rcond=None)[0].T for s in range(2)]
     return np.array(found) @ DIFFERENCES
 
 
@@ -177,12 +178,12 @@ def _means(fit: BenchFit, shifts: Floats) -> tuple[Floats, float]:
         moments = fit.expected[:, s, None] * fit.rows.way
         mean = shifts[:, 3 * s : 3 * s + 3].mean(axis=1)
         base = np.column_stack([moments, np.ones(len(mean))])
-        found, *_ = np.linalg.lstsq(base, mean, rcond=None)
+        found, *_ = linalg.lstsq(base, mean, rcond=None)
         left = mean - base @ found
         out[s] = found[:2]
-        spread = np.linalg.inv(base.T @ base)[:2, :2] * float(left @ left) / (len(mean) - 3)
-        own = np.linalg.norm(np.linalg.inv(fit.value.by_difference[s]), 2)
-        off.append(float(np.sqrt(np.linalg.norm(spread, 2)) / own))
+        spread = linalg.inv(base.T @ base)[:2, :2] * float(left @ left) / (len(mean) - 3)
+        own = linalg.singular_values(linalg.inv(fit.value.by_difference[s]))[0]
+        off.append(float(np.sqrt(linalg.singular_values(spread)[0]) / own))
     return out, max(off)
 
 

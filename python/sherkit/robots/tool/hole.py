@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ... import linalg
 from ...types import Bools, Floats
 from .runs import ToolRun
 from .tool import FlexibleTool
@@ -64,7 +65,7 @@ def find_hole(
     right = (np.einsum("nij,nj->ni", across, run.position_mm) + force_mn * gives[:, None])[leans].ravel()
     if len(right) < 2 * columns.shape[1]:
         return None
-    found, _, rank, _ = np.linalg.lstsq(columns, right, rcond=None)
+    found, _, rank, _ = linalg.lstsq(columns, right, rcond=None)
     softness = gives[leans] + found[4]
     if rank < columns.shape[1] or not (gives + found[4] > 0).all():
         return None
@@ -72,7 +73,7 @@ def find_hole(
     if not ((left / softness[:, None]) ** 2).sum(axis=1).mean() < (_STANDS * usual) ** 2:
         return None
     alike = max(_ALIKE_S / float(np.median(np.diff(run.time_s))), 1.0)
-    variance = np.linalg.inv(columns.T @ columns)[_CLEARANCE, _CLEARANCE] * float((left**2).mean()) * alike
+    variance = linalg.inv(columns.T @ columns)[_CLEARANCE, _CLEARANCE] * float((left**2).mean()) * alike
     std = max(float(np.sqrt(variance)), _LEAST_STD_MM)
     return Hole(found[:3], max(float(found[_CLEARANCE]), 0.0), std, float(found[4]))
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ... import linalg
 from ...types import Bools, Floats
 from .alignment import at_times
 from .filters import NIS_LEVEL, Estimate
@@ -122,7 +123,7 @@ def knowledge(
     rows, k = off.shape
     usable = np.isfinite(off).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
     off, spread = off[usable], covariance[usable] + (of_truth + _FINEST_MM**2) * np.eye(k)
-    whitened = np.linalg.solve(np.linalg.cholesky(spread), off[..., None])[..., 0]
+    whitened = linalg.solve(linalg.cholesky(spread), off[..., None])[..., 0]
     squared = (whitened**2).sum(axis=1)
     nees = float(squared.mean() / k)
     independent = _independent(whitened)

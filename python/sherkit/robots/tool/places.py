@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 from scipy.sparse import csr_array
 
+from ... import linalg
 from ...types import Bools, Floats
 from .hole import Hole, find_hole
 from .runs import ToolRun
@@ -279,4 +280,4 @@ def _smoothed(tool: FlexibleTool, run: ToolRun, weight: Floats, seen: Floats, le
     diagonal[:-1] += tie
     right[1:] += tie * led
     right[:-1] -= tie * led
-    return np.asarray(scipy.linalg.solveh_banded(np.vstack([diagonal, np.append(-tie, 0.0)]), right, lower=True))
+    return np.asarray(linalg.solveh_banded(np.vstack([diagonal, np.append(-tie, 0.0)]), right))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ... import linalg
 from ...errors import FitError, MeasurementError, SherkitWarning
 from ...types import Floats
 from .columns import CAMERA, DEPTH, FIBRE_TIME, FIBRES, POSITION, TURN
@@ -112,7 +113,7 @@ class Likeness:
 def likeness(first_mm: Floats, second_mm: Floats) -> Likeness:
     """Of points (n, 3) to points (n, 3) (Umeyama, IEEE PAMI 1991)."""
     a, b = (p - p.mean(axis=0) for p in (first_mm, second_mm))
-    u, s, v = np.linalg.svd(a.T @ b)
+    u, s, v = linalg.svd(a.T @ b)
     size_a, size_b = float((a**2).sum()), float((b**2).sum())
     if size_a == 0.0 or size_b == 0.0:
         return Likeness(1.0, 0.0, 0.0)

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve
 
+from ... import linalg
 from ...types import Floats
 
 #: Pictures, evenly over the run, from which size and reaches are taken: what they cost grows with the cube.
@@ -39,12 +40,12 @@ class SmoothErrors:
 
 def smooth_errors(jacobian: Floats, residuals_mm: Floats, places_mm: Floats, time_s: Floats) -> SmoothErrors:
     """Of a least-squares fit with derivatives (n, m, p) that leaves residuals (n, m), at places (n, 3), mm, and times
-    (n,). Raises :class:`numpy.linalg.LinAlgError` for derivatives that are no fit's."""
+    (n,). Raises :class:`~sherkit.errors.Singular` for derivatives that are no fit's."""
     n, m, p = jacobian.shape
     flat = jacobian.reshape(n * m, p)
     # the same size for angles, lengths and delays
     unit = np.linalg.norm(flat, axis=0)
-    inverse = np.linalg.inv((flat / unit).T @ (flat / unit))
+    inverse = linalg.inv((flat / unit).T @ (flat / unit))
     some = np.unique(np.linspace(0, n - 1, min(n, _MOST)).round().astype(np.int64))
     j, e = jacobian[some] / unit, residuals_mm[some]
     apart = ((places_mm[some, None] - places_mm[None, some]) ** 2).sum(axis=2)
@@ -71,11 +72,11 @@ def _restricted(j: Floats, e: Floats, smooth: Floats) -> tuple[float, float]:
     """Minus twice the restricted log-likelihood of residuals (n, m) whose smooth part has a covariance (n, n) in units
     of the noise's, and the variance of the noise that goes with it."""
     n, m, p = j.shape
-    factor = cho_factor(np.eye(n) + smooth, lower=True)
+    factor = (linalg.cholesky(np.eye(n) + smooth), True)
     solved = cho_solve(factor, np.concatenate([j.reshape(n, -1), e], axis=1))
     weighted, left = solved[:, : m * p].reshape(j.shape), solved[:, m * p :]
     gram, right = np.einsum("nmi,nmk->ik", j, weighted), np.einsum("nmi,nm->i", j, left)
     free = e.size - p
-    variance = max(float((e * left).sum() - right @ np.linalg.solve(gram, right)), 1e-300) / free
+    variance = max(float((e * left).sum() - right @ linalg.solve(gram, right)), 1e-300) / free
     determinant = 2.0 * m * np.log(np.diag(factor[0])).sum() + np.linalg.slogdet(gram)[1]
     return float(free * np.log(variance) + determinant), variance

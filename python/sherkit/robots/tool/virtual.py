@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import linalg
 from ...errors import ShapeError
 from ...types import Floats
 from .bench import Loads
@@ -215,9 +216,9 @@ class VirtualTool:
             lever = (true.distances_mm[section] - depth).clip(0.0)
             moment = force * (lever * (1.0 - _bent(true, np.linalg.norm(force, axis=1), lever) ** 2 / 40.0))[:, None]
             # the shifts without a common part that this moment makes: the inverse of the calibration on that plane
-            shifts = np.linalg.pinv(np.array(true.gains[section]))
+            shifts = linalg.pinv(np.array(true.gains[section]))
             shifts -= shifts.mean(axis=0)
-            back = np.linalg.inv(np.array(true.gains[section]) @ shifts)
+            back = linalg.inv(np.array(true.gains[section]) @ shifts)
             waves[:, 3 * section : 3 * section + 3] += moment @ (shifts @ back).T
         return np.asarray(waves + self.noise_nm * rng.standard_normal(waves.shape))
 
