@@ -233,7 +233,8 @@ def true_tool(tool: FlexibleTool, world: Wide, experiment: str) -> FlexibleTool:
         tool, length_mm=d.rod.length_mm, stiffness_mn_mm2=d.rod.stiffness_mn_mm2, gains=gains,
         distances_mm=tuple(d.glass.from_tip_mm[:2].tolist()), means=answers.mean(axis=1).tolist(),
         warmth=(warmth / warmth.mean(axis=1, keepdims=True) - 1.0).tolist(),
-        reference_nm=tuple(d.glass.rest_nm.tolist()), noise_nm=d.glass.noise_nm, clearance_mm=d.clearance_mm[experiment], clearance_std_mm=0.0,
+        reference_nm=tuple(d.glass.rest_nm.tolist()), noise_nm=d.glass.noise_nm,
+        clearance_mm=d.clearance_mm[experiment], clearance_std_mm=0.0,
         doubt=ToolDoubt(turn_rad=0.0, mean=1e-3, warmth=0.0),
     )  # fmt: skip
 

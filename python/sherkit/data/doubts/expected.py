@@ -6,6 +6,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from ... import linalg
 from ...types import Bools, Floats
 from ..noise import MAD
 
@@ -38,7 +39,7 @@ def expected(inputs: Floats, turning: Bools, values: Floats, rows: Bools) -> tup
     weight = np.ones(int(rows.sum()))
     for _ in range(_ROUNDS):
         root = np.sqrt(weight)
-        x = np.linalg.lstsq(columns[rows] * root[:, None], values[rows] * root, rcond=1e-9)[0]
+        x = linalg.lstsq(columns[rows] * root[:, None], values[rows] * root, rcond=1e-9)[0]
         off = values[rows] - columns[rows] @ x
         rms = MAD * float(np.median(np.abs(off)))
         weight = 1.0 / (1.0 + (off / max(2.0 * rms, 1e-12)) ** 2)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ... import linalg
 from ...types import Floats
 from ..rows import Measurements
 from .doubt import FEWEST, Doubt, some
@@ -42,7 +43,7 @@ def _line(places: Floats) -> Floats | None:
     places = places - np.median(places, axis=0)
     away = np.abs(places).max(axis=1)
     # wild readings make a line of anything
-    _, length, turn = np.linalg.svd(places[away <= np.quantile(away, _MOST)], full_matrices=False)
+    _, length, turn = linalg.svd(places[away <= np.quantile(away, _MOST)], full_matrices=False)
     if length[0] == 0 or length[1] > _BESIDE * length[0]:
         return None
     return np.asarray(turn[0])

@@ -403,7 +403,7 @@ def _shift(model: ModelWithEffects, data: Measurements, values: Floats, rows: Bo
         root = np.sqrt(weight)[:, None]
         flat = (columns * root[:, :, None]).reshape(-1, columns.shape[2])
         prior = np.diag([*np.full(len(sizes), _HELD * np.linalg.norm(off)), *np.zeros(k)])
-        step = np.linalg.lstsq(np.concatenate([flat, prior]), np.append((off * root).ravel(), np.zeros(len(prior))))[0]
+        step = linalg.lstsq(np.concatenate([flat, prior]), np.append((off * root).ravel(), np.zeros(len(prior))))[0]
         left = np.linalg.norm(off - columns @ step, axis=1)
         weight = 1.0 / (1.0 + (left / max(float(np.median(left)), 1e-12)) ** 2)
     return np.asarray(step[len(sizes) :])
