@@ -235,10 +235,16 @@ def test_a_call_that_fails_for_good_is_an_answer_or_a_sentence(monkeypatch: pyte
     assert ended > 0
 
 
-@pytest.mark.parametrize("column", ["copied", "session"])
+@pytest.mark.parametrize("column", ["copied", "session", "x_mm"])
 def test_columns_that_are_copies_end_in_an_answer(column: str) -> None:
-    """Catches a traceback where a column is another one once more, or tells two stands apart."""
+    """Catches a traceback where a column is another one once more, tells two stands apart, or where a coordinate holds
+    the readings of a joint: its repeats do not differ at all, and what is divided by their noise is no number."""
     frame = run().to_frame()
     n = len(frame)
-    more = frame["time_s"] * 2.0 if column == "copied" else pl.Series((np.arange(n) >= n // 2).astype(float))
-    assert sk.diagnose(EXAMPLE, frame.with_columns(more.alias(column))).verdict
+    more = {
+        "copied": frame["time_s"] * 2.0,
+        "session": pl.Series((np.arange(n) >= n // 2).astype(float)),
+        "x_mm": frame["q1_mm"],
+    }[column]
+    found = sk.diagnose(EXAMPLE, frame.with_columns(more.alias(column)))
+    assert (found.verdict in ("adequate", "explained")) is (column != "x_mm")

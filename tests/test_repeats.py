@@ -155,8 +155,8 @@ def noise(rng: np.random.Generator, n: int, m: int, kind: str) -> Floats:
     return np.asarray(lfilter([1.0], [1.0, -rho], white, axis=0))[200:]
 
 
-def nothing_hidden(seeds: range) -> Iterator[tuple[str, Any, Columns]]:
-    """Robots in three orders with 2 to 5 repeats under each sort of noise: the kind of noise, robot and run."""
+def nothing_hidden(seeds: range) -> Iterator[tuple[Order, str, Any, Columns]]:
+    """Robots in three orders with 2 to 5 repeats under each sort of noise: order, kind of noise, robot and run."""
     orders: tuple[Order, ...] = ("planes", "repeats_together", "shuffled")
     for seed in seeds:
         for order, repeats, kind in product(orders, (2, 3, 5), TIMES):
@@ -172,7 +172,7 @@ def nothing_hidden(seeds: range) -> Iterator[tuple[str, Any, Columns]]:
                 robot, names, size = ROBOT, READINGS, NOISE_PX
             for name, e in zip(names, noise(rng, len(columns["pose"]), len(names), kind).T, strict=True):
                 columns[name] = columns[name] + size * e
-            yield kind, robot, columns
+            yield order, kind, robot, columns
 
 
 @pytest.mark.slow
@@ -180,7 +180,7 @@ def test_repeats_of_noise_hold_nothing() -> None:
     """Catches a level that is not kept: 15 runs each of 36 designs, seeds 100 to 114, at 1 in 1,000 where neighbours
     share three tenths or less, and 1 in 100 where they share seven tenths; binomial allowances of 1 in 1,000."""
     runs, alarms = Counter[str](), Counter[str]()
-    for kind, robot, columns in nothing_hidden(range(100, 115)):
+    for _, kind, robot, columns in nothing_hidden(range(100, 115)):
         found = in_repeats(FittedRun(sk.identify(robot, sk.from_frame(pl.DataFrame(columns)))), seed=0)
         assert found is not None
         runs[kind] += 1
@@ -193,15 +193,18 @@ def test_repeats_of_noise_hold_nothing() -> None:
 
 @pytest.mark.slow
 def test_nothing_hidden_is_adequate_in_98_of_100() -> None:
-    """Catches a search of repeats that raises alarms: 216 runs of whole diagnoses, seeds 200 to 205; two tests at 1 %
+    """Catches a search of repeats that raises alarms: 210 runs of whole diagnoses, seeds 200 to 206; two tests at 1 %
     and one at 1 in 1,000, binomial allowance of 1 in 1,000. Heavy tails and neighbours that share seven tenths are
-    counted as well."""
+    counted as well, but for repeats read one after another: what these share is each pose's own, and is said to be."""
     wrong = []
     runs = 0
-    for kind, robot, columns in nothing_hidden(range(200, 206)):
+    for order, kind, robot, columns in nothing_hidden(range(200, 207)):
+        if order == "repeats_together" and kind in TIMES[2:]:
+            continue
         d = sk.diagnose(sk.identify(robot, sk.from_frame(pl.DataFrame(columns))))
         runs += 1
         if d.verdict != "adequate":
-            wrong.append(f"{kind}: {d.headline}")
+            wrong.append(f"{order}, {kind}: {d.headline}")
     print(runs, wrong)
+    assert runs >= 200
     assert len(wrong) <= stats.binom.isf(1e-3, runs, 0.021), wrong

@@ -95,6 +95,15 @@ class FittedRun(Saved):
             sigma[a] = max(float(np.std(self.residuals[self.used[:, a], a])), 1e-12)
         return sigma
 
+    @cached_property
+    def digits(self) -> Floats:
+        """What of each reading column (columns,) is no more than its digits: no noise is smaller."""
+        out = np.ones(len(self.names))
+        for a in self.axes:
+            used = self.data.readings[self.used[:, a], a]
+            out[a] = max(DIGITS * float(np.ptp(used)) if len(used) else 0.0, 1e-12)
+        return out
+
     def blocks(self, folds: int, seed: int) -> Ints:
         """A fold (n,) for every row; neighbours stay together."""
         return blocks_of(self.data, self.model.place(self.data, self.fit.predicted), folds, seed)

@@ -230,7 +230,7 @@ def _noise_left(run: FittedRun, sigma: Floats) -> Floats:
             out[a] = np.sqrt(((left - mean[group]) ** 2).sum() / free)
         else:
             out[a] = left.std()
-    return out
+    return np.maximum(out, run.digits)
 
 
 def _ties(found: SearchResult) -> tuple[tuple[str, ...], ...]:

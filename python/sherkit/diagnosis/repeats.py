@@ -126,7 +126,7 @@ def by_repeats(
         shown, pose = float(repeats.noise[a]), run.data.pose_sigma[run.used[:, a], a]
         if declared:
             each = run.data.sigma[run.used[:, a], a]
-            if not np.isfinite(each).all() or not shown or not each.any():
+            if not np.isfinite(each).all() or not each.any():
                 continue
             said = float(np.sqrt(np.mean(each**2)))
             if 1.0 / _CONTRADICTS <= shown / said <= _CONTRADICTS:
@@ -229,7 +229,8 @@ class _Search:
             # what describes the tame ones describes the others
             left, taken = self.raw - basis @ (basis.T @ self.raw), basis.shape[1]
         out[self.axes] = np.sqrt((left**2).sum(axis=0) / max(self.free - taken, 1))
-        return out
+        # repeats of a column that holds another one do not differ at all
+        return np.maximum(out, self.run.digits)
 
     def _seen(self) -> Ints:
         """Rows that are searched: those of as many poses as are enough."""
