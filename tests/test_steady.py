@@ -79,7 +79,8 @@ def test_too_little_says_nothing() -> None:
 
 def test_a_verdict_says_that_readings_wander() -> None:
     """Catches praise for a run whose x moves by three times the noise of a reading and comes back, again and again: too
-    quick for a smooth shape in time, it counts as noise of the repeats, and was "adequate" without a word."""
+    quick for a smooth shape in time, it counts as noise of the repeats, and was "adequate" without a word. As a wave it
+    is described."""
     robot = Robot.from_dict(NOMINAL_CONFIG)
     plan = make_plan(robot, grid(18.0, 6, (-15.0, 0.0, 15.0)), repeats=3, order="shuffled", seed=4)
     columns = simulate(robot, plan, noise=0.005, seed=4)
@@ -89,5 +90,7 @@ def test_a_verdict_says_that_readings_wander() -> None:
     assert next(c for c in steady.claims if c.name == "steady").holds
     humid = 0.015 * np.sin(2 * np.pi * frame["time_s"] / 150.0 + 1.0)
     found = sk.diagnose(EXAMPLE, sk.from_frame(frame.with_columns(pl.col("x_mm") + humid)))
-    assert "x wanders by" in found.headline
+    assert found.signature is not None
+    assert (found.signature["depends_on"], found.signature["axis"]) == (["time_s"], ["x"])
+    assert abs(found.signature["period"] / 150.0 - 1) < 0.02
     assert not next(c for c in found.claims if c.name == "steady").holds

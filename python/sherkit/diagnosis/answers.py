@@ -16,7 +16,7 @@ from ..types import Ints
 from .claims import LOOSE, POSES_AS_REPEATS, Claim, headline
 from .stage import Stage
 from .summary import Summary
-from .template import sentence
+from .template import sentence, ties
 from .where import Dependence
 
 
@@ -140,6 +140,7 @@ class Diagnosis(Shown):
         lines.append(f"  {'noise':<24} {self.summary.noise:8.2f} {self.unit} ({self.noise_origin})")
         if self.signature is not None:
             lines.append(f"  {sentence(self.signature)}")
+            lines += [f"  {told}"] if (told := ties(self.signature)) else []
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
