@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+import scipy
 
 from ..names import listed
 from ..types import Floats, Ints
@@ -28,9 +29,10 @@ from .simplest import CLEARLY, lowest
 from .stage import Stage, testable
 
 #: Shapes by which a run is described at most.
-_MOST_SHAPES = 8
-#: Part of what an effect brings that it must still bring beside the shapes.
-_KEEPS = 0.25
+_MOST_SHAPES = 12
+#: Part of what an effect brings that it must still bring beside the shapes; and where effects, with the shapes that go
+#: with them, say clearly more than shapes alone.
+_KEEPS, _KEEPS_AT_LEAST = 0.25, 0.01
 #: What effects and their shapes leave on rows held out is all that is left up to this many times what is free leaves.
 _AS_WELL = 1.02
 #: A shape counts from this part of what the leading one takes.
@@ -67,15 +69,16 @@ class Description:
         return tuple(s for s, t in zip(self.shapes, takes, strict=True) if t >= _COUNTS * takes.max())
 
 
-def described(search: Search, stage: Stage) -> Description:
+def described(search: Search, stage: Stage, most: int = _MOST_SHAPES) -> Description:
     """What a stage leaves, by shapes alone: each time the one by which Schwarz's criterion falls most, until none shows
-    at the level of the test."""
+    at the level of the test or there are so many."""
     scan: Scan = stage.scan
     count = scan.n * scan.m
     shapes: list[Shape] = []
     left, numbers = [scan.sum_of_squares], [0]
-    limit = float(np.quantile(scan.null(search.seed)[1:], 1.0 - search.level))
-    while len(shapes) < _MOST_SHAPES:
+    # what is left has a structure, whose flips are no measure of noise
+    limit = float(scipy.special.ndtri(1.0 - search.level / max(stage.n_shapes, 1)))
+    while len(shapes) < most:
         deviates, (gain, rank) = scan.deviates[: stage.n_shapes], scan.gains
         if not len(deviates) or deviates.max() <= limit:
             break
@@ -100,7 +103,8 @@ def innocents(
     """Effects of those found that must not be named, each with why. ``alone`` describes the run by shapes without any
     effect; ``final`` has all effects."""
     stage = result.stages[-1]
-    beside = described(search, stage)
+    # where the test says that nothing is left, chance has no shape
+    beside = described(search, stage, 0 if result.p_left > search.level else _MOST_SHAPES)
     shown = (*result.signature, *beside.shown)
     numbers = sum(len(c.effect.parameters) + (c.setting is not None) for c in result.added)
     numbers += sum(len(stage.scan.numbers(m)) for m in stage.scan.model)
@@ -116,29 +120,35 @@ def innocents(
         shown = (*shown, *alone.shown)
     if not shown:
         return []
-    columns = free_columns(stage, shown)
     fold = _scattered(final, search.seed)
     better = with_effects < alone.schwarz() - CLEARLY
+    out: dict[str, str] = {}
+
+    def ask(columns: Columns) -> None:
+        """Those that bring nothing beside these columns."""
+        for one in judged:
+            if one.effect in out:
+                continue
+            effect = next(c.effect for c in result.added if c.name == one.effect)
+            plain = earned(final, effect, sigma=sigma, deals=fold, seed=search.seed)
+            free = earned(final, effect, sigma=sigma, deals=fold, beside=columns, seed=search.seed)
+            # with what is free much of a true cause goes too: then it must say more in few numbers than shapes in many
+            if free.holds and _gain(free) >= (_KEEPS_AT_LEAST if better else _KEEPS) * _gain(plain):
+                continue
+            what = listed(sorted({name for s in shown for name in s.depends_on}))
+            out[one.effect] = (
+                f"what is left depends on {what} in a way that no effect has, and beside whatever depends on that the "
+                f"error on rows held out goes from {free.without:.4g} to {free.with_it:.4g} {final.unit} with it "
+                f"(p = {free.p:.2g})"
+            )
+
+    # first beside what is alike at all places, then beside what is not: unless effects and their shapes say as much
+    ask(free_columns(stage, shown, everywhere=True))
+    columns = free_columns(stage, shown)
     described_too = _held_out(final, sigma, fold, _columns_of(stage, stage.nuisance))
-    if better and described_too <= _AS_WELL * _held_out(final, sigma, fold, columns):
-        # nothing is left that what is free would find: the effects and their shapes are all
-        return []
-    out = []
-    for one in judged:
-        effect = next(c.effect for c in result.added if c.name == one.effect)
-        plain = earned(final, effect, sigma=sigma, deals=fold, seed=search.seed)
-        free = earned(final, effect, sigma=sigma, deals=fold, beside=columns, seed=search.seed)
-        # with what is free much of a true cause goes too: then it must say more in few numbers than shapes do in many
-        if free.holds and (_gain(free) >= _KEEPS * _gain(plain) or better):
-            continue
-        what = listed(sorted({name for s in shown for name in s.depends_on}))
-        why = (
-            f"what is left depends on {what} in a way that no effect has, and beside whatever depends on that the "
-            f"error on rows held out goes from {free.without:.4g} to {free.with_it:.4g} {final.unit} with it "
-            f"(p = {free.p:.2g})"
-        )
-        out.append((one.effect, why))
-    return out
+    if not better or described_too > _AS_WELL * _held_out(final, sigma, fold, columns):
+        ask(columns)
+    return list(out.items())
 
 
 def _gain(one: Earned) -> float:
@@ -180,9 +190,10 @@ def _scattered(run: FittedRun, seed: int) -> list[Ints]:
     return [(rng.permutation(int(pose.max()) + 1) % _FOLDS)[pose] for _ in range(_DEALS)]
 
 
-def free_columns(stage: Stage, shapes: Sequence[Shape]) -> Columns:
+def free_columns(stage: Stage, shapes: Sequence[Shape], *, everywhere: bool = False) -> Columns:
     """Columns (b, m, k) of whatever depends on what these shapes depend on: at a joint where they are errors of one, on
-    each axis else, and at any place in a way of its own where it changes in the course of time or with a covariate."""
+    each axis else, and at any place in a way of its own where it changes in the course of time or with a covariate, but
+    for what is the same ``everywhere``."""
     view = stage.view
     room = int(_MOST_COLUMNS * view.residual.size)
     poses = {*view.pattern_of, *view.place}
@@ -193,7 +204,7 @@ def free_columns(stage: Stage, shapes: Sequence[Shape]) -> Columns:
                 most = min(_FREE_IN_TIME if name == "time_s" else _FREE, room // (2 * view.axes))
                 made[(name,)] = _on_axes(_waves(view.variables[name], most), view.axes)
                 course = _waves(view.variables[name], min(_FREE, room // (2 * view.axes * max(len(view.place), 1))))
-                for place in view.place:
+                for place in () if everywhere else view.place:
                     made[name, place] = _on_axes(course * _unit(view.variables[place])[:, None], view.axes)
         names = tuple(n for n in shape.depends_on if n in poses)
         key = (*names, shape.pattern, shape.shape == "hysteretic")
