@@ -98,8 +98,8 @@ def test_the_way_there_that_repeats_show_is_a_finding(order: Order) -> None:
 
 @pytest.mark.parametrize(("ratio", "said"), [(10.0, True), (0.1, True), (1.5, False)])
 def test_declared_noise_that_repeats_contradict_is_said(ratio: float, said: bool) -> None:
-    """Catches 0.03 mm declared where repeats show 3 µm and "adequate" without a word, by the declared one: a cycle would
-    not show beside it. And a word where they agree. (Thirty times as much and more is another unit: `test_table.py`.)"""
+    """Catches 0.03 mm declared where repeats show 3 µm and "adequate" without a word, by the declared one: a cycle
+    would not show beside it. And a word where they agree. Thirty times as much is another unit: `test_table.py`."""
     columns = filmed(3, "shuffled", PLANS["small"])
     # joints that are read: commanded ones beside so much scatter are a mistake of the set-up of its own
     jitter = np.random.default_rng(1).normal(size=(2, len(columns["u_px"]))) * 1e-9

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.markup import escape
 from rich.table import Table
 
-from ..diagnosis import Diagnosis, largest, sentence
+from ..diagnosis import Diagnosis, largest, sentence, ties
 from ..diagnosis.next_poses import SEPARATION
 from ..names import listed
 from .output import out, table
@@ -157,6 +157,7 @@ def _next(d: Diagnosis) -> list[str]:
     if d.signature is not None:
         return [
             escape(sentence(d.signature)),
+            *([escape(told)] if (told := ties(d.signature)) else []),
             "write a template of an effect with this shape: sherkit diagnose … --template my_effects.py",
         ]
     if d.verdict != "adequate":

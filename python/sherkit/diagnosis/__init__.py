@@ -3,6 +3,6 @@
 from .answers import Diagnosis, largest
 from .questions import diagnose
 from .shapes import play_operator
-from .template import sentence, template
+from .template import sentence, template, ties
 
-__all__ = ["Diagnosis", "diagnose", "largest", "play_operator", "sentence", "template"]
+__all__ = ["Diagnosis", "diagnose", "largest", "play_operator", "sentence", "template", "ties"]

@@ -16,7 +16,7 @@ from ..types import Ints
 from .claims import LOOSE, POSES_AS_REPEATS, Claim, headline
 from .stage import Stage
 from .summary import Summary
-from .template import sentence
+from .template import sentence, ties
 from .where import Dependence
 
 
@@ -142,6 +142,7 @@ class Diagnosis(Shown):
             lines.append(f"  {'left out':<24} {len(self.outliers):5d} of {len(self.fit.data)} rows, which look wrong")
         if self.signature is not None:
             lines.append(f"  {sentence(self.signature)}")
+            lines += [f"  {told}"] if (told := ties(self.signature)) else []
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from ..model.effect import Effect
 from ..types import Floats, Ints
 from .fitted_run import FittedRun
 from .folds import Folds, roots_of
-from .held_out import folds_of, rms, squares_of
+from .held_out import Columns, folds_of, rms, squares_of
 from .linearised import Linearised
 from .scan import FLIPS, codes_of
 from .sizes import displaces
@@ -65,13 +65,14 @@ def earned(
     rivals: Sequence[Effect] | None = None,
     periods: Sequence[float] = (),
     also: Collection[str] = (),
+    beside: Columns | None = None,
     seed: int = 0,
 ) -> Earned:
     """What ``effect``, which is in the model of ``run``, brings given all others of the model but those of ``also``.
 
     ``deals`` are folds (n,) of all rows of the data; ``rivals`` what might have been chosen in its place, None where
-    nobody chose, and ``periods`` others that might have been chosen for it. An effect without which the rows
-    cannot be fitted earns its place.
+    nobody chose, and ``periods`` others that might have been chosen for it; ``beside`` are columns that are fitted as
+    well. An effect without which the rows cannot be fitted earns its place.
     """
     axes = list(run.axes)
     rows = testable(run, np.flatnonzero(run.whole))
@@ -84,8 +85,8 @@ def earned(
         plain = less.linearised(rows, tuple(rivals or ()), scale)
     except SherkitError:
         return Earned(effect.name, np.inf, 0.0, 1.0 / FLIPS, 1.0)
-    with_it, of_more = squares_of(more, fold)
-    without, _ = squares_of(plain, fold)
+    with_it, of_more = squares_of(more, fold, beside)
+    without, _ = squares_of(plain, fold, beside)
     chosen = np.ones(fold.shape, dtype=bool)
     if rivals or periods:
         others = [(rival, place) for rival, place in plain.effects if rival.name != effect.name]

@@ -6,7 +6,7 @@ All is linear around the full fit, so that a fit without a block is a subtractio
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from .fitted_run import FittedRun
 from .folds import Folds, roots_of
 from .linearised import Linearised
 from .stage import testable
+
+#: Columns (b, m, k) of a stretch of rows.
+Columns = Callable[[slice], Floats]
 
 #: Blocks that are held out in turn, and how often they are dealt anew so that nothing hangs on one deal.
 _FOLDS = 6
@@ -58,15 +61,20 @@ def rms(squares: Floats, scale: Floats) -> float:
     return float(np.sqrt(np.mean(squares * scale**2)))
 
 
-def folds_of(view: Linearised, fold: Ints) -> Folds:
-    """What was fitted, by folds (deals, n)."""
-    return Folds.of(lambda rows: view.fitted(rows), view.residual, fold)
+def folds_of(view: Linearised, fold: Ints, columns: Columns | None = None) -> Folds:
+    """What was fitted, or these ``columns``, by folds (deals, n)."""
+    return Folds.of(columns or view.fitted, view.residual, fold)
 
 
-def squares_of(view: Linearised, fold: Ints) -> tuple[Floats, Folds]:
-    """Squared errors (deals, n, m) of rows that were held out in turn, and the folds."""
-    folds = folds_of(view, fold)
-    parts = [folds.errors(view.fitted(rows), view.residual[rows], rows) for rows in view.blocks]
+def squares_of(view: Linearised, fold: Ints, beside: Columns | None = None) -> tuple[Floats, Folds]:
+    """Squared errors (deals, n, m) of rows that were held out in turn, and the folds. Columns ``beside`` are fitted as
+    well, where they are given."""
+
+    def fitted(rows: slice) -> Floats:
+        return view.fitted(rows) if beside is None else np.concatenate([view.fitted(rows), beside(rows)], axis=2)
+
+    folds = folds_of(view, fold, fitted)
+    parts = [folds.errors(fitted(rows), view.residual[rows], rows) for rows in view.blocks]
     return np.concatenate(parts, axis=1) ** 2, folds
 
 

@@ -11,11 +11,13 @@ import numpy as np
 from ..model.effect import Effect
 from ..types import Floats, Ints
 from .answers import StepReport
+from .beside import Description, described, innocents
 from .earned import Earned, earned
 from .fitted_run import FittedRun
 from .held_out import held_out_rms
 from .search import Search, SearchResult, refit
 from .setting import on_all_rows
+from .shapes import Shape
 from .sizes import ABSURD, sizes_of
 from .stage import Candidate
 
@@ -59,10 +61,12 @@ def searched(
     mistake of the set-up leaves says nothing on physics. ``periods`` (variable, period) are tried as shapes besides."""
     refused: list[str] = []
     notes: list[str] = []
+    alone: Description | None = None
+    in_model: tuple[Shape, ...] = ()
     while True:
         tried = [e for e in effects if e.name not in refused]
         search = Search(run, tried, rows, sigma, level=level, seed=seed, periods=periods, step=step)
-        result = search.find() if look else search.as_it_stands()
+        result = search.find(in_model) if look else search.as_it_stands()
         base = StepReport(None, held_out_rms(run, sigma, deals))
         if not result.added:
             return Named(search, result, run, [], (base,), notes)
@@ -70,35 +74,41 @@ def searched(
         step("held-out errors")
         final, judged, steps = _judged(run, result, tried, sigma, deals, seed, base)
         falls = all(after.held_out_rms < before.held_out_rms for before, after in pairwise(steps))
-        refusal = _refusal(run, final, result, judged, falls)
-        if refusal is None:
+        refusals = _refusals(run, final, result, judged, falls)
+        if not refusals:
+            alone = alone or described(search, result.stages[0])
+            refusals = innocents(search, result, final, judged, sigma, alone)
+            if len(refusals) == len(judged):
+                # nothing is lost by what describes the run: whoever is to be named is found in what that leaves
+                in_model = alone.shapes
+        if not refusals:
             return Named(search, result, final, judged, steps, [*notes, *told])
-        name, why = refusal
-        refused.append(name)
-        notes.append(f"{name} was found and is not named: {why}")
+        refused += [name for name, _ in refusals]
+        notes += [f"{name} was found and is not named: {why}" for name, why in refusals]
 
 
-def _refusal(
+def _refusals(
     run: FittedRun, final: FittedRun, result: SearchResult, judged: Sequence[Earned], falls: bool
-) -> tuple[str, str] | None:
-    """The effect that must not be named, and why; None where each may."""
+) -> list[tuple[str, str]]:
+    """The effect that must not be named whatever else shows, and why; none where each may."""
     sizes = sizes_of(final.fit)
     absurd = [c.name for c in result.added if (sizes[final.owns(c.effect)] > ABSURD).any()]
     if absurd:
-        return absurd[-1], "its size would be absurd"
+        return [(absurd[-1], "its size would be absurd")]
     left = len(np.unique(run.data.standing[run.whole])) * len(run.axes) - final.fit.rank
     if left < final.fit.rank - run.fit.rank:
-        return result.added[-1].name, "it takes more numbers than these poses leave to judge it by"
+        return [(result.added[-1].name, "it takes more numbers than these poses leave to judge it by")]
     if run.fit.converged and not final.fit.converged:
-        return result.added[-1].name, "with it the fit does not converge"
+        return [(result.added[-1].name, "with it the fit does not converge")]
     failing = [one for one in judged if not one.holds]
     if not failing and falls:
-        return None
+        return []
     worst = max(failing or judged, key=lambda one: one.p)
-    return worst.effect, (
+    why = (
         f"on rows that had no part in choosing it the error goes from {worst.without:.4g} to {worst.with_it:.4g} "
         f"{run.unit} (p = {worst.p:.2g}), and it is chosen again for {worst.again:.0%} of them"
     )
+    return [(worst.effect, why)]
 
 
 def _judged(

@@ -43,6 +43,7 @@ from .shapes import Shape
 from .sizes import implausible
 from .stage import Candidate, Stage, stage_of
 from .steady import wander_of
+from .template import what_parts
 from .where import neighbour_correlation, where
 
 LEVEL = 0.01
@@ -303,7 +304,8 @@ def _parameters(base: Stage, candidate: Candidate, run: FittedRun | None) -> tup
 
 
 def _signature(found: SearchResult, stage: Stage) -> dict[str, Any]:
-    """The leading shape of what no effect explains, in words and numbers. ``stage`` has it among its shapes."""
+    """The leading shape of what no effect explains, in words and numbers, and those that do as well. ``stage`` has it
+    among its shapes."""
     shape: Shape = stage.nuisance[0]
     scan = stage.scan
     image = scan.image([])
@@ -311,17 +313,25 @@ def _signature(found: SearchResult, stage: Stage) -> dict[str, Any]:
     gain = plain - image.given(scan.fitted + len(scan.numbers(scan.model[0])))[0]
     # what is left once every shape that was found is in the model stands for the noise
     excess = max(plain - scan.sum_of_squares * (image.count - rank) / scan.free, gain)
-    axis = [stage.run.names[stage.axes[shape.axis]]] if shape.axis is not None else _axes_of(stage, shape)
+    told = {
+        **_told(stage, shape, _axes_of(stage, shape)),
+        "share_explained": float(np.clip(gain / excess, 0.0, 1.0)),
+        "ranges": {name: _range(stage.view.variables[name]) for name in shape.depends_on},
+        "ties": [_told(stage, other, [stage.run.names[a] for a in stage.axes]) for other in found.as_well],
+    }
+    return told | {"apart": what_parts(told, stage.view.pattern_of, stage.view.place)}
+
+
+def _told(stage: Stage, shape: Shape, axes: list[str]) -> dict[str, Any]:
+    """A shape as a table has it; ``axes`` where it is one on all of them."""
     return {
         "depends_on": list(shape.depends_on),
         "shape": shape.shape,
         "order": shape.order,
         "period": shape.period,
-        "axis": axis,
-        "share_explained": float(np.clip(gain / excess, 0.0, 1.0)),
+        "axis": axes if shape.axis is None else [stage.run.names[stage.axes[shape.axis]]],
         "at": shape.setting,
         "joint": shape.pattern,
-        "ranges": {name: _range(stage.view.variables[name]) for name in shape.depends_on},
     }
 
 

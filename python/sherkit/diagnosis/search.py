@@ -24,8 +24,9 @@ from .fitted_run import FittedRun
 from .periods import period_of
 from .scan import FLIPS, Block, Scan
 from .shapes import Shape, wave
+from .simplest import CLEARLY, as_low, lowest, simplicity
 from .sizes import PLAUSIBLE, displaces, sizes_of
-from .stage import Candidate, Stage, stage_of
+from .stage import Candidate, Stage, again, stage_of
 from .waves import OVERSAMPLING, Waves
 
 #: A set that explains must take at least this part of what the best candidate takes.
@@ -36,8 +37,9 @@ _PLAINLY_LEFT = 15.0
 _MOST_REFITS = 4
 _MOST_PAIRS = 6
 _MOST_STEPS = 4
-#: Difference of Schwarz's criterion that counts as clear (Kass and Raftery, "Bayes factors", JASA 1995).
-_CLEARLY = 6.0
+#: A shape that takes this part of what another takes describes as well where neither describes all; how many are told.
+_AS_MUCH = 0.95
+_MOST_AS_WELL = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,8 @@ class Explanation:
 @dataclass(eq=False)
 class SearchResult:
     """What a search found. ``added`` effects in order; ``alternatives`` sets that explain as well as the leading one;
-    ``signature`` shapes that describe what no effect explains; ``p_first`` the familywise p before anything."""
+    ``signature`` shapes that describe what no effect explains, ``as_well`` those that do as well as its first;
+    ``p_first`` the familywise p before anything."""
 
     stages: list[Stage]
     p_first: float
@@ -66,6 +69,7 @@ class SearchResult:
     alternatives: list[Explanation] = field(default_factory=list)
     replaced: tuple[str, ...] = ()
     signature: list[Shape] = field(default_factory=list)
+    as_well: list[Shape] = field(default_factory=list)
 
 
 class Search:
@@ -117,12 +121,16 @@ class Search:
 
     # -- the search --------------------------------------------------------------------------------------
 
-    def find(self) -> SearchResult:
-        """Searches until nothing significant is left, or nothing explains what is."""
+    def find(self, described: Sequence[Shape] = ()) -> SearchResult:
+        """Searches until nothing significant is left, or nothing explains what is. Shapes that ``described`` the run
+        are in the model from the beginning: an effect is then found in what they leave."""
         stage = self.stage(self.base)
         p = self.left(stage)
         found = SearchResult([stage], p_first=p, p_left=p)
-        while p <= self.level and len(found.added) + len(found.signature) < _MOST_STEPS:
+        for one in described:
+            stage = self._describe(found, stage, one)
+            p = self.left(stage)
+        while p <= self.level and len(found.added) + len(found.signature) < _MOST_STEPS + len(described):
             explanations, singles, nearest = self.explanations(stage)
             shape = self.simpler_shape(stage, explanations)
             if explanations and shape is None:
@@ -148,9 +156,7 @@ class Search:
                 stage = after
                 found.stages.append(stage)
             elif best is not None:
-                found.signature.append(self.refined(stage, best))
-                stage = self.stage(stage.run, found.signature)
-                found.stages.append(stage)
+                stage = self._describe(found, stage, best)
             else:
                 break
             p = self.left(stage)
@@ -158,6 +164,16 @@ class Search:
         self._prune(found)
         self._forget(found)
         return found
+
+    def _describe(self, found: SearchResult, stage: Stage, shape: Shape) -> Stage:
+        """The stage once a shape describes a part of what is left."""
+        shape = again(shape, stage.shapes)
+        if not found.signature:
+            found.as_well = self.as_well(stage, shape)
+        found.signature.append(self.refined(stage, shape))
+        stage = self.stage(stage.run, found.signature)
+        found.stages.append(stage)
+        return stage
 
     def as_it_stands(self) -> SearchResult:
         """Nothing is looked for."""
@@ -182,7 +198,7 @@ class Search:
         of_pair = min(
             _bic(image.left(*at), image.count, e.candidates) for at, e in zip(places, explanations, strict=True)
         )
-        if of_shape < of_pair - _CLEARLY and self.left(stage, given) > self.level:
+        if of_shape < of_pair - CLEARLY and self.left(stage, given) > self.level:
             return shape
         return None
 
@@ -196,8 +212,20 @@ class Search:
 
     def best_shape(self, stage: Stage) -> Shape | None:
         """The shape with the lowest criterion, where one gains."""
-        score = self.scores(stage)[: stage.n_shapes]
-        return stage.shapes[int(np.argmin(score))] if len(score) and score.min() < 0 else None
+        return lowest(stage, self.scores(stage))
+
+    def as_well(self, stage: Stage, shape: Shape) -> list[Shape]:
+        """Shapes that do as well as this one in its place, the simplest first, of each kind and variables one."""
+        scores = self.scores(stage)
+        own = float(scores[stage.shapes.index(shape)])
+        # of what describes but a part, another that takes as much but for a little describes as well
+        part = self.left(stage, stage.scan.given(shape.columns)) <= self.level
+        near = as_low(stage, scores, max(CLEARLY, -(1.0 - _AS_MUCH) * own if part else 0.0))
+        out: dict[tuple[frozenset[str], str], Shape] = {}
+        for other, _ in sorted(near, key=partial(simplicity, stage)):
+            out.setdefault((frozenset(other.depends_on), other.shape), other)
+        out.pop((frozenset(shape.depends_on), shape.shape), None)
+        return list(out.values())[:_MOST_AS_WELL]
 
     def refined(self, stage: Stage, shape: Shape) -> Shape:
         """A periodic shape at the period that takes most, between its neighbours on the grid."""
@@ -248,7 +276,7 @@ class Search:
         """Whether a pair that leaves something is still clearly better than a single one with whatever, shape or
         effect, goes best with it: else one cause and a shape of no catalogue would be taken for two."""
         best_with_it = bic(after.scan, (single,)) + min(float(self.scores(after).min(initial=0.0)), 0.0)
-        return bic(pair.stage.scan, pair.candidates) < best_with_it - _CLEARLY
+        return bic(pair.stage.scan, pair.candidates) < best_with_it - CLEARLY
 
     def _refitted(self, stage: Stage, sets: Sequence[tuple[Candidate, ...]], most: int) -> list[Explanation]:
         """Screens sets by what they take in linear approximation, then refits and tests the best in full."""
@@ -264,7 +292,7 @@ class Search:
         screened.sort(key=lambda s: s[0])
         # a cause of many parameters stands behind every smaller one that imitates it, however well it fits: whoever
         # comes as near the data as the first is heard too
-        near = [s for s in screened[most:] if s[1] < screened[0][1] + _CLEARLY]
+        near = [s for s in screened[most:] if s[1] < screened[0][1] + CLEARLY]
         out = []
         for _, _, members in screened[:most] + near[:most]:
             self.step("refitting with " + " and ".join(c.name for c in members))
@@ -345,6 +373,8 @@ class Search:
             if image.given(columns)[1] > before:
                 kept.append(shape)
         if len(kept) < len(found.signature):
+            if kept[:1] != found.signature[:1]:
+                found.as_well = []
             found.signature = kept
             stage = self.stage(found.stages[-1].run, kept)
             found.stages.append(stage)
@@ -366,7 +396,7 @@ def as_near(leading: Sequence[Explanation], every: Sequence[Explanation]) -> lis
         """By the fit alone, and with a price on each number."""
         return np.array([schwarz(e.stage.scan, 0), bic(e.stage.scan, e.candidates)])
 
-    limit = np.min([scores(e) for e in leading], axis=0) + _CLEARLY
+    limit = np.min([scores(e) for e in leading], axis=0) + CLEARLY
     return [*leading, *(e for e in every if e not in leading and (scores(e) < limit).any())]
 
 

@@ -159,6 +159,8 @@ def build(
                     b.waves_on_axes(name, waves.unit, waves.turns)
             else:
                 b.waves_on_axes(name, 1.0 / (OVERSAMPLING * float(np.ptp(view.variables[name]))), _COARSE)
+        if "time_s" in unit:
+            b.waves_on_axes("time_s", 1.0 / (OVERSAMPLING * float(np.ptp(view.variables["time_s"]))), _IN_TIME)
     for name, at in periods:
         if name in unit:
             _wave(b, name, at)
@@ -224,6 +226,8 @@ def _rows_of_legendre(t: Floats, order: int, rows: slice) -> Floats:
 
 #: Frequencies of a coordinate: from two waves over its range on.
 _COARSE = np.arange(2 * int(OVERSAMPLING), int(OVERSAMPLING) * _MOST_WAVES + 1)
+#: Frequencies of time: a room may swing but once while a run lasts.
+_IN_TIME = np.arange(int(OVERSAMPLING), int(OVERSAMPLING) * _MOST_WAVES + 1)
 
 
 def _wave(b: _Builder, name: str, period: float) -> None:

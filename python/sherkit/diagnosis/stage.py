@@ -198,7 +198,7 @@ def stage_of(
             for effect, _ in view.periodic
             for numbers, period in waves.on_all_inputs
         ]
-    accepted = tuple(_again(n, family.shapes) for n in nuisance)
+    accepted = tuple(again(n, family.shapes) for n in nuisance)
     written = Written(view, family, tuple(more), filtered)
     scan = Scan(
         written,
@@ -300,7 +300,7 @@ def _rich_basis(fitted: Floats, physical: Floats, family: Family, rows: slice) -
     return out.reshape(n * m, -1)
 
 
-def _again(old: Shape, shapes: Sequence[Shape]) -> Shape:
+def again(old: Shape, shapes: Sequence[Shape]) -> Shape:
     """The shape of this stage that is the same as one of an earlier stage."""
 
     def same(s: Shape) -> bool:

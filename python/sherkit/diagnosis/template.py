@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from keyword import iskeyword
 from typing import Any
 
 from ..data.columns import Layout, bare, unit_in
 from ..errors import EffectError
+from ..names import listed
 
 _HEAD = '''"""Written by `sherkit diagnose`: {sentence}
 
@@ -27,21 +28,58 @@ def sentence(signature: Mapping[str, Any]) -> str:
     return f"{course(signature)} ({100 * signature['share_explained']:.0f} % of what is left)."
 
 
-def course(signature: Mapping[str, Any]) -> str:
+def course(shape: Mapping[str, Any]) -> str:
     """What follows what, in words."""
-    what = " and ".join(signature["depends_on"])
-    axes = ", ".join(signature["axis"])
-    shape = signature["shape"]
-    where = f"the error of joint {signature['joint']}" if signature.get("joint") else f"the error in {axes}"
-    how = {
-        "smooth": f"varies smoothly (order {signature['order']}) with {what}",
-        "periodic": f"repeats with {what}, period {signature['period'] or 0.0:.3g}",
-        "step": f"steps at {what} = {signature.get('at') or 0.0:.0f}",
+    return f"{_where(shape)} {_how(shape)}"
+
+
+def ties(signature: Mapping[str, Any]) -> str:
+    """The shapes that do as well, and what would tell them apart, in words; empty where there is none."""
+    others = [f"that {course(one)}" for one in signature.get("ties", ())]
+    if not others:
+        return ""
+    return f"These rows say as well {'; or '.join(others)}. {signature['apart']}"
+
+
+def what_parts(signature: Mapping[str, Any], joints: Collection[str], place: Collection[str]) -> str:
+    """What to measure so that the leading shape of a signature is told from its ``ties``. ``joints`` and ``place`` are
+    the variables that poses decide. Empty where there is no tie."""
+    lead = set(signature["depends_on"])
+    others = [set(one["depends_on"]) for one in signature["ties"]]
+    poses = {*joints, *place}
+    out = []
+
+    def names(some: Collection[str]) -> str:
+        return listed(sorted(some))
+
+    differ = set().union(*(lead ^ other for other in others)) if others else set()
+    courses = differ - poses
+    if courses and differ & poses:
+        out.append(f"the same poses in another, shuffled order, so that {names(courses)} no longer goes with the place")
+    if len(courses) > 1:
+        out.append(f"a longer run, or one at another time of day, in which {names(courses)} go different ways")
+    if len(differ & poses) > 1 and not courses:
+        out.append(f"poses off the lines of these, and farther out, where {names(differ & poses)} do not go together")
+    if any(other == lead for other in others):
+        more = "a longer run" if lead == {"time_s"} else f"more values of {names(lead)}, between these and beyond them"
+        out.append(f"{more}, to tell one course from another")
+    return f"What would tell them apart: {'; '.join(out)}." if out else ""
+
+
+def _where(shape: Mapping[str, Any]) -> str:
+    return f"the error of joint {shape['joint']}" if shape.get("joint") else f"the error in {', '.join(shape['axis'])}"
+
+
+def _how(shape: Mapping[str, Any]) -> str:
+    what = " and ".join(shape["depends_on"])
+    return {
+        "smooth": f"varies smoothly (order {shape['order']}) with {what}",
+        "periodic": f"repeats with {what}, period {shape['period'] or 0.0:.3g}",
+        "step": f"steps at {what} = {shape.get('at') or 0.0:.0f}",
         "hysteretic": f"depends on the way {what} came there "
-        f"(width {signature.get('at') or 0.0:g} {unit_in(signature['depends_on'][0])})",
+        f"(width {shape.get('at') or 0.0:g} {unit_in(shape['depends_on'][0])})",
         "interaction": f"depends on {what} together",
-    }[shape]
-    return f"{where} {how}"
+    }[shape["shape"]]
 
 
 def template(

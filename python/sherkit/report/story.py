@@ -25,7 +25,7 @@ import sherkit._core as _core
 
 from ..calibration import Result
 from ..data.files import write_whole
-from ..diagnosis import Diagnosis, sentence
+from ..diagnosis import Diagnosis, sentence, ties
 from ..errors import SherkitError
 from ..figures import in_people_units, stated, with_error
 from ..fit.forms import known
@@ -141,7 +141,7 @@ def html(story: Story) -> str:
         printed_map=_printed(pictures["residual_map"]),
         example=_example(story.calibration),
         measured=_measured(story),
-        signature=sentence(story.found.signature) if story.found.signature else None,
+        signature=f"{sentence(left)} {ties(left)}".rstrip() if (left := story.found.signature) else None,
         notes={name: one.note for name, one in pictures.items()},
         places=places,
         nonce=nonce,
