@@ -76,7 +76,8 @@ class PlanarCore(NumpyChain):
         slipped = np.where(np.isnan(time), np.nan, (time >= self.slip_time_s).astype(float))
         body = point * (1.0 + acting("thermal_growth", warmer)) + acting("slip", slipped) + push
         body = body + acting("drift", (time - self.time_origin_s) / 3600.0)
-        return np.asarray(body + p["sensor_linearity"] * (body / 20.0) ** 3 + p["datum"])
+        straight = body + p["datum"]
+        return np.asarray(straight + p["sensor_linearity"] * (straight / 20.0) ** 3)
 
     @staticmethod
     def _inputs(block: Block) -> tuple[Floats, Floats, Floats]:

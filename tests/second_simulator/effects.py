@@ -21,10 +21,10 @@ Measured point, all evaluated at the point p the mechanism reaches:
   slip (4)                 step x y z in mm, then the time in s after which it is there
   humidity (3) *           mm per %: v (humidity - 45)
   periodic_z (4) *         amplitude x y z in mm, then phase: amplitude sin(2 pi p_z / 7.3 + phase)
-Sensor, all evaluated at the point x after the effects above:
-  beam_alignment (9)       M by rows: reading = (I + M) x
-  sensor_linearity (3)     a_k, mm: a_k (x_k / 20 mm)^3
+Sensor, whose scale says r where the point is at x after the effects above:
+  beam_alignment (9)       M by rows: r = (I + M) x + datum
   datum (3)                constant, mm
+  sensor_linearity (3)     a_k, mm: a_k (r_k / 20 mm)^3 more is shown than r_k
 Effects marked * are outside the catalogue a calibration is expected to know.
 """
 
@@ -190,4 +190,5 @@ def disturbed_point(point: Array, columns: Columns, effects: Mapping[str, Array]
 def sensor_reading(x: Array, effects: Mapping[str, Array]) -> Array:
     """What the sensor makes of the point x, (n, 3), mm."""
     beams = np.eye(3) + effects["beam_alignment"].reshape(3, 3)
-    return x @ beams.T + effects["sensor_linearity"] * (x / SPAN_MM) ** 3 + effects["datum"]
+    straight = x @ beams.T + effects["datum"]
+    return straight + effects["sensor_linearity"] * (straight / SPAN_MM) ** 3

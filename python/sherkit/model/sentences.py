@@ -43,8 +43,8 @@ COMMON: dict[str, Sentences] = {
         workshop="Tighten what holds the measured point; measure again from the moment on.",
     ),
     "sensor_linearity": Sentences(
-        physics="A sensor's reading bends away from the straight line towards the ends of its range.",
-        residuals="Cubic in one coordinate, the same at all other coordinates.",
+        physics="A sensor's reading bends away from the straight line with the distance from its own zero.",
+        residuals="Cubic in one reading, the same whatever the others are.",
         workshop="Use the middle of the range; have the sensor's linearity table loaded.",
     ),
     "datum": Sentences(

@@ -216,7 +216,8 @@ proptest! {
         let body = body + push + Vector3::from_fn(|i, _| v(DRIFT, i) * hours + v(SLIP, i));
         let expected = Vector3::from_fn(|i, _| {
             let seen = body[i] + (0..3).map(|k| v(BEAM_ALIGNMENT, 3 * i + k) * body[k]).sum::<f64>();
-            seen + v(SENSOR_LINEARITY, i) * (seen / 20.0).powi(3) + v(DATUM, i)
+            let shown = seen + v(DATUM, i);
+            shown + v(SENSOR_LINEARITY, i) * (shown / 20.0).powi(3)
         });
         let found = model.with(&values).unwrap().value(&robot.joints, &now, &push).unwrap();
         prop_assert!((found - expected).amax() < 1e-9, "{}", found - expected);

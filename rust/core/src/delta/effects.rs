@@ -99,7 +99,7 @@ effects! { At;
         y_by_z "yz", z_by_x "zx", z_by_y "zy": "mm/mm", 5e-3, 20.0;
         z_by_z "zz": "mm/mm", 1e-3, 20.0;
     }
-    // cubic error of each sensor at `LINEARITY_SPAN_MM` from its middle
+    // cubic error of each sensor at `LINEARITY_SPAN_MM` from its zero
     sensor_linearity: Sensor by cartesian {
         cubic_x, cubic_y, cubic_z: "mm", 0.005, 1.0;
     }
