@@ -46,8 +46,8 @@ class Effect(Shown):
 
     ``parameters`` carry unit and plausible size; inside a model their names are prefixed (``rail_lean.radial_1``).
     ``needs`` are the covariates without which it cannot be told. ``search`` names a setting that is looked for
-    besides the parameters (``time_s``, or ``period_mm`` or ``period_rad`` of a wave of each joint). ``function`` is set
-    for effects given in NumPy.
+    besides the parameters (``time_s``, ``lag_s``, or ``period_mm`` or ``period_rad`` of a wave of each joint).
+    ``function`` is set for effects given in NumPy.
     """
 
     name: str
@@ -77,6 +77,11 @@ class Effect(Shown):
     def is_periodic(self) -> bool:
         """Whether it is sine and cosine of each joint reading, joint by joint, with a period that can be searched."""
         return self.search is not None and self.search.startswith("period_")
+
+    @property
+    def is_lagging(self) -> bool:
+        """Whether it follows the temperature with a time constant that can be searched."""
+        return self.search == "lag_s"
 
     def waving(self, joints: Sequence[str]) -> list[int]:
         """Which of these joints, by the names of their readings, are in the unit of its period: those that it moves."""

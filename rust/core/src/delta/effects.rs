@@ -55,6 +55,10 @@ effects! { At;
     backlash: Joints by joints needs "direction" {
         width_1, width_2, width_3: "mm", 0.02, 1.0;
     }
+    // what each joint reads too little from the moment on at which it lost steps
+    joint_slip: Joints by joints needs "time_s" search "time_s" {
+        step_1, step_2, step_3: "mm", 0.1, 1.0;
+    }
     // lean of each rail, limb by limb
     rail_lean: Structure by structure {
         radial_1, tangential_1, radial_2, tangential_2, radial_3, tangential_3: "rad", 5e-3, 20.0;
@@ -90,6 +94,10 @@ effects! { At;
     // step of the measured point at the slip time
     slip: Body by body needs "time_s" search "time_s" {
         step_x, step_y, step_z: "mm", 0.1, 1.0;
+    }
+    // by how much robot and instrument move apart where their stands warm
+    thermal_shift: Sensor by body needs "temperature_c" search "lag_s" {
+        shift_x, shift_y, shift_z: "mm/°C", 0.01, 1.0;
     }
     // what the sensors show of each coordinate beyond the coordinate itself: 3 × 3, row by row
     beam_alignment: Sensor by cartesian {
