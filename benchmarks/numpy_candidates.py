@@ -35,7 +35,7 @@ def columns(robot: sk.delta.Delta, data: sk.Measurements) -> tuple[Floats, Float
         "drift": eye * (time / 3600)[:, None, None],
         "slip": eye * late[:, None, None],
         "beam_alignment": (eye[:, :, :, None] * point[:, None, None, :]).reshape(n, 3, 9),
-        "sensor_linearity": eye * ((point / 20.0) ** 3)[:, None],
+        "sensor_linearity": eye * ((data.readings[:, :3] / 20.0) ** 3)[:, None],
     }
     return data.readings[:, :3] - point, np.concatenate([by_geometry, eye], axis=2), candidates
 

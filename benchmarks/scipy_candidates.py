@@ -52,7 +52,7 @@ def candidates(robot: sk.delta.Delta, data: sk.Measurements) -> dict[str, tuple[
         "drift": (3, lambda p: point(p, q) + p[15:] * hours + p[12:15]),
         "slip": (3, lambda p: point(p, q) + p[15:] * late + p[12:15]),
         "beam_alignment": (9, lambda p: point(p, q) @ (np.eye(3) + p[15:].reshape(3, 3)).T + p[12:15]),
-        "sensor_linearity": (3, lambda p: (x := point(p, q)) + p[15:] * (x / 20.0) ** 3 + p[12:15]),
+        "sensor_linearity": (3, lambda p: (x := point(p, q) + p[12:15]) + p[15:] * (x / 20.0) ** 3),
     }
 
 

@@ -26,7 +26,7 @@ HEADER = Path(__file__).parents[1] / "rust/c/examples/robots.h"
 def delta() -> _core.Calibrated:
     """The example delta with small errors, a correction, and a local model blended in."""
     random = np.random.default_rng(1)
-    settings = np.array([40.0, 2.0, 130.0, 130.0, 130.0, 0.0, 0.0])
+    settings = np.array([40.0, 2.0, 130.0, 130.0, 130.0, 0.0, 0.0, 0.0])
     model = _core.DeltaModel(EXAMPLE.geometry, np.array(EXAMPLE.target_offset_mm), "below", settings)
     values = np.zeros(_core.DeltaModel.PARAMETERS)
     values[:18] = 0.02 * random.normal(size=18) * np.tile([1.0, 0.01, 1.0, 1.0, 0.0, 0.0], 3)

@@ -234,7 +234,7 @@ def even_angles(per_turn: int, per_joint: int = 7) -> Poses:
 
 _DELTA_EFFECTS = (
     "joint_scale", "encoder_cyclic", "backlash", "rail_lean", "rod_mismatch", "gravity_sag", "drive_compliance",
-    "limb_twist", "thermal_growth", "drift", "slip", "beam_alignment", "sensor_linearity",
+    "limb_twist", "thermal_growth", "drift", "slip", "joint_slip", "beam_alignment", "sensor_linearity",
 )  # fmt: skip
 _SPHERICAL_EFFECTS = (
     "joint_scale", "encoder_eccentricity", "encoder_cyclic", "backlash", "unequal_limbs", "axis_offset",

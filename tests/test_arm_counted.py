@@ -189,7 +189,7 @@ def enough_alone(arm: Serial, hidden: dict[str, Any], seed: int) -> set[str]:
             continue
         effect = model.known_effects[name]
         at = 2 * np.pi / hidden["per_turn"] if effect.is_periodic else float(with_it.time_s[ROWS // 2])
-        larger = model.with_effect(effect, at=at if effect.search else None)
+        larger = model.with_effect(effect, at=at if effect.search and not effect.is_lagging else None)
         columns = larger.derivatives(with_it, np.zeros(len(larger.parameters))).reshape(planted.size, -1)
         columns = columns[:, np.linalg.norm(columns, axis=0) > 0]
         columns = columns / np.linalg.norm(columns, axis=0)

@@ -79,7 +79,7 @@ def part(
     return DeltaPart(
         free=MODEL.free,
         effects=effects,
-        settings={"period_mm": 0.0, "slip_time_s": 0.0, "time_origin_s": 0.0},
+        settings=dict.fromkeys(MODEL.settings(), 0.0),
         left_out=(),
         now=(1000.0, 20.0 + rng.uniform(0.0, 5.0), *rng.choice((-1.0, 0.0, 1.0), 3).tolist()),
         values=values,

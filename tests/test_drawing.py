@@ -134,18 +134,24 @@ def test_arm_is_drawn_as_it_stands() -> None:
 # -- effects -----------------------------------------------------------------------------------------------------
 
 
+#: Of a usual size they would not be seen.
+SMALL = (
+    "rail_lean", "joint_scale", "drift", "slip", "joint_slip", "thermal_shift", "thermal_growth", "link_growth",
+)  # fmt: skip
+
+
 @pytest.mark.parametrize("name", [n for n in SIMULATED if n in sk.delta.CATALOGUE and n != "datum"])
 def test_exaggerated_delta_is_that_of_the_second_simulator(name: str) -> None:
     """Catches a drawing that moves another way, or by another amount, than the effect's formula written apart: of what
     is read, of the carriages, of the platform and of its tilt."""
-    times = 20.0 if name in ("rail_lean", "joint_scale", "drift", "slip", "thermal_growth", "link_growth") else 3.0
+    times = 20.0 if name in SMALL else 3.0
     planted = draw_effect(name, np.random.default_rng(5), 300.0)
     planted[: SIMULATED[name].amplitudes] *= times
     plan = make_plan(SECOND, grid(15.0, 3, (-12.0, 12.0)), repeats=1, order="shuffled", seed=2)
     columns = simulate(SECOND, plan, None, {name: planted})
     data = sk.from_frame(pl.DataFrame(columns))
     effect = sk.delta.CATALOGUE[name]
-    model = sk.delta.DeltaModel(EXAMPLE).with_effect(effect, at=planted[3] if name == "slip" else None)
+    model = sk.delta.DeltaModel(EXAMPLE).with_effect(effect, at=planted[-1] if SIMULATED[name].fixed else None)
     values = np.zeros(len(model.parameters))
     values[model.owns(effect)] = UNITS.get(name, 1.0) * planted[: len(effect.parameters)]
     shown = drawn(model, data, values)

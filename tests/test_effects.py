@@ -33,10 +33,16 @@ EXPECTED = {
     "thermal_growth": (1, "body", ("temperature_c",)),
     "drift": (3, "body", ("time_s",)),
     "slip": (3, "body", ("time_s",)),
+    "joint_slip": (3, "joints", ("time_s",)),
+    "thermal_shift": (3, "sensor", ("temperature_c",)),
     "beam_alignment": (9, "sensor", ()),
     "sensor_linearity": (3, "sensor", ()),
     "datum": (3, "sensor", ()),
 }
+#: What else the fourth number of an effect of the simulator is called.
+SETTINGS = {
+    "slip": "slip_time_s", "joint_slip": "joint_slip_time_s", "thermal_shift": "thermal_shift_lag_s",
+}  # fmt: skip
 #: The value of ours for one unit of the simulator's: what the whole weight (5 N) does instead of a newton.
 UNITS = {"gravity_sag": 5.0, "drive_compliance": 5.0}
 #: Where the two programs differ in the product of two small effects, mm, at three times the typical size: ours bends
@@ -59,11 +65,16 @@ def test_the_catalogue_says_what_each_effect_is() -> None:
             assert text.strip().endswith(".")
         assert len({p.name for p in effect.parameters}) == len(effect.parameters)
         for p in effect.parameters:
-            assert p.unit in ("mm", "rad", "mm/mm", "mm/h", "1/°C")
+            assert p.unit in ("mm", "rad", "mm/mm", "mm/h", "1/°C", "mm/°C")
             assert p.size > 0
             assert p.lever_mm > 0
         assert [p.name for p in effect.qualified()] == [f"{name}.{p.name}" for p in effect.parameters]
-    assert {n for n, e in sk.delta.CATALOGUE.items() if e.search} == {"encoder_cyclic", "slip"}
+    assert {n for n, e in sk.delta.CATALOGUE.items() if e.search} == {
+        "encoder_cyclic",
+        "joint_slip",
+        "slip",
+        "thermal_shift",
+    }
 
 
 def run(seed: int, effects: dict[str, Any] | None = None) -> tuple[sk.Measurements, dict[str, float]]:
@@ -73,9 +84,11 @@ def run(seed: int, effects: dict[str, Any] | None = None) -> tuple[sk.Measuremen
     return sk.from_frame(pl.DataFrame(simulate(ROBOT, plan, errors, effects))), errors
 
 
-def model_of(names: tuple[str, ...], slip_time_s: float = 0.0) -> sk.delta.DeltaModel:
+def model_of(names: tuple[str, ...], planted: dict[str, Floats] | None = None) -> sk.delta.DeltaModel:
     effects = tuple(sk.delta.CATALOGUE[n] for n in names if n != "datum")
-    return sk.delta.DeltaModel(EXAMPLE, (), effects, slip_time_s=slip_time_s)
+    known = planted or {}
+    settings = {key: float(known[name][3]) for name, key in SETTINGS.items() if name in known}
+    return sk.delta.DeltaModel(EXAMPLE, (), effects, **settings)
 
 
 def values_of(model: sk.delta.DeltaModel, errors: dict[str, float], planted: dict[str, Floats]) -> Floats:
@@ -102,8 +115,7 @@ def drawn(names: tuple[str, ...], seed: int, times: float) -> dict[str, Floats]:
 def agree(names: tuple[str, ...], seed: int, times: float) -> None:
     planted = drawn(names, seed, times)
     data, errors = run(seed, planted)
-    when = planted["slip"][3] if "slip" in planted else 0.0
-    model = model_of(names, when)
+    model = model_of(names, planted)
     predicted = model.predict(data, values_of(model, errors, planted))[:, :3]
     allowed = 1e-9 + sum(mm for pair, mm in CONVENTIONS if pair <= set(names))
     assert np.abs(predicted - data.readings[:, :3]).max() < allowed
@@ -147,7 +159,7 @@ def test_effects_together_act_in_the_order_of_the_chain(names: tuple[str, ...]) 
 def test_an_effect_at_zero_is_none(name: str) -> None:
     """Catches an effect that acts without having been given a size."""
     data, errors = run(3)
-    plain, model = model_of(()), model_of((name,), 100.0)
+    plain, model = model_of(()), model_of((name,), dict.fromkeys(SETTINGS, np.full(4, 100.0)))
     values = values_of(plain, errors, {})
     padded = np.concatenate([values, np.zeros(len(model.parameters) - len(values))])
     np.testing.assert_array_equal(model.predict(data, padded)[:, :3], plain.predict(data, values)[:, :3])
@@ -174,7 +186,7 @@ def test_derivatives_are_those_of_the_readings(names: tuple[str, ...]) -> None:
     """Catches a derivative that forgets a link after its own, to 1e-7 of its largest entry."""
     planted = drawn(names, 7, 3.0)
     data, errors = run(7, planted)
-    model = model_of(names, planted["slip"][3] if "slip" in planted else 0.0)
+    model = model_of(names, planted)
     values = values_of(model, errors, planted)
     exact = model.derivatives(data, values)[:, :3]
     for k, parameter in enumerate(model.parameters):

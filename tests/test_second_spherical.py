@@ -72,14 +72,14 @@ def random_joints(robot: SecondSpherical, rng: np.random.Generator, n: int = 200
 def core_of(robot: SecondSpherical, geometry: Floats | None = None, readings: str = "pixels") -> Any:
     if geometry is None:
         geometry = np.array([robot.alpha_rad, robot.beta_rad, 0.0] * 2)
-    times = [0.0, robot.effects["slip"][3], robot.effects["camera_slip"][6]]
+    times = [0.0, robot.effects["slip"][3], robot.effects["joint_slip"][2], robot.effects["camera_slip"][6]]
     period = 2 * np.pi / (robot.effects["encoder_cyclic"][4] or 2.0)
     settings = np.concatenate([[robot.radius_mm], robot.gravity, robot.home_rad, times, [period]])
     return _core.SphericalModel(geometry, robot.camera, settings, robot.assembly, readings=readings)
 
 
 def core_block(joints: Floats, now: dict[str, Floats]) -> Any:
-    known = [now[name] for name in ("time_s", "temperature_c", "direction", "velocity")]
+    known = [now[name] for name in ("time_s", "temperature_c", "direction", "velocity", "stand_c")]
     return (joints, None, np.ascontiguousarray(np.column_stack(known)), None)
 
 
@@ -99,6 +99,7 @@ def disagreement(robot: SecondSpherical, rng: np.random.Generator) -> float:
         "velocity": 0.5 * rng.normal(size=joints.shape),
         "time_s": rng.uniform(0.0, 4000.0, len(joints)),
         "temperature_c": 20.0 + rng.normal(size=len(joints)),
+        "stand_c": 20.0 + rng.normal(size=len(joints)),
     }
     core, values = core_of(robot), core_values(robot)
     readings, reached = core.predict(values, core_block(joints, now))

@@ -69,7 +69,7 @@ class DeltaKinematics:
     def derivatives_batch(self, joints: _Floats) -> tuple[_Floats, _Floats, _Bools]:
         """Of the position: by the joints (n, 3, 3) and by ``parameters`` (n, 3, 18)."""
 
-#: Joints (n, k), other ends of distances (n, k), covariates (n, 2 + 2 k), displacements of the point (n, 3) mm.
+#: Joints (n, k), other ends of distances (n, k), covariates (n, 3 + 2 k), displacements of the point (n, 3) mm.
 _Block = tuple[_Floats, _Floats | None, _Floats | None, _Floats | None]
 
 @type_check_only
@@ -77,7 +77,8 @@ class _Model:
     """The measurement chain of a robot of k joints, whose runs have m columns of readings.
 
     A block of rows: joints (n, k), joints at the other end of a distance (NaN elsewhere) or None, covariates (time s,
-    temperature °C, k directions, k velocities) or None, displacements of the measured point or None. Rows that cannot
+    temperature °C, k directions, k velocities, of an arm the target and its payload, temperature of the stands) or
+    None, displacements of the measured point or None. Rows that cannot
     be computed are NaN and ``False``. ``CATALOGUE`` has a dict for each effect: name, link, base (whether every model
     has it), needs, search, parameters; these have name, symbol, unit, size, lever_mm (None where the robot says it).
     """

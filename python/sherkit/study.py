@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .arguments import Level, Positive, Seed, as_annotated
+from .arguments import Level, NotNegative, Positive, Seed, as_annotated
 from .data import Measurements
 from .data.given import RunLike
 from .data.joined import joined
@@ -188,11 +188,12 @@ class Study(Shown):
         period_mm: Positive | None = None,
         period_rad: Positive | None = None,
         slip_time_s: float | None = None,
+        lag_s: NotNegative | None = None,
     ) -> StudyStep:
         """Adds an effect by name, or a user's own, and refits.
 
-        The time of a slip and the period of a cyclic error are searched for where they are not given; the period that
-        the model has stays unless another is clearly better. Raises
+        The time of a slip, the period of a cyclic error and the lag of a stand are searched for where they are not
+        given; the period that the model has stays unless another is clearly better. Raises
         :class:`~sherkit.errors.EffectError` for an unknown or doubled effect, or one whose columns the rows lack.
         """
         if isinstance(effect, Effect):
@@ -213,7 +214,9 @@ class Study(Shown):
                 SherkitWarning,
                 stacklevel=3,
             )
-        at = {"time_s": slip_time_s, "period_mm": period_mm, "period_rad": period_rad}.get(chosen.search or "")
+        at = {"time_s": slip_time_s, "period_mm": period_mm, "period_rad": period_rad, "lag_s": lag_s}.get(
+            chosen.search or ""
+        )
         if at is None:
             at = setting_for(self.fit, chosen)
         action = chosen.name if chosen.frees else f"added {chosen.name}"

@@ -35,10 +35,23 @@ CATALOGUE: Sequence[dict[str, Any]] = (
         "encoder_cyclic", "joints", "rad", 1e-3, 200.0, "sine_1", "cosine_1", "sine_2", "cosine_2", search="period_rad"
     ),
     _row("backlash", "joints", "rad", 1e-3, 200.0, "width_1", "width_2", needs=["direction"]),
+    _row("joint_slip", "joints", "rad", 2e-3, 200.0, "step_1", "step_2", needs=["time_s"], search="time_s"),
     _row("droop", "structure", "mm", 0.2, 1.0, "fall"),
     _row("thermal_growth", "body", "1/°C", 2e-5, 200.0, "coefficient", needs=["temperature_c"]),
     _row("drift", "body", "mm/h", 0.1, 1.0, "rate_x", "rate_y", "rate_z", needs=["time_s"]),
     _row("slip", "body", "mm", 0.1, 1.0, "step_x", "step_y", "step_z", needs=["time_s"], search="time_s"),
+    _row(
+        "thermal_shift",
+        "sensor",
+        "mm/°C",
+        0.01,
+        1.0,
+        "shift_x",
+        "shift_y",
+        "shift_z",
+        needs=["temperature_c"],
+        search="lag_s",
+    ),
     _row("sensor_linearity", "sensor", "mm", 0.005, 1.0, "cubic_x", "cubic_y", "cubic_z"),
 )
 
@@ -48,16 +61,26 @@ class PlanarCore(NumpyChain):
     the encoders, rad."""
 
     def __init__(
-        self, lengths: Floats, height: float, home: Floats, time_origin_s: float, slip_time_s: float, period_rad: float
+        self,
+        lengths: Floats,
+        height: float,
+        home: Floats,
+        time_origin_s: float,
+        slip_time_s: float,
+        joint_slip_time_s: float,
+        period_rad: float,
     ) -> None:
         self.lengths, self.height, self.home, self.wave = lengths, height, home, 2.0 * np.pi / period_rad
-        self.time_origin_s, self.slip_time_s = time_origin_s, slip_time_s
+        self.time_origin_s, self.slip_time_s, self.joint_slip_time_s = time_origin_s, slip_time_s, joint_slip_time_s
 
     def _readings(self, values: NDArray[Any], joints: NDArray[Any], known: Floats, push: NDArray[Any]) -> NDArray[Any]:
-        """Readings (n, 3) for readings of the joints (n, 2), covariates (n, 6) and displacements (n, 3)."""
+        """Readings (n, 3) for readings of the joints (n, 2), covariates (n, 7) and displacements (n, 3)."""
         parts = np.split(values, np.cumsum([len(row["parameters"]) for row in CATALOGUE])[:-1])
         p = dict(zip((row["name"] for row in CATALOGUE), parts, strict=True))
         time, warmer, direction = known[:, :1], known[:, 1:2] - _REFERENCE_C, known[:, 2:4]
+
+        def late(moment_s: float) -> Floats:
+            return np.where(np.isnan(time), np.nan, (time >= moment_s).astype(float))
 
         def acting(name: str, gain: NDArray[Any]) -> Any:
             # an effect at zero does not ask for its covariate
@@ -68,22 +91,24 @@ class PlanarCore(NumpyChain):
         lines, angle = p["encoder_cyclic"], self.wave * joints
         theta = theta + lines[::2] * np.sin(angle) + lines[1::2] * np.cos(angle)
         theta = theta + rings[::2] * np.sin(joints) + rings[1::2] * np.cos(joints) + acting("backlash", 0.5 * direction)
+        theta = theta + acting("joint_slip", late(self.joint_slip_time_s))
         lengths = self.lengths + p["links"]
         angles = np.cumsum(theta, axis=1)
         x, y = (np.sum(lengths * turn(angles), axis=1) for turn in (np.cos, np.sin))
         z = self.height - p["droop"] * (x * x + y * y) / self.lengths.sum() ** 2
         point = np.column_stack([x, y, z])
-        slipped = np.where(np.isnan(time), np.nan, (time >= self.slip_time_s).astype(float))
-        body = point * (1.0 + acting("thermal_growth", warmer)) + acting("slip", slipped) + push
+        body = point * (1.0 + acting("thermal_growth", warmer)) + acting("slip", late(self.slip_time_s)) + push
         body = body + acting("drift", (time - self.time_origin_s) / 3600.0)
-        return np.asarray(body + p["sensor_linearity"] * (body / 20.0) ** 3 + p["datum"])
+        body = body + acting("thermal_shift", known[:, -1:] - _REFERENCE_C)
+        straight = body + p["datum"]
+        return np.asarray(straight + p["sensor_linearity"] * (straight / 20.0) ** 3)
 
     @staticmethod
     def _inputs(block: Block) -> tuple[Floats, Floats, Floats]:
         joints, to, known, push = block
         assert to is None, "this arm reads no distances"
         n = len(joints)
-        return joints, np.full((n, 6), np.nan) if known is None else known, np.zeros((n, 3)) if push is None else push
+        return joints, np.full((n, 7), np.nan) if known is None else known, np.zeros((n, 3)) if push is None else push
 
     def predict(self, values: Floats, block: Block) -> tuple[Floats, Bools]:
         """Readings (n, 3), and which rows could be computed."""

@@ -19,8 +19,8 @@ _OWN = {
 PLANAR_CATALOGUE: dict[str, Effect] = catalogue_of_core(
     CATALOGUE,
     common(
-        "datum", "joint_scale", "encoder_eccentricity", "encoder_cyclic", "backlash", "thermal_growth", "drift", "slip",
-        "sensor_linearity",
+        "datum", "joint_scale", "encoder_eccentricity", "encoder_cyclic", "backlash", "joint_slip", "thermal_growth",
+        "drift", "slip", "thermal_shift", "sensor_linearity",
     )
     | _OWN,
 )  # fmt: skip

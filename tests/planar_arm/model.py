@@ -27,6 +27,8 @@ class PlanarModel(ChainModel):
 
     robot: PlanarArm
     slip_time_s: float = 0.0
+    joint_slip_time_s: float = 0.0
+    thermal_shift_lag_s: float = 0.0
     time_origin_s: float = 0.0
     period_rad: float | None = None
 
@@ -45,16 +47,17 @@ class PlanarModel(ChainModel):
         return tuple(p.name for p in self.base)
 
     def settings(self) -> dict[str, float | None]:
-        """Moment of the slip, origin of time, period of the encoders."""
-        times = {"slip_time_s": self.slip_time_s, "time_origin_s": self.time_origin_s}
-        return {**times, "period_rad": self.period_rad}
+        """Moments of the slips, lag of the stands, origin of time, period of the encoders."""
+        times = {"slip_time_s": self.slip_time_s, "joint_slip_time_s": self.joint_slip_time_s}
+        more = {"thermal_shift_lag_s": self.thermal_shift_lag_s, "time_origin_s": self.time_origin_s}
+        return {**times, **more, "period_rad": self.period_rad}
 
     @cached_property
     def core(self) -> PlanarCore:
         """The chain."""
         r = self.robot
         home = np.deg2rad(r.home_deg)
-        times, period = (self.time_origin_s, self.slip_time_s), self.period_rad or np.pi
+        times, period = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s), self.period_rad or np.pi
         return PlanarCore(np.array(r.length_mm), r.height_mm, home, *times, period)
 
     def grid(self, data: Measurements) -> Floats:

@@ -6,6 +6,7 @@ Joints, all evaluated at the reading q and added to it (v = (q - q_home) / 20 mm
   backlash (3)             b_i, mm: half of it in the direction of the joint's last motion
   joint_coupling (6) *     k12 k13 k21 k23 k31 k32, mm: q_i error = k_ij v_j v_i
   joint_crosstalk (6) *    same order, mm: q_i error = k_ij v_j
+  joint_slip (4)           what joints 1, 2, 3 lost, mm, then the time in s after which they have
 Mechanism:
   rail_lean (6)            radial and tangential lean of rails 1, 2, 3 in turn, rad
   rod_mismatch (3)         length difference of a limb's two rods, mm
@@ -19,12 +20,14 @@ Measured point, all evaluated at the point p the mechanism reaches:
   thermal_growth (1)       a, 1/degC: a (T - 20) p
   drift (3)                mm/h, linear in time_s from its zero
   slip (4)                 step x y z in mm, then the time in s after which it is there
+  thermal_shift (4)        mm/degC: k (S - 20), then the lag L in s of the stand's temperature S behind the room's
+                           T: L dS/dt = T - S, and S = T when the run begins
   humidity (3) *           mm per %: v (humidity - 45)
   periodic_z (4) *         amplitude x y z in mm, then phase: amplitude sin(2 pi p_z / 7.3 + phase)
-Sensor, all evaluated at the point x after the effects above:
-  beam_alignment (9)       M by rows: reading = (I + M) x
-  sensor_linearity (3)     a_k, mm: a_k (x_k / 20 mm)^3
+Sensor, whose scale says r where the point is at x after the effects above:
+  beam_alignment (9)       M by rows: r = (I + M) x + datum
   datum (3)                constant, mm
+  sensor_linearity (3)     a_k, mm: a_k (r_k / 20 mm)^3 more is shown than r_k
 Effects marked * are outside the catalogue a calibration is expected to know.
 """
 
@@ -36,6 +39,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.signal import lfilter
 
 from .geometry import Array, Robot, radial, tangential
 
@@ -44,6 +48,7 @@ Effects = Mapping[str, ArrayLike]
 
 SPAN_MM = 20.0
 PERIOD_Z_MM = 7.3
+STEPS_IN_TIME = 2**17
 STILL_MM = 1e-9  # commanded heights that agree to rounding are no motion
 PAIRS = (np.array([0, 0, 1, 1, 2, 2]), np.array([1, 2, 0, 2, 0, 1]))  # (driven, driving) joint
 
@@ -73,6 +78,8 @@ EFFECTS: dict[str, Effect] = {
     "thermal_growth": Effect(1, 1e-4),
     "drift": Effect(3, 0.02),
     "slip": Effect(3, 0.02, fixed=1),
+    "joint_slip": Effect(3, 0.02, fixed=1),
+    "thermal_shift": Effect(3, 0.01, fixed=1),
     "beam_alignment": Effect(9, 1e-3),
     "sensor_linearity": Effect(3, 0.01),
     "datum": Effect(3, 0.1),
@@ -109,6 +116,10 @@ def draw_effect(name: str, rng: np.random.Generator, duration_s: float) -> Array
     parameters = effect.typical * amplitudes
     if name == "slip":
         return np.append(parameters, duration_s * rng.uniform(0.3, 0.7))
+    if name == "joint_slip":  # one motor stalls, not three at once
+        return np.append(parameters * np.eye(3)[rng.integers(3)], duration_s * rng.uniform(0.3, 0.7))
+    if name == "thermal_shift":
+        return np.append(parameters, duration_s * rng.uniform(0.0, 0.3))
     if name == "periodic_z":
         return np.append(parameters, rng.uniform(0.0, 2 * np.pi))
     return parameters
@@ -132,6 +143,18 @@ def motion_direction(q: Array, time_s: Array) -> Array:
     return direction
 
 
+def stand_temperature(time_s: Array, temperature_c: Array, lag_s: float) -> Array:
+    """Temperature (n,) of what follows the room with a lag, by the trapezoidal rule on a fine grid of time."""
+    if lag_s <= 0:
+        return temperature_c
+    order = np.argsort(time_s, kind="stable")
+    fine = np.linspace(time_s.min(), time_s.max(), STEPS_IN_TIME)
+    room = np.interp(fine, time_s[order], temperature_c[order])
+    half = 0.5 * (fine[1] - fine[0]) / lag_s
+    stand = room[0] + lfilter([half / (1 + half)] * 2, [1.0, -(1 - half) / (1 + half)], room - room[0])
+    return np.interp(time_s, fine, stand)
+
+
 def coupling_matrix(k: Array) -> Array:
     """Matrix whose row is the driven and column the driving joint."""
     matrix = np.zeros((3, 3))
@@ -145,8 +168,10 @@ def true_joints(robot: Robot, home: Array, columns: Columns, effects: Mapping[st
     v = (q - home) / SPAN_MM
     phase = 2 * np.pi * q / robot.pole_pitch
     sine, cosine = effects["encoder_cyclic"].reshape(3, 2).T
+    lost, when = effects["joint_slip"][:3], effects["joint_slip"][3]
     return (
         q
+        + lost * (columns["time_s"][:, None] > when)
         + robot.joint_offset
         + effects["joint_scale"] * (q - home)
         + sine * np.sin(phase)
@@ -178,11 +203,13 @@ def disturbed_point(point: Array, columns: Columns, effects: Mapping[str, Array]
     damp = columns["humidity_pct"][:, None] - 45.0
     ripple, phase = effects["periodic_z"][:3], effects["periodic_z"][3]
     step, when = effects["slip"][:3], effects["slip"][3]
+    stand = stand_temperature(columns["time_s"], columns["temperature_c"], effects["thermal_shift"][3])
     return (
         point * (1 + effects["thermal_growth"] * warmth)
         + effects["humidity"] * damp
         + effects["drift"] * time_s / 3600.0
         + step * (time_s > when)
+        + effects["thermal_shift"][:3] * (stand - 20.0)[:, None]
         + ripple * np.sin(2 * np.pi * point[:, 2:] / PERIOD_Z_MM + phase)
     )
 
@@ -190,4 +217,5 @@ def disturbed_point(point: Array, columns: Columns, effects: Mapping[str, Array]
 def sensor_reading(x: Array, effects: Mapping[str, Array]) -> Array:
     """What the sensor makes of the point x, (n, 3), mm."""
     beams = np.eye(3) + effects["beam_alignment"].reshape(3, 3)
-    return x @ beams.T + effects["sensor_linearity"] * (x / SPAN_MM) ** 3 + effects["datum"]
+    straight = x @ beams.T + effects["datum"]
+    return straight + effects["sensor_linearity"] * (straight / SPAN_MM) ** 3

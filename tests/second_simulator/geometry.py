@@ -32,6 +32,8 @@ NOMINAL_CONFIG: dict[str, Any] = {
     "region_of_interest": {"half_width_mm": 10.0},
 }
 
+# A laboratory may count heights and readings from anywhere on its table.
+ZEROS_MM = 50.0
 # The four groups a geometric calibration fits, with the default sd of a drawn error (mm, rad).
 FITTED_SIZES: dict[str, float] = {
     "base_radius": 1.0,
@@ -135,6 +137,14 @@ def inverse_kinematics(robot: Robot, points: Array) -> Array:
     if np.any(drop_squared <= 0):
         raise ValueError("a point is out of reach of the rods")
     return centre[:, 2:] + np.sqrt(drop_squared) - robot.joint_offset
+
+
+def draw_zeros(rng: np.random.Generator, robot: Robot, points: Array) -> tuple[Robot, Array, Array]:
+    """Where things are counted from, mm, each within 50 mm at random: the robot with another measured point, the
+    points (n, 3) at which that is when the platform is where ``points`` had it, and the datum (3,) of the readings."""
+    target_offset = rng.uniform(-ZEROS_MM, ZEROS_MM, 3)
+    moved = points + target_offset - robot.target_offset
+    return replace(robot, target_offset=target_offset), moved, rng.uniform(-ZEROS_MM, ZEROS_MM, 3)
 
 
 def write_robot_toml(path: str | Path, config: Mapping[str, Any] = NOMINAL_CONFIG) -> None:

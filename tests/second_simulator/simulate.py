@@ -135,8 +135,11 @@ def scaled_effect(
     target_rms: float,
     fitted: Literal["geometric", "none"] = "geometric",
     errors: Errors | None = None,
+    beside: Effects | None = None,
 ) -> dict[str, Array]:
     """Random parameters of one effect, ``{name: parameters}``, sized by what a fit leaves of it.
+
+    ``beside`` is what the robot and its instruments have anyway, such as the zeros of the readings.
 
     The RMS over all rows and axes (mm) of the noise-free change of the readings, less its linear
     least-squares fit by ``fitted_directions`` (or whole, with "none"), equals ``target_rms``.
@@ -146,11 +149,11 @@ def scaled_effect(
     basis = np.zeros((3 * len(plan["time_s"]), 0))
     if fitted == "geometric":
         basis = fitted_directions(robot, plan, errors)
-    without = truth(robot, plan, errors)
+    without = truth(robot, plan, errors, beside)
     parameters = draw_effect(name, rng, float(plan["time_s"].max()))
     rms, factor, power = 0.0, 1.0, 1.0
     for _ in range(MAX_RESCALINGS):
-        change = (truth(robot, plan, errors, {name: parameters}) - without).ravel()
+        change = (truth(robot, plan, errors, {**(beside or {}), name: parameters}) - without).ravel()
         left = change - basis @ (basis.T @ change)
         if np.linalg.norm(left) < 1e-6 * np.linalg.norm(change):
             raise ValueError(f"{name} is absorbed by the fitted parameters: no scale leaves it")

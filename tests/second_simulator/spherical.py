@@ -9,6 +9,7 @@ Joints, all evaluated at the reading r and added to it (joint 1, joint 2):
   joint_scale (2)            s_i (r_i - home_i), relative
   encoder_eccentricity (4)   a1 b1 a2 b2, rad: a sin(r) + b cos(r)
   encoder_cyclic (5)         a1 b1 a2 b2, rad, then how many waves n a turn has: a sin(n r) + b cos(n r)
+  joint_slip (3)             what the joints lost, rad, then the time in s from which they have
   backlash (2)               b_i, rad: half of it in the direction of the joint's last motion
   camera_delay (1)           d, s: the picture shows the joints as they were d earlier, -d times their velocity
 Mechanism:
@@ -22,6 +23,7 @@ Measured point:
 then, at the marker p that this gives:
   thermal_growth (1)         a, 1/degC: a (T - 20) p, about the remote centre
   drift (3)                  mm/h, linear in time from its zero
+  thermal_shift (4)          mm/degC, base frame: k (S - 20), then the lag in s of the stand's temperature S
   slip (4)                   step x y z in mm, then the time in s from which it is there
 In no catalogue, and therefore no effect by name (``Unmodelled``): a sine of u in the pixels, and an error of the
 marker's centre that is the same in every repeat of a pose.
@@ -44,7 +46,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from .effects import Columns, Effects, motion_direction
+from .effects import Columns, Effects, motion_direction, stand_temperature
 from .geometry import Array
 from .plans import Order, visit_order
 
@@ -64,13 +66,14 @@ COLUMN_NAMES = (
 
 @dataclass(frozen=True)
 class Now:
-    """What a row is besides its joints: direction of each joint's last motion and velocity in rad/s (n, 2); time in s
-    and temperature in degC (n,)."""
+    """What a row is besides its joints: direction of each joint's last motion and velocity in rad/s (n, 2); time in s,
+    temperature and that of the stands in degC (n,)."""
 
     direction: ArrayLike | None = None
     velocity: ArrayLike | None = None
     time_s: ArrayLike | None = None
     temperature_c: ArrayLike | None = None
+    stand_c: ArrayLike | None = None
 
     def needed(self, name: str, what: str) -> Array:
         """A covariate that an effect at work asks for."""
@@ -99,6 +102,7 @@ SPHERICAL_EFFECTS: dict[str, Effect] = {
     "encoder_eccentricity": Effect((2e-3,) * 4),
     "encoder_cyclic": Effect((5e-4,) * 4 + (20.0,), fixed=1),
     "backlash": Effect((2e-3,) * 2, positive=True),
+    "joint_slip": Effect((2e-3, 2e-3, 100.0), fixed=1),
     "unequal_limbs": Effect((2e-3,) * 2),
     "axis_offset": Effect((0.3,) * 4),
     "gravity_flexure": Effect((3e-3,) * 2, positive=True),
@@ -106,6 +110,7 @@ SPHERICAL_EFFECTS: dict[str, Effect] = {
     "thermal_growth": Effect((1e-3,)),
     "drift": Effect((2.0,) * 3),
     "slip": Effect((0.5, 0.5, 0.5, 100.0), fixed=1),
+    "thermal_shift": Effect((0.2, 0.2, 0.2, 60.0), fixed=1),
     "camera_pose": Effect((1e-3,) * 3 + (0.5,) * 3),
     "camera_slip": Effect((1e-3,) * 3 + (0.5,) * 3 + (60.0,), fixed=1),
     "focal_length": Effect((2e-3,)),
@@ -158,6 +163,8 @@ def draw_spherical_effect(name: str, rng: np.random.Generator) -> Array:
     drawn = np.array(effect.typical) * rng.normal(size=effect.size)
     if effect.fixed:
         drawn[-effect.fixed :] = np.array(effect.typical)[-effect.fixed :]
+    if name == "thermal_shift":
+        drawn[-1] *= rng.choice([0.0, rng.uniform(0.3, 1.5)])
     return drawn
 
 
@@ -285,6 +292,9 @@ class SecondSpherical:
         *waves, per_turn = hidden["encoder_cyclic"]
         for k in (0, 1):
             theta[:, k] += waves[2 * k] * np.sin(per_turn * r[:, k]) + waves[2 * k + 1] * np.cos(per_turn * r[:, k])
+        if np.any(hidden["joint_slip"][:2]):
+            lost, when = hidden["joint_slip"][:2], hidden["joint_slip"][2]
+            theta = theta + np.outer(now.needed("time_s", "a slip of a joint") >= when, lost)
         if np.any(hidden["backlash"]):
             theta = theta + 0.5 * hidden["backlash"] * now.needed("direction", "backlash")
         if np.any(hidden["camera_delay"]):
@@ -392,6 +402,12 @@ class SecondSpherical:
         """Marker (n, 3), mm; ``now`` as :class:`Now`."""
         return self._wandering(self._on_the_tool(joints, Now(**now)), Now(**now))
 
+    def _apart(self, marker: Array, now: Now) -> Array:
+        """Where a marker (n, 3) seems to be to who does not know that stands have moved apart."""
+        if np.any(shift := self._effects["thermal_shift"][:3]):
+            return marker + np.outer(now.needed("stand_c", "a stand") - 20.0, shift)
+        return marker
+
     def _wandering(self, point: Array, now: Now) -> Array:
         """Where a marker (n, 3) is that grows, drifts and slips."""
         growth, drift, slip = (self._effects[name] for name in ("thermal_growth", "drift", "slip"))
@@ -435,12 +451,12 @@ class SecondSpherical:
 
     def pixels(self, joints: ArrayLike, **now: ArrayLike) -> Array:
         """Noise-free pixels (n, 2) of the marker at joint readings (n, 2); ``now`` as :class:`Now`."""
-        return self.image(self.markers(joints, **now), Now(**now))
+        return self.image(self._apart(self.markers(joints, **now), Now(**now)), Now(**now))
 
     def angles(self, joints: ArrayLike, **now: ArrayLike) -> Array:
         """Direction phi, gamma (n, 2) of the marker from the remote centre, phi within a quarter turn of the joints'
         mean; gamma is negative where that takes the other side of the actuated axis."""
-        x, y, z = self.markers(joints, **now).T
+        x, y, z = self._apart(self.markers(joints, **now), Now(**now)).T
         mean = np.mean(self.true_joints(joints, Now(**now)), axis=1)
         turns = np.round((np.arctan2(y, x) - mean) / np.pi)
         beyond = np.where(turns % 2, -1.0, 1.0)
@@ -453,6 +469,7 @@ class SecondSpherical:
         theta = pair(plan, "rad")
         direction = motion_direction(theta, plan["time_s"])
         known = {name: plan[name] for name in ("time_s", "temperature_c")}
+        known["stand_c"] = stand_temperature(*known.values(), float(self._effects["thermal_shift"][3]))
         return self.pixels(theta, direction=direction, velocity=pair(plan, "rad_per_s"), **known)
 
     def run(

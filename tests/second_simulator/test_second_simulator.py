@@ -251,6 +251,11 @@ def test_point_and_sensor_effects_match_their_formulas() -> None:
     }
     for name, (parameters, moved) in expected.items():
         np.testing.assert_allclose(change(name, parameters), moved, atol=1e-12, err_msg=name)
+    # a scale bends about its own zero, not about the robot's
+    datum, bent = np.array([30.0, -20.0, 45.0]), 0.01 * v
+    zeros: dict[str, ArrayLike] = {"datum": datum}
+    moved = truth(ROBOT, PLAN, errors(), zeros | {"sensor_linearity": bent}) - truth(ROBOT, PLAN, errors(), zeros)
+    np.testing.assert_allclose(moved, bent * ((p + datum) / 20) ** 3, atol=1e-12)
 
 
 def test_joint_effects_are_the_matching_shift_of_the_readings() -> None:

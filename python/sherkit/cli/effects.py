@@ -89,7 +89,7 @@ def _show(effect: Effect, of: str) -> None:
     ):
         output.out.print(f"  [bold]{title}:[/] {text}")
     if effect.search:
-        what = "moment"
+        what = "lag behind the recorded temperature" if effect.is_lagging else "moment"
         if effect.is_periodic:
             what = "period, down to the mean distance of a joint's distinct readings,"
         output.say(f"  its {what} is searched for as well")

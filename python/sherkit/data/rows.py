@@ -17,6 +17,7 @@ from ..errors import EffectError, MeasurementError, ShapeError, SherkitWarning
 from ..names import listed, nearest
 from ..types import Bools, Floats, Ints
 from . import columns as c
+from .lagged import Room
 from .tables import write_table
 
 #: Joints of repeats differ by less than this part of what the joints of a run differ by.
@@ -74,6 +75,8 @@ class Measurements:
     order: Ints
     layout: c.Layout
     block: Ints | None = None
+    #: The room of the whole run, of which these may be some rows; None where what follows it has caught up.
+    room: Room | None = None
 
     # -- making ------------------------------------------------------------------------------------------
 
@@ -128,6 +131,7 @@ class Measurements:
             direction=_directions(values, joints),
             order=order_in_time(values.get(c.TIME), n),
             layout=layout,
+            room=Room.of(values.get(c.TIME), values.get(c.TEMPERATURE)),
         )
         data._check()
         return data
@@ -297,6 +301,13 @@ class Measurements:
             labels={k: v[rows] for k, v in self.labels.items()},
         )  # fmt: skip
 
+    def later(self, lag_s: float) -> Floats | None:
+        """Temperature (n,), °C, of what follows the room with this time constant; None where it is not known."""
+        now = self.covariates.get(c.TEMPERATURE)
+        if now is None or self.room is None or self.time_s is None or lag_s <= 0.0:
+            return now
+        return self.room.later(self.time_s, lag_s)
+
     def __getitem__(self, name: str) -> Floats:
         """An input or a covariate (n,). Raises :class:`~sherkit.errors.EffectError` for a name that is not there."""
         if name in self.layout.joints:
@@ -349,6 +360,7 @@ class Measurements:
             to_joints=np.full((n, self.to_joints.shape[1]), np.nan),
             taken=np.tile(taken, (n, 1)),
             direction=np.ones_like(joints),
+            room=None,
             outlier=np.zeros(n, dtype=bool),
             covariates={
                 # a robot warms and stays warm; other covariates come back, numbers of things with the first of them

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -199,6 +199,12 @@ class FittedRun(Saved):
         # a step of a point whose coordinates are read is one of each reading alone
         alone = [effect.link == "body" and first.reads_point for effect, _ in columns]
         known = own(slice(0, 1)).inputs is not None
+
+        def lagging(effect: Effect, lag_s: float) -> Callable[[slice], Floats]:
+            """Columns of an effect at a lag."""
+            behind = self.model.with_settings(effect, lag_s).tried_by_blocks(part, self.fit.values, [effect])
+            return lambda some: behind(some).columns[:, axes] / over
+
         inputs = {name: np.ascontiguousarray(part.joints[:, k]) for k, name in enumerate(part.layout.joints)}
         out = Linearised(
             residual=(part.readings - self.fit.predicted[rows])[:, axes] / sigma,
@@ -217,6 +223,8 @@ class FittedRun(Saved):
                 if effect.search == "time_s"
             ),
             periodic=tuple(periodic) if known else (),
+            # what no time says cannot be told to come later
+            lagging=tuple((e, partial(lagging, e)) for e in asked if e.is_lagging) if part.room is not None else (),
             untestable=untestable | first.refused,
         )
         self._last = rows, effects, sigma, out

@@ -68,9 +68,10 @@ class Linearised:
     is equal where it stood the same, ``repeated`` (n,) where the same was read there again. ``effects`` pairs each
     effect that can be tried with its columns; ``in_time`` are the effects that step at a searched time, each with
     its columns after the step, or None where these are a step of each reading; ``periodic`` those that are a wave
-    of each input at a searched period, each with the period that the model has for it, or None; ``untestable`` maps
-    the others to the reason. ``inputs`` name to (n,), the readings of the inputs, be they constant or their
-    patterns unknown.
+    of each input at a searched period, each with the period that the model has for it, or None; ``lagging`` those
+    among ``effects`` that follow with a searched time constant, each with what gives its columns at another one;
+    ``untestable`` maps the others to the reason. ``inputs`` name to (n,), the readings of the inputs, be they constant
+    or their patterns unknown.
     """
 
     residual: Floats
@@ -85,6 +86,7 @@ class Linearised:
     effects: Sequence[tuple[Effect, slice]] = ()
     in_time: Sequence[tuple[Effect, slice | None]] = ()
     periodic: Sequence[tuple[Effect, float | None]] = ()
+    lagging: Sequence[tuple[Effect, Callable[[float], Callable[[slice], Floats]]]] = ()
     untestable: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:

@@ -21,6 +21,7 @@ from ..errors import SherkitError
 from ..model.effect import Effect
 from ..types import Floats
 from .fitted_run import FittedRun
+from .moments import at_the_row, best_lag
 from .periods import period_of
 from .scan import FLIPS, Block, Scan
 from .shapes import Shape, wave
@@ -323,23 +324,10 @@ class Search:
         if best.effect.is_periodic:
             period = period_of(stage, [c for _, c in scored])
             return best if period is None else period.candidate
-        return self._finer(stage, best)
-
-    def _finer(self, stage: Stage, candidate: Candidate) -> Candidate:
-        """The moment of a slip to the row: the cut that leaves least."""
-        if candidate.effect.search != "time_s" or candidate.setting is None or stage.view.time is None:
-            return candidate
-        time, e = stage.view.time, stage.view.residual
-        n = len(e)
-        near = int(np.searchsorted(time, candidate.setting))
-        reach = n // 20 + 2
-        cuts = np.arange(max(near - reach, 2), min(near + reach, n - 2))
-        total, sums = e.sum(axis=0), np.cumsum(e, axis=0)
-        before = sums[cuts - 1]
-        gain = ((before - cuts[:, None] / n * total) ** 2).sum(axis=1) / (cuts * (n - cuts) / n)
-        cut = int(cuts[np.argmax(gain)])
-        # between the last reading before and the first after
-        return Candidate(candidate.effect, candidate.columns, float(0.5 * (time[cut - 1] + time[cut])))
+        if best.effect.is_lagging:
+            at_once = next((c for c in scored if c[1].setting is None), None)
+            return best_lag(stage, best, at_once)
+        return at_the_row(stage, best)
 
     def best_single(self, stage: Stage) -> Candidate | Shape | None:
         """The candidate or shape with the lowest criterion; None where nothing gains."""

@@ -42,6 +42,8 @@ def on_all_rows(run: FittedRun, added: Sequence[Candidate]) -> tuple[list[Candid
         found = searched(beside, candidate.effect) if period is None else period.candidate
         out.append(candidate if found is None else found)
         told += () if period is None else period.sentences
+        if out[-1].effect.is_lagging and (lag := out[-1].setting):
+            told.append(f"{candidate.name}: it comes {lag:.3g} s after the recorded temperature")
     return out, tuple(told)
 
 
@@ -70,6 +72,6 @@ def setting_for(fit: Fit, effect: Effect) -> float | None:
         return None
     found = searched(FittedRun(fit), effect)
     if found is None:
-        what = "period" if effect.is_periodic else "moment"
+        what = "period" if effect.is_periodic else "lag" if effect.is_lagging else "moment"
         raise EffectError(f"'{effect.name}': no {what} can be searched for in these rows")
     return found.setting

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import count as count_from
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from ..types import Floats, Ints
 from .axis_waves import Along
 from .linearised import Linearised, last_asked
 from .scan import Columns
-from .waves import OVERSAMPLING, TURN, Waves
+from .waves import OVERSAMPLING, TURN, Waves, bends
 
 _ORDERS = 3
 _STEPS = 24
@@ -113,7 +114,11 @@ class _Builder:
         """Waves of a variable on each axis by itself, and on all together."""
         along = Along(np.ascontiguousarray(self.view.variables[name]), unit, turns)
         count = len(turns)
+        half = np.round(OVERSAMPLING * float(np.ptp(along.values)) * along.at).astype(np.int64)
+        seen = ~bends(half, np.hypot(*along.mean))
         for f, period in enumerate((1.0 / along.at).tolist()):
+            if not seen[f]:
+                continue
             pairs = [tuple(self.count_along + (2 * a + s) * count + f for s in (0, 1)) for a in range(self.view.axes)]
             for axis, numbers in (*enumerate(pairs), (None, tuple(k for pair in pairs for k in pair))):
                 self.shapes.append(Shape((name,), "periodic", period=period, axis=axis, along=numbers))
@@ -190,7 +195,8 @@ def _of_input(waves: Waves, name: str, pattern: str) -> list[Shape]:
         first, count = waves.numbers(name, 0)[0], len(waves.at)
         waves.shapes[name] = [
             Shape((name,), "periodic", period=period, pattern=pattern, waves=(k, k + count))
-            for k, period in enumerate((1.0 / waves.at).tolist(), first)
+            for k, period, none in zip(count_from(first), (1.0 / waves.at).tolist(), waves.bends(name), strict=False)
+            if not none
         ]
     return waves.shapes[name]
 

@@ -19,6 +19,8 @@ from .scan import Block, Columns, Image, Scan
 from .shapes import Family, Shape, build
 from .waves import Waves, waves_of
 
+#: Time constants that are tried, and the fewest readings in one of them.
+_LAGS, _READINGS_BEHIND = 8, 4.0
 #: Rows that tell how noise is correlated in time: more would tell it better than any test here could see.
 _CORRELATED = 8192
 
@@ -182,6 +184,9 @@ def stage_of(
             if place is not None and view.time is not None and shape.setting is not None:
                 about = full(_stepped(view, place, shape.setting), place.stop - place.start)
             candidates.append(Candidate(effect, about, shape.setting))
+    for effect, behind in view.lagging:
+        width = len(effect.parameters)
+        candidates += [Candidate(effect, full(behind(lag), width), lag) for lag in lags_of(view)]
     for effect, _ in view.periodic:
         if effect.name in (at or {}):
             period = (at or {})[effect.name]
@@ -231,6 +236,16 @@ def _stepped(view: Linearised, place: slice, moment: float) -> Callable[[slice],
 def _rows_from(view: Linearised, place: slice, moment: float, rows: slice) -> Floats:
     assert view.time is not None, "a step has a moment"
     return np.where((view.time[rows] >= moment)[:, None, None], view.effects_in(rows)[:, :, place], 0.0)
+
+
+def lags_of(view: Linearised) -> list[float]:
+    """Time constants, s, that are tried: each half of the one before, from the length of the run to a few readings.
+    What is slower goes by what the temperature has summed up to; what is quicker has followed."""
+    if view.time is None:
+        return []
+    length = float(np.ptp(view.time))
+    least = max(_READINGS_BEHIND * length / len(view), length / 2.0**_LAGS)
+    return [float(lag) for lag in length / 2.0 ** np.arange(_LAGS) if lag >= least]
 
 
 def _periodic(view: Linearised, frequency: float) -> Callable[[slice], Floats]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from .._core import wave_sums
-from ..types import Floats, Ints
+from ..types import Bools, Floats, Ints
 from .gridded import Complexes, Gridded
 from .linearised import Linearised, Whitening
 
@@ -26,6 +26,8 @@ OVERSAMPLING = 2.0
 #: Fewest and most waves over the range of a joint: fewer are any bend, and each more makes a false alarm likelier and
 #: the test dearer.
 _FEWEST_WAVES, _MOST_WAVES = 2, 150
+#: Mean of the waves at poses that stand at multiples of a distance: they are off it by up to a fifth of it.
+_AT_MULTIPLES = 0.5
 #: Readings that are closer than this part of the range are one: no wave is so short that it would tell them apart.
 _SAME = 1e-3
 #: Waves over the range up to which a period that the model has is looked at, however few the readings are.
@@ -53,6 +55,17 @@ def frequencies(view: Linearised) -> Floats:
         step = max(TURN / (OVERSAMPLING * span), 1.0)
         return np.unique(np.round(np.arange(2.0, waves * TURN / span + 1.0, step))) * _unit(view)
     return np.arange(_FEWEST_WAVES * OVERSAMPLING, OVERSAMPLING * waves + 1.0) * _unit(view)
+
+
+def bends(turns: Ints, window: Floats) -> Bools:
+    """Which frequencies (F,), half waves over the range, are none at these poses but a bend: the ``window`` (F,), how
+    long the mean of the waves is of one, says that the poses stand at whole multiples of a distance. A wave as long as
+    that is a constant there, and one that is longer or shorter by less than two waves over the range is no more than
+    the bend of which it is the alias."""
+    beside = np.concatenate([[-np.inf], window, [-np.inf]])
+    top = (window >= beside[:-2]) & (window >= beside[2:])
+    apart = turns[top & (window > _AT_MULTIPLES)]
+    return np.asarray((np.abs(turns[:, None] - apart) < _FEWEST_WAVES * OVERSAMPLING).any(axis=1))
 
 
 def _unit(view: Linearised) -> float:
@@ -105,6 +118,15 @@ class Waves:
 
     def __len__(self) -> int:
         return 2 * len(self.names) * len(self.at)
+
+    def bends(self, name: str) -> Bools:
+        """Which of the frequencies (F,) are none at these readings of an input."""
+        j = self.names.index(name)
+        sums = self.sums_along(j, 1)
+        sums.add(self.values[j], np.full((len(self.values[j]), 1), 1.0 / len(self.values[j])))
+        # half waves over the range of this input
+        half = np.round(OVERSAMPLING * (self.high[j] - self.low[j]) * self.at).astype(np.int64)
+        return bends(half, np.abs(sums.multiples(self.turns)[:, 0]))
 
     def numbers(self, name: str, f: int) -> tuple[int, int]:
         """The columns of an input at a frequency."""

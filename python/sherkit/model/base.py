@@ -229,9 +229,12 @@ class ModelWithEffects(Saved, ABC):
     def with_effect(self, effect: Effect, *, at: float | None = None, **settings: float) -> Self:
         """The same model with one more effect. ``at`` is the setting that is searched for besides its parameters: a
         moment or a period; other ``settings`` are by name."""
-        if at is not None:
-            settings |= dict.fromkeys(self._held_as(effect), at)
-        return replace(self, effects=(*self.effects, effect), **settings)  # type: ignore[type-var]
+        made = self if at is None else self.with_settings(effect, at)
+        return replace(made, effects=(*self.effects, effect), **settings)  # type: ignore[type-var]
+
+    def with_settings(self, effect: Effect, at: float) -> Self:
+        """The same model with another setting for an effect that it may get."""
+        return replace(self, **dict.fromkeys(self._held_as(effect), at))  # type: ignore[type-var]
 
     def setting_of(self, effect: Effect) -> float | None:
         """The setting that the model has for an effect, as :meth:`with_effect` takes it; None where it has none."""

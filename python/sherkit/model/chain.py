@@ -27,9 +27,11 @@ from .effect import Effect, freeing, parameters_of_core
 from .parameter import Parameter
 from .rows import Rows
 
-#: Joints (n, k), other ends of distances, covariates (n, 2 + 2 k), displacements of the measured point (n, 3).
+#: Joints (n, k), other ends of distances, covariates (n, 3 + 2 k), displacements of the measured point (n, 3).
 Block = tuple[Floats, Floats | None, Floats | None, Floats | None]
 
+#: The setting that says by how much the stands are behind the room, s.
+STAND_LAG = "thermal_shift_lag_s"
 #: Digits of what a person is asked to drive to, by unit: of targets, and of joints, finer than any encoder stops at.
 _TARGET_DIGITS = {"mm": 1, "rad": 3}
 _JOINT_DIGITS = {"mm": 3, "rad": 5}
@@ -112,7 +114,9 @@ class ChainModel(ModelWithEffects):
             velocities = [known.get(name, empty) for name in data.layout.velocities]
             velocities += [empty] * (data.joints.shape[1] - len(velocities))
             time = empty if data.time_s is None else data.time_s
+            stand = data.later(self.settings().get(STAND_LAG) or 0.0)
             columns = [time, known.get(TEMPERATURE, empty), data.direction, *velocities]
+            columns.append(empty if stand is None else stand)
             covariates = np.ascontiguousarray(np.column_stack(columns))
         return (data.joints if joints is None else joints, data.distances_or_none, covariates, push)
 

@@ -46,9 +46,9 @@ class Effect(Shown):
 
     ``parameters`` carry unit and plausible size; inside a model their names are prefixed (``rail_lean.radial_1``).
     ``needs`` are the covariates without which it cannot be told. ``search`` names a setting that is looked for
-    besides the parameters (``time_s``, or ``period_mm`` or ``period_rad`` of a wave of each joint). ``function`` is set
-    for effects given in NumPy. One that ``frees`` is no physics of its own: its parameters are the model's, which were
-    held at the drawing.
+    besides the parameters (``time_s``, ``lag_s``, or ``period_mm`` or ``period_rad`` of a wave of each joint).
+    ``function`` is set for effects given in NumPy. One that ``frees`` is no physics of its own: its parameters are the
+    model's, which were held at the drawing.
     """
 
     name: str
@@ -79,6 +79,11 @@ class Effect(Shown):
     def is_periodic(self) -> bool:
         """Whether it is sine and cosine of each joint reading, joint by joint, with a period that can be searched."""
         return self.search is not None and self.search.startswith("period_")
+
+    @property
+    def is_lagging(self) -> bool:
+        """Whether it follows the temperature with a time constant that can be searched."""
+        return self.search == "lag_s"
 
     def waving(self, joints: Sequence[str]) -> list[int]:
         """Which of these joints, by the names of their readings, are in the unit of its period: those that it moves."""

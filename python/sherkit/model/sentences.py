@@ -32,6 +32,19 @@ COMMON: dict[str, Sentences] = {
         residuals="Proportional to position times the deviation of temperature from 20 °C.",
         workshop="Warm up before measuring; hold the temperature; use Invar.",
     ),
+    "joint_slip": Sentences(
+        physics="A joint lost steps at one moment, or its encoder, pulley or coupling slipped: from then on it stands "
+        "beside where it is read. The value is how far.",
+        residuals="From one moment on as if one joint stood elsewhere by the same amount; none before it.",
+        workshop="Home the joint and compare; lower its acceleration, tighten coupling and pulley; measure again.",
+    ),
+    "thermal_shift": Sentences(
+        physics="A stand, a tripod or a base expands, so that instrument and robot move apart with the temperature, "
+        "perhaps long after the room has warmed. A growth about another point than the origin is a growth with such a "
+        "shift. The control loop, which has no instrument, is not given it.",
+        residuals="The same at every pose, in proportion to the temperature, or to that of some minutes ago.",
+        workshop="Put robot and instrument on one plate; warm up; shield the stand; return to a reference pose often.",
+    ),
     "drift": Sentences(
         physics="The point wanders steadily while the run lasts: creep, settling supports, warming electronics.",
         residuals="A straight line over time, whatever the pose.",
@@ -43,8 +56,8 @@ COMMON: dict[str, Sentences] = {
         workshop="Tighten what holds the measured point; measure again from the moment on.",
     ),
     "sensor_linearity": Sentences(
-        physics="A sensor's reading bends away from the straight line towards the ends of its range.",
-        residuals="Cubic in one coordinate, the same at all other coordinates.",
+        physics="A sensor's reading bends away from the straight line with the distance from its own zero.",
+        residuals="Cubic in one reading, the same whatever the others are.",
         workshop="Use the middle of the range; have the sensor's linearity table loaded.",
     ),
     "datum": Sentences(

@@ -131,7 +131,8 @@ class Part:
         known = model_of(robot).settings()
         if known:
             with table.table("settings") as s:
-                settings = {name: s.number(name) for name in known}
+                # what came with a later version was not there
+                settings = {name: s.number(name, 0.0) for name in known}
         with table.table("now") as n:
             now = tuple(n.number(name) for name in _now_names(robot))
         low, high = table.array(f"low_{unit}", size), table.array(f"high_{unit}", size)

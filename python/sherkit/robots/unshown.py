@@ -21,6 +21,7 @@ import numpy as np
 from .. import linalg
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, TIME, unit_in
+from ..data.lagged import DRAWN_C
 from ..data.toml import Table
 from ..model.chain import ChainModel
 from ..model.effect import Effect
@@ -55,6 +56,8 @@ class Unshown:
         unit = unit_in(effect.search)
         if effect.is_periodic:
             return f"{self.effect} with a period of {self.setting:.4g} {unit}"
+        if effect.is_lagging:
+            return f"{self.effect} with a lag of {self.setting:.4g} {unit}"
         return f"{self.effect} at {self.setting:.4g} {unit}"
 
     def to_table(self) -> dict[str, Any]:
@@ -81,7 +84,8 @@ class Unshown:
             raise table.fail("effect", "one that is not in the model")
         k = len(effect.parameters)
         setting = None
-        if effect.search is not None:
+        # what comes with a lag is tried without one
+        if effect.search is not None and not effect.is_lagging:
             setting = table.number("setting", positive=effect.is_periodic)
         return cls(
             effect=effect.name,
@@ -138,7 +142,11 @@ def at_rest(
     columns = dict(zip((TIME, TEMPERATURE, *layout.directions), now.T, strict=True))
     columns |= {name: np.zeros(len(joints)) for name in (*layout.velocities, *layout.loads)}
     rows = Measurements.planned(joints, layout, **columns)
-    found, by_joints, _, read = model.core_for(rows).derivatives(model.full(values), model.block(rows), model.indices)
+    q, ends, known, push = model.block(rows)
+    if known is not None:
+        known[:, -1] = DRAWN_C
+    block = (q, ends, known, push)
+    found, by_joints, _, read = model.core_for(rows).derivatives(model.full(values), block, model.indices)
     m = rows.coordinates
     return found[:, :m], by_joints[:, :m], read
 

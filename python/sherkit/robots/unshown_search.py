@@ -108,7 +108,7 @@ class Search:
 
     def _settings(self, effect: Effect) -> Sequence[float | None]:
         """Those at which an effect is tried: periods that hide most, moments within the run; none where it has none."""
-        if effect.search is None:
+        if effect.search is None or effect.is_lagging:
             return (None,)
         if effect.is_periodic:
             return self._periods(effect)

@@ -4,7 +4,7 @@
 use crate::result::{SHERKIT_NULL, SHERKIT_UNREADABLE, answer, code_of, finite, sherkit_result};
 use crate::storage::{Opaque, clear, get, given, put, wanted};
 use nalgebra::{SMatrix, SVector};
-use sherkit_core::chain::Covariates;
+use sherkit_core::chain::{Covariates, REFERENCE_TEMPERATURE_C};
 use sherkit_core::{Error, Result};
 
 /// What a row of numbers holds.
@@ -99,7 +99,7 @@ pub unsafe fn inverse<T: Robot<N>, const N: usize>(
     answer(run())
 }
 
-/// What is known, or nothing. A loop commands places, so velocities are zero.
+/// What is known, or nothing. A loop commands places, so velocities are zero; it has no instrument whose stand warms.
 ///
 /// # Safety
 /// The pointer is null or valid.
@@ -110,6 +110,7 @@ pub unsafe fn known<K: Copy + Into<Covariates<N>>, const N: usize>(
     let known = unsafe { covariates.as_ref() }.map_or(Covariates::NONE, |c| (*c).into());
     Covariates {
         velocity: [0.0; N],
+        stand_c: REFERENCE_TEMPERATURE_C,
         ..known
     }
 }

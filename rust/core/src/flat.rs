@@ -7,13 +7,13 @@
 //!
 //! Delta (kind 1): branch of the whole workspace; 1 and low corner, high corner and blend of the region, and its
 //! branch, or 0. A branch is a model (assembly ±1, 18 geometric parameters, target offset, rod spacing, pole pitch,
-//! home, time origin, slip time), the values of all parameters, and 1 and orders, low corner, high corner, fade and
+//! home, time origin, slip times of point and joints), the values of all parameters, and 1 and orders, low corner, high corner, fade and
 //! coefficients of its correction, or 0. Spherical (kind 2): assembly ±1, 6 geometric parameters, radius, the camera's 15,
-//! face ±1, gravity, home, time origin, slip time, period of the encoders, slip time of the
+//! face ±1, gravity, home, time origin, slip times of marker and joints, period of the encoders, slip time of the
 //! camera, place of the elbows (0 open, 1 crossed, 2 ahead,
 //! 3 behind), the values of all parameters. Serial (kind 3): number of joints, of each its frame behind the one before it
 //! (turn row by row, shift), 1 where it slides, by how much it follows the one before, home, mass and the centre of it, lowest and highest reading; 4 targets,
-//! 4 centres, gravity, period of the encoders, time origin, slip time, the values of all parameters.
+//! 4 centres, gravity, period of the encoders, time origin, slip times of target and joints, the values of all parameters.
 
 use crate::camera::{Description, Face};
 use crate::chain::{Flat, PLANES, Robot};
@@ -27,7 +27,7 @@ use crate::{Error, Result};
 use nalgebra::{Matrix3, Vector3};
 
 /// Version of the layout.
-const VERSION: f64 = 3.0;
+const VERSION: f64 = 4.0;
 const DELTA: f64 = 1.0;
 const SPHERICAL: f64 = 2.0;
 const SERIAL: f64 = 3.0;
@@ -70,7 +70,7 @@ fn write_branch(parts: &BranchParts<'_>, put: &mut impl FnMut(f64)) {
     let [a, b, c] = m.home;
     let settings = [m.rod_spacing, m.pole_pitch, a, b, c];
     settings.into_iter().for_each(&mut *put);
-    [m.time_origin_s, m.slip_time_s]
+    [m.time_origin_s, m.slip_time_s, m.joint_slip_time_s]
         .into_iter()
         .for_each(&mut *put);
     parts.values.iter().copied().for_each(&mut *put);
@@ -116,6 +116,7 @@ pub fn write_spherical(
     model.home.into_iter().for_each(&mut put);
     put(model.time_origin_s);
     put(model.slip_time_s);
+    put(model.joint_slip_time_s);
     put(model.encoder_period);
     put(model.camera_slip_time_s);
     put(match elbows {
@@ -161,6 +162,7 @@ pub fn write_serial(
     put(model.encoder_period);
     put(model.time_origin_s);
     put(model.slip_time_s);
+    put(model.joint_slip_time_s);
     values.iter().copied().for_each(&mut put);
 }
 
@@ -283,7 +285,7 @@ impl<'a> Reader<'a> {
         let geometry = self.finite()?;
         let target_offset = Vector3::from(self.finite::<3>()?);
         let [rod_spacing, pole_pitch, h1, h2, h3] = self.finite()?;
-        let [time_origin_s, slip_time_s] = self.finite()?;
+        let [time_origin_s, slip_time_s, joint_slip_time_s] = self.finite()?;
         let model = delta::Model {
             geometry: delta::Geometry::from_parameters(&geometry, assembly),
             target_offset,
@@ -292,6 +294,7 @@ impl<'a> Reader<'a> {
             home: [h1, h2, h3],
             time_origin_s,
             slip_time_s,
+            joint_slip_time_s,
         };
         Ok(Branch {
             chain: model.with(&self.finite()?)?,
@@ -336,6 +339,7 @@ pub fn read_spherical(numbers: &[f64]) -> Result<spherical::Calibrated> {
         home: row.finite()?,
         time_origin_s: row.finite::<1>()?[0],
         slip_time_s: row.finite::<1>()?[0],
+        joint_slip_time_s: row.finite::<1>()?[0],
         encoder_period: row.finite::<1>()?[0],
         camera_slip_time_s: row.finite::<1>()?[0],
     };
@@ -390,6 +394,7 @@ pub fn read_serial(numbers: &[f64]) -> Result<serial::Calibrated> {
         encoder_period: row.finite::<1>()?[0],
         time_origin_s: row.finite::<1>()?[0],
         slip_time_s: row.finite::<1>()?[0],
+        joint_slip_time_s: row.finite::<1>()?[0],
         tracker_slip_time_s: 0.0,
     };
     let values = row.finite()?;

@@ -28,12 +28,14 @@ const DRIFT: Range<usize> = of("drift");
 const ENCODER_CYCLIC: Range<usize> = of("encoder_cyclic");
 const GRAVITY_SAG: Range<usize> = of("gravity_sag");
 const JOINT_SCALE: Range<usize> = of("joint_scale");
+const JOINT_SLIP: Range<usize> = of("joint_slip");
 const LIMB_TWIST: Range<usize> = of("limb_twist");
 const LINK_GROWTH: Range<usize> = of("link_growth");
 const ROD_MISMATCH: Range<usize> = of("rod_mismatch");
 const SENSOR_LINEARITY: Range<usize> = of("sensor_linearity");
 const SLIP: Range<usize> = of("slip");
 const THERMAL_GROWTH: Range<usize> = of("thermal_growth");
+const THERMAL_SHIFT: Range<usize> = of("thermal_shift");
 
 /// Columns of one row that is computed as many are.
 struct Together(nalgebra::SMatrix<f64, 3, PARAMETERS>);
@@ -116,7 +118,7 @@ proptest! {
         push in prop::array::uniform3(-1.0..1.0_f64),
     ) {
         let model = model_of(&robot);
-        let one_by_one = [BACKLASH, ENCODER_CYCLIC, JOINT_SCALE, DRIFT, SLIP, THERMAL_GROWTH, GRAVITY_SAG, DRIVE_COMPLIANCE, LIMB_TWIST, LINK_GROWTH, ROD_MISMATCH];
+        let one_by_one = [BACKLASH, ENCODER_CYCLIC, JOINT_SCALE, JOINT_SLIP, DRIFT, SLIP, THERMAL_GROWTH, THERMAL_SHIFT, GRAVITY_SAG, DRIVE_COMPLIANCE, LIMB_TWIST, LINK_GROWTH, ROD_MISMATCH];
         let mut plain = values;
         for range in &one_by_one {
             plain[range.clone()].fill(0.0);
@@ -195,7 +197,10 @@ proptest! {
     fn simple_effects_are_what_they_say(robot in robots(), values in effects()) {
         let (model, now) = (model_of(&robot), some_covariates());
         let mut quiet = values;
-        for range in [JOINT_SCALE, ENCODER_CYCLIC, BACKLASH, THERMAL_GROWTH, DRIFT, SLIP, BEAM_ALIGNMENT, SENSOR_LINEARITY, DATUM] {
+        for range in [
+            JOINT_SCALE, ENCODER_CYCLIC, BACKLASH, JOINT_SLIP, THERMAL_GROWTH, DRIFT, SLIP, THERMAL_SHIFT, BEAM_ALIGNMENT,
+            SENSOR_LINEARITY, DATUM,
+        ] {
             quiet[range].fill(0.0);
         }
         let v = |range: Range<usize>, k: usize| values[range.start + k];
@@ -207,16 +212,18 @@ proptest! {
                 + v(ENCODER_CYCLIC, 2 * i + 1) * cos
                 // the full width between the two directions
                 + v(BACKLASH, i) * now.direction[i] / 2.0
+                + v(JOINT_SLIP, i)
         });
         let still = Vector3::zeros();
         let body = model.with(&quiet).unwrap().value(&joints, &now, &still).unwrap()
             * (1.0 + v(THERMAL_GROWTH, 0) * (now.temperature_c - 20.0));
         let hours = (now.time_s - model.time_origin_s) / 3600.0;
         let push = Vector3::new(0.3, -0.2, 0.1);
-        let body = body + push + Vector3::from_fn(|i, _| v(DRIFT, i) * hours + v(SLIP, i));
+        let body = body + push + Vector3::from_fn(|i, _| v(DRIFT, i) * hours + v(SLIP, i) + v(THERMAL_SHIFT, i) * (now.stand_c - 20.0));
         let expected = Vector3::from_fn(|i, _| {
             let seen = body[i] + (0..3).map(|k| v(BEAM_ALIGNMENT, 3 * i + k) * body[k]).sum::<f64>();
-            seen + v(SENSOR_LINEARITY, i) * (seen / 20.0).powi(3) + v(DATUM, i)
+            let shown = seen + v(DATUM, i);
+            shown + v(SENSOR_LINEARITY, i) * (shown / 20.0).powi(3)
         });
         let found = model.with(&values).unwrap().value(&robot.joints, &now, &push).unwrap();
         prop_assert!((found - expected).amax() < 1e-9, "{}", found - expected);
@@ -225,6 +232,7 @@ proptest! {
         early.time_s = model.slip_time_s - 1.0;
         let mut only = [0.0; PARAMETERS];
         only[SLIP].fill(0.1);
+        only[JOINT_SLIP].fill(0.1);
         let at = |values| model.with(values).unwrap().value(&robot.joints, &early, &still).unwrap();
         prop_assert_eq!(at(&only), at(&[0.0; PARAMETERS]));
     }

@@ -144,6 +144,7 @@ fn an_arm_comes_back_to_the_last_bit() {
         encoder_period: 0.4,
         time_origin_s: 1.0,
         slip_time_s: 2.0,
+        joint_slip_time_s: 102.0,
         tracker_slip_time_s: 3.0,
     };
     let limits = Limits {
@@ -158,6 +159,7 @@ fn an_arm_comes_back_to_the_last_bit() {
     let now = serial::Covariates {
         time_s: 3.0,
         temperature_c: 21.0,
+        stand_c: 21.5,
         payload_kg: 3.0,
         direction: [1.0; JOINTS],
         velocity: [0.0; JOINTS],
@@ -200,6 +202,7 @@ fn a_spherical_robot_comes_back_to_the_last_bit() {
         home: [1.4, 1.6],
         time_origin_s: 0.0,
         slip_time_s: 0.0,
+        joint_slip_time_s: 0.0,
         encoder_period: 0.4,
         camera_slip_time_s: 0.0,
     };
@@ -207,6 +210,7 @@ fn a_spherical_robot_comes_back_to_the_last_bit() {
     let now = spherical::Covariates {
         time_s: 3.0,
         temperature_c: 21.0,
+        stand_c: 21.5,
         payload_kg: 3.0,
         direction: [1.0, -1.0],
         velocity: [0.0; 2],

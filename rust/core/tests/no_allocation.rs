@@ -287,12 +287,14 @@ fn the_spherical_robot_allocates_nothing() {
         home: [0.0; 2],
         time_origin_s: 0.0,
         slip_time_s: 0.0,
+        joint_slip_time_s: 0.0,
         encoder_period: 0.4,
         camera_slip_time_s: 0.0,
     };
     let now = spherical::Covariates {
         time_s: 0.0,
         temperature_c: 20.0,
+        stand_c: 20.5,
         payload_kg: f64::NAN,
         direction: [1.0, -1.0],
         velocity: [0.1, 0.2],

@@ -63,6 +63,7 @@ fn arm() -> Model {
         encoder_period: 0.4,
         time_origin_s: 100.0,
         slip_time_s: 500.0,
+        joint_slip_time_s: 600.0,
         tracker_slip_time_s: 600.0,
     }
 }
@@ -75,6 +76,7 @@ fn row() -> Row<JOINTS> {
         covariates: Covariates {
             time_s: 700.0,
             temperature_c: 23.0,
+            stand_c: 23.5,
             payload_kg: 4.0,
             direction: [1.0, -1.0, 1.0, 1.0, -1.0, 0.0, 0.0, 0.0, 0.0],
             velocity: [0.1, 0.2, -0.3, 20.0, 0.5, 0.0, 0.0, 0.0, 0.0],

@@ -31,6 +31,7 @@ const PRINCIPAL_POINT: Range<usize> = of("principal_point");
 const LENS_DISTORTION: Range<usize> = of("lens_distortion");
 const JOINT_OFFSET: Range<usize> = of("joint_offset");
 const JOINT_SCALE: Range<usize> = of("joint_scale");
+const JOINT_SLIP: Range<usize> = of("joint_slip");
 const ENCODER_ECCENTRICITY: Range<usize> = of("encoder_eccentricity");
 const ENCODER_CYCLIC: Range<usize> = of("encoder_cyclic");
 const BACKLASH: Range<usize> = of("backlash");
@@ -40,6 +41,7 @@ const GRAVITY_FLEXURE: Range<usize> = of("gravity_flexure");
 const MARKER_OFFSET: Range<usize> = of("marker_offset");
 const CAMERA_DELAY: Range<usize> = of("camera_delay");
 const THERMAL_GROWTH: Range<usize> = of("thermal_growth");
+const THERMAL_SHIFT: Range<usize> = of("thermal_shift");
 const DRIFT: Range<usize> = of("drift");
 const SLIP: Range<usize> = of("slip");
 const CAMERA_SLIP: Range<usize> = of("camera_slip");
@@ -74,6 +76,7 @@ fn row(joints: [f64; 2]) -> Row {
         covariates: Covariates {
             time_s: 5000.0,
             temperature_c: 24.0,
+            stand_c: 24.5,
             payload_kg: f64::NAN,
             direction: [1.0, -1.0],
             velocity: [0.3, -0.7],
@@ -114,6 +117,7 @@ fn robots() -> impl Strategy<Value = (Model, [f64; 2])> {
                     home: [0.3, -0.2],
                     time_origin_s: 100.0,
                     slip_time_s: 2000.0,
+                    joint_slip_time_s: 2100.0,
                     encoder_period: 0.4,
                     camera_slip_time_s: 2000.0,
                 },
@@ -198,7 +202,7 @@ proptest! {
     fn derivatives_of_the_papers_residual_are_exact(robot in robots(), values in effects(), off in prop::array::uniform2(-0.01..0.01_f64)) {
         let (model, joints) = robot;
         let mut values = values;
-        let behind = [AXIS_OFFSET, GRAVITY_FLEXURE, MARKER_OFFSET, THERMAL_GROWTH, DRIFT, SLIP];
+        let behind = [AXIS_OFFSET, GRAVITY_FLEXURE, MARKER_OFFSET, THERMAL_GROWTH, THERMAL_SHIFT, DRIFT, SLIP];
         for range in behind.clone() {
             values[range].fill(0.0);
         }
@@ -318,7 +322,7 @@ proptest! {
         let theta = joints_by_hand(&model, &values, &joints, &r.covariates);
         // the same joints without effects of joints, and the marker without its offset
         let mut plain = values;
-        for range in [JOINT_OFFSET, JOINT_SCALE, ENCODER_ECCENTRICITY, ENCODER_CYCLIC, BACKLASH, CAMERA_DELAY, MARKER_OFFSET, THERMAL_GROWTH, DRIFT, SLIP] {
+        for range in [JOINT_OFFSET, JOINT_SCALE, ENCODER_ECCENTRICITY, ENCODER_CYCLIC, BACKLASH, JOINT_SLIP, CAMERA_DELAY, MARKER_OFFSET, THERMAL_GROWTH, THERMAL_SHIFT, DRIFT, SLIP] {
             plain[range].fill(0.0);
         }
         let chain = model.with(&plain).unwrap();
@@ -338,6 +342,8 @@ proptest! {
         let marker = marker * warm + Vector3::from_fn(|k, _| v(DRIFT, k) * hours + v(SLIP, k)) + r.push;
         let found = model.with(&values).unwrap().row_point(&r).unwrap();
         prop_assert!((found - marker).amax() < 1e-9, "{}", found - marker);
+        // stands move the robot against what looks at it
+        let marker = marker + Vector3::from_fn(|k, _| v(THERMAL_SHIFT, k) * (r.covariates.stand_c - 20.0));
         // the camera
         let mut c = model.camera;
         let turn = Rotation3::new(Vector3::from_fn(|k, _| v(CAMERA_POSE, k) + v(CAMERA_SLIP, k)));
@@ -430,6 +436,7 @@ fn joints_by_hand(
             + v(ENCODER_CYCLIC, 2 * i + 1) * (TAU * q / model.encoder_period).cos()
             // the full width between the two directions
             + v(BACKLASH, i) * covariates.direction[i] / 2.0
+            + v(JOINT_SLIP, i)
             // the camera shows where the robot was
             - v(CAMERA_DELAY, 0) * covariates.velocity[i]
     })
@@ -446,6 +453,7 @@ fn the_papers() -> Model {
         home: [0.0; 2],
         time_origin_s: 0.0,
         slip_time_s: 0.0,
+        joint_slip_time_s: 0.0,
         encoder_period: 0.4,
         camera_slip_time_s: 0.0,
     }
@@ -472,6 +480,8 @@ fn an_effect_without_its_covariate_is_refused() {
             THERMAL_GROWTH.start,
             DRIFT.start,
             SLIP.start + 2,
+            JOINT_SLIP.start + 1,
+            THERMAL_SHIFT.start,
         ] {
             let mut values = [0.0; PARAMETERS];
             values[p] = 1e-3;

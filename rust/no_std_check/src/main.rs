@@ -33,6 +33,7 @@ pub extern "C" fn loop_step(
         home: [0.0; 3],
         time_origin_s: 0.0,
         slip_time_s: 0.0,
+        joint_slip_time_s: 0.0,
     };
     let Ok(chain) = model.with(&[0.0; PARAMETERS]) else {
         return 1;
@@ -69,6 +70,7 @@ pub extern "C" fn spherical_step(
         home: [0.0; 2],
         time_origin_s: 0.0,
         slip_time_s: 0.0,
+        joint_slip_time_s: 0.0,
         encoder_period: 0.4,
         camera_slip_time_s: 0.0,
     };

@@ -115,7 +115,8 @@ impl DeltaKinematics {
 pub struct DeltaModel(Model);
 
 model_class!(DeltaModel, Model, delta, {
-    /// `settings`: rod spacing, pole pitch, three home joint readings (mm), time origin, slip time (s).
+    /// `settings`: rod spacing, pole pitch, three home joint readings (mm), time origin, slip times of point
+    /// and joints (s).
     #[new]
     fn new(
         geometry: PyReadonlyArray1<'_, f64>,
@@ -134,7 +135,8 @@ model_class!(DeltaModel, Model, delta, {
             h3,
             time_origin_s,
             slip_time_s,
-        ] = fixed::<7, _>("settings", &settings)?;
+            joint_slip_time_s,
+        ] = fixed::<8, _>("settings", &settings)?;
         Ok(Self(Model {
             geometry,
             target_offset: Vector3::from(fixed("target_offset", &target_offset)?),
@@ -143,6 +145,7 @@ model_class!(DeltaModel, Model, delta, {
             home: [h1, h2, h3],
             time_origin_s,
             slip_time_s,
+            joint_slip_time_s,
         }))
     }
 });

@@ -14,11 +14,13 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use sherkit_core::Result;
 use sherkit_core::chain::effects::{Effect, Wanted};
-use sherkit_core::chain::{Aim, Chain, Covariates, Distances, Fixed, Prediction, Robot, Row};
+use sherkit_core::chain::{
+    Aim, Chain, Covariates, Distances, Fixed, Prediction, REFERENCE_TEMPERATURE_C, Robot, Row,
+};
 
 /// A block of rows as it comes from Python: joints `(n, J)`, the other ends of distances `(n, J)`, covariates
-/// `(n, 2 + 2 J)` (time s, temperature °C, directions, velocities, which may be left out, and the number of the target where
-/// there are several) and displacements of the measured point `(n, 3)`. Where distances are read from fixed centres and
+/// `(n, 3 + 2 J)` (time s, temperature °C, directions, velocities, the number of the target and its payload where there are
+/// several, and the temperature of the stands; a loop leaves out what follows the directions) and displacements of the measured point `(n, 3)`. Where distances are read from fixed centres and
 /// planes, the other ends are the number of one or the other `(n, 2)`.
 pub type Block<'py> = (
     PyReadonlyArray2<'py, f64>,
@@ -102,10 +104,10 @@ pub fn rows_of_first<const J: usize>(
     let joints = table("joints", &block.0, n, k)?;
     let to = optional("to_joints", block.1.as_ref(), n, wide)?;
     let given = block.2.as_ref().and_then(|c| c.shape().last().copied());
-    // an arm's rows end with target and payload
+    // an arm's rows have target and payload as well
     let known = given
-        .filter(|width| [2 + k, 4 + 2 * k].contains(width))
-        .unwrap_or(2 + 2 * k);
+        .filter(|width| [2 + k, 5 + 2 * k].contains(width))
+        .unwrap_or(3 + 2 * k);
     // numbers are counted from one
     let counted = |number: f64| (0..MOST).find(|k| (k + 1) as f64 == number).unwrap_or(0);
     let covariates = optional("covariates", block.2.as_ref(), n, known)?;
@@ -118,8 +120,8 @@ pub fn rows_of_first<const J: usize>(
             .filter(|to| !to[0].is_nan()),
         aim: Aim {
             target: covariates
-                .filter(|_| known > 2 + 2 * k)
-                .map_or(0, |c| counted(c[known * i + known - 2])),
+                .filter(|_| known > 3 + 2 * k)
+                .map_or(0, |c| counted(c[known * i + 2 + 2 * k])),
             from: to.filter(|_| fixed).and_then(|to| {
                 let number = |at: usize| Some(to[2 * i + at]).filter(|x| !x.is_nan());
                 let centre = number(0).map(|x| Fixed::Centre(counted(x)));
@@ -131,8 +133,13 @@ pub fn rows_of_first<const J: usize>(
             Covariates {
                 time_s: c[0],
                 temperature_c: c[1],
-                payload_kg: if known > 2 + 2 * k {
+                stand_c: if known == 2 + k {
+                    REFERENCE_TEMPERATURE_C
+                } else {
                     c[known - 1]
+                },
+                payload_kg: if known > 3 + 2 * k {
+                    c[3 + 2 * k]
                 } else {
                     f64::NAN
                 },
@@ -534,6 +541,7 @@ pub fn now<const J: usize>(numbers: &[f64]) -> PyResult<Covariates<J>> {
     Ok(Covariates {
         time_s: numbers[0],
         temperature_c: numbers[1],
+        stand_c: REFERENCE_TEMPERATURE_C,
         payload_kg: f64::NAN,
         direction: several(&numbers[2..]),
         velocity: [0.0; J],

@@ -12,7 +12,7 @@ use numpy::{
 };
 use pyo3::prelude::*;
 use sherkit_core::chain::effects::Wanted;
-use sherkit_core::chain::{Covariates, Flat, PLANES, Robot};
+use sherkit_core::chain::{Covariates, Flat, PLANES, REFERENCE_TEMPERATURE_C, Robot};
 use sherkit_core::flat::write_serial;
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::serial::{
@@ -86,7 +86,8 @@ model_class!(SerialModel, Model, serial, {
     /// by how much it follows the one before, home reading, mass and the centre of it (mm); `targets` `(1 to 4, 3)`
     /// behind the last joint; `centres` `(0 to 4, 3)` of distances in the base frame (mm) and `planes` `(0 to 4, 6)`, a
     /// point (mm) and the normal of each; `tracker` `(12,)`: from base to tracker; `settings`:
-    /// direction of the weight (3), period of the encoders, time origin, slip times of target and tracker (s).
+    /// direction of the weight (3), period of the encoders, time origin, slip times of target, joints
+    /// and tracker (s).
     #[new]
     fn new(
         joints: PyReadonlyArray2<'_, f64>,
@@ -115,8 +116,9 @@ model_class!(SerialModel, Model, serial, {
             encoder_period,
             time_origin_s,
             slip_time_s,
+            joint_slip_time_s,
             tracker_slip_time_s,
-        ] = fixed::<7, _>("settings", &settings)?;
+        ] = fixed::<8, _>("settings", &settings)?;
         let model = Model {
             joints: all,
             count: found.len(),
@@ -128,6 +130,7 @@ model_class!(SerialModel, Model, serial, {
             encoder_period,
             time_origin_s,
             slip_time_s,
+            joint_slip_time_s,
             tracker_slip_time_s,
         };
         model.check().map_err(to_python)?;
@@ -163,6 +166,7 @@ impl SerialCalibrated {
         Ok(Covariates {
             time_s: numbers[0],
             temperature_c: numbers[1],
+            stand_c: REFERENCE_TEMPERATURE_C,
             payload_kg: numbers[2 + k],
             direction: first(&numbers[2..], k),
             velocity: [0.0; JOINTS],

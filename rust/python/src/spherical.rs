@@ -208,12 +208,13 @@ model_class!(SphericalModel, Model, spherical, {
         Camera::new(&camera).map_err(to_python)?;
         let given = settings.as_slice()?;
         let [radius_mm, gx, gy, gz, h1, h2, rest @ ..] = match *given {
-            [r, gx, gy, gz, h1, h2] => [r, gx, gy, gz, h1, h2, 0.0, 0.0, 0.0, PI],
+            [r, gx, gy, gz, h1, h2] => [r, gx, gy, gz, h1, h2, 0.0, 0.0, 0.0, 0.0, PI],
             _ => fixed("settings", &settings)?,
         };
         let [
             time_origin_s,
             slip_time_s,
+            joint_slip_time_s,
             camera_slip_time_s,
             encoder_period,
         ] = rest;
@@ -227,6 +228,7 @@ model_class!(SphericalModel, Model, spherical, {
             home: [h1, h2],
             time_origin_s,
             slip_time_s,
+            joint_slip_time_s,
             encoder_period,
             camera_slip_time_s,
         };

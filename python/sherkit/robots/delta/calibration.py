@@ -15,6 +15,7 @@ import numpy as np
 
 import sherkit._core as _core
 
+from ...data.lagged import DRAWN_C
 from ...data.toml import Table
 from ...errors import CalibrationError, FitError
 from ...fit.identify import Fit
@@ -195,7 +196,7 @@ class DeltaCalibration(Calibration):
                 continue
             model = part.model(self.robot)
             # a commanded position is reached at rest
-            now = np.tile([*self._now(), 0.0, 0.0, 0.0], (len(rows), 1))
+            now = np.tile([*self._now(), 0.0, 0.0, 0.0, DRAWN_C], (len(rows), 1))
             block = (np.ascontiguousarray(joints[rows]), None, now, None)
             derivative = model.core.derivatives(model.full(part.values), block, model.indices)[0][:, :3]
             shares = [part.correction.share(coordinates[row]) if part.correction else 1.0 for row in rows]

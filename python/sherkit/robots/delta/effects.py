@@ -67,5 +67,9 @@ _OWN = {
 #: The effects by name, in the order of the chain.
 CATALOGUE: dict[str, Effect] = catalogue_of_core(
     DeltaModel.CATALOGUE,
-    common("encoder_cyclic", "backlash", "thermal_growth", "drift", "sensor_linearity", "datum") | _OWN,
-)
+    common(
+        "encoder_cyclic", "backlash", "joint_slip", "thermal_growth", "drift", "thermal_shift", "sensor_linearity",
+        "datum",
+    )
+    | _OWN,
+)  # fmt: skip

@@ -28,14 +28,17 @@ class DeltaModel(ChainModel):
 
     ``free`` names the geometric errors and datum to identify: by default the paper's twelve (Eq. 9) and the datum
     of the sensors. The platform's radii and angles can be freed as well; they are exactly dependent on the base's.
-    All parameters of ``effects`` are free. ``period_mm``, ``slip_time_s`` and ``time_origin_s`` are the settings of
-    the effects that have one; ``period_mm`` is the robot's pole pitch unless another is given, and None where neither
-    is: then a cyclic error is refused. Readings have four columns: x, y, z, distance.
+    All parameters of ``effects`` are free. ``period_mm``, ``slip_time_s``, ``joint_slip_time_s``,
+    ``thermal_shift_lag_s`` and ``time_origin_s`` are the settings of the effects that have one; ``period_mm`` is the
+    robot's pole pitch unless another is given, and None where neither is: then a cyclic error is refused. Readings have
+    four columns: x, y, z, distance.
     """
 
     robot: Delta
     period_mm: float | None = None
     slip_time_s: float = 0.0
+    joint_slip_time_s: float = 0.0
+    thermal_shift_lag_s: float = 0.0
     time_origin_s: float = 0.0
 
     catalogue: ClassVar = CATALOGUE
@@ -59,10 +62,12 @@ class DeltaModel(ChainModel):
         return tuple(p.name for p in self.base if not p.name.startswith("platform"))
 
     def settings(self) -> dict[str, float | None]:
-        """Period of the encoders, moment of the slip, origin of time."""
+        """Period of the encoders, moments of the slips, lag of the stands, origin of time."""
         return {
             "period_mm": self.period_mm,
             "slip_time_s": self.slip_time_s,
+            "joint_slip_time_s": self.joint_slip_time_s,
+            "thermal_shift_lag_s": self.thermal_shift_lag_s,
             "time_origin_s": self.time_origin_s,
         }
 
@@ -71,7 +76,8 @@ class DeltaModel(ChainModel):
         """The compiled model."""
         r = self.robot
         # without a cyclic error the period does not matter
-        settings = [r.rod_spacing_mm or 0.0, self.period_mm or 1.0, *self.home_mm, self.time_origin_s, self.slip_time_s]
+        times = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s)
+        settings = [r.rod_spacing_mm or 0.0, self.period_mm or 1.0, *self.home_mm, *times]
         offset = np.array(r.target_offset_mm)
         return _core.DeltaModel(r.geometry, offset, r.assembly_mode, np.array(settings, dtype=float))
 

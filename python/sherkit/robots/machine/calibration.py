@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from ...data.columns import bare, unit_in
+from ...data.lagged import DRAWN_C
 from ...data.toml import Table
 from ...errors import NotConverged, OutOfReach
 from ...model.chain import Block
@@ -22,7 +23,7 @@ from .described import Described
 from .inverse import settled, starts
 
 #: Effects of the instrument: where the machine goes, they are not.
-_OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "instrument_turned")
+_OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "instrument_turned", "thermal_shift")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,7 @@ class MachineCalibrated:
 
     def block(self, joints: Floats, now: list[float]) -> Block:
         """Rows that all have the covariates of this moment, at rest."""
-        known = np.concatenate([now, np.zeros(joints.shape[1])])
+        known = np.concatenate([now, np.zeros(joints.shape[1]), [DRAWN_C]])
         return joints, None, np.tile(known, (len(joints), 1)), None
 
     def forward_batch(self, joints: Floats, now: list[float]) -> tuple[Floats, Floats, Bools]:

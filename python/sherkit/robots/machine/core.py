@@ -29,13 +29,14 @@ _SAME = 1e-3
 @dataclass(frozen=True, eq=False)
 class MachineCore(NumpyChain):
     """The chain of one machine at the settings of its effects: ``wave``, one turn over the period of its encoders, and
-    two moments, s."""
+    three moments, s."""
 
     function: UserFunction
     effects: tuple[Generic, ...]
     wave: float
     time_origin_s: float
     slip_time_s: float
+    joint_slip_time_s: float
 
     @cached_property
     def _places(self) -> list[slice]:
@@ -45,9 +46,10 @@ class MachineCore(NumpyChain):
     def _known(self, block: Block) -> tuple[Floats, Known, Floats]:
         joints, _, columns, push = block
         k = joints.shape[1]
-        columns = np.full((len(joints), 2 + 2 * k), np.nan) if columns is None else columns
-        moments = (self.wave, self.time_origin_s, self.slip_time_s)
-        known = Known(columns[:, 0], columns[:, 1], columns[:, 2 : 2 + k], columns[:, 2 + k :], *moments)
+        columns = np.full((len(joints), 3 + 2 * k), np.nan) if columns is None else columns
+        moments = (self.wave, self.time_origin_s, self.slip_time_s, self.joint_slip_time_s)
+        moved = columns[:, 2 : 2 + k], columns[:, 2 + k : 2 + 2 * k]
+        known = Known(columns[:, 0], columns[:, 1], columns[:, -1], *moved, *moments)
         return joints, known, np.zeros((len(joints), 3)) if push is None else push
 
     def _link(self, link: str, x: NDArray[Any], values: Floats, known: Known) -> NDArray[Any]:
@@ -123,8 +125,8 @@ def not_in(function: UserFunction, effects: Sequence[Generic]) -> tuple[Generic,
     k, count = joints.shape[1], len(function.parameters)
     n, rng = len(joints), np.random.default_rng(1)
     known = np.column_stack([60.0 * np.arange(n), 20.0 + rng.normal(size=n), rng.choice([-1.0, 1.0], (n, k)),
-                             rng.normal(size=(n, k))])  # fmt: skip
-    core = MachineCore(function, tuple(effects), 1.0, 0.0, 30.0 * n)
+                             rng.normal(size=(n, k)), 20.0 + rng.normal(size=n)])  # fmt: skip
+    core = MachineCore(function, tuple(effects), 1.0, 0.0, 30.0 * n, 30.0 * n)
     total = count + sum(len(one.parameters) for one in effects)
     columns = core.derivatives(np.zeros(total), (joints, None, known, None), range(total))[0]
     whole = np.asarray(np.isfinite(columns).all(axis=(1, 2)))

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...data.columns import bare, unit_in
+from ...data.lagged import DRAWN_C
 from ...model.effect import Effect, Sentences, catalogue_of_core
 from ...model.sentences import COMMON
 from ...types import Floats
 
-REFERENCE_TEMPERATURE_C = 20.0
 #: A plausible small error of a reading or joint by its unit; of any other, this part of its range.
 _SMALL = {"mm": 0.1, "um": 100.0, "m": 1e-4, "rad": 2e-3, "mrad": 2.0, "deg": 0.1, "px": 5.0, "arcsec": 300.0}
 _POINT = ("x_mm", "y_mm", "z_mm")
@@ -31,17 +31,19 @@ _FEW_JOINTS = 3
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What effects look at besides joints and point: ``time_s`` (n,), ``temperature_c`` (n,), ``direction`` (n, k) and
-    ``velocity`` (n, k), NaN where they are not known; and the settings ``wave``, one turn over the period,
-    ``time_origin_s`` and ``slip_time_s``."""
+    """What effects look at besides joints and point: ``time_s`` (n,), ``temperature_c`` (n,) and that of the stands
+    ``stand_c`` (n,), ``direction`` (n, k) and ``velocity`` (n, k), NaN where they are not known; and the settings
+    ``wave``, one turn over the period, ``time_origin_s`` and the moments of the slips."""
 
     time_s: Floats
     temperature_c: Floats
+    stand_c: Floats
     direction: Floats
     velocity: Floats
     wave: float
     time_origin_s: float
     slip_time_s: float
+    joint_slip_time_s: float
 
 
 #: What an effect adds (n, axes, p) for each of its parameters at one: where it acts (n, axes), joints or readings.
@@ -106,6 +108,16 @@ def generic_effects(joints: Sequence[str], readings: Sequence[str], spans: Seque
         out.append(Generic("encoder_cyclic", "joints", lines, _cyclic(which), search=f"period_{unit}"))
     widths = _each("width", joints, units, [0.2 * s for s in small])
     out.append(Generic("backlash", "joints", widths, lambda q, at: _diagonal(0.5 * at.direction), ("direction",)))
+    out.append(
+        Generic(
+            "joint_slip",
+            "joints",
+            _each("step", joints, units, small),
+            lambda q, at: _diagonal(_late(at, at.joint_slip_time_s)[:, None] + 0 * q),
+            ("time_s",),
+            "time_s",
+        )
+    )
     if tuple(readings) == _POINT:
         grows = (("coefficient", "1/°C", 1e-4),)
         out.append(Generic("thermal_growth", "body", grows, lambda x, at: _warmer(at)[:, None, None] * x[:, :, None],
@@ -117,7 +129,10 @@ def generic_effects(joints: Sequence[str], readings: Sequence[str], spans: Seque
     out += [
         Generic("drift", "body", per_hour, lambda x, at: _diagonal(_hours(at)[:, None] + 0 * x), ("time_s",)),
         Generic("slip", "body", _each("step", readings, read, seen),
-                lambda x, at: _diagonal(_late(at)[:, None] + 0 * x), ("time_s",), "time_s"),
+                lambda x, at: _diagonal(_late(at, at.slip_time_s)[:, None] + 0 * x), ("time_s",), "time_s"),
+        Generic("thermal_shift", "sensor", _each("shift", readings, [f"{u}/°C" for u in read], [0.2 * s for s in seen]),
+                lambda x, at: _diagonal((at.stand_c - DRAWN_C)[:, None] + 0 * x), ("temperature_c",),
+                "lag_s"),
         Generic("sensor_offset", "sensor", _each("offset", readings, read, [5 * s for s in seen]), _own(np.ones_like)),
         Generic("sensor_scale", "sensor", _each("scale", readings, [""] * m, [_SCALE] * m), _own(lambda x: x)),
     ]  # fmt: skip
@@ -185,15 +200,15 @@ def _cyclic(which: Sequence[int]) -> Formula:
 
 
 def _warmer(at: Known) -> Floats:
-    return at.temperature_c - REFERENCE_TEMPERATURE_C
+    return at.temperature_c - DRAWN_C
 
 
 def _hours(at: Known) -> Floats:
     return (at.time_s - at.time_origin_s) / 3600.0
 
 
-def _late(at: Known) -> Floats:
-    return np.where(np.isnan(at.time_s), np.nan, (at.time_s >= at.slip_time_s).astype(float))
+def _late(at: Known, moment_s: float) -> Floats:
+    return np.where(np.isnan(at.time_s), np.nan, (at.time_s >= moment_s).astype(float))
 
 
 def _droop(x: NDArray[Any], _: Known) -> NDArray[Any]:

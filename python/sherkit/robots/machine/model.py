@@ -32,6 +32,8 @@ class MachineModel(ChainModel):
 
     robot: Described
     slip_time_s: float = 0.0
+    joint_slip_time_s: float = 0.0
+    thermal_shift_lag_s: float = 0.0
     time_origin_s: float = 0.0
     period_mm: float | None = None
     period_rad: float | None = None
@@ -58,8 +60,14 @@ class MachineModel(ChainModel):
         return tuple(p.name for p in self.robot.own)
 
     def settings(self) -> dict[str, float | None]:
-        """Moment of the slip, origin of time, and the period of the encoders where there is one for all joints."""
-        times: dict[str, float | None] = {"slip_time_s": self.slip_time_s, "time_origin_s": self.time_origin_s}
+        """Moments of the slips, lag of the stands, origin of time, and the period of the encoders where all joints have
+        one."""
+        times: dict[str, float | None] = {
+            "slip_time_s": self.slip_time_s,
+            "joint_slip_time_s": self.joint_slip_time_s,
+            "thermal_shift_lag_s": self.thermal_shift_lag_s,
+            "time_origin_s": self.time_origin_s,
+        }
         own = {"period_mm": self.period_mm, "period_rad": self.period_rad}
         searched = {one.search for one in self.robot.effects}
         return times | {name: value for name, value in own.items() if name in searched}
@@ -69,7 +77,12 @@ class MachineModel(ChainModel):
         """The chain."""
         period = self.period_mm or self.period_rad or 1.0
         return MachineCore(
-            self.robot.asked, self.robot.effects, 2.0 * np.pi / period, self.time_origin_s, self.slip_time_s
+            self.robot.asked,
+            self.robot.effects,
+            2.0 * np.pi / period,
+            self.time_origin_s,
+            self.slip_time_s,
+            self.joint_slip_time_s,
         )
 
     def check_effect(self, effect: Effect, data: Measurements, values: Floats) -> None:

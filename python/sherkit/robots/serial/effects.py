@@ -70,8 +70,8 @@ _OWN = {
 SERIAL_CATALOGUE: dict[str, Effect] = catalogue_of_core(
     SerialModel.CATALOGUE,
     common(
-        "joint_scale", "encoder_eccentricity", "encoder_cyclic", "backlash", "thermal_growth", "drift", "slip",
-        "sensor_linearity",
+        "joint_scale", "encoder_eccentricity", "encoder_cyclic", "backlash", "joint_slip", "thermal_growth",
+        "thermal_shift", "drift", "slip", "sensor_linearity",
     )
     | _OWN,
 )  # fmt: skip
@@ -154,7 +154,7 @@ def _idle(robot: Serial) -> Mapping[str, Collection[str]]:
     low, high = robot.ranges
     joints = np.random.default_rng(0).uniform(low, high, (_POSTURES, len(low)))
     # one degree warmer, first target, one kilogramme
-    known = np.tile([np.nan, 21.0, *np.zeros(2 * len(low)), 1.0, 1.0], (_POSTURES, 1))
+    known = np.tile([np.nan, 21.0, *np.zeros(2 * len(low)), 1.0, 1.0, 21.0], (_POSTURES, 1))
     names = [(row["name"], p["name"]) for row in SerialModel.CATALOGUE for p in row["parameters"]]
     asked = [k for k, (effect, _) in enumerate(names) if effect in _BY_DRAWING]
     columns, _, _, _ = robot.core().derivatives(np.zeros(len(names)), (joints, None, known, None), asked)

@@ -59,6 +59,8 @@ class SerialModel(ChainModel):
 
     robot: Serial
     slip_time_s: float = 0.0
+    joint_slip_time_s: float = 0.0
+    thermal_shift_lag_s: float = 0.0
     tracker_slip_time_s: float = 0.0
     time_origin_s: float = 0.0
     period_rad: float | None = None
@@ -113,10 +115,12 @@ class SerialModel(ChainModel):
         return _told_apart(self.robot)
 
     def settings(self) -> dict[str, float | None]:
-        """Moments at which target and tracker slip, origin of time, period of the encoders."""
+        """Moments of the slips (target, joints, tracker), lag of the stands, origin of time, period of the encoders."""
         unit = self.robot.joint_unit
         return {
             "slip_time_s": self.slip_time_s,
+            "joint_slip_time_s": self.joint_slip_time_s,
+            "thermal_shift_lag_s": self.thermal_shift_lag_s,
             "tracker_slip_time_s": self.tracker_slip_time_s,
             "time_origin_s": self.time_origin_s,
             f"period_{unit}": self.period_mm if unit == "mm" else self.period_rad,
@@ -127,7 +131,8 @@ class SerialModel(ChainModel):
         """The compiled model."""
         # without a cyclic error the period does not matter
         period = self.period_rad or self.period_mm or np.pi
-        return self.robot.core((period, self.time_origin_s, self.slip_time_s, self.tracker_slip_time_s))
+        slips = (self.slip_time_s, self.joint_slip_time_s, self.tracker_slip_time_s)
+        return self.robot.core((period, self.time_origin_s, *slips))
 
     def block(self, data: Measurements, joints: Floats | None = None, push: Floats | None = None) -> Block:
         """With the numbers of the targets and what hangs there, where the rows have them."""
@@ -135,10 +140,10 @@ class SerialModel(ChainModel):
         target, payload = data.covariates.get(TARGET), data.covariates.get(PAYLOAD)
         if target is not None or (payload is not None and covariates is not None):
             n, k = data.joints.shape
-            known = np.full((n, 2 + 2 * k), np.nan) if covariates is None else covariates
+            known = np.full((n, 3 + 2 * k), np.nan) if covariates is None else covariates
             first, nothing = np.ones(n), np.full(n, np.nan)
             more = [first if target is None else target, nothing if payload is None else payload]
-            covariates = np.ascontiguousarray(np.column_stack([known, *more]))
+            covariates = np.ascontiguousarray(np.column_stack([known[:, :-1], *more, known[:, -1]]))
         return q, ends, covariates, push
 
     def require_own(self, data: Measurements) -> None:

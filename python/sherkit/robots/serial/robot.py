@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -317,8 +317,9 @@ class Serial(Saved, Shown):
         ends = np.array([*following, self.targets[0]])
         return np.linalg.norm(ends, axis=1) / 1000.0, 0.5 * ends
 
-    def core(self, settings: tuple[float, float, float, float] = (np.pi, 0.0, 0.0, 0.0)) -> _core.SerialModel:
-        """The compiled chain for the period of the encoders, origin of time and moments of the slips."""
+    def core(self, settings: Sequence[float] = (np.pi, 0.0, 0.0, 0.0, 0.0)) -> _core.SerialModel:
+        """The compiled chain for the period of the encoders, origin of time and moments of the slips of target,
+        joints and tracker."""
         before, rows = np.eye(3), []
         for joint, mass, centre in zip(self.joints, *self.weights, strict=True):
             # a frame is given behind that of the drawing, which is turned from the one before

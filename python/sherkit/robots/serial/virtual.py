@@ -37,6 +37,21 @@ _SIZES = {"offset": 3e-3, "shift": 0.5, "tilt": 1e-3, "tool": 2.0, "stand": 20.0
 _SLIDE_MM = 100.0
 
 
+#: By how much the room of a run warms, and how quickly, by the run.
+_WARMS_C, _QUICK = 3.0, 2.0
+
+
+def _behind(part: Floats, lag: float) -> Floats:
+    """How far something has warmed (n,), of one, at these parts of a run whose room warms as ``1 - exp(-2 part)``: it
+    comes behind with a lag, in parts of the run, ``lag dS/dpart + S`` being the room."""
+    if lag <= 0.0:
+        return np.asarray(1.0 - np.exp(-_QUICK * part))
+    if abs(_QUICK * lag - 1.0) < 1e-6:
+        lag *= 1.0 + 1e-5
+    led = 1.0 / (1.0 - _QUICK * lag)
+    return np.asarray(1.0 - led * np.exp(-_QUICK * part) + (led - 1.0) * np.exp(-part / lag))
+
+
 @dataclass(frozen=True)
 class Hidden:
     """What is hidden in an arm besides its geometry, each zero where it is not at work; rad, or mm of joints that
@@ -47,8 +62,9 @@ class Hidden:
     ``sags`` (k,) how far by the moment that a payload makes about it, rad/(N m), or by its force, mm/N;
     ``play`` (k,) its lost motion; ``ring`` (k, 2) sine and cosine of its encoder once per turn, ``lines`` (k, 2) those
     at ``per_turn`` per radian; ``warmth_per_c`` of the whole, ``growth_per_c`` (k + 1,) of the base and of the link
-    behind each joint, ``rate_mm_h`` (3,), ``step_mm`` (3,) half way through; ``knock`` (6,)
-    turn and shift of the tracker then; ``zoom`` and ``bend_mm`` (3,) at a metre what the tracker misreads; ``late_s``
+    behind each joint, ``rate_mm_h`` (3,), ``step_mm`` (3,) half way through, ``lost`` (k,) what joints slipped by then;
+    ``stand_mm_per_c`` (3,) what the stand does, ``stand_lag_s`` behind the room; ``knock`` (6,) turn and shift of the
+    tracker half way through; ``zoom`` and ``bend_mm`` (3,) at a metre what the tracker misreads; ``late_s``
     its delay; ``bar_mm`` what is added to every distance.
     """
 
@@ -64,6 +80,9 @@ class Hidden:
     growth_per_c: ArrayLike = 0.0
     rate_mm_h: ArrayLike = 0.0
     step_mm: ArrayLike = 0.0
+    lost: ArrayLike = 0.0
+    stand_mm_per_c: ArrayLike = 0.0
+    stand_lag_s: float = 0.0
     knock: ArrayLike = 0.0
     zoom: float = 0.0
     bend_mm: ArrayLike = 0.0
@@ -217,10 +236,10 @@ class VirtualSerial:
 
     def true_target(
         self, read: Floats, came: Floats, velocity: Floats, number: int = 0, warmer_c: float = 0.0,
-        payload_kg: float = 0.0,
+        payload_kg: float = 0.0, late: bool = False,
     ) -> Floats:  # fmt: skip
         """A target (3,), mm, base frame, for joints that are read (k,), with the direction from which they came, the
-        links warmer than the drawing, and what hangs at the first target."""
+        links warmer than the drawing, and what hangs at the first target; ``late`` once joints have slipped."""
         k, hidden = len(read), self.effects
         home = np.array([np.deg2rad(j.home) if not j.slides else j.home for j in self.robot.joints])
 
@@ -233,6 +252,7 @@ class VirtualSerial:
         angle = hidden.per_turn * read
         real = real + lines[:, 0] * np.sin(angle) + lines[:, 1] * np.cos(angle)
         real = real + each(hidden.play) * came / 2 - hidden.late_s * velocity
+        real = real + each(hidden.lost) * late
         drawn = np.array([joint.follows for joint in self.robot.joints])
         before = np.concatenate([[0.0], (real - home)[:-1]])
         led = np.concatenate([[0.0], real[:-1]])
@@ -304,7 +324,8 @@ class VirtualSerial:
         payload = np.broadcast_to(np.asarray(0.0 if payload_kg is None else payload_kg, dtype=float), len(poses))[pose]
         came = np.sign(np.diff(read, axis=0, prepend=read[:1] - 0.1))
         velocity = rng.normal(size=read.shape) * np.ptp(read, axis=0) / 10.0 if hidden.late_s else np.zeros_like(read)
-        warmth = 20.0 + 3.0 * (1.0 - np.exp(-2.0 * np.arange(n) / max(n - 1, 1)))
+        warmth = 20.0 + _WARMS_C * _behind(np.arange(n) / max(n - 1, 1), 0.0)
+        stand = _WARMS_C * _behind(np.arange(n) / max(n - 1, 1), hidden.stand_lag_s / max(time[-1], 1.0))
         targets, centres = range(len(self.robot.targets_mm)), range(len(self.robot.centres_mm))
         planes = range(len(self.robot.planes))
         reads: list[tuple[int, int | None, int | None]] = (
@@ -317,9 +338,10 @@ class VirtualSerial:
             late = k >= n // 2
             for target, centre, plane in reads:
                 warmer = float(warmth[k] - 20.0)
-                point = self.true_target(read[k], came[k], velocity[k], target, warmer, float(payload[k]))
+                point = self.true_target(read[k], came[k], velocity[k], target, warmer, float(payload[k]), late)
                 point = point * (1.0 + hidden.warmth_per_c * (warmth[k] - 20.0))
                 point = point + np.asarray(hidden.rate_mm_h) * time[k] / 3600.0 + np.asarray(hidden.step_mm) * late
+                point = point + np.asarray(hidden.stand_mm_per_c) * stand[k]
                 if centre is not None:
                     shown.append(self.distance(point, centre))
                 else:

@@ -53,8 +53,8 @@ _OWN = {
 SPHERICAL_CATALOGUE: dict[str, Effect] = catalogue_of_core(
     SphericalModel.CATALOGUE,
     common(
-        "backlash", "encoder_eccentricity", "encoder_cyclic", "drift", "slip", "camera_pose", "camera_slip",
-        "focal_length", "lens_distortion", "camera_delay",
+        "backlash", "joint_slip", "encoder_eccentricity", "encoder_cyclic", "thermal_shift", "drift", "slip",
+        "camera_pose", "camera_slip", "focal_length", "lens_distortion", "camera_delay",
     )
     | _OWN,
 )  # fmt: skip

@@ -39,6 +39,8 @@ class SphericalModel(ChainModel):
 
     robot: Spherical
     slip_time_s: float = 0.0
+    joint_slip_time_s: float = 0.0
+    thermal_shift_lag_s: float = 0.0
     camera_slip_time_s: float = 0.0
     time_origin_s: float = 0.0
     period_rad: float | None = None
@@ -60,9 +62,11 @@ class SphericalModel(ChainModel):
         return ("alpha", "beta", "radius")
 
     def settings(self) -> dict[str, float | None]:
-        """Moments at which the marker and the camera slip, origin of time, period of the encoders."""
+        """Moments of the slips of marker, joints, camera, lag of the stands, origin of time, period of the encoders."""
         return {
             "slip_time_s": self.slip_time_s,
+            "joint_slip_time_s": self.joint_slip_time_s,
+            "thermal_shift_lag_s": self.thermal_shift_lag_s,
             "camera_slip_time_s": self.camera_slip_time_s,
             "time_origin_s": self.time_origin_s,
             "period_rad": self.period_rad,
@@ -74,7 +78,7 @@ class SphericalModel(ChainModel):
         r = self.robot
         pull = np.array(r.gravity) / np.linalg.norm(r.gravity)
         # without a cyclic error the period does not matter
-        times = (self.time_origin_s, self.slip_time_s, self.camera_slip_time_s)
+        times = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.camera_slip_time_s)
         settings = np.array([r.radius_mm, *pull, *np.deg2rad(r.home_deg), *times, self.period_rad or np.pi])
         camera = (r.camera or _ANY_CAMERA).parameters
         return _core.SphericalModel(r.geometry, camera, settings, r.assembly_mode, readings="pixels")

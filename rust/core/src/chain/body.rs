@@ -1,10 +1,13 @@
 //! The body link: from where the mechanism puts the measured point to where it is.
+//!
+//! What the stands do is computed here as well: an instrument that moves by `-s` sees, whatever it is, what it would see
+//! of a point that moved by `s`.
 
 use super::effects::{Wanted, places, values_of};
 use super::{Covariates, Settings, Table};
 use nalgebra::{SMatrix, Vector3};
 
-places! { thermal_growth drift slip }
+places! { thermal_growth thermal_shift drift slip }
 
 /// Temperature at which the robot is as drawn, °C.
 pub const REFERENCE_TEMPERATURE_C: f64 = 20.0;
@@ -14,6 +17,7 @@ const SECONDS_PER_HOUR: f64 = 3600.0;
 #[derive(Clone, Copy, Debug)]
 pub struct Body {
     thermal: f64,
+    stand: Vector3<f64>,
     drift: Vector3<f64>,
     slip: Vector3<f64>,
     time_origin_s: f64,
@@ -30,6 +34,7 @@ impl Body {
         let [thermal] = values_of(at.thermal_growth, values);
         Self {
             thermal,
+            stand: Vector3::from(values_of::<3, P>(at.thermal_shift, values)),
             drift: Vector3::from(values_of::<3, P>(at.drift, values)),
             slip: Vector3::from(values_of::<3, P>(at.slip, values)),
             time_origin_s: settings.time_origin_s,
@@ -41,6 +46,7 @@ impl Body {
     pub(crate) fn is_still<T: Table>(&self, wanted: Wanted) -> bool {
         let zero = Vector3::zeros();
         self.thermal == 0.0
+            && self.stand == zero
             && self.drift == zero
             && self.slip == zero
             && !wanted.any(T::AT.body.rows)
@@ -64,6 +70,16 @@ impl Body {
         (growth, shift)
     }
 
+    /// By how much an instrument sees the point beside where it is, since stands have moved apart.
+    #[inline]
+    pub(crate) fn apart<const J: usize>(&self, row: &Covariates<J>) -> Vector3<f64> {
+        if self.stand == Vector3::zeros() {
+            Vector3::zeros()
+        } else {
+            self.stand * standing(row)
+        }
+    }
+
     fn hours<const J: usize>(&self, row: &Covariates<J>) -> f64 {
         (row.time_s - self.time_origin_s) / SECONDS_PER_HOUR
     }
@@ -85,6 +101,10 @@ impl Body {
         let at = T::AT.body;
         if let Some(place) = wanted.wants(at.thermal_growth) {
             d.set_column(place.start, &(by_body * point * warmer(row)));
+        }
+        if let Some(place) = wanted.wants(at.thermal_shift) {
+            d.fixed_columns_mut::<3>(place.start)
+                .copy_from(&(by_body * standing(row)));
         }
         if let Some(place) = wanted.wants(at.drift) {
             d.fixed_columns_mut::<3>(place.start)
@@ -111,4 +131,10 @@ pub(crate) fn since(time_s: f64, moment_s: f64) -> f64 {
 #[inline]
 pub(crate) fn warmer<const J: usize>(row: &Covariates<J>) -> f64 {
     row.temperature_c - REFERENCE_TEMPERATURE_C
+}
+
+/// By how much the stands are warmer than when the drawing was made, °C; NaN where that is not known.
+#[inline]
+fn standing<const J: usize>(row: &Covariates<J>) -> f64 {
+    row.stand_c - REFERENCE_TEMPERATURE_C
 }

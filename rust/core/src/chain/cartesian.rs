@@ -1,4 +1,7 @@
-//! A sensor that shows coordinates: three lasers on a cube, a tracker.
+//! A sensor that shows coordinates: three lasers on a cube.
+//!
+//! `r = (1 + B) x + d` is what straight sensors show, counted from their own zeros; sensors that bend show
+//! `r + c (r / span)³`. A scale bends about its own zero, wherever that lies in the workspace.
 
 use super::effects::{Wanted, places, values_of};
 use super::{Columns, Look, Sensor, Table};
@@ -8,7 +11,7 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 places! { beam_alignment sensor_linearity datum }
 
-/// The cubic error of a sensor is named by its size this far from the middle, mm.
+/// The cubic error of a sensor is named by its size this far from its zero, mm.
 pub const LINEARITY_SPAN_MM: f64 = 20.0;
 
 /// Beams that are not square, sensors that bend away from the straight line, an arbitrary zero.
@@ -19,7 +22,7 @@ pub struct Cartesian {
     pub(crate) datum: Vector3<f64>,
 }
 
-/// What is seen of a point before the sensors bend it: cubes of its coordinates over the span, and how they steepen.
+/// What straight sensors show of a point: cubes of their readings over the span, and how they steepen.
 struct Seen {
     value: Vector3<f64>,
     cubes: Vector3<f64>,
@@ -39,7 +42,7 @@ impl Cartesian {
 
     #[inline]
     fn seen(&self, point: &Vector3<f64>) -> Seen {
-        let value = point + self.beams * point;
+        let value = point + self.beams * point + self.datum;
         let mut cubes = Vector3::zeros();
         let mut steep = Vector3::from_element(1.0);
         for k in 0..3 {
@@ -56,7 +59,7 @@ impl Cartesian {
 
     #[inline]
     fn shown(&self, seen: &Seen) -> Vector3<f64> {
-        seen.value + self.linearity.component_mul(&seen.cubes) + self.datum
+        seen.value + self.linearity.component_mul(&seen.cubes)
     }
 }
 
@@ -83,7 +86,9 @@ impl Sensor<3> for Cartesian {
         let at = T::AT.cartesian;
         // parameters touch their own axis alone: what an earlier row left on the others is cleared
         if let Some(place) = wanted.wants(at.datum) {
-            d.fixed_columns_mut::<3>(place.start).fill_with_identity();
+            let mut own = d.fixed_columns_mut::<3>(place.start);
+            own.fill(0.0);
+            own.set_diagonal(&seen.steep);
         }
         if let Some(place) = wanted.wants(at.sensor_linearity) {
             let mut own = d.fixed_columns_mut::<3>(place.start);
@@ -118,14 +123,15 @@ impl Sensor<3> for Cartesian {
                 beams[k] = of(self.beams[(axis, k)]);
                 along[k] = of(exact + self.beams[(axis, k)]);
             }
-            let seen = points[axis] + dot([0, 1, 2].map(|k| of(self.beams[(axis, k)])), points);
+            let leaning = dot([0, 1, 2].map(|k| of(self.beams[(axis, k)])), points);
+            let seen = points[axis] + leaning + of(self.datum[axis]);
             let t = seen / of(LINEARITY_SPAN_MM);
             let cube = t * t * t;
             let steep = of(1.0) + of(3.0 * self.linearity[axis] / LINEARITY_SPAN_MM) * t * t;
-            value[axis] = seen + of(self.linearity[axis]) * cube + of(self.datum[axis]);
+            value[axis] = seen + of(self.linearity[axis]) * cube;
             by_point[axis] = scale(along, steep);
             if let Some(place) = wanted.wants(at.datum) {
-                to.put(place.start + axis, of_axis(axis, of(1.0)));
+                to.put(place.start + axis, of_axis(axis, steep));
             }
             if let Some(place) = wanted.wants(at.sensor_linearity) {
                 to.put(place.start + axis, of_axis(axis, cube));

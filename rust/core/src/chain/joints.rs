@@ -1,12 +1,13 @@
 //! The joints link: from joint readings to the joints as they were when they were measured.
 
+use super::body::since;
 use super::effects::{Place, Wanted, places, values_of};
 use super::{Covariates, Settings, Table};
 use crate::numbers::math::sin_cos;
 use nalgebra::{SMatrix, SVector};
 
 places! {
-    joint_offset joint_scale encoder_cyclic encoder_eccentricity backlash camera_delay reading_delay
+    joint_offset joint_scale joint_slip encoder_cyclic encoder_eccentricity backlash camera_delay reading_delay
 }
 
 /// Where a delay stands, of whatever reads the robot.
@@ -24,9 +25,11 @@ pub struct Joints<const J: usize> {
     cyclic: [[f64; 2]; J],
     eccentricity: [[f64; 2]; J],
     backlash: [f64; J],
+    slip: [f64; J],
     delay: f64,
     wave: f64,
     home: [f64; J],
+    slip_time_s: f64,
     /// No effect acts.
     exact: bool,
 }
@@ -38,6 +41,7 @@ struct Gains {
     cyclic: [f64; 2],
     eccentricity: [f64; 2],
     backlash: f64,
+    slip: f64,
     delay: f64,
 }
 
@@ -77,9 +81,11 @@ impl<const J: usize> Joints<J> {
             cyclic: waves(|k| number(at.encoder_cyclic, k)),
             eccentricity: waves(|k| number(at.encoder_eccentricity, k)),
             backlash: values_of(at.backlash, values),
+            slip: values_of(at.joint_slip, values),
             delay: number(late::<T>(), 0),
             wave: settings.wave,
             home: settings.home,
+            slip_time_s: settings.joint_slip_time_s,
             exact: false,
         };
         let waves = out
@@ -92,7 +98,8 @@ impl<const J: usize> Joints<J> {
             .iter()
             .chain(&out.scale)
             .chain(waves)
-            .chain(&out.backlash);
+            .chain(&out.backlash)
+            .chain(&out.slip);
         out.exact = all.all(|v| *v == 0.0) && out.delay == 0.0;
         out
     }
@@ -102,8 +109,8 @@ impl<const J: usize> Joints<J> {
         self.exact && !wanted.any(T::AT.joints.rows)
     }
 
-    /// `θ = r + o + s (r - home) + a sin kr + b cos kr + w direction/2 - delay · velocity`, with `k` the wave of the
-    /// encoder, or one for the eccentricity of its ring.
+    /// `θ = r + o + s (r - home) + a sin kr + b cos kr + w direction/2 + j - delay · velocity`, with `k` the wave of the
+    /// encoder, or one for the eccentricity of its ring, and `j` from the moment on at which joints slipped.
     #[inline]
     pub(crate) fn at<T: Table>(
         &self,
@@ -117,8 +124,10 @@ impl<const J: usize> Joints<J> {
             cyclic: [0.0; 2],
             eccentricity: [0.0; 2],
             backlash: 0.0,
+            slip: 0.0,
             delay: 0.0,
         };
+        let slipped = since(row.time_s, self.slip_time_s);
         let mut out = Turned {
             value: *readings,
             by_reading: None,
@@ -159,6 +168,12 @@ impl<const J: usize> Joints<J> {
                 gains.backlash = 0.5 * row.direction[i];
                 if self.backlash[i] != 0.0 {
                     out.value[i] += self.backlash[i] * gains.backlash;
+                }
+            }
+            if at.joint_slip.is_some() {
+                gains.slip = slipped;
+                if self.slip[i] != 0.0 {
+                    out.value[i] += self.slip[i] * slipped;
                 }
             }
             if late::<T>().is_some() {
@@ -206,6 +221,9 @@ impl<const J: usize> Turned<J> {
             }
             if let Some(place) = wanted.wants(at.backlash) {
                 d.set_column(place.start + i, &(by_joint * gains.backlash));
+            }
+            if let Some(place) = wanted.wants(at.joint_slip) {
+                d.set_column(place.start + i, &(by_joint * gains.slip));
             }
         }
         if let Some(place) = wanted.wants(late::<T>()) {

@@ -256,6 +256,8 @@ pub struct Settings<const J: usize> {
     pub time_origin_s: f64,
     /// Moment of the slip, s.
     pub slip_time_s: f64,
+    /// Moment at which joints slip, s.
+    pub joint_slip_time_s: f64,
 }
 
 /// Distances that a robot's rows can hold.
@@ -414,7 +416,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         let joints = self.joints.at::<R>(readings, row, Wanted::default());
         let (growth, shift) = self.body.at(row);
         let place = self.structure.target_at(&joints.value, row, target)?;
-        let point = place * growth + shift + push;
+        let point = place * growth + shift + push + self.body.apart(row);
         checked(sensor.value(&point, self.look(&joints.value, row))?)
     }
 
@@ -514,7 +516,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
     ) -> Result<()> {
         let (growth, shift) = self.body.at(row);
         let point = self.structure.point(solved);
-        let body = point * growth + shift + push;
+        let body = point * growth + shift + push + self.body.apart(row);
         let look = self.look(&joints.value, row);
         let d = &mut out.by_parameters;
         let (value, by_body) = sensor.predict::<R, P>(&body, look, wanted, d)?;

@@ -37,6 +37,9 @@ effects! { At;
     backlash: Joints by joints needs "direction" {
         width_1, width_2: "rad", 1e-3, 200.0;
     }
+    joint_slip: Joints by joints needs "time_s" search "time_s" {
+        step_1, step_2: "rad", 2e-3, 200.0;
+    }
     // by how much the tip falls at full reach
     droop: Structure by structure {
         fall: "mm", 0.2, 1.0;
@@ -49,6 +52,9 @@ effects! { At;
     }
     slip: Body by body needs "time_s" search "time_s" {
         step_x, step_y, step_z: "mm", 0.1, 1.0;
+    }
+    thermal_shift: Sensor by body needs "temperature_c" search "lag_s" {
+        shift_x, shift_y, shift_z: "mm/°C", 0.01, 1.0;
     }
     sensor_linearity: Sensor by cartesian {
         cubic_x, cubic_y, cubic_z: "mm", 0.005, 1.0;
@@ -89,6 +95,7 @@ impl Robot<2, 3, PARAMETERS> for Arm {
             wave: 7.0,
             time_origin_s: 100.0,
             slip_time_s: 500.0,
+            joint_slip_time_s: 600.0,
         }
     }
 
@@ -190,6 +197,7 @@ const ROW: Row<2> = Row {
     covariates: Covariates {
         time_s: 700.0,
         temperature_c: 23.0,
+        stand_c: 22.0,
         payload_kg: f64::NAN,
         direction: [1.0, -1.0],
         velocity: [f64::NAN; 2],

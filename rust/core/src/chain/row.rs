@@ -14,6 +14,9 @@ pub struct Covariates<const J: usize> {
     pub time_s: f64,
     /// Temperature, °C.
     pub temperature_c: f64,
+    /// Temperature of what the instrument and the robot stand on, °C: that of the room, later. A control loop, which has no
+    /// instrument, leaves it where the drawing was made.
+    pub stand_c: f64,
     /// What hangs at the target besides the robot's own weight, kg.
     pub payload_kg: f64,
     /// Direction of the last motion of each joint, ±1 or 0.
@@ -27,6 +30,7 @@ impl<const J: usize> Covariates<J> {
     pub const NONE: Self = Self {
         time_s: f64::NAN,
         temperature_c: f64::NAN,
+        stand_c: f64::NAN,
         payload_kg: f64::NAN,
         direction: [f64::NAN; J],
         velocity: [f64::NAN; J],

@@ -55,6 +55,10 @@ effects! { At;
     backlash: Joints by joints needs "direction" {
         width_1, width_2, width_3: "mm", 0.02, 1.0;
     }
+    // what each joint reads too little from the moment on at which it lost steps
+    joint_slip: Joints by joints needs "time_s" search "time_s" {
+        step_1, step_2, step_3: "mm", 0.1, 1.0;
+    }
     // lean of each rail, limb by limb
     rail_lean: Structure by structure {
         radial_1, tangential_1, radial_2, tangential_2, radial_3, tangential_3: "rad", 5e-3, 20.0;
@@ -91,6 +95,10 @@ effects! { At;
     slip: Body by body needs "time_s" search "time_s" {
         step_x, step_y, step_z: "mm", 0.1, 1.0;
     }
+    // by how much robot and instrument move apart where their stands warm
+    thermal_shift: Sensor by body needs "temperature_c" search "lag_s" {
+        shift_x, shift_y, shift_z: "mm/°C", 0.01, 1.0;
+    }
     // what the sensors show of each coordinate beyond the coordinate itself: 3 × 3, row by row
     beam_alignment: Sensor by cartesian {
         x_by_x "xx": "mm/mm", 1e-3, 20.0;
@@ -99,7 +107,7 @@ effects! { At;
         y_by_z "yz", z_by_x "zx", z_by_y "zy": "mm/mm", 5e-3, 20.0;
         z_by_z "zz": "mm/mm", 1e-3, 20.0;
     }
-    // cubic error of each sensor at `LINEARITY_SPAN_MM` from its middle
+    // cubic error of each sensor at `LINEARITY_SPAN_MM` from its zero
     sensor_linearity: Sensor by cartesian {
         cubic_x, cubic_y, cubic_z: "mm", 0.005, 1.0;
     }

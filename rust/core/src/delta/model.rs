@@ -40,6 +40,7 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
             wave: TAU / self.pole_pitch,
             time_origin_s: self.time_origin_s,
             slip_time_s: self.slip_time_s,
+            joint_slip_time_s: self.joint_slip_time_s,
         }
     }
 
@@ -49,6 +50,7 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
             self.pole_pitch,
             self.time_origin_s,
             self.slip_time_s,
+            self.joint_slip_time_s,
         ];
         let settings = settings.iter().chain(&self.home).chain(&self.target_offset);
         if let Some(index) = settings.clone().position(|v| !v.is_finite()) {

@@ -20,4 +20,6 @@ pub struct Model {
     pub time_origin_s: f64,
     /// Moment of the slip, s.
     pub slip_time_s: f64,
+    /// Moment at which joints slip, s.
+    pub joint_slip_time_s: f64,
 }

@@ -79,6 +79,10 @@ effects! { At;
     backlash: Joints by joints needs "direction" {
         width_1, width_2, width_3, width_4, width_5, width_6, width_7, width_8, width_9: "rad", 5e-4, LEVER;
     }
+    // what each joint reads too little from the moment on at which it slipped
+    joint_slip: Joints by joints needs "time_s" search "time_s" {
+        step_1, step_2, step_3, step_4, step_5, step_6, step_7, step_8, step_9: "rad", 5e-4, LEVER;
+    }
     // error of each encoder once per turn: sine and cosine, joint by joint
     encoder_eccentricity: Joints by joints {
         sine_1, cosine_1, sine_2, cosine_2, sine_3, cosine_3, sine_4, cosine_4, sine_5, cosine_5, sine_6, cosine_6,
@@ -105,6 +109,10 @@ effects! { At;
     // step of the target at the slip time, base frame
     slip: Body by body needs "time_s" search "time_s" {
         step_x, step_y, step_z: "mm", 0.2, 1.0;
+    }
+    // by how much the target seems to move, base frame, where the stands of arm and tracker warm
+    thermal_shift: Sensor by body needs "temperature_c" search "lag_s" {
+        shift_x, shift_y, shift_z: "mm/°C", 0.02, 1.0;
     }
     // by how much the tracker's frame moved at the time of its slip
     tracker_slip: Sensor by tracker needs "time_s" search "time_s" {

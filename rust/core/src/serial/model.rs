@@ -87,6 +87,8 @@ pub struct Model {
     pub time_origin_s: f64,
     /// Moment at which the target slips, s.
     pub slip_time_s: f64,
+    /// Moment at which joints slip, s.
+    pub joint_slip_time_s: f64,
     /// Moment at which the tracker slips, s.
     pub tracker_slip_time_s: f64,
 }
@@ -120,6 +122,7 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
             wave: TAU / self.encoder_period,
             time_origin_s: self.time_origin_s,
             slip_time_s: self.slip_time_s,
+            joint_slip_time_s: self.joint_slip_time_s,
         }
     }
 
@@ -145,6 +148,7 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
         let times = [
             self.time_origin_s,
             self.slip_time_s,
+            self.joint_slip_time_s,
             self.tracker_slip_time_s,
             self.encoder_period,
         ];

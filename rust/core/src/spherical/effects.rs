@@ -41,6 +41,10 @@ effects! { At;
     backlash: Joints by joints needs "direction" {
         width_1, width_2: "rad", 2e-3, LEVER;
     }
+    // what each joint reads too little from the moment on at which it lost steps
+    joint_slip: Joints by joints needs "time_s" search "time_s" {
+        step_1, step_2: "rad", 2e-3, LEVER;
+    }
     // error of each encoder once per turn: sine and cosine, joint by joint
     encoder_eccentricity: Joints by joints {
         sine_1, cosine_1, sine_2, cosine_2: "rad", 2e-3, LEVER;
@@ -77,6 +81,11 @@ effects! { At;
     // step of the marker at the slip time, base frame
     slip: Body by body needs "time_s" search "time_s" {
         step_x, step_y, step_z: "mm", 0.1, 1.0;
+    }
+    // by how much the marker seems to move, base frame, where the stands of robot and camera warm; in pixels this is a
+    // camera that moves the other way
+    thermal_shift: Sensor by body needs "temperature_c" search "lag_s" {
+        shift_x, shift_y, shift_z: "mm/°C", 0.02, 1.0;
     }
     // error of the camera's pose: turn about its own axes (the image of the centre stays), and translation
     camera_pose: Sensor by camera {

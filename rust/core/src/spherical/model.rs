@@ -86,6 +86,7 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
             wave: TAU / self.encoder_period,
             time_origin_s: self.time_origin_s,
             slip_time_s: self.slip_time_s,
+            joint_slip_time_s: self.joint_slip_time_s,
         }
     }
 
@@ -93,6 +94,7 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
         let times = [
             self.time_origin_s,
             self.slip_time_s,
+            self.joint_slip_time_s,
             self.camera_slip_time_s,
             self.encoder_period,
         ];

@@ -35,6 +35,8 @@ pub struct Model {
     pub time_origin_s: f64,
     /// Moment of the slip, s.
     pub slip_time_s: f64,
+    /// Moment at which joints slip, s.
+    pub joint_slip_time_s: f64,
     /// Period of the encoders' cyclic error, rad.
     pub encoder_period: f64,
     /// Moment of the slip of the camera, s.

@@ -166,6 +166,7 @@ pub fn model_of(robot: &Robot) -> Model {
         home: [robot.joints.x, robot.joints.y - 40.0, robot.joints.z + 90.0],
         time_origin_s: 100.0,
         slip_time_s: 2000.0,
+        joint_slip_time_s: 2100.0,
     }
 }
 
@@ -174,6 +175,7 @@ pub fn some_covariates() -> Covariates {
     Covariates {
         time_s: 5000.0,
         temperature_c: 24.0,
+        stand_c: 24.5,
         payload_kg: f64::NAN,
         direction: [1.0, -1.0, 0.0],
         ..Covariates::NONE

@@ -1,0 +1,45 @@
+"""Runs of a delta whose measured point and readings are counted from anywhere: within 50 mm, drawn for each run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+import sherkit as sk
+from second_simulator import (
+    Noise,
+    Robot,
+    draw_geometric_errors,
+    draw_zeros,
+    grid,
+    make_plan,
+    scaled_effect,
+    simulate,
+)
+from strategies import EXAMPLE
+
+NOISE_UM = 5.0
+GRID = grid(20.0, 10, (-20.0, 0.0, 20.0))
+
+
+def counted_from_anywhere(seed: int, scaled: Mapping[str, float]) -> tuple[sk.delta.Delta, sk.Measurements]:
+    """The robot as its file has it, and a run: of each effect a geometric fit leaves that many times the noise."""
+    real, points, datum = draw_zeros(np.random.default_rng([seed, 4]), Robot.from_dict(), GRID)
+    plan = make_plan(real, points, repeats=2, order="shuffled", seed=seed)
+    errors = draw_geometric_errors(np.random.default_rng([seed, 1]))
+    planted: dict[str, Any] = {"datum": datum}
+    for k, (name, ratio) in enumerate(scaled.items()):
+        rng = np.random.default_rng([seed, 2, k])
+        planted |= scaled_effect(real, plan, name, rng, 1e-3 * NOISE_UM * ratio, errors=errors, beside={"datum": datum})
+    columns = simulate(real, plan, errors, planted, noise=Noise(sigma_mm=1e-3 * NOISE_UM), seed=1000 + seed)
+    # the workspace of the file is where the platform was, whatever hangs from it
+    x, y, z = points.T
+    robot = replace(
+        EXAMPLE, target_offset_mm=tuple(real.target_offset.tolist()), region_half_width_mm=None,
+        workspace_radius_mm=float(np.hypot(x, y).max()), workspace_z_mm=(float(z.min()), float(z.max())),
+    )  # fmt: skip
+    return robot, sk.from_frame(pl.DataFrame(columns))
