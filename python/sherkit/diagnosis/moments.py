@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from .. import linalg
 from ..types import Floats, Ints
 from .scan import Block
 from .stage import Candidate, Stage
@@ -60,10 +61,10 @@ def _of_columns(columns: Floats, e: Floats, cuts: Ints) -> Floats:
     # the sums up to a cut hold the rows before it alone
     grams = np.concatenate([before[0][None], grams])[: len(cuts)]
     alongs = np.concatenate([before[1][None], alongs])[: len(cuts)]
-    inverse = np.linalg.pinv(gram, hermitian=True)
+    inverse = linalg.pinv(gram, hermitian=True)
     left = grams - grams @ inverse @ grams
     of = alongs - grams @ inverse @ along
-    return np.einsum("ck,ckl,cl->c", of, np.linalg.pinv(left, rcond=1e-9, hermitian=True), of)
+    return np.einsum("ck,ckl,cl->c", of, linalg.pinv(left, rcond=1e-9, hermitian=True), of)
 
 
 def best_lag(stage: Stage, best: Candidate, at_once: tuple[float, Candidate] | None) -> Candidate:
