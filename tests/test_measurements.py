@@ -119,6 +119,8 @@ def differences(a: Measurements, b: Measurements) -> list[str]:
             continue
         one, two = getattr(a, name), getattr(b, name)
         pairs = [(one, two)]
+        if name == "room" and one is not None and two is not None:
+            pairs = list(zip(one, two, strict=True))
         if name in ("covariates", "labels"):
             if set(one) != set(two):
                 out.append(name)

@@ -91,7 +91,9 @@ def test_joints_of_too_few_digits_are_named(seed: int, repeats: int) -> None:
     """Catches "each pose is off by its own" that sends somebody to look at markers and seats."""
     data = delta(200, repeats, seed).data
     d = sk.diagnose(DELTA, replace(data, joints=rounded(data.joints, 0.03)))
-    assert d.verdict == "unexplained", d.headline
+    # without repeats nobody knows that it is not noise
+    assert d.verdict in (("adequate", "unexplained") if repeats == 1 else ("unexplained",)), d.headline
+    assert not d.effects
     assert "q1_mm, q2_mm, q3_mm stand in steps of 0.03 mm: that alone leaves 1" in d.headline
     assert "with all the digits" in d.headline
     assert "seating" not in d.headline
