@@ -2,8 +2,7 @@
 
 Every decomposition of the package passes here. What it is given is checked first: nothing that is not finite goes on.
 Where LAPACK's quick routine does not converge, as divide and conquer does not now and then on columns that are nearly
-copies of each other, a slower routine takes its place, and at last plane rotations of the scaled numbers, which always
-end (Golub and Van Loan, *Matrix Computations*, 8.5 and 8.6). Where the numbers have no answer, the error says which.
+copies of each other, a slower routine takes its place. Where the numbers have no answer, the error says which.
 
 The functions are those of :mod:`numpy.linalg` and mean the same. Lengths and determinants cannot fail: they are NumPy's
 own.
@@ -20,8 +19,6 @@ import scipy
 from .errors import NotConverged, NotFinite, Singular
 from .types import Bools, Floats
 
-#: Sweeps of plane rotations; each squares what is left beside the diagonal, so that a dozen is far more than enough.
-_SWEEPS = 60
 #: Part of the largest number up to which what is left is rounding.
 _ROUNDING = 1e-12
 
@@ -44,7 +41,7 @@ def eigh(matrix: Floats) -> tuple[Floats, Floats]:
         value, vector = scipy.linalg.eigh(one, driver="ev")
         return value, vector
 
-    return _first(a, lambda: _np_eigh(a), _each(a, slower, 2), _each(a, _by_rotations, 2))
+    return _first(a, lambda: _np_eigh(a), _each(a, slower, 2))
 
 
 def eigvalsh(matrix: Floats) -> Floats:
@@ -61,10 +58,7 @@ def svd(matrix: Floats, full_matrices: bool = True) -> tuple[Floats, Floats, Flo
         u, value, vt = scipy.linalg.svd(one, full_matrices=full_matrices, lapack_driver="gesvd")
         return u, value, vt
 
-    def of_product(one: Floats) -> tuple[Floats, Floats, Floats]:
-        return _by_turned_columns(one, full_matrices)
-
-    return _first(a, lambda: tuple(_np_svd(a, full_matrices)), _each(a, slower, 3), _each(a, of_product, 3))
+    return _first(a, lambda: tuple(_np_svd(a, full_matrices)), _each(a, slower, 3))
 
 
 def singular_values(matrix: Floats) -> Floats:
@@ -92,7 +86,7 @@ def qr(matrix: Floats) -> tuple[Floats, Floats]:
         q, r = scipy.linalg.qr(one, mode="economic")
         return q, r
 
-    return _first(a, lambda: tuple(_np_qr(a)), lambda: slower(a), lambda: _by_gram_schmidt(a))
+    return _first(a, lambda: tuple(_np_qr(a)), lambda: slower(a))
 
 
 def lstsq(columns: Floats, right: Floats, rcond: float | None = None) -> LeastSquares:
@@ -277,106 +271,6 @@ def _each(a: Floats, one: Callable[[Floats], Any], parts: int) -> Callable[[], A
         return tuple(part.reshape(*a.shape[:-2], *part.shape[1:]) for part in stacked)
 
     return every
-
-
-def _by_rotations(matrix: Floats) -> tuple[Floats, Floats]:
-    """Eigenvalues and vectors by plane rotations (Jacobi), which always converge."""
-    size = float(np.abs(matrix).max(initial=0.0))
-    a = 0.5 * (matrix + matrix.T) / (size or 1.0)
-    k = len(a)
-    vector = np.eye(k)
-    for _ in range(_SWEEPS):
-        if np.abs(a - np.diag(np.diag(a))).max(initial=0.0) <= 1e-16 * np.abs(np.diag(a)).max(initial=0.0):
-            break
-        for p in range(k - 1):
-            for q in range(p + 1, k):
-                if abs(a[p, q]) <= 1e-300:
-                    continue
-                turn = _rotation((a[q, q] - a[p, p]) / (2.0 * a[p, q]))
-                a[:, [p, q]] = a[:, [p, q]] @ turn
-                a[[p, q]] = turn.T @ a[[p, q]]
-                vector[:, [p, q]] = vector[:, [p, q]] @ turn
-    order = np.argsort(np.diag(a), kind="stable")
-    return np.diag(a)[order] * (size or 1.0), vector[:, order]
-
-
-def _by_turned_columns(matrix: Floats, full_matrices: bool) -> tuple[Floats, Floats, Floats]:
-    """Singular values by plane rotations of the columns until all stand across each other (Hestenes)."""
-    if matrix.shape[0] < matrix.shape[1]:
-        u, value, vt = _by_turned_columns(matrix.T, full_matrices)
-        return vt.T, value, u.T
-    size = float(np.abs(matrix).max(initial=0.0)) or 1.0
-    a, k = matrix / size, matrix.shape[1]
-    vector = np.eye(k)
-    for _ in range(_SWEEPS):
-        turned = False
-        for p in range(k - 1):
-            for q in range(p + 1, k):
-                along, one, other = (float(x @ y) for x, y in (
-                    (a[:, p], a[:, q]), (a[:, p], a[:, p]), (a[:, q], a[:, q]),
-                ))  # fmt: skip
-                if abs(along) <= 1e-15 * np.sqrt(one * other) or abs(along) <= 1e-300:
-                    continue
-                turned = True
-                turn = _rotation((other - one) / (2.0 * along))
-                a[:, [p, q]] = a[:, [p, q]] @ turn
-                vector[:, [p, q]] = vector[:, [p, q]] @ turn
-        if not turned:
-            break
-    value = np.linalg.norm(a, axis=0)
-    order = np.argsort(-value, kind="stable")
-    value, vector = value[order], vector[:, order]
-    u, r = _by_gram_schmidt(a[:, order])
-    u = u * np.where(np.diag(r) < 0, -1.0, 1.0)
-    if full_matrices and u.shape[0] > u.shape[1]:
-        u = _by_gram_schmidt(np.concatenate([u, np.eye(len(u))], axis=1))[0][:, : len(u)]
-    return u, value * size, vector.T
-
-
-def _rotation(ratio: float) -> Floats:
-    """The turn of two directions by the smaller angle whose cotangent of twice it is this."""
-    t = (1.0 if ratio >= 0 else -1.0) / (abs(ratio) + np.hypot(ratio, 1.0))
-    c = 1.0 / np.hypot(t, 1.0)
-    return np.array([[c, t * c], [-t * c, c]])
-
-
-def _by_gram_schmidt(columns: Floats) -> tuple[Floats, Floats]:
-    """Orthonormal columns (n, min(n, k)) and the triangle, column by column, each projected until it stands across
-    the others; one of which nothing is left is replaced by one that does."""
-    size = float(np.abs(columns).max(initial=0.0)) or 1.0
-    columns, (n, k) = columns / size, columns.shape
-    q, r = np.zeros((n, min(n, k))), np.zeros((min(n, k), k))
-    have, spare = 0, 0
-    for j in range(k):
-        left = columns[:, j].copy()
-        length = float(np.linalg.norm(left))
-        for _ in range(_SWEEPS):
-            before = length
-            along = q[:, :have].T @ left
-            r[:have, j] += along
-            left -= q[:, :have] @ along
-            length = float(np.linalg.norm(left))
-            # what is left of little stands across the others only after one projection more
-            if length > 0.5 * before or length <= 1e-15 * float(np.linalg.norm(columns[:, j])):
-                break
-        if have == q.shape[1]:
-            continue
-        if length <= 1e-15 * float(np.linalg.norm(columns[:, j])):
-            if k > n:
-                continue
-            while True:
-                left = np.zeros(n)
-                left[spare % n] = 1.0
-                spare += 1
-                for _ in range(2):
-                    left -= q[:, :have] @ (q[:, :have].T @ left)
-                if np.linalg.norm(left) > 0.5 / np.sqrt(n):
-                    break
-            q[:, have] = left / np.linalg.norm(left)
-        else:
-            q[:, have], r[have, j] = left / length, length
-        have += 1
-    return q, r * size
 
 
 # -- words ---------------------------------------------------------------------------------------------------------
