@@ -33,6 +33,8 @@ _LEAST, _MOST = 30, 3000
 _MOST_SHAPES = 6
 #: Most swings of a cycle in the course of a run, of how many moments each at least, and how finely they are looked for.
 _SWINGS, _MOMENTS, _FINELY = 60, 6, 2.0
+#: The same of a cycle in proportion to the place.
+_SWINGS_BY_PLACE = 12
 _STEPS = 24
 #: Declared noise and what repeats show may differ by this factor.
 _CONTRADICTS = 3.0
@@ -48,7 +50,8 @@ _COMMON, _ROUNDS, _ROWS, _LINES = 0.8, 5, 30, 30
 @dataclass(frozen=True)
 class Held:
     """One shape of what repeats hold: ``name`` of the variable, ``shape`` as :class:`~.shapes.Shape` calls it with its
-    ``order``, ``period`` or moment ``at``; the ``axes`` it is on, and its RMS ``size`` there in the unit of the run."""
+    ``order``, ``period`` or moment ``at``; the ``axes`` it is on, and its RMS ``size`` there in the unit of the run;
+    ``by_place`` where it is in proportion to the place, or to a column, as a picture that grows is."""
 
     name: str
     shape: str
@@ -57,12 +60,14 @@ class Held:
     at: float | None = None
     axes: tuple[str, ...] = ()
     size: float = 0.0
+    by_place: bool = False
 
     def __str__(self) -> str:
-        return course({
+        told = course({
             "depends_on": [self.name], "axis": self.axes, "shape": self.shape, "order": self.order,
             "period": self.period, "at": self.at,
         })  # fmt: skip
+        return f"{told}, from place to place in its own way" if self.by_place else told
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +83,7 @@ class Repeats:
     @property
     def periods(self) -> tuple[tuple[str, float], ...]:
         """Variables with the periods at which they are in it."""
-        return tuple((one.name, one.period) for one in self.held if one.period is not None)
+        return tuple((one.name, one.period) for one in self.held if one.period is not None and not one.by_place)
 
     def signature(self, run: FittedRun) -> dict[str, Any]:
         """The first shape as a diagnosis describes what no effect explains."""
@@ -185,6 +190,16 @@ def _variables(run: FittedRun, rows: Ints) -> dict[str, Floats]:
     return {name: np.asarray(v, dtype=float) for name, v in out.items() if np.isfinite(v).all() and np.ptp(v) > 0}
 
 
+def _beside(run: FittedRun, rows: Ints) -> list[Floats]:
+    """What a course in time may be in proportion to (rows,), from -1 to 1: the place, and every other column, as how
+    fast the machine moved."""
+    part = run.data.select(rows)
+    columns = {name: v for name, v in run.model.covariates(part).items() if name != "time_s"}
+    known = [*run.model.place(part, run.fit.predicted[rows]).values(), *columns.values()]
+    spans = [(np.asarray(v, dtype=float), float(np.ptp(v))) for v in known if np.isfinite(v).all()]
+    return [2.0 * (v - v.min()) / span - 1.0 for v, span in spans if span > 0]
+
+
 class _Search:
     """Deviations of rows (n, m) in the order of time, and the functions of a family, all without the mean of each
     pose."""
@@ -200,6 +215,7 @@ class _Search:
         self.tame = np.clip(self.raw / self.spread, -_CUT, _CUT)
         self.free = len(rows) - len(self.count)
         self.variables = variables
+        self.beside = _beside(run, rows)
         self.held: list[Held] = []
         self.accepted: list[Floats] = []
 
@@ -268,13 +284,21 @@ class _Search:
                         at = float(values[cut])
                         add(Held(name, "step", at=at), (values >= at).astype(float))
                 most = min(_SWINGS, len(np.unique(values)) // _MOMENTS)
+                add(Held(name, "smooth", order=1, by_place=True), *self._by_place((t,)))
                 for swings in np.arange(_FINELY, _FINELY * most + 1) / _FINELY:
                     period = (high - low) / float(swings)
                     add(Held(name, "periodic", period=period), *wave(values, period))
+                    if swings <= _SWINGS_BY_PLACE:
+                        by_place = Held(name, "periodic", period=period, by_place=True)
+                        add(by_place, *self._by_place(wave(values, period)))
         made = self._columns(np.column_stack(columns)) if columns else np.zeros((len(self.pose), 0))
         # what is the same in all readings of each pose is no candidate
         there = np.linalg.norm(made, axis=0) > 0.0
         return [(held, numbers) for held, numbers in family if there[list(numbers)].all()], made
+
+    def _by_place(self, functions: Sequence[Floats]) -> list[Floats]:
+        """Functions (n,) times each of what they may be in proportion to."""
+        return [one * beside for one in functions for beside in self.beside]
 
     def _columns(self, functions: Floats) -> Floats:
         """Functions (n, f) without the mean of each pose, of unit length; nothing where only rounding is left."""
@@ -325,14 +349,19 @@ class _Search:
             basis = orthonormal(np.column_stack(self.accepted), 1e-6)
             on = on - basis @ (basis.T @ on)
         best, at = -1.0, 1.0 / held.period
+
+        def functions(period: float) -> Floats:
+            waves = wave(values, period)
+            return self._columns(np.column_stack(self._by_place(waves) if held.by_place else waves))
+
         for frequency in at + spacing * np.linspace(-1.0, 1.0, 33):
             if frequency <= 0:
                 continue
-            basis = orthonormal(self._columns(np.column_stack(wave(values, 1.0 / frequency))), 1e-6)
+            basis = orthonormal(functions(1.0 / frequency), 1e-6)
             taken = float(((basis.T @ on) ** 2).sum())
             if taken > best:
                 best, at = taken, float(frequency)
-        return replace(held, period=1.0 / at), self._columns(np.column_stack(wave(values, 1.0 / at)))
+        return replace(held, period=1.0 / at), functions(1.0 / at)
 
     def _accept(self, held: Held, axis: int | None, columns: Floats) -> None:
         basis = orthonormal(columns, 1e-6)
