@@ -194,6 +194,9 @@ def _beside(run: FittedRun, rows: Ints) -> list[Floats]:
     """What a course in time may be in proportion to (rows,), from -1 to 1: the place, and every other column, as how
     fast the machine moved."""
     part = run.data.select(rows)
+    if part.apart:
+        # of several targets of one pose its turn makes errors in proportion to the place, of noise alone as well
+        return []
     columns = {name: v for name, v in run.model.covariates(part).items() if name != "time_s"}
     known = [*run.model.place(part, run.fit.predicted[rows]).values(), *columns.values()]
     spans = [(np.asarray(v, dtype=float), float(np.ptp(v))) for v in known if np.isfinite(v).all()]
@@ -284,11 +287,12 @@ class _Search:
                         at = float(values[cut])
                         add(Held(name, "step", at=at), (values >= at).astype(float))
                 most = min(_SWINGS, len(np.unique(values)) // _MOMENTS)
-                add(Held(name, "smooth", order=1, by_place=True), *self._by_place((t,)))
+                if self.beside:
+                    add(Held(name, "smooth", order=1, by_place=True), *self._by_place((t,)))
                 for swings in np.arange(_FINELY, _FINELY * most + 1) / _FINELY:
                     period = (high - low) / float(swings)
                     add(Held(name, "periodic", period=period), *wave(values, period))
-                    if swings <= _SWINGS_BY_PLACE:
+                    if self.beside and swings <= _SWINGS_BY_PLACE:
                         by_place = Held(name, "periodic", period=period, by_place=True)
                         add(by_place, *self._by_place(wave(values, period)))
         made = self._columns(np.column_stack(columns)) if columns else np.zeros((len(self.pose), 0))
@@ -320,7 +324,9 @@ class _Search:
         fitted = np.einsum("nk,ab->nakb", without(accepted), np.eye(m)).reshape(len(seen), m, -1)
         block = Block(without(self.tame[seen]), fitted, without(functions[seen]), np.zeros((len(seen), m, 0)))
         candidates = [Columns(functions=numbers, axis=axis) for _, numbers in family for axis in (*range(m), None)]
-        return Scan(_OneBlock(block), candidates, self.pose[seen])
+        # the targets of one pose are one witness
+        standing = self.run.data.standing[self.rows[seen]]
+        return Scan(_OneBlock(block), candidates, np.unique(standing, return_inverse=True)[1].ravel())
 
     def _simplest(
         self, scan: Scan, family: list[tuple[Held, tuple[int, ...]]], functions: Floats
