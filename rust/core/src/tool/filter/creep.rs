@@ -54,13 +54,13 @@ impl Pace {
 }
 
 impl Creep {
-    pub(super) fn new(per_nm: [f64; 2], start: &Known) -> Self {
+    pub(super) fn new(per_nm: [f64; 2]) -> Self {
         Self {
             per_nm,
             sums: [0.0; 4],
             count: 0.0,
-            rest: start.offsets(),
-            variance: [0, 1, 2, 3].map(|k| start.p[OFFSETS + k][OFFSETS + k]),
+            rest: [0.0; 4],
+            variance: [0.0; 4],
             at_s: f64::NAN,
             sections: [Pace::default(); 2],
         }

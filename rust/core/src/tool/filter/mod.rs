@@ -226,7 +226,7 @@ impl ToolFilter {
             state,
             felt: None,
             free_for: 0,
-            creep: Creep::new(per_nm, &known),
+            creep: Creep::new(per_nm),
             warmth: Warmth {
                 now_nm: 0.0,
                 rest_nm: 0.0,
