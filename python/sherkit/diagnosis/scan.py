@@ -9,7 +9,8 @@ null distribution whatever the shape and size of the noise, as long as poses are
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Protocol
@@ -21,13 +22,15 @@ from .. import linalg
 from .._core import largest_under_flips
 from ..types import Floats, Ints
 from .axis_waves import AxisProducts, AxisWaves
-from .linearised import orthonormal
+from .image import Image, Projected, Triangle
 from .waves import FilteredWaves, Products
 
 #: Directions of a shape with less than this part left after projection cannot be told from the fit.
 _LEFT = 0.02
 #: The same for physical effects, whose derivatives are exact.
 _LEFT_EXACT = 1e-4
+#: Part of a column that enters the model which the model must leave: below it is what rounding made of products.
+_ADDS = 1e-5
 #: Part of the readings of all poses that parameters take, from which on what they take of each pose counts.
 _PULLED = 0.04
 #: A pose that leaves less of a direction to the others decides it alone.
@@ -78,8 +81,7 @@ class Rows(Protocol):
 class Scan:
     """A residual, what was fitted, and a family of candidates: all products of them.
 
-    What is held does not grow with the rows. ``model`` are columns that are taken for fitted as well, ``group`` (n,) is
-    equal for repeats of a pose.
+    What is held does not grow with the rows. ``model`` are columns taken for fitted too, ``group`` (n,) is a row's pose.
     """
 
     def __init__(
@@ -139,27 +141,23 @@ class Scan:
     def _products(self) -> None:
         """One look at all rows: the model's own triangle, and its and the residual's products with every column."""
         triangle = Triangle()
-        ends = [part.products for part in (self.waves, self.along) if part is not None]
-        own: Any = 0.0
-        parts: list[Products | AxisProducts] = []
         with_e: Any = 0.0
         ff, dd, total = np.zeros((self.f, self.f)), np.zeros((self.d, self.d)), 0.0
-        for rows, block, model in self.every_block():
-            triangle.add(model)
-            both = np.concatenate([model, block.residual[:, :, None]], axis=2)
-            count = both.shape[2]
-            parts = parts or [end(count) for end in ends]
-            dense, flat = block.dense.reshape(len(both) * self.m, self.d), both.reshape(-1, count)
-            by_axis = [block.functions.T @ both[:, a] for a in range(self.m)]
-            own = own + np.concatenate([*by_axis, dense.T @ flat])
-            ff += block.functions.T @ block.functions
-            dd += dense.T @ dense
-            total += float((block.residual**2).sum())
-            with_e = with_e + flat[:, :-1].T @ flat[:, -1]
-            for part in parts:
-                part.add(rows, both)
+
+        def model_and_residual() -> Iterator[tuple[slice, Block, Floats]]:
+            nonlocal with_e, ff, dd, total
+            for rows, block, model in self.every_block():
+                triangle.add(model)
+                flat, residual = model.reshape(-1, model.shape[2]), block.residual.ravel()
+                dense = block.dense.reshape(len(residual), self.d)
+                ff += block.functions.T @ block.functions
+                dd += dense.T @ dense
+                total += float(residual @ residual)
+                with_e = with_e + flat.T @ residual
+                yield rows, block, np.concatenate([model, block.residual[:, :, None]], axis=2)
+
+        every, wave_products = self._times(model_and_residual())
         self._ff, self._dd = ff, dd
-        every = np.concatenate([own, *(part.all() for part in parts)])
         #: The model's columns turned so that their rows are few; what makes them orthonormal (p, rank).
         self.triangle = triangle.of
         self.root = triangle.root()
@@ -168,18 +166,75 @@ class Scan:
         self.of_residual = self.root.T @ with_e
         self.by_residual = every[:, -1] - self.by_model @ self.of_residual
         self.sum_of_squares = total - float(self.of_residual @ self.of_residual)
-        self.free = self.n * self.m - self.root.shape[1]
-        self._wave_products = parts[0] if self.waves is not None and parts else None
+        # with the model and, last, the residual; then with each that entered since
+        self._wave_products = wave_products
+
+    def _times(self, stretches: Iterable[tuple[slice, Block, Floats]]) -> tuple[Floats, tuple[Products, ...]]:
+        """Every column of the family times others (K, c), whose rows (b, m, c) come stretch by stretch; and what waves
+        of inputs at any other frequency are made of."""
+        ends = [part.products for part in (self.waves, self.along) if part is not None]
+        parts: list[Products | AxisProducts] = []
+        own: Any = 0.0
+        for rows, block, others in stretches:
+            count = others.shape[2]
+            parts = parts or [end(count) for end in ends]
+            dense, flat = block.dense.reshape(len(others) * self.m, self.d), others.reshape(-1, count)
+            own = own + np.concatenate([*(block.functions.T @ others[:, a] for a in range(self.m)), dense.T @ flat])
+            for part in parts:
+                part.add(rows, others)
+        return np.concatenate([own, *(part.all() for part in parts)]), tuple(
+            part for part in parts if isinstance(part, Products)
+        )
+
+    def given(self, *columns: Columns) -> Scan:
+        """The family once more columns are part of the model too, at the price of one look at these alone: what the
+        model leaves of them stands, orthonormal, behind what is there."""
+        if not columns:
+            return self
+        new = copy(self)
+        for name in ("_roots", "gains", "deviates", "_null"):
+            new.__dict__.pop(name, None)
+        new.model = (*self.model, *columns)
+        numbers = [number for one in columns for number in self.numbers(one)]
+        every, more = self._times(
+            (rows, block, np.concatenate([self.take(one, rows, block) for one in columns], axis=2))
+            for rows, block in zip(self.rows.blocks, map(self.rows.block, self.rows.blocks), strict=True)
+        )
+        inside, gram = self.by_model[numbers], every[numbers]
+        left = gram - inside @ inside.T
+        length = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
+        value, vector = linalg.eigh(left / (length[:, None] * length))
+        keep = value > _ADDS**2
+        turn = vector[:, keep] / np.sqrt(value[keep]) / length[:, None]
+        added = (every - self.by_model @ inside.T) @ turn
+        of_residual = turn.T @ self.by_residual[numbers]
+        p, rank = self.root.shape
+        new.root = np.zeros((p + len(numbers), rank + turn.shape[1]))
+        new.root[:p, :rank], new.root[:p, rank:], new.root[p:, rank:] = self.root, -self.root @ inside.T @ turn, turn
+        new.triangle = np.zeros((len(self.triangle) + turn.shape[1], p + len(numbers)))
+        new.triangle[: len(self.triangle), :p] = self.triangle
+        new.triangle[: len(self.triangle), p:] = self.triangle @ self.root @ inside.T
+        new.triangle[len(self.triangle) :, p:] = turn.T @ left
+        new.by_model = np.concatenate([self.by_model, added], axis=1)
+        new.of_residual = np.concatenate([self.of_residual, of_residual])
+        new.by_residual = self.by_residual - added @ of_residual
+        new.sum_of_squares = self.sum_of_squares - float(of_residual @ of_residual)
+        new._wave_products = (*self._wave_products, *more)
+        return new
+
+    @property
+    def free(self) -> int:
+        """Readings less what the model takes of them."""
+        return self.n * self.m - self.root.shape[1]
 
     def along_waves(self, frequency: float) -> tuple[Floats, Floats, Floats]:
         """Of sine and cosine of all inputs at any frequency, what the model leaves: Gram matrix (2 j, 2 j), and
         products with the residual (2 j,); and their squared lengths (2 j,) as they are."""
-        assert self.waves is not None
-        assert isinstance(self._wave_products, Products), "only a thorough stage has waves"
-        products = self._wave_products.at(frequency)
-        by_model = products[:, :-1] @ self.root
+        assert self.waves is not None, "only a thorough stage has waves"
+        first, *others = (part.at(frequency) for part in self._wave_products)
+        by_model = np.concatenate([first[:, :-1], *others], axis=1) @ self.root
         gram = self.waves.gram_at(frequency)
-        return gram - by_model @ by_model.T, products[:, -1] - by_model @ self.of_residual, np.diag(gram)
+        return gram - by_model @ by_model.T, first[:, -1] - by_model @ self.of_residual, np.diag(gram)
 
     @cached_property
     def squared(self) -> Floats:
@@ -240,10 +295,6 @@ class Scan:
             root = vector * np.where(keep, 1.0 / np.sqrt(np.where(keep, value, 1.0)), 0.0)[:, None, :]
             out[k] = ((root / length[:, :, None]).transpose(0, 2, 1), keep.sum(axis=1))
         return out
-
-    def given(self, *columns: Columns) -> Scan:
-        """The family once more columns are part of the model too."""
-        return Scan(self.rows, self.candidates, self.group, self.waves, self.along, (*self.model, *columns))
 
     @cached_property
     def gains(self) -> tuple[Floats, Ints]:
@@ -379,78 +430,6 @@ class Scan:
             triangle.add(np.concatenate(parts, axis=2))
         model, *columns, residual = np.split(triangle.of, np.cumsum(counts)[:-1], axis=1)
         return Image(model, columns, residual[:, 0], self.n * self.m)
-
-
-@dataclass(frozen=True, eq=False)
-class Projected:
-    """Columns of a candidate: their Gram matrix ``whole`` (k, k), their products with the orthonormal model (k, rank),
-    and with what the model leaves of the residual (k,)."""
-
-    whole: Floats
-    by_model: Floats
-    by_residual: Floats
-
-    @property
-    def left(self) -> Floats:
-        """Gram matrix (k, k) of what the model leaves of them."""
-        return self.whole - self.by_model @ self.by_model.T
-
-
-class Triangle:
-    """Columns turned so that all their rows are few: the triangle of a QR decomposition, block by block, keeps every
-    length and angle between them to the last digits, which a Gram matrix does not."""
-
-    def __init__(self) -> None:
-        self.of: Floats = np.zeros((0, 0))
-
-    def add(self, columns: Floats) -> None:
-        """More rows (b, m, k)."""
-        flat = columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
-        stacked = np.concatenate([self.of, flat]) if len(self.of) else flat
-        self.of = linalg.triangle(stacked) if stacked.shape[1] else np.zeros((0, 0))
-
-    def root(self, tolerance: float = 1e-7) -> Floats:
-        """What makes the columns orthonormal (k, rank)."""
-        norm = np.linalg.norm(self.of, axis=0)
-        scale = np.where(norm > 0, norm, 1.0)
-        _, value, vector = linalg.svd(self.of / scale)
-        keep = value > tolerance * value[:1]
-        return vector[: len(value)][keep].T / value[keep] / scale[:, None]
-
-
-@dataclass(frozen=True, eq=False)
-class Image:
-    """A model, some sets of columns and a residual, turned so that their rows are few: lengths, angles, projections
-    and least squares among them are those of all rows, of which there are ``count``."""
-
-    model: Floats
-    columns: Sequence[Floats]
-    residual: Floats
-    count: int
-
-    @cached_property
-    def basis(self) -> Floats:
-        """The model as orthonormal columns."""
-        return orthonormal(self.model)
-
-    def free_of_model(self, columns: Floats) -> Floats:
-        """What the model leaves of columns (r, k) or (r,)."""
-        return columns - self.basis @ (self.basis.T @ columns)
-
-    def given(self, count: int) -> tuple[float, int]:
-        """Sum of squares that the first columns of the model leave of the residual, and their rank."""
-        basis = orthonormal(self.model[:, :count])
-        left = self.residual - basis @ (basis.T @ self.residual)
-        return float(left @ left), basis.shape[1]
-
-    def left(self, *which: int) -> float:
-        """Sum of squares of the residual once these sets of columns are in the model too."""
-        added = self.free_of_model(np.concatenate([self.model[:, :0], *(self.columns[k] for k in which)], axis=1))
-        # a second projection, since an added column may have almost nothing left
-        added = self.free_of_model(orthonormal(added))
-        residual = self.free_of_model(self.residual)
-        residual = residual - added @ (added.T @ residual)
-        return float(residual @ residual)
 
 
 def codes_of(poses: int, seed: int) -> Ints:

@@ -14,8 +14,9 @@ from ..model.effect import Effect
 from ..types import Floats, Ints
 from .axis_waves import AxisWaves
 from .fitted_run import FittedRun
+from .image import Image
 from .linearised import Linearised, Whitening, correlation_in_time, last_asked, orthonormal
-from .scan import Block, Columns, Image, Scan
+from .scan import Block, Columns, Scan
 from .shapes import Family, Shape, build
 from .waves import Waves, waves_of
 
