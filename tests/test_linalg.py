@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+import threadpoolctl
 from numpy.typing import NDArray
 
 import sherkit as sk
@@ -250,3 +251,19 @@ def test_columns_that_are_copies_end_in_an_answer(column: str) -> None:
     }[column]
     found = sk.diagnose(EXAMPLE, frame.with_columns(more.alias(column)))
     assert (found.verdict in ("adequate", "explained")) is (column != "x_mm")
+
+
+def test_blas_computes_on_one_thread_while_asked_to_and_as_before_after() -> None:
+    """Catches a limit that stays, or that a diagnosis within another lifts too early."""
+    blas = [pool for pool in threadpoolctl.threadpool_info() if pool["user_api"] == "blas"]
+    with threadpoolctl.threadpool_limits(2, user_api="blas"):
+        with linalg.one_thread():
+            with linalg.one_thread():
+                assert set(threads()) == {1}
+            assert set(threads()) == {1}
+        assert set(threads()) == {2} or all(pool["num_threads"] == 1 for pool in blas)
+
+
+def threads() -> list[int]:
+    """How many threads each BLAS that is loaded may use."""
+    return [pool["num_threads"] for pool in threadpoolctl.threadpool_info() if pool["user_api"] == "blas"]

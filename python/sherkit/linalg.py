@@ -10,7 +10,10 @@ own.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
+from contextlib import ContextDecorator
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +33,39 @@ class LeastSquares(NamedTuple):
     residuals: Floats
     rank: int
     singular: Floats
+
+
+class one_thread(ContextDecorator):  # noqa: N801 - read as a function: `with one_thread():`, `@one_thread()`
+    """While this is entered, anywhere and however often, BLAS computes on one thread.
+
+    The matrices of a diagnosis are small and many: on a machine whose cores are busy, threads that wait for each other
+    after each of them took ten times the processor's time of one alone.
+    """
+
+    _lock = threading.Lock()
+    _entered = 0
+    _before: Any = None
+
+    def __enter__(self) -> None:
+        with one_thread._lock:
+            if one_thread._entered == 0:
+                one_thread._before = _pools().limit(limits=1, user_api="blas")
+            one_thread._entered += 1
+
+    def __exit__(self, *_: object) -> None:
+        with one_thread._lock:
+            one_thread._entered -= 1
+            if one_thread._entered == 0:
+                one_thread._before.restore_original_limits()
+
+
+@cache
+def _pools() -> Any:
+    """The threads of every BLAS that is loaded: NumPy's and SciPy's are two."""
+    import scipy.linalg  # noqa: F401 - what is not loaded yet is not found
+    import threadpoolctl
+
+    return threadpoolctl.ThreadpoolController()
 
 
 def eigh(matrix: Floats) -> tuple[Floats, Floats]:

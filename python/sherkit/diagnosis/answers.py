@@ -14,7 +14,6 @@ from ..fit.identify import Fit
 from ..notebook import Shown
 from ..types import Ints
 from .claims import LOOSE, POSES_AS_REPEATS, Claim, headline
-from .stage import Stage
 from .summary import Summary
 from .template import sentence, ties
 from .where import Dependence
@@ -86,7 +85,6 @@ class Diagnosis(Shown):
     notes: tuple[str, ...]
     fit: Fit = field(repr=False)
     base: Fit = field(repr=False)
-    stage: Stage = field(repr=False)
 
     @property
     def headline(self) -> str:

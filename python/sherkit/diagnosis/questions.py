@@ -57,6 +57,7 @@ _AXIS_LEVEL = 1e-3
 
 
 @as_annotated
+@linalg.one_thread()
 def diagnose(
     fit: Fit | RobotLike | Model,
     data: RunLike = None,
@@ -137,7 +138,6 @@ def diagnose(
     step("fitting all rows")
     at = periods_shown(found.search, found.result)
     base_stage = stage_of(run, every, rows, sigma, rho=rho, thorough=False, at=at)
-    stage = stage_of(final, every, rows, sigma, rho=rho, thorough=False, at=at) if found.names else base_stage
     gains = held_out(base_stage, np.stack([deal[base_stage.rows] for deal in deals]))
 
     left = None if repeats is None else repeats if final is run else in_repeats(final, seed=seed)
@@ -170,7 +170,9 @@ def diagnose(
     smallest: dict[str, tuple[float, float]] = {}
     if verdict == "adequate" and not final.is_exact:
         threshold = float(np.quantile(found.result.stages[0].scan.null(seed)[1:], 1 - level))
-        smallest = {c.name: smallest_found(stage, c, threshold) for c in found.search.strongest_settings(stage)}
+        smallest = {
+            c.name: smallest_found(base_stage, c, threshold) for c in found.search.strongest_settings(base_stage)
+        }
     signature = left.signature(final) if left is not None and left.held else None
     if found.result.signature:
         signature = _signature(found.result, found.result.stages[-1])
@@ -203,7 +205,6 @@ def diagnose(
         notes=tuple(notes),
         fit=final.fit,
         base=run.fit,
-        stage=stage,
     )
 
 

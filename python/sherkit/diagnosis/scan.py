@@ -81,7 +81,7 @@ class Rows(Protocol):
 class Scan:
     """A residual, what was fitted, and a family of candidates: all products of them.
 
-    What is held does not grow with the rows. ``model`` are columns taken for fitted too, ``group`` (n,) is a row's pose.
+    What is held does not grow with the rows. ``model`` are columns taken for fitted, ``group`` (n,) a row's pose.
     """
 
     def __init__(

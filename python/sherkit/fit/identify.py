@@ -232,6 +232,7 @@ def residuals(model: ModelWithEffects, data: Measurements, values: Floats) -> Fl
 
 
 @as_annotated
+@linalg.one_thread()
 def identify(
     robot: RobotLike | Model | ModelWithEffects,
     data: RunLike,

@@ -45,6 +45,7 @@ class PoseDesign:
 
 
 @as_annotated
+@linalg.one_thread()
 def choose_poses(
     model: ChainModel,
     candidates: Measurements,
