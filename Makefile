@@ -12,7 +12,7 @@ PYTHONS := python tests benchmarks examples docs
 export OPENBLAS_NUM_THREADS := 1
 SOURCES := Cargo.toml Cargo.lock pyproject.toml README.md $(shell find rust python -type f -not -name '*.so' -not -path '*/__pycache__/*')
 
-.PHONY: pictures demo demo-lab test test-rust test-python test-slow lint lint-rust lint-python no-std header header-check bench site format clean check-tools
+.PHONY: house pictures demo demo-lab test test-rust test-python test-slow lint lint-rust lint-python no-std header header-check bench site format clean check-tools
 
 demo: $(STAMP)
 	$(BIN)/sherkit demo
@@ -99,6 +99,10 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/bench.py --write
 	# no speed: how good each rung of the flexible tool's filter is beside the paper's
 	$(BIN)/python tests/wide_honesty.py --rungs --seeds 8
+
+# how far one walks who reads the way of a diagnosis, and how large the house is: it prints, it forbids nothing
+house: $(STAMP)
+	$(BIN)/python benchmarks/house.py
 
 format: $(STAMP)
 	cargo fmt --all

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +38,19 @@ class Room(NamedTuple):
         stays = np.exp(-apart)
         # of a ramp of one degree, how much is still to come at its end; of a jump all of it
         behind = np.divide(-np.expm1(-apart), apart, out=np.ones_like(apart), where=apart > 0)
-        new = zip(stays.tolist(), (behind * np.diff(room)).tolist(), strict=True)
-        missing = accumulate(new, lambda left, step: left * step[0] + step[1], initial=0.0)
-        return np.asarray(np.interp(time_s, self.time_s, room - np.fromiter(missing, float, len(room))))
+        missing = np.concatenate([[0.0], _decayed(stays, behind * np.diff(room))])
+        return np.asarray(np.interp(time_s, self.time_s, room - missing))
+
+
+def _decayed(stays: Floats, new: Floats) -> Floats:
+    """What is left (n,) of all that came so far: ``left[k] = stays[k] left[k - 1] + new[k]``.
+
+    Stretches of twice the length are joined in each turn, as long as there are longer ones (Hillis and Steele, "Data
+    parallel algorithms", 1986).
+    """
+    length = 1
+    while length < len(new):
+        new = np.concatenate([new[:length], new[length:] + stays[length:] * new[:-length]])
+        stays = np.concatenate([stays[:length], stays[length:] * stays[:-length]])
+        length *= 2
+    return new

@@ -1,0 +1,166 @@
+"""What one who reads the way of a diagnosis walks through, and how large the house is: ``make house``.
+
+Counts are a help to see where the code could read better; nothing fails because of them.
+
+- Way: one ``sherkit diagnose`` of 588 × 5 rows, followed by the profiler of CPython: own functions and files that are
+  entered, how often one room (folder) calls another, how deep calls are nested; and how often the costly parts of the
+  work are done. Functions of the package's import are not of the way.
+- House: files, lines, and functions of a complexity above 15 (McCabe's, as ruff counts it).
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from contextlib import redirect_stdout, suppress
+from io import StringIO
+from pathlib import Path
+from types import CodeType, FrameType
+from typing import Any
+
+from diagnosing import run_with_lean
+from rich.console import Console
+from rich.table import Table
+
+import sherkit as sk
+from sherkit.cli import main
+from sherkit.cli.demo import EXAMPLE as ROBOT
+
+PACKAGE = Path(sk.__file__).parent
+REPOSITORY = Path(__file__).parents[1]
+#: Lines from which on a file is long, and complexity from which on a function is.
+LONG, COMPLEX = 450, 15
+#: What is costly on the way, by the functions that do it.
+COSTLY: dict[str, tuple[Any, ...]] = {
+    "robot's file read": (1, "load_robot"),
+    "fits": (3, "identify", "ModelFit.solve", "DeltaModel.solve"),
+    "Jacobians": (6, "DeltaModel.derivatives"),
+    "scans": (2, "Scan.__init__"),
+    "columns that enter a scan": (8, "Scan.given"),
+}
+
+
+class Way:
+    """What a call enters: own functions and files, changes of room, depth."""
+
+    def __init__(self) -> None:
+        self.calls: Counter[CodeType] = Counter()
+        self.core: Counter[str] = Counter()
+        self.between: Counter[tuple[str, str]] = Counter()
+        self.depth = self.deepest = 0
+
+    def follow(self, work: Any) -> None:
+        """Does it, and looks."""
+        sys.setprofile(self._seen)
+        try:
+            work()
+        finally:
+            sys.setprofile(None)
+
+    def count(self, *functions: str) -> int:
+        """How often functions of the package or the core were called, by their qualified names."""
+        own = sum(n for code, n in self.calls.items() if code.co_qualname in functions)
+        return own + sum(self.core[name] for name in functions)
+
+    def _seen(self, frame: FrameType, event: str, arg: Any) -> None:
+        if event == "c_call" and "_core" in f"{arg.__module__} {type(arg.__self__).__module__}":
+            self.core[arg.__qualname__] += 1
+        code = frame.f_code
+        if not code.co_filename.startswith(str(PACKAGE)) or code.co_name.startswith("<"):
+            return
+        if event == "return":
+            self.depth -= 1
+        elif event == "call":
+            self.depth += 1
+            self.deepest = max(self.deepest, self.depth)
+            self.calls[code] += 1
+            caller = frame.f_back
+            while caller is not None and not caller.f_code.co_filename.startswith(str(PACKAGE)):
+                caller = caller.f_back
+            if caller is not None and room(caller.f_code) != room(code):
+                self.between[room(caller.f_code), room(code)] += 1
+
+
+def called(arguments: list[str]) -> None:
+    """A verb, in this process."""
+    with redirect_stdout(StringIO()), suppress(SystemExit):
+        main(arguments)
+
+
+def room(code: CodeType) -> str:
+    """The folder of a function's file."""
+    return str(Path(code.co_filename).parent.relative_to(PACKAGE)) or "."
+
+
+def followed() -> Way:
+    """The way of a diagnosis whose modules are loaded."""
+    with tempfile.TemporaryDirectory() as folder:
+        robot, run = Path(folder) / "robot.toml", Path(folder) / "run.csv"
+        sk.save_robot(ROBOT, robot)
+        run_with_lean(5).to_frame().write_csv(run)
+        called(["diagnose", str(robot), str(run)])
+        way = Way()
+        way.follow(lambda: called(["diagnose", str(robot), str(run)]))
+    return way
+
+
+def lines(folder: Path, *endings: str) -> dict[Path, int]:
+    """Lines of each file."""
+    files = (path for ending in endings for path in folder.rglob(f"*{ending}"))
+    return {path: len(path.read_text().splitlines()) for path in files if "target" not in path.parts}
+
+
+def complex_functions() -> int:
+    """How many functions of the package are hard to follow."""
+    ruff = Path(sys.executable).parent / "ruff"
+    config = f"lint.mccabe.max-complexity={COMPLEX}"
+    arguments = [ruff, "check", "--isolated", "--select", "C901", "--config", config, "--output-format", "json"]
+    return len(json.loads(subprocess.run([*arguments, PACKAGE], capture_output=True, text=True).stdout))
+
+
+def table(title: str, rows: dict[str, tuple[int, int | None]]) -> None:
+    """Prints counts beside what would read well."""
+    drawn = Table(title=title, title_justify="left", show_edge=False)
+    drawn.add_column("")
+    drawn.add_column("now", justify="right")
+    drawn.add_column("aim", justify="right")
+    for name, (now, aim) in rows.items():
+        drawn.add_row(name, f"{now:,}", "" if aim is None else f"{aim:,}")
+    Console().print(drawn, "")
+
+
+if __name__ == "__main__":
+    way = followed()
+    table(
+        "The way of one diagnosis, 588 × 5 rows",
+        {
+            "own functions": (len(way.calls), 400),
+            "files": (len({code.co_filename for code in way.calls}), 45),
+            "rooms": (len({room(code) for code in way.calls}), 9),
+            "calls": (sum(way.calls.values()), None),
+            "calls from room to room": (sum(way.between.values()), 200),
+            "depth": (way.deepest, 15),
+            **{name: (way.count(*of), aim) for name, (aim, *of) in COSTLY.items()},
+        },
+    )
+    python = lines(PACKAGE, ".py")
+    rust = lines(REPOSITORY / "rust", ".rs")
+    tests = lines(REPOSITORY / "tests", ".py")
+    long = {path: n for path, n in (python | rust).items() if n > LONG}
+    table(
+        "The house",
+        {
+            "Python files": (len(python), 230),
+            "lines of Python": (sum(python.values()), 43_000),
+            "lines of Rust": (sum(rust.values()), None),
+            "lines of tests": (sum(tests.values()), 28_000),
+            f"files above {LONG} lines": (len(long), 0),
+            f"functions of a complexity above {COMPLEX}": (complex_functions(), 20),
+            "places that ask whether a robot is a tool": (sum(p.read_text().count("is_tool") for p in python), 0),
+        },
+    )
+    for path, n in sorted(long.items(), key=lambda item: -item[1]):
+        print(f"{n:5}  {path.relative_to(REPOSITORY) if path.is_relative_to(REPOSITORY) else path.name}")
