@@ -120,8 +120,8 @@ def home(of: Module, path: Path_, crate: dict[Path_, Module], asked: frozenset[P
         rest = rest[1:]
     if not rest:
         return None
-    if rest[0] in crate[at].brought and (*at, rest[0]) not in asked:
-        through = home(crate[at], rest, crate, asked | {(*at, rest[0])})
+    if rest[0] in crate[at].brought:
+        through = home(crate[at], rest, crate, asked)
         return at if through is None and crate[at].brought[rest[0]] == (rest[0],) else through
     return at
 
@@ -133,11 +133,11 @@ def needs(of: Module, crate: dict[Path_, Module]) -> dict[Path_, set[str]]:
     heads = {path[0] for path in said}
     found: dict[Path_, set[str]] = {}
     for path in said:
-        if other := home(of, path, crate):
+        if (other := home(of, path, crate)) is not None:
             found.setdefault(other, set()).add("::".join(path))
     for name, path in of.brought.items():
         # handing out is not needing; what is brought for this file alone is, if only a trait for its methods
-        if (name in heads or name not in of.handed_out) and (other := home(of, path, crate)):
+        if (name in heads or name not in of.handed_out) and (other := home(of, path, crate)) is not None:
             found.setdefault(other, set()).add(name)
     for macro in {path[0] for path in of.said if len(path) == 1 and path[0].endswith("!")}:
         if macro.rstrip("!") in owners:
