@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
+import sys
 from graphlib import TopologicalSorter
 from pathlib import Path
+from types import ModuleType
+
+import pytest
 
 PACKAGE = Path(__file__).parents[1] / "python" / "sherkit"
 #: From the top down; CONTRIBUTING says what each is for. Rooms of one floor do not know each other.
@@ -67,3 +72,53 @@ def test_nothing_runs_in_a_circle() -> None:
         name = ".".join(file.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__")
         graph[name] = {m for m in imported(file) if m != name and not name.startswith(f"{m}.")}
     tuple(TopologicalSorter(graph).static_order())
+
+
+@pytest.fixture(scope="module")
+def rust() -> ModuleType:
+    """``benchmarks/rust_circles.py``, which is no package."""
+    file = PACKAGE.parents[1] / "benchmarks" / "rust_circles.py"
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[file.stem] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def in_circles(rust: ModuleType, crate: dict) -> list[list[str]]:
+    """The circles of a crate, by the names of its modules."""
+    graph = {path: set(rust.needs(module, crate)) for path, module in crate.items()}
+    return [["::".join(path) for path in circle] for circle in rust.circles(graph)]
+
+
+def test_nothing_runs_in_a_circle_in_rust(rust: ModuleType) -> None:
+    """Catches Rust files that need each other: a link that needs the chain, data beside what is made of it."""
+    for crate in rust.CRATES:
+        assert not in_circles(rust, rust.modules(crate)), f"python benchmarks/rust_circles.py says what of rust/{crate}"
+
+
+@pytest.mark.parametrize(
+    ("above", "below", "expected"),
+    [
+        ("pub use one::One;", "pub struct One;", []),
+        ("pub use one::One;\npub struct Two(One);", "use super::Two;\npub struct One;", [["", "one"]]),
+        ("pub use one::One;\npub struct Two;", "pub struct One(crate::Two);", []),
+        ("use one::One;\npub struct Two;", "pub struct One(super::Two);", [["", "one"]]),
+        ("pub struct Two(one::One);", "pub struct One; impl One { fn two() -> crate::Two { loop {} } }", [["", "one"]]),
+        ("pub struct Two(one::One);", '//! As [`super::Two`].\n/* crate::Two */ const ONE: &str = "super::Two";', []),
+        ("pub struct Two(one::One);", "pub struct One;\n#[cfg(test)]\nmod tests { use super::super::Two; }", []),
+        ("macro_rules! two { () => {} }\npub struct Two(one::One);", "two!();\npub struct One;", [["", "one"]]),
+        ("pub mod two;\npub use two::Two;", "pub struct One(super::Two);", [["one", "two"]]),
+        ("pub mod two;\nuse two as three;", "pub struct One(super::three::Two);", [["one", "two"]]),
+    ],
+)
+def test_a_circle_in_rust_is_seen(rust: ModuleType, tmp_path: Path, above: str, below: str, expected: list) -> None:
+    """Catches a reader of Rust that follows no path, or takes what a parent hands out or a comment names for one."""
+    source = tmp_path / "some" / "src"
+    source.mkdir(parents=True)
+    (source / "lib.rs").write_text(f"mod one;\n{above}\n", encoding="utf-8")
+    (source / "one.rs").write_text(below + "\n", encoding="utf-8")
+    (source / "two.rs").write_text("use crate::one::One;\npub struct Two(One);\n", encoding="utf-8")
+    assert in_circles(rust, rust.modules("some", tmp_path)) == expected

@@ -3,7 +3,7 @@
 use crate::arrays::{Marked, fixed, marked, rows, shaped};
 use crate::errors::{shape, to_python};
 use crate::lanes::LaneMap;
-use crate::robot::many;
+use crate::maps::many;
 use nalgebra::{Vector2, Vector3};
 use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;

@@ -2,12 +2,12 @@
 
 use crate::arrays::{Marked, fixed, rows};
 use crate::bernstein::Bernstein;
+use crate::calibrated::{self, Calibrated as _, Single, calibrated_class};
 use crate::errors::{shape, to_python};
 use crate::lanes::LaneMap;
-use crate::robot::{
-    self, Block, Both, Calibrated as _, Derivatives, Single, WithDerivative, both,
-    calibrated_class, each, many, model_class, now, one,
-};
+use crate::maps::{Both, WithDerivative, both, each, many, one};
+use crate::model::{Derivatives, model_class};
+use crate::rows::{Block, now};
 use crate::solver::Solver;
 use nalgebra::{Matrix3, Vector3};
 use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
@@ -199,7 +199,7 @@ type Part<'py> = (
 );
 type Region<'py> = (PyReadonlyArray1<'py, f64>, PyReadonlyArray1<'py, f64>, f64);
 
-impl robot::Calibrated<3> for Calibrated {
+impl calibrated::Calibrated<3> for Calibrated {
     type Core<'a> = Core<'a>;
 
     fn core(&self) -> PyResult<Core<'_>> {

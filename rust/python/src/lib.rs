@@ -2,17 +2,21 @@
 
 mod arrays;
 mod bernstein;
+mod calibrated;
 mod camera;
 mod delta;
 mod errors;
 mod flips;
 mod lanes;
+mod maps;
+mod model;
 mod problem;
 mod registration;
-mod robot;
+mod rows;
 mod serial;
 mod solver;
 mod spherical;
+mod spherical_kinematics;
 mod tool;
 mod tool_filter;
 mod waves;
@@ -25,7 +29,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add("__version__", env!("CARGO_PKG_VERSION"))?;
     m.add_class::<delta::DeltaKinematics>()?;
     m.add_class::<delta::DeltaModel>()?;
-    m.add_class::<spherical::SphericalKinematics>()?;
+    m.add_class::<spherical_kinematics::SphericalKinematics>()?;
     m.add_class::<spherical::SphericalModel>()?;
     m.add_class::<spherical::SphericalCalibrated>()?;
     m.add_class::<serial::SerialModel>()?;

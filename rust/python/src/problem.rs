@@ -2,7 +2,7 @@
 
 use crate::arrays::fixed;
 use crate::errors::shape;
-use crate::robot::{Block, check_free, columns, own_rows, place, table};
+use crate::rows::{Block, check_free, columns, own_rows, place, table};
 use crate::solver::{Solver, iterate};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;

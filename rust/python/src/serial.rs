@@ -1,10 +1,11 @@
 //! The serial arm from Python: `SerialModel`, `SerialCalibrated`.
 
 use crate::arrays::{Marked, Rows, fixed, marked, rows, shaped};
+use crate::calibrated::Single;
 use crate::errors::{shape, to_python};
-use crate::robot::{
-    Block, Derivatives, Single, WithDerivative, check_free, first, model_class, table, vector,
-};
+use crate::maps::{WithDerivative, vector};
+use crate::model::{Derivatives, model_class};
+use crate::rows::{Block, check_free, first, table};
 use crate::solver::Solver;
 use nalgebra::{Matrix3, SVector, Vector3};
 use numpy::{

@@ -1,16 +1,15 @@
-//! The spherical robot from Python: `SphericalKinematics`, `SphericalModel`, `SphericalCalibrated`, and where its camera
-//! should stand.
+//! The spherical robot from Python: `SphericalModel`, `SphericalCalibrated`, and where its camera should stand.
 
 use crate::arrays::{Marked, Rows, fixed, rows};
+use crate::calibrated::{self, Calibrated as _, Single, calibrated_class};
 use crate::camera::face;
 use crate::errors::{shape, to_python};
-use crate::lanes::LaneMap;
+use crate::maps::{WithDerivative, each, one};
+use crate::model::{Derivatives, chain, model_class};
 use crate::problem::Problem;
-use crate::robot::{
-    self, Block, Both, Calibrated as _, Derivatives, Single, WithDerivative, both,
-    calibrated_class, check_free, copied, each, many, model_class, now, one, rows_of,
-};
+use crate::rows::{Block, check_free, copied, now, rows_of};
 use crate::solver::Solver;
+use crate::spherical_kinematics::{assembly, elbows_of};
 use nalgebra::{Matrix2, Vector2, Vector3};
 use numpy::{PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -20,37 +19,12 @@ use sherkit_core::camera::{Camera, Description};
 use sherkit_core::chain::Robot;
 use sherkit_core::chain::effects::Wanted;
 use sherkit_core::flat::write_spherical;
-use sherkit_core::numbers::wide::Wide;
 use sherkit_core::spherical::vision::{self, Region};
 use sherkit_core::spherical::{
-    self, Assembly, CATALOGUE, Calibrated as Core, Covariates, Elbows, GEOMETRIC, Geometry,
-    Kinematics, Model, PARAMETERS, Readings, Values,
+    self, CATALOGUE, Calibrated as Core, Covariates, Elbows, GEOMETRIC, Geometry, Model,
+    PARAMETERS, Readings, Values,
 };
 use std::f64::consts::PI;
-
-/// The assembly of this name.
-fn assembly(name: &str) -> PyResult<Assembly> {
-    match name {
-        "outer" => Ok(Assembly::Outer),
-        "inner" => Ok(Assembly::Inner),
-        _ => Err(shape("assembly", "'outer' or 'inner'", &[])),
-    }
-}
-
-/// The working mode of this name.
-fn elbows_of(name: &str) -> PyResult<Elbows> {
-    match name {
-        "open" => Ok(Elbows::Open),
-        "crossed" => Ok(Elbows::Crossed),
-        "ahead" => Ok(Elbows::Ahead),
-        "behind" => Ok(Elbows::Behind),
-        _ => Err(shape(
-            "elbows",
-            "'open', 'crossed', 'ahead' or 'behind'",
-            &[],
-        )),
-    }
-}
 
 fn region_of(name: &str) -> PyResult<Region> {
     match name {
@@ -60,126 +34,12 @@ fn region_of(name: &str) -> PyResult<Region> {
     }
 }
 
-#[derive(Clone, Copy)]
-struct Forward<'a>(&'a Kinematics);
-
-impl LaneMap<2, 2> for Forward<'_> {
-    #[inline(always)]
-    fn run<V: Wide>(self, from: [V; 2]) -> ([V; 2], V) {
-        self.0.forward_lanes(from)
-    }
-
-    fn alone(self, joints: &[f64; 2]) -> Option<[f64; 2]> {
-        self.0.forward(&(*joints).into()).ok().map(Into::into)
-    }
-}
-
-#[derive(Clone, Copy)]
-struct Inverse<'a>(&'a Kinematics, Elbows);
-
-impl LaneMap<2, 2> for Inverse<'_> {
-    #[inline(always)]
-    fn run<V: Wide>(self, from: [V; 2]) -> ([V; 2], V) {
-        self.0.inverse_lanes(from, self.1)
-    }
-
-    fn alone(self, angles: &[f64; 2]) -> Option<[f64; 2]> {
-        self.0
-            .inverse(&(*angles).into(), self.1)
-            .ok()
-            .map(Into::into)
-    }
-}
-
 /// What a run of this name reads.
 fn readings_of(name: &str) -> PyResult<Readings> {
     match name {
         "pixels" => Ok(Readings::Pixels),
         "angles" => Ok(Readings::Angles),
         _ => Err(shape("readings", "'pixels' or 'angles'", &[])),
-    }
-}
-
-/// Kinematics of the tool axis of a spherical robot with two limbs on one actuated axis.
-#[pyclass(frozen, module = "sherkit._core")]
-pub struct SphericalKinematics(Kinematics);
-
-#[pymethods]
-impl SphericalKinematics {
-    #[new]
-    #[pyo3(signature = (parameters, assembly_mode="outer"))]
-    fn new(parameters: PyReadonlyArray1<'_, f64>, assembly_mode: &str) -> PyResult<Self> {
-        let p = fixed::<GEOMETRIC, _>("parameters", &parameters)?;
-        let geometry = Geometry::from_parameters(&p, assembly(assembly_mode)?);
-        Kinematics::new(&geometry).map(Self).map_err(to_python)
-    }
-
-    fn forward<'py>(
-        &self,
-        py: Python<'py>,
-        joints: PyReadonlyArray1<'_, f64>,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        one(py, "joints", &joints, |q| self.0.forward(q))
-    }
-
-    #[pyo3(signature = (angles, elbows="open"))]
-    fn inverse<'py>(
-        &self,
-        py: Python<'py>,
-        angles: PyReadonlyArray1<'_, f64>,
-        elbows: &str,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let elbows = elbows_of(elbows)?;
-        one(py, "angles", &angles, |x| self.0.inverse(x, elbows))
-    }
-
-    fn forward_batch<'py>(
-        &self,
-        py: Python<'py>,
-        joints: PyReadonlyArray2<'_, f64>,
-    ) -> PyResult<Marked<'py, PyArray2<f64>>> {
-        many(py, "joints", &joints, Forward(&self.0))
-    }
-
-    #[pyo3(signature = (angles, elbows="open"))]
-    fn inverse_batch<'py>(
-        &self,
-        py: Python<'py>,
-        angles: PyReadonlyArray2<'_, f64>,
-        elbows: &str,
-    ) -> PyResult<Marked<'py, PyArray2<f64>>> {
-        many(py, "angles", &angles, Inverse(&self.0, elbows_of(elbows)?))
-    }
-
-    /// Derivative of φ, γ by the joint angles `(n, 2, 2)` and by the six parameters `(n, 2, 6)`.
-    fn derivatives_batch<'py>(
-        &self,
-        py: Python<'py>,
-        joints: PyReadonlyArray2<'_, f64>,
-    ) -> PyResult<Both<'py>> {
-        both(py, "joints", &joints, |q| {
-            let pose = self.0.pose(q).ok()?;
-            pose.phi_rad
-                .is_finite()
-                .then(|| (pose.by_joints(), pose.by_parameters()))
-        })
-    }
-
-    /// Derivative of the inverse at joint angles: of the joints by φ, γ `(n, 2, 2)` and by the six parameters
-    /// `(n, 2, 6)`.
-    fn inverse_derivatives_batch<'py>(
-        &self,
-        py: Python<'py>,
-        joints: PyReadonlyArray2<'_, f64>,
-    ) -> PyResult<Both<'py>> {
-        both(py, "joints", &joints, |q| {
-            let pose = self.0.pose(q).ok()?;
-            let by_angles = pose.joints_by_angles().ok()?;
-            let by_parameters = pose.joints_by_parameters().ok()?;
-            pose.phi_rad
-                .is_finite()
-                .then_some((by_angles, by_parameters))
-        })
     }
 }
 
@@ -255,7 +115,7 @@ model_class!(SphericalModel, Model, spherical, {
         values: PyReadonlyArray1<'_, f64>,
         block: Block<'_>,
     ) -> PyResult<Marked<'py, PyArray2<f64>>> {
-        let chain = robot::chain(&self.0, &values)?;
+        let chain = chain(&self.0, &values)?;
         each(py, &rows_of(&block)?, |row| chain.row_point(row))
     }
 
@@ -274,7 +134,7 @@ model_class!(SphericalModel, Model, spherical, {
         Bound<'py, PyArray1<bool>>,
     )> {
         check_free::<PARAMETERS>(&free)?;
-        let chain = robot::chain(&self.0, &values)?;
+        let chain = chain(&self.0, &values)?;
         let rows = rows_of::<2>(&block)?;
         let mut out = Rows::new(rows.len(), 3, 1);
         let mut by_parameters = Rows::new(rows.len(), 3, free.len());
@@ -310,7 +170,7 @@ model_class!(SphericalModel, Model, spherical, {
         free: Vec<usize>,
     ) -> PyResult<WithDerivative<'py>> {
         check_free::<PARAMETERS>(&free)?;
-        let chain = robot::chain(&self.0, &values)?;
+        let chain = chain(&self.0, &values)?;
         let rows = rows_of::<2>(&block)?;
         let readings = copied::<2>("readings", &readings, rows.len())?;
         let mut out = Rows::new(rows.len(), 2, 1);
@@ -380,7 +240,7 @@ pub struct SphericalCalibrated {
     elbows: Elbows,
 }
 
-impl robot::Calibrated<2> for SphericalCalibrated {
+impl calibrated::Calibrated<2> for SphericalCalibrated {
     type Core<'a> = &'a Core;
 
     fn core(&self) -> PyResult<&Core> {

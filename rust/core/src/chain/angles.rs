@@ -1,12 +1,11 @@
 //! A sensor that shows a direction: φ and γ of a point seen from the origin of the base frame.
 
-use super::effects::{Wanted, places, values_of};
-use super::{Look, Sensor, Table};
+use super::effects::{Wanted, values_of};
+use super::sensor::{Look, Sensor};
+use super::table::Table;
 use crate::numbers::math::{sin_cos, sqrt};
 use crate::{Error, Result, Singularity};
 use nalgebra::{Matrix2x3, SMatrix, Vector2, Vector3};
-
-places! { datum }
 
 /// Sines below this count as none: there a direction has no azimuth.
 const SINGULAR: f64 = 1e-9;

@@ -1,12 +1,11 @@
 //! A sensor that shows how far the measured point is from a fixed centre: a ball bar, a wire, a laser interferometer that
 //! follows.
 
-use super::effects::{Wanted, places, values_of};
-use super::{Look, Sensor, Table};
+use super::effects::{Wanted, values_of};
+use super::sensor::{Look, Sensor, first};
+use super::table::Table;
 use crate::Result;
 use nalgebra::{SMatrix, SVector, Vector3};
-
-places! { centres bar_zero }
 
 /// Centres that a robot may have.
 pub const CENTRES: usize = 4;
@@ -54,7 +53,7 @@ impl Bars {
 
 impl<const M: usize> Sensor<M> for Bar {
     fn value(&self, point: &Vector3<f64>, _: Look) -> Result<SVector<f64, M>> {
-        Ok(super::row::first((point - self.centre).norm() + self.zero))
+        Ok(first((point - self.centre).norm() + self.zero))
     }
 
     fn predict<T: Table, const P: usize>(
@@ -82,6 +81,6 @@ impl<const M: usize> Sensor<M> for Bar {
         }
         let mut by_point = SMatrix::<f64, M, 3>::zeros();
         by_point.set_row(0, &along.transpose());
-        Ok((super::row::first(distance + self.zero), by_point))
+        Ok((first(distance + self.zero), by_point))
     }
 }

@@ -3,11 +3,10 @@
 //! What the stands do is computed here as well: an instrument that moves by `-s` sees, whatever it is, what it would see
 //! of a point that moved by `s`.
 
-use super::effects::{Wanted, places, values_of};
-use super::{Covariates, Settings, Table};
+use super::effects::{Wanted, values_of};
+use super::row::Covariates;
+use super::table::{Settings, Table};
 use nalgebra::{SMatrix, Vector3};
-
-places! { thermal_growth thermal_shift drift slip }
 
 /// Temperature at which the robot is as drawn, °C.
 pub const REFERENCE_TEMPERATURE_C: f64 = 20.0;

@@ -1,13 +1,12 @@
 //! A sensor that shows pixels: one camera.
 
 use super::body::since;
-use super::effects::{Wanted, places, values_of};
-use super::{Look, Sensor, Table};
+use super::effects::{Wanted, values_of};
+use super::sensor::{Look, Sensor};
+use super::table::Table;
 use crate::camera::{Camera, Description, Projection, left_jacobian};
 use crate::{Error, Result};
 use nalgebra::{Matrix2x3, SMatrix, SVector, Vector2, Vector3};
-
-places! { camera_pose camera_slip focal_length principal_point lens_distortion }
 
 /// A camera with the errors of its pose and its lens.
 #[derive(Clone, Copy, Debug)]

@@ -3,13 +3,13 @@
 //! `r = (1 + B) x + d` is what straight sensors show, counted from their own zeros; sensors that bend show
 //! `r + c (r / span)³`. A scale bends about its own zero, wherever that lies in the workspace.
 
-use super::effects::{Wanted, places, values_of};
-use super::{Columns, Look, Sensor, Table};
+use super::columns::Columns;
+use super::effects::{Wanted, values_of};
+use super::sensor::{Look, Sensor};
+use super::table::Table;
 use crate::Result;
 use crate::numbers::math::{Real, Triple, dot, scale};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
-
-places! { beam_alignment sensor_linearity datum }
 
 /// The cubic error of a sensor is named by its size this far from its zero, mm.
 pub const LINEARITY_SPAN_MM: f64 = 20.0;

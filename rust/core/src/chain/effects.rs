@@ -2,8 +2,8 @@
 //! how large they may be. Everything else follows from it: the order of the parameters, which derivatives are wanted,
 //! what a person is told.
 //!
-//! A link declares by [`places!`] which effects it can compute; [`effects!`] is the table of a robot. A row that no link
-//! computes does not compile, and neither does a declared effect without a formula.
+//! [`places!`] declares which effects a link can compute; [`effects!`](super::table) is the table of a robot. A row that
+//! no link computes does not compile, and neither does a declared effect without a formula.
 
 use core::ops::Range;
 
@@ -207,21 +207,21 @@ impl Wanted {
     }
 }
 
-/// The effects that a link can compute, by name: `At` says where a robot has their parameters.
+/// The effects that a link can compute, by name: `$at` says where a robot has their parameters.
 macro_rules! places {
-    ($($name:ident)+) => {
+    ($at:ident: $($name:ident)+) => {
         /// Where the effects of this link stand among the parameters of a robot; none where it has them not.
         #[derive(Clone, Copy, Debug)]
         // an effect whose place nobody asks has no formula
         #[deny(dead_code)]
-        pub struct At {
+        pub struct $at {
             $(pub(crate) $name: Option<$crate::chain::effects::Place>,)+
             /// The rows of the table that it holds.
             #[allow(dead_code, reason = "some links ask for each of their effects alone")]
             pub(crate) rows: $crate::chain::effects::Wanted,
         }
 
-        impl At {
+        impl $at {
             /// A robot without any of them.
             pub(crate) const NONE: Self = Self {
                 $($name: None,)+
@@ -231,63 +231,3 @@ macro_rules! places {
     };
 }
 pub(crate) use places;
-
-/// The table of a robot: a row for each effect, with the link at which it acts and the file of `chain`, or the mechanism's
-/// own (`structure`), that computes it; then its parameters with symbol where that is not the name, unit, plausible size
-/// and lever. Makes `CATALOGUE`, `PARAMETERS`, `Values` and `AT`.
-macro_rules! effects {
-    ($own:ty; $(
-        $name:ident: $link:ident by $file:ident $(($base:ident))? $(needs $($need:literal)+)? $(search $search:literal)? {
-            $($($parameter:ident $($symbol:literal)?),+: $unit:literal, $size:expr, $lever:expr;)+
-        }
-    )+) => {
-        /// The parameters of the whole chain, effect by effect.
-        pub const CATALOGUE: &[$crate::chain::effects::Effect] = &[$(
-            $crate::chain::effects::Effect {
-                name: stringify!($name),
-                link: $crate::chain::effects::Link::$link,
-                base: $crate::chain::effects::is_base(&[$(stringify!($base))?]),
-                parameters: &[$($(
-                    $crate::chain::effects::Parameter {
-                        name: stringify!($parameter),
-                        symbol: $crate::chain::effects::or_name(stringify!($parameter), &[$($symbol)?]),
-                        unit: $unit,
-                        size: $size,
-                        lever_mm: $lever,
-                    },
-                )+)+],
-                needs: &[$($($need),+)?],
-                search: $crate::chain::effects::first(&[$($search)?]),
-            },
-        )+];
-        /// How many parameters the chain has.
-        pub const PARAMETERS: usize = $crate::chain::effects::count(CATALOGUE);
-        /// Values of all parameters.
-        pub type Values = [f64; PARAMETERS];
-        /// Where each effect's parameters stand.
-        pub(crate) const AT: $crate::chain::places::Places<$own> = {
-            let mut at = $crate::chain::places::Places::none(<$own>::NONE);
-            $(
-                at.$file.$name = $crate::chain::effects::place(CATALOGUE, stringify!($name));
-                at.$file.rows = at.$file.rows.and(at.$file.$name);
-            )+
-            at
-        };
-    };
-}
-pub(crate) use effects;
-
-/// Whether a row of a table says that it is of every model.
-pub(crate) const fn is_base(said: &[&str]) -> bool {
-    !said.is_empty()
-}
-
-/// The symbol of a parameter, its name where there is none.
-pub(crate) const fn or_name(name: &'static str, symbol: &'static [&'static str]) -> &'static str {
-    if symbol.is_empty() { name } else { symbol[0] }
-}
-
-/// What a row says once or not at all.
-pub(crate) const fn first(said: &'static [&'static str]) -> Option<&'static str> {
-    if said.is_empty() { None } else { Some(said[0]) }
-}

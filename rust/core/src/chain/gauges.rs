@@ -3,19 +3,12 @@
 use super::bar::{Bar, Bars, CENTRES};
 use super::effects::Wanted;
 use super::plane::{Flat, PLANES, Plane, Planes};
-use super::{Look, Sensor, Table};
+use super::row::Fixed;
+use super::sensor::{Look, Sensor};
+use super::table::Table;
 use crate::Result;
 use core::fmt::Debug;
 use nalgebra::{SMatrix, SVector, Vector3};
-
-/// Something that stands fixed, by its number, from 0.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fixed {
-    /// A centre.
-    Centre(usize),
-    /// A plane: how far above it.
-    Plane(usize),
-}
 
 /// What stands fixed around a robot. Nothing does around one of whose type this is `()`, and it costs nothing.
 pub trait Around: Copy + Debug {

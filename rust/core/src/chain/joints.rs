@@ -1,14 +1,11 @@
 //! The joints link: from joint readings to the joints as they were when they were measured.
 
 use super::body::since;
-use super::effects::{Place, Wanted, places, values_of};
-use super::{Covariates, Settings, Table};
+use super::effects::{Place, Wanted, values_of};
+use super::row::Covariates;
+use super::table::{Settings, Table};
 use crate::numbers::math::sin_cos;
 use nalgebra::{SMatrix, SVector};
-
-places! {
-    joint_offset joint_scale joint_slip encoder_cyclic encoder_eccentricity backlash camera_delay reading_delay
-}
 
 /// Where a delay stands, of whatever reads the robot.
 #[inline(always)]

@@ -1,19 +1,28 @@
-//! Where the effects of a robot stand, link by link.
+//! Where the effects of a robot stand, link by link, and so which of them each link can compute.
 
-use super::{angles, bar, body, camera, cartesian, joints, plane, tracker};
+use super::effects::places;
 
-/// Where all effects of a robot stand, link by link; `Own` are those of its mechanism.
+places! { OfJoints: joint_offset joint_scale joint_slip encoder_cyclic encoder_eccentricity backlash camera_delay reading_delay }
+places! { OfBody: thermal_growth thermal_shift drift slip }
+places! { OfCartesian: beam_alignment sensor_linearity datum }
+places! { OfCamera: camera_pose camera_slip focal_length principal_point lens_distortion }
+places! { OfAngles: datum }
+places! { OfTracker: tracker_frame tracker_slip sensor_scale sensor_linearity }
+places! { OfBar: centres bar_zero }
+places! { OfPlane: planes }
+
+/// Where all effects of a robot stand, by the file that computes them; `Own` are those of its mechanism.
 #[derive(Clone, Copy, Debug)]
 pub struct Places<Own> {
-    pub(crate) joints: joints::At,
     pub(crate) structure: Own,
-    pub(crate) body: body::At,
-    pub(crate) cartesian: cartesian::At,
-    pub(crate) camera: camera::At,
-    pub(crate) angles: angles::At,
-    pub(crate) tracker: tracker::At,
-    pub(crate) bar: bar::At,
-    pub(crate) plane: plane::At,
+    pub(crate) joints: OfJoints,
+    pub(crate) body: OfBody,
+    pub(crate) cartesian: OfCartesian,
+    pub(crate) camera: OfCamera,
+    pub(crate) angles: OfAngles,
+    pub(crate) tracker: OfTracker,
+    pub(crate) bar: OfBar,
+    pub(crate) plane: OfPlane,
 }
 
 impl<Own: Copy> Places<Own> {
@@ -21,15 +30,15 @@ impl<Own: Copy> Places<Own> {
     #[must_use]
     pub(crate) const fn none(structure: Own) -> Self {
         Self {
-            joints: joints::At::NONE,
             structure,
-            body: body::At::NONE,
-            cartesian: cartesian::At::NONE,
-            camera: camera::At::NONE,
-            angles: angles::At::NONE,
-            tracker: tracker::At::NONE,
-            bar: bar::At::NONE,
-            plane: plane::At::NONE,
+            joints: OfJoints::NONE,
+            body: OfBody::NONE,
+            cartesian: OfCartesian::NONE,
+            camera: OfCamera::NONE,
+            angles: OfAngles::NONE,
+            tracker: OfTracker::NONE,
+            bar: OfBar::NONE,
+            plane: OfPlane::NONE,
         }
     }
 }

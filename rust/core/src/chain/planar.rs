@@ -4,8 +4,9 @@
 //! Frame: z along both axes, origin at the shoulder. `p = l₁ u(θ₁) + l₂ u(θ₁ + θ₂)` in the plane `z = height`; under its
 //! own weight the shoulder tilts in proportion to the moment, so that the tip falls by `droop · (reach/span)²`.
 
-use super::effects::{Effect, OWN_LEVER, Wanted, effects, places, values_of};
+use super::effects::{Effect, OWN_LEVER, Wanted, places, values_of};
 use super::places::Places;
+use super::table::effects;
 use super::{
     Aim, Cartesian, Covariates, Distances, Mechanism, Prediction, Robot, Row, Settings, Table,
 };
@@ -13,7 +14,7 @@ use crate::numbers::math::sin_cos;
 use crate::{Error, Result};
 use nalgebra::{Matrix3x2, SMatrix, Vector2, Vector3};
 
-places! { links droop }
+places! { At: links droop }
 
 effects! { At;
     links: Structure by structure (base) {

@@ -5,13 +5,12 @@
 //! A plane through `c` with the normal `n` leans by `a`, `b` along its own `u`, `v` and lies higher by `δ`:
 //! `h = m·(x - c)/|m| - δ`, `m = n + a u + b v`.
 
-use super::effects::{Wanted, places, values_of};
-use super::{Look, Sensor, Table};
+use super::effects::{Wanted, values_of};
+use super::sensor::{Look, Sensor, first};
+use super::table::Table;
 use crate::Result;
 use crate::numbers::math::sqrt;
 use nalgebra::{SMatrix, SVector, Vector3};
-
-places! { planes }
 
 /// Planes that a robot may have.
 pub const PLANES: usize = 4;
@@ -103,7 +102,7 @@ impl Planes {
 impl<const M: usize> Sensor<M> for Plane {
     fn value(&self, point: &Vector3<f64>, _: Look) -> Result<SVector<f64, M>> {
         let above = self.normal.dot(&(point - self.at));
-        Ok(super::row::first(above - self.higher))
+        Ok(first(above - self.higher))
     }
 
     fn predict<T: Table, const P: usize>(
@@ -126,6 +125,6 @@ impl<const M: usize> Sensor<M> for Plane {
         }
         let mut by_point = SMatrix::<f64, M, 3>::zeros();
         by_point.set_row(0, &self.normal.transpose());
-        Ok((super::row::first(above - self.higher), by_point))
+        Ok((first(above - self.higher), by_point))
     }
 }

@@ -1,14 +1,13 @@
 //! A sensor that shows coordinates in a frame of its own: a laser tracker, a stereo camera, a measuring arm.
 
 use super::body::since;
-use super::effects::{Wanted, places, values_of};
-use super::{Look, Sensor, Table};
+use super::effects::{Wanted, values_of};
+use super::sensor::{Look, Sensor};
+use super::table::Table;
 use crate::camera::{left_jacobian, rotation_matrix};
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
-
-places! { tracker_frame tracker_slip sensor_scale sensor_linearity }
 
 /// The cubic error of a tracker is named by its size this far from its middle, mm.
 pub const SPAN_MM: f64 = 1000.0;

@@ -3,13 +3,14 @@
 //! Sizes are those of a machined and assembled robot, geometry in the order of the paper's Table II. The place of each
 //! row among the parameters follows from its place here.
 
-use crate::chain::effects::{OWN_LEVER, effects, places};
+use crate::chain::effects::{OWN_LEVER, places};
+use crate::chain::table::effects;
 
 /// One degree, rad.
 const DEGREE: f64 = 1.0_f64.to_radians();
 
 // what the mechanism computes itself, in `structure.rs`
-places! {
+places! { At:
     limb_1 platform_1 limb_2 platform_2 limb_3 platform_3 rail_lean rod_mismatch limb_twist gravity_sag
     drive_compliance link_growth
 }

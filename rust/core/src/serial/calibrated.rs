@@ -1,7 +1,8 @@
 //! The calibrated arm that a control loop runs. Nothing here allocates; an iteration is bounded.
 
+use super::arm::{JOINTS, Model};
 use super::effects::{AT, Values};
-use super::model::{Chain, Covariates, JOINTS, Model, Prediction};
+use super::model::{Chain, Covariates, Prediction};
 use super::structure::Structure;
 use crate::chain::effects::Wanted;
 use crate::chain::{Mechanism, Robot};

@@ -3,7 +3,8 @@
 //! Units, sizes and levers of what counts in the unit of a joint are those of a revolute one; the model turns them into
 //! those of a prismatic one. Sizes are those of an industrial arm.
 
-use crate::chain::effects::{OWN_LEVER, effects, places};
+use crate::chain::effects::{OWN_LEVER, places};
+use crate::chain::table::effects;
 
 /// What a radian of a joint moves in a common arm, mm.
 const LEVER: f64 = 500.0;
@@ -11,7 +12,7 @@ const LEVER: f64 = 500.0;
 const MOMENT: f64 = 20.0;
 
 // what the mechanism computes itself, in `structure.rs`
-places! {
+places! { At:
     joint_shift joint_tilt tool targets joint_coupling joint_compliance payload_compliance
     link_growth
 }

@@ -1,6 +1,6 @@
 //! Where the joints of an arm stand, base frame: axes and origins, from which every derivative follows.
 
-use super::model::JOINTS;
+use super::arm::JOINTS;
 use crate::numbers::math::sin_cos;
 use crate::numbers::rigid::Rigid;
 use nalgebra::{Matrix3, Vector3};

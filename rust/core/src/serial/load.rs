@@ -6,9 +6,8 @@
 //! the same weights could make, stretched out at right angles to g. The moment of what hangs at the first target counts in
 //! N·m, its force in N.
 
-use super::frames::{Place, stand};
-use super::model::{JOINTS, Model};
-use super::{frames::Link, model::Joint};
+use super::arm::{JOINTS, Joint, Model};
+use super::frames::{Link, Place, stand};
 use nalgebra::{SMatrix, SVector, Vector3};
 
 /// Standard gravity, m/s².

@@ -6,6 +6,7 @@
 //! "Improving the absolute positioning accuracy of robot manipulators", 1985; Schröer, Albright and Grethlein,
 //! "Complete, minimal and model-continuous kinematic models for robot calibration", 1997).
 
+mod arm;
 mod calibrated;
 mod effects;
 mod frames;
@@ -13,7 +14,8 @@ mod load;
 mod model;
 mod structure;
 
+pub use arm::{JOINTS, Joint, Model, TARGETS};
 pub use calibrated::{Calibrated, Limits};
 pub use effects::{CATALOGUE, PARAMETERS, Values};
-pub use model::{Chain, Covariates, JOINTS, Joint, Model, Prediction, READINGS, Row, TARGETS};
+pub use model::{Chain, Covariates, Prediction, READINGS, Row};
 pub use structure::Structure;

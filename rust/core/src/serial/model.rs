@@ -1,26 +1,20 @@
 //! The nominal arm on the measurement chain: with all effects at zero it is the drawing, seen by a tracker.
 
+use super::arm::{JOINTS, Model};
 use super::effects::{AT, At, CATALOGUE, PARAMETERS, Values};
 use super::structure::Structure;
 use crate::chain::effects::Effect;
 use crate::chain::places::Places;
-use crate::chain::{
-    self, CENTRES, Distances, Flat, Gauges, PLANES, Robot, Settings, Table, Tracker,
-};
+use crate::chain::{self, Distances, Gauges, Robot, Settings, Table, Tracker};
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
 use core::f64::consts::TAU;
 use nalgebra::Vector3;
 
-/// The most joints that an arm may have.
-pub const JOINTS: usize = 9;
 /// Coordinates that the tracker shows.
 pub const READINGS: usize = 3;
 /// How far the columns of a turn may be from a right angle or one.
 const SQUARE: f64 = 1e-6;
-
-/// Targets that an arm may carry.
-pub const TARGETS: usize = 4;
 
 /// What a row of an arm brings besides its readings.
 pub type Covariates = chain::Covariates<JOINTS>;
@@ -30,68 +24,6 @@ pub type Row = chain::Row<JOINTS>;
 pub type Chain = chain::Chain<Model, JOINTS, READINGS, PARAMETERS>;
 /// Reading of a row with its derivatives, mm.
 pub type Prediction = chain::Prediction<JOINTS, READINGS, PARAMETERS>;
-
-/// A joint as drawn, which turns about or slides along the z of its own frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Joint {
-    /// From the frame behind the joint before it, or the base, to its own at zero; mm.
-    pub fixed: Rigid,
-    /// Whether it slides.
-    pub prismatic: bool,
-    /// Part of the reading of the joint before it by which it moves besides, as drawn: one or minus one behind a
-    /// parallelogram.
-    pub follows: f64,
-    /// Reading about which scale errors turn, rad or mm.
-    pub home: f64,
-    /// Mass of the link behind it, kg, or in any other unit that is the same for all.
-    pub mass_kg: f64,
-    /// Centre of that mass in the frame behind the joint, mm.
-    pub centre_mm: Vector3<f64>,
-}
-
-impl Joint {
-    /// One that is not there.
-    pub const NONE: Self = Self {
-        fixed: Rigid {
-            rotation: nalgebra::Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
-            translation: Vector3::new(0.0, 0.0, 0.0),
-        },
-        prismatic: true,
-        follows: 0.0,
-        home: 0.0,
-        mass_kg: 0.0,
-        centre_mm: Vector3::new(0.0, 0.0, 0.0),
-    };
-}
-
-/// A nominal arm and the settings of its effects.
-#[derive(Clone, Copy, Debug)]
-pub struct Model {
-    /// Its joints from the base on; those beyond [`Model::count`] are not looked at.
-    pub joints: [Joint; JOINTS],
-    /// How many it has.
-    pub count: usize,
-    /// Its targets in the frame behind the last joint, mm; the first is what it brings somewhere.
-    pub targets_mm: [Vector3<f64>; TARGETS],
-    /// The fixed centres from which distances are read, base frame, mm.
-    pub centres_mm: [Vector3<f64>; CENTRES],
-    /// The fixed planes from which distances are read.
-    pub planes: [Flat; PLANES],
-    /// From the base frame to that of the tracker, mm.
-    pub tracker: Rigid,
-    /// Direction of the weight, base frame, of length one.
-    pub gravity: Vector3<f64>,
-    /// Period of the encoders' cyclic error, rad, or mm where every joint slides.
-    pub encoder_period: f64,
-    /// Time from which drift counts, s.
-    pub time_origin_s: f64,
-    /// Moment at which the target slips, s.
-    pub slip_time_s: f64,
-    /// Moment at which joints slip, s.
-    pub joint_slip_time_s: f64,
-    /// Moment at which the tracker slips, s.
-    pub tracker_slip_time_s: f64,
-}
 
 impl Table for Model {
     type Own = At;

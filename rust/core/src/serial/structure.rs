@@ -6,10 +6,10 @@
 //! The links between them grow with the temperature, each by its own part of its length. Then frames follow one another,
 //! and every small error moves the target as a joint in its place would.
 
+use super::arm::{JOINTS, Model, TARGETS};
 use super::effects::{AT, PARAMETERS, Values};
 use super::frames::{self, Link, stand};
 use super::load::{Carried, Load};
-use super::model::{JOINTS, Model, TARGETS};
 use crate::Result;
 use crate::chain::body::warmer;
 use crate::chain::effects::{Place, Wanted, values_of};

@@ -6,13 +6,14 @@
 //! Flexure is told from the geometry by gravity across the actuated axis; where it pulls along that axis and α = β, both
 //! of its parameters are taken up by geometry and camera entirely. Growth about the remote centre shows in pixels alone.
 
-use crate::chain::effects::{OWN_LEVER, effects, places};
+use crate::chain::effects::{OWN_LEVER, places};
+use crate::chain::table::effects;
 
 /// What a radian moves on the sphere of the paper's robot, mm.
 const LEVER: f64 = 200.0;
 
 // what the mechanism computes itself, in `structure.rs`
-places! {
+places! { At:
     geometry unequal_limbs axis_offset gravity_flexure marker_offset
 }
 

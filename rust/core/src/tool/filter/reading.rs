@@ -6,10 +6,10 @@
 //! of two noisy numbers is taken, `δ`'s noise does not know that of `F`, and a section of which a grating is lost still
 //! counts.
 
-use super::ToolFilter;
 use super::known::UNKNOWNS;
 use super::moments::Moments;
 use super::pace::Felt;
+use super::start::ToolFilter;
 use super::state::{CLEARANCE, DEEPER, GIVES, L, N, OFFSETS, Row, Seen, State};
 use super::status::Status;
 use crate::numbers::math::sqrt;
@@ -316,5 +316,18 @@ impl ToolFilter {
         }
         self.creep.rest(self.state.time_s, felt);
         self.warmth.rest(&before, &self.state.known);
+    }
+}
+
+impl Felt {
+    fn of(said: &Said, time_s: f64, size: f64) -> Self {
+        Self {
+            time_s,
+            way: said.way,
+            size,
+            noise: said.noise,
+            by_moments: said.by_moments,
+            by_depth: said.by_depth,
+        }
     }
 }

@@ -1,5 +1,6 @@
-//! What a step did, as flags, and how often.
+//! What a step did, as flags, and how often; what its reading was like.
 
+use super::moments::Set;
 use core::ops::BitOr;
 
 /// What a step did with what it was given; several may hold. No flag at all is a filter that has not stepped.
@@ -137,4 +138,22 @@ impl Consistency {
             self.sum / self.degrees as f64
         }
     }
+}
+
+/// What the last reading was like.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
+pub struct Look {
+    /// Square of what the moments say across the force over its variance: about 1.
+    pub misfit: f64,
+    /// Gratings that were not believed.
+    pub faulty: Set,
+}
+
+/// What happened, counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Watch {
+    pub(super) look: Look,
+    pub(super) counts: Counts,
+    pub(super) consistency: Consistency,
 }

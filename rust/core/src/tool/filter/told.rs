@@ -1,6 +1,6 @@
 //! Depth and tip now, and how well they are known together.
 
-use super::ToolFilter;
+use super::start::ToolFilter;
 use super::state::{DEEPER, L, OFFSETS, State, TURN};
 use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
