@@ -65,7 +65,8 @@ class Served:
 @contextmanager
 def serving(lab: Path, *options: str, run: str = "run.csv") -> Iterator[Served]:
     """``sherkit app`` on a run of the lab, ended by Ctrl-C."""
-    command = [sys.executable, "-c", "from sherkit.cli import main; main()", "app", "robot.toml", run]
+    program = [sys.executable, "-X", "faulthandler", "-c", "from sherkit.cli import main; main()"]
+    command = [*program, "app", "robot.toml", run]
     process = subprocess.Popen(
         [*command, "--no-open", "--port", "0", *options], cwd=lab, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -81,7 +82,11 @@ def serving(lab: Path, *options: str, run: str = "run.csv") -> Iterator[Served]:
         yield Served(process, found[0])
     finally:
         process.send_signal(signal.SIGINT)
-        process.communicate(timeout=600)
+        try:
+            process.communicate(timeout=120)
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGABRT)  # says where each thread stands
+            raise AssertionError("Ctrl-C did not end it:\n" + process.communicate()[1]) from None
 
 
 @contextmanager

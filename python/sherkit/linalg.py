@@ -13,14 +13,19 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import ContextDecorator
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
+import scipy.linalg
+import threadpoolctl
 
 from .errors import NotConverged, NotFinite, Singular
 from .types import Bools, Floats
+
+#: The threads of every BLAS that is loaded: NumPy's and SciPy's are two. Looked for once, while this is imported:
+#: looking holds the loader's lock, and waits for ever where another thread imports at that moment.
+_POOLS = threadpoolctl.ThreadpoolController()
 
 #: Part of the largest number up to which what is left is rounding.
 _ROUNDING = 1e-12
@@ -49,7 +54,7 @@ class one_thread(ContextDecorator):  # noqa: N801 - read as a function: `with on
     def __enter__(self) -> None:
         with one_thread._lock:
             if one_thread._entered == 0:
-                one_thread._before = _pools().limit(limits=1, user_api="blas")
+                one_thread._before = _POOLS.limit(limits=1, user_api="blas")
             one_thread._entered += 1
 
     def __exit__(self, *_: object) -> None:
@@ -57,15 +62,6 @@ class one_thread(ContextDecorator):  # noqa: N801 - read as a function: `with on
             one_thread._entered -= 1
             if one_thread._entered == 0:
                 one_thread._before.restore_original_limits()
-
-
-@cache
-def _pools() -> Any:
-    """The threads of every BLAS that is loaded: NumPy's and SciPy's are two."""
-    import scipy.linalg  # noqa: F401 - what is not loaded yet is not found
-    import threadpoolctl
-
-    return threadpoolctl.ThreadpoolController()
 
 
 def eigh(matrix: Floats) -> tuple[Floats, Floats]:

@@ -11,10 +11,13 @@ import errno
 import io
 import ipaddress
 import secrets
+import signal
 import socket
 import tempfile
+import threading
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -104,12 +107,35 @@ class PageServer:
         self.server.start()
         self.server.io_loop.add_callback(ready)
         try:
-            self.server.io_loop.start()
+            with _interrupts(lambda: self.server.io_loop.add_callback(self.server.io_loop.stop)):
+                self.server.io_loop.start()
         except KeyboardInterrupt:
             pass
         finally:
             self.server.stop()
             self.bench.close()
+
+
+@contextmanager
+def _interrupts(stop: Callable[[], None]) -> Iterator[None]:
+    """Ctrl-C calls ``stop``; a second one is raised wherever it comes. Only the main thread hears of it.
+
+    Raised at once, it could end in a callback or a destructor that drops what is raised there, and the page went on.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def first(*_: object) -> None:
+        signal.signal(signal.SIGINT, before)
+        stop()
+
+    before = signal.getsignal(signal.SIGINT)
+    signal.signal(signal.SIGINT, first)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 class _ByName(Router):
