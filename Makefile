@@ -12,7 +12,7 @@ PYTHONS := python tests benchmarks examples docs
 export OPENBLAS_NUM_THREADS := 1
 SOURCES := Cargo.toml Cargo.lock pyproject.toml README.md $(shell find rust python -type f -not -name '*.so' -not -path '*/__pycache__/*')
 
-.PHONY: house pictures demo demo-lab test test-rust test-python test-slow lint lint-rust lint-python no-std header header-check bench site format clean check-tools
+.PHONY: house golden golden-write pictures demo demo-lab test test-rust test-python test-slow lint lint-rust lint-python no-std header header-check bench site format clean check-tools
 
 demo: $(STAMP)
 	$(BIN)/sherkit demo
@@ -103,6 +103,13 @@ bench: $(STAMP)
 # how far one walks who reads the way of a diagnosis, and how large the house is: it prints, it forbids nothing
 house: $(STAMP)
 	$(BIN)/python benchmarks/house.py
+
+# which of 250 worlds are answered otherwise than tests/golden has it; golden-write keeps the answers of now
+golden: $(STAMP)
+	$(BIN)/python tests/golden.py
+
+golden-write: $(STAMP)
+	$(BIN)/python tests/golden.py --write
 
 format: $(STAMP)
 	cargo fmt --all

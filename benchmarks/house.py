@@ -24,6 +24,7 @@ from typing import Any
 from diagnosing import run_with_lean
 from rich.console import Console
 from rich.table import Table
+from rust_circles import CRATES, circles, modules, needs
 
 import sherkit as sk
 from sherkit.cli import main
@@ -121,6 +122,12 @@ def complex_functions() -> int:
     return len(json.loads(subprocess.run([*arguments, PACKAGE], capture_output=True, text=True).stdout))
 
 
+def circles_in_rust() -> int:
+    """How many sets of Rust files need each other."""
+    crates = [modules(crate) for crate in CRATES]
+    return sum(len(circles({name: set(needs(one, crate)) for name, one in crate.items()})) for crate in crates)
+
+
 def table(title: str, rows: dict[str, tuple[int, int | None]]) -> None:
     """Prints counts beside what would read well."""
     drawn = Table(title=title, title_justify="left", show_edge=False)
@@ -159,6 +166,7 @@ if __name__ == "__main__":
             "lines of tests": (sum(tests.values()), 28_000),
             f"files above {LONG} lines": (len(long), 0),
             f"functions of a complexity above {COMPLEX}": (complex_functions(), 20),
+            "circles between files of Rust": (circles_in_rust(), 0),
             "places that ask whether a robot is a tool": (sum(p.read_text().count("is_tool") for p in python), 0),
         },
     )
