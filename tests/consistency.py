@@ -38,7 +38,7 @@ def contradictions(d: Any, level: float = CONFIRMED) -> list[str]:
         if not getattr(fitted, "converged", True):
             out.append(f"{d.verdict}, but the fit did not converge")
         absurd = [c.effect for c in d.candidates if c.effect in d.effects and not c.plausible]
-        if absurd and not d.reservation:
+        if absurd and not d.caveat:
             out.append(f"{d.verdict}, but the size of {', '.join(absurd)} is not plausible, and nothing says so")
     for before, step in pairwise(d.steps):
         if not step.held_out_rms < before.held_out_rms:
@@ -50,9 +50,9 @@ def contradictions(d: Any, level: float = CONFIRMED) -> list[str]:
         out.append(f"{', '.join(d.effects)} named, but on rows not used p = {d.confirmed:.2g}")
     if [s.effect for s in d.steps[1:]] != list(d.effects):
         out.append(f"the steps {[s.effect for s in d.steps]} are not those of the effects {d.effects}")
-    for claim in getattr(d, "claims", ()):
-        if claim.p is not None and not 0.0 <= claim.p <= 1.0:
-            out.append(f"claim {claim.name}: p = {claim.p}")
+    for check in getattr(d, "checks", ()):
+        if check.p is not None and not 0.0 <= check.p <= 1.0:
+            out.append(f"check {check.name}: p = {check.p}")
     return out
 
 

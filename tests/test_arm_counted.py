@@ -203,11 +203,11 @@ Verdict = tuple[str, str, sk.diagnosis.Diagnosis]
 
 
 def singles(arm: Serial, seeds: range) -> Iterator[Verdict]:
-    """Each effect at each ratio: ``right`` where it leads or is tied, with others or, by ``hides_in``, with the
+    """Each effect at each ratio: ``right`` where it leads or is tied, with others or, by ``confounded_with``, with the
     geometry while nothing else is blamed; ``wrong`` where others explain it."""
     for seed, ratio, name in product(seeds, RATIOS, EFFECTS):
         d = sk.diagnose(arm, simulated(arm, seed, ROWS, **hidden_at(arm, name, ratio, seed)))
-        tied = name in d.hides_in and d.verdict == "adequate"
+        tied = name in d.confounded_with and d.verdict == "adequate"
         kind = "right" if name in named(d) or tied else "wrong" if d.verdict == "explained" else "missed"
         yield kind, f"{name} at {ratio}, seed {seed}", d
 
@@ -233,13 +233,13 @@ def pairs(arm: Serial, seeds: range) -> Iterator[Verdict]:
 
 
 def outside(arm: Serial, seeds: range) -> Iterator[Verdict]:
-    """Physics of no catalogue, ``wrong`` where it is explained without a reservation; or where nothing is found though
+    """Physics of no catalogue, ``wrong`` where it is explained without a caveat; or where nothing is found though
     the noise is declared: without that, what goes with nothing in the file is noise for all that can be known, and the
     headline of what is explained says that how much of the rest is noise is not known."""
     for seed, ratio, name, declared in product(seeds, RATIOS, OUTSIDE, (False, True)):
         q = postures(arm, ROWS, 0.9, seed)
         d = sk.diagnose(arm, OwnArm.made(seed).at_ratio(name, ratio, q).run(arm, q, seed, declared))
-        reserved = d.reservation or "how much of the rest is noise is not known" in d.headline
+        reserved = d.caveat or "how much of the rest is noise is not known" in d.headline
         pressed = d.verdict == "explained" and not reserved
         kind = "wrong" if pressed or (declared and d.verdict == "adequate") else d.verdict
         yield kind, f"{name} at {ratio}, seed {seed}, noise {'declared' if declared else 'unknown'}", d
@@ -287,7 +287,7 @@ def test_pairs_are_named_in_95_of_100(ur5: Serial) -> None:
 @pytest.mark.slow
 def test_what_is_in_no_catalogue_is_never_explained(ur5: Serial) -> None:
     """Catches physics pressed into the catalogue: a load that nobody wrote down, a link that bends across its joint, a
-    ripple of two joints. At 1, 2 and 5 times the noise; none of them explained without a reservation."""
+    ripple of two joints. At 1, 2 and 5 times the noise; none of them explained without a caveat."""
     count, said = counted(outside(ur5, range(200, 200 + COUNT)))
     assert not count["wrong"], said
 
@@ -297,7 +297,7 @@ def test_blocks_of_rows_that_are_put_aside_are_said_before_what_is_left_is_expla
     """Catches a cause explained away by calling every fourth row wrong. A press at five times the noise, seed 300."""
     q = postures(ur5, ROWS, 0.9, 300)
     d = sk.diagnose(ur5, OwnArm.made(300).at_ratio("press next door", 5, q).run(ur5, q, 300, declared=True))
-    assert d.verdict != "explained" or d.reservation
+    assert d.verdict != "explained" or d.caveat
 
 
 if __name__ == "__main__":
@@ -315,5 +315,5 @@ if __name__ == "__main__":
         for kind, what, d in runs:
             tally[kind] += 1
             if kind != "right":
-                print(f"{kind}: {what}: {d.verdict} {d.effects} {d.ties} reserved {d.reservation}", flush=True)
+                print(f"{kind}: {what}: {d.verdict} {d.effects} {d.ties} reserved {d.caveat}", flush=True)
             print(dict(tally), "CPU", round(time.process_time() - started), "s", flush=True)

@@ -263,7 +263,7 @@ def test_the_json_is_what_is_printed(made: Path) -> None:
     told = json.loads(block.text)
     printed = json.loads(sherkit(["diagnose", "demo/robot.toml", "demo/whole.csv", "--json"], made))
     for one in (told, printed):  # which parameters an effect hides in depends on the last digits
-        one["hides_in"] = sorted(one["hides_in"])
+        one["confounded_with"] = sorted(one["confounded_with"])
     assert shape(told) == shape(printed)
     text = prose("docs/json.md")
     rows = text[text.index("| key | meaning |") :].split("\n\n")[0].splitlines()[2:]

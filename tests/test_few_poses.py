@@ -117,9 +117,9 @@ def test_what_few_poses_cannot_tell_is_said(ur5: Serial) -> None:
     assert d.too_few_poses
     assert d.headline.startswith("undecided: no effect shows; 20 poses fix 27 parameters so loosely")
     assert "measure more poses" in d.headline
-    (claim,) = [c for c in d.claims if c.name == "poses_suffice"]
-    assert claim.holds is False
-    small = next(c for c in d.claims if c.name == "as_small_as_noise")
+    (check,) = [c for c in d.checks if c.name == "poses_suffice"]
+    assert check.holds is False
+    small = next(c for c in d.checks if c.name == "as_small_as_noise")
     assert "which alone leaves up to" in small.result
 
 
@@ -203,7 +203,7 @@ def levels(pairs: Iterator[tuple[int, int, int]]) -> Floats:
     for poses, repeats, seed in pairs:
         run = FittedRun(sk.identify(DELTA, few(poses, repeats, seed).data))
         stage = stage_of(run, run.catalogue, np.arange(len(run.data)), run.noise[0])
-        out.append(stage.scan.p_value(float(stage.scan.deviates.max()), seed=seed))
+        out.append(stage.scan.p_value(float(stage.scan.z_scores.max()), seed=seed))
     return np.array(out)
 
 

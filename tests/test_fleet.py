@@ -68,7 +68,7 @@ def test_a_row_is_flat_and_the_same_from_a_diagnosis_and_a_fleet(found: Fleet, r
     assert row["effects"] == "rail_lean"
     assert row["left_um"] == alone.steps[-1].held_out_rms
     assert row["ratio"] == pytest.approx(row["left_um"] / row["as_it_came_um"])
-    assert row["p_lack_of_fit"] == next(c.p for c in alone.claims if c.name == "poses_as_repeats")
+    assert row["p_lack_of_fit"] == next(c.p for c in alone.checks if c.name == "poses_as_repeats")
     table = found.to_frame()
     assert table["run"].to_list() == runs
     assert table.row(3, named=True) == {"run": runs[3], "failed": None} | row

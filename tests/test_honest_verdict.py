@@ -62,7 +62,7 @@ def made_up(**changes: Any) -> Any:
         "verdict": "explained", "unit": "µm", "noise": {"x": 2.0, "y": 2.0}, "noise_origin": "repeats",
         "effects": ("rail_lean",), "steps": (step(None, 8.0), step("rail_lean", 2.1)), "confirmed": 0.0005,
         "candidates": (SimpleNamespace(effect="rail_lean", plausible=True),), "fit": SimpleNamespace(converged=True),
-        "reservation": None,
+        "caveat": None,
     }  # fmt: skip
     return SimpleNamespace(**(report | changes))
 
@@ -80,7 +80,7 @@ def test_the_check_finds_each_contradiction() -> None:
     assert len(contradictions(made_up(fit=SimpleNamespace(converged=False)))) == 1
     absurd = (SimpleNamespace(effect="rail_lean", plausible=False),)
     assert len(contradictions(made_up(candidates=absurd))) == 1
-    assert not contradictions(made_up(candidates=absurd, reservation="it is a thousand times what is usual"))
+    assert not contradictions(made_up(candidates=absurd, caveat="it is a thousand times what is usual"))
     assert len(contradictions(made_up(steps=(step(None, float("nan")),), effects=(), verdict="adequate"))) == 1
 
 
@@ -94,18 +94,18 @@ def test_a_clean_run_is_still_adequate(make: Any) -> None:
 
 
 def test_a_verdict_rests_on_claims() -> None:
-    """Catches a verdict with nothing to stand on: each claim says what was tested, on which rows, with which result."""
+    """Catches a verdict with nothing to stand on: each check says what was tested, on which rows, with which result."""
     for world in (worlds.clean(0), worlds.pitch_left_out(0)):
         d = world.ask().diagnosis
-        claims = d.claims
-        assert claims
-        assert len({claim.name for claim in claims}) == len(claims)
-        for claim in claims:
-            assert claim.tested
-            assert claim.rows
-            assert claim.result is not None
-            assert claim.p is None or 0.0 <= claim.p <= 1.0
-        assert len(d.to_json()["claims"]) == len(claims)
+        checks = d.checks
+        assert checks
+        assert len({check.name for check in checks}) == len(checks)
+        for check in checks:
+            assert check.tested
+            assert check.rows
+            assert check.result is not None
+            assert check.p is None or 0.0 <= check.p <= 1.0
+        assert len(d.to_json()["checks"]) == len(checks)
 
 
 # -- the rows of the table -----------------------------------------------------------------------------------------
@@ -225,7 +225,7 @@ def test_a_model_with_a_wrong_derivative_is_never_praised() -> None:
 
 
 def reserved(answer: Answer, right: str) -> bool:
-    """Whether an effect that the catalogue lacks is not called explained, or only with the reservation that one
+    """Whether an effect that the catalogue lacks is not called explained, or only with the caveat that one
     unknown would do the same; once the catalogue has it, its name is right."""
     d = honest(answer)
     return d.verdict != "explained" or right in named(d) or answer.says(("one unknown", "single unknown"))
@@ -367,8 +367,8 @@ def test_no_mistake_is_claimed_on_clean_runs() -> None:
         for seed in range(count):
             answer = mistakes.file_of(make(seed)).ask()
             outcomes.append((kind, answer.verdict))
-            # a claim that holds may name a base angle and its radians, too
-            claimed += [(kind, seed, str(c)) for c in answer.diagnosis.claims if c.name == "set_up" and not c.holds]
+            # a check that holds may name a base angle and its radians, too
+            claimed += [(kind, seed, str(c)) for c in answer.diagnosis.checks if c.name == "set_up" and not c.holds]
             told = Answer(None, answer.diagnosis.notes)
             claimed += [(kind, seed, m.name) for m in made if told.says(*m.words)]
     table("clean runs", outcomes)
@@ -519,9 +519,9 @@ def test_what_the_catalogue_lacks_is_never_explained_by_the_rest(name: str, monk
     for ratio in (2, 5):
         for seed in range(4):
             d = honest(worlds.delta_world(seed, {name: ratio * NOISE_UM}).ask())
-            reserved = "" if d.verdict != "explained" else f", {'with' if d.reservation else 'WITHOUT'} reservation"
+            reserved = "" if d.verdict != "explained" else f", {'with' if d.caveat else 'WITHOUT'} caveat"
             outcomes.append((f"{name} × {ratio}", f"{d.verdict} {'+'.join(d.effects)}{reserved}"))
-            if d.verdict == "adequate" or (d.verdict == "explained" and not d.reservation):
+            if d.verdict == "adequate" or (d.verdict == "explained" and not d.caveat):
                 wrong.append((ratio, seed, d.effects))
     table("not in the catalogue", outcomes)
     assert wrong == []

@@ -27,7 +27,7 @@ from second_simulator.unnamed import (
     telegraph,
 )
 from sherkit.diagnosis import sentence, ties
-from sherkit.diagnosis.propositions import PRAISE
+from sherkit.diagnosis.checked import PRAISE
 from sherkit.diagnosis.simplest import is_alias
 from worlds import Answer, World
 

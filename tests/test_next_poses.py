@@ -100,5 +100,5 @@ def test_an_effect_in_the_model_hides_as_well() -> None:
     study = sk.Study(delta.DELTA, delta.measured(delta.GRIDS["small"], 0).data)
     study.add("gravity_sag")
     d = study.diagnose()
-    assert {name.partition("_")[0] for name in d.hides_in["gravity_sag"]} <= {"rod", "base", "joint"}
-    assert any(name.startswith("gravity_sag.") for name in d.hides_in["drive_compliance"])
+    assert {name.partition("_")[0] for name in d.confounded_with["gravity_sag"]} <= {"rod", "base", "joint"}
+    assert any(name.startswith("gravity_sag.") for name in d.confounded_with["drive_compliance"])

@@ -25,7 +25,7 @@ from sherkit.lab.experiment import run as run_experiment
 from sherkit.lab.laboratory import RunningLaboratory, load_laboratory
 from sherkit.model import kinds
 from sherkit.model.sentences import COMMON
-from sherkit.planning.outlook import planning_of
+from sherkit.planning.effect_power import planning_of
 
 ROBOT = """
 kind = "planar"
@@ -255,7 +255,7 @@ def test_every_sentence_that_robots_share_is_used() -> None:
 
 
 def test_an_experiment_is_planned(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a plan or an outlook that knows poses, joints or units of the built-in robots alone."""
+    """Catches a plan or a power that knows poses, joints or units of the built-in robots alone."""
     Path("experiment.toml").write_text(
         'robot = "robot.toml"\n[plan]\nposes = "fan"\nper_side = 6\nrepeats = 2\norder = "shuffled"\n'
         '[[instrument]]\nkind = "galil"\ncounts_per_rad = 100000\n'
@@ -264,8 +264,10 @@ def test_an_experiment_is_planned(folder: Path, capsys: pytest.CaptureFixture[st
     shown = said(capsys, 0, "plan", "robot.toml", "experiment.toml")
     assert "droop" in shown
     run = sk.read_measurements("run.csv")
-    outlooks = {o.name: o for o in planning_of(kinds.model_of(sk.load_robot("robot.toml")), run, 0.005).outlooks}
-    assert outlooks["droop"].power > 0.99
+    effect_powers = {
+        o.name: o for o in planning_of(kinds.model_of(sk.load_robot("robot.toml")), run, 0.005).effect_powers
+    }
+    assert effect_powers["droop"].power > 0.99
 
 
 def test_an_experiment_is_measured(folder: Path) -> None:
@@ -316,9 +318,9 @@ def test_the_page(folder: Path) -> None:
         bench.toggle("droop")
         bench.ask("waiting", lambda study, step: None).result(600.0)
         assert not [value for kind, value in told if kind == "error"]
-        assert bench.moment.effects == ("droop",)
-        assert bench.moment.diagnosis is not None
-        assert bench.moment.diagnosis.verdict == "adequate"
+        assert bench.page_state.effects == ("droop",)
+        assert bench.page_state.diagnosis is not None
+        assert bench.page_state.diagnosis.verdict == "adequate"
         StudyPage(Document(), bench, "")
         made = bench.ask("saving", server._calibration).result(600.0)
         Path("page.toml").write_bytes(made)
@@ -326,7 +328,7 @@ def test_the_page(folder: Path) -> None:
     finally:
         bench.close()
     again = Workbench.open(Path("robot.toml"), Path("run.csv"), Path("study"))
-    assert again.moment.effects == ("droop",)
+    assert again.page_state.effects == ("droop",)
     again.close()
 
 

@@ -15,8 +15,8 @@ from sherkit import identify
 from sherkit.cli.demo import EXAMPLE
 from sherkit.data import Measurements
 from sherkit.errors import EffectError, ExperimentError, FitError
-from sherkit.planning.outlook import POWER, planning_of
-from sherkit.planning.power import Sought, study_power
+from sherkit.planning.effect_power import POWER, planning_of
+from sherkit.planning.power import EffectSize, study_power
 from sherkit.robots.delta import grid
 from sherkit.robots.delta.columns import DELTA
 from sherkit.robots.delta.model import DeltaModel
@@ -41,15 +41,15 @@ def planning():
     return planning_of(DeltaModel(EXAMPLE), rows(), NOISE_MM)
 
 
-def outlook(planning, name):
-    return next(o for o in planning.outlooks if o.name == name)
+def power_of(planning, name):
+    return next(o for o in planning.effect_powers if o.name == name)
 
 
 def sought(planning, name, share=1.0, seed=5):
     """An effect at a share of the size at which it is found in 80 of 100 runs, signs at random."""
     rng = np.random.default_rng(seed)
-    signs = {k: v * rng.choice((-1.0, 1.0)) for k, v in outlook(planning, name).values.items()}
-    return Sought(name, {k: share * v for k, v in planning.found_along(name, signs).items()})
+    signs = {k: v * rng.choice((-1.0, 1.0)) for k, v in power_of(planning, name).values.items()}
+    return EffectSize(name, {k: share * v for k, v in planning.found_along(name, signs).items()})
 
 
 THREE = ("rail_lean", "backlash", "beam_alignment")
@@ -81,7 +81,7 @@ def test_the_promised_power_is_that_of_many_simulated_runs(planning):
 def test_nothing_is_found_where_nothing_is(planning):
     """Catches a test whose level is not the one it says."""
     with ThreadPoolExecutor(1) as pool:
-        (none,) = study_power(planning, [Sought("rail_lean", {})], runs=300, seed=3, executor=pool)
+        (none,) = study_power(planning, [EffectSize("rail_lean", {})], runs=300, seed=3, executor=pool)
     assert none.power == pytest.approx(0.01, abs=1e-6)
     assert none.found <= 9
 
@@ -154,30 +154,30 @@ def test_a_cluster_gives_the_same_numbers_as_a_process_pool(planning):
 
 def test_known_limits(planning):
     """Catches an effect that hides in the geometry and is promised, and a column that is not there and is tried."""
-    assert outlook(planning, "gravity_sag").is_absorbed
-    assert outlook(planning, "gravity_sag").power < 0.2
-    assert not outlook(planning, "rail_lean").is_absorbed
-    assert outlook(planning, "rail_lean").power > 0.99
-    assert outlook(planning, "thermal_growth").lacks == ("temperature_c",)
-    at = outlook(planning, "rail_lean")
+    assert power_of(planning, "gravity_sag").is_absorbed
+    assert power_of(planning, "gravity_sag").power < 0.2
+    assert not power_of(planning, "rail_lean").is_absorbed
+    assert power_of(planning, "rail_lean").power > 0.99
+    assert power_of(planning, "thermal_growth").lacks == ("temperature_c",)
+    at = power_of(planning, "rail_lean")
     assert planning.power("rail_lean", planning.found_along("rail_lean", at.values)) == pytest.approx(POWER)
     warm = planning_of(DeltaModel(EXAMPLE), rows(temperature_c=np.linspace(20.0, 32.0, 150)), NOISE_MM)
-    assert outlook(warm, "thermal_growth").power > 0.5
+    assert power_of(warm, "thermal_growth").power > 0.5
 
 
 def test_a_plan_that_shuffles_tells_drift_from_space():
     """Catches ties that do not depend on the order of the poses: plane by plane, time and height are one."""
     in_order = planning_of(DeltaModel(EXAMPLE), rows("planes", repeats=1), NOISE_MM)
     shuffled = planning_of(DeltaModel(EXAMPLE), rows(repeats=1), NOISE_MM)
-    assert "beam_alignment" in outlook(in_order, "drift").ties
-    assert "beam_alignment" not in outlook(shuffled, "drift").ties
+    assert "beam_alignment" in power_of(in_order, "drift").ties
+    assert "beam_alignment" not in power_of(shuffled, "drift").ties
 
 
 def test_more_readings_and_less_noise_find_less():
     """Catches a size that does not fall with the root of the readings, and with the noise."""
-    one = outlook(planning_of(DeltaModel(EXAMPLE), rows(repeats=2), 0.005), "rail_lean").times
-    more = outlook(planning_of(DeltaModel(EXAMPLE), rows(repeats=8), 0.005), "rail_lean").times
-    quiet = outlook(planning_of(DeltaModel(EXAMPLE), rows(repeats=2), 0.0025), "rail_lean").times
+    one = power_of(planning_of(DeltaModel(EXAMPLE), rows(repeats=2), 0.005), "rail_lean").times
+    more = power_of(planning_of(DeltaModel(EXAMPLE), rows(repeats=8), 0.005), "rail_lean").times
+    quiet = power_of(planning_of(DeltaModel(EXAMPLE), rows(repeats=2), 0.0025), "rail_lean").times
     assert more == pytest.approx(one / 2.0, rel=0.03)
     assert quiet == pytest.approx(one / 2.0, rel=1e-6)
 
@@ -185,7 +185,7 @@ def test_more_readings_and_less_noise_find_less():
 def test_an_effect_in_the_model_is_not_looked_for():
     """Catches an effect that is in the model and looked for beside itself."""
     planning = planning_of(DeltaModel(EXAMPLE), rows(), NOISE_MM, effects=("rail_lean",))
-    assert "rail_lean" not in [o.name for o in planning.outlooks]
+    assert "rail_lean" not in [o.name for o in planning.effect_powers]
     assert len(planning.parameters) == 21
     with pytest.raises(EffectError, match="rail_lean"):
         planning_of(DeltaModel(EXAMPLE), rows(), NOISE_MM, effects=("rail_leen",))

@@ -63,8 +63,8 @@ def in_the_room(columns: Columns, period_s: float, size: float, seed: int) -> Co
     return columns | {name: columns[name] + moved[:, k] for k, name in enumerate(READINGS)}
 
 
-def claim(d: sk.diagnosis.Diagnosis, name: str) -> Any:
-    return next(c for c in d.claims if c.name == name)
+def check(d: sk.diagnosis.Diagnosis, name: str) -> Any:
+    return next(c for c in d.checks if c.name == name)
 
 
 @pytest.mark.parametrize(("order", "seed"), [("planes", 0), ("shuffled", 1), ("planes", 2)])
@@ -91,9 +91,9 @@ def test_the_way_there_that_repeats_show_is_a_finding(order: Order) -> None:
     side = 2.0 * NOISE_PX * moved @ np.array([[1.0, -0.5], [0.5, 1.0]])
     d = diagnosed(columns | {name: columns[name] + side[:, k] for k, name in enumerate(READINGS)})
     assert d.verdict in ("unexplained", "partly explained")
-    assert not claim(d, "repeats_are_noise").holds
+    assert not check(d, "repeats_are_noise").holds
     assert max(d.noise.values()) < 1.35 * NOISE_PX
-    assert "theta" in claim(d, "repeats_are_noise").result
+    assert "theta" in check(d, "repeats_are_noise").result
 
 
 @pytest.mark.parametrize(("ratio", "said"), [(10.0, True), (0.1, True), (1.5, False)])
@@ -138,7 +138,7 @@ def test_the_few_parameters_that_are_enough_are_named() -> None:
     d = sk.diagnose(machine, pl.DataFrame({"q1_mm": q[:, 0], "q2_mm": q[:, 1], "x_mm": x}))
     assert d.verdict == "undecided"
     assert "or free fewer: 3 of 8 are enough" in d.headline
-    assert "with a, b, " in claim(d, "poses_suffice").result
+    assert "with a, b, " in check(d, "poses_suffice").result
 
 
 # -- nothing hidden ------------------------------------------------------------------------------------------------

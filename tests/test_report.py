@@ -252,7 +252,7 @@ def test_what_has_no_number_does_not_run(demo: Path, tmp_path: Path) -> None:
 def test_the_report_of_a_tool_has_the_same_policy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Catches a page of its own making: without a policy, or with one under which Bokeh draws nothing."""
     monkeypatch.setattr("sherkit.report.tool.pictures_of", lambda _: [])
-    found: Any = SimpleNamespace(headline="<img src=x onerror='owned = 1'>", ties=[], claims=[], notes=[])
+    found: Any = SimpleNamespace(headline="<img src=x onerror='owned = 1'>", ties=[], checks=[], notes=[])
     t = np.linspace(0.0, 1.0, 50)
     drawn = EstimateOverTime(
         time_s=t, estimate=t, std=0.1 * t, name="insertion depth", unit="mm", others={}, force_mN=t, threshold_mN=50.0

@@ -32,9 +32,9 @@ def rounded(values: Floats, step: float) -> Floats:
     return np.asarray(np.round(values / step) * step)
 
 
-def claim(d: sk.Diagnosis) -> bool | None:
+def check(d: sk.Diagnosis) -> bool | None:
     """Whether the digits are enough."""
-    (found,) = [one for one in d.claims if one.name == "digits"]
+    (found,) = [one for one in d.checks if one.name == "digits"]
     return found.holds
 
 
@@ -103,7 +103,7 @@ def test_what_steps_of_joints_leave_is_what_they_left() -> None:
     """Catches a wrong size: that of the poses' own, estimated without any model of rounding, within 15 %."""
     data = delta(400, 4, 9).data
     d = sk.diagnose(DELTA, replace(data, joints=rounded(data.joints, 0.02)))
-    own = next(one.result for one in d.claims if one.name == "poses_as_repeats").split("off by ")[1].split()[0]
+    own = next(one.result for one in d.checks if one.name == "poses_as_repeats").split("off by ")[1].split()[0]
     alone = d.headline.split("that alone leaves ")[1].split()[0]
     assert float(alone) == pytest.approx(float(own), rel=0.15)
 
@@ -113,7 +113,7 @@ def test_readings_of_too_few_digits_are_named(repeats: int) -> None:
     """Catches a dial of a tenth of a millimetre that is taken for physics."""
     data = delta(300, repeats, 4).data
     d = sk.diagnose(DELTA, replace(data, readings=rounded(data.readings, 0.1)))
-    assert claim(d) is False
+    assert check(d) is False
     assert not d.effects
     assert "x_mm, y_mm, z_mm stand in steps of 0.1 mm" in d.headline
     assert "what the instrument read" in d.headline
@@ -151,7 +151,7 @@ def test_digits_that_are_enough_are_not_mentioned_beside_a_missing_effect() -> N
     run = delta(300, 3, 6, rail_lean=15.0)
     d = sk.diagnose(DELTA, replace(run.data, joints=rounded(run.data.joints, 1e-4)))
     assert d.effects == ("rail_lean",)
-    assert claim(d) is True
+    assert check(d) is True
 
 
 def test_joints_that_were_sent_to_a_grid_are_not_taken_for_rounded_ones() -> None:
@@ -165,4 +165,4 @@ def test_joints_that_were_sent_to_a_grid_are_not_taken_for_rounded_ones() -> Non
     names = ("q1_mm", "q2_mm", "q3_mm", "x_mm", "y_mm", "z_mm")
     d = sk.diagnose(DELTA, sk.from_frame(dict(zip(names, [*joints.T, *readings.T], strict=True))))
     assert "of its own" in d.headline
-    assert claim(d) is True, d.headline
+    assert check(d) is True, d.headline

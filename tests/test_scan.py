@@ -14,7 +14,7 @@ from sherkit.diagnosis import play_operator
 from sherkit.diagnosis.axis_waves import AxisWaves
 from sherkit.diagnosis.gridded import Gridded
 from sherkit.diagnosis.linearised import Linearised, Whitening, correlation_in_time, orthonormal, whiten
-from sherkit.diagnosis.scan import Block, Columns, Scan, codes_of, deviate
+from sherkit.diagnosis.scan import Block, Columns, Scan, codes_of, z_score
 from sherkit.diagnosis.shapes import build, wave
 from sherkit.diagnosis.stage import _one_after_another
 from sherkit.diagnosis.waves import Waves, waves_of
@@ -120,18 +120,18 @@ def test_deviates_are_those_of_least_squares(added: tuple[int, ...]) -> None:
     assert few.left(*range(len(added))) == pytest.approx(given.sum_of_squares, rel=1e-10)
     assert given.sum_of_squares == pytest.approx(float((left(residual, model) ** 2).sum()), rel=1e-10)
     assert given.free == N * M - np.linalg.matrix_rank(model)
-    deviates = given.deviates
+    z_scores = given.z_scores
     gains, ranks = given.gains
     for i, candidate in enumerate(CANDIDATES):
         columns = columns_of(candidate, parts)
         if np.linalg.matrix_rank(np.concatenate([model, columns], axis=1)) == np.linalg.matrix_rank(model):
-            assert deviates[i] == -np.inf
+            assert z_scores[i] == -np.inf
             assert ranks[i] == 0
             continue
         f, k, free = brute_f(residual, model, columns)
         assert ranks[i] == k
         expected = wilson_hilferty(f, k, free)
-        assert deviates[i] == pytest.approx(expected, rel=1e-8, abs=1e-8)
+        assert z_scores[i] == pytest.approx(expected, rel=1e-8, abs=1e-8)
         assert gains[i] > 0
 
 
@@ -148,7 +148,7 @@ def test_a_deviate_has_the_tail_of_its_f(k: int, free: int) -> None:
     for p in (1e-2, 1e-4, 1e-6):
         f = stats.f.isf(p, k, free)
         gain = k * f / (free + k * f) * 7.0  # of a total of 7
-        z = float(deviate(np.array([gain]), np.array([k]), 7.0, free + k)[0])
+        z = float(z_score(np.array([gain]), np.array([k]), 7.0, free + k)[0])
         assert z == pytest.approx(stats.norm.isf(p), abs=0.2 if k > 1 else 0.3)
 
 
@@ -199,10 +199,10 @@ def test_nothing_left_scores_minus_infinity() -> None:
     candidates = [Columns(dense=(0,), exact=True), Columns(dense=(0, 1)), Columns(dense=(2,)), Columns(dense=(3,)),
                   Columns(dense=(3,), exact=True), Columns(dense=(4,)), Columns(functions=(0,))]  # fmt: skip
     scan = Scan(Written(rng.normal(size=(N, M)), fitted, functions, dense), candidates, np.arange(N))
-    deviates = scan.deviates
+    z_scores = scan.z_scores
     # a part of 1e-3 left is too little for a shape and enough for an effect, whose derivative is exact
-    assert (deviates == -np.inf).tolist() == [True, True, False, True, False, True, False]
-    gone = scan.given(candidates[2]).deviates
+    assert (z_scores == -np.inf).tolist() == [True, True, False, True, False, True, False]
+    gone = scan.given(candidates[2]).z_scores
     assert gone[2] == -np.inf
 
 
@@ -219,7 +219,7 @@ def test_p_values_of_noise_are_uniform() -> None:
         noise = (rng.normal(size=(N, M)) + common) * [1.0, 5.0, 0.3] * rng.choice([0.5, 3.0], N // 3)[group, None]
         rows = Written(noise, rng.normal(size=(N, M, P)), rng.normal(size=(N, F)), rng.normal(size=(N, M, D)))
         scan = Scan(rows, CANDIDATES, group)
-        below += scan.p_value(float(scan.deviates.max()), seed=seed) <= 0.05
+        below += scan.p_value(float(scan.z_scores.max()), seed=seed) <= 0.05
     assert stats.binom.ppf(5e-4, 300, 0.05) <= below <= stats.binom.isf(5e-4, 300, 0.05)
 
 
@@ -402,11 +402,11 @@ def test_waves_that_are_never_written_out_are_those_that_are(rho: float, in_turn
         waves.filtered(filtered),
         AxisWaves(family.along, M, filtered),
     )
-    np.testing.assert_allclose(never.deviates, written.deviates, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(never.z_scores, written.z_scores, rtol=1e-7, atol=1e-7)
     np.testing.assert_allclose(never.null(3), written.null(3), rtol=1e-7, atol=1e-7)
     for k in (4, len(sets) + 1):
         one, other = (scan.given(scan.candidates[k]) for scan in (written, never))
-        np.testing.assert_allclose(other.deviates, one.deviates, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(other.z_scores, one.z_scores, rtol=1e-7, atol=1e-7)
     gram, along, _ = never.along_waves(waves.at[3])
     taken = float(along @ np.linalg.lstsq(gram, along, rcond=1e-8)[0])
     assert taken == pytest.approx(written.gains[0][9], rel=1e-8)

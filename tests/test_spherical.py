@@ -542,10 +542,10 @@ def test_an_error_of_every_pose_is_told() -> None:
     frame = clean.to_frame()
     off = frame.with_columns(pl.col("u_px") + own[:, 0], pl.col("v_px") + own[:, 1])
     told, silent = (sk.diagnose(sk.identify(ROBOT, sk.from_frame(f))) for f in (off, frame))
-    claim = next(c for c in told.claims if c.name == "poses_as_repeats")
-    assert claim.holds is False
-    found = re.search(r"u ([\d.]+), v ([\d.]+)\)", claim.result)
+    check = next(c for c in told.checks if c.name == "poses_as_repeats")
+    assert check.holds is False
+    found = re.search(r"u ([\d.]+), v ([\d.]+)\)", check.result)
     assert found
     assert [float(one) for one in found.groups()] == pytest.approx([0.5, 0.5], rel=0.25)
     assert told.verdict == "unexplained"
-    assert next(c for c in silent.claims if c.name == "poses_as_repeats").holds
+    assert next(c for c in silent.checks if c.name == "poses_as_repeats").holds

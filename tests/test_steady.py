@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 import sherkit as sk
 from second_simulator import NOMINAL_CONFIG, Robot, grid, make_plan, simulate
 from sherkit.diagnosis.fitted_run import FittedRun
-from sherkit.diagnosis.steady import wander_of
+from sherkit.diagnosis.steady import slow_drift_of
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]
@@ -40,7 +40,7 @@ def test_noise_that_neighbours_share_does_not_wander(rho: float) -> None:
     rng, count = np.random.default_rng(3), 0
     for n in (80, 240, 900):
         for _ in range(80):
-            found = wander_of(left(noise(rng, n, rho), np.arange(n) * 4.0))
+            found = slow_drift_of(left(noise(rng, n, rho), np.arange(n) * 4.0))
             assert found is not None
             count += found.counts
     assert count <= 1
@@ -60,7 +60,7 @@ def test_what_wanders_is_found_on_its_axis_and_in_its_size(shape: str) -> None:
     residuals = noise(rng, n, 0.2)
     residuals[:, 1] += moved
     order = rng.permutation(n)  # rows need not stand in the order of time
-    found = wander_of(left(residuals[order], times[order]))
+    found = slow_drift_of(left(residuals[order], times[order]))
     assert found is not None
     assert found.counts
     assert found.axis == "y"
@@ -72,9 +72,9 @@ def test_what_wanders_is_found_on_its_axis_and_in_its_size(shape: str) -> None:
 def test_too_little_says_nothing() -> None:
     """Catches a claim about time where none is known, and a crash on a run of a few rows."""
     rng = np.random.default_rng(1)
-    assert wander_of(left(noise(rng, 40, 0.0), np.arange(40.0))) is None
+    assert slow_drift_of(left(noise(rng, 40, 0.0), np.arange(40.0))) is None
     run = left(noise(rng, 100, 0.0), np.zeros(100))
-    assert wander_of(run) is None
+    assert slow_drift_of(run) is None
 
 
 def test_what_comes_back_in_time_is_a_wave() -> None:
@@ -88,10 +88,10 @@ def test_what_comes_back_in_time_is_a_wave() -> None:
         frame = pl.DataFrame(columns)
         steady = sk.diagnose(EXAMPLE, sk.from_frame(frame))
         assert "wanders" not in steady.headline
-        assert next(c for c in steady.claims if c.name == "steady").holds
+        assert next(c for c in steady.checks if c.name == "steady").holds
         humid = 0.015 * np.sin(2 * np.pi * frame["time_s"] / 150.0 + 1.0)
         found = sk.diagnose(EXAMPLE, sk.from_frame(frame.with_columns(pl.col("x_mm") + humid)))
-        assert not next(c for c in found.claims if c.name == "steady").holds
+        assert not next(c for c in found.checks if c.name == "steady").holds
         assert found.verdict == "unexplained"
         assert found.signature is not None
         assert (found.signature["depends_on"], found.signature["axis"]) == (["time_s"], ["x"])
@@ -109,7 +109,7 @@ def test_a_verdict_says_that_readings_wander() -> None:
     for k in range(1, len(stray)):
         stray[k] = 0.9 * stray[k - 1] + 0.0065 * rng.normal()
     found = sk.diagnose(EXAMPLE, sk.from_frame(frame.with_columns(pl.col("x_mm") + stray)))
-    steady = next(c for c in found.claims if c.name == "steady")
+    steady = next(c for c in found.checks if c.name == "steady")
     assert not steady.holds
     assert "x wanders by" in steady.result
     assert found.verdict == "unexplained"

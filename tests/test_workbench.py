@@ -54,7 +54,7 @@ def settled(bench: Workbench) -> None:
 def test_a_change_is_shown_then_diagnosed_and_saved(bench: Workbench, tmp_path: Path) -> None:
     """Catches a moment that changes under a page that draws it, and a step that is not on disk when it is seen."""
     told = heard(bench)
-    before = bench.moment
+    before = bench.page_state
     bench.toggle("rail_lean")
     settled(bench)
     moments = [value for kind, value in told if kind == "moment"]
@@ -70,11 +70,11 @@ def test_a_change_is_shown_then_diagnosed_and_saved(bench: Workbench, tmp_path: 
     bench.toggle("rail_lean")
     bench.undo()
     settled(bench)
-    assert bench.moment.effects == ("rail_lean",)
-    assert (bench.moment.undoes, bench.moment.redoes) == ("added rail_lean", "removed rail_lean")
+    assert bench.page_state.effects == ("rail_lean",)
+    assert (bench.page_state.undoes, bench.page_state.redoes) == ("added rail_lean", "removed rail_lean")
     bench.redo()
     settled(bench)
-    assert bench.moment.effects == ()
+    assert bench.page_state.effects == ()
 
 
 def test_the_workspace_follows_the_model(bench: Workbench) -> None:
@@ -84,13 +84,13 @@ def test_the_workspace_follows_the_model(bench: Workbench) -> None:
     bench.toggle("rail_lean")
     settled(bench)
     assert [kind for kind, _ in told if kind in ("moment", "space")] == ["moment", "moment", "space"]
-    assert bench.moment.space.startswith("<sherkit-scene")
-    assert "the geometric model and added rail_lean" in bench.moment.space
+    assert bench.page_state.space.startswith("<sherkit-scene")
+    assert "the geometric model and added rail_lean" in bench.page_state.space
     bench.toggle("rail_lean")
     settled(bench)
     # with one step alone, what is found missing stands beside it
-    assert "added rail_lean" not in bench.moment.space
-    assert "the geometric model and with rail_lean" in bench.moment.space
+    assert "added rail_lean" not in bench.page_state.space
+    assert "the geometric model and with rail_lean" in bench.page_state.space
 
 
 def test_errors_are_sentences_and_change_nothing(bench: Workbench, tmp_path: Path) -> None:
@@ -118,13 +118,13 @@ def test_errors_are_sentences_and_change_nothing(bench: Workbench, tmp_path: Pat
     assert errors[4].startswith("empty.csv: is empty")
     assert errors[5].startswith("bad.csv: line 2")
     assert "SystemExit" in errors[6]
-    assert bench.moment.effects == ()
-    assert len(bench.moment.history) == 1
+    assert bench.page_state.effects == ()
+    assert len(bench.page_state.history) == 1
     assert not list((tmp_path / "study").glob("added*"))
     # and the worker goes on
     bench.toggle("rail_lean")
     settled(bench)
-    assert bench.moment.effects == ("rail_lean",)
+    assert bench.page_state.effects == ("rail_lean",)
 
 
 def test_a_change_makes_a_diagnosis_give_way(bench: Workbench) -> None:
@@ -136,9 +136,9 @@ def test_a_change_makes_a_diagnosis_give_way(bench: Workbench) -> None:
     assert started.wait(_WAIT_S)
     bench.toggle("rail_lean")
     settled(bench)
-    assert bench.moment.effects == ("rail_lean",)
-    assert bench.moment.diagnosis is not None
-    assert bench.moment.diagnosis.verdict == "adequate"
+    assert bench.page_state.effects == ("rail_lean",)
+    assert bench.page_state.diagnosis is not None
+    assert bench.page_state.diagnosis.verdict == "adequate"
     assert not [value for kind, value in told if kind == "error"]
 
 
@@ -150,10 +150,10 @@ def test_work_that_is_cancelled_leaves_the_study_as_it_was(bench: Workbench) -> 
     assert started.wait(_WAIT_S)
     bench.cancel()
     settled(bench)
-    assert bench.moment.diagnosis is None
+    assert bench.page_state.diagnosis is None
     bench.diagnose()
     settled(bench)
-    assert bench.moment.diagnosis is not None
+    assert bench.page_state.diagnosis is not None
 
 
 def test_a_study_is_reopened_only_for_the_same_files(
@@ -166,11 +166,11 @@ def test_a_study_is_reopened_only_for_the_same_files(
         Workbench.open(*files, tmp_path / "study")
     bench.close()
     again = Workbench.open(*files, tmp_path / "study")
-    assert again.moment.effects == ("rail_lean",)
-    assert again.moment.undoes == "added rail_lean"
+    assert again.page_state.effects == ("rail_lean",)
+    assert again.page_state.undoes == "added rail_lean"
     again.undo()
     settled(again)
-    assert again.moment.effects == ()
+    assert again.page_state.effects == ()
     again.close()
     text = files[1].read_text()
     files[1].write_text(text + text.splitlines()[-1].replace(",2,", ",3,") + "\n")
@@ -197,4 +197,4 @@ def test_a_run_that_was_rewritten_is_refused(files: tuple[Path, Path], bench: Wo
     assert len(errors) == 1, errors
     error = errors[0]
     assert "no longer those that were read before" in error or "was given before" in error
-    assert len(bench.moment.history) == 1
+    assert len(bench.page_state.history) == 1

@@ -76,7 +76,7 @@ class Answer:
 
 def sentences_of(d: Any) -> tuple[str, ...]:
     """Everything that a diagnosis says in words."""
-    return (*d.notes, *(str(claim) for claim in getattr(d, "claims", ())))
+    return (*d.notes, *(str(check) for check in getattr(d, "checks", ())))
 
 
 @dataclass(frozen=True, eq=False)

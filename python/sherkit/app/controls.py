@@ -7,7 +7,7 @@ from typing import Any
 
 from bokeh.models import Button, Div
 
-from .moment import Said
+from .page_state import Said
 
 #: Of a sentence about a mistake, as the page defines it for light and dark; on white it has a contrast of 7 (the orange
 #: of the pictures has 3.9).

@@ -17,7 +17,7 @@ from ..model.effect import Effect
 from ..report.card import drawing_of, its_numbers, ties, what_it_is
 from ..report.style import number
 from .controls import TYPE, button
-from .moment import Moment
+from .page_state import PageState
 
 _BUTTON, _WIDTH = 190, 356
 _CARD = """
@@ -45,7 +45,7 @@ class EffectList:
         self._would: dict[str, float] = {}
         self._idle: frozenset[str] = frozenset()
         self._all = False
-        self._moment: Moment | None = None
+        self._page_state: PageState | None = None
         self._unfold = button("", "unfold_effects", width=_WIDTH - 12, visible=False)
         self._unfold.on_click(self._unfolded)
         self._list = column(width=_WIDTH)
@@ -53,17 +53,17 @@ class EffectList:
 
     def _unfolded(self) -> None:
         self._all = not self._all
-        if self._moment is not None:
-            self.show(self._moment)
+        if self._page_state is not None:
+            self.show(self._page_state)
 
-    def show(self, moment: Moment) -> None:
+    def show(self, page_state: PageState) -> None:
         """Draws the list of a moment."""
-        self._moment = moment
-        if moment.diagnosis is not None:
-            self._would = {c.effect: c.held_out_rms for c in moment.diagnosis.candidates}
-            self._idle = idle(moment.diagnosis)
-        every = ordered(moment, self._would)
-        folded = [name for name in every if name in self._idle and name not in (*moment.effects, *moment.own)]
+        self._page_state = page_state
+        if page_state.diagnosis is not None:
+            self._would = {c.effect: c.held_out_rms for c in page_state.diagnosis.candidates}
+            self._idle = idle(page_state.diagnosis)
+        every = ordered(page_state, self._would)
+        folded = [name for name in every if name in self._idle and name not in (*page_state.effects, *page_state.own)]
         names = every if self._all else [name for name in every if name not in folded]
         self._unfold.visible = bool(folded)
         count = f"{len(folded)} that would not help"
@@ -73,7 +73,7 @@ class EffectList:
         if len(self._list.children) != len(names):
             self._list.children = [place.root for place in self._places[: len(names)]]
         for name, place in zip(names, self._places, strict=False):
-            place.show(name, moment)
+            place.show(name, page_state)
 
 
 def idle(found: Diagnosis) -> frozenset[str]:
@@ -87,14 +87,14 @@ def idle(found: Diagnosis) -> frozenset[str]:
     return frozenset({*out, *found.untestable} - kept)
 
 
-def ordered(moment: Moment, would: Mapping[str, float]) -> list[str]:
+def ordered(page_state: PageState, would: Mapping[str, float]) -> list[str]:
     """Effects in the model, then those that are named as missing, then by what each ``would`` leave."""
-    found = moment.diagnosis
-    names = [name for name in moment.known if name != "datum"]
+    found = page_state.diagnosis
+    names = [name for name in page_state.known if name != "datum"]
 
     def order(name: str) -> tuple[int, float]:
-        if name in moment.effects:
-            return 0, moment.effects.index(name)
+        if name in page_state.effects:
+            return 0, page_state.effects.index(name)
         if found is not None and name in found.effects:
             return 1, found.effects.index(name)
         return (2, would[name]) if name in would else (3, names.index(name))
@@ -116,8 +116,8 @@ class _Place:
         self._card = Div(width=_WIDTH - 8, margin=(0, 0, 0, 5), stylesheets=[_CARD])
         self.root = column(row(self._button, self._text, margin=0), self._card, width=_WIDTH, margin=0, spacing=0)
 
-    def show(self, name: str, moment: Moment) -> None:
-        found, inside = moment.diagnosis, name in moment.effects
+    def show(self, name: str, page_state: PageState) -> None:
+        found, inside = page_state.diagnosis, name in page_state.effects
         known, self._name = name == self._name, name
         lead = found is not None and name in found.effects
         label = f"✓ {name}" if inside else f"+ {name}"
@@ -127,41 +127,41 @@ class _Place:
         if self._button.button_type != kind:
             self._button.button_type = kind
         self._button.disabled = not inside and found is not None and name in found.untestable
-        said = _said(name, moment)
+        said = _said(name, page_state)
         if self._text.text != said:
             self._text.text = said
         if known and found is None:
             return  # a card that is being read stays until there is more to say
-        shown = _card(moment.known[name], moment, opened=lead)
+        shown = _card(page_state.known[name], page_state, opened=lead)
         if self._card.text != shown:
             self._card.text = shown
 
 
-def _card(effect: Effect, moment: Moment, *, opened: bool) -> str:
+def _card(effect: Effect, page_state: PageState, *, opened: bool) -> str:
     """What it is, folded unless ``opened``.
 
     The machine is drawn where the card stands open, and with what is in the model: the others would cost the page a
     tenth of a second at every click.
     """
-    fit, found = moment.history[-1].fit, moment.diagnosis
+    fit, found = page_state.history[-1].fit, page_state.diagnosis
     if opened and found is not None:
         fit = found.fit  # it is in this one
     parts = [what_it_is(effect, fit), its_numbers(effect, fit, found), ties(effect, found)]
     if effect.function is not None:  # a person's lines may do anything: the page does not ask them
-        parts.insert(0, moment.drawings.get(effect.name, ""))
-    elif fit is not None and (opened or effect.name in moment.effects):
+        parts.insert(0, page_state.drawings.get(effect.name, ""))
+    elif fit is not None and (opened or effect.name in page_state.effects):
         parts.insert(0, drawing_of(effect, fit.model, fit))
     return f"<details{' open' if opened else ''}><summary>what it is</summary>{''.join(parts)}</details>"
 
 
-def _said(name: str, moment: Moment) -> str:
+def _said(name: str, page_state: PageState) -> str:
     """What stands beside a switch."""
-    found, unit = moment.diagnosis, escape(moment.now.unit)
-    if name in moment.effects:
+    found, unit = page_state.diagnosis, escape(page_state.now.unit)
+    if name in page_state.effects:
         idle = found is not None and name in found.not_needed
-        if name not in moment.without:
+        if name not in page_state.without:
             return "in the model"
-        return f"without it <b>{number(moment.without[name])}</b> {unit}{' · not needed' if idle else ''}"
+        return f"without it <b>{number(page_state.without[name])}</b> {unit}{' · not needed' if idle else ''}"
     if found is None:
         return ""
     if name in found.untestable:

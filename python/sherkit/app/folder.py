@@ -11,7 +11,7 @@ from ..data.tables import PARQUET
 from ..errors import SherkitError
 from ..model.kinds import known_kinds
 from ..study_file import read_state
-from .growing import whole_lines
+from .tail import whole_lines
 
 TYPED = "typed_effects.py"
 SOURCES = "sources.json"

@@ -27,7 +27,7 @@ from ..report.scene import script as scenes
 from ..report.style import number
 from .controls import TYPE, Notices, button, text
 from .effect_list import EffectList
-from .moment import EXPORTS, FILES, HISTORY, LINES, ROWS, Moment, Said
+from .page_state import EXPORTS, FILES, HISTORY, LINES, ROWS, PageState, Said
 from .selection import Selection
 from .shown import Fall, Maps
 from .workbench import Workbench, rights_of
@@ -55,21 +55,21 @@ class StudyPage:
     def __init__(self, document: Document, bench: Workbench, links: str, again: str = "") -> None:
         self.document = document
         self.bench = bench
-        self.moment: Moment | None = None
+        self.page_state: PageState | None = None
         self._dropping = False
         self._notices = Notices(_EFFECTS, HISTORY, LINES, FILES, ROWS, EXPORTS)
         self._build(links)
-        self._draw(bench.moment)
+        self._draw(bench.page_state)
         self._draw_below()
         self._told("progress", bench.progress)
-        document.title = f"sherkit: {bench.moment.data.source}"
+        document.title = f"sherkit: {bench.page_state.data.source}"
         self._loop, self._over = IOLoop.current(), False
         self._end = bench.listen(lambda kind, value: self._later(lambda: self._told(kind, value)))
         place = self._notices.place[HISTORY]
         gone = CustomJS(args={"place": place, "said": _gone(again)}, code="place.text = said; place.visible = true")
         document.js_on_event("connection_lost", gone)
         document.on_session_destroyed(lambda _: self._left())
-        if bench.moment.diagnosis is None:
+        if bench.page_state.diagnosis is None:
             bench.diagnose()
 
     def _later(self, work: Callable[[], None]) -> None:
@@ -191,12 +191,12 @@ class StudyPage:
             # a browser paints the answer before it is given the rest
             self.document.add_timeout_callback(self._rest, _ANSWER_MS)
         elif kind == "space":
-            self.moment = value
+            self.page_state = value
             self._show_space(value)
         elif kind == "progress":
             self._status.text = f"<i>{escape(value)} …</i>" if value else "Ready."
             self._cancel.visible = bool(value)
-            self._ask.visible = not value and self.bench.moment.diagnosis is None
+            self._ask.visible = not value and self.bench.page_state.diagnosis is None
         else:
             self._notices.show(value, _EFFECTS, wrong=kind == "error")
 
@@ -206,7 +206,7 @@ class StudyPage:
         work()
 
     def _take_out(self) -> None:
-        found = self.bench.moment.diagnosis
+        found = self.bench.page_state.diagnosis
         if found is not None and found.not_needed:
             self._do(lambda: self.bench.toggle(found.not_needed[0]))
 
@@ -225,7 +225,7 @@ class StudyPage:
             self._drop.clear()
 
     def _fill_shape(self) -> None:
-        found = self.bench.moment.diagnosis
+        found = self.bench.page_state.diagnosis
         if found is None or found.signature is None:
             said = Said("there is no unexplained shape to fill in: every shape found has an effect", LINES)
             self._notices.show(said, LINES, wrong=True)
@@ -234,49 +234,49 @@ class StudyPage:
 
     # -- drawing -----------------------------------------------------------------------------------------
 
-    def _draw(self, moment: Moment) -> None:
-        self.moment = moment
-        self._draw_numbers(moment)
-        self._draw_headline(moment)
-        self._effects.show(moment)
-        self._undo.visible, self._undo.label = bool(moment.undoes), _called("Undo", moment.undoes)
-        self._redo.visible, self._redo.label = bool(moment.redoes), _called("Redo", moment.redoes)
-        idle = moment.diagnosis.not_needed if moment.diagnosis is not None else ()
+    def _draw(self, page_state: PageState) -> None:
+        self.page_state = page_state
+        self._draw_numbers(page_state)
+        self._draw_headline(page_state)
+        self._effects.show(page_state)
+        self._undo.visible, self._undo.label = bool(page_state.undoes), _called("Undo", page_state.undoes)
+        self._redo.visible, self._redo.label = bool(page_state.redoes), _called("Redo", page_state.redoes)
+        idle = page_state.diagnosis.not_needed if page_state.diagnosis is not None else ()
         self._advised.visible = bool(idle)
         if idle:
             self._advised.label = f"Take out {idle[0]}: not needed"
-        self._fall.show(moment)
+        self._fall.show(page_state)
 
     def _draw_below(self) -> None:
         """What stands below the line and the fall: many times as much to draw, and looked at later."""
-        if self.moment is not None:
-            self._selection.show(self.moment)
-            self._maps.show(self.moment)
-            self._fall.show_parameters(self.moment)
+        if self.page_state is not None:
+            self._selection.show(self.page_state)
+            self._maps.show(self.page_state)
+            self._fall.show_parameters(self.page_state)
             # that of the moment before stays until the new one is drawn
-            if self.moment.space:
-                self._show_space(self.moment)
+            if self.page_state.space:
+                self._show_space(self.page_state)
 
-    def _show_space(self, moment: Moment) -> None:
-        self._space.text, self._space.visible = moment.space, bool(moment.space)
+    def _show_space(self, page_state: PageState) -> None:
+        self._space.text, self._space.visible = page_state.space, bool(page_state.space)
 
-    def _draw_numbers(self, moment: Moment) -> None:
-        left, last = moment.now, moment.history[-1]
+    def _draw_numbers(self, page_state: PageState) -> None:
+        left, last = page_state.now, page_state.history[-1]
         unit = escape(left.unit)
         beside = []
         if left.noise_origin != "unknown":
             beside.append(f"noise {number(float(np.sqrt(np.mean(left.noise**2))))} {unit}")
-        if moment.required_um and left.unit == "µm":
-            beside.append(f"needed {moment.required_um:g} {unit}")
+        if page_state.required_um and left.unit == "µm":
+            beside.append(f"needed {page_state.required_um:g} {unit}")
         self._numbers.text = (
             f'<span style="font-size:34px;line-height:1"><b id="error-now">{number(last.held_out)}</b> {unit}</span>'
             " is how far the model is off at poses that it was not fitted to (RMS)<br>"
             f"{' · '.join(beside)}{' · ' if beside else ''}"
-            f"in the model: {escape(listed(moment.effects, 20)) or 'the geometry alone'}"
+            f"in the model: {escape(listed(page_state.effects, 20)) or 'the geometry alone'}"
         )
 
-    def _draw_headline(self, moment: Moment) -> None:
-        found, data = moment.diagnosis, moment.data
+    def _draw_headline(self, page_state: PageState) -> None:
+        found, data = page_state.diagnosis, page_state.data
         rows = f"{escape(data.source.rpartition('/')[2])}: {len(data)} rows"
         if data.outlier.any():
             rows += f", {int(data.outlier.sum())} marked"

@@ -12,7 +12,7 @@ from bokeh.models import CustomJS, TextInput
 
 from ..report.picture import Picture
 from .controls import TYPE, Notices, button, text
-from .moment import ROWS, Moment, Said
+from .page_state import ROWS, PageState, Said
 from .workbench import Workbench
 
 _SHOWN = 40
@@ -26,7 +26,7 @@ class Selection:
 
     def __init__(self, bench: Workbench, notices: Notices, do: Callable[[Callable[[], object]], None]) -> None:
         self._bench, self._notices, self._do = bench, notices, do
-        self._moment: Moment | None = None
+        self._page_state: PageState | None = None
         self._rows: tuple[int, ...] = ()
         #: Tables of the pictures in which rows can be chosen.
         self._brushable: list[Any] = []
@@ -49,14 +49,14 @@ class Selection:
         )
         self.root = column(buttons, notices.place[ROWS], self._list, sizing_mode="stretch_width")
 
-    def show(self, moment: Moment) -> None:
+    def show(self, page_state: PageState) -> None:
         """Says what is suspected of a moment, and how rows are counted."""
-        self._moment = moment
-        found = moment.diagnosis
+        self._page_state = page_state
+        found = page_state.diagnosis
         suspected = 0 if found is None else len(found.outliers)
         self._suspects.disabled = not suspected
         self._suspects.label = f"Mark the {suspected} suspected" if suspected else _SUSPECTS
-        lines = moment.data.counted == "line"
+        lines = page_state.data.counted == "line"
         self._typed.title = f"Rows by their number {'in the file' if lines else 'from 0'}, such as 12, 40-45"
         self._draw()
 
@@ -107,17 +107,17 @@ class Selection:
 
     def _tell(self) -> None:
         """Shows the workspace which poses are chosen: it knows each by one of its lines."""
-        data = None if self._moment is None else self._moment.data
+        data = None if self._page_state is None else self._page_state.data
         poses = [] if data is None else data.line[np.isin(data.groups, data.groups[list(self._rows)])].tolist()
         if self._list.tags != poses:
             self._list.tags = poses
 
     def _select_typed(self) -> None:
         """Rows given by their numbers in the file."""
-        moment = self._moment
-        if moment is None or not self._typed.value.strip():
+        page_state = self._page_state
+        if page_state is None or not self._typed.value.strip():
             return
-        line = moment.data.line
+        line = page_state.data.line
         wanted = np.zeros(len(line), dtype=bool)
         for part in self._typed.value.split(","):
             low, dash, high = (one.strip() for one in part.partition("-"))
@@ -126,7 +126,7 @@ class Selection:
                 return
             found = (line >= int(low)) & (line <= int(high or low))
             if not found.any():
-                self._wrong(f"{moment.data.source} has no row on {moment.data.counted} {part.strip()}")
+                self._wrong(f"{page_state.data.source} has no row on {page_state.data.counted} {part.strip()}")
                 return
             wanted |= found
         self._do(lambda: self.select(np.flatnonzero(wanted).tolist()))
@@ -141,14 +141,14 @@ class Selection:
 
     def _draw(self) -> None:
         self._mark.disabled = not self._rows
-        moment = self._moment
-        said = _NOTHING if moment is None or not self._rows else _table(moment, self._rows)
+        page_state = self._page_state
+        said = _NOTHING if page_state is None or not self._rows else _table(page_state, self._rows)
         if self._list.text != said:
             self._list.text = said
 
 
-def _table(moment: Moment, chosen: Sequence[int]) -> str:
-    left = moment.now
+def _table(page_state: PageState, chosen: Sequence[int]) -> str:
+    left = page_state.now
     index = {int(r): k for k, r in enumerate(left.row)}
     rows = [r for r in chosen if r in index]
     head = "".join(f"<th>{escape(n)}, {escape(left.unit)}</th>" for n in left.names)

@@ -18,7 +18,7 @@ from ..report.residual_map import Change, residual_map
 from ..report.residuals import Residuals
 from ..report.style import MUTED, quantity
 from .controls import TYPE, button
-from .moment import Moment
+from .page_state import PageState
 
 _WIDTH, _FALL_HEIGHT, _FALL_ROOM = 1000, 232, 350
 #: The colour scale stands beside the panels of the map.
@@ -32,7 +32,7 @@ class Maps:
 
     def __init__(self, selected: Callable[[], None], watch: Callable[[dict[str, Picture[Any]]], None]) -> None:
         self._selected, self._watch = selected, watch
-        self._moment: Moment | None = None
+        self._page_state: PageState | None = None
         self._pictures: dict[str, Picture[Any]] = {}
         #: What the pictures were built for; other rows need new ones.
         self._built_for: tuple[Any, ...] = ()
@@ -54,27 +54,27 @@ class Maps:
         self.variable = row(self._variable)
         self.against = column(name="against", width=_WIDTH)
 
-    def show(self, moment: Moment) -> None:
+    def show(self, page_state: PageState) -> None:
         """Goes to the state of a moment, where that is another one."""
-        self._moment = moment
-        if self._history != moment.history:
-            self._history = moment.history
-            self._fill(moment)
+        self._page_state = page_state
+        if self._history != page_state.history:
+            self._history = page_state.history
+            self._fill(page_state)
             self._draw()
 
-    def _fill(self, moment: Moment) -> None:
-        known = [k for k in current_path(moment.history) if moment.residuals[k]]
-        steps = [(str(k), f"{place}. {moment.history[k].action}") for place, k in enumerate(known)]
+    def _fill(self, page_state: PageState) -> None:
+        known = [k for k in current_path(page_state.history) if page_state.residuals[k]]
+        steps = [(str(k), f"{place}. {page_state.history[k].action}") for place, k in enumerate(known)]
         self._before.options, self._after.options = steps, steps
         # one state alone is compared with nothing
         if self.choices.visible != (len(steps) > 1):
             self.choices.visible = len(steps) > 1
         self._quiet(self._before, steps[0][0])
         self._quiet(self._after, steps[-1][0])
-        variables = list(moment.now.variables)
+        variables = list(page_state.now.variables)
         self._variable.options = [(name, quantity(name)) for name in variables]
         if self._variable.value not in variables:
-            found = moment.diagnosis
+            found = page_state.diagnosis
             first = [d.variable for d in found.where if d.variable in variables] if found is not None else variables
             self._quiet(self._variable, (first or variables)[0])
 
@@ -85,10 +85,10 @@ class Maps:
         self._filling = False
 
     def _draw(self) -> None:
-        moment = self._moment
-        if moment is None or self._filling:
+        page_state = self._page_state
+        if page_state is None or self._filling:
             return
-        before, after = self._left(moment, self._before.value), self._left(moment, self._after.value)
+        before, after = self._left(page_state, self._before.value), self._left(page_state, self._after.value)
         # a browser says again what it was told to show
         wanted = (before, after, self._variable.value, self._scale.value)
         if before is None or after is None or wanted == self._drawn:
@@ -114,12 +114,12 @@ class Maps:
         self._selected()
 
     @staticmethod
-    def _left(moment: Moment, which: str) -> Residuals | None:
-        return moment.residuals[int(which)] if which else None
+    def _left(page_state: PageState, which: str) -> Residuals | None:
+        return page_state.residuals[int(which)] if which else None
 
     def _place(self, name: str, place: Any, picture: Picture[Any]) -> None:
         self._pictures[name] = picture
-        note = against_note(self._moment.now) if name == "against" and self._moment else picture.note
+        note = against_note(self._page_state.now) if name == "against" and self._page_state else picture.note
         _name(picture, name)
         place.children = [
             picture.root, Div(text=escape(note), width=_WIDTH, styles={"font-size": "14px", "color": MUTED})
@@ -130,7 +130,7 @@ class Fall:
     """The fall of the error along the steps that led to where the study stands, and how well parameters are known."""
 
     def __init__(self) -> None:
-        self._moment: Moment | None = None
+        self._page_state: PageState | None = None
         self._pictures: dict[str, Picture[Any]] = {}
         #: What the pictures were built for; other readings or units need new ones.
         self._fall_for: tuple[str, ...] | None = None
@@ -143,36 +143,36 @@ class Fall:
 
     def _unfolded(self) -> None:
         self._all = not self._all
-        if self._moment is not None:
-            self.show(self._moment)
+        if self._page_state is not None:
+            self.show(self._page_state)
 
-    def show(self, moment: Moment) -> None:
+    def show(self, page_state: PageState) -> None:
         """Draws the fall of a moment."""
-        self._moment = moment
-        path = current_path(moment.history)
-        folded = len(moment.history) - len(path)
+        self._page_state = page_state
+        path = current_path(page_state.history)
+        folded = len(page_state.history) - len(path)
         self.unfold.visible = bool(folded)
         count = f"{folded} step{'s' if folded > 1 else ''}"
         self.unfold.label = f"Fold the {count} taken back" if self._all else f"Show {count} taken back"
-        chosen = [s for k, s in enumerate(moment.history) if self._all or k in path]
+        chosen = [s for k, s in enumerate(page_state.history) if self._all or k in path]
         steps = [
             ErrorOfStep(s.action, {k.rsplit("_", 1)[0]: v for k, v in s.held_out_rms.items()},
                  {k.rsplit("_", 1)[0]: v for k, v in s.training_rms.items()}, _short(s.action))
             for s in chosen
         ]  # fmt: skip
-        left = moment.now
+        left = page_state.now
         known = left.noise_origin != "unknown"
         noise = dict(zip(left.names, left.noise.tolist(), strict=True)) if known else {}
-        state = ErrorHistory(steps, noise, left.unit, moment.required_um if left.unit == "µm" else None)
+        state = ErrorHistory(steps, noise, left.unit, page_state.required_um if left.unit == "µm" else None)
         if self._fall_for != tuple(noise):
             self._fall_for = tuple(noise)
             self._put("fall", self.fall, error_history(state, height_px=_FALL_HEIGHT, room_px=_FALL_ROOM))
         else:
             self._pictures["fall"].show(state)
 
-    def show_parameters(self, moment: Moment) -> None:
+    def show_parameters(self, page_state: PageState) -> None:
         """Draws how well the parameters of a moment are known."""
-        fit = moment.history[-1].fit
+        fit = page_state.history[-1].fit
         if fit is None:
             return
         units = tuple(dict.fromkeys(p.unit for p in fit.parameters))

@@ -11,7 +11,7 @@ from ..errors import EffectError
 from ..model.effect import Effect
 from ..names import listed
 from ..study import Study
-from .apart import PATIENCE_S, Apart
+from .sandbox import PATIENCE_S, Sandbox
 
 
 class Typed:
@@ -22,7 +22,7 @@ class Typed:
         self.look: Callable[[], None] = lambda: None
         self._patience_s = patience_s
         #: Effects of older lines, which a step that is undone may bring back, and of those that are kept.
-        self._apart: list[Apart] = []
+        self._sandbox: list[Sandbox] = []
         self._names: frozenset[str] = frozenset()
 
     @property
@@ -49,7 +49,7 @@ class Typed:
         write_whole(trial, source)
         known = dict(study.own)
         used = self._names & set(study.effects)
-        made: Apart | None = None
+        made: Sandbox | None = None
         try:
             if used and not _contains(source, self.path.read_text(encoding="utf-8")):
                 # the model would go on with the old lines, and the study come back with the new ones
@@ -70,23 +70,23 @@ class Typed:
         trial.replace(self.path)
         self._kept(made)
 
-    def _begun(self, source: str) -> Apart:
-        return Apart(source, lambda: self.look(), self._patience_s)
+    def _begun(self, source: str) -> Sandbox:
+        return Sandbox(source, lambda: self.look(), self._patience_s)
 
-    def _kept(self, made: Apart) -> tuple[Effect, ...]:
+    def _kept(self, made: Sandbox) -> tuple[Effect, ...]:
         self.end()  # those that are asked again begin again, with their own lines
-        self._apart.append(made)
+        self._sandbox.append(made)
         self._names = frozenset(e.name for e in made.effects)
         return made.effects
 
     def forgive(self) -> None:
         """Asks lines again that were ended."""
-        for one in self._apart:
+        for one in self._sandbox:
             one.forgive()
 
     def end(self) -> None:
         """Ends what runs."""
-        for one in self._apart:
+        for one in self._sandbox:
             one.end()
 
 

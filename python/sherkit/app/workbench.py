@@ -1,7 +1,7 @@
 """What stands behind the page: a study, one worker that changes it, and a folder that holds every step of it.
 
-Nothing here knows of a browser. Work runs in one thread, in order; what a page shows is a :class:`Moment`, a value that
-no later work changes.
+Nothing here knows of a browser. Work runs in one thread, in order; what a page shows is a :class:`PageState`, a value
+that no later work changes.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from ..report.states import title_of
 from ..robots.machine.file import is_machine, robot_at
 from ..study import Study
 from .folder import SOURCES, TYPED, begun_from, hold, require_effects, require_same
-from .growing import read_as, read_so_far
-from .moment import EXPORTS, FILES, HISTORY, LINES, ROWS, Moment, Said
+from .page_state import EXPORTS, FILES, HISTORY, LINES, ROWS, PageState, Said
+from .tail import read_as, read_so_far
 from .typed import Typed
 from .worker import Worker
 
@@ -70,7 +70,7 @@ class Workbench:
         #: Rows that the run had when it was followed last.
         self._run_rows = 0
         self._held = lock
-        self.moment = self._moment()
+        self.page_state = self._page_state()
         self.progress = ""
 
     # -- opening -----------------------------------------------------------------------------------------
@@ -154,20 +154,20 @@ class Workbench:
         """Asks what is missing now; other changes that wait go first."""
 
         def run() -> None:
-            if self._worker.unwanted or self.moment.diagnosis is not None:
+            if self._worker.unwanted or self.page_state.diagnosis is not None:
                 return
             try:
                 step = self._step("diagnosing")
                 found = self._study.diagnose(step=step)
                 without = {}
-                for name in self.moment.effects:
+                for name in self.page_state.effects:
                     step(f"without {name}")
                     without[name] = self._study.without(name).held_out
                 drawings = self._drawings(found, step)
-                self.moment = replace(self.moment, diagnosis=found, without=without, drawings=drawings)
-                self._say("moment", self.moment)
-                self.moment = replace(self.moment, space=self._space(step))
-                self._say("space", self.moment)
+                self.page_state = replace(self.page_state, diagnosis=found, without=without, drawings=drawings)
+                self._say("moment", self.page_state)
+                self.page_state = replace(self.page_state, space=self._space(step))
+                self._say("space", self.page_state)
             except BaseException as error:
                 self._told_of(error, "diagnosing", HISTORY)
 
@@ -176,11 +176,11 @@ class Workbench:
     def _drawings(self, found: Diagnosis, step: Progress) -> dict[str, str]:
         """The machine with each of the user's own effects, exaggerated; their lines are asked in this thread alone."""
         out = {}
-        for name in self.moment.own:
-            fit = found.fit if name in found.effects else self.moment.history[-1].fit
-            if fit is not None and name in (*found.effects, *self.moment.effects):
+        for name in self.page_state.own:
+            fit = found.fit if name in found.effects else self.page_state.history[-1].fit
+            if fit is not None and name in (*found.effects, *self.page_state.effects):
                 step(f"drawing {name}")
-                out[name] = drawing_of(self.moment.known[name], fit.model, fit)
+                out[name] = drawing_of(self.page_state.known[name], fit.model, fit)
                 self._typed.forgive()
                 step("diagnosing")  # what was cancelled meanwhile is not shown as a failure to draw
         return out
@@ -188,9 +188,10 @@ class Workbench:
     def _space(self, step: Progress) -> str:
         """The workspace with the errors of the first step and the last, or of what is found missing where there is one
         step alone; typed lines are asked in this thread alone."""
-        path = [self.moment.history[k] for k in current_path(self.moment.history) if self.moment.residuals[k]]
+        history, residuals = self.page_state.history, self.page_state.residuals
+        path = [history[k] for k in current_path(history) if residuals[k]]
         before, after, titles = path[0].fit, path[-1].fit, (path[0].action, path[-1].action)
-        found = self.moment.diagnosis
+        found = self.page_state.diagnosis
         if len(path) == 1 and found is not None and found.effects:
             after, titles = found.fit, (titles[0], title_of(found.effects))
         if before is None or after is None:
@@ -219,13 +220,13 @@ class Workbench:
                 work(self._study, step := self._step(what))
                 step("")  # what was cancelled meanwhile did not happen
                 self._save()
-                self.moment = self._moment()
+                self.page_state = self._page_state()
             except BaseException as error:  # whatever a user's effect raises is shown, and nothing is lost
                 self._study, self.sources = before, sources
                 self._typed.restore(typed)
                 self._told_of(error, what, about)
                 return
-        self._say("moment", self.moment)
+        self._say("moment", self.page_state)
         for one in said:
             text = str(one.message)
             if issubclass(one.category, SherkitWarning) and text not in self._warned:
@@ -261,7 +262,7 @@ class Workbench:
 
     def toggle(self, effect: str) -> Future[None]:
         """Adds an effect, or takes it out where it is in the model."""
-        if effect in self.moment.effects:
+        if effect in self.page_state.effects:
             return self.change(f"removing {effect}", lambda study, _: study.remove(effect), about=effect)
         return self.change(f"adding {effect}", lambda study, _: study.add(effect), about=effect)
 
@@ -373,7 +374,7 @@ class Workbench:
 
     # -- moments -----------------------------------------------------------------------------------------
 
-    def _moment(self) -> Moment:
+    def _page_state(self) -> PageState:
         study = self._study
         residuals: list[Residuals | None] = []
         for step in study.history:
@@ -384,7 +385,7 @@ class Workbench:
                 self._residuals[step.fit] = residuals_of(step.fit)
             residuals.append(self._residuals[step.fit])
         self._number += 1
-        return Moment(
+        return PageState(
             data=study.data,
             effects=study.effects,
             own=tuple(study.own),

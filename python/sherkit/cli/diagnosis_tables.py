@@ -62,11 +62,11 @@ def diagnosis(d: Diagnosis) -> None:
     out.print("[bold]3. Which effect?[/]")
     out.print(_candidates(d))
     out.print("\n[bold]4. What can these data not tell apart?[/]")
-    if not d.ties and not d.hides_in and not d.untestable:
+    if not d.ties and not d.confounded_with and not d.untestable:
         out.print("   nothing of what was tried")
     for tie in d.ties:
         out.print(f"   [bold]{' or '.join(tie)}[/]: these poses cannot tell")
-    for name, parameters in d.hides_in.items():
+    for name, parameters in d.confounded_with.items():
         out.print(f"   {name}, if there is any, hides almost entirely in {listed(parameters)}")
     for name, reason in d.untestable.items():
         out.print(f"   {escape(f'{name} could not be tried: {reason}')}")
@@ -84,11 +84,11 @@ def diagnosis(d: Diagnosis) -> None:
 
 def _claims(d: Diagnosis) -> Table:
     """What the verdict rests on."""
-    made = table("What the verdict rests on", "claim", "", "result", "p", "rows")
-    for claim in d.claims:
-        word = {True: "yes", False: "[bold red]no[/]", None: "?"}[claim.holds]
-        p = "" if claim.p is None else _p(claim.p)
-        made.add_row(escape(claim.tested), word, escape(claim.result), p, escape(claim.rows))
+    made = table("What the verdict rests on", "check", "", "result", "p", "rows")
+    for check in d.checks:
+        word = {True: "yes", False: "[bold red]no[/]", None: "?"}[check.holds]
+        p = "" if check.p is None else _p(check.p)
+        made.add_row(escape(check.tested), word, escape(check.result), p, escape(check.rows))
     return made
 
 
@@ -161,7 +161,7 @@ def _next(d: Diagnosis) -> list[str]:
             "write a template of an effect with this shape: sherkit diagnose … --template my_effects.py",
         ]
     if d.verdict != "adequate":
-        return [escape(claim.fails) for claim in d.claims if claim.decisive and claim.holds is False]
+        return [escape(check.fails) for check in d.checks if check.decisive and check.holds is False]
     if d.not_needed:
         return [f"take {' and '.join(d.not_needed)} out of the model: the error on rows held out is no larger without"]
     if d.noise_origin == "unknown":

@@ -14,8 +14,8 @@ from ..errors import SherkitError
 from ..lab.experiment import Experiment, load_experiment
 from ..model.kinds import Robot, kind_of, model_of
 from ..names import listed
-from ..planning.outlook import LEVEL, POWER, Outlook, Planning, planning_of
-from ..planning.power import Found, Sought, study_power
+from ..planning.effect_power import LEVEL, POWER, EffectPower, Planning, planning_of
+from ..planning.power import EffectSize, Found, study_power
 from ..robots.machine.file import robot_at
 from . import output
 from .output import out, table
@@ -47,15 +47,15 @@ def plan(
     chosen = load_experiment(experiment, robot=robot, offline=True)
     rows = rows_of(chosen)
     planning = planning_of(model_of(nominal), rows, noise / rows.layout.per_unit, effects=effects)
-    outlooks = planning.outlooks
-    found = _study(planning, outlooks, runs, keep, workers) if runs else ()
+    effect_powers = planning.effect_powers
+    found = _study(planning, effect_powers, runs, keep, workers) if runs else ()
     if as_json:
-        output.print_json(_json(chosen, planning, outlooks, found))
+        output.print_json(_json(chosen, planning, effect_powers, found))
         return
     long = f"{chosen.seconds / 60:.0f} minutes" if chosen.seconds >= 120 else f"{chosen.seconds:.0f} s"
     output.say(f"{chosen.source}: {len(chosen.plan)} steps, about {long}, {noise:g} {rows.layout.unit} noise\n")
-    _show_effects(outlooks, rows.layout.unit)
-    for line in _sentences(outlooks):
+    _show_effects(effect_powers, rows.layout.unit)
+    for line in _sentences(effect_powers):
         output.say(line)
     _show_parameters(planning)
     if found:
@@ -87,7 +87,7 @@ def rows_of(experiment: Experiment) -> Measurements:
 
 
 def _study(
-    planning: Planning, outlooks: tuple[Outlook, ...], runs: int, keep: Path | None, workers: int | None
+    planning: Planning, effect_powers: tuple[EffectPower, ...], runs: int, keep: Path | None, workers: int | None
 ) -> tuple[Found, ...]:
     """Every effect at the size that is promised to be found in 80 of 100 runs, each parameter with a sign of its own.
 
@@ -95,7 +95,7 @@ def _study(
     """
     rng = np.random.default_rng(0)
     sought = []
-    for o in outlooks:
+    for o in effect_powers:
         if o.lacks or not np.isfinite(o.times):
             continue
         for _ in range(_SIGNS):
@@ -103,7 +103,7 @@ def _study(
             values = planning.found_along(o.name, {k: v * float(rng.choice((-1.0, 1.0))) for k, v in o.values.items()})
             sizes = {p.name: p.size for p in planning.effect(o.name).parameters}
             if all(abs(v) <= _LARGEST_STUDIED * sizes[k] for k, v in values.items()):
-                sought.append(Sought(o.name, values))
+                sought.append(EffectSize(o.name, values))
                 break
     columns = (TextColumn("simulating robots"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=output.err, transient=True, disable=not output.err.is_terminal) as shown:
@@ -114,13 +114,13 @@ def _study(
         )  # fmt: skip
 
 
-def _show_effects(outlooks: tuple[Outlook, ...], unit: str) -> None:
+def _show_effects(effect_powers: tuple[EffectPower, ...], unit: str) -> None:
     made = table(
         f"What it could find (level {LEVEL:g}, power {POWER:g})", "effect", "found", "smallest", f"leaves {unit}",
         "absorbed", "tied with", note="found: its chance at its plausible size. smallest: in plausible sizes, and the "
         "RMS that it leaves there. absorbed: by the fitted parameters.",
     )  # fmt: skip
-    for o in outlooks:
+    for o in effect_powers:
         if o.lacks:
             made.add_row(o.name, "", "", "", "", f"[dim]needs {listed(o.lacks)}[/]")
             continue
@@ -131,10 +131,10 @@ def _show_effects(outlooks: tuple[Outlook, ...], unit: str) -> None:
     out.print(made)
 
 
-def _sentences(outlooks: tuple[Outlook, ...]) -> list[str]:
-    absorbed = [o.name for o in outlooks if not o.lacks and o.is_absorbed]
-    tied = [o.name for o in outlooks if o.ties]
-    missed = [o.name for o in outlooks if not o.lacks and o.power < POWER]
+def _sentences(effect_powers: tuple[EffectPower, ...]) -> list[str]:
+    absorbed = [o.name for o in effect_powers if not o.lacks and o.is_absorbed]
+    tied = [o.name for o in effect_powers if o.ties]
+    missed = [o.name for o in effect_powers if not o.lacks and o.power < POWER]
     said = []
     if missed:
         said.append(f"At its plausible size it would rather be missed: {listed(missed)}.")
@@ -163,7 +163,7 @@ def _show_study(found: tuple[Found, ...]) -> None:
 
 
 def _json(
-    chosen: Experiment, planning: Planning, outlooks: tuple[Outlook, ...], found: tuple[Found, ...]
+    chosen: Experiment, planning: Planning, effect_powers: tuple[EffectPower, ...], found: tuple[Found, ...]
 ) -> dict[str, Any]:
     def number(value: float) -> float | None:
         return float(value) if np.isfinite(value) else None
@@ -179,7 +179,7 @@ def _json(
                 "smallest": {k: number(v) for k, v in o.values.items()}, "left_um": number(o.left_um),
                 "absorbed": number(o.absorbed), "ties": list(o.ties),
             }
-            for o in outlooks
+            for o in effect_powers
         ],
         "parameters": [
             {"name": p.name, "unit": p.unit, "std": float(std)}

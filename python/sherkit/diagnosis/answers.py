@@ -13,7 +13,7 @@ from ..fit.forms import Known, known
 from ..fit.identify import Fit
 from ..notebook import Shown
 from ..types import Ints
-from .claims import LOOSE, POSES_AS_REPEATS, Claim, headline
+from .checks import LOOSE, POSES_AS_REPEATS, Check, headline
 from .summary import Summary
 from .template import sentence, ties
 from .where import Dependence
@@ -48,8 +48,8 @@ class Diagnosis(Shown):
     """The answers, in the order a person asks.
 
     ``verdict`` is ``adequate``, ``explained``, ``partly explained``, ``unexplained`` or ``undecided``, where the poses
-    are too few to tell: it follows from ``claims`` alone. ``effects`` are those that are missing, ``not_needed`` those
-    in the model that bring nothing; ``reservation`` says what one unknown would look like where many numbers explain,
+    are too few to tell: it follows from ``checks`` alone. ``effects`` are those that are missing, ``not_needed`` those
+    in the model that bring nothing; ``caveat`` says what one unknown would look like where many numbers explain,
     and which size is implausible. ``ties`` are groups of effects that these rows cannot tell apart, the leading one
     first; ``confirmed`` is the largest p with which a named effect earns its place on rows held out. ``next_poses`` are
     joints to drive to and the coordinates that these are, in the order to measure them, each with the separation in
@@ -67,8 +67,8 @@ class Diagnosis(Shown):
     p_missing: float
     effects: tuple[str, ...]
     not_needed: tuple[str, ...]
-    claims: tuple[Claim, ...]
-    reservation: str | None
+    checks: tuple[Check, ...]
+    caveat: str | None
     ties: tuple[tuple[str, ...], ...]
     steps: tuple[StepReport, ...]
     candidates: tuple[CandidateReport, ...]
@@ -78,7 +78,7 @@ class Diagnosis(Shown):
     neighbour_correlation: float
     confirmed: float | None
     signature: dict[str, Any] | None
-    hides_in: dict[str, tuple[str, ...]]
+    confounded_with: dict[str, tuple[str, ...]]
     outliers: Ints
     next_poses: tuple[dict[str, float], ...]
     advice: str
@@ -89,13 +89,13 @@ class Diagnosis(Shown):
     @property
     def headline(self) -> str:
         """The verdict in one line, with why it is no better."""
-        line = headline(self.claims, self.effects, self.not_needed, noise_known=self.noise_origin != "unknown")
-        return f"{line}; with a reservation: {self.reservation}" if self.reservation else line
+        line = headline(self.checks, self.effects, self.not_needed, noise_known=self.noise_origin != "unknown")
+        return f"{line}; with a caveat: {self.caveat}" if self.caveat else line
 
     @property
     def too_few_poses(self) -> bool:
         """Whether nothing stands against praise but that the poses fix the parameters too loosely."""
-        return {claim.name for claim in self.claims if claim.decisive and claim.holds is False} == {LOOSE}
+        return {check.name for check in self.checks if check.decisive and check.holds is False} == {LOOSE}
 
     @cached_property
     def known(self) -> dict[str, Known]:
@@ -116,7 +116,7 @@ class Diagnosis(Shown):
             noise=float(np.sqrt(np.mean(np.square(list(self.noise.values()))))),
             noise_origin=self.noise_origin,
             p_missing=self.p_missing,
-            p_lack_of_fit=next((claim.p for claim in self.claims if claim.name == POSES_AS_REPEATS), None),
+            p_lack_of_fit=next((check.p for check in self.checks if check.name == POSES_AS_REPEATS), None),
             p_confirmed=self.confirmed,
             outliers=len(self.outliers),
         )
@@ -156,9 +156,9 @@ class Diagnosis(Shown):
             "level": self.level,
             "p_missing": self.p_missing,
             "effects": list(self.effects),
-            "reservation": self.reservation,
+            "caveat": self.caveat,
             "not_needed": list(self.not_needed),
-            "claims": [claim.to_json() for claim in self.claims],
+            "checks": [check.to_json() for check in self.checks],
             "ties": [list(t) for t in self.ties],
             "steps": [{"effect": s.effect, f"held_out_rms{um}": s.held_out_rms} for s in self.steps],
             "candidates": [
@@ -182,7 +182,7 @@ class Diagnosis(Shown):
             "where": [{"variable": d.variable, f"rms{um}": list(d.rms), "p_value": d.p_value} for d in self.where],
             "confirmed_p_value": self.confirmed,
             "signature": self.signature,
-            "hides_in": {k: list(v) for k, v in self.hides_in.items()},
+            "confounded_with": {k: list(v) for k, v in self.confounded_with.items()},
             "outliers": self.fit.data.line[self.outliers].tolist(),
             "next_poses": list(self.next_poses),
             "advice": self.advice,

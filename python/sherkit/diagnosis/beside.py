@@ -19,9 +19,9 @@ import scipy
 
 from ..names import listed
 from ..types import Floats, Ints
-from .earned import Earned, earned
 from .fitted_run import FittedRun
 from .held_out import Columns, rms, squares_of
+from .held_out_gain import HeldOutGain, held_out_gain
 from .scan import Scan
 from .search import Search, SearchResult, bic, schwarz
 from .shapes import Shape, play_operator, wave
@@ -79,8 +79,8 @@ def described(search: Search, stage: Stage, most: int = _MOST_SHAPES) -> Descrip
     # what is left has a structure, whose flips are no measure of noise
     limit = float(scipy.special.ndtri(1.0 - search.level / max(stage.n_shapes, 1)))
     while len(shapes) < most:
-        deviates, (gain, rank) = scan.deviates[: stage.n_shapes], scan.gains
-        if not len(deviates) or deviates.max() <= limit:
+        z_scores, (gain, rank) = scan.z_scores[: stage.n_shapes], scan.gains
+        if not len(z_scores) or z_scores.max() <= limit:
             break
         gain, rank = gain[: stage.n_shapes], rank[: stage.n_shapes]
         score = np.where(
@@ -98,7 +98,12 @@ def described(search: Search, stage: Stage, most: int = _MOST_SHAPES) -> Descrip
 
 
 def innocents(
-    search: Search, result: SearchResult, final: FittedRun, judged: Sequence[Earned], sigma: Floats, alone: Description
+    search: Search,
+    result: SearchResult,
+    final: FittedRun,
+    gains: Sequence[HeldOutGain],
+    sigma: Floats,
+    alone: Description,
 ) -> list[tuple[str, str]]:
     """Effects of those found that must not be named, each with why. ``alone`` describes the run by shapes without any
     effect; ``final`` has all effects."""
@@ -126,12 +131,12 @@ def innocents(
 
     def ask(columns: Columns) -> None:
         """Those that bring nothing beside these columns."""
-        for one in judged:
+        for one in gains:
             if one.effect in out:
                 continue
             effect = next(c.effect for c in result.added if c.name == one.effect)
-            plain = earned(final, effect, sigma=sigma, deals=fold, seed=search.seed)
-            free = earned(final, effect, sigma=sigma, deals=fold, beside=columns, seed=search.seed)
+            plain = held_out_gain(final, effect, sigma=sigma, deals=fold, seed=search.seed)
+            free = held_out_gain(final, effect, sigma=sigma, deals=fold, beside=columns, seed=search.seed)
             # with what is free much of a true cause goes too: then it must say more in few numbers than shapes in many
             if free.holds and _gain(free) >= (_KEEPS_AT_LEAST if better else _KEEPS) * _gain(plain):
                 continue
@@ -151,7 +156,7 @@ def innocents(
     return list(out.items())
 
 
-def _gain(one: Earned) -> float:
+def _gain(one: HeldOutGain) -> float:
     return one.without**2 - one.with_it**2
 
 

@@ -15,7 +15,7 @@ _HIDDEN_FROM = 0.97
 _NAMED_FROM, _MOST_NAMED = 0.3, 6
 
 
-def hides_in(stage: Stage) -> dict[str, tuple[str, ...]]:
+def confounded_with(stage: Stage) -> dict[str, tuple[str, ...]]:
     """Effects that hide, of those that were tried and of those in the model, and the parameters that take them up.
 
     What an effect leaves is judged by the combination of its parameters, in plausible sizes, of which most is to be

@@ -12,9 +12,9 @@ from ..model.effect import Effect
 from ..types import Floats, Ints
 from .answers import StepReport
 from .beside import Description, described, innocents
-from .earned import Earned, earned
 from .fitted_run import FittedRun
 from .held_out import held_out_rms
+from .held_out_gain import HeldOutGain, held_out_gain
 from .search import Search, SearchResult, refit
 from .setting import on_all_rows
 from .shapes import Shape
@@ -33,7 +33,7 @@ class Named:
     search: Search
     result: SearchResult
     final: FittedRun
-    earned: list[Earned] = field(default_factory=list)
+    gains: list[HeldOutGain] = field(default_factory=list)
     steps: tuple[StepReport, ...] = ()
     notes: list[str] = field(default_factory=list)
 
@@ -72,23 +72,23 @@ def searched(
             return Named(search, result, run, [], (base,), notes)
         result.added, told = on_all_rows(run, result.added)
         step("held-out errors")
-        final, judged, steps = _judged(run, result, tried, sigma, deals, seed, base)
+        final, gains, steps = _judged(run, result, tried, sigma, deals, seed, base)
         falls = all(after.held_out_rms < before.held_out_rms for before, after in pairwise(steps))
-        refusals = _refusals(run, final, result, judged, falls)
+        refusals = _refusals(run, final, result, gains, falls)
         if not refusals:
             alone = alone or described(search, result.stages[0])
-            refusals = innocents(search, result, final, judged, sigma, alone)
-            if len(refusals) == len(judged):
+            refusals = innocents(search, result, final, gains, sigma, alone)
+            if len(refusals) == len(gains):
                 # nothing is lost by what describes the run: whoever is to be named is found in what that leaves
                 in_model = alone.shapes
         if not refusals:
-            return Named(search, result, final, judged, steps, [*notes, *told])
+            return Named(search, result, final, gains, steps, [*notes, *told])
         refused += [name for name, _ in refusals]
         notes += [f"{name} was found and is not named: {why}" for name, why in refusals]
 
 
 def _refusals(
-    run: FittedRun, final: FittedRun, result: SearchResult, judged: Sequence[Earned], falls: bool
+    run: FittedRun, final: FittedRun, result: SearchResult, gains: Sequence[HeldOutGain], falls: bool
 ) -> list[tuple[str, str]]:
     """The effect that must not be named whatever else shows, and why; none where each may."""
     sizes = sizes_of(final.fit)
@@ -100,10 +100,10 @@ def _refusals(
         return [(result.added[-1].name, "it takes more numbers than these poses leave to judge it by")]
     if run.fit.converged and not final.fit.converged:
         return [(result.added[-1].name, "with it the fit does not converge")]
-    failing = [one for one in judged if not one.holds]
+    failing = [one for one in gains if not one.holds]
     if not failing and falls:
         return []
-    worst = max(failing or judged, key=lambda one: one.p)
+    worst = max(failing or gains, key=lambda one: one.p)
     why = (
         f"on rows that had no part in choosing it the error goes from {worst.without:.4g} to {worst.with_it:.4g} "
         f"{run.unit} (p = {worst.p:.2g}), and it is chosen again for {worst.again:.0%} of them"
@@ -119,7 +119,7 @@ def _judged(
     deals: Sequence[Ints],
     seed: int,
     base: StepReport,
-) -> tuple[FittedRun, list[Earned], tuple[StepReport, ...]]:
+) -> tuple[FittedRun, list[HeldOutGain], tuple[StepReport, ...]]:
     """The fit with all that was found, what each earns, and the fall of the error; ``result.added`` is put in order."""
     steps, left, partial = [base], list(result.added), run
     ordered: list[Candidate] = []
@@ -132,11 +132,13 @@ def _judged(
     result.added = ordered
     alike = {name for other in result.alternatives for name in other.names} | {c.name for c in ordered}
     rivals = [e for e in effects if e.name not in alike]
-    judged = [
-        earned(partial, c.effect, sigma=sigma, deals=deals, rivals=rivals, periods=_other_periods(result, c), seed=seed)
+    gains = [
+        held_out_gain(
+            partial, c.effect, sigma=sigma, deals=deals, rivals=rivals, periods=_other_periods(result, c), seed=seed
+        )
         for c in ordered
     ]
-    return partial, judged, tuple(steps)
+    return partial, gains, tuple(steps)
 
 
 def _other_periods(result: SearchResult, candidate: Candidate) -> tuple[float, ...]:
@@ -156,17 +158,17 @@ def _other_periods(result: SearchResult, candidate: Candidate) -> tuple[float, .
 
 def not_needed(
     run: FittedRun, effects: Sequence[Effect], sigma: Floats, deals: Sequence[Ints], seed: int
-) -> list[Earned]:
+) -> list[HeldOutGain]:
     """What each of the ``effects`` that were in the model earns. Of those that earn nothing the least useful is taken
     out first, and the others are judged without it: of two that say the same only one is not needed."""
-    out: list[Earned] = []
+    out: list[HeldOutGain] = []
     left = list(effects)
     also: list[str] = []
     while left:
-        judged = [earned(run, e, sigma=sigma, deals=deals, also=also, seed=seed) for e in left]
-        failing = [one for one in judged if not one.holds]
+        gains = [held_out_gain(run, e, sigma=sigma, deals=deals, also=also, seed=seed) for e in left]
+        failing = [one for one in gains if not one.holds]
         if not failing:
-            return out + judged
+            return out + gains
         sizes = {e.name: len(e.parameters) for e in left}
         # what costs most parameters goes first where several bring nothing
         worst = max(failing, key=lambda one: (sizes[one.effect], one.p))

@@ -22,9 +22,9 @@ from ..errors import SherkitError
 from ..model.effect import Effect
 from ..model.parameter import Parameter
 from ..types import Bools, Floats, Ints
-from .earned import flipped
 from .fitted_run import FittedRun
 from .held_out import held_out_rms
+from .held_out_gain import flipped
 
 #: Orders of the polynomials tried.
 _ORDERS = (1, 2, 3)

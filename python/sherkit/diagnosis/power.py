@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from .scan import deviate
+from .scan import z_score
 from .stage import Candidate, Stage
 from .tails import rising_root
 
@@ -17,11 +17,11 @@ def noncentrality(threshold: float, rank: int, free: int) -> float:
 
     Noncentral χ², since the degrees of freedom of the residual are many.
     """
-    # the gain at which the deviate reaches the threshold
+    # the gain at which the z score reaches the threshold
     total = float(free)
 
     def excess(gain: float) -> float:
-        return float(deviate(np.array(gain), np.array(rank), total, free)) - threshold
+        return float(z_score(np.array(gain), np.array(rank), total, free)) - threshold
 
     high = total * 0.999
     if excess(high) < 0:

@@ -21,12 +21,13 @@ from ..model.effect import Effect
 from ..model.robot_file import RobotLike
 from ..types import Floats
 from .answers import CandidateReport, Diagnosis, StepReport
-from .claims import verdict_of
+from .checked import checks_of
+from .checks import verdict_of
 from .crossvalidation import HeldOutError, held_out
 from .few_enough import few_enough
 from .fitted_run import FittedRun
 from .held_out import by_noise_alone, deals_of
-from .hiding import hides_in
+from .hiding import confounded_with
 from .lack_of_fit import lack_of_fit
 from .linearised import orthonormal
 from .named import not_needed, searched
@@ -34,7 +35,6 @@ from .next_poses import Proposal
 from .one_unknown import OneUnknown, one_unknown
 from .outliers import sentences, without_outliers
 from .power import smallest_found
-from .propositions import claims_of
 from .repeats import by_repeats, in_repeats, with_the_way
 from .rounded import steps_in
 from .search import SearchResult, is_plausible
@@ -42,7 +42,7 @@ from .setting import periods_shown
 from .shapes import Shape
 from .sizes import implausible
 from .stage import Candidate, Stage, stage_of
-from .steady import wander_of
+from .steady import slow_drift_of
 from .template import what_parts
 from .where import neighbour_correlation, where
 
@@ -149,19 +149,19 @@ def diagnose(
     # many numbers imitate what is in no catalogue, as one effect or as several
     many = len(found.names) > 1 or numbers > _FEW
     unknown = one_unknown(run, final, found.names, run.noise[0], deals) if many else None
-    wander = wander_of(final)
-    claims = claims_of(
-        final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, table, rounded, wander, left,
+    slow_drift = slow_drift_of(final)
+    checks = checks_of(
+        final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, table, rounded, slow_drift, left,
         contradicted, lambda: by_noise_alone(final, sigma, deals, level, seed), lambda: few_enough(final, sigma, deals),
     )  # fmt: skip
-    verdict = verdict_of(claims, found.names)
-    reservations = [str(unknown)] if unknown is not None and unknown.rivals else []
-    reservations += [told] if (told := implausible(final.fit, found.names)) else []
+    verdict = verdict_of(checks, found.names)
+    caveats = [str(unknown)] if unknown is not None and unknown.rivals else []
+    caveats += [told] if (told := implausible(final.fit, found.names)) else []
     # where something else is left, that may be what changes with time
-    if wander is not None and wander.counts and verdict in ("adequate", "explained"):
-        reservations.append(
-            f"{wander.axis} wanders by {wander.size:.3g} {run.unit} in the course of the run, beside "
-            f"{wander.beside:.3g} from row to row, and nothing in the file says with what: here that counts "
+    if slow_drift is not None and slow_drift.counts and verdict in ("adequate", "explained"):
+        caveats.append(
+            f"{slow_drift.axis} wanders by {slow_drift.size:.3g} {run.unit} in the course of the run, beside "
+            f"{slow_drift.beside:.3g} from row to row, and nothing in the file says with what: here that counts "
             "as noise; look for what changes slowly (temperature, humidity, a stand that gives way) and record it as a "
             "column"
         )
@@ -187,8 +187,8 @@ def diagnose(
         p_missing=found.result.p_first,
         effects=found.names,
         not_needed=tuple(one.effect for one in needed if not one.holds),
-        claims=claims,
-        reservation="; ".join(reservations) or None,
+        checks=checks,
+        caveat="; ".join(caveats) or None,
         ties=ties,
         steps=found.steps,
         candidates=reports,
@@ -196,9 +196,9 @@ def diagnose(
         smallest_found=smallest,
         where=where(base_stage),
         neighbour_correlation=neighbour_correlation(base_stage),
-        confirmed=max((one.p for one in found.earned), default=None),
+        confirmed=max((one.p for one in found.gains), default=None),
         signature=signature,
-        hides_in=hides_in(base_stage),
+        confounded_with=confounded_with(base_stage),
         outliers=wild,
         next_poses=proposal.poses,
         advice=proposal.advice,
@@ -254,7 +254,7 @@ def _candidate_reports(
 ) -> tuple[CandidateReport, ...]:
     """Every effect that could be tried, the named ones first, then by held-out error: in linear approximation, but for
     the first one that is named, which has a fit of its own."""
-    z = base.scan.deviates[base.n_shapes :]
+    z = base.scan.z_scores[base.n_shapes :]
     best: dict[str, tuple[float, HeldOutError, Candidate]] = {}
     for score, error, candidate in zip(z.tolist(), gains, base.candidates, strict=True):
         if candidate.name not in best or error.rms < best[candidate.name][1].rms:

@@ -40,7 +40,7 @@ _STEPS = 24
 _CONTRADICTS = 3.0
 #: Deviations are cut to so many spreads: what wild rows hold is not searched.
 _CUT = 4.0
-#: A largest deviate below this is chance without a flip.
+#: A largest z score below this is chance without a flip.
 _CHANCE = 3.7
 #: The most that an instrument's readings have in common from row to row; rounds in which it settles; slow is what takes
 #: more rows than this for one swing, of at most so many.
@@ -231,7 +231,7 @@ class _Search:
         first = 1.0
         for k in range(_MOST_SHAPES):
             scan = self._scan(family, functions, seen)
-            largest = float(scan.deviates.max(initial=-np.inf))
+            largest = float(scan.z_scores.max(initial=-np.inf))
             p = scan.p_value(largest, seed=self.seed) if largest > _CHANCE else 1.0
             first = p if k == 0 else first
             if p > LEVEL:

@@ -1,8 +1,8 @@
 """Scores of many candidates at once, and their common null distribution by flipping signs of whole poses.
 
 A candidate is a set of columns. Its score is the sum of squares of the residual that its columns explain beyond
-the fitted parameters, turned into a normal deviate (Wilson and Hilferty) so that candidates of different size can be
-compared. The largest deviate of the family is the test; flipping the signs of whole poses of the residual gives its
+the fitted parameters, turned into a z score (Wilson and Hilferty) so that candidates of different size can be
+compared. The largest z score of the family is the test; flipping the signs of whole poses of the residual gives its
 null distribution whatever the shape and size of the noise, as long as poses are independent and symmetric
 (Winkler et al., "Permutation inference for the general linear model", NeuroImage 2014).
 """
@@ -35,7 +35,7 @@ _ADDS = 1e-5
 _PULLED = 0.04
 #: A pose that leaves less of a direction to the others decides it alone.
 _DECIDES = 1e-6
-#: Part of a deviate within which two are equal.
+#: Part of a z score within which two are equal.
 _ROUNDING = 1e-9
 #: Patterns of signs under which the family is seen.
 FLIPS = 2048
@@ -192,7 +192,7 @@ class Scan:
         if not columns:
             return self
         new = copy(self)
-        for name in ("_roots", "gains", "deviates", "_null"):
+        for name in ("_roots", "gains", "z_scores", "_null"):
             new.__dict__.pop(name, None)
         new.model = (*self.model, *columns)
         numbers = [number for one in columns for number in self.numbers(one)]
@@ -308,13 +308,13 @@ class Scan:
         return gain, rank
 
     @cached_property
-    def deviates(self) -> Floats:
-        """The score of each candidate as a normal deviate; minus infinity where nothing of it is left."""
+    def z_scores(self) -> Floats:
+        """The score of each candidate as a normal z score; minus infinity where nothing of it is left."""
         gain, rank = self.gains
-        return deviate(gain, rank, self.sum_of_squares, self.free)
+        return z_score(gain, rank, self.sum_of_squares, self.free)
 
     def null(self, seed: int) -> Floats:
-        """Largest deviate of the family (FLIPS,) under each of a group of patterns of signs of whole poses; those asked
+        """Largest z score of the family (FLIPS,) under each of a group of patterns of signs of whole poses; those asked
         for last are remembered.
 
         The group is drawn at random; its first pattern flips nothing. That they are a group makes the test exact, and
@@ -346,12 +346,12 @@ class Scan:
         if not columns:
             return np.full(FLIPS, -np.inf)
         rank_of = np.concatenate(own)
-        # of as many directions the largest gain has the largest deviate
+        # of as many directions the largest gain has the largest z score
         most = largest_under_flips(
             sums, codes, FLIPS, np.concatenate(columns), np.concatenate(roots), np.concatenate(sizes), rank_of,
             np.searchsorted(ranks, rank_of), len(ranks),
         )  # fmt: skip
-        return deviate(most, ranks[:, None], total - lost, self.free).max(axis=0, initial=-np.inf)
+        return z_score(most, ranks[:, None], total - lost, self.free).max(axis=0, initial=-np.inf)
 
     def _by_code(self, seed: int) -> tuple[Ints, Floats, Floats, float]:
         """Codes (c,) that poses have; products of what the model leaves of all columns (K, c), and of the orthonormal
@@ -412,7 +412,7 @@ class Scan:
         return np.einsum("gkl,gl,gml,gm->gk", vector, more, vector, of_residual)
 
     def p_value(self, largest: float, *, seed: int = 0) -> float:
-        """Familywise p of a largest deviate."""
+        """Familywise p of a largest z score."""
         # of few poses many patterns are the same, which rounding must not tell from the one that flips nothing
         return (1 + int((self.null(seed)[1:] >= largest - _ROUNDING * abs(largest)).sum())) / FLIPS
 
@@ -439,8 +439,8 @@ def codes_of(poses: int, seed: int) -> Ints:
     return rng.permutation(FLIPS)[:poses] if poses <= FLIPS else rng.integers(0, FLIPS, poses)
 
 
-def deviate(gain: Floats, rank: Ints | np.integer[Any], total: float | Floats, free: int) -> Floats:
-    """Wilson and Hilferty's normal deviate of an F ratio with (rank, free - rank) degrees of freedom."""
+def z_score(gain: Floats, rank: Ints | np.integer[Any], total: float | Floats, free: int) -> Floats:
+    """Wilson and Hilferty's z score of an F ratio with (rank, free - rank) degrees of freedom."""
     k = np.maximum(rank, 1)
     left = np.maximum(free - k, 1)
     ratio = (gain / k) / np.maximum((total - gain) / left, 1e-300)

@@ -115,7 +115,7 @@ class Search:
         if stage.run.is_exact:
             return 1.0
         scan = stage.scan if scan is None else scan
-        largest = float(scan.deviates.max())
+        largest = float(scan.z_scores.max())
         if largest > _PLAINLY_LEFT:
             return 1.0 / FLIPS
         return scan.p_value(largest, seed=self.seed)
@@ -305,7 +305,7 @@ class Search:
                 continue
             # most of what does not explain leaves something that shows without the shapes that cost time
             after = self.stage(run, stage.nuisance, thorough=False)
-            if float(after.scan.deviates.max()) <= _PLAINLY_LEFT:
+            if float(after.scan.z_scores.max()) <= _PLAINLY_LEFT:
                 after = self.stage(run, stage.nuisance)
             out.append(Explanation(members, after, self.left(after)))
         out.sort(key=lambda e: (not plausible(e, self.base), bic(e.stage.scan, e.candidates)))

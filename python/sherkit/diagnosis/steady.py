@@ -26,7 +26,7 @@ _COMMON = 0.7
 
 
 @dataclass(frozen=True)
-class Wander:
+class SlowDrift:
     """The axis that wanders most of those of which it is no chance, or else most surely; by how much, RMS, and what is
     left from row to row besides, both in the unit of errors; ``p`` over all axes."""
 
@@ -41,7 +41,7 @@ class Wander:
         return self.p <= _LEVEL
 
 
-def wander_of(run: FittedRun) -> Wander | None:
+def slow_drift_of(run: FittedRun) -> SlowDrift | None:
     """What is left of a run by the time at which it was read; None where that is not known, or for too few rows.
 
     Of the periodogram of what an autoregression of first order leaves, of no more than a few rows' memory, the slowest
@@ -63,7 +63,7 @@ def wander_of(run: FittedRun) -> Wander | None:
     p = np.minimum(1.0, len(axes) * p)
     worst = int(np.argmax(np.where(p <= _LEVEL, size, 0.0)) if (p <= _LEVEL).any() else np.argmin(p))
     names = [bare(name) for name in run.names]
-    return Wander(
+    return SlowDrift(
         names[axes[worst]], float(p[worst]), run.per_unit * float(size[worst]),
         run.per_unit * float(beside[worst]),
     )  # fmt: skip

@@ -26,7 +26,7 @@ class Dependence:
 def where(stage: Stage) -> tuple[Dependence, ...]:
     """One line for each variable (joints, coordinates, time, directions, covariates), the clearest first."""
     out = []
-    z = stage.scan.deviates[: stage.n_shapes]
+    z = stage.scan.z_scores[: stage.n_shapes]
     error = stage.view.residual * stage.sigma * stage.run.per_unit
     for name, values in stage.view.variables.items():
         scores = [s for s, shape in zip(z.tolist(), stage.shapes, strict=True) if shape.depends_on == (name,)]

@@ -31,7 +31,7 @@ from ..fit.identify import identify
 from ..model.chain import ChainModel
 from ..model.kinds import model_of, robot_from_tables
 from ..types import Floats
-from .outlook import Planning
+from .effect_power import Planning
 
 #: Runs of one effect that go to a worker together: what is sent is larger than what comes back.
 _TOGETHER = 10
@@ -40,7 +40,7 @@ _ATTEMPTS = 50
 
 
 @dataclass(frozen=True)
-class Sought:
+class EffectSize:
     """An effect in a simulated robot, with its parameters, mm and rad."""
 
     name: str
@@ -75,14 +75,14 @@ class _Task:
     columns: Mapping[str, Floats]
     sigma: Floats
     errors: float
-    sought: Sought
+    sought: EffectSize
     seed: int
     runs: tuple[int, ...]
 
 
 def study_power(
     planning: Planning,
-    sought: Sequence[Sought],
+    sought: Sequence[EffectSize],
     *,
     runs: int = 200,
     seed: int = 0,
@@ -137,7 +137,7 @@ def study_power(
 # -- one run -------------------------------------------------------------------------------------------------
 
 
-def _task(planning: Planning, sought: Sought, seed: int, errors: float, runs: tuple[int, ...]) -> _Task:
+def _task(planning: Planning, sought: EffectSize, seed: int, errors: float, runs: tuple[int, ...]) -> _Task:
     rows = planning.rows
     columns = {f"direction_{k + 1}": d for k, d in enumerate(rows.direction.T) if np.isfinite(d).all()}
     columns |= dict(rows.covariates)
@@ -225,7 +225,7 @@ def _pool(executor: futures.Executor | None, workers: int | None) -> Iterator[fu
         yield pool
 
 
-def _key(planning: Planning, sought: Sequence[Sought], seed: int, errors: float) -> str:
+def _key(planning: Planning, sought: Sequence[EffectSize], seed: int, errors: float) -> str:
     """What a study is about: only the same one goes on."""
     tasks = [_task(planning, one, seed, errors, ()) for one in sought]
     about = [

@@ -59,7 +59,7 @@ def answer(found: Diagnosis) -> Answer:
     whole = "" if found.verdict == "explained" else " That is not all: the rest has a pattern, too."
     if found.too_few_poses:
         whole = " These poses are too few to say whether that is all."
-    doubt = f" With a reservation: {found.reservation}." if found.reservation else ""
+    doubt = f" With a caveat: {found.caveat}." if found.caveat else ""
     repair = " ".join(found.known[e.name].workshop if e.name in found.known else e.workshop for e in causes)
     return Answer(
         f"The model lacks {listed(found.effects)}. {physics}".strip() + tied,

@@ -204,7 +204,7 @@ def ties(effect: Effect, found: Diagnosis | None) -> str:
     if found is None:
         return ""
     others = sorted({name for tie in found.ties if effect.name in tie for name in tie} - {effect.name})
-    hidden = found.hides_in.get(effect.name, ())
+    hidden = found.confounded_with.get(effect.name, ())
     told = [f"These poses cannot tell it from {listed(others)}."] if others else []
     told += [f"On these poses it hides almost entirely in {listed(hidden)}."] if hidden else []
     return f"<h4>What it ties with</h4><p>{escape(' '.join(told))}</p>" if told else ""

@@ -67,7 +67,7 @@ def write_tool_report(
     parts.append(
         _text(
             "<h2>What the verdict rests on</h2><ul>",
-            *(f"<li>{escape(str(claim))}</li>" for claim in found.claims),
+            *(f"<li>{escape(str(check))}</li>" for check in found.checks),
             "</ul>",
             f"<p>Made by <code>{escape(command)}</code></p>" if command else "",
         )

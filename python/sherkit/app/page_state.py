@@ -25,7 +25,7 @@ HISTORY, LINES, FILES, ROWS, EXPORTS = "history", "lines", "files", "rows", "exp
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class PageState:
     """The study as it stands: model, rows and history, what is left at every step that is known, and a diagnosis
     where it is done.
 

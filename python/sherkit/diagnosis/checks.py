@@ -1,4 +1,4 @@
-"""What a verdict rests on: propositions, each tested on numbers that the same report shows."""
+"""What a verdict rests on: checks, each made on numbers that the same report shows."""
 
 from __future__ import annotations
 
@@ -6,28 +6,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-#: Claims of which the first line speaks though nothing is decided by them.
+#: Checks of which the first line speaks though nothing is decided by them.
 AS_DRAWN, APART, DIGITS, DECLARED = "as_drawn", "apart", "digits", "noise_as_declared"
-#: The claim that repeats differ by noise alone.
+#: The check that repeats differ by noise alone.
 REPEATS = "repeats_are_noise"
-#: The claim that tests lack of fit.
+#: The check that tests lack of fit.
 POSES_AS_REPEATS = "poses_as_repeats"
-#: The claims that compare rows held out with the noise, and with what few poses make of it.
+#: The checks that compare rows held out with the noise, and with what few poses make of it.
 SMALL, LOOSE = "as_small_as_noise", "poses_suffice"
-#: The claim that the poses are no line; where it alone fails, or that they suffice, nothing is decided.
+#: The check that the poses are no line; where it alone fails, or that they suffice, nothing is decided.
 PLACES = "poses_tell"
 _UNDECIDED = {LOOSE, PLACES}
-#: Claims without which the drawing is not judged.
+#: Checks without which the drawing is not judged.
 _MOVES = {"set_up", "plausible", PLACES}
-#: Reasons that the first line gives; the claims have all.
+#: Reasons that the first line gives; the checks have all.
 _MOST = 2
 
 
 @dataclass(frozen=True)
-class Claim:
-    """One proposition and how it came out.
+class Check:
+    """One statement and how its test came out.
 
-    ``tested`` is the proposition, ``rows`` on which rows, ``result`` what was found, both in words. ``holds`` is None
+    ``tested`` is the statement, ``rows`` on which rows, ``result`` what was found, both in words. ``holds`` is None
     where these rows cannot test it; ``p`` the p value where the test has one. A verdict of praise needs all that are
     ``decisive``; ``fails`` is then how the first line says that one does not hold.
     """
@@ -54,10 +54,10 @@ class Claim:
         }  # fmt: skip
 
 
-def verdict_of(claims: Sequence[Claim], effects: Sequence[str]) -> str:
-    """The verdict, from claims alone: of praise only where no decisive one fails, of blame only where another fails
+def verdict_of(checks: Sequence[Check], effects: Sequence[str]) -> str:
+    """The verdict, from checks alone: of praise only where no decisive one fails, of blame only where another fails
     than that the poses are enough."""
-    failing = {claim.name for claim in claims if claim.decisive and claim.holds is False}
+    failing = {check.name for check in checks if check.decisive and check.holds is False}
     if not failing:
         return "explained" if effects else "adequate"
     if effects:
@@ -65,10 +65,10 @@ def verdict_of(claims: Sequence[Claim], effects: Sequence[str]) -> str:
     return "undecided" if failing <= _UNDECIDED else "unexplained"
 
 
-def headline(claims: Sequence[Claim], effects: Sequence[str], not_needed: Sequence[str], *, noise_known: bool) -> str:
+def headline(checks: Sequence[Check], effects: Sequence[str], not_needed: Sequence[str], *, noise_known: bool) -> str:
     """The verdict in one line: never more praise than the noise allows, and why not where there is none."""
-    verdict = verdict_of(claims, effects)
-    failing = [claim.fails for claim in claims if claim.decisive and claim.holds is False and claim.fails]
+    verdict = verdict_of(checks, effects)
+    failing = [check.fails for check in checks if check.decisive and check.holds is False and check.fails]
     named = ", ".join(effects)
     if verdict == "adequate":
         line = "adequate: no effect is missing" if noise_known else (
@@ -83,9 +83,9 @@ def headline(claims: Sequence[Claim], effects: Sequence[str], not_needed: Sequen
         if failing:
             line += "; " + "; ".join(failing[:_MOST])
     # a wrong column, or an absurd number, moves the drawing as well
-    wrong = {claim.name for claim in claims if claim.holds is False}
+    wrong = {check.name for check in checks if check.holds is False}
     spoken = {APART, DIGITS, DECLARED} | ({AS_DRAWN} if not wrong & _MOVES else set())
-    line += "".join(f"; but {claim.fails}" for claim in claims if claim.name in wrong & spoken)
+    line += "".join(f"; but {check.fails}" for check in checks if check.name in wrong & spoken)
     if not_needed:
         verb = "is" if len(not_needed) == 1 else "are"
         line += f"; but {' and '.join(not_needed)}, in the model already, {verb} not needed"

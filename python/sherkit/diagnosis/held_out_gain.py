@@ -40,7 +40,7 @@ _LEFT = 1e-8
 
 
 @dataclass(frozen=True)
-class Earned:
+class HeldOutGain:
     """What an effect brings on rows held out: RMS ``without`` it and ``with_it`` in the unit of the run, one-sided
     ``p``, and for what part of these rows it was chosen ``again`` without them."""
 
@@ -56,7 +56,7 @@ class Earned:
         return self.with_it < self.without and self.p <= LEVEL
 
 
-def earned(
+def held_out_gain(
     run: FittedRun,
     effect: Effect,
     *,
@@ -67,7 +67,7 @@ def earned(
     also: Collection[str] = (),
     beside: Columns | None = None,
     seed: int = 0,
-) -> Earned:
+) -> HeldOutGain:
     """What ``effect``, which is in the model of ``run``, brings given all others of the model but those of ``also``.
 
     ``deals`` are folds (n,) of all rows of the data; ``rivals`` what might have been chosen in its place, None where
@@ -84,7 +84,7 @@ def earned(
         more = full.linearised(rows, (), scale)
         plain = less.linearised(rows, tuple(rivals or ()), scale)
     except SherkitError:
-        return Earned(effect.name, np.inf, 0.0, 1.0 / FLIPS, 1.0)
+        return HeldOutGain(effect.name, np.inf, 0.0, 1.0 / FLIPS, 1.0)
     with_it, of_more = squares_of(more, fold, beside)
     without, _ = squares_of(plain, fold, beside)
     chosen = np.ones(fold.shape, dtype=bool)
@@ -107,7 +107,7 @@ def earned(
         chosen = (exact[0] <= best)[of_more.place]
     gain = (without.sum(axis=2) - with_it.sum(axis=2)) * chosen
     p = flipped(gain.mean(axis=0), more.group, seed)
-    return Earned(
+    return HeldOutGain(
         effect.name,
         without=rms(without, scale) * run.per_unit,
         with_it=rms(with_it, scale) * run.per_unit,

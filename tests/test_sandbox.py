@@ -13,8 +13,8 @@ import pytest
 
 import sherkit as sk
 from sherkit import save_robot
-from sherkit.app.apart import Apart
 from sherkit.app.effect_list import _card
+from sherkit.app.sandbox import Sandbox
 from sherkit.app.typed import Typed
 from sherkit.app.workbench import Workbench
 from sherkit.app.worker import Cancelled
@@ -72,14 +72,14 @@ def errors(bench: Workbench) -> list[str]:
 
 def test_effects_apart_give_what_they_give_here(bench: Workbench) -> None:
     """Catches rows that arrive changed, a parameter in another's place, a position that is another model's."""
-    study = sk.Study(EXAMPLE, bench.moment.data)
-    made = Apart(lines(), lambda: None)
+    study = sk.Study(EXAMPLE, bench.page_state.data)
+    made = Sandbox(lines(), lambda: None)
 
     @sk.effect(at="body", parameters={"a": "mm"})
     def ramp(rows: object, p: object) -> object:
         return p.a * np.outer(np.sin(rows.position[:, 0] / 7.0), [0, 0, 1])  # type: ignore[attr-defined]
 
-    here = sk.Study(EXAMPLE, bench.moment.data)
+    here = sk.Study(EXAMPLE, bench.page_state.data)
     study.add(made.effects[0])
     here.add(ramp)
     made.end()
@@ -108,11 +108,11 @@ def test_lines_that_misbehave_are_ended(bench: Workbench, inside: str, before: s
     done(bench)
     assert len(told) == 1, told
     assert said in told[0]
-    assert bench.moment.own == ()
+    assert bench.page_state.own == ()
     assert not bench.typed_path.exists()
     bench.toggle("rail_lean")
     done(bench)
-    assert bench.moment.effects == ("rail_lean",)
+    assert bench.page_state.effects == ("rail_lean",)
 
 
 def test_an_effect_that_crashes_in_the_fit_leaves_the_study_as_it_was(bench: Workbench) -> None:
@@ -120,20 +120,20 @@ def test_an_effect_that_crashes_in_the_fit_leaves_the_study_as_it_was(bench: Wor
     told = errors(bench)
     bench.type_effect(lines(_LATE % "import os; os._exit(7)"))
     done(bench)
-    assert bench.moment.own == ("ramp",)
+    assert bench.page_state.own == ("ramp",)
     bench.toggle("ramp")
     done(bench)
-    assert bench.moment.effects == ()
+    assert bench.page_state.effects == ()
     assert any("ended their own process" in one or "exit code 7" in one for one in told), told
     # once mended they run
     bench.type_effect(lines())
     bench.toggle("ramp")
     done(bench)
-    assert bench.moment.effects == ("ramp",)
+    assert bench.page_state.effects == ("ramp",)
     bench.undo()
     bench.redo()
     done(bench)
-    assert bench.moment.effects == ("ramp",)
+    assert bench.page_state.effects == ("ramp",)
 
 
 def test_cancel_ends_lines_that_run(bench: Workbench) -> None:
@@ -141,13 +141,13 @@ def test_cancel_ends_lines_that_run(bench: Workbench) -> None:
     told = errors(bench)
     begun = threading.Event()
     bench.listen(lambda kind, value: begun.set() if kind == "progress" and "your lines" in str(value) else None)
-    before = bench.moment
+    before = bench.page_state
     bench.type_effect(lines("while True: pass"))
     assert begun.wait(_WAIT_S)
     bench.cancel()
     done(bench)
     assert told == ["cancelled: running your lines; nothing was changed"]
-    assert bench.moment is before or bench.moment.own == ()
+    assert bench.page_state is before or bench.page_state.own == ()
     assert not bench.typed_path.exists()
 
 
@@ -168,7 +168,7 @@ def test_what_is_cancelled_before_it_begins_never_begins(bench: Workbench) -> No
     hold.set()
     bench.toggle("slip")
     done(bench)
-    assert bench.moment.effects == ("slip",)
+    assert bench.page_state.effects == ("slip",)
     assert [one.split(";")[0] for one in told if one.startswith("cancelled")] == [
         "cancelled: adding rail_lean", "cancelled: adding drift",
     ]  # fmt: skip
@@ -183,7 +183,7 @@ def test_lines_are_ended_with_the_one_who_asks(tmp_path: Path) -> None:
             raise Cancelled("enough")
 
     with pytest.raises((Cancelled, EffectError)):
-        Apart(lines(before="while True: pass\n"), look)
+        Sandbox(lines(before="while True: pass\n"), look)
     assert not multiprocessing.active_children()
 
 
@@ -200,23 +200,23 @@ def test_a_typed_effect_is_drawn_apart(bench: Workbench, inside: str, said: str)
     patient(bench, 2.0)
     bench.type_effect(lines(inside))
     bench.toggle("ramp").result(_WAIT_S)
-    assert dict(bench.moment.drawings) == {}
+    assert dict(bench.page_state.drawings) == {}
     done(bench)
-    assert bench.moment.diagnosis is not None
-    drawn = bench.moment
+    assert bench.page_state.diagnosis is not None
+    drawn = bench.page_state
     assert said in drawn.drawings["ramp"]
 
     # an exaggeration that fails is no mistake of the model
     told = errors(bench)
     bench.toggle("rail_lean").result(_WAIT_S)
     assert told == []
-    assert bench.moment.effects == ("ramp", "rail_lean")
+    assert bench.page_state.effects == ("ramp", "rail_lean")
     bench.cancel()
     done(bench)
 
     def asked(*_: object) -> None:
         raise AssertionError("the page asked the typed lines")
 
-    effect = bench.moment.known["ramp"]
+    effect = bench.page_state.known["ramp"]
     object.__setattr__(effect, "function", asked)
     assert said in _card(effect, drawn, opened=False)

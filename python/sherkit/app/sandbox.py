@@ -38,7 +38,7 @@ _MEMORY = 2 * 2**30
 _KEPT = 12
 
 
-class Apart:
+class Sandbox:
     """The effects of some lines. ``look`` is called while their process works; what it raises ends the process.
 
     ``effects`` are what the lines define; an effect that is asked after the end of the process begins another one.
@@ -97,12 +97,12 @@ class Apart:
 class _Asked:
     """A function that is elsewhere."""
 
-    def __init__(self, apart: Apart, name: str, which: str) -> None:
-        self._apart, self._name, self._which = apart, name, which
+    def __init__(self, apart: Sandbox, name: str, which: str) -> None:
+        self._sandbox, self._name, self._which = apart, name, which
         self.__qualname__ = name
 
     def __call__(self, rows: Rows, p: SimpleNamespace) -> Floats:
-        return self._apart.ask(self._name, self._which, rows, p)
+        return self._sandbox.ask(self._name, self._which, rows, p)
 
 
 @dataclass(frozen=True)

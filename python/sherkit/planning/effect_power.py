@@ -37,7 +37,7 @@ _LARGEST_NC = 1e5
 
 
 @dataclass(frozen=True)
-class Outlook:
+class EffectPower:
     """What the plan promises of one effect.
 
     ``power`` is the chance to find it at its plausible size, ``times`` the multiple of that size at which the chance is
@@ -200,16 +200,16 @@ class Planning:
         return float(scipy.optimize.brentq(lambda nc: self._found(nc, rank, free) - POWER, 1e-6, _LARGEST_NC))
 
     @cached_property
-    def outlooks(self) -> tuple[Outlook, ...]:
+    def effect_powers(self) -> tuple[EffectPower, ...]:
         """What the plan promises of every effect, in the order of the chain."""
         return tuple(self._outlook(name) for name in self.candidates)
 
-    def _outlook(self, name: str) -> Outlook:
+    def _outlook(self, name: str) -> EffectPower:
         effect = self.candidates[name]
         missing = lacks(effect, self.rows)
         if missing:
             nan = float("nan")
-            return Outlook(name, effect.link, nan, nan, {}, nan, nan, (), missing)
+            return EffectPower(name, effect.link, nan, nan, {}, nan, nan, (), missing)
         raw, left = self._raw[name], self._left(name)
         rank, free = self._freedom(left, name)
         at_size = float((left**2).sum()) if rank else 0.0
@@ -217,7 +217,7 @@ class Planning:
         times = float(np.sqrt(needed / at_size)) if at_size > 0 else float("inf")
         whole = float((raw**2).sum())
         unit = self.rows.layout.per_unit * float(np.sqrt(np.mean(self.sigma**2)))
-        return Outlook(
+        return EffectPower(
             name=name,
             link=effect.link,
             power=self._found(at_size, rank, free),

@@ -1,4 +1,4 @@
-"""The propositions that every verdict is derived from, tested on the final fit."""
+"""The checks that every verdict is derived from, made on the final fit."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from ..data.doubts import Doubt
 from ..fit.set_up import Mistake
 from ..names import listed
 from ..types import Floats, Ints
-from .claims import APART, AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SMALL, Claim
-from .earned import Earned
+from .checks import APART, AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SMALL, Check
 from .few_enough import FewEnough
 from .fitted_run import FittedRun
+from .held_out_gain import HeldOutGain
 from .lack_of_fit import LackOfFit
 from .named import Named
 from .one_unknown import OneUnknown
@@ -22,7 +22,7 @@ from .outliers import in_one_go, spans
 from .repeats import Repeats
 from .rounded import Rounded, rounded
 from .sizes import ABSURD, PLAUSIBLE, largest, sizes_of
-from .steady import Wander
+from .steady import SlowDrift
 
 #: Held-out error over noise up to which what is left is as small as the noise.
 PRAISE = 1.25
@@ -30,26 +30,26 @@ PRAISE = 1.25
 _WRONG = 0.2
 
 
-def claims_of(
+def checks_of(
     final: FittedRun,
     found: Named,
     sigma: Floats,
     origin: str,
     fitness: LackOfFit | None,
     unknown: OneUnknown | None,
-    needed: Sequence[Earned],
+    needed: Sequence[HeldOutGain],
     level: float,
     wild: Ints,
     mistakes: Sequence[Mistake],
     table: Sequence[Doubt],
     digits: Rounded | None,
-    wander: Wander | None,
+    slow_drift: SlowDrift | None,
     repeats: Repeats | None,
     contradicted: Mapping[str, tuple[float, float]],
     by_noise: Callable[[], float],
     enough: Callable[[], FewEnough | None],
-) -> tuple[Claim, ...]:
-    """Every claim about a final fit, those that decide first.
+) -> tuple[Check, ...]:
+    """Every check about a final fit, those that decide first.
 
     ``sigma`` (columns,) is the noise, ``fitness`` what poses leave beyond their repeats, ``unknown`` one cause in place
     of several, ``needed`` what the effects that were in the model earn, ``wild`` the rows left out, ``mistakes`` those
@@ -62,7 +62,7 @@ def claims_of(
     out = [_set_up(mistakes, final), *_table(table, final), _converged(final, used), _plausible(final, used)]
     out += [_as_drawn(final, used), _gross(final, wild), *_apart(final, wild)]
     p = found.result.p_left if not found.result.signature else found.result.p_first
-    left = Claim(
+    left = Check(
         "nothing_left", "no effect and no shape takes anything from what is left", used,
         f"familywise over {len(found.result.stages[-1].scan.candidates)} effects and shapes",
         holds=p > level and not found.result.signature, p=p, fails="what is left has a structure",
@@ -80,12 +80,12 @@ def claims_of(
     out.append(_digits(steps, used, asked=fails))
     out.append(_repeats(repeats))
     out.append(_as_declared(final, contradicted, origin))
-    out.append(_steady(final, wander, used))
+    out.append(_steady(final, slow_drift, used))
     if unknown is not None:
         out.append(_several(unknown))
-    for one in found.earned:
+    for one in found.gains:
         out.append(
-            Claim(
+            Check(
                 f"earns:{one.effect}", f"{one.effect} earns its place given all others", _HELD,
                 f"{_fall(one, unit)}; chosen again without them for {one.again:.0%} of the rows",
                 holds=one.holds, p=one.p, fails=f"{one.effect} does not help on rows held out",
@@ -94,22 +94,22 @@ def claims_of(
     for one in needed:
         told = "" if one.holds else f"{one.effect} is in the model and not needed: "
         out.append(
-            Claim(
+            Check(
                 f"needed:{one.effect}", f"{one.effect}, which is in the model, is needed", _HELD,
                 told + _fall(one, unit), holds=one.holds, p=one.p, decisive=False,
             )
         )  # fmt: skip
     if table:
         # what these poses cannot tell does not decide
-        out = [replace(claim, decisive=claim.name in ("set_up", PLACES)) for claim in out]
+        out = [replace(check, decisive=check.name in ("set_up", PLACES)) for check in out]
     return tuple(out)
 
 
 _HELD = "every row in turn, held out with its block in five deals"
 
 
-def _several(unknown: OneUnknown) -> Claim:
-    return Claim(
+def _several(unknown: OneUnknown) -> Check:
+    return Check(
         "several_rather_than_one", "the named effects predict better than one unknown would",
         f"{_HELD}; and the outermost poses after a fit to the others", str(unknown),
         holds=False if unknown.preferred else None if unknown.rivals else True, p=unknown.p_rim,
@@ -117,99 +117,99 @@ def _several(unknown: OneUnknown) -> Claim:
     )  # fmt: skip
 
 
-def _fall(one: Earned, unit: str) -> str:
+def _fall(one: HeldOutGain, unit: str) -> str:
     if not np.isfinite(one.without):
         return "without it these rows cannot be fitted"
     return f"held out {one.without:.4g} {unit} without it, {one.with_it:.4g} with it"
 
 
-def _set_up(mistakes: Sequence[Mistake], final: FittedRun) -> Claim:
+def _set_up(mistakes: Sequence[Mistake], final: FittedRun) -> Check:
     tested = "no usual mistake is in the columns, their units and the robot file"
     told = "; ".join(m.sentence for m in mistakes) or "no usual mistake would make it better"
-    return Claim("set_up", tested, f"all {len(final.data)} rows", told, holds=not mistakes, fails=told)
+    return Check("set_up", tested, f"all {len(final.data)} rows", told, holds=not mistakes, fails=told)
 
 
-def _table(table: Sequence[Doubt], final: FittedRun) -> list[Claim]:
+def _table(table: Sequence[Doubt], final: FittedRun) -> list[Check]:
     """Said where there is something to be said."""
     told = "; ".join(doubt.sentence for doubt in table)
     tested = "the poses can tell what the model asks of them"
-    return [Claim(PLACES, tested, f"all {len(final.data)} rows", told, holds=False, fails=told)] if told else []
+    return [Check(PLACES, tested, f"all {len(final.data)} rows", told, holds=False, fails=told)] if told else []
 
 
-def _converged(final: FittedRun, used: str) -> Claim:
+def _converged(final: FittedRun, used: str) -> Check:
     fit = final.fit
     how = "settled" if fit.converged else "still moved"
-    return Claim(
+    return Check(
         "converged", "the fit converged", used, f"it {how} after {fit.evaluations} evaluations", holds=fit.converged,
         fails="the fit did not converge, so that nothing it says can be believed",
     )  # fmt: skip
 
 
-def _plausible(final: FittedRun, used: str) -> Claim:
+def _plausible(final: FittedRun, used: str) -> Check:
     tested = "no parameter is absurdly large"
     if not len(final.fit.values):
-        return Claim("plausible", tested, used, "there is none", holds=True)
+        return Check("plausible", tested, used, "there is none", holds=True)
     sizes = sizes_of(final.fit)
     worst = int(np.argmax(sizes))
     told = largest(final.fit, worst)
-    return Claim(
+    return Check(
         "plausible", tested, used, f"the largest is {told}", holds=bool(sizes[worst] <= ABSURD),
         fails=f"{told}: that is absurd",
     )  # fmt: skip
 
 
-def _as_drawn(final: FittedRun, used: str) -> Claim:
+def _as_drawn(final: FittedRun, used: str) -> Check:
     tested = "the robot is as near to its drawing as robots are"
     own = np.ones(len(final.fit.values), dtype=bool)
     for effect in final.model.effects:
         own[final.owns(effect)] = False
     if not own.any():
-        return Claim(AS_DRAWN, tested, used, "nothing of the drawing is free", holds=None, decisive=False)
+        return Check(AS_DRAWN, tested, used, "nothing of the drawing is free", holds=None, decisive=False)
     sizes = np.where(own, sizes_of(final.fit), 0.0)
     told, far = largest(final.fit, int(np.argmax(sizes))), int((sizes > PLAUSIBLE).sum())
     more = f" (and {far - 1} more)" if far > 1 else ""
-    return Claim(
+    return Check(
         AS_DRAWN, tested, used, f"farthest is {told}{more}", holds=far == 0, decisive=False,
         fails=f"{told}{more}: is the robot file that of this robot?",
     )  # fmt: skip
 
 
-def _gross(final: FittedRun, wild: Ints) -> Claim:
+def _gross(final: FittedRun, wild: Ints) -> Check:
     share = len(wild) / max(len(final.data), 1)
-    return Claim(
+    return Check(
         "gross_errors", "few rows are wrong", f"all {len(final.data)} rows",
         f"{len(wild)} are listed as wrong and are in none of these numbers", holds=share <= _WRONG,
         fails=f"{len(wild)} of {len(final.data)} rows stand apart from the others",
     )  # fmt: skip
 
 
-def _apart(final: FittedRun, wild: Ints) -> list[Claim]:
+def _apart(final: FittedRun, wild: Ints) -> list[Check]:
     if not len(wild):
         return []
     lasting = in_one_go(final.data, wild)
     tested, rows = "rows that are wrong are so each for itself", f"the {len(wild)} rows listed as wrong"
     if not len(lasting):
-        return [Claim(APART, tested, rows, "between them others are right", holds=True, decisive=False)]
+        return [Check(APART, tested, rows, "between them others are right", holds=True, decisive=False)]
     where = f"{final.data.counted}s {spans(final.data.line[lasting])}"
     told = f"{where} were read one after another"
     return [
-        Claim(
+        Check(
             APART, tested, rows, told, holds=False, decisive=False,
             fails=f"{told}, are wrong and left out: was the instrument or the target knocked, and put back?",
         )
     ]  # fmt: skip
 
 
-def _poses(final: FittedRun, fitness: LackOfFit | None, *, followed: bool) -> Claim:
+def _poses(final: FittedRun, fitness: LackOfFit | None, *, followed: bool) -> Check:
     tested = "poses are as near to the model as their repeats are to one another"
     if fitness is None:
-        return Claim(POSES_AS_REPEATS, tested, "no rows", "too few poses were repeated", holds=None)
+        return Check(POSES_AS_REPEATS, tested, "no rows", "too few poses were repeated", holds=None)
     each = ", ".join(f"{axis} {value:.2g}" for axis, value in fitness.own.items())
     told = f"each pose is off by {fitness.size:.2g} {final.unit} of its own ({each})"
     columns = listed([name for k, name in enumerate(final.data.layout.pose_sigmas) if k in final.axes])
     file = final.model.pose_sigma_in_file
     declare = f"columns {columns}" + (f", or {file} in the robot file" if file else "")
-    return Claim(
+    return Check(
         POSES_AS_REPEATS, tested, f"{fitness.poses} repeated poses", told, holds=not fitness.counts, p=fitness.p,
         # what follows something is not each pose's own
         fails=told if followed else (
@@ -220,70 +220,71 @@ def _poses(final: FittedRun, fitness: LackOfFit | None, *, followed: bool) -> Cl
     )  # fmt: skip
 
 
-def _digits(steps: Rounded | None, used: str, *, asked: bool) -> Claim:
+def _digits(steps: Rounded | None, used: str, *, asked: bool) -> Check:
     tested = "columns have digits enough"
     told = "what is left is not what steps of their columns leave" if asked else "nothing asks for more of them"
     if steps is not None:
         told = str(steps)
-    return Claim(DIGITS, tested, used, told, holds=steps is None, decisive=False, fails=told)
+    return Check(DIGITS, tested, used, told, holds=steps is None, decisive=False, fails=told)
 
 
-def _repeats(repeats: Repeats | None) -> Claim:
+def _repeats(repeats: Repeats | None) -> Check:
     tested = "what repeats of a pose differ by is noise alone"
     if repeats is None:
-        return Claim(REPEATS, tested, "no rows", "too few poses were repeated", holds=None)
-    return Claim(
+        return Check(REPEATS, tested, "no rows", "too few poses were repeated", holds=None)
+    return Check(
         REPEATS, tested, f"{repeats.rows} rows of repeated poses", str(repeats), holds=not repeats.held, p=repeats.p,
         fails=f"repeats of a pose differ by more than noise: {repeats}",
     )  # fmt: skip
 
 
-def _as_declared(final: FittedRun, contradicted: Mapping[str, tuple[float, float]], origin: str) -> Claim:
+def _as_declared(final: FittedRun, contradicted: Mapping[str, tuple[float, float]], origin: str) -> Check:
     tested, rows = "repeats scatter by the noise that was declared", "rows of repeated poses"
     if not contradicted:
         told = "nothing else was seen" if origin == "declared" else "none was declared"
-        return Claim(DECLARED, tested, rows, told, holds=True if origin == "declared" else None, decisive=False)
+        return Check(DECLARED, tested, rows, told, holds=True if origin == "declared" else None, decisive=False)
     each = ", ".join(
         f"{axis} {said:.3g} {final.unit} declared, {shown:.3g} shown" for axis, (said, shown) in contradicted.items()
     )
     ratio = max(max(said / shown, shown / said) for said, shown in contradicted.values())
     told = f"{each}: {ratio:.2g} times apart; all that is said here is by what repeats show"
-    return Claim(
+    return Check(
         DECLARED, tested, rows, told, holds=False, decisive=False,
         fails=f"the declared noise is not what repeats show ({told}): are the deviations in the unit of their column?",
     )  # fmt: skip
 
 
-def _steady(final: FittedRun, wander: Wander | None, used: str) -> Claim:
+def _steady(final: FittedRun, slow_drift: SlowDrift | None, used: str) -> Check:
     tested = "what is left is steady in the course of time"
-    if wander is None:
+    if slow_drift is None:
         told = "no times, or too few"
-        return Claim("steady", tested, used, told, holds=None, decisive=False)
-    return Claim(
+        return Check("steady", tested, used, told, holds=None, decisive=False)
+    return Check(
         "steady", tested, used,
-        f"{wander.axis} wanders by {wander.size:.3g} {final.unit} beside {wander.beside:.3g} from row to row",
-        holds=not wander.counts, p=wander.p, decisive=False,
+        f"{slow_drift.axis} wanders by {slow_drift.size:.3g} {final.unit} "
+        f"beside {slow_drift.beside:.3g} from row to row",
+        holds=not slow_drift.counts, p=slow_drift.p, decisive=False,
     )  # fmt: skip
 
 
-def _small(final: FittedRun, error: float, sigma: Floats, origin: str, by_noise: Callable[[], float]) -> Claim:
+def _small(final: FittedRun, error: float, sigma: Floats, origin: str, by_noise: Callable[[], float]) -> Check:
     tested = "the error on rows held out is as small as the noise"
     noise = _noise(final, sigma)
     if origin == "unknown":
-        return Claim(SMALL, tested, _HELD, f"{error:.4g} {final.unit}; the noise is unknown", holds=None)
+        return Check(SMALL, tested, _HELD, f"{error:.4g} {final.unit}; the noise is unknown", holds=None)
     most, told = PRAISE * noise, f"{error:.4g} {final.unit} at a noise of {noise:.4g} ({origin})"
     if error > most and (bound := by_noise() * noise) > most:
         told += f", which alone leaves up to {bound:.4g} on rows held out of these poses"
         most = bound
-    return Claim(
+    return Check(
         SMALL, tested, _HELD, told, holds=error <= most,
         fails=f"{error:.4g} {final.unit} are left on rows held out at a noise of {noise:.4g}",
     )  # fmt: skip
 
 
 def _loosely(
-    final: FittedRun, small: Claim, error: float, sigma: Floats, enough: Callable[[], FewEnough | None]
-) -> Claim | None:
+    final: FittedRun, small: Check, error: float, sigma: Floats, enough: Callable[[], FewEnough | None]
+) -> Check | None:
     """Said of poses whose fit predicts others worse than they were read, though nothing is missing; and of so few that
     their fit goes through all of them. Where the noise is not known, it is what the fit leaves for each reading that it
     has not used up."""
@@ -303,7 +304,7 @@ def _loosely(
         return None
     few = enough()
     few_words = f", or free fewer: {len(few.names)} of {few.every} are enough" if few else ""
-    return Claim(
+    return Check(
         LOOSE, "the poses fix the parameters well enough to predict others", _HELD,
         f"{told}; {few}" if few else told, holds=False,
         fails=f"{told}: measure more poses, out to the rim of the workspace" + few_words,
