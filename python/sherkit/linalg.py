@@ -23,7 +23,7 @@ import threadpoolctl
 from .errors import NotConverged, NotFinite, Singular
 from .types import Bools, Floats
 
-#: The threads of every BLAS that is loaded: NumPy's and SciPy's are two. Looked for once, while this is imported:
+#: The threads of NumPy's BLAS and of SciPy's, which are two. Looked for once, while this is imported:
 #: looking holds the loader's lock, and waits for ever where another thread imports at that moment.
 _POOLS = threadpoolctl.ThreadpoolController()
 
