@@ -36,7 +36,7 @@ def record(answer: Answer) -> Record:
     return {
         "verdict": d.verdict,
         "effects": list(d.effects),
-        "ties": [list(tie) for tie in d.ties],
+        "indistinguishable": [list(tie) for tie in d.indistinguishable],
         "caveat": d.caveat is not None,
         "fails": [check.name for check in d.checks if check.decisive and check.holds is False],
         "signature": None if told is None else [told["depends_on"], told["shape"]],

@@ -52,7 +52,7 @@ def ur5(tmp_path: Path) -> Serial:
 
 def named(d: sk.diagnosis.Diagnosis) -> set[str]:
     """Effects that lead or are tied with one that does."""
-    return set(d.effects).union(*d.ties)
+    return set(d.effects).union(*d.indistinguishable)
 
 
 # -- physics outside the catalogue ---------------------------------------------------------------------------------
@@ -252,7 +252,7 @@ def counted(runs: Iterator[Verdict]) -> tuple[Counter[str], list[str]]:
     for kind, what, d in runs:
         count[kind] += 1
         if kind != "right":
-            said.append(f"{kind}: {what}: {d.verdict} {d.effects} ties {d.ties}")
+            said.append(f"{kind}: {what}: {d.verdict} {d.effects} ties {d.indistinguishable}")
     return count, said
 
 
@@ -315,5 +315,5 @@ if __name__ == "__main__":
         for kind, what, d in runs:
             tally[kind] += 1
             if kind != "right":
-                print(f"{kind}: {what}: {d.verdict} {d.effects} {d.ties} reserved {d.caveat}", flush=True)
+                print(f"{kind}: {what}: {d.verdict} {d.effects} {d.indistinguishable} reserved {d.caveat}", flush=True)
             print(dict(tally), "CPU", round(time.process_time() - started), "s", flush=True)

@@ -89,7 +89,7 @@ def measured(
 
 def named(d: sk.diagnosis.Diagnosis) -> set[str]:
     """Effects that lead or are tied with one that does."""
-    return set(d.effects).union(*d.ties)
+    return set(d.effects).union(*d.indistinguishable)
 
 
 def ratio_of(name: str, where: str, ratio: float) -> float:
@@ -167,7 +167,7 @@ def test_nothing_is_found_where_nothing_is(seed: int) -> None:
     """
     d = silent(CASES["3 repeats"], seed)
     assert d.verdict == "adequate"
-    assert (d.effects, d.ties, d.signature, d.next_poses) == ((), (), None, ())
+    assert (d.effects, d.indistinguishable, d.signature, d.next_poses) == ((), (), None, ())
     assert d.p_missing > LEVEL
     assert set(d.smallest_found) == set(EFFECTS)
     assert all(rms > 0 for _, rms in d.smallest_found.values())
@@ -296,8 +296,8 @@ def test_a_tie_is_reported_and_the_next_poses_settle_it(name: str, where: str, r
     and a second run joined as if time had stood still."""
     run = measured(GRIDS[where], seed, scaled={name: ratio * NOISE_UM}, repeats=1, order="planes")
     d = run.diagnose()
-    assert d.ties
-    assert {name} < set(d.ties[0])
+    assert d.indistinguishable
+    assert {name} < set(d.indistinguishable[0])
     assert 0 < len(d.next_poses) <= 12
     reached = [p["separation_sigma"] for p in d.next_poses]
     assert all(b >= a - 1e-6 for a, b in pairwise(reached))
@@ -306,7 +306,8 @@ def test_a_tie_is_reported_and_the_next_poses_settle_it(name: str, where: str, r
     assert (after.outliers < len(run.data)).all()
     assert after.effects == (name,)
     # what can never be told from it on any poses may come as near again; what was asked for is settled
-    assert set(after.ties[0] if after.ties else ()) & set(d.ties[0]) < set(d.ties[0])
+    tie, kept = set(d.indistinguishable[0]), set(after.indistinguishable[0] if after.indistinguishable else ())
+    assert kept & tie < tie
 
 
 # -- outside the catalogue -----------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ import sherkit as sk
 from sherkit.cli.main import cli
 from sherkit.data.doubts.repeats import copied
 from sherkit.diagnosis.fitted_run import FittedRun
-from sherkit.diagnosis.held_out import by_noise_alone, deals_of
+from sherkit.diagnosis.held_out import by_noise_alone, repeated_folds_of
 from sherkit.diagnosis.stage import stage_of
 from sherkit.diagnosis.waves import waves_of
 from sherkit.report.answer import answer
@@ -60,21 +60,21 @@ def test_what_noise_leaves_on_rows_held_out_is_what_fits_without_them_leave(pose
     data = few(poses, repeats, 0).data
     declared = np.full(data.readings.shape, SIGMA)
     run = FittedRun(sk.identify(DELTA, replace(data, sigma=declared)))
-    deals, sigma = deals_of(run, 0), run.noise[0]
+    repeated_folds, sigma = repeated_folds_of(run, 0), run.noise[0]
     view = run.linearised(np.arange(len(data)), (), sigma[list(run.axes)])
     columns = view.fitted(slice(0, len(data)))
     n, m, p = columns.shape
     columns = columns / np.linalg.norm(columns.reshape(-1, p), axis=0)
     noise = np.random.default_rng(0).normal(size=(600, n, m))
-    squares = np.zeros((len(deals), 600))
-    for k, deal in enumerate(deals):
+    squares = np.zeros((len(repeated_folds), 600))
+    for k, deal in enumerate(repeated_folds):
         for block in np.unique(deal):
             out = deal == block
             fitted = np.linalg.pinv(columns[~out].reshape(-1, p), rcond=1e-9) @ noise[:, ~out].reshape(600, -1).T
             left = noise[:, out].reshape(600, -1) - (columns[out].reshape(-1, p) @ fitted).T
             squares[k] += (left**2).sum(axis=1) / (n * m)
     expected = np.sqrt(np.mean(np.quantile(squares, 1 - LEVEL, axis=1)))
-    assert by_noise_alone(run, sigma, deals, LEVEL, 0) == pytest.approx(expected, rel=0.06)
+    assert by_noise_alone(run, sigma, repeated_folds, LEVEL, 0) == pytest.approx(expected, rel=0.06)
 
 
 # -- no alarm ------------------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from test_spherical_discovery import ERRORS, PLANS, ROBOT, real_robot
 
 
 def named(d: sk.diagnosis.Diagnosis) -> set[str]:
-    return set(d.effects).union(*d.ties)
+    return set(d.effects).union(*d.indistinguishable)
 
 
 def test_a_joint_of_an_arm_that_reads_from_another_zero(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ def honest(answer: Answer) -> sk.diagnosis.Diagnosis:
 
 def named(d: Any) -> set[str]:
     """Effects that lead or are tied with one that does."""
-    return set(d.effects).union(*d.ties)
+    return set(d.effects).union(*d.indistinguishable)
 
 
 def table(title: str, outcomes: Iterable[tuple[str, str]]) -> None:
@@ -285,7 +285,7 @@ def test_next_poses_come_as_joints_and_as_targets() -> None:
     """Catches poses that nobody can drive to: a turn of both joints is tied with a camera that turned."""
     world = worlds.spherical_world(0, effects={"joint_offset": [0.002, 0.002]}, per_side=12, repeats=3)
     d = honest(world.ask())
-    assert d.ties
+    assert d.indistinguishable
     if d.next_poses:  # none is an answer as well: these instruments cannot tell
         assert {"theta1_rad", "theta2_rad", "phi_rad", "gamma_rad"} <= set(d.next_poses[0])
         assert d.next_poses[-1]["separation_sigma"] >= 3.0

@@ -26,7 +26,7 @@ from second_simulator.unnamed import (
     spherical_unnamed,
     telegraph,
 )
-from sherkit.diagnosis import sentence, ties
+from sherkit.diagnosis import indistinguishable, sentence
 from sherkit.diagnosis.checked import PRAISE
 from sherkit.diagnosis.simplest import is_alias
 from worlds import Answer, World
@@ -70,7 +70,7 @@ class Count:
         if praised and honest:
             return
         self.asked += 1
-        told = [d.signature, *d.signature["ties"]] if d.signature else []
+        told = [d.signature, *d.signature["indistinguishable"]] if d.signature else []
         if any(set(one["depends_on"]) & world.true for one in told):
             self.held += 1
         else:
@@ -139,7 +139,7 @@ def test_the_distance_of_poses_is_no_period() -> None:
     """Catches "repeats with z, period 10": on planes ten millimetres apart that is any function of z. Seed 0."""
     d = ask(delta_unnamed(crosstalk_product, 5.0, "shuffled", 0)).diagnosis
     assert d.signature is not None
-    for told in (d.signature, *d.signature["ties"]):
+    for told in (d.signature, *d.signature["indistinguishable"]):
         assert told["shape"] != "periodic" or told["depends_on"] != ["z_mm"]
 
 
@@ -157,12 +157,12 @@ def test_shapes_that_do_as_well_are_told() -> None:
     )
     d = sk.diagnose(sk.identify(model, data))
     assert d.signature is not None
-    told = {tuple(one["depends_on"]) for one in (d.signature, *d.signature["ties"])}
+    told = {tuple(one["depends_on"]) for one in (d.signature, *d.signature["indistinguishable"])}
     assert {("time_s",), ("humidity_pct",)} <= told
     assert "longer run" in d.signature["apart"]
-    assert ties(d.signature) in repr(d)
+    assert indistinguishable(d.signature) in repr(d)
     assert sentence(d.signature) in repr(d)
-    assert d.to_json()["signature"]["ties"]
+    assert d.to_json()["signature"]["indistinguishable"]
 
 
 def test_a_wave_that_slower_ones_stand_in_for_is_an_alias() -> None:

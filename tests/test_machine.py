@@ -74,7 +74,7 @@ def diagnosed(name: str, seed: int, sizes: dict[str, float]) -> sk.diagnosis.Dia
 
 
 def named(d: sk.diagnosis.Diagnosis) -> set[str]:
-    return set(d.effects).union(*d.ties)
+    return set(d.effects).union(*d.indistinguishable)
 
 
 def held_out(d: sk.diagnosis.Diagnosis) -> float:

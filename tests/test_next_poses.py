@@ -70,7 +70,7 @@ def test_the_poses_of_a_tie_are_a_plan(tmp_path: Path) -> None:
     """Catches poses that an experiment cannot take as they are. A drift tied with a lean, seed 2."""
     run = delta.measured(delta.GRIDS["whole"], 2, scaled={"drift": delta.NOISE_UM}, repeats=1, order="planes")
     d = run.diagnose()
-    assert d.ties
+    assert d.indistinguishable
     assert not d.advice
     assert list(d.next_poses[0]) == ["q1_mm", "q2_mm", "q3_mm", "x_mm", "y_mm", "z_mm", "separation_sigma"]
     assert d.next_poses[-1]["separation_sigma"] >= TELLS_SIGMA
@@ -85,7 +85,7 @@ def test_the_poses_of_a_tie_are_a_plan(tmp_path: Path) -> None:
 def test_what_no_pose_tells_is_said_with_what_would(tmp_path: Path) -> None:
     """Catches a list of poses that tell nothing. A marker that slips is a camera that slips, in pixels; seed 0."""
     d = spherical.measured("small", 0, scaled={"slip": 2}).diagnose()
-    assert set(d.ties[0]) == {"slip", "camera_slip"}
+    assert set(d.indistinguishable[0]) == {"slip", "camera_slip"}
     assert d.next_poses == ()
     assert "these instruments cannot tell" in d.advice
     assert "readings of phi, gamma, as fine as these, would" in d.advice

@@ -529,17 +529,17 @@ def test_each_scale_says_what_it_shows(demo: Run, scale: str) -> None:
 def test_bracket_holds_what_is_tied(plane: Run, demo: Run) -> None:
     """Catches a bracket around others, one where nothing is tied, and an implausible size that looks plausible."""
     assert plane.study
-    assert plane.found.ties
+    assert plane.found.indistinguishable
     made = candidates(plane.found)
     shown = [str(e) for e in table(made, "effects")["effect"]]
     lines = table(made, "brackets")
     stems = [(str(a), str(b)) for a, b, x, y in zip(lines["y0"], lines["y1"], lines["x0"], lines["x1"], strict=True)
              if a != b and x == y]  # fmt: skip
-    assert len(stems) == len(plane.found.ties)
-    for (first, last), tie in zip(stems, plane.found.ties, strict=True):
+    assert len(stems) == len(plane.found.indistinguishable)
+    for (first, last), tie in zip(stems, plane.found.indistinguishable, strict=True):
         assert set(shown[shown.index(first) : shown.index(last) + 1]) == set(tie)
     assert demo.study
-    assert not demo.found.ties
+    assert not demo.found.indistinguishable
     assert len(table(candidates(demo.found), "brackets")["x0"]) == 0
     t = table(made, "effects")
     by_name = {c.effect: c for c in plane.found.candidates}

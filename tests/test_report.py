@@ -252,7 +252,7 @@ def test_what_has_no_number_does_not_run(demo: Path, tmp_path: Path) -> None:
 def test_the_report_of_a_tool_has_the_same_policy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Catches a page of its own making: without a policy, or with one under which Bokeh draws nothing."""
     monkeypatch.setattr("sherkit.report.tool.pictures_of", lambda _: [])
-    found: Any = SimpleNamespace(headline="<img src=x onerror='owned = 1'>", ties=[], checks=[], notes=[])
+    found: Any = SimpleNamespace(headline="<img src=x onerror='owned = 1'>", indistinguishable=[], checks=[], notes=[])
     t = np.linspace(0.0, 1.0, 50)
     drawn = EstimateOverTime(
         time_s=t, estimate=t, std=0.1 * t, name="insertion depth", unit="mm", others={}, force_mN=t, threshold_mN=50.0
@@ -375,8 +375,8 @@ def test_a_tie_and_an_unknown_noise(runs: Path) -> None:
     """Catches a tie that is not told, poses that are not listed, and a noise that nobody knows given as a figure."""
     text = report(runs, "plane.html", "diagnose", "robot.toml", "plane.csv")
     found = inside(runs / "plane.html")
-    assert found["ties"]
-    for tie in found["ties"]:
+    assert found["indistinguishable"]
+    for tie in found["indistinguishable"]:
         assert f"{' or '.join(tie)} : these poses cannot tell" in text
     pose = found["next_poses"][0]
     numbers = [f"{v:.6g}" for name, v in pose.items() if name != "separation_sigma"]

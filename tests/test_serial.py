@@ -409,7 +409,7 @@ def test_growth_of_all_links_alike_is_tied_with_that_of_the_whole(ur5: Serial) -
     """Catches links that are blamed one by one, or the whole alone, where no run can tell the two apart."""
     found = sk.diagnose(ur5, simulated(ur5, 1, 200, **hidden_at(ur5, "thermal_growth", 2.0, 1)))
     assert (found.verdict, found.effects) == ("explained", ("thermal_growth",))
-    assert ("thermal_growth", "link_growth") in found.ties
+    assert ("thermal_growth", "link_growth") in found.indistinguishable
 
 
 def test_what_hangs_is_told_to_the_loop(ur5: Serial) -> None:

@@ -500,7 +500,7 @@ def test_story_from_the_command_line(tmp_path: Path) -> None:
     found = sherkit("diagnose", EXAMPLE, run, "--json")
     told = json.loads(found.stdout)
     assert told["verdict"] == "explained"
-    assert "joint_offset" in {*told["effects"], *(name for tie in told["ties"] for name in tie)}
+    assert "joint_offset" in {*told["effects"], *(name for tie in told["indistinguishable"] for name in tie)}
     assert told["unit"] == "px"
     done = sherkit("calibrate", EXAMPLE, run, "--effect", "joint_offset", "-o", calibration, "--report",
                    tmp_path / "report.html")  # fmt: skip

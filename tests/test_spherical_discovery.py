@@ -120,7 +120,7 @@ def measured(
 
 def named(d: sk.diagnosis.Diagnosis) -> set[str]:
     """Effects that lead or are tied with one that does."""
-    return set(d.effects).union(*d.ties)
+    return set(d.effects).union(*d.indistinguishable)
 
 
 def hidden(name: str, ratio: float, where: str, seed: int) -> sk.diagnosis.Diagnosis:
@@ -188,7 +188,7 @@ def test_nothing_is_found_where_nothing_is(repeats: int) -> None:
     for seed in range(2):
         d = silent(seed, repeats)
         assert d.verdict == "adequate"
-        assert (d.effects, d.ties, d.signature, d.next_poses) == ((), (), None, ())
+        assert (d.effects, d.indistinguishable, d.signature, d.next_poses) == ((), (), None, ())
         assert d.p_missing > LEVEL
         assert set(d.smallest_found) == set(EFFECTS)
         assert all(rms > 0 for _, rms in d.smallest_found.values())

@@ -25,7 +25,7 @@ RARE = 1e-3
 
 def named(d: sk.diagnosis.Diagnosis) -> set[str]:
     """Effects that lead or are tied with one that does."""
-    return set(d.effects).union(*d.ties)
+    return set(d.effects).union(*d.indistinguishable)
 
 
 @pytest.mark.parametrize("lag_s", [3.0, 200.0, 5000.0])

@@ -499,7 +499,7 @@ def test_a_users_effect_at_each_link_is_recovered(effect: sk.Effect, values: lis
     np.testing.assert_allclose(fit.values[model.owns(effect)], values, atol=1e-6)
     study = sk.Study(EXAMPLE, run(8, ERRORS, change=moved_by(effect, np.array(values))), effects=[effect])
     d = study.diagnose()
-    assert effect.name in set(d.effects).union(*d.ties)
+    assert effect.name in set(d.effects).union(*d.indistinguishable)
     study.add(effect.name)
     place = study.model.owns(effect)
     assert (np.abs(study.fit.values[place] - values) < 4 * study.fit.std[place]).all()

@@ -577,7 +577,7 @@ def diagnosed(name: str | None, seed: int, ratio: float = 1.0) -> sk.diagnosis.D
 def test_effects_are_found_by_name(name: str) -> None:
     """Catches an effect that is computed with the wrong sign or not at all; visible part 1 × the noise, seed 1."""
     d = diagnosed(name, 1)
-    assert name in {*d.effects, *(other for tie in d.ties for other in tie)}
+    assert name in {*d.effects, *(other for tie in d.indistinguishable for other in tie)}
     assert d.steps[-1].held_out_rms == pytest.approx(NOISE_MM, rel=0.06)
 
 
@@ -683,7 +683,7 @@ def test_a_run_without_pictures_is_refused() -> None:
 
 def names_of(d: sk.diagnosis.Diagnosis) -> set[str]:
     """What leads, or is tied with it."""
-    return {*d.effects, *(other for tie in d.ties for other in tie)}
+    return {*d.effects, *(other for tie in d.indistinguishable for other in tie)}
 
 
 @pytest.mark.parametrize(("name", "seed"), [("shaft_bend", 2), ("camera_delay", 2)])
@@ -770,7 +770,7 @@ def test_story_from_the_command_line(tmp_path: Path) -> None:
     short = ("--experiment", "vessels", "--seconds", "12")
     assert sherkit("simulate", there, "-o", tmp_path / "short.csv", *short).exit_code == 0
     diagnosis = json.loads(sherkit("diagnose", late, tmp_path / "short.csv", "--json").stdout)
-    assert "camera_delay" in {*diagnosis["effects"], *(name for tie in diagnosis["ties"] for name in tie)}
+    assert "camera_delay" in {*diagnosis["effects"], *(name for tie in diagnosis["indistinguishable"] for name in tie)}
 
 
 def test_three_tables_make_a_tool(tmp_path: Path) -> None:

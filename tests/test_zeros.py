@@ -20,7 +20,7 @@ RARE = 1e-3
 def named(*effects: str, seed: int, ratio: float = 2.0) -> bool:
     """Whether all of them lead, or are tied with what does."""
     d = sk.diagnose(*counted_from_anywhere(seed, dict.fromkeys(effects, ratio)))
-    return set(effects) <= set(d.effects).union(*d.ties)
+    return set(effects) <= set(d.effects).union(*d.indistinguishable)
 
 
 def test_a_sensor_that_bends_about_its_own_zero_is_found() -> None:

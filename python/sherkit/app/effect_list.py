@@ -14,7 +14,7 @@ from bokeh.models import Button, CustomJS, Div
 
 from ..diagnosis import Diagnosis
 from ..model.effect import Effect
-from ..report.card import drawing_of, its_numbers, ties, what_it_is
+from ..report.card import drawing_of, indistinguishable, its_numbers, what_it_is
 from ..report.style import number
 from .controls import TYPE, button
 from .page_state import PageState
@@ -81,7 +81,7 @@ def idle(found: Diagnosis) -> frozenset[str]:
 
     One that is named, or tied with one, is none of them.
     """
-    kept = {*found.effects, *(name for tie in found.ties for name in tie)}
+    kept = {*found.effects, *(name for tie in found.indistinguishable for name in tie)}
     now = found.steps[0].held_out_rms
     out = {c.effect for c in found.candidates if c.held_out_rms + 2 * c.held_out_std >= now}
     return frozenset({*out, *found.untestable} - kept)
@@ -146,7 +146,7 @@ def _card(effect: Effect, page_state: PageState, *, opened: bool) -> str:
     fit, found = page_state.history[-1].fit, page_state.diagnosis
     if opened and found is not None:
         fit = found.fit  # it is in this one
-    parts = [what_it_is(effect, fit), its_numbers(effect, fit, found), ties(effect, found)]
+    parts = [what_it_is(effect, fit), its_numbers(effect, fit, found), indistinguishable(effect, found)]
     if effect.function is not None:  # a person's lines may do anything: the page does not ask them
         parts.insert(0, page_state.drawings.get(effect.name, ""))
     elif fit is not None and (opened or effect.name in page_state.effects):
@@ -171,7 +171,7 @@ def _said(name: str, page_state: PageState) -> str:
         return ""
     scale = found.steps[0].held_out_rms
     part = 100 * min(would.held_out_rms / scale, 1.0) if scale > 0 else 100
-    tied = any(name in tie for tie in found.ties)
+    tied = any(name in tie for tie in found.indistinguishable)
     note = " · tied" if tied else "" if would.plausible else " · implausible"
     return (
         f"leaves <b>{number(would.held_out_rms)}</b> {unit}{note}"

@@ -18,7 +18,7 @@ from bokeh.models import CustomJS, FileInput, TextAreaInput
 from jinja2 import Environment, PackageLoader
 from tornado.ioloop import IOLoop
 
-from ..diagnosis import sentence, template, ties
+from ..diagnosis import indistinguishable, sentence, template
 from ..diagnosis.outliers import sentences
 from ..names import listed
 from ..report.answer import answer
@@ -290,10 +290,10 @@ class StudyPage:
         )
         said = [
             *sentences(data, found.outliers),
-            *(f"these rows cannot tell {' from '.join(tie)}" for tie in found.ties),
+            *(f"these rows cannot tell {' from '.join(tie)}" for tie in found.indistinguishable),
         ]
         if found.signature is not None:
-            said.append(f"left over: {sentence(found.signature)} {ties(found.signature)}".rstrip())
+            said.append(f"left over: {sentence(found.signature)} {indistinguishable(found.signature)}".rstrip())
         self._findings.text = "<br>".join(escape(one) for one in said)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.markup import escape
 from rich.table import Table
 
-from ..diagnosis import Diagnosis, largest, sentence, ties
+from ..diagnosis import Diagnosis, indistinguishable, largest, sentence
 from ..diagnosis.next_poses import SEPARATION
 from ..names import listed
 from .output import out, table
@@ -62,9 +62,9 @@ def diagnosis(d: Diagnosis) -> None:
     out.print("[bold]3. Which effect?[/]")
     out.print(_candidates(d))
     out.print("\n[bold]4. What can these data not tell apart?[/]")
-    if not d.ties and not d.confounded_with and not d.untestable:
+    if not d.indistinguishable and not d.confounded_with and not d.untestable:
         out.print("   nothing of what was tried")
-    for tie in d.ties:
+    for tie in d.indistinguishable:
         out.print(f"   [bold]{' or '.join(tie)}[/]: these poses cannot tell")
     for name, parameters in d.confounded_with.items():
         out.print(f"   {name}, if there is any, hides almost entirely in {listed(parameters)}")
@@ -145,10 +145,10 @@ def _poses(d: Diagnosis) -> Table:
 
 def _next(d: Diagnosis) -> list[str]:
     advice = [escape(d.advice)] if d.advice else []
-    if d.ties and d.next_poses:
+    if d.indistinguishable and d.next_poses:
         poses = "measure the poses below, some time after this run, and diagnose both: sherkit diagnose ROBOT RUN MORE"
         return [*advice, poses]
-    if d.ties:
+    if d.indistinguishable:
         return advice or ["which poses could be reached is not known of this machine, so none are proposed"]
     if d.verdict == "explained":
         named = " ".join(f"--effect {e}" for e in d.effects)
@@ -157,7 +157,7 @@ def _next(d: Diagnosis) -> list[str]:
     if d.signature is not None:
         return [
             escape(sentence(d.signature)),
-            *([escape(told)] if (told := ties(d.signature)) else []),
+            *([escape(told)] if (told := indistinguishable(d.signature)) else []),
             "write a template of an effect with this shape: sherkit diagnose … --template my_effects.py",
         ]
     if d.verdict != "adequate":

@@ -126,14 +126,19 @@ def _show_effects(effect_powers: tuple[EffectPower, ...], unit: str) -> None:
             continue
         smallest = f"{o.times:.3g} ×" if np.isfinite(o.times) else "never"
         made.add_row(
-            o.name, f"{100 * o.power:.0f} %", smallest, f"{o.left_um:.2f}", f"{100 * o.absorbed:.1f} %", listed(o.ties)
+            o.name,
+            f"{100 * o.power:.0f} %",
+            smallest,
+            f"{o.left_um:.2f}",
+            f"{100 * o.absorbed:.1f} %",
+            listed(o.indistinguishable),
         )
     out.print(made)
 
 
 def _sentences(effect_powers: tuple[EffectPower, ...]) -> list[str]:
     absorbed = [o.name for o in effect_powers if not o.lacks and o.is_absorbed]
-    tied = [o.name for o in effect_powers if o.ties]
+    tied = [o.name for o in effect_powers if o.indistinguishable]
     missed = [o.name for o in effect_powers if not o.lacks and o.power < POWER]
     said = []
     if missed:
@@ -177,7 +182,7 @@ def _json(
                 "name": o.name, "link": o.link, "lacks": list(o.lacks), "power": number(o.power),
                 "smallest_in_plausible_sizes": number(o.times),
                 "smallest": {k: number(v) for k, v in o.values.items()}, "left_um": number(o.left_um),
-                "absorbed": number(o.absorbed), "ties": list(o.ties),
+                "absorbed": number(o.absorbed), "indistinguishable": list(o.indistinguishable),
             }
             for o in effect_powers
         ],

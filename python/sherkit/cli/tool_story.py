@@ -104,7 +104,7 @@ def tool_story(
         )
     _say("4. What is missing?", run)
     output.say(f"   Verdict: {diagnosis.headline}")
-    for tie in diagnosis.ties:
+    for tie in diagnosis.indistinguishable:
         output.say(f"   this run cannot tell {' from '.join(tie)}")
     for note in diagnosis.notes:
         output.say(f"   {note}")

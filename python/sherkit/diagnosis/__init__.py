@@ -3,6 +3,6 @@
 from .answers import Diagnosis, largest
 from .questions import diagnose
 from .shapes import play_operator
-from .template import sentence, template, ties
+from .template import indistinguishable, sentence, template
 
-__all__ = ["Diagnosis", "diagnose", "largest", "play_operator", "sentence", "template", "ties"]
+__all__ = ["Diagnosis", "diagnose", "indistinguishable", "largest", "play_operator", "sentence", "template"]

@@ -15,7 +15,7 @@ from ..notebook import Shown
 from ..types import Ints
 from .checks import LOOSE, POSES_AS_REPEATS, Check, headline
 from .summary import Summary
-from .template import sentence, ties
+from .template import indistinguishable, sentence
 from .where import Dependence
 
 
@@ -49,13 +49,13 @@ class Diagnosis(Shown):
 
     ``verdict`` is ``adequate``, ``explained``, ``partly explained``, ``unexplained`` or ``undecided``, where the poses
     are too few to tell: it follows from ``checks`` alone. ``effects`` are those that are missing, ``not_needed`` those
-    in the model that bring nothing; ``caveat`` says what one unknown would look like where many numbers explain,
-    and which size is implausible. ``ties`` are groups of effects that these rows cannot tell apart, the leading one
-    first; ``confirmed`` is the largest p with which a named effect earns its place on rows held out. ``next_poses`` are
-    joints to drive to and the coordinates that these are, in the order to measure them, each with the separation in
-    standard deviations that run and poses up to it reach; ``advice`` says what no reachable pose tells, and what would.
-    ``fit`` is the model with the named effects on all rows.
-    Errors are RMS of single readings in ``unit``: µm for a delta.
+    in the model that bring nothing; ``caveat`` says what one unknown would look like where many numbers explain, and
+    which size is implausible. ``indistinguishable`` are groups of effects that these rows cannot tell apart, the
+    leading one first; ``confirmed`` is the largest p with which a named effect earns its place on rows held out.
+    ``next_poses`` are joints to drive to and the coordinates that these are, in the order to measure them, each with
+    the separation in standard deviations that run and poses up to it reach; ``advice`` says what no reachable pose
+    tells, and what would. ``fit`` is the model with the named effects on all rows. Errors are RMS of single readings in
+    ``unit``: µm for a delta.
     """
 
     verdict: str
@@ -69,7 +69,7 @@ class Diagnosis(Shown):
     not_needed: tuple[str, ...]
     checks: tuple[Check, ...]
     caveat: str | None
-    ties: tuple[tuple[str, ...], ...]
+    indistinguishable: tuple[tuple[str, ...], ...]
     steps: tuple[StepReport, ...]
     candidates: tuple[CandidateReport, ...]
     untestable: dict[str, str]
@@ -131,7 +131,7 @@ class Diagnosis(Shown):
 
     def __repr__(self) -> str:
         lines = [self.headline]
-        lines += [f"  these rows cannot tell {' from '.join(tie)}" for tie in self.ties]
+        lines += [f"  these rows cannot tell {' from '.join(tie)}" for tie in self.indistinguishable]
         for s in self.steps:
             name = "as it came" if s.effect is None else "+ " + s.effect
             lines.append(f"  {name:<24} {s.held_out_rms:8.2f} {self.unit} held out")
@@ -140,7 +140,7 @@ class Diagnosis(Shown):
             lines.append(f"  {'left out':<24} {len(self.outliers):5d} of {len(self.fit.data)} rows, which look wrong")
         if self.signature is not None:
             lines.append(f"  {sentence(self.signature)}")
-            lines += [f"  {told}"] if (told := ties(self.signature)) else []
+            lines += [f"  {told}"] if (told := indistinguishable(self.signature)) else []
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
@@ -159,7 +159,7 @@ class Diagnosis(Shown):
             "caveat": self.caveat,
             "not_needed": list(self.not_needed),
             "checks": [check.to_json() for check in self.checks],
-            "ties": [list(t) for t in self.ties],
+            "indistinguishable": [list(t) for t in self.indistinguishable],
             "steps": [{"effect": s.effect, f"held_out_rms{um}": s.held_out_rms} for s in self.steps],
             "candidates": [
                 {

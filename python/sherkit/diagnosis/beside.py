@@ -135,8 +135,8 @@ def innocents(
             if one.effect in out:
                 continue
             effect = next(c.effect for c in result.added if c.name == one.effect)
-            plain = held_out_gain(final, effect, sigma=sigma, deals=fold, seed=search.seed)
-            free = held_out_gain(final, effect, sigma=sigma, deals=fold, beside=columns, seed=search.seed)
+            plain = held_out_gain(final, effect, sigma=sigma, repeated_folds=fold, seed=search.seed)
+            free = held_out_gain(final, effect, sigma=sigma, repeated_folds=fold, beside=columns, seed=search.seed)
             # with what is free much of a true cause goes too: then it must say more in few numbers than shapes in many
             if free.holds and _gain(free) >= (_KEEPS_AT_LEAST if better else _KEEPS) * _gain(plain):
                 continue
@@ -160,11 +160,13 @@ def _gain(one: HeldOutGain) -> float:
     return one.without**2 - one.with_it**2
 
 
-def _held_out(run: FittedRun, sigma: Floats, deals: Sequence[Ints], beside: Columns | None) -> float:
+def _held_out(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints], beside: Columns | None) -> float:
     """RMS on rows held out, of a model with these columns besides."""
     scale = sigma[list(run.axes)]
     rows = testable(run, np.flatnonzero(run.whole))
-    return rms(squares_of(run.linearised(rows, (), scale), np.stack([d[rows] for d in deals]), beside)[0], scale)
+    return rms(
+        squares_of(run.linearised(rows, (), scale), np.stack([d[rows] for d in repeated_folds]), beside)[0], scale
+    )
 
 
 def _columns_of(stage: Stage, shapes: Sequence[Shape]) -> Columns | None:

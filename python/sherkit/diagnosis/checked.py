@@ -105,7 +105,7 @@ def checks_of(
     return tuple(out)
 
 
-_HELD = "every row in turn, held out with its block in five deals"
+_HELD = "every row in turn, held out with its block, five times over other folds"
 
 
 def _several(unknown: OneUnknown) -> Check:

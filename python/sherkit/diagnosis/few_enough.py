@@ -37,7 +37,7 @@ class FewEnough:
         )
 
 
-def few_enough(run: FittedRun, sigma: Floats, deals: Sequence[Ints]) -> FewEnough | None:
+def few_enough(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]) -> FewEnough | None:
     """The fewest parameters that predict rows held out as well as any set, to first order; None where nearly all are
     needed. ``sigma`` (columns,) weighs the readings.
 
@@ -51,8 +51,8 @@ def few_enough(run: FittedRun, sigma: Floats, deals: Sequence[Ints]) -> FewEnoug
     view = run.linearised(rows, (), scale)
     off = run.fit.values - run.model.start(run.data)
     drawn = np.concatenate([view.residual[part] + view.fitted(part) @ off for part in view.blocks])
-    folds = Folds.of(view.fitted, drawn, np.stack([deal[rows] for deal in deals]))
-    one = len(folds) // len(deals)
+    folds = Folds.of(view.fitted, drawn, np.stack([fold[rows] for fold in repeated_folds]))
+    one = len(folds) // len(repeated_folds)
     gram, right = folds.grams[:one].sum(axis=0), folds.right[:one].sum(axis=0)
     free = list(range(len(off)))
     steps: list[tuple[float, list[int]]] = []

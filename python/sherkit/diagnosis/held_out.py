@@ -1,5 +1,5 @@
 """The held-out error that people are shown, wherever they see it: every row predicted by a fit that did not see its
-block, in several deals of blocks.
+block, in several ways to cut the run into blocks.
 
 All is linear around the full fit, so that a fit without a block is a subtraction of Gram matrices.
 """
@@ -30,15 +30,15 @@ _ENOUGH = 200
 _DRAWS = 999
 
 
-def deals_of(run: FittedRun, seed: int) -> list[Ints]:
+def repeated_folds_of(run: FittedRun, seed: int) -> list[Ints]:
     """Folds (n,) of all rows, of each deal."""
     return [run.blocks(_FOLDS, _DEALS * seed + k) for k in range(_DEALS)]
 
 
-def held_out_rms(run: FittedRun, sigma: Floats, deals: Sequence[Ints]) -> float:
+def held_out_rms(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]) -> float:
     """RMS of single readings held out, in the unit of the run. ``sigma`` (columns,) weighs them."""
     scale = sigma[list(run.axes)]
-    return rms(_all_squares(run, scale, deals), scale) * run.per_unit
+    return rms(_all_squares(run, scale, repeated_folds), scale) * run.per_unit
 
 
 def held_out_by_reading(run: FittedRun, seed: int) -> dict[str, float]:
@@ -51,7 +51,7 @@ def held_out_by_reading(run: FittedRun, seed: int) -> dict[str, float]:
         raise FitError(f"{data.source}: has distances; only coordinates are held out in this way")
     sigma, origin = run.noise
     scale = (run.scatter if origin == "unknown" else sigma)[list(run.axes)]
-    squares = _all_squares(run, scale, deals_of(run, seed))
+    squares = _all_squares(run, scale, repeated_folds_of(run, seed))
     error = run.per_unit * scale * np.sqrt(np.mean(squares, axis=(0, 1)))
     return dict(zip((run.data.layout.readings[a] for a in run.axes), error.tolist(), strict=True))
 
@@ -78,7 +78,7 @@ def squares_of(view: Linearised, fold: Ints, beside: Columns | None = None) -> t
     return np.concatenate(parts, axis=1) ** 2, folds
 
 
-def by_noise_alone(run: FittedRun, sigma: Floats, deals: Sequence[Ints], level: float, seed: int) -> float:
+def by_noise_alone(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints], level: float, seed: int) -> float:
     """Root of the mean square, in noises, below which rows held out stay with a chance of 1 - ``level`` where the model
     lacks nothing.
 
@@ -90,9 +90,9 @@ def by_noise_alone(run: FittedRun, sigma: Floats, deals: Sequence[Ints], level: 
     rows = testable(run, np.flatnonzero(run.whole))
     if len(rows) * len(run.axes) > _ENOUGH * run.fit.rank:
         return 1.0
-    folds = folds_of(run.linearised(rows, (), sigma[list(run.axes)]), np.stack([deal[rows] for deal in deals]))
+    folds = folds_of(run.linearised(rows, (), sigma[list(run.axes)]), np.stack([fold[rows] for fold in repeated_folds]))
     rng = np.random.default_rng(seed)
-    each = [_drawn(folds.deal(k), rng) for k in range(len(deals))]
+    each = [_drawn(folds.deal(k), rng) for k in range(len(repeated_folds))]
     told = run.data.repeatability if run.noise[1] == "repeats" else None
     if told is not None:
         free = max(sum(told.degrees_of_freedom.values()), 1)
@@ -120,7 +120,7 @@ def _square_root(grams: Floats) -> Floats:
     return vector * np.sqrt(np.where(value > 1e-12 * value[:, -1:], value, 0.0))[:, None, :]
 
 
-def _all_squares(run: FittedRun, scale: Floats, deals: Sequence[Ints]) -> Floats:
+def _all_squares(run: FittedRun, scale: Floats, repeated_folds: Sequence[Ints]) -> Floats:
     rows = testable(run, np.flatnonzero(run.whole))
     view = run.linearised(rows, (), scale)
-    return squares_of(view, np.stack([deal[rows] for deal in deals]))[0]
+    return squares_of(view, np.stack([fold[rows] for fold in repeated_folds]))[0]

@@ -1,9 +1,9 @@
 """Whether an effect of a model earns its place: the error on rows that neither fitted nor chose it, with and without.
 
-Every row is held out in turn, in several deals of blocks. On the others all parameters are fitted, with the effect and
+Every row is held out in turn, in several folds of blocks. On the others all parameters are fitted, with the effect and
 without it; where diagnosis chose the effect, the choice is made again without the rows held out, among all that could
 stand in its place, and their gain counts only where it falls on the same effect. Paired differences of squared error,
-averaged over the deals, are tested by flipping signs of whole poses. All is linear around the two full fits, each at
+averaged over them, are tested by flipping signs of whole poses. All is linear around the two full fits, each at
 its own optimum, so that only Gram matrices are needed.
 
 Sources: Stone, "Cross-validatory choice and assessment of statistical predictions", J. R. Stat. Soc. B 1974 (choice
@@ -61,7 +61,7 @@ def held_out_gain(
     effect: Effect,
     *,
     sigma: Floats,
-    deals: Sequence[Ints],
+    repeated_folds: Sequence[Ints],
     rivals: Sequence[Effect] | None = None,
     periods: Sequence[float] = (),
     also: Collection[str] = (),
@@ -70,14 +70,14 @@ def held_out_gain(
 ) -> HeldOutGain:
     """What ``effect``, which is in the model of ``run``, brings given all others of the model but those of ``also``.
 
-    ``deals`` are folds (n,) of all rows of the data; ``rivals`` what might have been chosen in its place, None where
-    nobody chose, and ``periods`` others that might have been chosen for it; ``beside`` are columns that are fitted as
-    well. An effect without which the rows cannot be fitted earns its place.
+    ``repeated_folds`` are folds (n,) of all rows of the data; ``rivals`` what might have been chosen in its place, None
+    where nobody chose, and ``periods`` others that might have been chosen for it; ``beside`` are columns that are
+    fitted as well. An effect without which the rows cannot be fitted earns its place.
     """
     axes = list(run.axes)
     rows = testable(run, np.flatnonzero(run.whole))
     scale = sigma[axes]
-    fold = np.stack([deal[rows] for deal in deals])
+    fold = np.stack([fold[rows] for fold in repeated_folds])
     try:
         full = run.without_effects(also) if also else run
         less = full.without_effects((effect.name,))

@@ -48,7 +48,7 @@ def searched(
     effects: Sequence[Effect],
     rows: Ints,
     sigma: Floats,
-    deals: Sequence[Ints],
+    repeated_folds: Sequence[Ints],
     *,
     level: float,
     seed: int,
@@ -67,12 +67,12 @@ def searched(
         tried = [e for e in effects if e.name not in refused]
         search = Search(run, tried, rows, sigma, level=level, seed=seed, periods=periods, step=step)
         result = search.find(in_model) if look else search.as_it_stands()
-        base = StepReport(None, held_out_rms(run, sigma, deals))
+        base = StepReport(None, held_out_rms(run, sigma, repeated_folds))
         if not result.added:
             return Named(search, result, run, [], (base,), notes)
         result.added, told = on_all_rows(run, result.added)
         step("held-out errors")
-        final, gains, steps = _judged(run, result, tried, sigma, deals, seed, base)
+        final, gains, steps = _judged(run, result, tried, sigma, repeated_folds, seed, base)
         falls = all(after.held_out_rms < before.held_out_rms for before, after in pairwise(steps))
         refusals = _refusals(run, final, result, gains, falls)
         if not refusals:
@@ -116,7 +116,7 @@ def _judged(
     result: SearchResult,
     effects: Sequence[Effect],
     sigma: Floats,
-    deals: Sequence[Ints],
+    repeated_folds: Sequence[Ints],
     seed: int,
     base: StepReport,
 ) -> tuple[FittedRun, list[HeldOutGain], tuple[StepReport, ...]]:
@@ -124,7 +124,7 @@ def _judged(
     steps, left, partial = [base], list(result.added), run
     ordered: list[Candidate] = []
     while left:
-        options = [(held_out_rms(with_it, sigma, deals), k, with_it)
+        options = [(held_out_rms(with_it, sigma, repeated_folds), k, with_it)
                    for k, with_it in enumerate(refit(partial, (c,)) for c in left)]  # fmt: skip
         error, k, partial = min(options, key=lambda o: o[:2])
         ordered.append(left.pop(k))
@@ -134,7 +134,13 @@ def _judged(
     rivals = [e for e in effects if e.name not in alike]
     gains = [
         held_out_gain(
-            partial, c.effect, sigma=sigma, deals=deals, rivals=rivals, periods=_other_periods(result, c), seed=seed
+            partial,
+            c.effect,
+            sigma=sigma,
+            repeated_folds=repeated_folds,
+            rivals=rivals,
+            periods=_other_periods(result, c),
+            seed=seed,
         )
         for c in ordered
     ]
@@ -157,7 +163,7 @@ def _other_periods(result: SearchResult, candidate: Candidate) -> tuple[float, .
 
 
 def not_needed(
-    run: FittedRun, effects: Sequence[Effect], sigma: Floats, deals: Sequence[Ints], seed: int
+    run: FittedRun, effects: Sequence[Effect], sigma: Floats, repeated_folds: Sequence[Ints], seed: int
 ) -> list[HeldOutGain]:
     """What each of the ``effects`` that were in the model earns. Of those that earn nothing the least useful is taken
     out first, and the others are judged without it: of two that say the same only one is not needed."""
@@ -165,7 +171,7 @@ def not_needed(
     left = list(effects)
     also: list[str] = []
     while left:
-        gains = [held_out_gain(run, e, sigma=sigma, deals=deals, also=also, seed=seed) for e in left]
+        gains = [held_out_gain(run, e, sigma=sigma, repeated_folds=repeated_folds, also=also, seed=seed) for e in left]
         failing = [one for one in gains if not one.holds]
         if not failing:
             return out + gains

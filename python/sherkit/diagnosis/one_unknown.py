@@ -79,7 +79,7 @@ class OneUnknown:
 
 
 def one_unknown(
-    base: FittedRun, final: FittedRun, names: Sequence[str], sigma: Floats, deals: Sequence[Ints]
+    base: FittedRun, final: FittedRun, names: Sequence[str], sigma: Floats, repeated_folds: Sequence[Ints]
 ) -> OneUnknown | None:
     """The single unknown that comes nearest, beside the effects ``names`` that ``final`` has and ``base`` has not.
 
@@ -89,7 +89,7 @@ def one_unknown(
     for effect, what in _unknowns(base):
         try:
             run = base.refit([(effect, None)])
-            fitted.append((len(effect.parameters), held_out_rms(run, sigma, deals), run, what))
+            fitted.append((len(effect.parameters), held_out_rms(run, sigma, repeated_folds), run, what))
         except SherkitError:
             continue
     if not fitted:
@@ -101,7 +101,7 @@ def one_unknown(
         what=what,
         numbers=numbers,
         instead=sum(len(e.parameters) for e in final.model.effects if e.name in names),
-        held_out=(error, held_out_rms(final, sigma, deals)),
+        held_out=(error, held_out_rms(final, sigma, repeated_folds)),
         rim=rim,
         p_rim=p_rim,
         unit=final.unit,

@@ -26,7 +26,7 @@ from .checks import verdict_of
 from .crossvalidation import HeldOutError, held_out
 from .few_enough import few_enough
 from .fitted_run import FittedRun
-from .held_out import by_noise_alone, deals_of
+from .held_out import by_noise_alone, repeated_folds_of
 from .hiding import confounded_with
 from .lack_of_fit import lack_of_fit
 from .linearised import orthonormal
@@ -123,14 +123,18 @@ def diagnose(
         sigma, contradicted = by_repeats(run, sigma, repeats, declared=origin == "declared")
         origin = "repeats" if contradicted else origin
     periods = repeats.periods if repeats is not None else ()
-    deals = deals_of(run, seed)
+    repeated_folds = repeated_folds_of(run, seed)
     steps = steps_in(run) if look and not run.is_exact else None
     if steps is not None and not steps.alone and steps.put_back is not None:
         # digits were cut off where no effect is missing once they are put back
-        there = searched(steps.put_back, every, rows, sigma, deals, level=level, seed=seed, step=step, look=True)
+        there = searched(
+            steps.put_back, every, rows, sigma, repeated_folds, level=level, seed=seed, step=step, look=True
+        )
         steps = None if there.names else steps
     look, rounded = look and steps is None, None if steps is None else steps.rounded
-    found = searched(run, every, rows, sigma, deals, level=level, seed=seed, step=step, look=look, periods=periods)
+    found = searched(
+        run, every, rows, sigma, repeated_folds, level=level, seed=seed, step=step, look=look, periods=periods
+    )
     final, rho = found.final, found.search.rho
     notes += found.notes
     notes += [f"{one.sentence}. {one.workshop}" for one in known(final.fit).values()]
@@ -138,21 +142,23 @@ def diagnose(
     step("fitting all rows")
     at = periods_shown(found.search, found.result)
     base_stage = stage_of(run, every, rows, sigma, rho=rho, thorough=False, at=at)
-    gains = held_out(base_stage, np.stack([deal[base_stage.rows] for deal in deals]))
+    gains = held_out(base_stage, np.stack([deal[base_stage.rows] for deal in repeated_folds]))
 
     left = None if repeats is None else repeats if final is run else in_repeats(final, seed=seed)
     if origin != "declared":
         sigma = _noise_left(final, sigma) if left is None else left.noise
-    needed = not_needed(final, [e for e in run.model.effects if e.name not in run.model.within], sigma, deals, seed)
+    own = [e for e in run.model.effects if e.name not in run.model.within]
+    needed = not_needed(final, own, sigma, repeated_folds, seed)
     fitness = lack_of_fit(final, level)
     numbers = sum(len(c.effect.parameters) for c in found.result.added)
     # many numbers imitate what is in no catalogue, as one effect or as several
     many = len(found.names) > 1 or numbers > _FEW
-    unknown = one_unknown(run, final, found.names, run.noise[0], deals) if many else None
+    unknown = one_unknown(run, final, found.names, run.noise[0], repeated_folds) if many else None
     slow_drift = slow_drift_of(final)
     checks = checks_of(
         final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, table, rounded, slow_drift, left,
-        contradicted, lambda: by_noise_alone(final, sigma, deals, level, seed), lambda: few_enough(final, sigma, deals),
+        contradicted, lambda: by_noise_alone(final, sigma, repeated_folds, level, seed),
+        lambda: few_enough(final, sigma, repeated_folds),
     )  # fmt: skip
     verdict = verdict_of(checks, found.names)
     caveats = [str(unknown)] if unknown is not None and unknown.rivals else []
@@ -165,7 +171,7 @@ def diagnose(
             "as noise; look for what changes slowly (temperature, humidity, a stand that gives way) and record it as a "
             "column"
         )
-    ties = _ties(found.result)
+    indistinguishable = _ties(found.result)
     reports = _candidate_reports(base_stage, gains, final, found.result, found.steps)
     smallest: dict[str, tuple[float, float]] = {}
     if verdict == "adequate" and not final.is_exact:
@@ -189,7 +195,7 @@ def diagnose(
         not_needed=tuple(one.effect for one in needed if not one.holds),
         checks=checks,
         caveat="; ".join(caveats) or None,
-        ties=ties,
+        indistinguishable=indistinguishable,
         steps=found.steps,
         candidates=reports,
         untestable=dict(base_stage.untestable),
@@ -318,7 +324,7 @@ def _signature(found: SearchResult, stage: Stage) -> dict[str, Any]:
         **_told(stage, shape, _axes_of(stage, shape)),
         "share_explained": float(np.clip(gain / excess, 0.0, 1.0)),
         "ranges": {name: _range(stage.view.variables[name]) for name in shape.depends_on},
-        "ties": [_told(stage, other, [stage.run.names[a] for a in stage.axes]) for other in found.as_well],
+        "indistinguishable": [_told(stage, other, [stage.run.names[a] for a in stage.axes]) for other in found.as_well],
     }
     return told | {"apart": what_parts(told, stage.view.pattern_of, stage.view.place)}
 

@@ -33,19 +33,19 @@ def course(shape: Mapping[str, Any]) -> str:
     return f"{_where(shape)} {_how(shape)}"
 
 
-def ties(signature: Mapping[str, Any]) -> str:
+def indistinguishable(signature: Mapping[str, Any]) -> str:
     """The shapes that do as well, and what would tell them apart, in words; empty where there is none."""
-    others = [f"that {course(one)}" for one in signature.get("ties", ())]
+    others = [f"that {course(one)}" for one in signature.get("indistinguishable", ())]
     if not others:
         return ""
     return f"These rows say as well {'; or '.join(others)}. {signature['apart']}"
 
 
 def what_parts(signature: Mapping[str, Any], joints: Collection[str], place: Collection[str]) -> str:
-    """What to measure so that the leading shape of a signature is told from its ``ties``. ``joints`` and ``place`` are
-    the variables that poses decide. Empty where there is no tie."""
+    """What to measure so that the leading shape of a signature is told from its ``indistinguishable``. ``joints`` and
+    ``place`` are the variables that poses decide. Empty where there is no tie."""
     lead = set(signature["depends_on"])
-    others = [set(one["depends_on"]) for one in signature["ties"]]
+    others = [set(one["depends_on"]) for one in signature["indistinguishable"]]
     poses = {*joints, *place}
     out = []
 

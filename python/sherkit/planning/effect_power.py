@@ -43,9 +43,9 @@ class EffectPower:
     ``power`` is the chance to find it at its plausible size, ``times`` the multiple of that size at which the chance is
     0.8 (all parameters at the same multiple of their sizes, signs at random), ``values`` the parameters there,
     ``left_um`` the root mean square that it then leaves in the readings, in the unit that people read. ``absorbed`` is
-    the share of its squared displacements that the fitted parameters would take. ``ties`` name effects that would
-    explain it as well: with one of them in the model, it is no longer found at its plausible size. ``lacks`` names
-    columns without which it cannot be tried at all; the rest then says nothing.
+    the share of its squared displacements that the fitted parameters would take. ``indistinguishable`` name effects
+    that would explain it as well: with one of them in the model, it is no longer found at its plausible size. ``lacks``
+    names columns without which it cannot be tried at all; the rest then says nothing.
     """
 
     name: str
@@ -55,7 +55,7 @@ class EffectPower:
     values: Mapping[str, float]
     left_um: float
     absorbed: float
-    ties: tuple[str, ...]
+    indistinguishable: tuple[str, ...]
     lacks: tuple[str, ...]
 
     @property
@@ -225,7 +225,7 @@ class Planning:
             values={p.name: times * p.size for p in effect.parameters},
             left_um=unit * float(np.sqrt(needed / self.readings)),
             absorbed=max(1.0 - at_size / whole, 0.0) if whole > 0 else 1.0,
-            ties=self._ties(name) if times <= 1.0 else (),
+            indistinguishable=self._ties(name) if times <= 1.0 else (),
             lacks=(),
         )
 

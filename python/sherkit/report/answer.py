@@ -55,7 +55,9 @@ def answer(found: Diagnosis) -> Answer:
         )
     causes = [effect for effect in found.fit.model.effects if effect.name in found.effects]
     physics = " ".join(f"{_first_sentence(e.physics)} {_most(found.fit, e)}".strip() for e in causes)
-    tied = f" These poses cannot tell it from {listed(found.ties[0][1:])}." if found.ties else ""
+    tied = (
+        f" These poses cannot tell it from {listed(found.indistinguishable[0][1:])}." if found.indistinguishable else ""
+    )
     whole = "" if found.verdict == "explained" else " That is not all: the rest has a pattern, too."
     if found.too_few_poses:
         whole = " These poses are too few to say whether that is all."

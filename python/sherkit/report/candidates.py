@@ -58,7 +58,7 @@ def candidates(found: Diagnosis) -> Picture[Diagnosis]:
     note = (
         "Error with two standard errors. Blue: named by the diagnosis; grey: tried; a cross: only at an implausible "
         f"size. Dashed: the error without any of them.{' Dotted: the noise.' if noise else ''}"
-        f"{' Behind a bracket: effects that these rows cannot tell apart.' if found.ties else ''}"
+        f"{' Behind a bracket: effects that these rows cannot tell apart.' if found.indistinguishable else ''}"
     )
     return Picture("candidates", single("candidates", made), sources, _tables, tune, note=note)
 
@@ -68,7 +68,7 @@ def _order(found: Diagnosis) -> list[Any]:
     reports = {c.effect: c for c in found.candidates}
     out: list[str] = []
     for c in found.candidates:
-        tied = next((t for t in found.ties if c.effect in t), (c.effect,))
+        tied = next((t for t in found.indistinguishable if c.effect in t), (c.effect,))
         out += [name for name in tied if name in reports and name not in out]
     return [reports[name] for name in out]
 
@@ -126,7 +126,7 @@ def _brackets(found: Diagnosis, order: list[str]) -> Tables:
     stem, tick = (low * (high / low) ** part for part in (0.89, 0.875))
     lines: list[tuple[float, str, float, str]] = []
     texts: list[tuple[float, str, str]] = []
-    for tie in found.ties:
+    for tie in found.indistinguishable:
         here = [name for name in order if name in tie]
         if len(here) > 1:
             lines += [(stem, here[0], stem, here[-1]), *((tick, name, stem, name) for name in here)]

@@ -65,7 +65,12 @@ def effect_card(
     leave without it.
     """
     left = [drawing_of(effect, machine, fit)]
-    right = [what_it_is(effect, fit), _brings(effect, found, without), its_numbers(effect, fit), ties(effect, found)]
+    right = [
+        what_it_is(effect, fit),
+        _brings(effect, found, without),
+        its_numbers(effect, fit),
+        indistinguishable(effect, found),
+    ]
     tile = None if atlas is None else next((t for t in atlas.tiles if t.title == effect.name), None)
     if atlas is not None and tile is not None:
         left.append(_pattern(atlas, tile))
@@ -199,11 +204,11 @@ def _with_std(value: float, std: float | None, unit: str) -> str:
     return escape(said if said.startswith("-") else f"+{said}")
 
 
-def ties(effect: Effect, found: Diagnosis | None) -> str:
+def indistinguishable(effect: Effect, found: Diagnosis | None) -> str:
     """What the poses of a diagnosis cannot tell it from, as HTML."""
     if found is None:
         return ""
-    others = sorted({name for tie in found.ties if effect.name in tie for name in tie} - {effect.name})
+    others = sorted({name for tie in found.indistinguishable if effect.name in tie for name in tie} - {effect.name})
     hidden = found.confounded_with.get(effect.name, ())
     told = [f"These poses cannot tell it from {listed(others)}."] if others else []
     told += [f"On these poses it hides almost entirely in {listed(hidden)}."] if hidden else []

@@ -25,7 +25,7 @@ import sherkit._core as _core
 
 from ..calibration import Result
 from ..data.files import write_whole
-from ..diagnosis import Diagnosis, sentence, ties
+from ..diagnosis import Diagnosis, indistinguishable, sentence
 from ..errors import SherkitError
 from ..figures import in_people_units, stated, with_error
 from ..fit.forms import known
@@ -141,7 +141,7 @@ def html(story: Story) -> str:
         printed_map=_printed(pictures["residual_map"]),
         example=_example(story.calibration),
         measured=_measured(story),
-        signature=f"{sentence(left)} {ties(left)}".rstrip() if (left := story.found.signature) else None,
+        signature=f"{sentence(left)} {indistinguishable(left)}".rstrip() if (left := story.found.signature) else None,
         notes={name: one.note for name, one in pictures.items()},
         places=places,
         nonce=nonce,
@@ -213,7 +213,7 @@ def _cards(story: Story, atlas: Atlas | None) -> tuple[list[str], list[tuple[str
         machine = fit.model.robot or getattr(fit.model, "plain", None)
         return effect_card(inside.get(name, every[name]), machine, fit=fit, found=found, atlas=atlas)
 
-    tied = [name for tie in found.ties for name in tie if name not in found.effects]
+    tied = [name for tie in found.indistinguishable for name in tie if name not in found.effects]
     others = [name for name in dict.fromkeys(tied) if name in every][:_MOST_TIED]
     return [card(name) for name in found.effects if name in every], [(name, card(name)) for name in others]
 

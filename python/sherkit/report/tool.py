@@ -50,12 +50,12 @@ def write_tool_report(
 ) -> None:  # fmt: skip
     """Writes it; it opens without a network. ``said`` are sentences and ``tables`` what a command adds. Raises
     :class:`~sherkit.errors.NotWritten`."""
-    ties = (f"This run cannot tell {' from '.join(t)}." for t in found.ties)
+    indistinguishable = (f"This run cannot tell {' from '.join(t)}." for t in found.indistinguishable)
     over_time, *others = estimate_picture(estimate), *pictures_of(found)
     parts = [
         _text(
             f"<h1>{escape(title)}</h1><p><b>{escape(found.headline)}</b></p>",
-            *(f"<p>{escape(s)}</p>" for s in (*ties, *found.notes, *said)),
+            *(f"<p>{escape(s)}</p>" for s in (*indistinguishable, *found.notes, *said)),
             f"<h2>{escape(estimate.name.capitalize())} over the run</h2>",
         ),
         over_time.root,

@@ -60,7 +60,7 @@ class CalibrationRun:
     """One run taken through identification, holding out and correction.
 
     ``held_out`` (n, m) are residuals of fits that did not see the row's block; blocks are dealt once, since a
-    correction is judged on the same (a study and a diagnosis average five deals). ``correction`` is None where none was
+    correction is judged on the same (a study and a diagnosis average five). ``correction`` is None where none was
     asked for or the robot has none; ``region`` (n,) are the rows in its region of interest, None where it has none.
     """
 
