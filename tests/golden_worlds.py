@@ -7,7 +7,6 @@ A world is a name and a function that asks for its diagnosis. None is judged her
 from __future__ import annotations
 
 import tempfile
-import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import pairwise
@@ -33,7 +32,7 @@ from sherkit.robots.printer import import_klipper
 from test_arm_counted import arm_in
 from test_serial import EFFECTS as ARM_EFFECTS
 from test_serial import hidden_at, simulated
-from worlds import Answer, World
+from worlds import Answer, World, heard
 from zeros import counted_from_anywhere
 
 Ask = Callable[[], Answer]
@@ -41,18 +40,8 @@ Ask = Callable[[], Answer]
 MACHINE_FILES = Path(__file__).parents[1] / "examples" / "machines"
 
 
-def heard(diagnose: Callable[[], Any]) -> Answer:
-    """What a person is told: the diagnosis, or the sentence with which it was refused."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            return Answer(diagnose(), ())
-        except sk.SherkitError as error:
-            return Answer(None, (str(error),))
-
-
-def _asked(make: Callable[[], World]) -> Answer:
-    return make().ask()
+def _asked(make: Callable[..., World], *given: Any, **more: Any) -> Answer:
+    return make(*given, **more).ask()
 
 
 def _unnamed(make: Callable[..., Unnamed], kind: Any) -> Answer:
@@ -89,12 +78,11 @@ def _machine(name: str, sizes: dict[str, float]) -> Answer:
 def _printer(fault: str) -> Answer:
     with tempfile.TemporaryDirectory() as folder:
         (path,) = Trial.of(fault, 3, 1).write(Path(folder), "klipper", (0.0,), 1)
-        printer = import_klipper(path)
-    return heard(lambda: sk.diagnose(printer.robot, printer.measurements))
+        return _klipper(path)
 
 
-def _real_printer() -> Answer:
-    printer = import_klipper(DATA / "delta_flsun_v400_b" / "printer.cfg")
+def _klipper(path: Path) -> Answer:
+    printer = import_klipper(path)
     return heard(lambda: sk.diagnose(printer.robot, printer.measurements))
 
 
@@ -110,20 +98,20 @@ def _tool(name: str | None) -> Answer:
 
 def _worlds() -> Iterator[tuple[str, Ask]]:
     for seed in range(6):
-        yield f"delta, nothing hidden, {seed}", partial(_asked, partial(worlds.clean, seed))
-        yield f"spherical, nothing hidden, {seed}", partial(_asked, partial(worlds.spherical_clean, seed))
+        yield f"delta, nothing hidden, {seed}", partial(_asked, worlds.clean, seed)
+        yield f"spherical, nothing hidden, {seed}", partial(_asked, worlds.spherical_clean, seed)
     for name, row in worlds.ROWS.items():
-        yield f"contradiction, {name}", partial(_asked, partial(row, 0))
+        yield f"contradiction, {name}", partial(_asked, row, 0)
     for name in (*CATALOGUE, *OUTSIDE_CATALOGUE):
         if name not in ("datum", "sensor_tilt"):
             scaled = {name: 4 * worlds.NOISE_UM}
-            yield f"delta, {name}", partial(_asked, partial(worlds.delta_world, 1, scaled))
+            yield f"delta, {name}", partial(_asked, worlds.delta_world, 1, scaled)
     for name in CATALOGUE[::3]:
         yield f"delta, zeros of its own, {name}", partial(_zeros, 1, {name: 2.0})
     for one, other in pairwise(CATALOGUE[::2]):
         yield f"delta, {one} and {other}", partial(_zeros, 2, {one: 4.0, other: 4.0})
     for name in SPHERICAL_EFFECTS:
-        yield f"spherical, {name}", partial(_asked, partial(worlds.spherical_world, 1, repeats=3, scaled={name: 4}))
+        yield f"spherical, {name}", partial(_asked, worlds.spherical_world, 1, repeats=3, scaled={name: 4})
     for kind in DELTA_KINDS:
         yield f"delta, no catalogue, {kind.__name__}", partial(_unnamed, delta_unnamed, kind)
     for kind in SPHERICAL_KINDS:
@@ -144,7 +132,7 @@ def _worlds() -> Iterator[tuple[str, Ask]]:
         yield f"{name}, thermal shift", partial(_machine, name, {"stand_per_c": 0.01})
     for fault in FAULTS:
         yield f"printer, {fault}", partial(_printer, fault)
-    yield "real, FLSUN V400", _real_printer
+    yield "real, FLSUN V400", partial(_klipper, DATA / "delta_flsun_v400_b" / "printer.cfg")
     yield "real, telescope GEM", partial(_telescope, test_telescope.mount.GEM, "gem-28.dat")
     yield "real, telescope MMT", partial(_telescope, test_telescope.mount.MMT, "point_20230702.dat")
     for name in (None, "tool_stiffness", "shaft_bend", "registration"):

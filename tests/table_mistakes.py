@@ -8,7 +8,6 @@ A run is clean, or has physics in it that nobody may blame for the mistake; the 
 from __future__ import annotations
 
 import tempfile
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -25,7 +24,7 @@ from second_machines import MACHINES, Hidden, run_of
 from second_simulator.spherical import spherical_plan
 from sherkit.robots.machine.file import load_machine
 from test_arm_counted import NOISE_MM, OwnArm, arm_in
-from worlds import Answer, Columns, Floats, sentences_of
+from worlds import Answer, Columns, Floats
 
 Words = tuple[tuple[str, ...], ...]
 
@@ -60,15 +59,7 @@ class Run:
 
     def ask(self) -> Answer:
         """What a person hears who has this table."""
-        with warnings.catch_warnings(record=True) as heard:
-            warnings.simplefilter("always")
-            try:
-                d = sk.diagnose(self.robot, pl.DataFrame(self.columns))
-            except sk.SherkitError as error:
-                return Answer(None, (*(str(w.message) for w in heard), str(error)))
-            except Exception as error:
-                return Answer(None, (*(str(w.message) for w in heard), f"{type(error).__name__} {error}"))
-        return Answer(d, (*(str(w.message) for w in heard), *sentences_of(d)))
+        return worlds.heard(lambda: sk.diagnose(self.robot, pl.DataFrame(self.columns)))
 
 
 # -- robots --------------------------------------------------------------------------------------------------------

@@ -79,6 +79,19 @@ def sentences_of(d: Any) -> tuple[str, ...]:
     return (*d.notes, *(str(check) for check in getattr(d, "checks", ())))
 
 
+def heard(diagnose: Callable[[], Any]) -> Answer:
+    """What a person hears who asks: what was warned of and the diagnosis, or the error in its place."""
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        try:
+            d = diagnose()
+        except sk.SherkitError as error:
+            return Answer(None, (*(str(w.message) for w in warned), str(error)))
+        except Exception as error:  # a crash is an outcome as well, and belongs in the table
+            return Answer(None, (*(str(w.message) for w in warned), f"{type(error).__name__} {error}"))
+    return Answer(d, (*(str(w.message) for w in warned), *sentences_of(d)))
+
+
 @dataclass(frozen=True, eq=False)
 class World:
     """``settings`` are the tables of the robot file, ``columns`` those of the run.
@@ -108,18 +121,9 @@ class World:
 
     def ask(self, seed: int = 0) -> Answer:
         """What a person hears who loads the robot, reads the run and asks for a diagnosis."""
-        with warnings.catch_warnings(record=True) as heard:
-            warnings.simplefilter("always")
-            try:
-                if self.steps:
-                    d = self.study().diagnose()
-                else:
-                    d = sk.diagnose(sk.identify(self.robot, sk.from_frame(pl.DataFrame(self.columns))), seed=seed)
-            except sk.SherkitError as error:
-                return Answer(None, (*(str(w.message) for w in heard), str(error)))
-            except Exception as error:  # a crash is an outcome as well, and belongs in the table
-                return Answer(None, (*(str(w.message) for w in heard), f"{type(error).__name__} {error}"))
-        return Answer(d, (*(str(w.message) for w in heard), *sentences_of(d)))
+        if self.steps:
+            return heard(lambda: self.study().diagnose())
+        return heard(lambda: sk.diagnose(sk.identify(self.robot, sk.from_frame(pl.DataFrame(self.columns))), seed=seed))
 
 
 # -- the delta -----------------------------------------------------------------------------------------------------
