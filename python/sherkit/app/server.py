@@ -118,11 +118,13 @@ class PageServer:
 
 @contextmanager
 def _interrupts(stop: Callable[[], None]) -> Iterator[None]:
-    """Ctrl-C calls ``stop``; a second one is raised wherever it comes. Only the main thread hears of it.
+    """Ctrl-C calls ``stop``; a second one is raised wherever it comes. Only the main thread hears of it, and nobody
+    where who started this had it ignored, as shells do behind ``&``.
 
     Raised at once, it could end in a callback or a destructor that drops what is raised there, and the page went on.
     """
-    if threading.current_thread() is not threading.main_thread():
+    before = signal.getsignal(signal.SIGINT)
+    if not callable(before) or threading.current_thread() is not threading.main_thread():
         yield
         return
 
@@ -130,7 +132,6 @@ def _interrupts(stop: Callable[[], None]) -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
         stop()
 
-    before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, first)
     try:
         yield
