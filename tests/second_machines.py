@@ -98,7 +98,8 @@ MACHINES: dict[str, tuple[Callable[..., Floats], dict[str, tuple[float, float]],
 def run_of(
     name: str, seed: int, sizes: Mapping[str, float] | None = None, *, poses: int = 150, repeats: int = 2
 ) -> pl.DataFrame:
-    """A run of ``poses`` at random, ``repeats`` times in another order each time, ten seconds a row."""
+    """A run of ``poses`` at random, ``repeats`` times in another order each time, ten seconds a row, in a room and by a
+    clock that are drawn."""
     true, joints, readings, noise = MACHINES[name]
     rng = np.random.default_rng(seed)
     low, high = np.array(list(joints.values())).T
@@ -107,19 +108,23 @@ def run_of(
     q = places[pose]
     time_s = 10.0 * np.arange(len(q))
     came = np.sign(np.diff(q, axis=0, prepend=low[None, :]))
-    warmth = 20 + 2.0 * np.sin(2 * np.pi * time_s / time_s[-1] * 0.8)
+    room = np.random.default_rng([seed, 5])
+    waves = room.uniform(0.4, 1.6)
+    warmth = room.uniform(15, 28) + room.uniform(0.5, 3.0) * np.sin(
+        2 * np.pi * (time_s / time_s[-1] * waves + room.uniform())
+    )
     hidden = Hidden(sizes or {})
     # the first joint loses steps in the middle of the run; the stand is late by eight minutes
     q = q + np.outer(time_s > time_s[-1] / 2, np.eye(len(low))[0]) * hidden.lost
-    stand = np.zeros(len(time_s))
+    stand = np.full(len(time_s), warmth[0] - 20.0)
     for k in range(1, len(time_s)):
-        room = 0.5 * (warmth[k - 1] + warmth[k]) - 20.0
-        stand[k] = room + (stand[k - 1] - room) * np.exp(-(time_s[k] - time_s[k - 1]) / 480.0)
+        now = 0.5 * (warmth[k - 1] + warmth[k]) - 20.0
+        stand[k] = now + (stand[k - 1] - now) * np.exp(-(time_s[k] - time_s[k - 1]) / 480.0)
     seen = np.array([true(*row, hidden) for row in zip(q, came, time_s / 3600, warmth - 20, strict=True)])
     seen += hidden.stand_per_c * np.outer(stand, np.linspace(1.0, -0.6, seen.shape[1]))
     seen += noise * rng.normal(size=seen.shape)
     return pl.DataFrame(
-        {"time_s": time_s, "pose": pose + 1, "temperature_c": warmth}
+        {"time_s": time_s + room.uniform(-1e5, 1e5), "pose": pose + 1, "temperature_c": warmth}
         | dict(zip(joints, places[pose].T, strict=True))
         | dict(zip(readings, seen.T, strict=True))
     )

@@ -27,7 +27,7 @@ from second_simulator.unnamed import (
     telegraph,
 )
 from sherkit.diagnosis import indistinguishable, sentence
-from sherkit.diagnosis.checked import PRAISE
+from sherkit.diagnosis.held_out import PRAISE
 from sherkit.diagnosis.simplest import is_alias
 from worlds import Answer, World
 
@@ -64,7 +64,9 @@ class Count:
         honest = d.steps[-1].held_out_rms <= PRAISE * world.noise
         if praised and not honest:
             self.lies.append(f"{where}: {answer.short()}")
-        innocents = set(d.effects) - TRUE_NAMES.get(kind, set())
+        guilty = TRUE_NAMES.get(kind, set())
+        guilty = guilty.union(*(tied for tied in d.indistinguishable if guilty.intersection(tied)))
+        innocents = set(d.effects) - guilty
         self.innocents.update(innocents)
         self.accusing += bool(innocents)
         if praised and honest:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 import sherkit as sk
+from second_simulator import room_temperature
 from second_simulator.spherical import SPHERICAL_EFFECTS, SecondSpherical, sphere_grid, spherical_plan
 from sherkit.diagnosis import template
 from sherkit.model.effect_file import load_effects
@@ -104,10 +105,13 @@ def measured(
     *,
     scaled: Mapping[str, float] | None = None,
     repeats: int = 3,
+    any_room: bool = False,
 ) -> Run:
     """A run over a plan, filmed in motion in a random order. Of each ``scaled`` effect a fit of α, β and R leaves the
-    given RMS, in noise."""
+    given RMS, in noise. In ``any_room`` mean and course of the temperature are drawn, and when the clock starts."""
     plan = spherical_plan(PLANS[where], repeats, "shuffled", seed)
+    if any_room:
+        plan["temperature_c"] = room_temperature(np.random.default_rng([seed, 5]), plan["time_s"])
     robot = real_robot(seed)
     planted: dict[str, Any] = dict(effects or {})
     for name, ratio in (scaled or {}).items():
@@ -115,6 +119,8 @@ def measured(
         planted |= robot.at_ratio(name, ratio, NOISE_PX, plan, rng)
     robot.effects = planted
     columns = robot.run(plan, noise_px=NOISE_PX, seed=1000 + seed)
+    if any_room:
+        columns["time_s"] = columns["time_s"] + np.random.default_rng([seed, 6]).uniform(-1e5, 1e5)
     return Run(sk.from_frame(pl.DataFrame(columns)), robot, plan)
 
 
@@ -123,9 +129,9 @@ def named(d: sk.diagnosis.Diagnosis) -> set[str]:
     return set(d.effects).union(*d.indistinguishable)
 
 
-def hidden(name: str, ratio: float, where: str, seed: int) -> sk.diagnosis.Diagnosis:
+def hidden(name: str, ratio: float, where: str, seed: int, *, any_room: bool = False) -> sk.diagnosis.Diagnosis:
     """The diagnosis of a run with one effect whose visible part is ``ratio`` times the noise."""
-    return measured(where, seed, scaled={name: ratio}).diagnose()
+    return measured(where, seed, scaled={name: ratio}, any_room=any_room).diagnose()
 
 
 def held_out_allowance(d: sk.diagnosis.Diagnosis) -> float:
@@ -289,7 +295,7 @@ def test_the_right_effect_is_named_in_98_of_100(ratio: float, where: str) -> Non
     off = []
     for name in EFFECTS:
         for seed in range(20):
-            d = hidden(name, ratio, where, seed)
+            d = hidden(name, ratio, where, seed, any_room=True)
             kind = "right" if name in named(d) else "wrong" if d.verdict == "explained" else "missed"
             outcome[kind] += 1
             missed[name] += kind != "right"
@@ -315,7 +321,7 @@ def test_pairs_are_named_in_95_of_100() -> None:
     missed = []
     for k, pair in enumerate(combinations(EFFECTS, 2)):
         for seed in range(3 * k, 3 * k + 3):
-            run = measured("whole", seed, scaled=dict.fromkeys(pair, 2))
+            run = measured("whole", seed, scaled=dict.fromkeys(pair, 2), any_room=True)
             d = run.diagnose()
             alone = run.enough_alone()
             found = set(pair) <= named(d)

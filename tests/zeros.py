@@ -1,4 +1,4 @@
-"""Runs of a delta whose measured point and readings are counted from anywhere: within 50 mm, drawn for each run."""
+"""Runs of a delta whose measured point and readings are counted from anywhere, within 50 mm, in any room: all drawn."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from second_simulator import (
     draw_zeros,
     grid,
     make_plan,
+    room_temperature,
     scaled_effect,
     simulate,
 )
@@ -30,6 +31,7 @@ def counted_from_anywhere(seed: int, scaled: Mapping[str, float]) -> tuple[sk.de
     """The robot as its file has it, and a run: of each effect a geometric fit leaves that many times the noise."""
     real, points, datum = draw_zeros(np.random.default_rng([seed, 4]), Robot.from_dict(), GRID)
     plan = make_plan(real, points, repeats=2, order="shuffled", seed=seed)
+    plan["temperature_c"] = room_temperature(np.random.default_rng([seed, 5]), plan["time_s"])
     errors = draw_geometric_errors(np.random.default_rng([seed, 1]))
     planted: dict[str, Any] = {"datum": datum}
     for k, (name, ratio) in enumerate(scaled.items()):

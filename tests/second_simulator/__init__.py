@@ -15,7 +15,7 @@ from .geometry import (
     write_robot_toml,
 )
 from .noise import Noise
-from .plans import grid, local_grid, make_plan, whole_grid, write_csv
+from .plans import grid, local_grid, make_plan, room_temperature, whole_grid, write_csv
 from .simulate import fitted_directions, platform_pose, scaled_effect, simulate, truth
 
 __all__ = [
@@ -35,6 +35,7 @@ __all__ = [
     "local_grid",
     "make_plan",
     "platform_pose",
+    "room_temperature",
     "scaled_effect",
     "simulate",
     "truth",

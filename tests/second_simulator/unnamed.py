@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .geometry import NOMINAL_CONFIG, Array, Robot, draw_geometric_errors
-from .plans import COLUMN_NAMES, grid, make_plan
+from .plans import COLUMN_NAMES, grid, make_plan, room_temperature
 from .simulate import fitted_directions, truth
 from .spherical import COLUMN_NAMES as SPHERICAL_NAMES
 from .spherical import SecondSpherical, camera_facing, sphere_grid, spherical_plan
@@ -378,7 +378,7 @@ def delta_unnamed(kind: Kind, ratio: float, order: Ordered, seed: int) -> Unname
     repeats, noise_um = int(rng.integers(2, 4)), float(rng.uniform(0.5, 4.0))
     visited: Literal["planes", "shuffled"] = "planes" if order == "raster" else "shuffled"
     plan = make_plan(robot, points, repeats, visited, seed, dwell_s=float(rng.uniform(1, 8)))
-    plan["temperature_c"] = _room(rng, plan["time_s"])
+    plan["temperature_c"] = room_temperature(rng, plan["time_s"])
     zero = {"datum": rng.uniform(-50, 50, 3)}
     exact = truth(robot, plan, errors, zero)
     joints = np.stack([plan[f"q{i}_mm"] for i in (1, 2, 3)], axis=1)
@@ -428,7 +428,7 @@ def spherical_unnamed(kind: Kind, ratio: float, order: Ordered, seed: int) -> Un
     repeats, noise_px = int(rng.integers(2, 4)), float(rng.uniform(0.05, 0.3))
     pace = float(rng.uniform(0.7, 4.0))
     plan = spherical_plan(joints, repeats, "planes" if order == "raster" else "shuffled", seed, pace)
-    plan["temperature_c"] = _room(rng, plan["time_s"])
+    plan["temperature_c"] = room_temperature(rng, plan["time_s"])
     theta, velocity = (np.stack([plan[f"theta{i}_{u}"] for i in (1, 2)], axis=1) for u in ("rad", "rad_per_s"))
     exact, point = robot.truth(plan), robot.markers(theta)
 
@@ -445,13 +445,6 @@ def spherical_unnamed(kind: Kind, ratio: float, order: Ordered, seed: int) -> Un
     measured = exact + change + noise_px * rng.normal(size=exact.shape)
     columns = plan | {"u_px": measured[:, 0], "v_px": measured[:, 1]}
     return Unnamed(settings, {name: columns[name] for name in SPHERICAL_NAMES}, noise_px, SPHERICAL_KINDS[kind])
-
-
-def _room(rng: np.random.Generator, time_s: Array) -> Array:
-    """The temperature of a room: anywhere from 15 to 28 °C, swinging by 0.3 to 5 °C in a few slow waves."""
-    at = time_s / max(float(time_s.max()), 1.0)
-    waves = sum(rng.normal() * np.sin(np.pi * k * at + rng.uniform(0, 6.28)) / k for k in range(1, 6))
-    return np.asarray(rng.uniform(15, 28) + rng.uniform(0.15, 2.5) * _unit(np.asarray(waves)))
 
 
 def _sized(kind: Kind, scene: Scene, fitted: Array, size: float) -> Array:

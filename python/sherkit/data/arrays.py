@@ -12,7 +12,7 @@ from ..errors import NotFinite, ShapeError
 from ..names import listed
 from ..types import Bools, Floats, Ints
 from .columns import Layout
-from .rows import Measurements, order_in_time
+from .rows import Measurements, begin_of, order_in_time
 
 
 def from_arrays(
@@ -85,4 +85,5 @@ def from_arrays(
         # a place need not be all that the machine was told: which rows are repeats, the caller says
         layout=Layout(tuple(place), tuple(names), unit, 1.0, joints_tell_pose=False),
         block=block,
+        begins_s=begin_of(time_s),
     )

@@ -77,6 +77,8 @@ class Measurements:
     block: Ints | None = None
     #: The room of the whole run, of which these may be some rows; None where what follows it has caught up.
     room: Room | None = None
+    #: The clock at the begin of that run; zero where no times are known.
+    begins_s: float = 0.0
 
     # -- making ------------------------------------------------------------------------------------------
 
@@ -132,6 +134,7 @@ class Measurements:
             order=order_in_time(values.get(c.TIME), n),
             layout=layout,
             room=Room.of(values.get(c.TIME), values.get(c.TEMPERATURE)),
+            begins_s=begin_of(values.get(c.TIME)),
         )
         data._check()
         return data
@@ -505,6 +508,11 @@ def _directions(values: Mapping[str, NDArray[Any]], joints: Floats) -> Floats:
         if f"direction_{k + 1}" in values:
             out[:, k] = np.sign(np.asarray(values[f"direction_{k + 1}"], dtype=float))
     return out
+
+
+def begin_of(time_s: NDArray[Any] | None) -> float:
+    """The earliest time; zero where none is known."""
+    return float(np.min(time_s)) if time_s is not None and len(time_s) else 0.0
 
 
 def order_in_time(time_s: NDArray[Any] | None, n: int) -> Ints:

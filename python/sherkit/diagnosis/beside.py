@@ -20,7 +20,7 @@ import scipy
 from ..names import listed
 from ..types import Floats, Ints
 from .fitted_run import FittedRun
-from .held_out import Columns, rms, squares_of
+from .held_out import PRAISE, Columns, rms, squares_of
 from .held_out_gain import HeldOutGain, held_out_gain
 from .scan import Scan
 from .search import Search, SearchResult, bic, schwarz
@@ -33,6 +33,8 @@ _MOST_SHAPES = 12
 #: Part of what an effect brings that it must still bring beside the shapes; and where effects, with the shapes that go
 #: with them, say clearly more than shapes alone.
 _KEEPS, _KEEPS_AT_LEAST = 0.25, 0.01
+#: Part of what is there beyond noise that may be left where effects are named.
+_TAKES_OF_ALL = 0.5
 #: What effects and their shapes leave on rows held out is all that is left up to this many times what is free leaves.
 _AS_WELL = 1.02
 #: A shape counts from this part of what the leading one takes.
@@ -123,6 +125,12 @@ def innocents(
     clearly = alone.schwarz(some) < best - CLEARLY
     if clearly and (shown or some < len(result.added) or alone.by_fit(some) < by_fit - CLEARLY):
         shown = (*shown, *alone.shown)
+    left = _beyond_noise(final, sigma)
+    if left > PRAISE**2 - 1.0:
+        if left > _TAKES_OF_ALL * _beyond_noise(search.base, sigma):
+            return [(c.name, "more is left than is taken: whatever leaves that may leave all") for c in result.added]
+        # of what no shape follows any more, what the run was described by before may be a part
+        shown = shown or alone.shown
     if not shown:
         return []
     fold = _scattered(final, search.seed)
@@ -167,6 +175,12 @@ def _held_out(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints], bes
     return rms(
         squares_of(run.linearised(rows, (), scale), np.stack([d[rows] for d in repeated_folds]), beside)[0], scale
     )
+
+
+def _beyond_noise(run: FittedRun, sigma: Floats) -> float:
+    """What a fit leaves beyond noise, in variances of it, however few its poses are."""
+    left = run.residuals[run.whole][:, list(run.axes)] / sigma[list(run.axes)]
+    return float((left**2).sum()) / max(left.size - run.fit.rank, 1) - 1.0
 
 
 def _columns_of(stage: Stage, shapes: Sequence[Shape]) -> Columns | None:

@@ -14,6 +14,7 @@ from ..types import Floats, Ints
 from .checks import APART, AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SMALL, Check
 from .few_enough import FewEnough
 from .fitted_run import FittedRun
+from .held_out import PRAISE
 from .held_out_gain import HeldOutGain
 from .lack_of_fit import LackOfFit
 from .named import Named
@@ -24,8 +25,6 @@ from .rounded import Rounded, rounded
 from .sizes import ABSURD, PLAUSIBLE, largest, sizes_of
 from .steady import SlowDrift
 
-#: Held-out error over noise up to which what is left is as small as the noise.
-PRAISE = 1.25
 #: Part of the rows that may be listed as wrong before the rest is no run any more.
 _WRONG = 0.2
 

@@ -21,6 +21,8 @@ from .stage import testable
 #: Columns (b, m, k) of a stretch of rows.
 Columns = Callable[[slice], Floats]
 
+#: Held-out error over noise up to which what is left is as small as the noise.
+PRAISE = 1.25
 #: Blocks that are held out in turn, and how often they are dealt anew so that nothing hangs on one deal.
 _FOLDS = 6
 _DEALS = 5

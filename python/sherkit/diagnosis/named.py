@@ -21,6 +21,8 @@ from .shapes import Shape
 from .sizes import ABSURD, sizes_of
 from .stage import Candidate
 
+#: Searches that end with a refusal before no other effects are tried.
+_MOST_SEARCHES = 4
 #: Other periods that compete with the one that was found.
 _MOST_PERIODS = 24
 
@@ -63,7 +65,9 @@ def searched(
     notes: list[str] = []
     alone: Description | None = None
     in_model: tuple[Shape, ...] = ()
+    searches = 0
     while True:
+        searches += 1
         tried = [e for e in effects if e.name not in refused]
         search = Search(run, tried, rows, sigma, level=level, seed=seed, periods=periods, step=step)
         result = search.find(in_model) if look else search.as_it_stands()
@@ -84,6 +88,9 @@ def searched(
         if not refusals:
             return Named(search, result, final, gains, steps, [*notes, *told])
         refused += [name for name, _ in refusals]
+        if searches == _MOST_SEARCHES:
+            # one after another is found and earns nothing: nobody new is asked any more
+            effects = [e for e in effects if any(one.holds for one in gains if one.effect == e.name)]
         notes += [f"{name} was found and is not named: {why}" for name, why in refusals]
 
 

@@ -98,6 +98,7 @@ class Repeats:
             "depends_on": [first.name], "shape": first.shape, "order": first.order, "period": first.period,
             "axis": list(first.axes), "share_explained": first.size**2 / (first.size**2 + others + rest**2),
             "at": first.at, "joint": None, "ranges": {first.name: (0.5 * (low + high), 0.5 * (high - low) or 1.0)},
+            "indistinguishable": [], "apart": "",
         }  # fmt: skip
 
     def __str__(self) -> str:

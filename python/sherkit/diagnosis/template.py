@@ -35,7 +35,7 @@ def course(shape: Mapping[str, Any]) -> str:
 
 def indistinguishable(signature: Mapping[str, Any]) -> str:
     """The shapes that do as well, and what would tell them apart, in words; empty where there is none."""
-    others = [f"that {course(one)}" for one in signature.get("indistinguishable", ())]
+    others = [f"that {course(one)}" for one in signature["indistinguishable"]]
     if not others:
         return ""
     return f"These rows say as well {'; or '.join(others)}. {signature['apart']}"

@@ -262,6 +262,7 @@ def identify(
     given = load_robot(robot) if isinstance(robot, str | PathLike) else robot
     model = extended_by(model_of(given, free), effects)
     data = model.as_declared(run_for(robot, data))
+    model = model.counted_from(data.begins_s)
     if loss not in LOSSES:
         raise FitError(f"loss: '{loss}' is not known; choose {', '.join(LOSSES)}")
     noise = noise or noise_of(data)
