@@ -21,7 +21,6 @@ from sherkit.diagnosis.fitted_run import FittedRun
 from sherkit.diagnosis.held_out import by_noise_alone, repeated_folds_of
 from sherkit.diagnosis.stage import stage_of
 from sherkit.diagnosis.waves import waves_of
-from sherkit.report.answer import answer
 from sherkit.robots.serial import Serial, postures
 from sherkit.types import Floats
 from test_arm_counted import OwnArm, arm_in
@@ -223,7 +222,7 @@ def test_report_and_tables_say_that_poses_are_too_few(tmp_path: Path, ur5: Seria
     run = tracked(ur5, 20, 1)
     d = sk.diagnose(ur5, run)
     assert d.to_json()["verdict"] == "undecided"
-    assert "too few" in answer(d).cause
+    assert "too few" in d.finding("cause").answer
     sk.save_robot(ur5, tmp_path / "arm.toml")
     run.save(tmp_path / "run.csv")
     page = tmp_path / "report.html"

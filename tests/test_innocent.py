@@ -102,8 +102,10 @@ def counted(make: Make, kinds: dict[Kind, frozenset[str]], seeds: range = SEEDS)
 
 
 #: The bars are 5 % innocents, none of praise over an error that is not the instrument's, the truth in 80 % of the
-#: descriptions. They are not reached yet: what is held is what seeds showed that nobody had tuned on, with room.
-HELD_YET = {"delta": (0.25, 0.05), "spherical": (0.55, 0.10)}
+#: descriptions. The delta's is nearly reached but for what depends on the way a joint came, which backlash is a cousin
+#: of; the spherical robot's is not: within twice the noise two effects imitate what is seen in one picture to a few
+#: hundredths. What is held is what seeds showed that nobody had tuned on, with room.
+HELD_YET = {"delta": (0.16, 0.03), "spherical": (0.40, 0.05)}
 
 
 @pytest.mark.slow

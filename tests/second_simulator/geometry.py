@@ -142,7 +142,14 @@ def inverse_kinematics(robot: Robot, points: Array) -> Array:
 def draw_zeros(rng: np.random.Generator, robot: Robot, points: Array) -> tuple[Robot, Array, Array]:
     """Where things are counted from, mm, each within 50 mm at random: the robot with another measured point, the
     points (n, 3) at which that is when the platform is where ``points`` had it, and the datum (3,) of the readings."""
-    target_offset = rng.uniform(-ZEROS_MM, ZEROS_MM, 3)
+    while True:
+        target_offset = rng.uniform(-ZEROS_MM, ZEROS_MM, 3)
+        try:
+            # joints are counted from where the measured point is at the origin: that place must be there
+            inverse_kinematics(replace(robot, target_offset=target_offset), np.zeros(3))
+            break
+        except ValueError:
+            continue
     moved = points + target_offset - robot.target_offset
     return replace(robot, target_offset=target_offset), moved, rng.uniform(-ZEROS_MM, ZEROS_MM, 3)
 

@@ -48,12 +48,13 @@ def smooth_wander(rng: np.random.Generator, time_s: Array) -> Array:
     return np.cos(phase) @ amplitude[0] + np.sin(phase) @ amplitude[1]
 
 
-def room_temperature(rng: np.random.Generator, time_s: Array) -> Array:
-    """The temperature of a room: anywhere from 15 to 28 °C, swinging by 0.3 to 5 °C in a few slow waves."""
+def room_temperature(rng: np.random.Generator, time_s: Array, least_c: float = 0.15) -> Array:
+    """The temperature of a room: anywhere from 15 to 28 °C, swinging by ``least_c`` to 2.5 °C either way in a few slow
+    waves."""
     at = time_s / max(float(time_s.max()), 1.0)
     waves = np.asarray(sum(rng.normal() * np.sin(np.pi * k * at + rng.uniform(0, 6.28)) / k for k in range(1, 6)))
     unit = 2.0 * (waves - waves.min()) / max(float(np.ptp(waves)), 1e-300) - 1.0
-    return np.asarray(rng.uniform(15, 28) + rng.uniform(0.15, 2.5) * unit)
+    return np.asarray(rng.uniform(15, 28) + rng.uniform(least_c, 2.5) * unit)
 
 
 def visit_order(rng: np.random.Generator, poses: int, repeats: int, order: Order) -> NDArray[np.int64]:

@@ -18,10 +18,8 @@ from bokeh.models import CustomJS, FileInput, TextAreaInput
 from jinja2 import Environment, PackageLoader
 from tornado.ioloop import IOLoop
 
-from ..diagnosis import indistinguishable, sentence, template
-from ..diagnosis.outliers import sentences
+from ..diagnosis import template
 from ..names import listed
-from ..report.answer import answer
 from ..report.policy import fresh_nonce, numbered, policy
 from ..report.scene import script as scenes
 from ..report.style import number
@@ -283,18 +281,14 @@ class StudyPage:
         if found is None:
             self._headline.text, self._findings.text = rows, ""
             return
-        told = answer(found)
+        said = {one.about: one.answer for one in found.findings}
         self._headline.text = (
-            f"<b>{escape(told.cause)}</b> {escape(told.brings)}<br>"
+            f"<b>{escape(said['cause'])}</b> {escape(said.get('brings', ''))}<br>"
             f'{rows} · verdict: <span id="verdict">{escape(found.headline)}</span>'
         )
-        said = [
-            *sentences(data, found.outliers),
-            *(f"these rows cannot tell {' from '.join(tie)}" for tie in found.indistinguishable),
-        ]
-        if found.signature is not None:
-            said.append(f"left over: {sentence(found.signature)} {indistinguishable(found.signature)}".rstrip())
-        self._findings.text = "<br>".join(escape(one) for one in said)
+        shown = [one.to_do for one in found.findings if one.about == "left_out"]
+        shown += [one.answer for one in found.findings if one.about in ("tie", "shape")]
+        self._findings.text = "<br>".join(map(escape, shown))
 
 
 def _called(verb: str, action: str) -> str:

@@ -73,7 +73,7 @@ def diagnose(
     if as_json:
         output.print_json(found.to_json())
     else:
-        print_diagnosis(found)
+        print_diagnosis(found, *((robot, *runs) if len(runs) == 1 else ()))
     if report is not None and not as_json:
         output.say(f"\nthe report is in {report}")
     _write_template(found, destination, as_json=as_json)

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from rich.markup import escape
-from rich.table import Table
+import shlex
+from collections.abc import Iterable
+from pathlib import Path
 
-from ..diagnosis import Diagnosis, indistinguishable, largest, sentence
+from rich.markup import escape
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from ..diagnosis import Diagnosis, largest
+from ..diagnosis.finding import APART, MISSING, NEXT, WHERE, WHICH, Finding
+from ..diagnosis.findings import AS_IT_CAME, FILES, figure, p_value
 from ..diagnosis.next_poses import SEPARATION
-from ..names import listed
 from .output import out, table
 
-_ORIGIN = {
-    "declared": "as declared in the file",
-    "repeats": "from repeats of poses",
-    "unknown": "unknown; this is what the model leaves",
-}
 _COLOUR = {
     "adequate": "green",
     "explained": "green",
@@ -23,11 +25,6 @@ _COLOUR = {
     "undecided": "yellow",
 }
 _MOST = 8
-
-
-def _short(d: Diagnosis, value: float) -> str:
-    """A number in the unit of a diagnosis: a tenth of a micrometre is enough, of a pixel it is not."""
-    return f"{value:.1f}" if d.unit == "µm" else f"{value:.3g}"
 
 
 def _long(d: Diagnosis, value: float) -> str:
@@ -39,47 +36,44 @@ def _with_unit(column: str) -> str:
     return f"{name}, {unit}"
 
 
-def _p(value: float) -> str:
-    return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
-
-
-def diagnosis(d: Diagnosis) -> None:
-    """Everything a diagnosis found."""
-    noise = ", ".join(f"{axis} {_short(d, value)}" for axis, value in d.noise.items())
-    out.print(f"[bold]1. Is anything missing?[/]  noise {noise} {d.unit} ({_ORIGIN[d.noise_origin]})")
-    if d.correlation_in_time:
-        out.print(
-            f"   the noise is correlated in time, {d.correlation_in_time:.2f} from row to row; taken into account"
-        )
-    missing = "something is" if d.p_missing <= d.level else "nothing significant"
-    out.print(f"   {missing}: familywise p = {d.p_missing:.4g} over all effects and shapes")
-    for note in d.notes:
-        out.print(f"   {escape(note)}")
-    if d.smallest_found:
-        out.print(_power(d))
-    out.print("\n[bold]2. Where?[/]")
-    out.print(_where(d))
-    out.print("[bold]3. Which effect?[/]")
-    out.print(_candidates(d))
-    out.print("\n[bold]4. What can these data not tell apart?[/]")
-    if not d.indistinguishable and not d.confounded_with and not d.untestable:
-        out.print("   nothing of what was tried")
-    for tie in d.indistinguishable:
-        out.print(f"   [bold]{' or '.join(tie)}[/]: these poses cannot tell")
-    for name, parameters in d.confounded_with.items():
-        out.print(f"   {name}, if there is any, hides almost entirely in {listed(parameters)}")
-    for name, reason in d.untestable.items():
-        out.print(f"   {escape(f'{name} could not be tried: {reason}')}")
-    out.print("\n[bold]5. What next?[/]")
-    for line in _next(d):
-        out.print(f"   {line}")
-    if d.next_poses:
-        out.print(_poses(d))
+def diagnosis(d: Diagnosis, *files: Path) -> None:
+    """Everything a diagnosis found; ``files`` are those of the robot and of its run, for the commands it proposes."""
+    given = shlex.join(map(str, files)) or FILES
     # praise has no colour where nobody knows how much of the rest is noise
     colour = _COLOUR[d.verdict] if d.noise_origin != "unknown" or d.verdict not in ("adequate", "explained") else "cyan"
-    out.print(f"\n[bold]Verdict:[/] [bold {colour}]{escape(d.headline)}[/]")
+    out.print(f"[bold]Verdict:[/] [bold {colour}]{escape(d.headline)}[/]")
+    _say(one for one in d.findings if one.about in ("cause", "brings"))
+    _say([one for one in d.findings if one.question == NEXT][:1], given)
+    first, *more = (one for one in d.findings if one.question == MISSING and one.about != "left_out")
+    out.print()
+    out.print(f"[bold]1. {MISSING}[/]  {escape(str(first))}")
+    _say(more)
+    if d.smallest_found:
+        out.print(_power(d))
+    out.print(f"\n[bold]2. {WHERE}[/]")
+    out.print(_where(d))
+    out.print(f"[bold]3. {WHICH}[/]")
+    out.print(_candidates(d))
+    out.print(f"\n[bold]4. {APART}[/]")
+    _say(one for one in d.findings if one.question == APART)
+    out.print(f"\n[bold]5. {NEXT}[/]")
+    # what is to be looked for comes before what is to be written
+    _say(one for one in d.findings if one.about == "shape")
+    _say((one for one in d.findings if one.question == NEXT), given)
+    if d.next_poses:
+        out.print(_poses(d))
     out.print(_claims(d))
     out.print(falling(d))
+
+
+def _say(findings: Iterable[Finding], files: str = FILES) -> None:
+    """Findings one under the other, a line that is too long goes on below its begin."""
+    for one in findings:
+        said = Text(str(one).replace(FILES, files))
+        if one.about == "tie":
+            # the names of a tie come first, and before them nothing matters
+            said.stylize("bold", 0, said.plain.index(":"))
+        out.print(Padding(said, (0, 0, 0, 3), expand=False))
 
 
 def _claims(d: Diagnosis) -> Table:
@@ -87,7 +81,7 @@ def _claims(d: Diagnosis) -> Table:
     made = table("What the verdict rests on", "check", "", "result", "p", "rows")
     for check in d.checks:
         word = {True: "yes", False: "[bold red]no[/]", None: "?"}[check.holds]
-        p = "" if check.p is None else _p(check.p)
+        p = "" if check.p is None else p_value(check.p)
         made.add_row(escape(check.tested), word, escape(check.result), p, escape(check.rows))
     return made
 
@@ -96,7 +90,7 @@ def falling(d: Diagnosis) -> Table:
     """The error on poses held out, step by step."""
     made = table("Error on poses held out", "model", f"{d.unit} RMS")
     for s in d.steps:
-        made.add_row("as it came" if s.effect is None else f"+ {s.effect}", _long(d, s.held_out_rms))
+        made.add_row(AS_IT_CAME if s.effect is None else f"+ {s.effect}", _long(d, s.held_out_rms))
     noise = (sum(v**2 for v in d.noise.values()) / len(d.noise)) ** 0.5
     made.add_row("noise", _long(d, noise), style="dim")
     return made
@@ -105,7 +99,7 @@ def falling(d: Diagnosis) -> Table:
 def _where(d: Diagnosis) -> Table:
     made = table("", "against", "p", f"{d.unit} RMS from its lowest to its highest sixth")
     for line in d.where[:_MOST]:
-        made.add_row(line.variable, _p(line.p_value), "  ".join(_short(d, v) for v in line.rms))
+        made.add_row(line.variable, p_value(line.p_value), "  ".join(figure(d, v) for v in line.rms))
     made.caption = f"correlation with the nearest neighbour in space: {d.neighbour_correlation:.2f}"
     return made
 
@@ -118,7 +112,7 @@ def _candidates(d: Diagnosis) -> Table:
         mark = "plausible" if c.plausible else "implausible"
         made.add_row(
             f"[bold]{escape(c.effect)}[/]" if named else escape(c.effect),
-            c.link, _long(d, c.held_out_rms), _p(c.p_value), mark, value,
+            c.link, _long(d, c.held_out_rms), p_value(c.p_value), mark, value,
         )  # fmt: skip
     return made
 
@@ -141,29 +135,3 @@ def _poses(d: Diagnosis) -> Table:
     for k, pose in enumerate(d.next_poses, start=1):
         made.add_row(str(k), *(f"{pose[a]:.6g}" for a in axes), f"{pose[SEPARATION]:.1f}")
     return made
-
-
-def _next(d: Diagnosis) -> list[str]:
-    advice = [escape(d.advice)] if d.advice else []
-    if d.indistinguishable and d.next_poses:
-        poses = "measure the poses below, some time after this run, and diagnose both: sherkit diagnose ROBOT RUN MORE"
-        return [*advice, poses]
-    if d.indistinguishable:
-        return advice or ["which poses could be reached is not known of this machine, so none are proposed"]
-    if d.verdict == "explained":
-        named = " ".join(f"--effect {e}" for e in d.effects)
-        without = " --without-outliers" if len(d.outliers) else ""
-        return [f"add it: sherkit calibrate ROBOT RUN {named}{without} -o calibrated.toml"]
-    if d.signature is not None:
-        return [
-            escape(sentence(d.signature)),
-            *([escape(told)] if (told := indistinguishable(d.signature)) else []),
-            "write a template of an effect with this shape: sherkit diagnose … --template my_effects.py",
-        ]
-    if d.verdict != "adequate":
-        return [escape(check.fails) for check in d.checks if check.decisive and check.holds is False]
-    if d.not_needed:
-        return [f"take {' and '.join(d.not_needed)} out of the model: the error on rows held out is no larger without"]
-    if d.noise_origin == "unknown":
-        return ["repeat some poses, or add sigma columns: only then can it be said whether the model is good enough"]
-    return ["nothing; go on with the model as it is"]

@@ -104,10 +104,9 @@ def tool_story(
         )
     _say("4. What is missing?", run)
     output.say(f"   Verdict: {diagnosis.headline}")
-    for tie in diagnosis.indistinguishable:
-        output.say(f"   this run cannot tell {' from '.join(tie)}")
-    for note in diagnosis.notes:
-        output.say(f"   {note}")
+    for finding in diagnosis.findings:
+        if finding.about in ("tie", "note"):
+            output.say(f"   {finding.answer}")
     say_applied(told)
     _say("5. Depth and tip", run)
     _print_errors(before, after)

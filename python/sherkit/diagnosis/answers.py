@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from ..figures import stated
 from ..fit.forms import Known, known
 from ..fit.identify import Fit
 from ..notebook import Shown
 from ..types import Ints
 from .checks import LOOSE, POSES_AS_REPEATS, Check, headline
+from .finding import Finding
 from .summary import Summary
-from .template import indistinguishable, sentence
 from .where import Dependence
 
 
@@ -85,6 +84,8 @@ class Diagnosis(Shown):
     notes: tuple[str, ...]
     fit: Fit = field(repr=False)
     base: Fit = field(repr=False)
+    #: All that it says, in the order in which a person asks; what screens and papers show is this list.
+    findings: tuple[Finding, ...] = ()
 
     @property
     def headline(self) -> str:
@@ -129,18 +130,22 @@ class Diagnosis(Shown):
         """
         return self.summary.row()
 
+    def finding(self, about: str) -> Finding:
+        """The first finding about this. Raises ``KeyError`` where there is none."""
+        for one in self.findings:
+            if one.about == about:
+                return one
+        raise KeyError(about)
+
     def __repr__(self) -> str:
         lines = [self.headline]
-        lines += [f"  these rows cannot tell {' from '.join(tie)}" for tie in self.indistinguishable]
-        for s in self.steps:
-            name = "as it came" if s.effect is None else "+ " + s.effect
-            lines.append(f"  {name:<24} {s.held_out_rms:8.2f} {self.unit} held out")
+        lines += [f"  {one.answer}" for one in self.findings if one.about == "tie"]
+        for one in self.findings:
+            if one.about == "step":
+                lines += [f"  {one.answer:<24} {value:8.2f} {self.unit} held out" for value in one.numbers.values()]
         lines.append(f"  {'noise':<24} {self.summary.noise:8.2f} {self.unit} ({self.noise_origin})")
-        if len(self.outliers):
-            lines.append(f"  {'left out':<24} {len(self.outliers):5d} of {len(self.fit.data)} rows, which look wrong")
-        if self.signature is not None:
-            lines.append(f"  {sentence(self.signature)}")
-            lines += [f"  {told}"] if (told := indistinguishable(self.signature)) else []
+        lines += [f"  {'left out':<24} {one.answer}" for one in self.findings if one.about == "left_out"]
+        lines += [f"  {one.answer}" for one in self.findings if one.about == "shape"]
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
@@ -149,6 +154,7 @@ class Diagnosis(Shown):
         return ({} if um else {"unit": self.unit}) | {
             "verdict": self.verdict,
             "headline": self.headline,
+            "findings": [one.to_json() for one in self.findings],
             f"noise{um}": self.noise,
             "noise_origin": self.noise_origin,
             "correlation_in_time": self.correlation_in_time,
@@ -188,14 +194,6 @@ class Diagnosis(Shown):
             "advice": self.advice,
             "notes": list(self.notes),
         }
-
-
-def largest(found: Diagnosis, one: CandidateReport) -> str:
-    """What a line of a table says of a candidate's size: what is really known of it, else its clearest parameter."""
-    if one.effect in found.known:
-        return found.known[one.effect].short
-    worst = max(one.parameters, key=lambda q: abs(q["value"]) / max(q["std"], 1e-300))
-    return f"{worst['name']} = {stated(worst['value'], worst['std'], worst['unit'])}"
 
 
 def _finite(value: float) -> float | None:

@@ -34,7 +34,7 @@ _MOST_SHAPES = 12
 #: with them, say clearly more than shapes alone.
 _KEEPS, _KEEPS_AT_LEAST = 0.25, 0.01
 #: Part of what is there beyond noise that may be left where effects are named.
-_TAKES_OF_ALL = 0.5
+_LEFT_AT_MOST = 0.5
 #: What effects and their shapes leave on rows held out is all that is left up to this many times what is free leaves.
 _AS_WELL = 1.02
 #: A shape counts from this part of what the leading one takes.
@@ -126,11 +126,8 @@ def innocents(
     if clearly and (shown or some < len(result.added) or alone.by_fit(some) < by_fit - CLEARLY):
         shown = (*shown, *alone.shown)
     left = _beyond_noise(final, sigma)
-    if left > PRAISE**2 - 1.0:
-        if left > _TAKES_OF_ALL * _beyond_noise(search.base, sigma):
-            return [(c.name, "more is left than is taken: whatever leaves that may leave all") for c in result.added]
-        # of what no shape follows any more, what the run was described by before may be a part
-        shown = shown or alone.shown
+    if left > max(PRAISE**2 - 1.0, _LEFT_AT_MOST * _beyond_noise(search.base, sigma)):
+        return [(c.name, "more is left than is taken: whatever leaves that may leave all") for c in result.added]
     if not shown:
         return []
     fold = _scattered(final, search.seed)

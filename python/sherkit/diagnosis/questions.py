@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from .checked import checks_of
 from .checks import verdict_of
 from .crossvalidation import HeldOutError, held_out
 from .few_enough import few_enough
+from .findings import findings_of
 from .fitted_run import FittedRun
 from .held_out import by_noise_alone, repeated_folds_of
 from .hiding import confounded_with
@@ -183,7 +185,7 @@ def diagnose(
     if found.result.signature:
         signature = _signature(found.result, found.result.stages[-1])
     proposal = _next(found.result, unknown, sigma)
-    return Diagnosis(
+    said = Diagnosis(
         verdict=verdict,
         unit=run.unit,
         noise={run.names[a]: run.per_unit * float(sigma[a]) for a in run.axes},
@@ -212,6 +214,7 @@ def diagnose(
         fit=final.fit,
         base=run.fit,
     )
+    return replace(said, findings=findings_of(said))
 
 
 def _next(found: SearchResult, unknown: OneUnknown | None, sigma: Floats) -> Proposal:
@@ -276,7 +279,7 @@ def _candidate_reports(
         p = min(1.0, max(len(best) * float(scipy.special.ndtr(-score)), _SMALLEST_P)) if np.isfinite(score) else 1.0
         values, std, ok = _parameters(base, candidate, fits.get(name))
         parameters = tuple(
-            {"name": q.name, "value": v, "std": s, "unit": q.unit}
+            {"name": q.name, "value": v, "std": s, "size": q.size, "unit": q.unit}
             for q, v, s in zip(candidate.effect.parameters, values.tolist(), std.tolist(), strict=True)
         )
         left = fitted.get(name, error.rms)
@@ -291,7 +294,7 @@ def _parameters(base: Stage, candidate: Candidate, run: FittedRun | None) -> tup
     effect = candidate.effect
     if run is not None:
         place = run.owns(effect)
-        return run.fit.values[place], run.fit.std_from_readings[place], is_plausible(run, effect)
+        return run.fit.values[place], run.fit.std[place], is_plausible(run, effect)
     columns = base.scan.of(candidate.columns)
     gram = columns.left
     # of a column that the fit holds rounding is left: whatever that says of its size, the deviation is larger

@@ -211,7 +211,7 @@ def indistinguishable(effect: Effect, found: Diagnosis | None) -> str:
     others = sorted({name for tie in found.indistinguishable if effect.name in tie for name in tie} - {effect.name})
     hidden = found.confounded_with.get(effect.name, ())
     told = [f"These poses cannot tell it from {listed(others)}."] if others else []
-    told += [f"On these poses it hides almost entirely in {listed(hidden)}."] if hidden else []
+    told += [f"On these poses it is confounded with {listed(hidden)}."] if hidden else []
     return f"<h4>What it ties with</h4><p>{escape(' '.join(told))}</p>" if told else ""
 
 

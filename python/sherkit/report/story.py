@@ -25,7 +25,8 @@ import sherkit._core as _core
 
 from ..calibration import Result
 from ..data.files import write_whole
-from ..diagnosis import Diagnosis, indistinguishable, sentence
+from ..diagnosis import Diagnosis
+from ..diagnosis.finding import APART, NEXT
 from ..errors import SherkitError
 from ..figures import in_people_units, stated, with_error
 from ..fit.forms import known
@@ -35,7 +36,6 @@ from ..names import listed
 from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from ..study import Study
-from .answer import answer
 from .atlas import Atlas, atlas_of, signature_atlas
 from .candidates import candidates
 from .card import effect_card
@@ -126,7 +126,9 @@ def html(story: Story) -> str:
         story=story,
         found=story.found,
         study=story.study,
-        answer=answer(story.found),
+        said=story.found.findings,
+        questions={"APART": APART, "NEXT": NEXT},
+        answer={one.about: one for one in story.found.findings},
         cards=cards,
         other_cards=other_cards,
         space=_space(story),
@@ -141,7 +143,6 @@ def html(story: Story) -> str:
         printed_map=_printed(pictures["residual_map"]),
         example=_example(story.calibration),
         measured=_measured(story),
-        signature=f"{sentence(left)} {indistinguishable(left)}".rstrip() if (left := story.found.signature) else None,
         notes={name: one.note for name, one in pictures.items()},
         places=places,
         nonce=nonce,

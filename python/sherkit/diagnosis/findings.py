@@ -1,0 +1,225 @@
+"""What a diagnosis says, said once: a short list in the order in which a person asks. Terminal, ``print``, report, page
+and JSON render it and word nothing themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ..figures import number, stated
+from ..model.effect import Effect
+from ..names import listed
+from .answers import CandidateReport, Diagnosis
+from .finding import APART, MISSING, NEXT, WHERE, WHICH, WRONG, Finding
+from .outliers import sentences
+from .template import indistinguishable, sentence
+
+#: Where a command has the files that were given, and commands of which a finding may speak.
+FILES = "ROBOT RUN"
+AGAIN = f"sherkit diagnose {FILES} MORE"
+TEMPLATE = f"sherkit diagnose {FILES} --template my_effects.py"
+#: What an error is called before anything is added.
+AS_IT_CAME = "as it came"
+_ORIGIN = {
+    "declared": "as declared in the file",
+    "repeats": "from repeats of poses",
+    "unknown": "unknown; this is what the model leaves",
+}
+
+
+def findings_of(d: Diagnosis) -> tuple[Finding, ...]:
+    """All that a diagnosis says, those that decide first."""
+    return (*_wrong(d), *_missing(d), *_where(d), *_which(d), *_apart(d), *_next(d))
+
+
+def largest(found: Diagnosis, one: CandidateReport) -> str:
+    """What a line says of a candidate's size: what is really known of it, else the parameter that is farthest beyond
+    its plausible size."""
+    if one.effect in found.known:
+        return found.known[one.effect].short
+    worst = max(one.parameters, key=lambda q: abs(q["value"]) / q["size"])
+    return f"{worst['name']} = {stated(worst['value'], worst['std'], worst['unit'])}"
+
+
+def figure(d: Diagnosis, value: float) -> str:
+    """A size in the unit of a diagnosis: a tenth of a micrometre is enough, of a pixel it is not."""
+    return f"{value:.1f}" if d.unit == "µm" else f"{value:.3g}"
+
+
+def p_value(value: float) -> str:
+    """A p as people read it."""
+    return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
+
+
+def _with_p(value: float) -> str:
+    told = p_value(value)
+    return f"p {told}" if told.startswith("<") else f"p = {told}"
+
+
+# -- what is wrong -------------------------------------------------------------------------------------------------
+
+
+def _wrong(d: Diagnosis) -> Iterator[Finding]:
+    """In sentences for a person who reads nothing else, and the verdict in one line."""
+    first, last = number(d.steps[0].held_out_rms), number(d.steps[-1].held_out_rms)
+    end = d.unit.replace("µ", "u")
+    came = {f"as_it_came_{end}": float(d.steps[0].held_out_rms)}
+    if d.effects:
+        causes = [effect for effect in d.fit.model.effects if effect.name in d.effects]
+        physics = " ".join(f"{_first_sentence(e.physics)} {_most(d, e)}".strip() for e in causes)
+        tied = f" These poses cannot tell it from {listed(d.indistinguishable[0][1:])}." if d.indistinguishable else ""
+        whole = "" if d.verdict == "explained" else " That is not all: the rest has a pattern, too."
+        if d.too_few_poses:
+            whole = " These poses are too few to say whether that is all."
+        doubt = f" With a caveat: {d.caveat}." if d.caveat else ""
+        repair = " ".join(d.known[e.name].workshop if e.name in d.known else e.workshop for e in causes)
+        yield Finding(WRONG, "cause", f"The model lacks {listed(d.effects)}. {physics}".strip() + tied)
+        yield Finding(
+            WRONG, "brings",
+            f"With that in the model the error falls from {first} to {last} {d.unit} on poses that the fit had not "
+            f"seen.{whole}{doubt}",
+            came | {f"left_{end}": float(d.steps[-1].held_out_rms)},
+            sure="" if d.confirmed is None else _with_p(d.confirmed),
+            to_do=f"To be rid of it in the machine: {repair[:1].lower()}{repair[1:]}" if repair else "",
+        )  # fmt: skip
+    elif d.verdict == "adequate":
+        yield Finding(
+            WRONG, "cause",
+            f"The model describes this machine: on poses that it was not fitted to it is off by {first} {d.unit}, and "
+            "nothing that was tried would make that less.",
+            came, to_do="Use the calibration as it is; only better or more readings could tell more.",
+        )  # fmt: skip
+    elif d.verdict == "undecided":
+        yield Finding(
+            WRONG, "cause",
+            f"The model is off by {first} {d.unit} on poses that it was not fitted to, and that may be because these "
+            "are too few: nothing shows beside what they leave open.",
+            came, to_do="Measure more poses, out to the rim of the workspace, and ask again.",
+        )  # fmt: skip
+    else:
+        yield Finding(
+            WRONG, "cause",
+            f"The model is off by {first} {d.unit}, and no effect that is known explains it: what is left has a "
+            "pattern.",
+            came,
+            to_do="Look at the pattern below, ask what could leave it, and add that as an effect of your own.",
+        )  # fmt: skip
+    yield Finding(WRONG, "verdict", d.headline)
+
+
+def _most(d: Diagnosis, effect: Effect) -> str:
+    """What is known of an effect, or the largest of its numbers, in a sentence."""
+    report = next((one for one in d.candidates if one.effect == effect.name), None)
+    if report is None:
+        return ""
+    many = len(effect.parameters) > 1 and effect.name not in d.known
+    return f"As fitted: {largest(d, report)}{', the largest' if many else ''}."
+
+
+def _first_sentence(text: str) -> str:
+    return text.partition(". ")[0].rstrip(".") + "." if text else ""
+
+
+# -- the five questions --------------------------------------------------------------------------------------------
+
+
+def _missing(d: Diagnosis) -> Iterator[Finding]:
+    noise = ", ".join(f"{axis} {figure(d, value)}" for axis, value in d.noise.items())
+    end = d.unit.replace("µ", "u")
+    yield Finding(
+        MISSING, "noise", f"noise {noise} {d.unit} ({_ORIGIN[d.noise_origin]})",
+        {f"{axis}_{end}": value for axis, value in d.noise.items()},
+    )  # fmt: skip
+    if d.correlation_in_time:
+        yield Finding(
+            MISSING, "noise",
+            f"the noise is correlated in time, {d.correlation_in_time:.2f} from row to row; taken into account",
+            {"correlation": d.correlation_in_time},
+        )  # fmt: skip
+    yield Finding(
+        MISSING, "missing", "something is" if d.p_missing <= d.level else "nothing significant",
+        {"p_missing": d.p_missing}, sure=f"familywise p = {d.p_missing:.4g} over all effects and shapes",
+    )  # fmt: skip
+    out = sentences(d.fit.data, d.outliers)
+    if len(d.outliers):
+        yield Finding(
+            MISSING, "left_out", f"{len(d.outliers)} of {len(d.fit.data)} rows, which look wrong",
+            {"rows": len(d.fit.data)}, rows=tuple(d.fit.data.line[d.outliers].tolist()), to_do=" ".join(out),
+        )  # fmt: skip
+    for note in d.notes:
+        yield Finding(MISSING, "note", note)
+
+
+def _where(d: Diagnosis) -> Iterator[Finding]:
+    clearest = min(d.where, key=lambda line: line.p_value, default=None)
+    if clearest is not None and clearest.p_value <= d.level:
+        ends = f"{figure(d, clearest.rms[0])} to {figure(d, clearest.rms[-1])} {d.unit}"
+        yield Finding(
+            WHERE, "where", f"most clearly against {clearest.variable}, {ends} from its lowest to its highest sixth",
+            sure=_with_p(clearest.p_value),
+        )  # fmt: skip
+
+
+def _which(d: Diagnosis) -> Iterator[Finding]:
+    end = d.unit.replace("µ", "u")
+    earned = {check.name.removeprefix("earns:"): check for check in d.checks if check.name.startswith("earns:")}
+    for step in d.steps:
+        check = earned.get(step.effect or "")
+        yield Finding(
+            WHICH, "step", AS_IT_CAME if step.effect is None else f"+ {step.effect}",
+            {f"held_out_rms_{end}": float(step.held_out_rms)},
+            sure="" if check is None or check.p is None else _with_p(check.p),
+        )  # fmt: skip
+    if d.signature is not None:
+        told = f"{sentence(d.signature)} {indistinguishable(d.signature)}".rstrip()
+        yield Finding(
+            WHICH, "shape", told,
+            to_do=f"write a template of an effect with this shape: {TEMPLATE}",
+        )  # fmt: skip
+
+
+def _apart(d: Diagnosis) -> Iterator[Finding]:
+    for tie in d.indistinguishable:
+        yield Finding(APART, "tie", f"{' or '.join(tie)}: these poses cannot tell")
+    for name, parameters in d.confounded_with.items():
+        yield Finding(APART, "confounded", f"{name}, if there is any, is confounded with {listed(parameters)}")
+    for name, reason in d.untestable.items():
+        yield Finding(APART, "untestable", f"{name} could not be tried: {reason}")
+    if not d.indistinguishable and not d.confounded_with and not d.untestable:
+        yield Finding(APART, "nothing", "nothing of what was tried")
+
+
+def _next(d: Diagnosis) -> Iterator[Finding]:
+    for answer in _steps_next(d):
+        yield Finding(NEXT, "next", answer)
+
+
+def _steps_next(d: Diagnosis) -> Iterator[str]:
+    if d.indistinguishable:
+        if d.advice:
+            yield d.advice
+        if d.next_poses:
+            yield "measure the poses below, some time after this run, and diagnose both: " + AGAIN
+        elif not d.advice:
+            yield "which poses could be reached is not known of this machine, so none are proposed"
+    elif d.too_few_poses:
+        yield "measure more poses, out to the rim of the workspace: these are too few for the parameters of the model"
+        yield from _failing(d)
+    elif d.verdict == "explained":
+        named = " ".join(f"--effect {e}" for e in d.effects)
+        without = " --without-outliers" if len(d.outliers) else ""
+        yield f"add it: sherkit calibrate {FILES} {named}{without} -o calibrated.toml"
+    elif d.signature is not None:
+        yield f"write a template of an effect with the shape of what is left: {TEMPLATE}"
+        yield "or repeat the run in another order and at another temperature: what moves with them is named by them"
+    elif d.verdict != "adequate":
+        yield from _failing(d)
+    elif d.not_needed:
+        yield f"take {' and '.join(d.not_needed)} out of the model: the error on rows held out is no larger without"
+    elif d.noise_origin == "unknown":
+        yield "repeat some poses, or add sigma columns: only then can it be said whether the model is good enough"
+    else:
+        yield "nothing; go on with the model as it is"
+
+
+def _failing(d: Diagnosis) -> Iterator[str]:
+    return (check.fails for check in d.checks if check.decisive and check.holds is False)
