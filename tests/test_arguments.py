@@ -91,13 +91,13 @@ def doors(folder: Path) -> dict[str, Door]:
         "identify": Door(sk.identify, {**fitted, "priors": False, "linear": False, "start": None, "noise": None}),
         "effect": Door(
             lambda **given: sk.effect(**given)(sway),
-            {"at": "joints", "parameters": {"size": ("mm", 0.01)}, "needs": (), "physics": "", "workshop": "",
+            {"at": "joints", "parameters": {"size": ("mm", 0.01)}, "needs": (), "physics": "", "remedy": "",
              "derivative": None},
         ),
         "Effect": Door(
             sk.Effect,
             {"name": "sway", "link": "joints", "parameters": (Parameter("size", "a", "mm", 0.1),), "needs": (),
-             "physics": "", "residuals": "", "workshop": "", "search": None, "function": sway, "derivative": None},
+             "physics": "", "residuals": "", "remedy": "", "search": None, "function": sway, "derivative": None},
         ),
         "from_frame": Door(sk.from_frame, {"frame": data.to_frame(), "source": "frame", "columns": None}),
         "from_bluesky": Door(

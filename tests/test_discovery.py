@@ -221,7 +221,7 @@ def test_humidity_is_described_and_not_explained() -> None:
     assert {w.variable: w.p_value for w in d.where}["humidity_pct"] < 1e-10
 
 
-@sk.effect(at="body", parameters={"amplitude": ("mm", 0.05)}, workshop="Measure on a floor at rest.")
+@sk.effect(at="body", parameters={"amplitude": ("mm", 0.05)}, remedy="Measure on a floor at rest.")
 def floor_heave(rows: Any, p: Any) -> Floats:
     """The floor heaves with a period of twenty minutes."""
     return p.amplitude * np.outer(np.sin(2 * np.pi * rows.time / 1200.0), [0.0, 0.5, 1.0])

@@ -244,7 +244,7 @@ def study() -> sk.Study:
 def test_hostile_texts_stay_texts() -> None:
     """Catches a name or a sentence of an effect that becomes an element of the page, in the card or in its scene."""
     hostile = "</script><img src=x onerror=alert(1)>\"'&"
-    effect = sk.effect(at="body", parameters={"a": "mm"}, physics=hostile, workshop=hostile)(
+    effect = sk.effect(at="body", parameters={"a": "mm"}, physics=hostile, remedy=hostile)(
         lambda rows, p: p.a * np.ones((len(rows), 3))
     )
     effect = Effect(**{**vars(effect), "name": hostile})

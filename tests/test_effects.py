@@ -61,7 +61,7 @@ def test_the_catalogue_says_what_each_effect_is() -> None:
     for name, effect in sk.delta.CATALOGUE.items():
         assert effect.name == name
         assert effect.link in LINKS
-        for text in (effect.physics, effect.residuals, effect.workshop):
+        for text in (effect.physics, effect.residuals, effect.remedy):
             assert text.strip().endswith(".")
         assert len({p.name for p in effect.parameters}) == len(effect.parameters)
         for p in effect.parameters:

@@ -180,8 +180,10 @@ def formats(folder: Path) -> dict[str, Format]:
     study.save(folder / "study")
     calibration = study.calibration()
     # of the effects that the poses could not show three are enough: one is periodic, one has a setting, one has none
-    few = list({one.effect: one for one in calibration.whole.unshown}.values())[:3]
-    replace(calibration, whole=replace(calibration.whole, unshown=tuple(few))).save(folder / "calibrated.toml")
+    few = list({one.effect: one for one in calibration.whole.unobserved_effects}.values())[:3]
+    replace(calibration, whole=replace(calibration.whole, unobserved_effects=tuple(few))).save(
+        folder / "calibrated.toml"
+    )
     lab = laboratory(folder / "lab")
     planned = experiment(folder / "lab", goal={"std_um": 10.0}, retry={"attempts": 2})
     (folder / "seen").mkdir()

@@ -250,7 +250,7 @@ def test_every_sentence_that_robots_share_is_used() -> None:
     """Catches a common sentence that every robot replaces by its own."""
     for name, words in COMMON.items():
         having = [kind.model.catalogue[name] for kind in kinds.KINDS.values() if name in kind.model.catalogue]
-        assert any((e.physics, e.residuals, e.workshop) == (words.physics, words.residuals, words.workshop)
+        assert any((e.physics, e.residuals, e.remedy) == (words.physics, words.residuals, words.remedy)
                    for e in having), name  # fmt: skip
 
 

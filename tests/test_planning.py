@@ -158,7 +158,7 @@ def test_known_limits(planning):
     assert power_of(planning, "gravity_sag").power < 0.2
     assert not power_of(planning, "rail_lean").is_absorbed
     assert power_of(planning, "rail_lean").power > 0.99
-    assert power_of(planning, "thermal_growth").lacks == ("temperature_c",)
+    assert power_of(planning, "thermal_growth").missing_columns == ("temperature_c",)
     at = power_of(planning, "rail_lean")
     assert planning.power("rail_lean", planning.found_along("rail_lean", at.values)) == pytest.approx(POWER)
     warm = planning_of(DeltaModel(EXAMPLE), rows(temperature_c=np.linspace(20.0, 32.0, 150)), NOISE_MM)

@@ -88,7 +88,7 @@ def residual(tables: dict[str, Any]) -> None:
 
 def of_unshown(key: str, row: int, value: float) -> Callable[[dict[str, Any]], None]:
     """A number in what the poses could not show; of the moment and of what is shown the one on the diagonal."""
-    return lambda tables: tables["whole"]["unshown"][0][key][row].__setitem__(row, value)
+    return lambda tables: tables["whole"]["unobserved_effects"][0][key][row].__setitem__(row, value)
 
 
 @pytest.mark.parametrize(

@@ -487,8 +487,8 @@ def test_the_story_of_an_arm(
         found = calibration.inverse(calibration.forward(joints), start=joints + 0.02)
         assert np.linalg.norm(calibration.forward(found) - calibration.forward(joints)) < 1e-8
     assert np.mean(errors["calibrated"]) < 0.1 < 1.0 < np.mean(errors["drawn"])
-    promise = calibration.promise(calibration.forward(robot.home))
-    assert 0.05 < promise.total_mm < 1.0
+    predicted_accuracy = calibration.predicted_accuracy(calibration.forward(robot.home))
+    assert 0.05 < predicted_accuracy.total_mm < 1.0
 
 
 # -- not fooled by many parameters ---------------------------------------------------------------------------------

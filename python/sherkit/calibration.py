@@ -17,7 +17,7 @@ from .diagnosis.sizes import refuse_absurd
 from .errors import EffectError, FitError
 from .fit.hold_out import hold_out
 from .fit.identify import identify
-from .model.base import lacks
+from .model.base import missing_columns
 from .model.effect import Effect, named_effects
 from .model.kinds import catalogue_of, model_of
 from .model.robot_file import RobotLike, robot_of, run_for
@@ -102,7 +102,7 @@ def calibrate(
             data = gross_errors_marked(identify(model, data, effects=inside), own)
         step(f"identifying the {name} run")
         for effect in added:
-            missing = lacks(effect, data)
+            missing = missing_columns(effect, data)
             if missing:
                 raise EffectError(f"{data.source}: '{effect.name}' needs the column {listed(missing)}")
             at = setting_for(identify(model, data), effect) if effect.search else None

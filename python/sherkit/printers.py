@@ -207,7 +207,7 @@ class Examined:
         if self.tied:
             out.append("Turn no screw yet: see below what tells them apart.")
         for one in self.suspects if not self.tied else ():
-            out += [e.workshop for e in one.effects]
+            out += [e.remedy for e in one.effects]
         if any(bed_shape.name in one.names for one in self.suspects):
             out.append("For printing meanwhile, let the firmware's mesh follow the plate.")
         return out or ["Nothing."]

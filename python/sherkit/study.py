@@ -23,7 +23,7 @@ from .errors import EffectError, FitError, MeasurementError, SherkitError, Sherk
 from .fit.hold_out import hold_out
 from .fit.identify import Fit, identify
 from .fit.robust import LOSSES
-from .model.base import lacks
+from .model.base import missing_columns
 from .model.chain import ChainModel
 from .model.effect import Effect, effects_by_name
 from .model.kinds import model_of, robot_from_table
@@ -204,7 +204,7 @@ class Study(Shown):
             (chosen,) = effects_by_name(known, (effect,), tuple(self.own.values()))
         if chosen.name in self.effects or chosen.name == "datum":
             raise EffectError(f"'{chosen.name}' is in the model already")
-        missing = lacks(chosen, self.data)
+        missing = missing_columns(chosen, self.data)
         if missing:
             raise EffectError(f"'{chosen.name}' needs the column {listed(missing)}, which these rows lack")
         if self._diagnosis is not None and len(wild := self._diagnosis.outliers):

@@ -11,7 +11,7 @@ _OWN = {
     "droop": Sentences(
         physics="The arm's own weight tilts the shoulder, so the tip falls; the value is the fall at full reach.",
         residuals="Downwards, with the square of the distance from the shoulder.",
-        workshop="Preload the bearing of the shoulder, or balance the arm.",
+        remedy="Preload the bearing of the shoulder, or balance the arm.",
     ),
 }
 

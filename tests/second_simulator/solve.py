@@ -87,12 +87,12 @@ def rod_residuals(
     tops = carriages[:, :, None] + half * tangential(robot.pair_angle + limbs.twist)[:, None]
     ends = joints[:, None] + half * tangential(robot.pair_angle)[:, None]
     turned_back = np.swapaxes(turn, 1, 2)
-    levers = ends.reshape(6, 3) @ turned_back
-    rods = tops.reshape(-1, 6, 3) - centre[:, None] - levers
+    sensitivities = ends.reshape(6, 3) @ turned_back
+    rods = tops.reshape(-1, 6, 3) - centre[:, None] - sensitivities
     measured = np.sqrt(np.sum(rods**2, axis=-1))
     lengths = robot.rod_length[:, None] + 0.5 * limbs.mismatch[:, None] * ROD_SIGNS
     lengths = lengths.ravel() + np.repeat(limbs.compliance * tension, 2, axis=1)
-    return measured - lengths, rods / measured[..., None], levers
+    return measured - lengths, rods / measured[..., None], sensitivities
 
 
 def solve_pose(robot: Robot, carriages: Array, limbs: Limbs) -> tuple[Array, Array]:
@@ -106,12 +106,12 @@ def solve_pose(robot: Robot, carriages: Array, limbs: Limbs) -> tuple[Array, Arr
     centre[:, 2] = np.mean(carriages[..., 2] - drop, axis=1)
     turn = np.tile(np.eye(3), (len(carriages), 1, 1))
     for _ in range(MAX_ITERATIONS):
-        residual, axes, levers = rod_residuals(robot, carriages, limbs, centre, turn)
+        residual, axes, sensitivities = rod_residuals(robot, carriages, limbs, centre, turn)
         worst = np.max(np.abs(residual))
         if worst < TOLERANCE_MM:
             return centre, turn
         # d(length) = -u . dc - (lever x u) . dw, the turn composed from the left.
-        jacobian = -np.concatenate([axes, np.cross(levers, axes)], axis=-1)
+        jacobian = -np.concatenate([axes, np.cross(sensitivities, axes)], axis=-1)
         step = np.linalg.solve(jacobian, -residual[..., None])[..., 0]
         centre = centre + step[:, :3]
         turn = rotation_matrix(step[:, 3:]) @ turn

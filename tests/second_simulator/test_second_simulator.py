@@ -97,12 +97,12 @@ def test_six_rods_keep_their_lengths_and_carry_the_platform() -> None:
     np.testing.assert_allclose(turn @ np.swapaxes(turn, 1, 2), np.tile(np.eye(3), (726, 1, 1)),
                                atol=1e-13)  # fmt: skip
     for row in range(0, 726, 25):
-        ends, levers = np.zeros((3, 3)), np.zeros((3, 3))
+        ends, sensitivities = np.zeros((3, 3)), np.zeros((3, 3))
         tops = carriages[row]
         for i in range(3):
             angle = real.platform_angle[i]
-            levers[i] = real.platform_radius[i] * np.array([np.cos(angle), np.sin(angle), 0])
-            ends[i] = centre[row] + turn[row] @ levers[i]
+            sensitivities[i] = real.platform_radius[i] * np.array([np.cos(angle), np.sin(angle), 0])
+            ends[i] = centre[row] + turn[row] @ sensitivities[i]
         axes = (tops - ends) / np.linalg.norm(tops - ends, axis=1)[:, None]
         tension = np.linalg.solve(axes.T, [0, 0, PLATFORM_WEIGHT_N])
         assert tension.min() > 0  # the platform hangs
@@ -110,7 +110,7 @@ def test_six_rods_keep_their_lengths_and_carry_the_platform() -> None:
             for sign in (1, -1):
                 pair = np.array([-np.sin(real.pair_angle[i]), np.cos(real.pair_angle[i]), 0])
                 top = tops[i] + sign * 20.0 * pair
-                end = centre[row] + turn[row] @ (levers[i] + sign * 20.0 * pair)
+                end = centre[row] + turn[row] @ (sensitivities[i] + sign * 20.0 * pair)
                 length = real.rod_length[i] + sign * mismatch[i] / 2 + compliance[i] * tension[i]
                 assert abs(np.linalg.norm(top - end) - length) < 1e-10
 

@@ -36,7 +36,7 @@ def story(
     _tell(found.headline[:1].upper() + found.headline[1:] + ".")
     for name in found.effects:
         effect = study.model.known_effects[name]
-        _tell(f"{effect.physics} {effect.workshop}")
+        _tell(f"{effect.physics} {effect.remedy}")
     others = [c for c in found.candidates if c.effect not in found.effects]
     if found.effects and others:
         _tell(f"The next best, {others[0].effect}, would leave {number(others[0].held_out_rms)} {unit}.")

@@ -84,7 +84,7 @@ def _show(effect: Effect, of: str) -> None:
     for title, text in (
         ("physics", effect.physics),
         ("its residuals", effect.residuals),
-        ("in the workshop", effect.workshop),
+        ("in the workshop", effect.remedy),
         ("needs", ", ".join(effect.needs) or "no column besides the readings"),
     ):
         output.out.print(f"  [bold]{title}:[/] {text}")

@@ -96,7 +96,7 @@ def _study(
     rng = np.random.default_rng(0)
     sought = []
     for o in effect_powers:
-        if o.lacks or not np.isfinite(o.times):
+        if o.missing_columns or not np.isfinite(o.times):
             continue
         for _ in range(_SIGNS):
             # along some signs the fitted parameters may take all of it
@@ -121,8 +121,8 @@ def _show_effects(effect_powers: tuple[EffectPower, ...], unit: str) -> None:
         "RMS that it leaves there. absorbed: by the fitted parameters.",
     )  # fmt: skip
     for o in effect_powers:
-        if o.lacks:
-            made.add_row(o.name, "", "", "", "", f"[dim]needs {listed(o.lacks)}[/]")
+        if o.missing_columns:
+            made.add_row(o.name, "", "", "", "", f"[dim]needs {listed(o.missing_columns)}[/]")
             continue
         smallest = f"{o.times:.3g} ×" if np.isfinite(o.times) else "never"
         made.add_row(
@@ -137,9 +137,9 @@ def _show_effects(effect_powers: tuple[EffectPower, ...], unit: str) -> None:
 
 
 def _sentences(effect_powers: tuple[EffectPower, ...]) -> list[str]:
-    absorbed = [o.name for o in effect_powers if not o.lacks and o.is_absorbed]
+    absorbed = [o.name for o in effect_powers if not o.missing_columns and o.is_absorbed]
     tied = [o.name for o in effect_powers if o.indistinguishable]
-    missed = [o.name for o in effect_powers if not o.lacks and o.power < POWER]
+    missed = [o.name for o in effect_powers if not o.missing_columns and o.power < POWER]
     said = []
     if missed:
         said.append(f"At its plausible size it would rather be missed: {listed(missed)}.")
@@ -179,7 +179,7 @@ def _json(
         "level": planning.level,
         "effects": [
             {
-                "name": o.name, "link": o.link, "lacks": list(o.lacks), "power": number(o.power),
+                "name": o.name, "link": o.link, "missing_columns": list(o.missing_columns), "power": number(o.power),
                 "smallest_in_plausible_sizes": number(o.times),
                 "smallest": {k: number(v) for k, v in o.values.items()}, "left_um": number(o.left_um),
                 "absorbed": number(o.absorbed), "indistinguishable": list(o.indistinguishable),

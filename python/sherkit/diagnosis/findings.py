@@ -71,7 +71,7 @@ def _wrong(d: Diagnosis) -> Iterator[Finding]:
         if d.too_few_poses:
             whole = " These poses are too few to say whether that is all."
         doubt = f" With a caveat: {d.caveat}." if d.caveat else ""
-        repair = " ".join(d.known[e.name].workshop if e.name in d.known else e.workshop for e in causes)
+        repair = " ".join(d.known[e.name].remedy if e.name in d.known else e.remedy for e in causes)
         yield Finding(WRONG, "cause", f"The model lacks {listed(d.effects)}. {physics}".strip() + tied)
         yield Finding(
             WRONG, "brings",

@@ -139,7 +139,7 @@ def diagnose(
     )
     final, rho = found.final, found.search.rho
     notes += found.notes
-    notes += [f"{one.sentence}. {one.workshop}" for one in known(final.fit).values()]
+    notes += [f"{one.sentence}. {one.remedy}" for one in known(final.fit).values()]
 
     step("fitting all rows")
     at = periods_shown(found.search, found.result)

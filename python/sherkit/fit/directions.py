@@ -42,31 +42,33 @@ class Direction:
 
 
 def badly_observed(
-    parameters: Sequence[Parameter], covariance: Floats, levers: tuple[Floats, str]
+    parameters: Sequence[Parameter], covariance: Floats, sensitivities: tuple[Floats, str]
 ) -> tuple[Direction, ...]:
     """The principal axes of the covariance, worst first.
 
-    Axes are listed down to a tenth of the worst. ``covariance`` (p, p) in the parameters' own units; ``levers`` turn
-    each into one common unit, which they name.
+    Axes are listed down to a tenth of the worst. ``covariance`` (p, p) in the parameters' own units; ``sensitivities``
+    turn each into one common unit, which they name.
     """
-    lever, _ = levers
+    lever, _ = sensitivities
     variance, axes = linalg.eigh(covariance * np.outer(lever, lever))
     out: list[Direction] = []
     for k in np.argsort(variance)[::-1][:_MOST]:
         std = float(np.sqrt(max(variance[k], 0.0)))
         if std <= 0 or (out and std < 0.1 * out[0].std):
             break
-        out.append(_named(parameters, axes[:, k] * std, levers, std))
+        out.append(_named(parameters, axes[:, k] * std, sensitivities, std))
     return tuple(out)
 
 
-def unobserved(parameters: Sequence[Parameter], basis: Floats, levers: tuple[Floats, str]) -> tuple[Direction, ...]:
+def unobserved(
+    parameters: Sequence[Parameter], basis: Floats, sensitivities: tuple[Floats, str]
+) -> tuple[Direction, ...]:
     """The null space in as few names as possible. ``basis`` (m, p) in units of plausible size.
 
     Any basis of the null space is as good as another; the one shown has been brought to echelon form from
     the last parameter on, so that each direction has a parameter that no other one has.
     """
-    lever, _ = levers
+    lever, _ = sensitivities
     size = np.array([p.size for p in parameters])
     rows = np.array(basis, dtype=float) * size * lever
     pivots: list[int] = []
@@ -82,11 +84,11 @@ def unobserved(parameters: Sequence[Parameter], basis: Floats, levers: tuple[Flo
             if other != k:
                 rows[other] -= rows[other, pivot] * rows[k]
         pivots.append(pivot)
-    return tuple(_named(parameters, row, levers, float("inf")) for row in rows)
+    return tuple(_named(parameters, row, sensitivities, float("inf")) for row in rows)
 
 
-def _named(parameters: Sequence[Parameter], moved: Floats, levers: tuple[Floats, str], std: float) -> Direction:
-    lever, unit = levers
+def _named(parameters: Sequence[Parameter], moved: Floats, sensitivities: tuple[Floats, str], std: float) -> Direction:
+    lever, unit = sensitivities
     order = np.argsort(-np.abs(moved))
     named = [int(k) for k in order if abs(moved[k]) >= _NAMED * abs(moved[order[0]])]
     sign = np.sign(moved[named[0]])

@@ -92,9 +92,9 @@ class Known:
         return said + (f"; as well fits: {' or '.join(self.also)}" if self.also else "")
 
     @property
-    def workshop(self) -> str:
+    def remedy(self) -> str:
         """What to do about it: the effect's own sentence, for the limbs that it is about."""
-        place, own = _place(self.effect), self.effect.workshop
+        place, own = _place(self.effect), self.effect.remedy
         if self.form == "common":
             return f"{own} All {place}s err alike: look for one cause before you adjust single ones.".strip()
         if self.form == "combination":

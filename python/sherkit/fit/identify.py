@@ -104,12 +104,12 @@ class Identified:
     @cached_property
     def unobserved(self) -> tuple[Direction, ...]:
         """Combinations of parameters that change no reading here."""
-        return unobserved(self.parameters, self.unobserved_basis, self.model.levers)
+        return unobserved(self.parameters, self.unobserved_basis, self.model.sensitivities)
 
     @cached_property
     def badly_observed(self) -> tuple[Direction, ...]:
         """Combinations of parameters that the readings fix worst."""
-        return badly_observed(self.parameters, self.covariance, self.model.levers)
+        return badly_observed(self.parameters, self.covariance, self.model.sensitivities)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({len(self.values)} parameters, rank {self.rank})"

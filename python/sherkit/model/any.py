@@ -68,7 +68,7 @@ class Extended(ModelWithEffects):
         return {e.name: e for e in getattr(self.plain, "candidates", ())}
 
     @cached_property
-    def levers(self) -> tuple[Floats, str]:
+    def sensitivities(self) -> tuple[Floats, str]:
         """The one unit of all parameters; where there are several, plausible sizes."""
         units = {p.unit for p in self.parameters}
         if len(units) == 1:

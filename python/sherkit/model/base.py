@@ -144,7 +144,7 @@ class ModelWithEffects(Saved, ABC):
 
     @property
     @abstractmethod
-    def levers(self) -> tuple[Floats, str]:
+    def sensitivities(self) -> tuple[Floats, str]:
         """What turns each parameter (p,) into one common unit, and that unit, so that they can be compared."""
 
     @property
@@ -263,7 +263,7 @@ class ModelWithEffects(Saved, ABC):
         for effect in effects:
             if effect.name in active or effect.name in self.within:
                 continue
-            missing = lacks(effect, data)
+            missing = missing_columns(effect, data)
             if missing:
                 untestable[effect.name] = f"it needs the column {' and '.join(missing)}"
             else:
@@ -274,11 +274,11 @@ class ModelWithEffects(Saved, ABC):
         """Refuses a user's effect that is none on these rows. Raises :class:`~sherkit.errors.EffectError`."""
         if effect.name in self.known_effects:
             raise EffectError(f"'{effect.name}' is the name of a built-in effect; give yours another")
-        if not lacks(effect, data):
+        if not missing_columns(effect, data):
             check_user_effect(effect, self.rows(data, values), self.axes_of(effect, data))
 
 
-def lacks(effect: Effect, data: Measurements) -> tuple[str, ...]:
+def missing_columns(effect: Effect, data: Measurements) -> tuple[str, ...]:
     """Columns that an effect needs and a run does not have."""
     out = []
     for need in effect.needs:

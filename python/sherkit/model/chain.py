@@ -233,7 +233,7 @@ class ChainModel(ModelWithEffects):
         return self.catalogue
 
     @property
-    def levers(self) -> tuple[Floats, str]:
+    def sensitivities(self) -> tuple[Floats, str]:
         """The millimetres that each parameter moves in this robot."""
         return np.array([p.lever_mm for p in self.parameters]), "mm"
 

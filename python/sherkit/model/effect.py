@@ -37,7 +37,7 @@ class Sentences:
 
     physics: str
     residuals: str
-    workshop: str
+    remedy: str
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Effect(Shown):
     needs: tuple[str, ...] = ()
     physics: str = ""
     residuals: str = ""
-    workshop: str = ""
+    remedy: str = ""
     search: str | None = None
     frees: bool = False
     function: Function | None = field(default=None, repr=False)
@@ -171,7 +171,7 @@ def freeing(parameter: Parameter) -> Effect:
         frees=True,
         physics=f"{name} is held at the drawing, and the robot is not as drawn there.",
         residuals=f"What a {name} other than the drawing's leaves, as far as no free parameter takes its place.",
-        workshop=f"Free it (free=[…, '{name}'], --free {name}), or measure it and correct the robot file.",
+        remedy=f"Free it (free=[…, '{name}'], --free {name}), or measure it and correct the robot file.",
     )
 
 
@@ -197,7 +197,7 @@ def catalogue_of_core(table: Sequence[Mapping[str, Any]], sentences: Mapping[str
             search=row["search"],
             physics=sentences[name].physics,
             residuals=sentences[name].residuals,
-            workshop=sentences[name].workshop,
+            remedy=sentences[name].remedy,
         )
         for name, row in rows.items()
     }
@@ -244,7 +244,7 @@ def effect(
     parameters: Mapping[str, str | tuple[str, float]],
     needs: tuple[str, ...] = (),
     physics: str = "",
-    workshop: str = "",
+    remedy: str = "",
     derivative: Callable[[Any, SimpleNamespace], Any] | None = None,
 ) -> Callable[[Function], Effect]:
     """Makes a NumPy function of a few lines an effect with the standing of the built-in ones.
@@ -275,7 +275,7 @@ def effect(
             parameters=tuple(made),
             needs=needs,
             physics=physics or (function.__doc__ or "").strip(),
-            workshop=workshop,
+            remedy=remedy,
             function=function,
             derivative=derivative,
         )

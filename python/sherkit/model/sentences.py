@@ -9,88 +9,88 @@ COMMON: dict[str, Sentences] = {
         physics="The ratio of gear, belt or scale is not quite what the drawing says, so an encoder counts too much or "
         "too little.",
         residuals="Grows in proportion to the travel of one joint; zero at the home position.",
-        workshop="Compare the travel of each joint with a gauge or its index marks; correct counts per travel.",
+        remedy="Compare the travel of each joint with a gauge or its index marks; correct counts per travel.",
     ),
     "encoder_cyclic": Sentences(
         physics="An encoder errs by a sine and cosine that repeat: a magnetic scale read a little off centre once per "
         "pole pair; a ring twice per turn where two heads read it, and once per line that is divided unevenly.",
         residuals="A ripple along one joint that repeats with the pole pitch, or a whole number of times per turn.",
-        workshop="Adjust gap and angle of the reading head; enable the encoder's own harmonic compensation.",
+        remedy="Adjust gap and angle of the reading head; enable the encoder's own harmonic compensation.",
     ),
     "encoder_eccentricity": Sentences(
         physics="The encoder's ring sits off the axis of its joint, so it errs by a sine once per turn.",
         residuals="A slow wave along one joint: one period in a whole turn.",
-        workshop="Centre the ring with a dial gauge; or read it at two opposite places.",
+        remedy="Centre the ring with a dial gauge; or read it at two opposite places.",
     ),
     "backlash": Sentences(
         physics="Play in drive and bearings: where a joint stops depends on the side from which it came.",
         residuals="Two values at one place, by the direction of the last motion.",
-        workshop="Preload the drive; or approach every pose from the same side.",
+        remedy="Preload the drive; or approach every pose from the same side.",
     ),
     "thermal_growth": Sentences(
         physics="Everything expands with temperature, so every coordinate grows in proportion to itself.",
         residuals="Proportional to position times the deviation of temperature from 20 °C.",
-        workshop="Warm up before measuring; hold the temperature; use Invar.",
+        remedy="Warm up before measuring; hold the temperature; use Invar.",
     ),
     "joint_slip": Sentences(
         physics="A joint lost steps at one moment, or its encoder, pulley or coupling slipped: from then on it stands "
         "beside where it is read. The value is how far.",
         residuals="From one moment on as if one joint stood elsewhere by the same amount; none before it.",
-        workshop="Home the joint and compare; lower its acceleration, tighten coupling and pulley; measure again.",
+        remedy="Home the joint and compare; lower its acceleration, tighten coupling and pulley; measure again.",
     ),
     "thermal_shift": Sentences(
         physics="A stand, a tripod or a base expands, so that instrument and robot move apart with the temperature, "
         "perhaps long after the room has warmed. A growth about another point than the origin is a growth with such a "
         "shift. The control loop, which has no instrument, is not given it.",
         residuals="The same at every pose, in proportion to the temperature, or to that of some minutes ago.",
-        workshop="Put robot and instrument on one plate; warm up; shield the stand; return to a reference pose often.",
+        remedy="Put robot and instrument on one plate; warm up; shield the stand; return to a reference pose often.",
     ),
     "drift": Sentences(
         physics="The point wanders steadily while the run lasts: creep, settling supports, warming electronics.",
         residuals="A straight line over time, whatever the pose.",
-        workshop="Warm up; return to a reference pose regularly; shuffle the order of poses.",
+        remedy="Warm up; return to a reference pose regularly; shuffle the order of poses.",
     ),
     "slip": Sentences(
         physics="Something let go at one moment: a clamp, a magnet, what the instrument looks at.",
         residuals="A step over time: all readings before it agree, all after it agree.",
-        workshop="Tighten what holds the measured point; measure again from the moment on.",
+        remedy="Tighten what holds the measured point; measure again from the moment on.",
     ),
     "sensor_linearity": Sentences(
         physics="A sensor's reading bends away from the straight line with the distance from its own zero.",
         residuals="Cubic in one reading, the same whatever the others are.",
-        workshop="Use the middle of the range; have the sensor's linearity table loaded.",
+        remedy="Use the middle of the range; have the sensor's linearity table loaded.",
     ),
     "datum": Sentences(
         physics="Readings are differences from a reference position, so their zero is arbitrary. In the default model.",
         residuals="Constant.",
-        workshop="None needed.",
+        remedy="None needed.",
     ),
     "camera_pose": Sentences(
         physics="The camera does not stand where the drawing has it, or does not look where it should; in its own "
         "axes, x right, y down, z forward.",
         residuals="The whole picture turned, shifted, grown or in perspective.",
-        workshop="Survey the camera with a board on the base; clamp it so that it stays.",
+        remedy="Survey the camera with a board on the base; clamp it so that it stays.",
     ),
     "camera_slip": Sentences(
         physics="The camera was knocked or its clamp let go: from one moment on it stands and looks elsewhere.",
         residuals="A step over time of the whole picture: turned, shifted, grown or in perspective.",
-        workshop="Clamp the camera on the robot's own base; measure again from the moment on.",
+        remedy="Clamp the camera on the robot's own base; measure again from the moment on.",
     ),
     "focal_length": Sentences(
         physics="The focal length differs from the calibrated one: the lens was refocused, or warmed up.",
         residuals="The picture grows or shrinks about its middle.",
-        workshop="Lock the focus and calibrate the camera again.",
+        remedy="Lock the focus and calibrate the camera again.",
     ),
     "lens_distortion": Sentences(
         physics="The lens bends straight lines: radially (k1, k2) and, where its elements are not centred, sideways "
         '(p1, p2). Source: Brown, "Decentering distortion of lenses", 1966.',
         residuals="Grows with the third power of the distance from the middle of the picture.",
-        workshop="Calibrate the camera with a board that fills the picture to its corners.",
+        remedy="Calibrate the camera with a board that fills the picture to its corners.",
     ),
     "camera_delay": Sentences(
         physics="A picture shows the robot a little earlier than its time stamp says: exposure, transfer, buffers.",
         residuals="Proportional to the velocity of the joints; none where the robot stands still.",
-        workshop="Trigger camera and encoders together; or measure at rest.",
+        remedy="Trigger camera and encoders together; or measure at rest.",
     ),
 }
 

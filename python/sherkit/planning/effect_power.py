@@ -18,7 +18,7 @@ import scipy
 from .. import linalg
 from ..data import Measurements
 from ..errors import EffectError, FitError
-from ..model.base import lacks
+from ..model.base import missing_columns
 from ..model.chain import ChainModel
 from ..model.effect import Effect
 from ..model.parameter import Parameter
@@ -44,8 +44,8 @@ class EffectPower:
     0.8 (all parameters at the same multiple of their sizes, signs at random), ``values`` the parameters there,
     ``left_um`` the root mean square that it then leaves in the readings, in the unit that people read. ``absorbed`` is
     the share of its squared displacements that the fitted parameters would take. ``indistinguishable`` name effects
-    that would explain it as well: with one of them in the model, it is no longer found at its plausible size. ``lacks``
-    names columns without which it cannot be tried at all; the rest then says nothing.
+    that would explain it as well: with one of them in the model, it is no longer found at its plausible size.
+    ``missing_columns`` names columns without which it cannot be tried at all; the rest then says nothing.
     """
 
     name: str
@@ -56,7 +56,7 @@ class EffectPower:
     left_um: float
     absorbed: float
     indistinguishable: tuple[str, ...]
-    lacks: tuple[str, ...]
+    missing_columns: tuple[str, ...]
 
     @property
     def is_absorbed(self) -> bool:
@@ -139,7 +139,7 @@ class Planning:
         """Columns of every effect that can be tried, by plausible sizes and in units of the noise."""
         out = {}
         for name, effect in self.candidates.items():
-            if not lacks(effect, self.rows):
+            if not missing_columns(effect, self.rows):
                 model = self.with_effect(effect)
                 out[name] = self._columns(model)[:, model.owns(effect)]
         return out
@@ -206,7 +206,7 @@ class Planning:
 
     def _outlook(self, name: str) -> EffectPower:
         effect = self.candidates[name]
-        missing = lacks(effect, self.rows)
+        missing = missing_columns(effect, self.rows)
         if missing:
             nan = float("nan")
             return EffectPower(name, effect.link, nan, nan, {}, nan, nan, (), missing)
@@ -226,7 +226,7 @@ class Planning:
             left_um=unit * float(np.sqrt(needed / self.readings)),
             absorbed=max(1.0 - at_size / whole, 0.0) if whole > 0 else 1.0,
             indistinguishable=self._ties(name) if times <= 1.0 else (),
-            lacks=(),
+            missing_columns=(),
         )
 
     def _ties(self, name: str) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from ..data import Measurements
 from ..data.columns import TEMPERATURE, TIME, unit_in
 from ..errors import SherkitError
 from ..model.any import Model
-from ..model.base import ModelWithEffects, lacks
+from ..model.base import ModelWithEffects, missing_columns
 from ..model.drawing import Drawing
 from ..model.effect import Effect
 from ..model.kinds import Kind, Robot, draw_of, kind_of, model_of
@@ -137,7 +137,7 @@ def _moment(effect: Effect, row: Measurements, measured: bool) -> str:
 
 def _rows(effect: Effect, model: ModelWithEffects, data: Measurements | None) -> tuple[Measurements, bool]:
     """Some rows at which the effect acts, and whether they were measured."""
-    if data is not None and not lacks(effect, data):
+    if data is not None and not missing_columns(effect, data):
         whole = np.flatnonzero(~data.is_distance & ~data.outlier)
         if effect.search == "time_s" and data.time_s is not None:
             whole = whole[data.time_s[whole] >= np.median(data.time_s)]

@@ -116,7 +116,7 @@ def _field(calibration: Calibration, draw: Draw, fit: Fit, where: Floats) -> Fie
     try:
         found = fit.model.robot.inverse_batch(grid)
         grid = grid[found.reached]
-        promised = 1e3 * calibration.promises(grid).total_mm
+        promised = 1e3 * calibration.predicted_accuracies(grid).total_mm
         model = replace(fit.model, effects=())
         rows = fit.data.unmeasured(found.values[found.reached])
         places = draw(model, rows, np.zeros(len(model.parameters)), None).target_mm

@@ -45,7 +45,7 @@ def accuracy_of(calibration: Calibration) -> AccuracyMap:
     """The accuracy of a calibration over the workspace, or over what was measured."""
     planes = calibration.planes(_PER_SIDE)
     value, unseen = np.full((2, len(planes.grid)), np.nan)
-    promised = calibration.promises(np.ascontiguousarray(planes.grid[planes.inside]))
+    promised = calibration.predicted_accuracies(np.ascontiguousarray(planes.grid[planes.inside]))
     value[planes.inside], unseen[planes.inside] = 1e3 * promised.total_mm, 1e3 * promised.addition_mm
     measured = np.array([calibration.measured(point) for point in planes.grid])
     shape = (len(planes.titles), len(planes.y), len(planes.x))

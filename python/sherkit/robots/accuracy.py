@@ -13,9 +13,9 @@ from ..model.batch import Batch
 from ..types import Bools, Floats
 from .deployed import Deployed
 from .part import Part
-from .promise import Hiding, Promise, Promises
-from .unshown import Unshown, at_rest, by_effect
-from .unshown_fit import Asked
+from .predicted_accuracy import Hiding, PredictedAccuracies, PredictedAccuracy
+from .unobserved_effects import UnobservedEffect, at_rest, by_effect
+from .unobserved_effects_fit import Asked
 
 #: Places at which a calibration is asked what it could not see.
 _ASKED = 80
@@ -73,31 +73,34 @@ class Accurate(Deployed):
     def accuracy(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> float:
         """Radius, mm, within which the robot is predicted to be of ``coordinates`` (k,) in 95 of 100 cases.
 
-        The whole of :meth:`promise`: what the poses of the run show, and what they could not have shown. Where no pose
-        was measured (:meth:`measured`) this is extrapolation and holds only as far as the model does. Raises as
-        :meth:`inverse`.
+        The whole of :meth:`predicted_accuracy`: what the poses of the run show, and what they could not have shown.
+        Where no pose was measured (:meth:`measured`) this is extrapolation and holds only as far as the model does.
+        Raises as :meth:`inverse`.
         """
-        return self.promise(coordinates, direction=direction).total_mm
+        return self.predicted_accuracy(coordinates, direction=direction).total_mm
 
     def accuracy_batch(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> Batch:
         """:meth:`accuracy` at every one of ``coordinates`` (n, k): values (n,), mm; those out of reach are marked."""
-        made = self.promises(coordinates, direction=direction)
+        made = self.predicted_accuracies(coordinates, direction=direction)
         return Batch(made.total_mm, made.reached, made.why)
 
-    def promise(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> Promise:
+    def predicted_accuracy(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> PredictedAccuracy:
         """How far off the robot may be at ``coordinates`` (k,), and why. Arguments and errors as :meth:`inverse`."""
         x = self._place(coordinates)
         self.inverse(x, direction=direction)  # says why where it cannot be reached
-        return self.promises(x[None, :], direction=direction)[0]
+        return self.predicted_accuracies(x[None, :], direction=direction)[0]
 
-    def promises(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> Promises:
-        """:meth:`promise` at every one of ``coordinates`` (n, k), all reached in one ``direction`` (j,) if given.
+    def predicted_accuracies(
+        self, coordinates: ArrayLike, *, direction: ArrayLike | None = None
+    ) -> PredictedAccuracies:
+        """:meth:`predicted_accuracy` at every one of ``coordinates`` (n, k), all reached in one ``direction`` (j,) if
+        given.
 
         The radius: parameter covariance carried to the place, plus the covariance of held-out residuals (noise and what
         the model leaves), plus half of the lost motion that is in the model where no direction is given; that of a
         Gaussian by matching two moments of its squared length (Satterthwaite). The addition: by how much that grows
         with the covariance of what one effect of the catalogue at plausible size could do there and did not show at the
-        poses (:mod:`~sherkit.robots.unshown`): of all effects, the one that could do most.
+        poses (:mod:`~sherkit.robots.unobserved_effects`): of all effects, the one that could do most.
         """
         x = self._places(coordinates)
         inverse = self.inverse_batch(x, direction=direction)
@@ -124,7 +127,7 @@ class Accurate(Deployed):
                     worst[row] = Hiding(one.called(part.model(self.robot)), one.places, one.left)
         radius[rows] = self.reach_mm * radius_95(known)
         addition[rows] = self.reach_mm * radius_95(whole) - radius[rows]
-        return Promises(radius, addition, tuple(worst), inverse.reached, inverse.why, self.coordinates)
+        return PredictedAccuracies(radius, addition, tuple(worst), inverse.reached, inverse.why, self.coordinates)
 
     def _either_side(self, part: Part, joints: Floats) -> Floats:
         """Covariance (n, d, d) of not knowing from which side ``joints`` (n, j) are reached: of lost motion that is in
@@ -140,12 +143,12 @@ class Accurate(Deployed):
                 out += off @ off.transpose(0, 2, 1)
         return out
 
-    def _beyond(self, part: Part, x: Floats, joints: Floats) -> dict[str, tuple[list[Unshown], Floats]]:
+    def _beyond(self, part: Part, x: Floats, joints: Floats) -> dict[str, tuple[list[UnobservedEffect], Floats]]:
         """By effect what the poses could not show at each place: at which setting it is worst there, and its
         covariance (n, d, d)."""
-        out: dict[str, tuple[list[Unshown], Floats]] = {}
+        out: dict[str, tuple[list[UnobservedEffect], Floats]] = {}
         model, functions = part.model(self.robot), part.functions(x)
-        for one in part.unshown:
+        for one in part.unobserved_effects:
             effect = model.known_effects[one.effect]
             # lost motion is asked for from both sides
             sides = (1.0, -1.0) if "direction" in effect.needs else (0.0,)

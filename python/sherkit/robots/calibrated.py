@@ -22,7 +22,7 @@ from .accuracy import Accurate
 from .calibration_file import reading, tables_of, write
 from .calibration_run import CalibrationRun, Corrected
 from .part import Part
-from .unshown_search import Search
+from .unobserved_effects_search import Search
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Calibration(Shown, Accurate):
             part = getattr(made, name)
             if part is not None and run is not None:
                 search = Search(run, part, made.asked(part))
-                parts[name] = replace(part, unshown=search.found(), untried=search.untried)
+                parts[name] = replace(part, unobserved_effects=search.found(), untried=search.untried)
         return replace(made, **parts)
 
     @classmethod

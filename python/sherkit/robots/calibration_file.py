@@ -16,8 +16,9 @@ from ..data.toml import Table, read_toml
 from ..errors import CalibrationError, SherkitError
 from ..model.kinds import Robot
 
-#: 2: what the poses of a run could not show is written beside what they did; before, a promise left that out.
-FORMAT = 2
+#: 2: what the poses of a run could not show is written beside what they did; before, accuracy left that out. 3: under
+#: the key ``unobserved_effects``, which was ``unshown``.
+FORMAT = 3
 
 
 def write(path: Path, settings: Mapping[str, Any], robot: Robot, parts: Mapping[str, dict[str, Any]]) -> None:
@@ -47,7 +48,12 @@ def tables_of(path: Path, kind: str | None = None) -> dict[str, Any]:
     """
     tables = read_toml(path, "calibration", CalibrationError)
     settings = tables.get("calibration")
-    if isinstance(settings, dict) and settings.get("format") in range(1, FORMAT):
+    if isinstance(settings, dict) and settings.get("format") == 2:
+        for part in tables.values():
+            if isinstance(part, dict) and "unshown" in part:
+                part["unobserved_effects"] = part.pop("unshown")
+        settings["format"] = FORMAT
+    if isinstance(settings, dict) and settings.get("format") == 1:
         raise CalibrationError(
             f"{path}: was written by an earlier version ([calibration] format = {settings['format']}, expected "
             f"{FORMAT}) and does not say what its poses could not show; calibrate again from the run"

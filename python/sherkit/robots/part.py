@@ -15,7 +15,7 @@ from ..model.effect import effects_by_name
 from ..model.kinds import Robot, catalogue_of, kind_of, model_of
 from ..names import listed
 from ..types import Floats
-from .unshown import Unshown
+from .unobserved_effects import UnobservedEffect
 
 #: So many plausible sizes are no identified error any more.
 _ABSURD = 1e4
@@ -33,8 +33,8 @@ class Part:
     temperature, the middle of the backlash. ``covariance`` (p, p) in the order of ``values``; ``residual_covariance``
     (k, k) of held-out readings about the model, noise included, in the unit of the coordinates. ``low`` and ``high``
     (k,) are the corners of the box in which the run measured, as coordinates. ``readings`` are the columns that
-    instruments showed; ``unshown`` is what the poses could not show, by effect, and ``untried`` are effects of which
-    nothing can be said: the run lacks a column that they need.
+    instruments showed; ``unobserved_effects`` is what the poses could not show, by effect, and ``untried`` are effects
+    of which nothing can be said: the run lacks a column that they need.
     """
 
     free: tuple[str, ...]
@@ -50,7 +50,7 @@ class Part:
     made_from: str
     rows: int
     readings: tuple[str, ...] = field(default=(), kw_only=True)
-    unshown: tuple[Unshown, ...] = field(default=(), kw_only=True)
+    unobserved_effects: tuple[UnobservedEffect, ...] = field(default=(), kw_only=True)
     untried: tuple[str, ...] = field(default=(), kw_only=True)
 
     @staticmethod
@@ -110,7 +110,7 @@ class Part:
             f"high_{unit}": self.high.tolist(),
             "readings": list(self.readings),
             "untried": list(self.untried),
-            "unshown": [one.to_table() for one in self.unshown],
+            "unobserved_effects": [one.to_table() for one in self.unobserved_effects],
         }
 
     def _own_table(self, unit: str) -> dict[str, Any]:
@@ -164,12 +164,14 @@ class Part:
         if made.readings not in [(), *(one.coordinates for one in model.layouts)]:
             raise table.fail("readings", f"one of {listed(' '.join(one.coordinates) for one in model.layouts)}")
         functions = made.functions(low[None, :]).shape[1]
-        unshown = tuple(Unshown.from_table(one, model, functions, size) for one in table.tables("unshown"))
-        for k, one in enumerate(unshown):
+        unobserved_effects = tuple(
+            UnobservedEffect.from_table(one, model, functions, size) for one in table.tables("unobserved_effects")
+        )
+        for k, one in enumerate(unobserved_effects):
             sizes, far = one.largest(model)
             if sizes > _ABSURD or far > _LARGEST_RESIDUAL:
                 raise table.refuse(f"unshown: entry {k + 1} ({one.effect}): larger than any robot")
-        return replace(made, unshown=unshown)
+        return replace(made, unobserved_effects=unobserved_effects)
 
     def _check(self, table: Table, robot: Robot, told: list[tuple[str, float]]) -> None:
         """Refuses numbers that no identification gave: in other units, or absurd beside what is plausible."""

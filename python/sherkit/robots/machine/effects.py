@@ -229,37 +229,37 @@ _OWN = {
     "joint_offset": Sentences(
         physics="The zero of an encoder is not where the model has it.",
         residuals="As if one joint stood elsewhere by the same amount at every pose.",
-        workshop="Home the joint again, or correct the offset in the controller.",
+        remedy="Home the joint again, or correct the offset in the controller.",
     ),
     "joint_coupling": Sentences(
         physics="One joint moves along with another: axes that are not square, a belt or gear that couples them.",
         residuals="In proportion to the travel of one joint, along the motion of another.",
-        workshop="Measure the squareness with a granite square; shim the rail, or correct it in the controller.",
+        remedy="Measure the squareness with a granite square; shim the rail, or correct it in the controller.",
     ),
     "encoder_two_per_turn": Sentences(
         physics="An encoder's ring is oval, or read by two heads: its error repeats twice per turn.",
         residuals="A wave along one joint with two periods in a whole turn.",
-        workshop="Mount the ring without stress; use the encoder's own compensation.",
+        remedy="Mount the ring without stress; use the encoder's own compensation.",
     ),
     "droop": Sentences(
         physics="The machine gives way under its own weight the further it reaches from its axis; the value is the "
         "fall at a metre from it.",
         residuals="Downwards, with the square of the distance from the z axis.",
-        workshop="Balance or stiffen the overhanging part; preload its bearing.",
+        remedy="Balance or stiffen the overhanging part; preload its bearing.",
     ),
     "instrument_turned": Sentences(
         physics="The measuring instrument's axes are not parallel to those of the model.",
         residuals="The whole cloud of points turned.",
-        workshop="Register the instrument on the machine's base; or identify the turn with the model.",
+        remedy="Register the instrument on the machine's base; or identify the turn with the model.",
     ),
     "sensor_offset": Sentences(
         physics="The zero of an instrument is not where the model has it.",
         residuals="Constant.",
-        workshop="Set the instrument to zero at the reference; or identify the offset with the model.",
+        remedy="Set the instrument to zero at the reference; or identify the offset with the model.",
     ),
     "sensor_scale": Sentences(
         physics="An instrument shows a little too much or too little.",
         residuals="In proportion to one reading.",
-        workshop="Check the instrument with a gauge block; correct its scale.",
+        remedy="Check the instrument with a gauge block; correct its scale.",
     ),
 }  # fmt: skip

@@ -50,7 +50,7 @@ class MachineModel(ChainModel):
         return 1.0 / size
 
     @property
-    def levers(self) -> tuple[Floats, str]:
+    def sensitivities(self) -> tuple[Floats, str]:
         """Plausible sizes."""
         return np.array([1.0 / p.size for p in self.parameters]), "plausible sizes"
 

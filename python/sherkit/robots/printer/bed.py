@@ -48,7 +48,7 @@ def _columns(rows: Any, p: SimpleNamespace) -> Floats:
     parameters=dict.fromkeys(_NAMES, ("mm", 0.1)),
     needs=(PLATE,),
     physics="The plate that is probed is not flat: bent, bowed or twisted, smoothly; it turns with the plate.",
-    workshop="Lay a straightedge and a feeler gauge across the plate, or turn it and probe again: what turns with it "
+    remedy="Lay a straightedge and a feeler gauge across the plate, or turn it and probe again: what turns with it "
     "is its own. A mesh in the firmware covers it for printing.",
     derivative=_columns,
 )
@@ -72,7 +72,7 @@ def _by_zeros(rows: Any, p: SimpleNamespace) -> Floats:
     parameters={"zero_1": ("mm", 1.0)},
     needs=(PROBING,),
     physics="The zero of a probe is set anew, or moves with the temperature, between one probing and the next.",
-    workshop="None needed.",
+    remedy="None needed.",
     derivative=_by_zeros,
 )
 def probing_zero(rows: Any, p: SimpleNamespace) -> Floats:

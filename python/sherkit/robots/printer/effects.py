@@ -13,7 +13,7 @@ _BELTS = replace(
     physics="A belt moves its carriage a little more or less than the firmware believes: it is stretched, or of "
     "another pitch.",
     residuals="Grows with the travel of one carriage.",
-    workshop="Send a carriage 300 mm down and measure with callipers or a steel rule how far it went; correct "
+    remedy="Send a carriage 300 mm down and measure with callipers or a steel rule how far it went; correct "
     "rotation_distance or the steps per millimetre of that tower.",
 )
 _LEAN = replace(
@@ -21,12 +21,12 @@ _LEAN = replace(
     physics="A tower does not stand upright: it leans out from the middle (radial) or sideways (tangential). All three "
     "leaning sideways the same way is a frame that is twisted.",
     residuals="High and low places between the towers that no radius, angle or arm length takes away.",
-    workshop="Loosen the screws of the upper corner of that tower, push the frame until it is upright, tighten.",
+    remedy="Loosen the screws of the upper corner of that tower, push the frame until it is upright, tighten.",
 )
 _LOOSE = replace(
     DELTA["backlash"],
     physics="A loose belt or pulley: where a carriage stops depends on the side from which it came.",
-    workshop="Tighten the belt and the pulley's screw. A probe that always comes from above does not show it.",
+    remedy="Tighten the belt and the pulley's screw. A probe that always comes from above does not show it.",
 )
 #: How far the two rods of a printer's arm usually differ, mm.
 _RODS_MM = 0.2
@@ -35,7 +35,7 @@ _ARMS = replace(
     parameters=tuple(replace(p, size=_RODS_MM) for p in DELTA["rod_mismatch"].parameters),
     physics="The two rods of an arm differ in length, so the effector tilts as it moves, and a probe beside the nozzle "
     "is higher or lower than it.",
-    workshop="Lay the two rods of each arm side by side on two pins and match their lengths.",
+    remedy="Lay the two rods of each arm side by side on two pins and match their lengths.",
 )
 
 _PLATE = replace(bed_shape, residuals="A smooth shape over the plate that turns with it.")

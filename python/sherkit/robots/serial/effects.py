@@ -21,48 +21,48 @@ _OWN = {
         physics="A joint moves a little when the one before it does: a belt or shaft runs through that joint, as in "
         "many wrists, and the controller's ratio for it is missing or not quite right.",
         residuals="Proportional to the travel of the joint before, as if the next one had turned.",
-        workshop="Enter the coupling ratio of the wrist in the controller; check it by turning one joint alone.",
+        remedy="Enter the coupling ratio of the wrist in the controller; check it by turning one joint alone.",
     ),
     "joint_compliance": Sentences(
         physics="Gears and bearings give way under the weight that a joint carries; the value is how far under the "
         "greatest moment that this weight can make.",
         residuals="Downwards, most where the arm is stretched out level, none where it stands upright.",
-        workshop="Enter the payload and its centre in the controller; balance the arm; read joints behind gears.",
+        remedy="Enter the payload and its centre in the controller; balance the arm; read joints behind gears.",
     ),
     "payload_compliance": Sentences(
         physics="Gears and bearings give way under what hangs at the target; the value is how far a joint turns by the "
         "moment that this puts on it, or how far it slides by the force.",
         residuals="Downwards and proportional to the payload, most where the arm is stretched out level.",
-        workshop="Enter mass and centre of each payload in the controller; calibrate with the payload of the work.",
+        remedy="Enter mass and centre of each payload in the controller; calibrate with the payload of the work.",
     ),
     "link_growth": Sentences(
         physics="Each link expands with temperature by its own part: links of other materials, or nearer to motors, "
         "than the rest. Where all parts are equal, it is thermal_growth.",
         residuals="Along the links as they stand, proportional to the deviation of temperature from 20 °C.",
-        workshop="Warm up before measuring; hold the temperature; links of carbon fibre or Invar.",
+        remedy="Warm up before measuring; hold the temperature; links of carbon fibre or Invar.",
     ),
     "tracker_slip": Sentences(
         physics="The tracker or its stand was knocked, or the robot moved on its floor: from one moment on it sees the "
         "robot elsewhere, shifted and turned.",
         residuals="A step over time, which differs from place to place where it is a turn.",
-        workshop="Measure reference nests on the robot's base before and after; measure again from the moment on.",
+        remedy="Measure reference nests on the robot's base before and after; measure again from the moment on.",
     ),
     "sensor_scale": Sentences(
         physics="All that the instrument reads is too large or too small by the same part: air temperature and "
         "pressure of a laser tracker, focal length of a camera, a scale bar.",
         residuals="The picture of the robot grows about the instrument.",
-        workshop="Enter air temperature and pressure; check the instrument on a scale bar.",
+        remedy="Enter air temperature and pressure; check the instrument on a scale bar.",
     ),
     "bar_zero": Sentences(
         physics="Every distance is read too long or too short by the same length: the bar's zero, the radius of its "
         "balls, the dead path of a wire or beam.",
         residuals="The same in every distance, whatever its length and direction.",
-        workshop="Calibrate the bar on a gauge of known length.",
+        remedy="Calibrate the bar on a gauge of known length.",
     ),
     "reading_delay": Sentences(
         physics="A reading shows the robot a little earlier than the joints beside it: filters, transfer, buffers.",
         residuals="Proportional to the velocity of the joints; none where the robot stands still.",
-        workshop="Trigger instrument and encoders together; or measure at rest.",
+        remedy="Trigger instrument and encoders together; or measure at rest.",
     ),
 }
 

@@ -214,8 +214,8 @@ class VirtualSerial:
             step = np.where(np.arange(len(joints)) == i, _STEP_RAD, 0.0)
             slope = (self._energy(joints + step) - self._energy(joints - step)) / (2 * _STEP_RAD)
             arms = np.cumsum([0.0, *(float(np.linalg.norm(one.origin_mm)) for one in self.robot.joints[i + 1 :])])
-            levers = np.ones(len(arms)) if joint.slides else arms + np.linalg.norm(centres[i:], axis=1)
-            most = float(masses[i:] @ levers)
+            sensitivities = np.ones(len(arms)) if joint.slides else arms + np.linalg.norm(centres[i:], axis=1)
+            most = float(masses[i:] @ sensitivities)
             out[i] = -slope / most if most > 0 else 0.0
         return out
 

@@ -40,7 +40,7 @@ def applied(model: ToolModel, fit: Fit) -> Applied:
             turn = rotation_of(values)[0]
         elif known is None or known.tool is None:
             kept_out.append(effect.name)
-            why.append(f"{effect.name} has no key in a tool file. {known.workshop if known else ''}".strip())
+            why.append(f"{effect.name} has no key in a tool file. {known.remedy if known else ''}".strip())
             continue
         else:
             try:

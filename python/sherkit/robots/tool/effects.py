@@ -72,14 +72,14 @@ def _p(name: str, unit: str, size: float) -> Parameter:
 
 
 def _effect(
-    link: str, *parameters: Parameter, physics: str, residuals: str, workshop: str, tool: ToolWith | None = None
+    link: str, *parameters: Parameter, physics: str, residuals: str, remedy: str, tool: ToolWith | None = None
 ) -> Callable[[TipWith], TipWith]:
     """Enters a function, by its name, in the catalogue."""
 
     def enter(places: TipWith) -> TipWith:
         name = places.__name__
         TOOL_CATALOGUE[name] = ToolEffect(
-            name, link, parameters, physics=physics, residuals=residuals, workshop=workshop, places=places,
+            name, link, parameters, physics=physics, residuals=residuals, remedy=remedy, places=places,
             tool=tool,
         )  # fmt: skip
         return places
@@ -92,7 +92,7 @@ def _effect(
     _p("relative", "1", 0.05),
     physics="The shaft is stiffer or softer than calibrated: every bend has another size.",
     residuals="Along the force, in proportion to it, more the less deep the tool is.",
-    workshop="Load the shaft at a known place and measure the bend; identify EI again.",
+    remedy="Load the shaft at a known place and measure the bend; identify EI again.",
     tool=_stiffer,
 )
 def tool_stiffness(at: Places, values: Floats) -> Floats:
@@ -104,7 +104,7 @@ def tool_stiffness(at: Places, values: Floats) -> Floats:
     _p("length", "mm", 1.0),
     physics="The shaft is clamped elsewhere than drawn: the free length h is another.",
     residuals="Along the force, growing with depth otherwise than those of a stiffness.",
-    workshop="Measure from the clamp to the tip.",
+    remedy="Measure from the clamp to the tip.",
     tool=_longer,
 )
 def tool_length(at: Places, values: Floats) -> Floats:
@@ -117,7 +117,7 @@ def tool_length(at: Places, values: Floats) -> Floats:
     _p("y", "mm", 1.0),
     physics="The shaft is not straight: without any force its tip is off the robot's axis.",
     residuals="Constant in the tool's frame, so that it turns with the tool; a camera's offset does not.",
-    workshop="Turn the tool about its shaft before the camera: a bent tip walks on a circle.",
+    remedy="Turn the tool about its shaft before the camera: a bent tip walks on a circle.",
 )
 def shaft_bend(at: Places, values: Floats) -> Floats:
     return at.tip_mm + np.einsum("nij,j->ni", at.turn[:, :, :2], values)
@@ -129,7 +129,7 @@ def shaft_bend(at: Places, values: Floats) -> Floats:
     _p("section_II", "1", 0.03),
     physics="The gratings of a section answer more or less strongly than calibrated.",
     residuals="Along the force; force and depth are both off.",
-    workshop="Calibrate K_I and K_II again with known forces at known places.",
+    remedy="Calibrate K_I and K_II again with known forces at known places.",
     tool=_stronger,
 )
 def fbg_gain(at: Places, values: Floats) -> Floats:
@@ -142,7 +142,7 @@ def fbg_gain(at: Places, values: Floats) -> Floats:
     *(_p(f"{s}_{k}", "nm", 0.01) for s in ("I", "II") for k in (1, 2)),
     physics="Wavelengths of the unloaded tool have crept: a force is felt where there is none.",
     residuals="Constant in the tool's frame where the tool is free, and a wrong depth where forces are small.",
-    workshop="Read the unloaded tool before each run and take that as reference_nm.",
+    remedy="Read the unloaded tool before each run and take that as reference_nm.",
     tool=_crept,
 )
 def fbg_bias(at: Places, values: Floats) -> Floats:
@@ -154,7 +154,7 @@ def fbg_bias(at: Places, values: Floats) -> Floats:
     *(_p(f"{s}_{k}", "nm/nm", 0.1) for s in ("I", "II") for k in (1, 2)),
     physics="The three fibres of a section answer unlike to warmth: taking out what is common leaves a rest.",
     residuals="Follow the common shift of the wavelengths: slow, as the tool warms in the eye.",
-    workshop="Warm the unloaded tool and watch the moments; wait until it is warm before the run.",
+    remedy="Warm the unloaded tool and watch the moments; wait until it is warm before the run.",
     tool=_unlike,
 )
 def fbg_temperature(at: Places, values: Floats) -> Floats:
@@ -167,7 +167,7 @@ def fbg_temperature(at: Places, values: Floats) -> Floats:
     _p("width", "mN", 5.0),
     physics="Glue and fibres yield late: the force that is felt lags behind the true one by a width.",
     residuals="Change sides with the direction in which the force changes.",
-    workshop="Load and unload slowly at one place; look for a loop.",
+    remedy="Load and unload slowly at one place; look for a loop.",
 )
 def force_hysteresis(at: Places, values: Floats) -> Floats:
     return at.tip(at.tool, replace(at.felt, beside_mn=at.ahead(float(values[0]))))
@@ -180,7 +180,7 @@ def force_hysteresis(at: Places, values: Floats) -> Floats:
     _p("turn_z", "rad", 0.02),
     physics="The camera's frame is turned against what its registration says.",
     residuals="Grow from the middle of the run's places outwards, across the axis of the turn.",
-    workshop="Register again, with the free tool led through the whole workspace (sherkit register).",
+    remedy="Register again, with the free tool led through the whole workspace (sherkit register).",
 )
 def registration(at: Places, values: Floats) -> Floats:
     # about the middle of the run, so that it does not take the part of the camera's offset
@@ -193,7 +193,7 @@ def registration(at: Places, values: Floats) -> Floats:
     _p("delay", "s", 0.02),
     physics="The camera's clock is later or earlier than its setting says.",
     residuals="In proportion to the velocity of the tip.",
-    workshop="Let both clocks see one sharp motion; set delay_s.",
+    remedy="Let both clocks see one sharp motion; set delay_s.",
     tool=lambda tool, values: replace(tool, camera_delay_s=tool.camera_delay_s + float(values[0])),
 )
 def camera_delay(at: Places, values: Floats) -> Floats:
@@ -206,7 +206,7 @@ def camera_delay(at: Places, values: Floats) -> Floats:
     _p("delay", "s", 0.06),
     physics="The interrogator is later than its setting says: a force is felt after it was there.",
     residuals="Along the force, in proportion to how fast it changes.",
-    workshop="Let robot and interrogator see one sharp touch; set [gratings] delay_s, or write fbg_time_s.",
+    remedy="Let robot and interrogator see one sharp touch; set [gratings] delay_s, or write fbg_time_s.",
     tool=lambda tool, values: replace(tool, fibre_delay_s=tool.fibre_delay_s + float(values[0])),
 )
 def fibre_delay(at: Places, values: Floats) -> Floats:

@@ -17,7 +17,7 @@ _DIGITS = {"mm": 1, "rad": 3}
 
 
 @dataclass(frozen=True)
-class Promise:
+class PredictedAccuracy:
     """How far off a robot may be at a place, in 95 of 100 cases.
 
     ``radius_mm`` holds for effects that the poses of the run can show; ``addition_mm`` is what effects of the catalogue
@@ -61,9 +61,9 @@ class Hiding:
 
 
 @dataclass(frozen=True, eq=False)
-class Promises:
-    """:class:`Promise` of many places: ``radius_mm`` and ``addition_mm`` (n,), NaN where not ``reached`` (n,);
-    ``worst`` says what hides most at each."""
+class PredictedAccuracies:
+    """:class:`PredictedAccuracy` of many places: ``radius_mm`` and ``addition_mm`` (n,), NaN where not ``reached``
+    (n,); ``worst`` says what hides most at each."""
 
     radius_mm: Floats
     addition_mm: Floats
@@ -80,12 +80,12 @@ class Promises:
     def __len__(self) -> int:
         return len(self.radius_mm)
 
-    def __getitem__(self, row: int) -> Promise:
+    def __getitem__(self, row: int) -> PredictedAccuracy:
         one = self.worst[row]
         radius, addition = float(self.radius_mm[row]), float(self.addition_mm[row])
         if one is None:
-            return Promise(radius, addition)
-        return Promise(radius, addition, one.name, self._advice(one))
+            return PredictedAccuracy(radius, addition)
+        return PredictedAccuracy(radius, addition, one.name, self._advice(one))
 
     def _advice(self, one: Hiding) -> str:
         """Where to measure, and what it would bring."""

@@ -1,6 +1,6 @@
 """How often a promised accuracy holds: the table of docs/accuracy.md. Takes some minutes.
 
-python benchmarks/promises.py [robots per set-up] [words that the set-up's name holds]
+python benchmarks/accuracy_coverage.py [robots per set-up] [words that the set-up's name holds]
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from promises import SET_UPS, kept
+from accuracy_coverage import SET_UPS, kept
 
 
 def main(seeds: int = 8, words: str = "") -> None:

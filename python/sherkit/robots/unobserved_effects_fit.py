@@ -14,7 +14,7 @@ from ..model.chain import ChainModel
 from ..model.effect import Effect
 from ..types import Floats, Ints
 from .part import Part
-from .unshown import Unshown, at_rest, by_effect, waves, with_effect
+from .unobserved_effects import UnobservedEffect, at_rest, by_effect, waves, with_effect
 
 #: Singular values below this part of the largest are directions that the poses do not observe; as in planning.
 _UNOBSERVED = 1e-7
@@ -164,7 +164,9 @@ class LinearFit:
 
     # -- one effect ----------------------------------------------------------------------------------------
 
-    def assess(self, effect: Effect, setting: float | None, rows: Floats, places: Floats) -> tuple[Unshown, Floats]:
+    def assess(
+        self, effect: Effect, setting: float | None, rows: Floats, places: Floats
+    ) -> tuple[UnobservedEffect, Floats]:
         """What the poses leave open of an effect with these columns, without advice; and what coordinates miss at the
         asked places (q, d, k)."""
         k, d = rows.shape[2], self.asked.coordinates.shape[1]
@@ -191,7 +193,7 @@ class LinearFit:
         by_joints = self._by_joints[self._full][:, : left.shape[1]]
         shown = self.asked.carry(self.joints[self._full], by_joints, left)
         seen = np.tensordot(shown @ moment, shown, ([0, 2], [0, 2])) / max(len(shown), 1)
-        made = Unshown(
+        made = UnobservedEffect(
             effect.name, setting, absorbed[: len(self.part.values)], corrected, moment, seen, np.zeros((0, d)), 1.0
         )
         missed = made.missed(self._there[0], places, self._functions_there)

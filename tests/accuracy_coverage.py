@@ -99,7 +99,7 @@ def calibrated(set_up: SetUp, world: World) -> Any:
 
 
 def judged(calibration: Any, x: Floats, off: Floats) -> Kept:
-    promised = calibration.promises(x)
+    promised = calibration.predicted_accuracies(x)
     return Kept(off, promised.radius_mm, promised.addition_mm)
 
 

@@ -14,8 +14,8 @@ from ..model.effect import Effect
 from ..types import Floats
 from .calibration_run import CalibrationRun
 from .part import Part
-from .unshown import Unshown
-from .unshown_fit import Asked, LinearFit, rows_of
+from .unobserved_effects import UnobservedEffect
+from .unobserved_effects_fit import Asked, LinearFit, rows_of
 
 #: Waves over the range of a joint down to which periods are tried, and frequencies per width of a peak.
 _WAVES = 120
@@ -46,12 +46,12 @@ class Search:
     part: Part
     asked: Asked
 
-    def found(self) -> tuple[Unshown, ...]:
+    def found(self) -> tuple[UnobservedEffect, ...]:
         """Effects that could do something between the poses, those that hide most first."""
         if not len(self.asked.joints):
             return ()
         least = _LEAST * float(np.trace(self.asked.spread.mean(axis=0)))
-        out: list[tuple[float, Unshown]] = []
+        out: list[tuple[float, UnobservedEffect]] = []
         # beside a wave in the model there may be another
         inside = [e for e in self._all.deployed.effects if e.is_periodic]
         for effect in (*self._choice[0], *inside):
@@ -79,7 +79,7 @@ class Search:
         """One row of each pose: enough to see which periods they show."""
         return replace(self._all, rows=rows_of(self.run.fit, one_each=True))
 
-    def told(self, effect: Effect, setting: float | None) -> tuple[float, Unshown]:
+    def told(self, effect: Effect, setting: float | None) -> tuple[float, UnobservedEffect]:
         """How much is hidden (mean square at the asked places), and what of it."""
         made, missed = self._all.assess(effect, setting, *self._all.columns(effect, setting))
         places, left = self._advised(made.moment, missed)

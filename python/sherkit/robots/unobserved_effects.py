@@ -29,7 +29,7 @@ from ..types import Bools, Floats
 
 
 @dataclass(frozen=True, eq=False)
-class Unshown:
+class UnobservedEffect:
     """What the poses of a run could not show of one effect.
 
     ``setting`` is its period or its moment, None where it has none. Per unit of its k parameters, ``absorbed`` (p, k)
@@ -74,7 +74,7 @@ class Unshown:
         }
 
     @classmethod
-    def from_table(cls, table: Table, model: ChainModel, functions: int, size: int) -> Unshown:
+    def from_table(cls, table: Table, model: ChainModel, functions: int, size: int) -> UnobservedEffect:
         """Back from :meth:`to_table`: beside a model, with ``functions`` of a correction and ``size`` coordinates.
 
         Raises what the table raises, naming file and key.

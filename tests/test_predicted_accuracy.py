@@ -13,12 +13,12 @@ import pytest
 import tomli_w
 
 import sherkit as sk
-from promises import NOISE_UM, SET_UPS, SetUp, box, even_joints, kept, planes
+from accuracy_coverage import NOISE_UM, SET_UPS, SetUp, box, even_joints, kept, planes
 from second_simulator import NOMINAL_CONFIG, Robot, draw_geometric_errors, make_plan, simulate
 from sherkit.robots.calibration_file import FORMAT
 from sherkit.robots.delta import DeltaCalibration
-from sherkit.robots.unshown import by_effect
-from sherkit.robots.unshown_search import Search
+from sherkit.robots.unobserved_effects import by_effect
+from sherkit.robots.unobserved_effects_search import Search
 from worlds import World
 
 ROBOT = Robot.from_dict(NOMINAL_CONFIG)
@@ -100,7 +100,9 @@ def test_what_an_effect_does_unseen_is_what_the_robot_misses(correction: str) ->
     result = sk.calibrate(world.robot, sk.from_frame(pl.DataFrame(world.columns)), correction=correction)
     made = result.calibration
     assert (made.whole.correction is not None) == (correction == "auto")
-    one = min((u for u in made.whole.unshown if u.effect == "encoder_cyclic"), key=lambda u: abs(u.setting - 2.0))
+    one = min(
+        (u for u in made.whole.unobserved_effects if u.effect == "encoder_cyclic"), key=lambda u: abs(u.setting - 2.0)
+    )
     assert one.setting == pytest.approx(2.0, rel=2e-3)
     # at 2 mm as it was planted, not as well as it was found
     effect = made.whole.model(made.robot).catalogue["encoder_cyclic"]
@@ -121,13 +123,13 @@ def test_what_an_effect_does_unseen_is_what_the_robot_misses(correction: str) ->
 def test_the_effect_is_named_and_the_advice_narrows(blind: DeltaCalibration) -> None:
     """Catches another effect blamed, advice to measure where the wave is as unseen, and a promise that ignores it."""
     x = [7.0, -5.0, 3.0]
-    before = blind.promise(x)
+    before = blind.predicted_accuracy(x)
     assert before.addition_mm > before.radius_mm
     assert before.effect.startswith("encoder_cyclic with a period of ")
-    assert any(all(f"{v:.1f}" in before.advice for v in one.places[0]) for one in blind.whole.unshown)
-    assert all(len(np.unique(one.places, axis=0)) == len(one.places) for one in blind.whole.unshown)
-    more = np.concatenate([even_joints(5.0)(0), *(one.places for one in blind.whole.unshown)])
-    after = calibrated(run_at(more, config=NOMINAL_CONFIG | FIVE)[0]).promise(x)
+    assert any(all(f"{v:.1f}" in before.advice for v in one.places[0]) for one in blind.whole.unobserved_effects)
+    assert all(len(np.unique(one.places, axis=0)) == len(one.places) for one in blind.whole.unobserved_effects)
+    more = np.concatenate([even_joints(5.0)(0), *(one.places for one in blind.whole.unobserved_effects)])
+    after = calibrated(run_at(more, config=NOMINAL_CONFIG | FIVE)[0]).predicted_accuracy(x)
     assert after.addition_mm < 0.3 * before.addition_mm
     assert after.radius_mm == pytest.approx(before.radius_mm, rel=0.2)
 
@@ -135,8 +137,8 @@ def test_the_effect_is_named_and_the_advice_narrows(blind: DeltaCalibration) -> 
 def test_words_and_frame_say_the_same(blind: DeltaCalibration) -> None:
     """Catches a table that leaves out one of the numbers, or takes the sum for one of them."""
     x = np.array([[7.0, -5.0, 3.0], [500.0, 0.0, 0.0]])
-    frame = blind.promises(x).to_frame()
-    one = blind.promise(x[0])
+    frame = blind.predicted_accuracies(x).to_frame()
+    one = blind.predicted_accuracy(x[0])
     row = frame.row(0, named=True)
     assert row["radius_mm"] + row["addition_mm"] == pytest.approx(row["total_mm"]) == pytest.approx(one.total_mm)
     assert (row["effect"], row["advice"]) == (one.effect, one.advice)
@@ -149,7 +151,7 @@ def test_words_and_frame_say_the_same(blind: DeltaCalibration) -> None:
 
 def test_a_place_out_of_reach_is_promised_nothing(blind: DeltaCalibration) -> None:
     """Catches a sentence with no number in it for one of many places."""
-    assert str(blind.promises([[500.0, 0.0, 0.0]])[0]) == "out of reach"
+    assert str(blind.predicted_accuracies([[500.0, 0.0, 0.0]])[0]) == "out of reach"
 
 
 def test_lost_motion_counts_where_the_side_is_not_given() -> None:
@@ -178,8 +180,8 @@ def test_the_file_keeps_the_promise(blind: DeltaCalibration, tmp_path: Path) -> 
     blind.save(tmp_path / "c.toml")
     back = sk.load_calibration(tmp_path / "c.toml")
     for x in ([7.0, -5.0, 3.0], [-2.0, 11.0, -9.0]):
-        assert back.promise(x) == blind.promise(x)
-    bare = replace(blind, whole=replace(blind.whole, unshown=()))
+        assert back.predicted_accuracy(x) == blind.predicted_accuracy(x)
+    bare = replace(blind, whole=replace(blind.whole, unobserved_effects=()))
     assert bare.accuracy([7.0, -5.0, 3.0]) < 0.5 * blind.accuracy([7.0, -5.0, 3.0])
 
 
@@ -202,7 +204,7 @@ def test_senseless_entries_are_refused(blind: DeltaCalibration, key: str, value:
     """Catches a file that loads and then promises nonsense, or ends in a traceback."""
     blind.save(tmp_path / "c.toml")
     tables = tomllib.loads((tmp_path / "c.toml").read_text())
-    tables["whole"]["unshown"][0][key] = value
+    tables["whole"]["unobserved_effects"][0][key] = value
     (tmp_path / "bad.toml").write_text(tomli_w.dumps(tables))
     with pytest.raises(sk.errors.CalibrationError, match=r"bad\.toml"):
         sk.load_calibration(tmp_path / "bad.toml")
