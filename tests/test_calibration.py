@@ -522,7 +522,7 @@ _NAN, _INF = float("nan"), float("inf")
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("calibration.format", 3),
+        ("calibration.format", 4),
         ("calibration.format", "1"),
         ("robot.kind", "hexapod"),
         ("robot.geometry", 3),

@@ -130,7 +130,7 @@ def differences(a: Measurements, b: Measurements) -> list[str]:
             if (left is None) != (right is None):
                 out.append(name)
             elif left is not None:
-                exact = left.dtype.kind in "fiub"
+                exact = np.asarray(left).dtype.kind in "fiub"
                 same = np.array_equal(left, right, equal_nan=True) if exact else left.tolist() == right.tolist()
                 out += [] if same else [name]
     return out

@@ -15,7 +15,6 @@ import tomli_w
 import sherkit as sk
 from accuracy_coverage import NOISE_UM, SET_UPS, SetUp, box, even_joints, kept, planes
 from second_simulator import NOMINAL_CONFIG, Robot, draw_geometric_errors, make_plan, simulate
-from sherkit.robots.calibration_file import FORMAT
 from sherkit.robots.delta import DeltaCalibration
 from sherkit.robots.unobserved_effects import by_effect
 from sherkit.robots.unobserved_effects_search import Search
@@ -189,10 +188,25 @@ def test_files_of_another_version_are_refused(blind: DeltaCalibration, tmp_path:
     """Catches an old file that is taken for one whose poses showed everything."""
     blind.save(tmp_path / "c.toml")
     tables = tomllib.loads((tmp_path / "c.toml").read_text())
-    tables["calibration"]["format"] = FORMAT - 1
+    tables["calibration"]["format"] = 1
     (tmp_path / "old.toml").write_text(tomli_w.dumps(tables))
     with pytest.raises(sk.errors.CalibrationError, match=r"old\.toml: .*earlier version.*calibrate again"):
         sk.load_calibration(tmp_path / "old.toml")
+
+
+def test_what_was_written_under_the_word_of_before_is_read(blind: DeltaCalibration, tmp_path: Path) -> None:
+    """Catches a calibration of format 2 that loses what its poses could not show, or is refused: a key was renamed."""
+    blind.save(tmp_path / "c.toml")
+    tables = tomllib.loads((tmp_path / "c.toml").read_text())
+    tables["calibration"]["format"] = 2
+    for part in tables.values():
+        if "unobserved_effects" in part:
+            part["unshown"] = part.pop("unobserved_effects")
+    (tmp_path / "before.toml").write_text(tomli_w.dumps(tables))
+    read = sk.load_calibration(tmp_path / "before.toml")
+    assert len(read.whole.unobserved_effects) == len(blind.whole.unobserved_effects) > 0
+    place = [1.0, -2.0, 3.0]
+    assert read.predicted_accuracy(place).total_mm == pytest.approx(blind.predicted_accuracy(place).total_mm)
 
 
 @pytest.mark.parametrize(

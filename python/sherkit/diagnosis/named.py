@@ -65,12 +65,14 @@ def searched(
     notes: list[str] = []
     alone: Description | None = None
     in_model: tuple[Shape, ...] = ()
-    searches = 0
+    searches, rho = 0, None
     while True:
         searches += 1
         tried = [e for e in effects if e.name not in refused]
-        search = Search(run, tried, rows, sigma, level=level, seed=seed, periods=periods, step=step)
+        search = Search(run, tried, rows, sigma, level=level, rho=rho, seed=seed, periods=periods, step=step)
         result = search.find(in_model) if look else search.as_it_stands()
+        # the noise is as correlated in time whoever is asked
+        rho = search.rho
         base = StepReport(None, held_out_rms(run, sigma, repeated_folds))
         if not result.added:
             return Named(search, result, run, [], (base,), notes)
