@@ -38,6 +38,10 @@ _PLAINLY_LEFT = 15.0
 _MOST_REFITS = 4
 _MOST_PAIRS = 6
 _MOST_STEPS = 4
+#: Pairs whose settings are searched for again beside one another.
+_MOST_SETTLED = 2
+#: Rounds in which settings that hang on one another come to rest.
+_ROUNDS = 4
 #: A shape that takes this part of what another takes describes as well where neither describes all; how many are told.
 _AS_MUCH = 0.95
 _MOST_AS_WELL = 6
@@ -271,6 +275,12 @@ class Search:
         pairs = self._refitted(stage, both, _MOST_PAIRS)
         if explaining := [e for e in pairs if e.p_left > self.level]:
             return as_near(explaining, pairs), singles, None
+        # a moment or a lag that was found alone need not be that beside another
+        settled = [e for pair in pairs[:_MOST_SETTLED] if (e := self._settled(stage, pair)) is not None]
+        if settled:
+            pairs = sorted([*settled, *pairs], key=self._rank)
+            if explaining := [e for e in settled if e.p_left > self.level]:
+                return as_near(explaining, pairs), singles, None
         return [], singles, next((e for e in pairs if plausible(e, self.base)), None)
 
     def beats(self, pair: Explanation, after: Stage, single: Candidate) -> bool:
@@ -296,20 +306,51 @@ class Search:
         near = [s for s in screened[most:] if s[1] < screened[0][1] + CLEARLY]
         out = []
         for _, _, members in screened[:most] + near[:most]:
-            self.step("refitting with " + " and ".join(c.name for c in members))
-            try:
-                run = refit(stage.run, members)
-            except SherkitError:
-                continue
-            if stage.run.fit.converged and not run.fit.converged:
-                continue
-            # most of what does not explain leaves something that shows without the shapes that cost time
-            after = self.stage(run, stage.nuisance, thorough=False)
-            if float(after.scan.z_scores.max()) <= _PLAINLY_LEFT:
-                after = self.stage(run, stage.nuisance)
-            out.append(Explanation(members, after, self.left(after)))
-        out.sort(key=lambda e: (not plausible(e, self.base), bic(e.stage.scan, e.candidates)))
+            if (made := self._explained(stage, members)) is not None:
+                out.append(made)
+        out.sort(key=self._rank)
         return out
+
+    def _rank(self, e: Explanation) -> tuple[bool, float]:
+        return not plausible(e, self.base), bic(e.stage.scan, e.candidates)
+
+    def _explained(self, stage: Stage, members: tuple[Candidate, ...]) -> Explanation | None:
+        """A set refitted in full, and what it leaves; None where it cannot be fitted."""
+        self.step("refitting with " + " and ".join(c.name for c in members))
+        try:
+            run = refit(stage.run, members)
+        except SherkitError:
+            return None
+        if stage.run.fit.converged and not run.fit.converged:
+            return None
+        # most of what does not explain leaves something that shows without the shapes that cost time
+        after = self.stage(run, stage.nuisance, thorough=False)
+        if float(after.scan.z_scores.max()) <= _PLAINLY_LEFT:
+            after = self.stage(run, stage.nuisance)
+        return Explanation(members, after, self.left(after))
+
+    def _settled(self, stage: Stage, found: Explanation) -> Explanation | None:
+        """A set with each of its settings as it takes most beside the others; None where none is searched for."""
+        members = list(found.candidates)
+        for _ in range(_ROUNDS):
+            before = [one.setting for one in members]
+            for k, one in enumerate(members):
+                if one.effect.search is not None:
+                    members[k] = self._beside(stage, one, members[:k] + members[k + 1 :])
+            if before == [one.setting for one in members]:
+                break
+        if members == list(found.candidates):
+            return None
+        return self._explained(stage, tuple(members))
+
+    def _beside(self, stage: Stage, one: Candidate, others: Sequence[Candidate]) -> Candidate:
+        """An effect at the setting at which it takes most beside ``others``; as it is where they cannot be fitted."""
+        try:
+            beside = self.stage(refit(stage.run, others), stage.nuisance)
+        except SherkitError:
+            return one
+        scored = [(g, c) for g, c in zip(beside.gains.tolist(), beside.candidates, strict=True) if c.name == one.name]
+        return self._strongest(beside, scored) if scored else one
 
     def strongest_settings(self, stage: Stage) -> list[Candidate]:
         """One candidate per effect: where a setting is searched for, the one that takes most, made finer."""
@@ -340,7 +381,11 @@ class Search:
         return self.best_shape(stage)
 
     def _prune(self, found: SearchResult) -> None:
-        """Takes out effects that later ones have made needless."""
+        """Takes out shapes and effects that later effects have made needless."""
+        if found.added and found.signature and self.left(stage := self.stage(found.stages[-1].run)) > self.level:
+            found.signature, found.as_well = [], []
+            found.stages.append(stage)
+            found.p_left = self.left(stage)
         if len(found.added) < 2:
             return
         for candidate in list(found.added[:-1]):
