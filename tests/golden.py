@@ -19,7 +19,7 @@ from golden_worlds import WORLDS
 from worlds import Answer
 
 FILE = Path(__file__).parent / "golden" / "answers.jsonl"
-#: By how much, relative, a number may be another one: the BLAS of another machine settles a fit elsewhere in its digits,
+#: By how much, relative, a number may be another one: the BLAS of another machine settles a fit a little elsewhere,
 #: and noise that repeats tell by shapes comes out by a part in a thousand otherwise.
 LAST_DIGITS = 2e-3
 DIGITS = 7
