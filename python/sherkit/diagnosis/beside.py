@@ -19,11 +19,12 @@ import scipy
 
 from ..names import listed
 from ..types import Floats, Ints
+from .explanation import bic, schwarz
 from .fitted_run import FittedRun
 from .held_out import PRAISE, Columns, rms, squares_of
 from .held_out_gain import HeldOutGain, held_out_gain
 from .scan import Scan
-from .search import Search, SearchResult, bic, schwarz
+from .search import Search, SearchResult
 from .shapes import Shape, play_operator, wave
 from .simplest import CLEARLY, lowest
 from .stage import Stage, testable

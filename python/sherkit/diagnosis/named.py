@@ -12,10 +12,11 @@ from ..model.effect import Effect
 from ..types import Floats, Ints
 from .answers import StepReport
 from .beside import Description, described, innocents
+from .explanation import refit
 from .fitted_run import FittedRun
 from .held_out import held_out_rms
 from .held_out_gain import HeldOutGain, held_out_gain
-from .search import Search, SearchResult, refit
+from .search import Search, SearchResult
 from .setting import on_all_rows
 from .shapes import Shape
 from .sizes import ABSURD, sizes_of

@@ -25,6 +25,7 @@ from .answers import CandidateReport, Diagnosis, StepReport
 from .checked import checks_of
 from .checks import verdict_of
 from .crossvalidation import HeldOutError, held_out
+from .explanation import is_plausible
 from .few_enough import few_enough
 from .findings import findings_of
 from .fitted_run import FittedRun
@@ -39,7 +40,7 @@ from .outliers import sentences, without_outliers
 from .power import smallest_found
 from .repeats import by_repeats, in_repeats, with_the_way
 from .rounded import steps_in
-from .search import SearchResult, is_plausible
+from .search import SearchResult
 from .setting import periods_shown
 from .shapes import Shape
 from .sizes import implausible

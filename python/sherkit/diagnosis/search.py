@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from ..errors import SherkitError
 from ..model.effect import Effect
 from ..types import Floats
+from .explanation import Explanation, as_near, bic, bic_of, plausible, refit, schwarz, schwarz_of
 from .fitted_run import FittedRun
 from .moments import at_the_row, best_lag
 from .periods import period_of
 from .scan import FLIPS, Block, Scan
 from .shapes import Shape, wave
 from .simplest import CLEARLY, as_low, lowest, simplicity
-from .sizes import PLAUSIBLE, displaces, sizes_of
 from .stage import Candidate, Stage, again, stage_of
 from .waves import OVERSAMPLING, Waves
 
@@ -45,20 +45,6 @@ _ROUNDS = 4
 #: A shape that takes this part of what another takes describes as well where neither describes all; how many are told.
 _AS_MUCH = 0.95
 _MOST_AS_WELL = 6
-
-
-@dataclass(frozen=True, eq=False)
-class Explanation:
-    """A set of effects that was refitted in full. ``p_left`` is the familywise p of what it leaves."""
-
-    candidates: tuple[Candidate, ...]
-    stage: Stage
-    p_left: float
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the effects."""
-        return tuple(c.name for c in self.candidates)
 
 
 @dataclass(eq=False)
@@ -201,7 +187,7 @@ class Search:
         image = stage.among(members := list({id(c): c for e in explanations for c in e.candidates}.values()))
         places = [[members.index(c) for c in e.candidates] for e in explanations]
         of_pair = min(
-            _bic(image.left(*at), image.count, e.candidates) for at, e in zip(places, explanations, strict=True)
+            bic_of(image.left(*at), image.count, e.candidates) for at, e in zip(places, explanations, strict=True)
         )
         if of_shape < of_pair - CLEARLY and self.left(stage, given) > self.level:
             return shape
@@ -278,8 +264,9 @@ class Search:
         # a moment or a lag that was found alone need not be that beside another
         settled = [e for pair in pairs[:_MOST_SETTLED] if (e := self._settled(stage, pair)) is not None]
         if settled:
-            pairs = sorted([*settled, *pairs], key=self._rank)
-            if explaining := [e for e in settled if e.p_left > self.level]:
+            names = {e.names for e in settled}
+            pairs = sorted([*settled, *(e for e in pairs if e.names not in names)], key=self._rank)
+            if explaining := [e for e in pairs if e.p_left > self.level]:
                 return as_near(explaining, pairs), singles, None
         return [], singles, next((e for e in pairs if plausible(e, self.base)), None)
 
@@ -299,7 +286,7 @@ class Search:
         for members in sets:
             left = image.left(*(place[id(c)] for c in members))
             if stage.scan.sum_of_squares - left >= _TAKES * largest:
-                screened.append((_bic(left, image.count, members), _schwarz(left, image.count, 0), members))
+                screened.append((bic_of(left, image.count, members), schwarz_of(left, image.count, 0), members))
         screened.sort(key=lambda s: s[0])
         # a cause of many parameters stands behind every smaller one that imitates it, however well it fits: whoever
         # comes as near the data as the first is heard too
@@ -412,52 +399,3 @@ class Search:
             stage = self.stage(found.stages[-1].run, kept)
             found.stages.append(stage)
             found.p_left = self.left(stage)
-
-
-def refit(run: FittedRun, candidates: Sequence[Candidate]) -> FittedRun:
-    """The full fit with these candidates, at the settings they were found with."""
-    return run.refit([c.addition for c in candidates])
-
-
-def as_near(leading: Sequence[Explanation], every: Sequence[Explanation]) -> list[Explanation]:
-    """The leading sets, and behind them all that come as near the data: what chance lets one of them leave at the level
-    of the test tells it from no other."""
-    if not leading:
-        return []
-
-    def scores(e: Explanation) -> Floats:
-        """By the fit alone, and with a price on each number."""
-        return np.array([schwarz(e.stage.scan, 0), bic(e.stage.scan, e.candidates)])
-
-    limit = np.min([scores(e) for e in leading], axis=0) + CLEARLY
-    return [*leading, *(e for e in every if e not in leading and (scores(e) < limit).any())]
-
-
-def bic(scan: Scan, members: Sequence[Candidate]) -> float:
-    """Schwarz's criterion of the model of a scan, for the added effects."""
-    return _bic(scan.sum_of_squares, scan.n * scan.m, members)
-
-
-def schwarz(scan: Scan, count: int) -> float:
-    """Schwarz's criterion of the model of a scan, for ``count`` added parameters."""
-    return _schwarz(scan.sum_of_squares, scan.n * scan.m, count)
-
-
-def _bic(left: float, n: int, members: Sequence[Candidate]) -> float:
-    return _schwarz(left, n, sum(len(c.effect.parameters) + (c.setting is not None) for c in members))
-
-
-def _schwarz(left: float, n: int, count: int) -> float:
-    # what explains everything leaves rounding, of either sign
-    return float(n * np.log(max(left / n, np.finfo(float).tiny)) + count * np.log(n))
-
-
-def plausible(explanation: Explanation, base: FittedRun) -> bool:
-    """Whether every added effect came out with a plausible size, and left what was known of the ``base`` so."""
-    run = explanation.stage.run
-    return all(is_plausible(run, c.effect) for c in explanation.candidates) and not displaces(run.fit, base.fit)
-
-
-def is_plausible(run: FittedRun, effect: Effect) -> bool:
-    """Whether no parameter of an effect is far beyond its plausible size."""
-    return bool((sizes_of(run.fit)[run.owns(effect)] <= PLAUSIBLE).all())

@@ -9,9 +9,10 @@ import numpy as np
 from ..errors import EffectError
 from ..fit.identify import Fit
 from ..model.effect import Effect
+from .explanation import refit
 from .fitted_run import FittedRun
 from .periods import Period, period_of
-from .search import Search, SearchResult, refit
+from .search import Search, SearchResult
 from .stage import Candidate, Stage
 
 
