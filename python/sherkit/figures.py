@@ -18,6 +18,11 @@ def in_people_units(unit: str) -> tuple[str, float]:
     return unit, 1.0
 
 
+def in_names(unit: str) -> str:
+    """A unit as names of columns and keys end in it."""
+    return unit.replace("µ", "u")
+
+
 def with_error(value: float, std: float, *others: float) -> tuple[str, ...]:
     """A value and its standard deviation, rounded to two figures of that; ``others`` to the same place.
 

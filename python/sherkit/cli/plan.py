@@ -11,6 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ..data import Measurements
 from ..errors import SherkitError
+from ..figures import in_names
 from ..lab.experiment import Experiment, load_experiment
 from ..model.kinds import Robot, kind_of, model_of
 from ..names import listed
@@ -68,7 +69,7 @@ def _noise(path: Path, robot: Robot, given: dict[str, float | None]) -> float:
     if unit not in given:
         raise SherkitError(f"{path}: is a {robot.kind} robot, read in {unit}; noise is known in {listed(given)}")
     if any(value is not None for other, value in given.items() if other != unit):
-        raise SherkitError(f"{path}: is a {robot.kind} robot; its noise is --noise-{unit.replace('µ', 'u')}")
+        raise SherkitError(f"{path}: is a {robot.kind} robot; its noise is --noise-{in_names(unit)}")
     chosen = given[unit]
     return _NOISE[unit] if chosen is None else chosen
 

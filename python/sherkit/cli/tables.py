@@ -130,17 +130,11 @@ def accuracy(calibration: Calibration) -> None:
     for name, place in calibration.places():
         cells = [f"{v:.4g}" for v in place]
         try:
-            predicted_accuracy = calibration.predicted_accuracy(place)
+            predicted = calibration.predicted_accuracy(place)
             note = "" if calibration.measured(place) else "extrapolated: no pose was measured there"
-            made.add_row(
-                name,
-                *cells,
-                f"{1e3 * predicted_accuracy.total_mm:.1f}",
-                f"{1e3 * predicted_accuracy.addition_mm:.1f}",
-                note,
-            )
-            if predicted_accuracy.matters:
-                narrowing[predicted_accuracy.effect] = predicted_accuracy.advice
+            made.add_row(name, *cells, f"{1e3 * predicted.total_mm:.1f}", f"{1e3 * predicted.addition_mm:.1f}", note)
+            if predicted.matters:
+                narrowing[predicted.effect] = predicted.advice
         except SherkitError as error:  # the rim may be beyond reach: say so in the table
             made.add_row(name, *cells, "", "", str(error))
     out.print(made)

@@ -96,7 +96,7 @@ class Diagnosis(Shown):
     @property
     def too_few_poses(self) -> bool:
         """Whether nothing stands against praise but that the poses fix the parameters too loosely."""
-        return {check.name for check in self.checks if check.decisive and check.holds is False} == {LOOSE}
+        return {check.name for check in self.checks if check.forbids_praise} == {LOOSE}
 
     @cached_property
     def known(self) -> dict[str, Known]:

@@ -41,6 +41,11 @@ class Check:
     decisive: bool = True
     fails: str = ""
 
+    @property
+    def forbids_praise(self) -> bool:
+        """Whether it decides, and does not hold."""
+        return self.decisive and self.holds is False
+
     def __str__(self) -> str:
         word = {True: "yes", False: "no", None: "cannot be told"}[self.holds]
         p = "" if self.p is None else f" (p = {self.p:.2g})"
@@ -57,7 +62,7 @@ class Check:
 def verdict_of(checks: Sequence[Check], effects: Sequence[str]) -> str:
     """The verdict, from checks alone: of praise only where no decisive one fails, of blame only where another fails
     than that the poses are enough."""
-    failing = {check.name for check in checks if check.decisive and check.holds is False}
+    failing = {check.name for check in checks if check.forbids_praise}
     if not failing:
         return "explained" if effects else "adequate"
     if effects:
@@ -68,7 +73,7 @@ def verdict_of(checks: Sequence[Check], effects: Sequence[str]) -> str:
 def headline(checks: Sequence[Check], effects: Sequence[str], not_needed: Sequence[str], *, noise_known: bool) -> str:
     """The verdict in one line: never more praise than the noise allows, and why not where there is none."""
     verdict = verdict_of(checks, effects)
-    failing = [check.fails for check in checks if check.decisive and check.holds is False and check.fails]
+    failing = [check.fails for check in checks if check.forbids_praise and check.fails]
     named = ", ".join(effects)
     if verdict == "adequate":
         line = "adequate: no effect is missing" if noise_known else (

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ..figures import number, stated
+from ..figures import in_names, number, stated
 from ..model.effect import Effect
 from ..names import listed
 from .answers import CandidateReport, Diagnosis
@@ -61,7 +61,7 @@ def _with_p(value: float) -> str:
 def _wrong(d: Diagnosis) -> Iterator[Finding]:
     """In sentences for a person who reads nothing else, and the verdict in one line."""
     first, last = number(d.steps[0].held_out_rms), number(d.steps[-1].held_out_rms)
-    end = d.unit.replace("µ", "u")
+    end = in_names(d.unit)
     came = {f"as_it_came_{end}": float(d.steps[0].held_out_rms)}
     if d.effects:
         causes = [effect for effect in d.fit.model.effects if effect.name in d.effects]
@@ -81,28 +81,25 @@ def _wrong(d: Diagnosis) -> Iterator[Finding]:
             sure="" if d.confirmed is None else _with_p(d.confirmed),
             to_do=f"To be rid of it in the machine: {repair[:1].lower()}{repair[1:]}" if repair else "",
         )  # fmt: skip
-    elif d.verdict == "adequate":
-        yield Finding(
-            WRONG, "cause",
-            f"The model describes this machine: on poses that it was not fitted to it is off by {first} {d.unit}, and "
-            "nothing that was tried would make that less.",
-            came, to_do="Use the calibration as it is; only better or more readings could tell more.",
-        )  # fmt: skip
-    elif d.verdict == "undecided":
-        yield Finding(
-            WRONG, "cause",
-            f"The model is off by {first} {d.unit} on poses that it was not fitted to, and that may be because these "
-            "are too few: nothing shows beside what they leave open.",
-            came, to_do="Measure more poses, out to the rim of the workspace, and ask again.",
-        )  # fmt: skip
     else:
-        yield Finding(
-            WRONG, "cause",
-            f"The model is off by {first} {d.unit}, and no effect that is known explains it: what is left has a "
-            "pattern.",
-            came,
-            to_do="Look at the pattern below, ask what could leave it, and add that as an effect of your own.",
-        )  # fmt: skip
+        off = f"off by {first} {d.unit}"
+        cause, to_do = {
+            "adequate": (
+                f"The model describes this machine: on poses that it was not fitted to it is {off}, and nothing that "
+                "was tried would make that less.",
+                "Use the calibration as it is; only better or more readings could tell more.",
+            ),
+            "undecided": (
+                f"The model is {off} on poses that it was not fitted to, and that may be because these are too few: "
+                "nothing shows beside what they leave open.",
+                "Measure more poses, out to the rim of the workspace, and ask again.",
+            ),
+            "unexplained": (
+                f"The model is {off}, and no effect that is known explains it: what is left has a pattern.",
+                "Look at the pattern below, ask what could leave it, and add that as an effect of your own.",
+            ),
+        }[d.verdict]
+        yield Finding(WRONG, "cause", cause, came, to_do=to_do)
     yield Finding(WRONG, "verdict", d.headline)
 
 
@@ -124,7 +121,7 @@ def _first_sentence(text: str) -> str:
 
 def _missing(d: Diagnosis) -> Iterator[Finding]:
     noise = ", ".join(f"{axis} {figure(d, value)}" for axis, value in d.noise.items())
-    end = d.unit.replace("µ", "u")
+    end = in_names(d.unit)
     yield Finding(
         MISSING, "noise", f"noise {noise} {d.unit} ({_ORIGIN[d.noise_origin]})",
         {f"{axis}_{end}": value for axis, value in d.noise.items()},
@@ -139,11 +136,11 @@ def _missing(d: Diagnosis) -> Iterator[Finding]:
         MISSING, "missing", "something is" if d.p_missing <= d.level else "nothing significant",
         {"p_missing": d.p_missing}, sure=f"familywise p = {d.p_missing:.4g} over all effects and shapes",
     )  # fmt: skip
-    out = sentences(d.fit.data, d.outliers)
     if len(d.outliers):
         yield Finding(
             MISSING, "left_out", f"{len(d.outliers)} of {len(d.fit.data)} rows, which look wrong",
-            {"rows": len(d.fit.data)}, rows=tuple(d.fit.data.line[d.outliers].tolist()), to_do=" ".join(out),
+            {"rows": len(d.fit.data)}, rows=tuple(d.fit.data.line[d.outliers].tolist()),
+            to_do=" ".join(sentences(d.fit.data, d.outliers)),
         )  # fmt: skip
     for note in d.notes:
         yield Finding(MISSING, "note", note)
@@ -160,7 +157,7 @@ def _where(d: Diagnosis) -> Iterator[Finding]:
 
 
 def _which(d: Diagnosis) -> Iterator[Finding]:
-    end = d.unit.replace("µ", "u")
+    end = in_names(d.unit)
     earned = {check.name.removeprefix("earns:"): check for check in d.checks if check.name.startswith("earns:")}
     for step in d.steps:
         check = earned.get(step.effect or "")
@@ -222,4 +219,4 @@ def _steps_next(d: Diagnosis) -> Iterator[str]:
 
 
 def _failing(d: Diagnosis) -> Iterator[str]:
-    return (check.fails for check in d.checks if check.decisive and check.holds is False)
+    return (check.fails for check in d.checks if check.forbids_praise)

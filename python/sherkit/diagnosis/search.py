@@ -326,7 +326,7 @@ class Search:
                     members[k] = self._beside(stage, one, members[:k] + members[k + 1 :])
             if before == [one.setting for one in members]:
                 break
-        if members == list(found.candidates):
+        if [one.setting for one in members] == [one.setting for one in found.candidates]:
             return None
         return self._explained(stage, tuple(members))
 
@@ -369,10 +369,11 @@ class Search:
 
     def _prune(self, found: SearchResult) -> None:
         """Takes out shapes and effects that later effects have made needless."""
-        if found.added and found.signature and self.left(stage := self.stage(found.stages[-1].run)) > self.level:
-            found.signature, found.as_well = [], []
-            found.stages.append(stage)
-            found.p_left = self.left(stage)
+        if found.added and found.signature:
+            stage = self.stage(found.stages[-1].run)
+            if (p := self.left(stage)) > self.level:
+                found.signature, found.as_well, found.p_left = [], [], p
+                found.stages.append(stage)
         if len(found.added) < 2:
             return
         for candidate in list(found.added[:-1]):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..figures import in_names
+
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
@@ -33,7 +35,7 @@ class Summary:
     def row(self) -> dict[str, str | int | float | None]:
         """One flat dict with the unit in each name (``left_um`` for µm), names of effects in one text, and ``ratio``:
         the error left over that as it came."""
-        end = f"_{self.unit.replace('µ', 'u')}"
+        end = f"_{in_names(self.unit)}"
         return {
             "rows": self.rows,
             "verdict": self.verdict,

@@ -389,15 +389,9 @@ def _accuracy_lines(calibration: Calibration | None) -> list[tuple[str, str, str
     out = []
     for name, place in calibration.places():
         try:
-            predicted_accuracy = calibration.predicted_accuracy(place)
-            text = (
-                f"{1e3 * predicted_accuracy.total_mm:.1f} µm, of it {1e3 * predicted_accuracy.addition_mm:.1f} unseen"
-            )
-            text += (
-                f": mostly {predicted_accuracy.effect}. {predicted_accuracy.advice}"
-                if predicted_accuracy.matters
-                else ""
-            )
+            predicted = calibration.predicted_accuracy(place)
+            text = f"{1e3 * predicted.total_mm:.1f} µm, of it {1e3 * predicted.addition_mm:.1f} unseen"
+            text += f": mostly {predicted.effect}. {predicted.advice}" if predicted.matters else ""
             text += "" if calibration.measured(place) else " (extrapolated: no pose was measured there)"
         except SherkitError as error:
             text = str(error)
