@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..types import Floats, Ints
-from .folds import Folds
+from .folds import Beside, Folds
 from .stage import Stage
 
 
@@ -33,15 +33,14 @@ def held_out(stage: Stage, fold: Ints) -> list[HeldOutError]:
         return np.concatenate(parts, axis=2) * sigma
 
     folds = Folds.of(columns, view.residual * stage.sigma, fold)
-    counts = [len(stage.scan.numbers(c.columns)) for c in stage.candidates]
-    ends = np.cumsum([stage.scan.fitted, *counts]).tolist()
-    fitted = range(stage.scan.fitted)
-    return [_error(folds.some([*fitted, *range(a, b)]), stage.run.per_unit) for a, b in pairwise(ends)]
+    ends = np.cumsum([0, *(len(stage.scan.numbers(c.columns)) for c in stage.candidates)]).tolist()
+    beside = Beside(folds, stage.scan.fitted)
+    return [_error(folds, beside.held_out(slice(a, b)), stage.run.per_unit) for a, b in pairwise(ends)]
 
 
-def _error(folds: Folds, unit: float) -> HeldOutError:
+def _error(folds: Folds, squares: Floats, unit: float) -> HeldOutError:
     """What blocks left out in turn show. Every deal is of the same rows: it is known no better than from one."""
-    deals, squares, count = len(folds.place), folds.held_out, int(folds.counts.sum())
+    deals, count = len(folds.place), int(folds.counts.sum())
     rms = float(np.sqrt(max(float(squares.sum()), 0.0) / count))
     apart = squares - rms**2 * folds.counts
     of_deal = len(folds) / deals

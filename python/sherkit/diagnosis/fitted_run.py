@@ -145,6 +145,15 @@ class FittedRun(Saved):
         noise = Noise(np.where(data.taken, sigma, 1.0), self.fit.noise.origin)
         return FittedRun(identify(self.model, data, noise=noise, start=self.fit.values))
 
+    def some(self, rows: Ints) -> FittedRun:
+        """The full fit of these rows alone, each with the noise it has, from the values of this one."""
+        noise = Noise(self.fit.noise.sigma[rows], self.fit.noise.origin)
+        return FittedRun(identify(self.model, self.data.select(rows), noise=noise, start=self.fit.values))
+
+    def as_in(self, other: FittedRun) -> FittedRun:
+        """The full fit of the rows of ``other`` to this model, from the values of this one."""
+        return FittedRun(identify(self.model, other.data, noise=other.fit.noise, start=self.fit.values))
+
     def without(self, rows: Ints) -> FittedRun:
         """The full fit with these rows marked as outliers, from the drawing: where no reading tells, what they did to
         this fit must not stay."""

@@ -13,6 +13,8 @@ from .linearised import blocks
 
 #: Part of any direction's squared length that every fold must leave to the others, or pseudo-inverses are needed.
 _BEYOND = 1e-6
+#: Part of a further column's squared length that the fitted ones must leave of it.
+_LEFT = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,17 +91,16 @@ class Folds:
     def solutions(self) -> Floats:
         """Least squares of the rows outside each fold (f, k), of columns of unit length."""
         gram, right, _, _ = self.outside
-        turn = self._turn
+        turn = self.turn(len(self.length))
         turned = turn.T @ gram @ turn
         if len(turn.T) and linalg.eigvalsh(turned).min() > _BEYOND:
             return linalg.solve(turned, turn.T @ right[:, :, None])[:, :, 0] @ turn.T
         root = roots_of(gram)
         return (root @ (root.transpose(0, 2, 1) @ right[:, :, None]))[:, :, 0]
 
-    @property
-    def _turn(self) -> Floats:
-        """What makes the columns orthonormal over all rows (k, rank)."""
-        root = roots_of(self.grams[: len(self) // len(self.place)].sum(axis=0))
+    def turn(self, first: int) -> Floats:
+        """What makes the ``first`` columns orthonormal over all rows (first, rank)."""
+        root = roots_of(self.grams[: len(self) // len(self.place), :first, :first].sum(axis=0))
         return root[:, (root != 0.0).any(axis=0)]
 
     @property
@@ -114,6 +115,60 @@ class Folds:
         predicted = columns @ (self.solutions / self.length).T
         out = [np.take_along_axis(predicted, of[rows][:, None, None], axis=2)[:, :, 0] for of in self.place]
         return residual - np.stack(out)
+
+
+class Beside:
+    """What further columns bring beside the first ``fitted`` of some, fold by fold: these are solved for once, and a
+    set of others is a small matrix (the Schur complement of theirs).
+
+    Of each set, by its ``place`` among the further columns, the least squares are known of the rows outside each fold
+    (:meth:`outside`) and the errors of those in it under that fit (:meth:`held_out`).
+    """
+
+    def __init__(self, folds: Folds, fitted: int) -> None:
+        self.folds = folds
+        gram, right, squares, _ = folds.outside
+        first, more = slice(0, fitted), slice(fitted, None)
+        turn = folds.turn(fitted)
+        #: Inside each fold: products of the fitted ones, turned, with themselves, the others and the residual.
+        self.own = turn.T @ folds.grams[:, first, first] @ turn
+        self.across = turn.T @ folds.grams[:, first, more]
+        self.along = folds.right[:, first] @ turn
+        roots = roots_of(turn.T @ gram[:, first, first] @ turn)
+        self.rank = ranks_of(roots)
+        cross = np.concatenate([turn.T @ gram[:, first, more], (right[:, first] @ turn)[:, :, None]], axis=2)
+        #: What the fitted ones say of the others and, last, of the residual.
+        self.says = roots @ (roots.transpose(0, 2, 1) @ cross)
+        self.cross, self.gram = cross, gram[:, more, more]
+        self.right = right[:, more] - (cross[:, :, :-1].transpose(0, 2, 1) @ self.says[:, :, -1:])[:, :, 0]
+        self.squares = squares - (cross[:, :, -1] * self.says[:, :, -1]).sum(axis=1)
+
+    def _root(self, place: slice) -> Floats:
+        left = self.gram[:, place, place] - self.cross[:, :, place].transpose(0, 2, 1) @ self.says[:, :, place]
+        return roots_of(left, _LEFT)
+
+    def outside(self, place: slice) -> tuple[Floats, Ints]:
+        """Sums of squares (f,) that a fit to the rows outside each fold leaves there, and its rank (f,)."""
+        root = self._root(place)
+        taken = (root.transpose(0, 2, 1) @ self.right[:, place, None])[:, :, 0]
+        return self.squares - (taken**2).sum(axis=1), self.rank + ranks_of(root)
+
+    def held_out(self, place: slice) -> Floats:
+        """Sums of squared errors (f,) of the rows of each fold under that fit."""
+        root, folds = self._root(place), self.folds
+        y = (root @ (root.transpose(0, 2, 1) @ self.right[:, place, None]))[:, :, 0]
+        x = self.says[:, :, -1] - (self.says[:, :, place] @ y[:, :, None])[:, :, 0]
+        first = len(folds.length) - self.gram.shape[1]
+        others = slice(first + place.start, first + place.stop)
+        along = (x * self.along).sum(axis=1) + (y * folds.right[:, others]).sum(axis=1)
+        both = (x[:, None] @ (self.own @ x[:, :, None] + 2.0 * self.across[:, :, place] @ y[:, :, None]))[:, 0, 0]
+        both += (y[:, None] @ folds.grams[:, others, others] @ y[:, :, None])[:, 0, 0]
+        return np.asarray(folds.squares - 2.0 * along + both)
+
+
+def ranks_of(roots: Floats) -> Ints:
+    """Ranks (f,) of matrices with these :func:`roots_of`."""
+    return np.asarray((roots != 0.0).any(axis=1).sum(axis=1))
 
 
 def roots_of(grams: Floats, least: float = 0.0) -> Floats:

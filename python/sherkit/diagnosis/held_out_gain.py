@@ -23,7 +23,7 @@ from ..errors import SherkitError
 from ..model.effect import Effect
 from ..types import Floats, Ints
 from .fitted_run import FittedRun
-from .folds import Folds, roots_of
+from .folds import Beside, Folds, ranks_of, roots_of
 from .held_out import Columns, folds_of, rms, squares_of
 from .linearised import Linearised
 from .scan import FLIPS, codes_of
@@ -35,8 +35,6 @@ from .waves import waves_of
 LEVEL = 0.01
 #: Rivals that are fitted in full.
 _REFITTED = 2
-#: Part of a column's squared length that the fit must leave of it.
-_LEFT = 1e-8
 
 
 @dataclass(frozen=True)
@@ -129,7 +127,7 @@ def _scores(folds: Folds) -> Floats:
     gram, right, squares, count = folds.outside
     root = roots_of(gram)
     fitted = (root.transpose(0, 2, 1) @ right[:, :, None])[:, :, 0]
-    return _schwarz(squares - (fitted**2).sum(axis=1), _rank(root), count)
+    return _schwarz(squares - (fitted**2).sum(axis=1), ranks_of(root), count)
 
 
 def _scores_beside(view: Linearised, effects: Sequence[slice], periods: Sequence[float], fold: Ints) -> Floats:
@@ -143,24 +141,10 @@ def _scores_beside(view: Linearised, effects: Sequence[slice], periods: Sequence
 
     counts = [*(place.stop - place.start for place in effects), *(2 * len(view.waving) for _ in periods)]
     folds = Folds.of(columns, view.residual, fold)
-    gram, right, squares, count = folds.outside
-    first = gram.shape[1] - sum(counts)
-    base = roots_of(gram[:, :first, :first])
-    fitted = base.transpose(0, 2, 1) @ right[:, :first, None]
-    cross = base.transpose(0, 2, 1) @ gram[:, :first, first:]
-    left = gram[:, first:, first:] - cross.transpose(0, 2, 1) @ cross
-    along = right[:, first:] - (cross.transpose(0, 2, 1) @ fitted)[:, :, 0]
-    squares = squares - (fitted[:, :, 0] ** 2).sum(axis=1)
-    out = []
-    for low, high in pairwise(np.cumsum([0, *counts]).tolist()):
-        root = roots_of(left[:, low:high, low:high], _LEFT)
-        taken = (root.transpose(0, 2, 1) @ along[:, low:high, None])[:, :, 0]
-        out.append(_schwarz(squares - (taken**2).sum(axis=1), _rank(base) + _rank(root), count))
-    return np.array(out).reshape(-1, len(folds))
-
-
-def _rank(roots: Floats) -> Ints:
-    return (roots != 0.0).any(axis=1).sum(axis=1)
+    beside = Beside(folds, len(folds.length) - sum(counts))
+    count = folds.outside[3]
+    sets = [slice(a, b) for a, b in pairwise(np.cumsum([0, *counts]).tolist())]
+    return np.array([_schwarz(*beside.outside(one), count) for one in sets]).reshape(-1, len(folds))
 
 
 def _schwarz(squares: Floats, rank: Ints, count: Floats) -> Floats:

@@ -23,7 +23,7 @@ from ..types import Floats, Ints
 T = TypeVar("T")
 
 #: Rows that are looked at together: a few megabytes of columns, however long the run is.
-BLOCK = 4096
+BLOCK = 8192
 
 
 def blocks(n: int) -> list[slice]:

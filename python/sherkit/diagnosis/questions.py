@@ -25,6 +25,7 @@ from .answers import CandidateReport, Diagnosis, StepReport
 from .checked import checks_of
 from .checks import verdict_of
 from .crossvalidation import HeldOutError, held_out
+from .enough import enough_of
 from .explanation import is_plausible
 from .few_enough import few_enough
 from .findings import findings_of
@@ -126,6 +127,13 @@ def diagnose(
         sigma, contradicted = by_repeats(run, sigma, repeats, declared=origin == "declared")
         origin = "repeats" if contradicted else origin
     periods = repeats.periods if repeats is not None else ()
+    long = run
+    if len(enough := enough_of(run.data, rows)) < len(rows):
+        run, rows = run.some(enough), np.arange(len(enough))
+        notes.append(
+            f"{len(enough)} of {int(long.whole.sum())} rows are searched, evenly of all poses and times: what only all "
+            "of them would show is smaller than a twentieth of the noise; noise, outliers and the fit are of all rows"
+        )
     repeated_folds = repeated_folds_of(run, seed)
     steps = steps_in(run) if look and not run.is_exact else None
     if steps is not None and not steps.alone and steps.put_back is not None:
@@ -139,6 +147,7 @@ def diagnose(
         run, every, rows, sigma, repeated_folds, level=level, seed=seed, step=step, look=look, periods=periods
     )
     final, rho = found.final, found.search.rho
+    of_all = final if run is long else long if final is run else final.as_in(long)
     notes += found.notes
     notes += [f"{one.sentence}. {one.remedy}" for one in known(final.fit).values()]
 
@@ -147,17 +156,17 @@ def diagnose(
     base_stage = stage_of(run, every, rows, sigma, rho=rho, thorough=False, at=at)
     gains = held_out(base_stage, np.stack([deal[base_stage.rows] for deal in repeated_folds]))
 
-    left = None if repeats is None else repeats if final is run else in_repeats(final, seed=seed)
+    left = None if repeats is None else repeats if of_all is long else in_repeats(of_all, seed=seed)
     if origin != "declared":
-        sigma = _noise_left(final, sigma) if left is None else left.noise
+        sigma = _noise_left(of_all, sigma) if left is None else left.noise
     own = [e for e in run.model.effects if e.name not in run.model.within]
     needed = not_needed(final, own, sigma, repeated_folds, seed)
-    fitness = lack_of_fit(final, level)
+    fitness = lack_of_fit(of_all, level)
     numbers = sum(len(c.effect.parameters) for c in found.result.added)
     # many numbers imitate what is in no catalogue, as one effect or as several
     many = len(found.names) > 1 or numbers > _FEW
     unknown = one_unknown(run, final, found.names, run.noise[0], repeated_folds) if many else None
-    slow_drift = slow_drift_of(final)
+    slow_drift = slow_drift_of(of_all)
     checks = checks_of(
         final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, table, rounded, slow_drift, left,
         contradicted, lambda: by_noise_alone(final, sigma, repeated_folds, level, seed),
@@ -182,7 +191,7 @@ def diagnose(
         smallest = {
             c.name: smallest_found(base_stage, c, threshold) for c in found.search.strongest_settings(base_stage)
         }
-    signature = left.signature(final) if left is not None and left.held else None
+    signature = left.signature(of_all) if left is not None and left.held else None
     if found.result.signature:
         signature = _signature(found.result, found.result.stages[-1])
     proposal = _next(found.result, unknown, sigma)
@@ -212,8 +221,8 @@ def diagnose(
         next_poses=proposal.poses,
         advice=proposal.advice,
         notes=tuple(notes),
-        fit=final.fit,
-        base=run.fit,
+        fit=of_all.fit,
+        base=long.fit,
     )
     return replace(said, findings=findings_of(said))
 

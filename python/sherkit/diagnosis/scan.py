@@ -37,8 +37,9 @@ _PULLED = 0.04
 _DECIDES = 1e-6
 #: Part of a z score within which two are equal.
 _ROUNDING = 1e-9
-#: Patterns of signs under which the family is seen.
-FLIPS = 2048
+#: Patterns of signs under which the family is seen; and at first, where a p above :data:`_FAR` needs no finer one.
+FLIPS, _FIRST = 2048, 256
+_FAR = 0.06
 
 
 @dataclass(frozen=True)
@@ -192,7 +193,7 @@ class Scan:
         if not columns:
             return self
         new = copy(self)
-        for name in ("_roots", "gains", "z_scores", "_null"):
+        for name in ("_roots", "gains", "z_scores", "_nulls"):
             new.__dict__.pop(name, None)
         new.model = (*self.model, *columns)
         numbers = [number for one in columns for number in self.numbers(one)]
@@ -313,24 +314,26 @@ class Scan:
         gain, rank = self.gains
         return z_score(gain, rank, self.sum_of_squares, self.free)
 
-    def null(self, seed: int) -> Floats:
-        """Largest z score of the family (FLIPS,) under each of a group of patterns of signs of whole poses; those asked
-        for last are remembered.
+    def null(self, seed: int, flips: int = FLIPS) -> Floats:
+        """Largest z score of the family (flips,) under each of a group of patterns of signs of whole poses, which are
+        remembered; ``flips`` is a power of two.
 
         The group is drawn at random; its first pattern flips nothing. That they are a group makes the test exact, and
         all of them come at the price of a few (Hemerik and Goeman, "Exact testing with random permutations", 2018).
         """
-        if self._null is None or self._null[0] != seed:
-            self._null = seed, self._drawn(seed)
-        return self._null[1]
+        if (seed, flips) not in self._nulls:
+            self._nulls[seed, flips] = self._drawn(seed, flips)
+        return self._nulls[seed, flips]
 
-    _null: tuple[int, Floats] | None = None
+    @cached_property
+    def _nulls(self) -> dict[tuple[int, int], Floats]:
+        return {}
 
-    def _drawn(self, seed: int) -> Floats:
-        codes, sums, of_model, total = self._by_code(seed)
+    def _drawn(self, seed: int, flips: int) -> Floats:
+        codes, sums, of_model, total = self._by_code(seed, flips)
         size, each = np.array([len(of_model)]), np.arange(len(of_model))
         lost = largest_under_flips(
-            of_model, codes, FLIPS, each, np.eye(len(of_model)).ravel(), size, size, np.zeros(1, dtype=np.int64), 1
+            of_model, codes, flips, each, np.eye(len(of_model)).ravel(), size, size, np.zeros(1, dtype=np.int64), 1
         )[0]
         ranks = np.unique(np.concatenate([left for _, left in self._roots.values()] or [each[:0]]))
         columns, roots, sizes, own = [], [], [], []
@@ -344,23 +347,23 @@ class Scan:
                 sizes.append(np.full(some.sum(), k))
                 own.append(np.full(some.sum(), rank))
         if not columns:
-            return np.full(FLIPS, -np.inf)
+            return np.full(flips, -np.inf)
         rank_of = np.concatenate(own)
         # of as many directions the largest gain has the largest z score
         most = largest_under_flips(
-            sums, codes, FLIPS, np.concatenate(columns), np.concatenate(roots), np.concatenate(sizes), rank_of,
+            sums, codes, flips, np.concatenate(columns), np.concatenate(roots), np.concatenate(sizes), rank_of,
             np.searchsorted(ranks, rank_of), len(ranks),
         )  # fmt: skip
         return z_score(most, ranks[:, None], total - lost, self.free).max(axis=0, initial=-np.inf)
 
-    def _by_code(self, seed: int) -> tuple[Ints, Floats, Floats, float]:
+    def _by_code(self, seed: int, flips: int) -> tuple[Ints, Floats, Floats, float]:
         """Codes (c,) that poses have; products of what the model leaves of all columns (K, c), and of the orthonormal
         model (rank, c), with the residual whose signs are flipped, summed over the poses of each code; and the square
         of that."""
         pose = np.unique(self.group, return_inverse=True)[1].ravel()
         taken = self._taken_by_fit(pose)
         total = self.sum_of_squares if taken is None else 0.0
-        used, codes = np.unique(codes_of(int(pose.max()) + 1, seed)[pose], return_inverse=True)
+        used, codes = np.unique(codes_of(int(pose.max()) + 1, seed, flips)[pose], return_inverse=True)
         sums = np.zeros((self.count, len(used)))
         of_model: Any = 0.0
         for rows, block, model in self.every_block():
@@ -413,8 +416,14 @@ class Scan:
 
     def p_value(self, largest: float, *, seed: int = 0) -> float:
         """Familywise p of a largest z score."""
-        # of few poses many patterns are the same, which rounding must not tell from the one that flips nothing
-        return (1 + int((self.null(seed)[1:] >= largest - _ROUNDING * abs(largest)).sum())) / FLIPS
+        p = 0.0
+        for flips in (_FIRST, FLIPS):
+            if p > _FAR:
+                break
+            # of few poses many patterns are the same, which rounding must not tell from the one that flips nothing
+            beyond = self.null(seed, flips)[1:] >= largest - _ROUNDING * abs(largest)
+            p = (1 + int(beyond.sum())) / flips
+        return p
 
     def among(self, sets: Sequence[Columns]) -> Image:
         """A few candidates in full."""
@@ -432,11 +441,11 @@ class Scan:
         return Image(model, columns, residual[:, 0], self.n * self.m)
 
 
-def codes_of(poses: int, seed: int) -> Ints:
+def codes_of(poses: int, seed: int, flips: int = FLIPS) -> Ints:
     """A code for each pose (poses,): pattern t flips those whose code shares an odd number of bits with t. No two poses
     always flip together, as long as there are codes."""
     rng = np.random.default_rng(seed)
-    return rng.permutation(FLIPS)[:poses] if poses <= FLIPS else rng.integers(0, FLIPS, poses)
+    return rng.permutation(flips)[:poses] if poses <= flips else rng.integers(0, flips, poses)
 
 
 def z_score(gain: Floats, rank: Ints | np.integer[Any], total: float | Floats, free: int) -> Floats:

@@ -1,0 +1,256 @@
+"""Deviations of repeats from their pose, and the shapes that they hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import cast
+
+import numpy as np
+
+from ..data.columns import bare
+from ..data.noise import MAD
+from ..types import Floats, Ints
+from .enough import enough_of
+from .fitted_run import FittedRun
+from .linearised import orthonormal
+from .pose_means import Means, in_common, means_of
+from .scan import Block, Columns, Scan
+from .shapes import wave
+from .template import course
+
+#: Chance that repeats of pure noise are said to hold something.
+LEVEL = 1e-3
+#: Deviations below which nothing is looked for, and rows above which more would show nothing that matters.
+FEWEST, _MOST = 30, 3000
+_MOST_SHAPES = 6
+#: Most swings of a cycle in the course of a run, of how many moments each at least, and how finely they are looked for.
+_SWINGS, _MOMENTS, _FINELY = 60, 6, 2.0
+#: The same of a cycle in proportion to the place.
+_SWINGS_BY_PLACE = 12
+_STEPS = 24
+#: Deviations are cut to so many spreads: what wild rows hold is not searched.
+_CUT = 4.0
+#: A largest z score below this is chance without a flip.
+_CHANCE = 3.7
+#: What the variable is called that is the direction of a joint.
+DIRECTION = "direction of "
+
+
+@dataclass(frozen=True)
+class Held:
+    """One shape of what repeats hold: ``name`` of the variable, ``shape`` as :class:`~.shapes.Shape` calls it with its
+    ``order``, ``period`` or moment ``at``; the ``axes`` it is on, and its RMS ``size`` there in the unit of the run;
+    ``by_place`` where it is in proportion to the place, or to a column, as a picture that grows is."""
+
+    name: str
+    shape: str
+    order: int | None = None
+    period: float | None = None
+    at: float | None = None
+    axes: tuple[str, ...] = ()
+    size: float = 0.0
+    by_place: bool = False
+
+    def __str__(self) -> str:
+        told = course({
+            "depends_on": [self.name], "axis": self.axes, "shape": self.shape, "order": self.order,
+            "period": self.period, "at": self.at,
+        })  # fmt: skip
+        return f"{told}, from place to place in its own way" if self.by_place else told
+
+
+class Deviations:
+    """Deviations of rows (n, m) from the mean of their pose, in the order of time, and a family of shapes that they may
+    hold. Shapes are looked for in the rows of as many poses as are enough; what is found is taken out of all.
+
+    ``variables`` name to values (n,) are what readings at one pose may differ by, ``beside`` what a course in time may
+    be in proportion to.
+    """
+
+    def __init__(
+        self, run: FittedRun, rows: Ints, pose: Ints, variables: dict[str, Floats], beside: Sequence[Floats], seed: int
+    ) -> None:
+        self.run, self.rows, self.seed = run, rows, seed
+        self.pose, self.count = pose, np.bincount(pose)
+        self.axes = list(run.axes)
+        self.raw = run.residuals[rows][:, self.axes]
+        self.raw = self.raw - means_of(self.raw, pose)
+        spread = MAD * np.median(np.abs(self.raw), axis=0)
+        self.spread = np.where(spread > 0, spread, np.maximum(self.raw.std(axis=0), 1e-300))
+        self.tame = np.clip(self.raw / self.spread, -_CUT, _CUT)
+        self.free = len(rows) - len(self.count)
+        self.variables, self.beside = variables, beside
+        self.seen = self._enough()
+        self.held: list[Held] = []
+        self.accepted: list[Floats] = []
+
+    def find(self) -> tuple[list[Held], float]:
+        """Shapes one after the other, while chance has less than :data:`LEVEL` of the largest; the p of the first."""
+        family, functions = self._family()
+        if not family:
+            return [], 1.0
+        first = 1.0
+        for k in range(_MOST_SHAPES):
+            scan = self._scan([numbers for _, numbers in family], functions)
+            largest = float(scan.z_scores.max(initial=-np.inf))
+            p = scan.p_value(largest, seed=self.seed) if largest > _CHANCE else 1.0
+            first = p if k == 0 else first
+            if p > LEVEL:
+                break
+            self._accept(*self._simplest(scan, [held for held, _ in family]))
+        return self.held, first
+
+    def noise(self) -> Floats:
+        """What is left within poses (columns,), of all rows."""
+        out = np.ones(len(self.run.names))
+        left, taken = self.raw, 0
+        if self.accepted:
+            basis = orthonormal(np.column_stack(self.accepted), 1e-6)
+            # what describes the tame ones describes the others
+            left, taken = self.raw - basis @ (basis.T @ self.raw), basis.shape[1]
+        out[self.axes] = np.sqrt((left**2).sum(axis=0) / max(self.free - taken, 1))
+        # repeats of a column that holds another one do not differ at all
+        return np.maximum(out, self.run.digits)
+
+    def _enough(self) -> Ints:
+        """Rows that are searched: where there are more, of each pose as many visits as of any other."""
+        place = np.empty(len(self.run.data), dtype=np.int64)
+        place[self.rows] = np.arange(len(self.rows))
+        return place[enough_of(self.run.data, self.rows, _MOST)]
+
+    # -- the family ----------------------------------------------------------------------------------------
+
+    def _shapes(self) -> Iterator[Held]:
+        """All that is looked for."""
+        for name, values in self.variables.items():
+            if name.startswith(DIRECTION):
+                yield Held(name.removeprefix(DIRECTION), "hysteretic", at=0.0)
+                continue
+            yield Held(name, "smooth", order=1)
+            distinct = len(np.unique(values))
+            if distinct > 3:
+                yield Held(name, "smooth", order=3)
+            if name not in ("time_s", "order"):
+                continue
+            for k in range(1, _STEPS):
+                cut = k * len(values) // _STEPS
+                if values[cut] > values[cut - 1]:
+                    yield Held(name, "step", at=float(values[cut]))
+            if self.beside:
+                yield Held(name, "smooth", order=1, by_place=True)
+            most = min(_SWINGS, distinct // _MOMENTS)
+            for swings in np.arange(_FINELY, _FINELY * most + 1) / _FINELY:
+                yield Held(name, "periodic", period=float(np.ptp(values)) / float(swings))
+                if self.beside and swings <= _SWINGS_BY_PLACE:
+                    yield Held(name, "periodic", period=float(np.ptp(values)) / float(swings), by_place=True)
+
+    def _functions(self, held: Held, rows: Ints | slice) -> list[Floats]:
+        """Functions (rows,) of a shape, whose mean over each pose is still in them."""
+        every = self.variables[DIRECTION + held.name if held.shape == "hysteretic" else held.name]
+        values = every[rows]
+        t = 2.0 * (values - every.min()) / np.ptp(every) - 1.0
+        if held.shape == "step":
+            return [(values >= cast(float, held.at)).astype(float)]
+        if held.period is not None:
+            out = list(wave(values, held.period))
+        else:
+            out = [t, 1.5 * t**2 - 0.5, (2.5 * t**2 - 1.5) * t][: held.order or 1]
+        return [one * beside[rows] for one in out for beside in self.beside] if held.by_place else out
+
+    def _columns(self, shapes: Sequence[Held], rows: Ints | slice) -> Floats:
+        """Functions (rows, f) of shapes without the mean of each pose, of unit length; nothing where only rounding is
+        left. The rows are all of their poses."""
+        functions = np.column_stack([one for held in shapes for one in self._functions(held, rows)])
+        out = functions - means_of(functions, np.unique(self.pose[rows], return_inverse=True)[1].ravel())
+        length, before = np.linalg.norm(out, axis=0), np.linalg.norm(functions, axis=0)
+        there = length > 1e-6 * before
+        return np.where(there, out / np.where(there, length, 1.0), 0.0)
+
+    def _family(self) -> tuple[list[tuple[Held, tuple[int, ...]]], Floats]:
+        """Shapes with the numbers of their functions, and these (seen, f)."""
+        shapes = list(self._shapes())
+        if not shapes:
+            return [], np.zeros((len(self.seen), 0))
+        ends = np.cumsum([0, *(len(self._functions(held, slice(0, 1))) for held in shapes)]).tolist()
+        made = self._columns(shapes, self.seen)
+        # what is the same in all readings of each pose is no candidate
+        there = np.linalg.norm(made, axis=0) > 0.0
+        family = [(held, tuple(range(a, b))) for held, (a, b) in zip(shapes, pairwise(ends), strict=True)]
+        return [(held, numbers) for held, numbers in family if there[list(numbers)].all()], made
+
+    # -- one look ------------------------------------------------------------------------------------------
+
+    def _scan(self, family: Sequence[tuple[int, ...]], functions: Floats) -> Scan:
+        """The family under the filter in time, the mean of each pose out of everything."""
+        m, seen = self.tame.shape[1], self.seen
+        pose = np.unique(self.pose[seen], return_inverse=True)[1].ravel()
+        lag = np.maximum(np.diff(self.run.data.order[self.rows[seen]], prepend=-1), 1)
+        accepted = np.concatenate([np.zeros((len(seen), 1)), *(a[seen] for a in self.accepted)], axis=1)
+        filtered = in_common(self.tame[seen], accepted, pose, lag)
+        without = Means(pose, filtered)
+        fitted = np.einsum("nk,ab->nakb", without(accepted), np.eye(m)).reshape(len(seen), m, -1)
+        block = Block(without(self.tame[seen]), fitted, without(functions), np.zeros((len(seen), m, 0)))
+        candidates = [Columns(functions=numbers, axis=axis) for numbers in family for axis in (*range(m), None)]
+        # the targets of one pose are one witness
+        standing = self.run.data.standing[self.rows[seen]]
+        return Scan(_OneBlock(block), candidates, np.unique(standing, return_inverse=True)[1].ravel())
+
+    def _simplest(self, scan: Scan, shapes: Sequence[Held]) -> tuple[Held, int | None]:
+        """The shape with the lowest criterion of Schwarz, and its axis; a cycle between those that were looked for."""
+        gain, rank = scan.gains
+        n, m = self.free * scan.m, scan.m
+        score = n * np.log(np.maximum(1.0 - gain / scan.sum_of_squares, 1e-12)) + rank * np.log(n)
+        best = int(np.argmin(np.where(rank > 0, score, np.inf)))
+        held, axis = shapes[best // (m + 1)], best % (m + 1)
+        where = None if axis == m else axis
+        return (held if held.period is None else self._finer(held, where)), where
+
+    def _finer(self, held: Held, axis: int | None) -> Held:
+        """A cycle at the period that takes most."""
+        assert held.period is not None
+        spacing = 1.0 / (_FINELY * float(np.ptp(self.variables[held.name])))
+        on = self.tame if axis is None else self.tame[:, [axis]]
+        if self.accepted:
+            basis = orthonormal(np.column_stack(self.accepted), 1e-6)
+            on = on - basis @ (basis.T @ on)
+        on = on[self.seen]
+        best, at = -1.0, held
+        for frequency in 1.0 / held.period + spacing * np.linspace(-1.0, 1.0, 33):
+            if frequency <= 0:
+                continue
+            tried = replace(held, period=1.0 / float(frequency))
+            basis = orthonormal(self._columns([tried], self.seen), 1e-6)
+            taken = float(((basis.T @ on) ** 2).sum())
+            if taken > best:
+                best, at = taken, tried
+        return at
+
+    def _accept(self, held: Held, axis: int | None) -> None:
+        columns = self._columns([held], slice(None))
+        basis = orthonormal(columns, 1e-6)
+        on = range(len(self.axes)) if axis is None else [axis]
+        along = (basis.T @ self.raw) ** 2
+        noise = (self.raw**2).sum(axis=0) / max(self.free, 1)
+        axes = [k for k in on if along[:, k].sum() > 4.0 * basis.shape[1] * noise[k]] or list(on)
+        size = self.run.per_unit * float(np.sqrt(along[:, axes].sum() / (self.free * len(axes))))
+        self.accepted.append(columns)
+        self.held.append(replace(held, axes=tuple(bare(self.run.names[self.axes[k]]) for k in axes), size=size))
+
+
+@dataclass(frozen=True, eq=False)
+class _OneBlock:
+    """All rows of a scan at once."""
+
+    only: Block
+
+    @property
+    def blocks(self) -> Sequence[slice]:
+        """One stretch."""
+        return [slice(0, len(self.only.residual))]
+
+    def block(self, rows: slice) -> Block:
+        """All of it."""
+        del rows
+        return self.only
