@@ -11,14 +11,17 @@ mod kinematics;
 mod model;
 pub mod moments;
 mod nominal;
+mod pose;
 mod six_rods;
+mod solved;
 mod structure;
 mod trilateration;
 
 pub use calibrated::{Branch, Calibrated};
 pub use effects::{CATALOGUE, PARAMETERS, Values};
 pub use geometry::{Assembly, GEOMETRIC, Geometry, IDENTIFIABLE, LIMBS, Limb, PER_LIMB};
-pub use kinematics::{Kinematics, Pose};
+pub use kinematics::Kinematics;
 pub use model::{Chain, Covariates, Prediction, READINGS, Row};
 pub use nominal::Model;
+pub use pose::Pose;
 pub use structure::Structure;
