@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,48 +32,11 @@ from .names import listed
 from .notebook import Shown
 from .robots.calibrated import Calibration, calibration_class
 from .robots.calibration_run import CalibrationRun
-from .study_file import read_rows, read_state, write_study
+from .study_file import finite, model_state, read_rows, read_state, write_study
+from .study_step import Before, StudyStep
 from .types import Ints
 
 _FOLLOWED = "the run so far"
-
-
-@dataclass(frozen=True, eq=False)
-class StudyStep:
-    """One state of a study: what was done, and the error it left by reading, in ``unit``, fitted and held out.
-
-    ``fit`` is None for steps of a loaded study whose rows were others than the last ones: those were not kept.
-    """
-
-    action: str
-    effects: tuple[str, ...]
-    training_rms: dict[str, float]
-    held_out_rms: dict[str, float]
-    parameters: dict[str, float]
-    rows: int
-    fit: Fit | None
-    unit: str = "µm"
-
-    def __repr__(self) -> str:
-        axes = ", ".join(f"{k.rsplit('_', 1)[0]} {v:.3g}" for k, v in self.held_out_rms.items())
-        return f"StudyStep({self.action}: held out {axes} {self.unit})"
-
-    @property
-    def held_out(self) -> float:
-        """Held-out RMS of all readings together."""
-        values = list(self.held_out_rms.values())
-        return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
-
-
-@dataclass(frozen=True, eq=False)
-class _Before:
-    """What a change took the place of. The ``step`` that recorded it is not known of a study that was saved."""
-
-    model: ChainModel
-    data: Measurements
-    step: StudyStep | None = None
-    #: What the change was; empty where the study was saved before that was kept.
-    action: str = ""
 
 
 class Study(Shown):
@@ -102,8 +65,8 @@ class Study(Shown):
         self.loss = loss
         self.own: dict[str, Effect] = {}
         self.history: list[StudyStep] = []
-        self._undone: list[_Before] = []
-        self._redone: list[_Before] = []
+        self._undone: list[Before] = []
+        self._redone: list[Before] = []
         self._diagnosis: Diagnosis | None = None
         for effect in effects:
             self._register(effect)
@@ -158,7 +121,7 @@ class Study(Shown):
         return step
 
     def _change(self, model: ChainModel, data: Measurements, action: str) -> StudyStep:
-        before = _Before(self.model, self.data, self.history[-1], action)
+        before = Before(self.model, self.data, self.history[-1], action)
         self.model, self.data = model, data
         try:
             step = self._record(action)
@@ -259,7 +222,7 @@ class Study(Shown):
             raise EffectError("there is nothing to undo")
         action = self.undoes
         before = self._undone.pop()
-        self._redone.append(_Before(self.model, self.data, self.history[-1], action))
+        self._redone.append(Before(self.model, self.data, self.history[-1], action))
         return self._return_to(before, f"undone: {action}")
 
     def redo(self) -> StudyStep:
@@ -268,10 +231,10 @@ class Study(Shown):
         if not self._redone:
             raise EffectError("there is nothing to do again")
         after = self._redone.pop()
-        self._undone.append(_Before(self.model, self.data, self.history[-1], after.action))
+        self._undone.append(Before(self.model, self.data, self.history[-1], after.action))
         return self._return_to(after, f"redone: {after.action}")
 
-    def _return_to(self, state: _Before, action: str) -> StudyStep:
+    def _return_to(self, state: Before, action: str) -> StudyStep:
         self.model, self.data = state.model, state.data
         if state.step is None or state.step.fit is None:
             return self._record(action)
@@ -364,11 +327,11 @@ class Study(Shown):
         """
         state = {
             "robot": self.robot.to_tables(),
-            **_model_state(self.model),
+            **model_state(self.model),
             # rows are only ever added, and marked
             "undo": [
                 {
-                    **_model_state(u.model),
+                    **model_state(u.model),
                     "action": u.action,
                     "rows": len(u.data),
                     "outliers": np.flatnonzero(u.data.outlier).tolist(),
@@ -381,9 +344,9 @@ class Study(Shown):
                 {
                     "action": s.action,
                     "effects": list(s.effects),
-                    "training_rms": _finite(s.training_rms),
-                    "held_out_rms": _finite(s.held_out_rms),
-                    "parameters": _finite(s.parameters),
+                    "training_rms": finite(s.training_rms),
+                    "held_out_rms": finite(s.held_out_rms),
+                    "parameters": finite(s.parameters),
                     "rows": s.rows,
                 }
                 for s in self.history
@@ -414,7 +377,7 @@ class Study(Shown):
             before = study._data_from(undone)
             action = undone.words("action", empty=True) if undone.has("action") else ""
             try:
-                study._undone.append(_Before(study._model_from(undone), before, action=action))
+                study._undone.append(Before(study._model_from(undone), before, action=action))
             except EffectError:  # an effect of the user's that is no longer given: what lies before it is out of reach
                 study._undone.clear()
         study._fit = identify(study.model, study.data, loss=study.loss)
@@ -477,15 +440,3 @@ class Study(Shown):
             axes = ", ".join(f"{k.rsplit('_', 1)[0]} {v:.3g}" for k, v in s.held_out_rms.items())
             lines.append(f"  {s.action:<32} held out {axes} {self.data.layout.unit}")
         return "\n".join(lines)
-
-
-def _finite(figures: Mapping[str, float]) -> dict[str, float]:
-    return {name: value for name, value in figures.items() if np.isfinite(value)}
-
-
-def _model_state(model: ChainModel) -> dict[str, Any]:
-    return {
-        "free": list(model.free),
-        "effects": [e.name for e in model.effects],
-        **{name: value for name, value in model.settings().items() if value is not None},
-    }

@@ -18,6 +18,7 @@ from .data.files import write_whole
 from .data.tables import parquet_errors
 from .data.toml import Table
 from .errors import NotWritten, SherkitError
+from .model.chain import ChainModel
 from .types import Ints
 
 _FORMAT = 3
@@ -98,3 +99,17 @@ def _packed(line: Ints) -> list[list[int]]:
 
 def _unpacked(stretches: list[tuple[int, int]]) -> Ints:
     return np.concatenate([np.arange(count, dtype=np.int64) + first for first, count in stretches])
+
+
+def finite(figures: Mapping[str, float]) -> dict[str, float]:
+    """Figures that a file can hold."""
+    return {name: value for name, value in figures.items() if np.isfinite(value)}
+
+
+def model_state(model: ChainModel) -> dict[str, Any]:
+    """What is free in a model, with its effects and their settings."""
+    return {
+        "free": list(model.free),
+        "effects": [e.name for e in model.effects],
+        **{name: value for name, value in model.settings().items() if value is not None},
+    }

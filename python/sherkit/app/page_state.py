@@ -9,7 +9,7 @@ from ..data import Measurements
 from ..diagnosis import Diagnosis
 from ..model.effect import Effect
 from ..report.residuals import Residuals
-from ..study import StudyStep
+from ..study_step import StudyStep
 
 
 @dataclass(frozen=True)

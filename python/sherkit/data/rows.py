@@ -13,21 +13,13 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from ..errors import EffectError, MeasurementError, ShapeError, SherkitWarning
+from ..errors import EffectError, ShapeError, SherkitWarning
 from ..names import listed, nearest
 from ..types import Bools, Floats, Ints
 from . import columns as c
 from .lagged import Room
+from .row_checks import check_rows
 from .tables import write_table
-
-#: Joints of repeats differ by less than this part of what the joints of a run differ by.
-_SAME_POSE = 0.05
-#: So many of the poses, and no more, may hold a wild row.
-_FEW_POSES = 0.1
-#: So many rows say how far readings are spread, and where the unit is wrong.
-_ENOUGH = 20_000
-#: Joint and position readings whose spreads differ by more than this are in different units.
-_UNIT_RATIO = 100.0
 
 
 @dataclass(frozen=True)
@@ -136,7 +128,7 @@ class Measurements:
             room=Room.of(values.get(c.TIME), values.get(c.TEMPERATURE)),
             begins_s=begin_of(values.get(c.TIME)),
         )
-        data._check()
+        check_rows(data)
         return data
 
     def read_as(self, layout: c.Layout) -> Measurements:
@@ -160,108 +152,6 @@ class Measurements:
             # readings that are all zero look as if they were in another unit
             warnings.simplefilter("ignore", SherkitWarning)
             return cls.from_columns({**values, **columns}, source, layout=layout)
-
-    def _check(self) -> None:
-        none: Bools = ~np.any(self.taken, axis=1)
-        if none.any():
-            raise MeasurementError(
-                f"{self.place(none)}: no reading was taken; expected a number in at least one of "
-                f"{', '.join(self.layout.readings)}"
-            )
-        if self.layout.distance is not None:
-            self._check_distances()
-        if self.pose is not None and self.repeat is not None:
-            keys = (self.repeat, *self.apart, self.pose)
-            order = np.lexsort(keys)
-            same = np.all([np.diff(key[order]) == 0 for key in keys], axis=0)
-            if same.any():
-                # rows given twice stand beside each other, the first of them before the others
-                again = np.sort(order[1:][same])
-                row = again[0]
-                other = np.flatnonzero(np.all([key == key[row] for key in keys], axis=0))[0]
-                raise MeasurementError(
-                    f"{self.place(again)}: pose {self.pose[row]} repeat {self.repeat[row]} was given before "
-                    f"({self.counted} {self.line[other]}); number repeats of a pose 1, 2, 3, …"
-                )
-        if self.pose is not None and self.layout.joints_tell_pose:
-            self._check_poses(self.pose)
-        if self.layout.all_in_mm:
-            self._warn_of_units()
-
-    def _check_poses(self, pose: Ints) -> None:
-        """Rows of one pose number are repeats, and their spread is noise: they may not stand at places far apart.
-
-        Refused where many do, since the noise would be another; said where few do, which may be wild rows.
-        """
-        rows = np.flatnonzero(~self.outlier)
-        if not len(rows):
-            return
-        extent = float(np.ptp(self.joints[rows], axis=0).max())
-        in_order = len(rows) == len(pose) and bool((pose[1:] >= pose[:-1]).all())
-        order = rows if in_order else rows[np.argsort(pose[rows], kind="stable")]
-        sorted_pose = pose[order]
-        starts = np.flatnonzero(np.diff(sorted_pose, prepend=sorted_pose[0] - 1))
-        numbers = sorted_pose[starts]
-        apart = np.zeros(len(starts))
-        ends = not self.layout.from_fixed and bool(np.isfinite(self.to_joints).any())
-        for end in (self.joints, self.to_joints) if ends else (self.joints,):
-            for column in end.T:
-                # rows that are no distances have no other end: NaN says nothing here
-                at = column if in_order else column[order]
-                apart = np.fmax(apart, np.fmax.reduceat(at, starts) - np.fmin.reduceat(at, starts))
-        far = apart > _SAME_POSE * extent
-        if extent == 0 or not far.any():
-            return
-        worst = int(np.argmax(apart))
-        more = f", and {int(far.sum()) - 1} more poses do so" if far.sum() > 1 else ""
-        said = (
-            f"{self.place(rows[pose[rows] == numbers[worst]])}: pose {numbers[worst]} stands at places "
-            f"{apart[worst]:.3g} {c.unit_in(self.layout.joints[0])} apart{more}; rows with the same pose number are "
-            "taken as repeats, and their spread as noise: give each place its own number, or leave the column out"
-        )
-        if far.sum() > max(1, _FEW_POSES * len(numbers)) or len(numbers) == 1:
-            raise MeasurementError(said)
-        warnings.warn(said, SherkitWarning, stacklevel=2)
-
-    def _check_distances(self) -> None:
-        ends = np.isfinite(self.to_joints)
-        if not (ends.any() or self.is_distance.any()):
-            return
-        needed = 1 if self.layout.from_fixed else ends.shape[1]
-        half = ends.sum(axis=1) != np.where(self.is_distance, needed, 0)
-        if half.any():
-            of = "one, and only one," if self.layout.from_fixed else "all"
-            raise MeasurementError(
-                f"{self.place(half)}: a distance needs {self.layout.distance} and {of} of "
-                f"{', '.join(self.layout.to_joints)}"
-            )
-        both = self.is_distance & self.taken[:, :-1].any(axis=1)
-        if both.any():
-            raise MeasurementError(
-                f"{self.place(both)}: a row holds a position or a distance, not both; give each its own row"
-            )
-
-    def _warn_of_units(self) -> None:
-        position = self.taken[:, : self.coordinates].all(axis=1) & ~self.outlier
-        if position.sum() < 3:
-            return
-        # robust spreads: one wild row must not look like a wrong unit
-        spread = _spread(self.joints[position])
-        moved = _spread(self.readings[position, : self.coordinates])
-        if spread <= 0 or moved <= 0:
-            return
-        joints, positions = ", ".join(self.layout.joints), ", ".join(self.layout.coordinates)
-        for ratio, small, large in (
-            (spread / moved, positions, joints),
-            (moved / spread, joints, positions),
-        ):
-            if ratio > _UNIT_RATIO:
-                warnings.warn(
-                    f"{self.source}: columns {small} vary {ratio:.0f} times less than {large}; are they in metres, "
-                    "or the others in micrometres? Expected millimetres.",
-                    SherkitWarning,
-                    stacklevel=2,
-                )
 
     # -- using -------------------------------------------------------------------------------------------
 
@@ -521,11 +411,6 @@ def order_in_time(time_s: NDArray[Any] | None, n: int) -> Ints:
     if time_s is not None:
         out[np.argsort(np.asarray(time_s, dtype=float), kind="stable")] = np.arange(n)
     return out
-
-
-def _spread(values: Floats) -> float:
-    low, high = np.percentile(values[:: 1 + len(values) // _ENOUGH], [5, 95], axis=0)
-    return float((high - low).max())
 
 
 def _numbered(rows: Floats) -> Ints:

@@ -22,10 +22,11 @@ from ..data.columns import TEMPERATURE, Layout, unit_in
 from ..errors import EffectError, FitError, ShapeError
 from ..names import listed, nearest
 from ..types import Bools, Floats
-from .base import Derivatives, ModelWithEffects, Reachable, Tried, beside_one_another
+from .base import Derivatives, ModelWithEffects, Reachable, Tried
 from .effect import Effect, freeing, parameters_of_core
 from .parameter import Parameter
 from .rows import Rows
+from .stretches import OfEffects, OfModel, carry
 
 #: Joints (n, k), other ends of distances, covariates (n, 3 + 2 k), displacements of the measured point (n, 3).
 Block = tuple[Floats, Floats | None, Floats | None, Floats | None]
@@ -309,7 +310,7 @@ class ChainModel(ModelWithEffects):
     def rows(self, data: Measurements, values: Floats) -> Rows:
         """The rows, with the position that the built-in model gives."""
         full = self.full(values)
-        return Rows(data, lambda: self.core_for(data).predict(full, self._plain_block(data))[0][:, : data.coordinates])
+        return Rows(data, lambda: self.core_for(data).predict(full, self.plain_block(data))[0][:, : data.coordinates])
 
     def linearised(self, data: Measurements, values: Floats) -> Derivatives:
         """All at once by the core; the user's effects carried from their link to the readings."""
@@ -323,7 +324,7 @@ class ChainModel(ModelWithEffects):
         """The core computes each stretch; the user's effects are computed once, at their link."""
         rows, values = self.rows(data, values), np.asarray(values)
         own = [(e, e.columns(rows, values[self.owns(e)], self.axes_of(e, data))) for e in self.own]
-        return _OfModel(self, data, values, own)
+        return OfModel(self, data, values, own)
 
     def tried_by_blocks(
         self, data: Measurements, values: Floats, effects: Sequence[Effect]
@@ -345,7 +346,7 @@ class ChainModel(ModelWithEffects):
                 tried.append((effect, inner))
             except EffectError as error:
                 refused[effect.name] = str(error)
-        return _OfEffects(everything, data, start, built_in, tried, refused)
+        return OfEffects(everything, data, start, built_in, tried, refused)
 
     def own_columns(
         self, data: Measurements, rows: Rows, values: Floats, by_joints: Floats, by_body: Floats
@@ -363,7 +364,7 @@ class ChainModel(ModelWithEffects):
             for effect in self.own
         ]
 
-    def _plain_block(self, data: Measurements) -> tuple[Any, ...]:
+    def plain_block(self, data: Measurements) -> tuple[Any, ...]:
         """The rows as they are, as the core takes them; those asked for last are remembered."""
         last = self.__dict__.get("_last_block")
         if last is None or last[0] is not data:
@@ -373,7 +374,7 @@ class ChainModel(ModelWithEffects):
     def _own_block(self, data: Measurements, full: Floats, values: Floats) -> tuple[tuple[Any, ...], Floats | None]:
         """The rows with the user's effects at joints and body put in, and what those at the sensor add."""
         if not self.own:
-            return self._plain_block(data), None
+            return self.plain_block(data), None
         rows = self.rows(data, values)
         sums: dict[str, Any] = {
             "joints": np.zeros_like(data.joints),
@@ -395,7 +396,7 @@ class ChainModel(ModelWithEffects):
         """
         start = solver.trial
         ended, missing = self.core_for(data).solve(
-            solver, np.zeros(len(self.core_parameters)), self.indices, self._plain_block(data), data.readings, weights,
+            solver, np.zeros(len(self.core_parameters)), self.indices, self.plain_block(data), data.readings, weights,
             priors,
         )  # fmt: skip
         self.require(data, np.array(missing, dtype=np.int64), start)
@@ -420,69 +421,3 @@ class ChainModel(ModelWithEffects):
             "Check units and joint order, correct the geometry, or mark the rows as outliers "
             "(column 'outlier' = 1)."
         )
-
-
-@dataclass(frozen=True, eq=False)
-class _Stretches:
-    """What gives derivatives for stretches of the rows of a run: the core computes each."""
-
-    model: ChainModel
-    data: Measurements
-    values: Floats
-
-    def of_core(self, some: slice, indices: Sequence[int]) -> tuple[Floats, Floats, Floats]:
-        """By these parameters of the core (n, m, p), by the joints and by the body."""
-        model, data = self.model, self.data
-        part = tuple(None if one is None else one[some] for one in model._plain_block(data))
-        columns, by_joints, by_body, _ = model.core_for(data).derivatives(model.full(self.values), part, indices)
-        return columns, by_joints, by_body
-
-    def carried(self, some: slice, effects: Sequence[tuple[Effect, Floats]], *by: Floats) -> list[Floats]:
-        """What the user's effects give at their links, there for all rows, carried on to these."""
-        data = self.data
-        return [carry(e, inner[some], data.is_distance[some], data.coordinates, *by) for e, inner in effects]
-
-
-@dataclass(frozen=True, eq=False)
-class _OfModel(_Stretches):
-    """By what is identified; ``own`` are the user's effects that are in the model."""
-
-    own: Sequence[tuple[Effect, Floats]]
-
-    def __call__(self, some: slice) -> Derivatives:
-        columns, *by = self.of_core(some, self.model.indices)
-        if self.own:
-            columns = np.concatenate([columns, *self.carried(some, self.own, *by)], axis=2)
-        return Derivatives(columns, by[0])
-
-
-@dataclass(frozen=True, eq=False)
-class _OfEffects(_Stretches):
-    """By effects that are tried: built-in ones, which this model has beside its own, and the user's."""
-
-    built_in: Sequence[Effect]
-    tried: Sequence[tuple[Effect, Floats]]
-    refused: dict[str, str]
-
-    def __call__(self, some: slice) -> Tried:
-        model, data = self.model, self.data
-        asked = [k for effect in self.built_in for k in model.indices[model.owns(effect)]]
-        columns, *by = self.of_core(some, asked)
-        if self.tried:
-            columns = np.concatenate([columns, *self.carried(some, self.tried, *by)], axis=2)
-        widths = [(e, len(e.parameters)) for e in (*self.built_in, *(effect for effect, _ in self.tried))]
-        read = int(data.taken[:, : data.coordinates].any(axis=0).sum())
-        return Tried(columns, beside_one_another(widths), self.refused, read == by[1].shape[2])
-
-
-def carry(
-    effect: Effect, inner: Floats, is_distance: Bools, coordinates: int, by_joints: Floats, by_body: Floats
-) -> Floats:
-    """Derivatives (n, axes, p) of a NumPy effect at its link, carried on to the readings (n, m, p)."""
-    if effect.link == "joints":
-        return by_joints @ inner
-    if effect.link == "body":
-        return by_body @ inner
-    out = np.zeros((len(inner), by_joints.shape[1], inner.shape[2]))
-    out[~is_distance, :coordinates] = inner[~is_distance]
-    return out

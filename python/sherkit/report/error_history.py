@@ -11,7 +11,8 @@ from bokeh.models import FactorRange, Label, Range1d, Span
 
 from ..diagnosis import Diagnosis
 from ..model.kinds import required_um
-from ..study import Study, StudyStep
+from ..study import Study
+from ..study_step import StudyStep
 from .picture import Picture, Tables, single, sources_of
 from .style import COLOURS, FONT, FONT_SIZE, INK, MARKERS, figure, hover, legend
 
