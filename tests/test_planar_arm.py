@@ -297,9 +297,9 @@ def test_an_experiment_is_measured(folder: Path) -> None:
 
 
 def _report(study: sk.Study) -> str:
-    from sherkit.report.story import Story, html
+    from sherkit.report.document import Report, html
 
-    return html(Story("A planar arm", study, study.diagnose(), "", ()))
+    return html(Report("A planar arm", study, study.diagnose(), "", ()))
 
 
 def test_the_page(folder: Path) -> None:

@@ -34,7 +34,7 @@ from tornado.routing import Router
 from tornado.web import OutputTransform, RequestHandler
 
 from ..errors import SherkitError
-from ..report.story import SourceFile, Story, html
+from ..report.document import Report, SourceFile, html
 from ..study import Study
 from .page import StudyPage
 from .workbench import Progress, Workbench
@@ -242,7 +242,7 @@ class _Download(RequestHandler):
         sources = [SourceFile.of(path) for path in self.bench.sources if path.exists()]
         title = f"What was found on {Path(study.data.source).name}"
         calibration = study.calibration() if study.deployable else None
-        return html(Story(title, study, found, self.command, sources, calibration)).encode("utf-8")
+        return html(Report(title, study, found, self.command, sources, calibration)).encode("utf-8")
 
     def _study(self, study: Study, _: Progress) -> bytes:
         study.save(self.bench.folder)

@@ -45,9 +45,9 @@ def write(
     printed: Mapping[str, Any] | None = None,
 ) -> None:  # fmt: skip
     """Writes the report of a study that stands at the last state to be told."""
-    from ..report.story import SourceFile, Story, write_report  # Bokeh takes a second to load
+    from ..report.document import Report, SourceFile, write_report  # Bokeh takes a second to load
 
-    story = Story(
+    written = Report(
         title=title,
         study=study,
         found=found,
@@ -58,4 +58,4 @@ def write(
         simulated=simulated,
         printed=printed or {},
     )
-    write_report(story, path)
+    write_report(written, path)

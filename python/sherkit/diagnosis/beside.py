@@ -44,7 +44,7 @@ _COUNTS = 0.1
 _FREE, _FREE_IN_TIME, _FREE_TOGETHER = 8, 24, 3
 #: Free columns for each reading, at most.
 _MOST_COLUMNS = 0.125
-_FOLDS, _DEALS = 6, 3
+_FOLDS, _REPETITIONS = 6, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +206,7 @@ def _scattered(run: FittedRun, seed: int) -> list[Ints]:
     """Folds (n,) of all rows, whose poses are dealt one by one: between those held out others stand."""
     pose = np.unique(run.data.groups, return_inverse=True)[1].ravel()
     rng = np.random.default_rng([seed, 5])
-    return [(rng.permutation(int(pose.max()) + 1) % _FOLDS)[pose] for _ in range(_DEALS)]
+    return [(rng.permutation(int(pose.max()) + 1) % _FOLDS)[pose] for _ in range(_REPETITIONS)]
 
 
 def free_columns(stage: Stage, shapes: Sequence[Shape], *, everywhere: bool = False) -> Columns:

@@ -38,7 +38,7 @@ def checks_of(
     unknown: OneUnknown | None,
     needed: Sequence[HeldOutGain],
     level: float,
-    wild: Ints,
+    outliers: Ints,
     mistakes: Sequence[Mistake],
     table: Sequence[Doubt],
     digits: Rounded | None,
@@ -51,15 +51,15 @@ def checks_of(
     """Every check about a final fit, those that decide first.
 
     ``sigma`` (columns,) is the noise, ``fitness`` what poses leave beyond their repeats, ``unknown`` one cause in place
-    of several, ``needed`` what the effects that were in the model earn, ``wild`` the rows left out, ``mistakes`` those
-    of the set-up, ``table`` what its poses cannot tell, ``digits`` what steps of columns leave where that is most,
-    ``wander`` what is left in the course of time, ``repeats`` what repeats of a pose hold, ``contradicted`` by axis the
-    noise that was declared and the one that repeats show; ``by_noise`` gives what noise alone leaves on rows held out
-    of these poses, in noises, and ``enough`` the parameters that are enough there.
+    of several, ``needed`` what the effects that were in the model earn, ``outliers`` the rows left out, ``mistakes``
+    those of the set-up, ``table`` what its poses cannot tell, ``digits`` what steps of columns leave where that is
+    most, ``slow_drift`` what is left in the course of time, ``repeats`` what repeats of a pose hold, ``contradicted``
+    by axis the noise that was declared and the one that repeats show; ``by_noise`` gives what noise alone leaves on
+    rows held out of these poses, in noises, and ``enough`` the parameters that are enough there.
     """
     unit, used = final.unit, f"all {int(final.whole.sum())} rows that are used"
     out = [_set_up(mistakes, final), *_table(table, final), _converged(final, used), _plausible(final, used)]
-    out += [_as_drawn(final, used), _gross(final, wild), *_apart(final, wild)]
+    out += [_as_drawn(final, used), _gross(final, outliers), *_apart(final, outliers)]
     p = found.result.p_left if not found.result.signature else found.result.p_first
     left = Check(
         "nothing_left", "no effect and no shape takes anything from what is left", used,
@@ -173,20 +173,20 @@ def _as_drawn(final: FittedRun, used: str) -> Check:
     )  # fmt: skip
 
 
-def _gross(final: FittedRun, wild: Ints) -> Check:
-    share = len(wild) / max(len(final.data), 1)
+def _gross(final: FittedRun, outliers: Ints) -> Check:
+    share = len(outliers) / max(len(final.data), 1)
     return Check(
         "gross_errors", "few rows are wrong", f"all {len(final.data)} rows",
-        f"{len(wild)} are listed as wrong and are in none of these numbers", holds=share <= _WRONG,
-        fails=f"{len(wild)} of {len(final.data)} rows stand apart from the others",
+        f"{len(outliers)} are listed as wrong and are in none of these numbers", holds=share <= _WRONG,
+        fails=f"{len(outliers)} of {len(final.data)} rows stand apart from the others",
     )  # fmt: skip
 
 
-def _apart(final: FittedRun, wild: Ints) -> list[Check]:
-    if not len(wild):
+def _apart(final: FittedRun, outliers: Ints) -> list[Check]:
+    if not len(outliers):
         return []
-    lasting = in_one_go(final.data, wild)
-    tested, rows = "rows that are wrong are so each for itself", f"the {len(wild)} rows listed as wrong"
+    lasting = in_one_go(final.data, outliers)
+    tested, rows = "rows that are wrong are so each for itself", f"the {len(outliers)} rows listed as wrong"
     if not len(lasting):
         return [Check(APART, tested, rows, "between them others are right", holds=True, decisive=False)]
     where = f"{final.data.counted}s {spans(final.data.line[lasting])}"

@@ -23,7 +23,7 @@ class HeldOutError:
 def held_out(stage: Stage, fold: Ints) -> list[HeldOutError]:
     """Held-out error (in the unit of the run, axes together) with each candidate of a stage that is not thorough.
 
-    ``fold`` (deals, n) is the fold of each row in each deal of blocks.
+    ``fold`` (repetitions, n) is the fold of each row in each repetition.
     """
     view, sigma = stage.view, stage.sigma[None, :, None]
 
@@ -39,11 +39,11 @@ def held_out(stage: Stage, fold: Ints) -> list[HeldOutError]:
 
 
 def _error(folds: Folds, squares: Floats, unit: float) -> HeldOutError:
-    """What blocks left out in turn show. Every deal is of the same rows: it is known no better than from one."""
-    deals, count = len(folds.place), int(folds.counts.sum())
+    """What blocks left out in turn show. Every repetition is of the same rows: it is known no better than from one."""
+    repetitions, count = len(folds.place), int(folds.counts.sum())
     rms = float(np.sqrt(max(float(squares.sum()), 0.0) / count))
     apart = squares - rms**2 * folds.counts
-    of_deal = len(folds) / deals
-    variance = float((apart**2).sum()) * of_deal / max(of_deal - 1, 1) * deals / count**2
+    per_repetition = len(folds) / repetitions
+    variance = float((apart**2).sum()) * per_repetition / max(per_repetition - 1, 1) * repetitions / count**2
     # the error of a mean square is twice the root's size
     return HeldOutError(unit * rms, unit * np.sqrt(variance) / (2 * rms) if rms > 0 else 0.0)

@@ -30,7 +30,7 @@ _SWINGS, _MOMENTS, _FINELY = 60, 6, 2.0
 #: The same of a cycle in proportion to the place.
 _SWINGS_BY_PLACE = 12
 _STEPS = 24
-#: Deviations are cut to so many spreads: what wild rows hold is not searched.
+#: Deviations are cut to so many spreads: what outliers hold is not searched.
 _CUT = 4.0
 #: A largest z score below this is chance without a flip.
 _CHANCE = 3.7

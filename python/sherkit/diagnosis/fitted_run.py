@@ -158,7 +158,7 @@ class FittedRun(Saved):
         """The full fit with these rows marked as outliers, from the drawing: where no reading tells, what they did to
         this fit must not stay."""
         data = self.data.mark_outliers(rows)
-        # repeats that were wild told of too much noise
+        # outlying repeats told of too much noise
         noise = noise_of(data) if self.fit.noise.origin == "repeats" else self.fit.noise
         return FittedRun(identify(self.model, data, noise=noise))
 

@@ -19,11 +19,11 @@ _LEFT = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Folds:
-    """Columns, brought to unit length, against a residual, summed over the rows of each fold of each deal.
+    """Columns, brought to unit length, against a residual, summed over the rows of each fold of each repetition.
 
-    All deals stand one after another: ``grams`` (f, k, k), ``right`` (f, k) products with the residual, ``squares``
-    (f,) of the residual and ``counts`` (f,) of numbers in it. ``place`` (deals, n) is where the fold of a row stands,
-    ``length`` (k,) what the columns were divided by.
+    All repetitions stand one after another: ``grams`` (f, k, k), ``right`` (f, k) products with the residual,
+    ``squares`` (f,) of the residual and ``counts`` (f,) of numbers in it. ``place`` (repetitions, n) is where the fold
+    of a row stands, ``length`` (k,) what the columns were divided by.
     """
 
     grams: Floats
@@ -35,12 +35,12 @@ class Folds:
 
     @classmethod
     def of(cls, columns: Callable[[slice], Floats], residual: Floats, fold: Ints) -> Folds:
-        """``columns`` gives those (b, m, k) of a stretch of rows; ``fold`` (deals, n) is the fold of each row."""
-        deals, (n, m) = len(fold), residual.shape
-        of_deal = int(fold.max()) + 1
-        place = fold + of_deal * np.arange(deals)[:, None]
-        # rows that are in the same fold in every deal are summed once
-        code = (of_deal ** np.arange(deals)) @ fold
+        """``columns`` gives those (b, m, k) of a stretch of rows; ``fold`` (repetitions, n) is the fold of each row."""
+        repetitions, (n, m) = len(fold), residual.shape
+        per_repetition = int(fold.max()) + 1
+        place = fold + per_repetition * np.arange(repetitions)[:, None]
+        # rows that are in the same fold in every repetition are summed once
+        code = (per_repetition ** np.arange(repetitions)) @ fold
         _, first_of, cell = np.unique(code, return_index=True, return_inverse=True)
         cells = place[:, first_of]
         grams = right = np.zeros(0)
@@ -49,12 +49,12 @@ class Folds:
             both = np.concatenate([columns(rows), residual[rows][:, :, None]], axis=2)[order]
             if not len(grams):
                 count = both.shape[2]
-                grams = np.zeros((deals * of_deal, count, count))
+                grams = np.zeros((repetitions * per_repetition, count, count))
             here = cell[rows][order]
             for part in np.split(np.arange(len(here)), np.flatnonzero(np.diff(here)) + 1):
                 flat = both[part[0] : part[-1] + 1].reshape(-1, both.shape[2])
                 grams[cells[:, here[part[0]]]] += flat.T @ flat
-        length = np.sqrt(np.diagonal(grams[:of_deal].sum(axis=0))[:-1])
+        length = np.sqrt(np.diagonal(grams[:per_repetition].sum(axis=0))[:-1])
         length = np.where(length > 0, length, 1.0)
         right = grams[:, :-1, -1] / length
         counts = m * np.bincount(place.ravel(), minlength=len(grams))
@@ -70,17 +70,17 @@ class Folds:
         w = list(which)
         return Folds(self.grams[:, w][:, :, w], self.right[:, w], self.squares, self.counts, self.place, self.length[w])
 
-    def deal(self, k: int) -> Folds:
-        """Those of one deal."""
+    def repetition(self, k: int) -> Folds:
+        """Those of one repetition."""
         count = len(self) // len(self.place)
         own = slice(k * count, (k + 1) * count)
         place = self.place[k : k + 1] - own.start
         return Folds(self.grams[own], self.right[own], self.squares[own], self.counts[own], place, self.length)
 
     def _outside(self, inside: Floats | Ints) -> Floats:
-        """Of something summed over each fold, what is outside it, within its deal."""
-        deals = inside.reshape(len(self.place), -1, *inside.shape[1:])
-        return (deals.sum(axis=1, keepdims=True) - deals).reshape(inside.shape)
+        """Of something summed over each fold, what is outside it, within its repetition."""
+        repetitions = inside.reshape(len(self.place), -1, *inside.shape[1:])
+        return (repetitions.sum(axis=1, keepdims=True) - repetitions).reshape(inside.shape)
 
     @property
     def outside(self) -> tuple[Floats, Floats, Floats, Floats]:
@@ -110,7 +110,7 @@ class Folds:
         return self.squares - 2.0 * (x * self.right).sum(axis=1) + np.einsum("fk,fkl,fl->f", x, self.grams, x)
 
     def errors(self, columns: Floats, residual: Floats, rows: slice) -> Floats:
-        """Errors (deals, b, m) of a stretch of rows, each under the fit to the rows outside its fold. ``columns``
+        """Errors (repetitions, b, m) of a stretch of rows, each under the fit to the rows outside its fold. ``columns``
         (b, m, k) and ``residual`` (b, m) are as given to :meth:`of`."""
         predicted = columns @ (self.solutions / self.length).T
         out = [np.take_along_axis(predicted, of[rows][:, None, None], axis=2)[:, :, 0] for of in self.place]

@@ -23,9 +23,9 @@ Columns = Callable[[slice], Floats]
 
 #: Held-out error over noise up to which what is left is as small as the noise.
 PRAISE = 1.25
-#: Blocks that are held out in turn, and how often they are dealt anew so that nothing hangs on one deal.
+#: Blocks that are held out in turn, and how often they are drawn anew so that nothing hangs on one draw.
 _FOLDS = 6
-_DEALS = 5
+_REPETITIONS = 5
 #: Readings for each parameter from which on what noise does to the parameters is next to nothing in any block.
 _ENOUGH = 200
 #: Noises that are drawn to know what they leave on rows held out.
@@ -33,8 +33,8 @@ _DRAWS = 999
 
 
 def repeated_folds_of(run: FittedRun, seed: int) -> list[Ints]:
-    """Folds (n,) of all rows, of each deal."""
-    return [run.blocks(_FOLDS, _DEALS * seed + k) for k in range(_DEALS)]
+    """Folds (n,) of all rows, of each repetition."""
+    return [run.blocks(_FOLDS, _REPETITIONS * seed + k) for k in range(_REPETITIONS)]
 
 
 def held_out_rms(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]) -> float:
@@ -64,13 +64,13 @@ def rms(squares: Floats, scale: Floats) -> float:
 
 
 def folds_of(view: Linearised, fold: Ints, columns: Columns | None = None) -> Folds:
-    """What was fitted, or these ``columns``, by folds (deals, n)."""
+    """What was fitted, or these ``columns``, by folds (repetitions, n)."""
     return Folds.of(columns or view.fitted, view.residual, fold)
 
 
 def squares_of(view: Linearised, fold: Ints, beside: Columns | None = None) -> tuple[Floats, Folds]:
-    """Squared errors (deals, n, m) of rows that were held out in turn, and the folds. Columns ``beside`` are fitted as
-    well, where they are given."""
+    """Squared errors (repetitions, n, m) of rows that were held out in turn, and the folds. Columns ``beside`` are
+    fitted as well, where they are given."""
 
     def fitted(rows: slice) -> Floats:
         return view.fitted(rows) if beside is None else np.concatenate([view.fitted(rows), beside(rows)], axis=2)
@@ -94,7 +94,7 @@ def by_noise_alone(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]
         return 1.0
     folds = folds_of(run.linearised(rows, (), sigma[list(run.axes)]), np.stack([fold[rows] for fold in repeated_folds]))
     rng = np.random.default_rng(seed)
-    each = [_drawn(folds.deal(k), rng) for k in range(len(repeated_folds))]
+    each = [_drawn(folds.repetition(k), rng) for k in range(len(repeated_folds))]
     told = run.data.repeatability if run.noise[1] == "repeats" else None
     if told is not None:
         free = max(sum(told.degrees_of_freedom.values()), 1)

@@ -266,7 +266,7 @@ def correlation_in_time(residual: Floats, basis: Floats, back: Ints | None = Non
         if free <= 10 or not left.any():
             return 0.0
         variance = float((left**2).sum()) / free
-        # winsorised, so that single wild rows do not decide
+        # winsorised, so that single outliers do not decide
         limit = 4.0 * np.sqrt(variance)
         left = np.clip(left, -limit, limit)
         variance = float((left**2).sum()) / free

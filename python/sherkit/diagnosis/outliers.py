@@ -2,7 +2,7 @@
 
 Repeats that agree vouch for each other and not for their pose: a wrong index, or a cube that was knocked, is wrong in
 all of them. So a row is judged together with the other readings of its pose, and by itself only where it stands apart
-from them; and each is judged by what the rows that are believed predict there, however many the others are.
+from them; and each is judged by what the inliers predict there, however many the others are.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from ..fit.set_up import set_up_mistakes
 from ..model.effect import Effect
 from ..names import listed
 from ..types import Bools, Floats, Ints
-from .believable import believable
 from .fitted_run import FittedRun
-from .judged import Judged
+from .outlier_fit import OutlierFit
+from .robust_start import robust_start
 from .stage import testable
 
 #: Fits, each without what the one before it listed.
 _FITS = 8
-#: A pause between two visits, in usual steps of time; and what part of a visit, of how many rows at least, is wild
+#: A pause between two visits, in usual steps of time; and what part of a visit, of how many rows at least, are outliers
 #: where it is taken for news.
 _PAUSE = 20.0
-_WILD_VISIT = 0.5
+_OUTLYING_VISIT = 0.5
 _FEWEST_OF_A_VISIT = 4
 #: Wrong rows that follow one another are of something that lasted where they are so many, at so many poses.
 _LASTS, _POSES = 5, 3
@@ -48,37 +48,37 @@ def without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[FittedR
     rows = testable(run, np.flatnonzero(run.whole))
     if run.is_exact:
         return run, rows[:0]
-    first, run = run, believable(run, rows)
-    wild = np.flatnonzero(run.data.outlier & ~first.data.outlier)
+    first, run = run, robust_start(run, rows)
+    outliers = np.flatnonzero(run.data.outlier & ~first.data.outlier)
     for _ in range(_FITS):
         again = gross_errors(run, effects, rows)
-        if np.array_equal(again, wild):
+        if np.array_equal(again, outliers):
             break
-        wild = again
-        run = first.without(wild) if len(wild) else first
-    return run, wild
+        outliers = again
+        run = first.without(outliers) if len(outliers) else first
+    return run, outliers
 
 
 def gross_errors_marked(fit: Fit, effects: Sequence[Effect] = ()) -> Measurements:
     """The rows of a fit with those marked that a diagnosis lists as gross errors; ``effects`` are tried beside the
     catalogue. Beside a mistake of the set-up every row may look wrong, and none is marked."""
-    _, wild = _seen_from(fit, effects)
-    return fit.data.mark_outliers(wild)
+    _, outliers = _seen_from(fit, effects)
+    return fit.data.mark_outliers(outliers)
 
 
 def warn_of_outliers(fit: Fit, effects: Sequence[Effect] = ()) -> None:
     """Warns where a fit is decided by rows that a diagnosis lists as gross errors."""
     try:
-        run, wild = _seen_from(fit, effects)
+        run, outliers = _seen_from(fit, effects)
     except FitError:
         return  # too few rows to tell
     left = [one.per_unit * float(np.sqrt(np.mean(one.residuals[one.used] ** 2))) for one in (FittedRun(fit), run)]
-    if not len(wild) or left[0] < _MATTERS * left[1]:
+    if not len(outliers) or left[0] < _MATTERS * left[1]:
         return
-    many, data = len(wild) > 1, fit.data
+    many, data = len(outliers) > 1, fit.data
     warnings.warn(
-        f"{data.source}: {data.counted}{'s' if many else ''} {spans(data.line[wild])} look{'' if many else 's'} wrong "
-        f"and {'are' if many else 'is'} in this fit: it leaves {left[0]:.4g} {run.unit}, without "
+        f"{data.source}: {data.counted}{'s' if many else ''} {spans(data.line[outliers])} look{'' if many else 's'} "
+        f"wrong and {'are' if many else 'is'} in this fit: it leaves {left[0]:.4g} {run.unit}, without "
         f"{'them' if many else 'it'} {left[1]:.4g}; leave out what a diagnosis lists (--without-outliers, "
         "without_outliers=True, study.mark_outliers()), or mark the rows by a column 'outlier' = 1",
         SherkitWarning,
@@ -97,11 +97,11 @@ def _seen_from(fit: Fit, effects: Sequence[Effect]) -> tuple[FittedRun, Ints]:
 def gross_errors(run: FittedRun, effects: Sequence[Effect], rows: Ints) -> Ints:
     """Those of these rows, sorted, that are gross errors as seen from this fit.
 
-    All that is read after a pause is no accident, it is news: a visit to the machine that is wild as a whole stays.
+    All that is read after a pause is no accident, it is news: a visit to the machine that is off as a whole stays.
     """
     view = run.linearised(rows, effects, run.noise[0][list(run.axes)])
-    wild = Judged(view, declared=run.noise[1] == "declared").wild()
-    return np.sort(rows[wild & ~_visits(view.time, wild)])
+    outliers = OutlierFit(view, declared=run.noise[1] == "declared").outliers()
+    return np.sort(rows[outliers & ~_visits(view.time, outliers)])
 
 
 def sentences(data: Measurements, rows: Ints) -> tuple[str, ...]:
@@ -109,14 +109,14 @@ def sentences(data: Measurements, rows: Ints) -> tuple[str, ...]:
     apart; each by its line in the file."""
     if not len(rows):
         return ()
-    wild = np.zeros(len(data), dtype=bool)
-    wild[rows] = True
-    judged = wild | ~data.outlier
+    outliers = np.zeros(len(data), dtype=bool)
+    outliers[rows] = True
+    counted = outliers | ~data.outlier
     group = data.groups
-    size = np.bincount(group, judged)
-    whole = (np.bincount(group, wild) == size) & (size > 1)
+    size = np.bincount(group, counted)
+    whole = (np.bincount(group, outliers) == size) & (size > 1)
     out = []
-    poses = np.flatnonzero(wild & whole[group])
+    poses = np.flatnonzero(outliers & whole[group])
     if len(poses) and data.pose is not None:
         numbers = np.unique(data.pose[poses])
         many = len(numbers) > 1
@@ -126,7 +126,7 @@ def sentences(data: Measurements, rows: Ints) -> tuple[str, ...]:
             "no noise, no effect and no smooth shape explains it; all figures here are without them. "
             "Look for a wrong index, a target that was knocked, a stage that was bumped"
         )
-    single = np.flatnonzero(wild & ~whole[group])
+    single = np.flatnonzero(outliers & ~whole[group])
     if len(single):
         what, are = (f"{len(single)} {data.counted}s", "are suspected outliers") if len(single) > 1 else (
             f"one {data.counted}", "is a suspected outlier"
@@ -154,12 +154,12 @@ def _one_value(data: Measurements, rows: Ints) -> Iterator[str]:
 def in_one_go(data: Measurements, rows: Ints) -> Ints:
     """Those of gross errors (indices of ``data``) that were read one after another, with none between that is right: no
     accidents of single readings but something that lasted."""
-    wild = np.zeros(len(data), dtype=bool)
-    wild[rows] = True
+    outliers = np.zeros(len(data), dtype=bool)
+    outliers[rows] = True
     order = np.argsort(data.order, kind="stable")
-    order = order[wild[order] | ~data.outlier[order]]
-    runs = np.split(order, np.flatnonzero(np.diff(wild[order].astype(int))) + 1)
-    lasting = (r for r in runs if len(r) >= _LASTS and wild[r[0]] and len(np.unique(data.standing[r])) >= _POSES)
+    order = order[outliers[order] | ~data.outlier[order]]
+    runs = np.split(order, np.flatnonzero(np.diff(outliers[order].astype(int))) + 1)
+    lasting = (r for r in runs if len(r) >= _LASTS and outliers[r[0]] and len(np.unique(data.standing[r])) >= _POSES)
     return np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *lasting]))
 
 
@@ -170,16 +170,16 @@ def spans(numbers: Ints) -> str:
     return listed((f"{p[0]}-{p[-1]}" if len(p) > 1 else f"{p[0]}" for p in parts), 20)
 
 
-def _visits(time: Floats | None, wild: Bools) -> Bools:
-    """Rows of visits to the machine (stretches of time with a long pause on either side) that are wild as a whole.
+def _visits(time: Floats | None, outliers: Bools) -> Bools:
+    """Rows of visits to the machine (stretches of time with a long pause on either side) that are off as a whole.
 
     When all that was read after a pause is off, that is no accident of single readings, it is news.
     """
-    out = np.zeros(len(wild), dtype=bool)
-    if time is None or len(wild) < 2:
+    out = np.zeros(len(outliers), dtype=bool)
+    if time is None or len(outliers) < 2:
         return out
     steps = np.diff(time)
     visit = np.concatenate([[0], np.cumsum(steps > _PAUSE * max(float(np.median(steps)), 1e-12))])
     count = np.bincount(visit)
-    share = np.bincount(visit, wild) / count
-    return ((share >= _WILD_VISIT) & (count >= _FEWEST_OF_A_VISIT))[visit]
+    share = np.bincount(visit, outliers) / count
+    return ((share >= _OUTLYING_VISIT) & (count >= _FEWEST_OF_A_VISIT))[visit]

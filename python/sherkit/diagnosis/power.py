@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from .scan import z_score
 from .stage import Candidate, Stage
-from .tails import rising_root
+from .tails import rising_root, z_score
 
 POWER = 0.8
 

@@ -24,6 +24,7 @@ from ..types import Floats
 from .answers import CandidateReport, Diagnosis, StepReport
 from .checked import checks_of
 from .checks import verdict_of
+from .confounding import confounded_with
 from .crossvalidation import HeldOutError, held_out
 from .enough import enough_of
 from .explanation import is_plausible
@@ -31,7 +32,6 @@ from .few_enough import few_enough
 from .findings import findings_of
 from .fitted_run import FittedRun
 from .held_out import by_noise_alone, repeated_folds_of
-from .hiding import confounded_with
 from .lack_of_fit import lack_of_fit
 from .linearised import orthonormal
 from .named import not_needed, searched
@@ -103,10 +103,10 @@ def diagnose(
 
     step("noise and outliers")
     # beside a mistake of the set-up every row may look wrong
-    run, wild = (run, np.zeros(0, dtype=np.int64)) if not look else without_outliers(run, every)
+    run, outliers = (run, np.zeros(0, dtype=np.int64)) if not look else without_outliers(run, every)
     sigma, origin = run.noise
     rows = np.flatnonzero(run.whole)
-    notes += sentences(run.data, wild)
+    notes += sentences(run.data, outliers)
     if run.is_exact:
         notes.append(
             f"every reading is what the model says, to the last digits: {run.data.source} was computed, it seems, not "
@@ -154,7 +154,7 @@ def diagnose(
     step("fitting all rows")
     at = periods_shown(found.search, found.result)
     base_stage = stage_of(run, every, rows, sigma, rho=rho, thorough=False, at=at)
-    gains = held_out(base_stage, np.stack([deal[base_stage.rows] for deal in repeated_folds]))
+    gains = held_out(base_stage, np.stack([repetition[base_stage.rows] for repetition in repeated_folds]))
 
     left = None if repeats is None else repeats if of_all is long else in_repeats(of_all, seed=seed)
     if origin != "declared":
@@ -168,8 +168,8 @@ def diagnose(
     unknown = one_unknown(run, final, found.names, run.noise[0], repeated_folds) if many else None
     slow_drift = slow_drift_of(of_all)
     checks = checks_of(
-        final, found, sigma, origin, fitness, unknown, needed, level, wild, mistakes, table, rounded, slow_drift, left,
-        contradicted, lambda: by_noise_alone(final, sigma, repeated_folds, level, seed),
+        final, found, sigma, origin, fitness, unknown, needed, level, outliers, mistakes, table, rounded, slow_drift,
+        left, contradicted, lambda: by_noise_alone(final, sigma, repeated_folds, level, seed),
         lambda: few_enough(final, sigma, repeated_folds),
     )  # fmt: skip
     verdict = verdict_of(checks, found.names)
@@ -217,7 +217,7 @@ def diagnose(
         confirmed=max((one.p for one in found.gains), default=None),
         signature=signature,
         confounded_with=confounded_with(base_stage),
-        outliers=wild,
+        outliers=outliers,
         next_poses=proposal.poses,
         advice=proposal.advice,
         notes=tuple(notes),

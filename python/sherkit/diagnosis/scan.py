@@ -23,6 +23,7 @@ from .._core import largest_under_flips
 from ..types import Floats, Ints
 from .axis_waves import AxisProducts, AxisWaves
 from .image import Image, Projected, Triangle
+from .tails import z_score
 from .waves import FilteredWaves, Products
 
 #: Directions of a shape with less than this part left after projection cannot be told from the fit.
@@ -446,14 +447,3 @@ def codes_of(poses: int, seed: int, flips: int = FLIPS) -> Ints:
     always flip together, as long as there are codes."""
     rng = np.random.default_rng(seed)
     return rng.permutation(flips)[:poses] if poses <= flips else rng.integers(0, flips, poses)
-
-
-def z_score(gain: Floats, rank: Ints | np.integer[Any], total: float | Floats, free: int) -> Floats:
-    """Wilson and Hilferty's z score of an F ratio with (rank, free - rank) degrees of freedom."""
-    k = np.maximum(rank, 1)
-    left = np.maximum(free - k, 1)
-    ratio = (gain / k) / np.maximum((total - gain) / left, 1e-300)
-    cube = np.cbrt(np.maximum(ratio, 0.0))
-    a, b = 2.0 / (9.0 * k), 2.0 / (9.0 * left)
-    z = ((1.0 - b) * cube - (1.0 - a)) / np.sqrt(a + b * cube * cube)
-    return np.where(rank > 0, z, -np.inf)

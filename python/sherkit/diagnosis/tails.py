@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ..types import Floats
+from ..types import Floats, Ints
 
 #: Halvings of an interval: to the last bit of what lies in it.
 _HALVINGS = 60
@@ -58,3 +58,14 @@ def rising_root(function: Callable[[float], float], low: float, high: float) -> 
         middle = 0.5 * (low + high)
         low, high = (low, middle) if function(middle) > 0 else (middle, high)
     return 0.5 * (low + high)
+
+
+def z_score(gain: Floats, rank: Ints | np.integer[Any], total: float | Floats, free: int) -> Floats:
+    """Wilson and Hilferty's z score of an F ratio with (rank, free - rank) degrees of freedom."""
+    k = np.maximum(rank, 1)
+    left = np.maximum(free - k, 1)
+    ratio = (gain / k) / np.maximum((total - gain) / left, 1e-300)
+    cube = np.cbrt(np.maximum(ratio, 0.0))
+    a, b = 2.0 / (9.0 * k), 2.0 / (9.0 * left)
+    z = ((1.0 - b) * cube - (1.0 - a)) / np.sqrt(a + b * cube * cube)
+    return np.where(rank > 0, z, -np.inf)

@@ -1,9 +1,9 @@
 """How far each row of a fit is from what the others predict there: by pose, by row, by a stretch of time.
 
 The start believes no row more than another (Huber, *Robust Statistics*, 1981, 7.8: a convex problem, so that where it
-starts does not matter); then the believed ones grow or shrink until they stay (blocks of rows by their predicted error:
-Billor, Hadi and Velleman, "BACON", *Computational Statistics & Data Analysis* 34, 2000). What is wild is decided by the
-expected share of false ones (Benjamini and Hochberg, *J. R. Statist. Soc. B* 57, 1995).
+starts does not matter); then the inliers grow or shrink until they stay (blocks of rows by their predicted error:
+Billor, Hadi and Velleman, "BACON", *Computational Statistics & Data Analysis* 34, 2000). What is an outlier is decided
+by the expected share of false ones (Benjamini and Hochberg, *J. R. Statist. Soc. B* 57, 1995).
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import numpy as np
 from .. import linalg
 from ..data.noise import MAD
 from ..types import Bools, Floats, Ints
-from .believable import CUT, ROUNDS, huber
 from .fitted_run import DIGITS
 from .linearised import BLOCK, Linearised, orthonormal
+from .robust_start import CUT, ROUNDS, huber
 from .shapes import Family, build
 from .tails import chi2_log_tail, chi2_tail, f_tail, normal_beyond
 
@@ -34,7 +34,7 @@ _MOST_COLUMNS = 0.15
 _ABSORBED = 1e-3
 #: What is left counts as noise up to this many times the noise.
 _LIKE_NOISE = 1.5
-#: What is wild without a column, and alone tells so much of it with it, is no witness for it.
+#: What is an outlier without a column, and alone tells so much of it with it, is no witness for it.
 _ALONE = 0.25
 #: Efficiency of a median absolute deviation.
 _MAD_EFFICIENCY = 0.37
@@ -49,13 +49,13 @@ _CUTS = 48
 _KEPT = 64e6
 
 
-class Judged:
+class OutlierFit:
     """Rows of a fit and how far each is from what the others predict there.
 
     ``e`` (n, m) are residuals, over noise that is ``declared`` or not; an item is what is judged as one: the readings
     of a pose that agree, or a row that stands apart from them. What is fitted is taken for the same in all rows of an
     item: ``basis`` (items · m, k) is orthonormal where each item weighs as much as it has rows. The rows of a
-    ``stretch`` (n,) are items of their own, which are never believed but share one error.
+    ``stretch`` (n,) are items of their own, which are never inliers but share one error.
     """
 
     def __init__(self, view: Linearised, *, declared: bool, stretch: Bools | None = None) -> None:
@@ -79,7 +79,7 @@ class Judged:
         self.noise = variance / self.count[:, None]
         self.basis = orthonormal(self._summed(self.view.fitted))
 
-    def wild(self) -> Bools:
+    def outliers(self) -> Bools:
         """Rows (n,) that are gross errors.
 
         Columns may describe a run in which much is wrong, wrong poses one to which columns belong, and either one in
@@ -90,7 +90,7 @@ class Judged:
         if items * m - self.basis.shape[1] < 10:
             return np.zeros(n, dtype=bool)
         left = huber(self.e, self._taken)
-        believed, criterion, _ = self._concentrated(left)
+        inliers, criterion, _ = self._concentrated(left)
         bumped = self._bumped(left)
         columns = self.basis.shape[1]
         for _ in range(int(_MOST_COLUMNS * items * m)):
@@ -101,17 +101,17 @@ class Judged:
             left = huber(self.e, self._taken)
         if self.basis.shape[1] > columns:
             described, lower, left_over = self._concentrated(left)
-            described = described & (believed | (self._fitted(described)[1] <= _ALONE).all(axis=1))
+            described = described & (inliers | (self._fitted(described)[1] <= _ALONE).all(axis=1))
             if lower < criterion:
-                # where more than noise is left there is structure that no column describes, and its extremes look wild
-                believed = described if left_over <= _LIKE_NOISE else described | believed
+                # where more than noise is left no column describes a structure, and its extremes look like outliers
+                inliers = described if left_over <= _LIKE_NOISE else described | inliers
                 criterion = lower
         if bumped is not None and bumped[1] < criterion:
             return bumped[0]
-        return ~believed[self.item]
+        return ~inliers[self.item]
 
     def _bumped(self, left: Floats) -> tuple[Bools, float] | None:
-        """Rows (n,) of a stretch of time that is off by one vector and comes back, with all else that is wild then, and
+        """Rows (n,) of a stretch of time that is off by one vector and comes back, with all other outliers, and
         Schwarz's criterion; None where there is none that stands out as a single reading would have to."""
         n, m = self.e.shape
         if self.view.time is None or n < 5 * _FEWEST_OF_A_STRETCH:
@@ -137,22 +137,22 @@ class Judged:
         stretch[first:last] = True
         if np.linalg.norm(tame[stretch].mean(axis=0)) < 0.5 * CUT:
             return None
-        other = Judged(self.view, declared=self.declared, stretch=stretch)
-        believed, criterion, _ = other._concentrated(left)
-        return (~believed[other.item], criterion) if np.isfinite(criterion) else None
+        other = OutlierFit(self.view, declared=self.declared, stretch=stretch)
+        inliers, criterion, _ = other._concentrated(left)
+        return (~inliers[other.item], criterion) if np.isfinite(criterion) else None
 
     def _concentrated(self, left: Floats) -> tuple[Bools, float, float]:
-        """Items that are believed, from a start that leaves ``left`` (n, m); Schwarz's criterion of the fit to them,
-        whatever is not believed having parameters of its own; and what it leaves of them over their noise."""
-        believed = self._nearer_half(self.mean(left)) & ~self.moved
+        """Inliers, from a start that leaves ``left`` (n, m); Schwarz's criterion of the fit to them,
+        whatever is none having parameters of its own; and what it leaves of them over their noise."""
+        inliers = self._nearer_half(self.mean(left)) & ~self.moved
         for robust in (True, False):
-            # the spread of all that is believed is known better than a median, but only once the wild ones are out
+            # the spread of the inliers is known better than a median, but only once the outliers are out
             for _ in range(ROUNDS):
-                mean, hat = self._fitted(believed)
-                now = ~self._far(mean, hat, believed, robust=robust) & ~self.moved
-                if np.array_equal(now, believed):
+                mean, hat = self._fitted(inliers)
+                now = ~self._far(mean, hat, inliers, robust=robust) & ~self.moved
+                if np.array_equal(now, inliers):
                     break
-                believed = now
+                inliers = now
         items, m = mean.shape
         squares, freedom = (mean[now] ** 2).sum(axis=0), (self.noise[now] * (1.0 - hat[now])).sum(axis=0)
         # where the fit leaves no freedom, whatever is left is infinitely more than that
@@ -364,24 +364,24 @@ class Judged:
         distance = (square / np.maximum(np.median(square, axis=0), self.floor**2)).sum(axis=1)
         return distance <= np.median(distance)
 
-    def _fitted(self, believed: Bools) -> tuple[Floats, Floats]:
-        """What a fit to the believed items leaves of each one's mean (items, m), and the variance of its predictions
+    def _fitted(self, inliers: Bools) -> tuple[Floats, Floats]:
+        """What a fit to the inliers leaves of each one's mean (items, m), and the variance of its predictions
         (items, m) over that of such a mean."""
         m = self.e.shape[1]
         q = self.basis.reshape(len(self.count), m, -1)
-        part = q[believed].reshape(-1, q.shape[2])
+        part = q[inliers].reshape(-1, q.shape[2])
         root_count = np.sqrt(self.count)[:, None]
         value, vector = linalg.eigh(part.T @ part)
-        # what the believed ones do not tell is not held against the others
+        # what the inliers do not tell is not held against the others
         root = vector / np.sqrt(np.maximum(value, 1e-9))
-        x = root @ (root.T @ (part.T @ (root_count * self._mean_residual)[believed].reshape(-1)))
+        x = root @ (root.T @ (part.T @ (root_count * self._mean_residual)[inliers].reshape(-1)))
         hat = ((self.basis @ root) ** 2).sum(axis=1).reshape(-1, m)
         return self._mean_residual - (self.basis @ x).reshape(-1, m) / root_count, hat
 
-    def _far(self, mean: Floats, hat: Floats, believed: Bools, *, robust: bool) -> Bools:
-        """Items that are further off than chance takes them, given the spread of those believed."""
+    def _far(self, mean: Floats, hat: Floats, inliers: Bools, *, robust: bool) -> Bools:
+        """Items that are further off than chance takes them, given the spread of the inliers."""
         m = mean.shape[1]
-        free = np.where(believed[:, None], np.maximum(1.0 - hat, _LEAST_FREE), 1.0 + hat)
+        free = np.where(inliers[:, None], np.maximum(1.0 - hat, _LEAST_FREE), 1.0 + hat)
         square = mean**2 / free
         # an item of more readings is known better, as far as its readings differ among themselves
         each = self.within**2 / self.count[:, None]
@@ -389,11 +389,11 @@ class Judged:
             spread, usual = MAD**2 * np.median(square, axis=0), np.median(each, axis=0)
             freedom = _MAD_EFFICIENCY * len(mean)
         else:
-            # of each item, that of the others: a wild one would hide in its own
-            others = believed.sum() - believed[:, None]
-            spread = (square[believed].sum(axis=0) - np.where(believed[:, None], square, 0.0)) / others
-            usual = each[believed].mean(axis=0)
-            freedom = float((1.0 - hat[believed]).sum(axis=0).clip(2.0).mean()) - 1.0
+            # of each item, that of the others: an outlier would hide in its own
+            others = inliers.sum() - inliers[:, None]
+            spread = (square[inliers].sum(axis=0) - np.where(inliers[:, None], square, 0.0)) / others
+            usual = each[inliers].mean(axis=0)
+            freedom = float((1.0 - hat[inliers]).sum(axis=0).clip(2.0).mean()) - 1.0
         variance = np.maximum(spread + each - usual, 0.5 * each)
         distance = (square / np.maximum(variance, self.floor**2)).sum(axis=1)
         p = f_tail(distance / m, m, max(freedom, 1.0))

@@ -77,7 +77,7 @@ class SourceFile:
 
 
 @dataclass(frozen=True, eq=False)
-class Story:
+class Report:
     """What a report tells. ``study`` is at the state that is told last; ``found`` was asked of ``found.base``.
 
     ``calibration`` is what the report says how to use; ``result`` a calibration run with its tables. ``command`` makes
@@ -98,15 +98,15 @@ class Story:
     remarks: Sequence[str] = field(default_factory=tuple)
 
 
-def write_report(story: Story, path: str | Path) -> None:
+def write_report(report: Report, path: str | Path) -> None:
     """Writes the report as one HTML file. Raises :class:`~sherkit.errors.NotWritten`."""
-    write_whole(path, html(story))
+    write_whole(path, html(report))
 
 
-def html(story: Story) -> str:
+def html(report: Report) -> str:
     """The report as HTML. Every text from files is escaped."""
-    pictures, swaps, atlas = _pictures(story)
-    cards, other_cards = _cards(story, atlas)
+    pictures, swaps, atlas = _pictures(report)
+    cards, other_cards = _cards(report, atlas)
     nonce = fresh_nonce()
     script, places = components(in_one_document({name: one.root for name, one in pictures.items()}))
     resources = Resources(mode="inline", components=["bokeh"])
@@ -122,27 +122,27 @@ def html(story: Story) -> str:
         "rms": _rms,
         "known": stated,
     }
-    return environment.get_template("story.html").render(
-        story=story,
-        found=story.found,
-        study=story.study,
-        said=story.found.findings,
+    return environment.get_template("report.html").render(
+        report=report,
+        found=report.found,
+        study=report.study,
+        said=report.found.findings,
         questions={"APART": APART, "NEXT": NEXT},
-        answer={one.about: one for one in story.found.findings},
+        answer={one.about: one for one in report.found.findings},
         cards=cards,
         other_cards=other_cards,
-        space=_space(story),
+        space=_space(report),
         scene_script=scene_script(),
-        lines=_error_lines(story),
-        parameters=_parameter_lines(story),
-        directions=[str(d) for d in getattr(story.study.fit, "badly_observed", ())],
-        unobserved=[str(d) for d in getattr(story.study.fit, "unobserved", ())],
-        accuracy=_accuracy_lines(story.calibration),
-        coordinates=_together(story.calibration.coordinates) if story.calibration else "",
-        bars=_bars(story),
+        lines=_error_lines(report),
+        parameters=_parameter_lines(report),
+        directions=[str(d) for d in getattr(report.study.fit, "badly_observed", ())],
+        unobserved=[str(d) for d in getattr(report.study.fit, "unobserved", ())],
+        accuracy=_accuracy_lines(report.calibration),
+        coordinates=_together(report.calibration.coordinates) if report.calibration else "",
+        bars=_bars(report),
         printed_map=_printed(pictures["residual_map"]),
-        example=_example(story.calibration),
-        measured=_measured(story),
+        example=_example(report.calibration),
+        measured=_measured(report),
         notes={name: one.note for name, one in pictures.items()},
         places=places,
         nonce=nonce,
@@ -152,9 +152,9 @@ def html(story: Story) -> str:
         swaps=_in_script(swaps) if swaps else None,
         variables=[(k, quantity(name)) for k, name in enumerate(swaps["variables"])] if swaps else [],
         titles=list(enumerate(swaps["titles"])) if swaps else [],
-        still=_still(story),
-        machine=_in_script(story.found.to_json()),
-        required=required_um(story.study.robot),
+        still=_still(report),
+        machine=_in_script(report.found.to_json()),
+        required=required_um(report.study.robot),
         versions=[("sherkit", _core.__version__), ("Python", platform.python_version()),
                   *((name, version(name)) for name in ("numpy", "scipy", "polars", "bokeh"))],
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -181,9 +181,9 @@ def _printed(picture: Picture[Any]) -> str:
     return f"{min(1.0, _PAGE_PX / sum(rows.values())):.2f}"
 
 
-def _bars(story: Story) -> list[tuple[str, str, float]]:
+def _bars(report: Report) -> list[tuple[str, str, float]]:
     """Before, after, noise and what is needed as bars: key, name and length of each."""
-    found, needed = story.found, required_um(story.study.robot)
+    found, needed = report.found, required_um(report.study.robot)
     out = [("error-before", "error as it came", found.steps[0].held_out_rms)]
     if len(found.steps) > 1:
         out.append(("error-after", f"with {listed(found.effects)}", found.steps[-1].held_out_rms))
@@ -203,9 +203,9 @@ def _together(names: Sequence[str]) -> str:
     return f"{listed([label for label, _ in pairs])} in {units.pop()}"
 
 
-def _cards(story: Story, atlas: Atlas | None) -> tuple[list[str], list[tuple[str, str]]]:
+def _cards(report: Report, atlas: Atlas | None) -> tuple[list[str], list[tuple[str, str]]]:
     """The cards of the effects that are missing; by name, those of effects that these poses cannot tell from them."""
-    found, study = story.found, story.study
+    found, study = report.found, report.study
     every = {**found.base.model.known_effects, **found.base.model.held, **study.own}
     inside = {e.name: e for e in study.fit.model.effects}
 
@@ -219,23 +219,23 @@ def _cards(story: Story, atlas: Atlas | None) -> tuple[list[str], list[tuple[str
     return [card(name) for name in found.effects if name in every], [(name, card(name)) for name in others]
 
 
-def _space(story: Story) -> str:
+def _space(report: Report) -> str:
     """The errors before and after in three dimensions; nothing where the run says no places."""
-    base, last = story.found.base, story.study.fit
-    titles = ("as it came", title_of(story.study.effects) if story.study.effects else "as it is now")
-    scene = space_of(base, last, titles, story.calibration)
+    base, last = report.found.base, report.study.fit
+    titles = ("as it came", title_of(report.study.effects) if report.study.effects else "as it is now")
+    scene = space_of(base, last, titles, report.calibration)
     return "" if scene is None else scene.html()
 
 
-def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | None, Atlas | None]:
+def _pictures(report: Report) -> tuple[dict[str, Picture[Any]], dict[str, Any] | None, Atlas | None]:
     """All pictures that these rows allow, the tables to switch them by, and what the effects look like."""
-    study, found = story.study, story.found
+    study, found = report.study, report.found
     base, last = drawn(found.base), drawn(study.fit)
     before, after = residuals_of(base), residuals_of(last)
     out: dict[str, Picture[Any]] = {}
     swaps: dict[str, Any] | None = None
     atlas: Atlas | None = None
-    states, now = _states(story, base)
+    states, now = _states(report, base)
     chosen = states[now]
     out["residual_map"] = residual_map(Change(before, chosen.left, states[0].title, chosen.title))
     if before.variables:
@@ -251,8 +251,8 @@ def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | N
     out["correlations"] = correlations(study.fit)
     if getattr(study.fit, "badly_observed", ()):
         out["directions"] = directions(study.fit)
-    if story.calibration is not None:
-        out["accuracy"] = accuracy_map(accuracy_of(story.calibration))
+    if report.calibration is not None:
+        out["accuracy"] = accuracy_map(accuracy_of(report.calibration))
     if found.next_poses:
         out["next_poses"] = next_poses(NextPoses(found.next_poses, before))
     out["noise_before"], out["noise_after"] = noise_picture(before), noise_picture(after)
@@ -263,10 +263,10 @@ def _pictures(story: Story) -> tuple[dict[str, Picture[Any]], dict[str, Any] | N
     return out, swaps, atlas
 
 
-def _states(story: Story, base: Fit) -> tuple[list[State], int]:
+def _states(report: Report, base: Fit) -> tuple[list[State], int]:
     """What a reader can switch between, and which of them the study stands at: the first one where nothing was added
     to the model that was diagnosed, ``base`` on the rows that are drawn."""
-    study, found = story.study, story.found
+    study, found = report.study, report.found
     known = tuple(e.name for e in base.model.effects)
     path = {s.effects: drawn(s.fit) for s in study.history if s.fit is not None and set(s.effects) > set(known)}
     states = states_of(found, known, path, tuple(study.own.values()), base)
@@ -279,9 +279,9 @@ def _leading(found: Diagnosis, left: Residuals) -> str:
     return known[0] if known else next(iter(left.variables))
 
 
-def _still(story: Story) -> str | None:
+def _still(report: Report) -> str | None:
     """The residual map as plain SVG, for readers without JavaScript."""
-    before, after = residuals_of(drawn(story.found.base)), residuals_of(drawn(story.study.fit))
+    before, after = residuals_of(drawn(report.found.base)), residuals_of(drawn(report.study.fit))
     names = list(before.place)
     if len(names) < 2 or before.unit != "µm" or len(before.names) < 3:
         return None
@@ -296,9 +296,9 @@ def _still(story: Story) -> str | None:
     return residual_maps(panels, "Measured minus predicted. Arrows: x and y; blue: lower, orange: higher.")
 
 
-def _measured(story: Story) -> list[tuple[str, str]]:
+def _measured(report: Report) -> list[tuple[str, str]]:
     """What was measured, as pairs of a question and its answer."""
-    data, left = story.study.data, residuals_of(story.study.fit)
+    data, left = report.study.data, residuals_of(report.study.fit)
     poses = len(np.unique(data.groups))
     repeats = f"{len(data) / poses:.3g} readings of each on average" if poses < len(data) else "each read once"
     out = [("run", data.source), ("rows", f"{len(data)} at {poses} poses, {repeats}")]
@@ -309,28 +309,28 @@ def _measured(story: Story) -> list[tuple[str, str]]:
         "declared": "as the file declares",
         "repeats": "from repeats of poses",
         "unknown": "unknown: neither repeats nor declared; this is what the model leaves",
-    }[story.found.noise_origin]
-    noise = ", ".join(f"{axis} {number(value)} {story.found.unit}" for axis, value in story.found.noise.items())
+    }[report.found.noise_origin]
+    noise = ", ".join(f"{axis} {number(value)} {report.found.unit}" for axis, value in report.found.noise.items())
     out.append(("noise of a reading (1 σ)", f"{noise}, {origin}"))
-    if story.found.correlation_in_time:
-        out.append(("correlation of the noise", f"{story.found.correlation_in_time:.2f} from row to row"))
+    if report.found.correlation_in_time:
+        out.append(("correlation of the noise", f"{report.found.correlation_in_time:.2f} from row to row"))
     columns = [n for n in left.variables if n not in left.place]
     out.append(("further columns", listed(columns, 20) or "none"))
     if data.outlier.any():
         out.append(("marked as outliers, not fitted", f"{left.counted}s {listed(data.line[data.outlier], 30)}"))
-    if len(story.found.outliers):
-        out.append(("suspected outliers", f"{left.counted}s {listed(data.line[story.found.outliers], 30)}"))
-    out += [(note.name, note.text) for note in calibration_class(story.study.robot).about(story.study.fit)]
-    return out + [("remark", text) for text in story.remarks]
+    if len(report.found.outliers):
+        out.append(("suspected outliers", f"{left.counted}s {listed(data.line[report.found.outliers], 30)}"))
+    out += [(note.name, note.text) for note in calibration_class(report.study.robot).about(report.study.fit)]
+    return out + [("remark", text) for text in report.remarks]
 
 
-def _error_lines(story: Story) -> list[dict[str, Any]]:
+def _error_lines(report: Report) -> list[dict[str, Any]]:
     """Table I of every run: lines with their cells, the paper's beside them in a simulation of its experiments."""
     out = []
-    if story.result is not None:
-        for key, one in (("whole", story.result.whole), ("local", story.result.local)):
+    if report.result is not None:
+        for key, one in (("whole", report.result.whole), ("local", report.result.local)):
             if one is not None:
-                out.append(_table_one(one, key, story.printed.get(key, {})))
+                out.append(_table_one(one, key, report.printed.get(key, {})))
     return out
 
 
@@ -354,8 +354,8 @@ def _table_one(run: CalibrationRun, key: str, beside: Mapping[str, Mapping[str, 
     return {"title": title, "axes": [a.rsplit("_", 1)[0] for a in axes], "unit": unit, "rows": rows}
 
 
-def _parameter_lines(story: Story) -> list[tuple[str, str, str, str, str, str]]:
-    fit = story.study.fit
+def _parameter_lines(report: Report) -> list[tuple[str, str, str, str, str, str]]:
+    fit = report.study.fit
     forms, told = known(fit), set[str]()
     out = []
     for p, v, r, s in zip(fit.parameters, fit.values, fit.std_from_readings, fit.std, strict=True):

@@ -1,4 +1,4 @@
-"""A fit to start from that wild rows have not ruined."""
+"""A fit to start from that outliers have not ruined."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CUT = 1.5
 ROUNDS = 20
 
 
-def believable(run: FittedRun, rows: Ints) -> FittedRun:
+def robust_start(run: FittedRun, rows: Ints) -> FittedRun:
     """The fit, or where gross errors have ruined it another one, from the drawing and without what stands apart there.
 
     It is ruined where it did not end, or where the median row is further off than before the fit.
@@ -62,7 +62,7 @@ def believable(run: FittedRun, rows: Ints) -> FittedRun:
 
 
 def _robust_step(residual: Floats, columns: Floats, floor: Floats) -> Floats:
-    """The linear step (p,) that residuals (n, m) ask for, wild ones cut to size; ``floor`` (m,) is what digits do."""
+    """The linear step (p,) that residuals (n, m) ask for, outliers cut to size; ``floor`` (m,) is what digits do."""
     spread = np.maximum(MAD * np.median(np.abs(residual), axis=0), floor)
     e = residual / spread
     a = (columns / spread[:, None]).reshape(e.size, -1)
@@ -73,7 +73,7 @@ def _robust_step(residual: Floats, columns: Floats, floor: Floats) -> Floats:
 
 
 def huber(e: Floats, fitted: Callable[[Floats], Floats]) -> Floats:
-    """What a fit leaves of residuals (n, m) when wild ones are cut to size; ``fitted`` is what it takes of any."""
+    """What a fit leaves of residuals (n, m) when outliers are cut to size; ``fitted`` is what it takes of any."""
     left = e
     before = np.inf
     for _ in range(5 * ROUNDS):
