@@ -8,9 +8,8 @@ from pathlib import Path
 import click
 
 from ..data.files import write_whole
-from ..errors import SherkitError
-from ..robots.tool_file import is_tool
 from . import output, reporting
+from .machine_file import own_way_of
 
 #: The file in the study's folder by which a browser finds the page.
 _LEADS = ".page.html"
@@ -36,13 +35,8 @@ def app(
     Of a flexible tool the page is the story of its run.
     """
     reporting.require_view()
-    if is_tool(robot):
-        if folder is not None or fresh or run_typed or follow:
-            raise SherkitError(f"{robot}: the page of a flexible tool's run is one file, beside RUN; give "
-                               "TOOL and RUN, and --effects for effects of your own")  # fmt: skip
-        from .tool_page import show_tool
-
-        show_tool(robot, run, files, opened=not no_open)
+    if (own_way := own_way_of(robot, "app")) is not None:
+        own_way(run, files, opened=not no_open)
         return
     from ..app.server import PageServer, is_loopback  # Bokeh takes a second to load
     from ..app.workbench import Workbench

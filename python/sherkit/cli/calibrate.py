@@ -18,10 +18,9 @@ from ..model.effect_file import load_effects
 from ..model.kinds import catalogue_of
 from ..model.robot_file import run_for
 from ..robots.machine.file import robot_at
-from ..robots.tool_file import is_tool
 from ..study import Study
 from . import output, reporting, tables
-from .output import refuse_given
+from .machine_file import own_way_of
 from .reporting import report_option
 
 NOT_CONVERGED = 3
@@ -68,11 +67,8 @@ def calibrate(
 
     ROBOT may be the Python file of a machine, which is run.
     """
-    if is_tool(robot):
-        refuse_given("robot", "run", "destination", why="is not for the known loads of a flexible tool")
-        from .tool import calibrate_tool
-
-        calibrate_tool(robot, run, destination)
+    if (own_way := own_way_of(robot, "calibrate")) is not None:
+        own_way(run, destination)
         return 0
     if report is not None:
         reporting.require_view()

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import reduce
 from pathlib import Path
 
 import click
 
 from ..data.files import write_whole
-from ..data.joined import joined
 from ..diagnosis import Diagnosis, template
 from ..diagnosis import diagnose as run_diagnosis
-from ..errors import SherkitError
 from ..fit.identify import identify
 from ..model.effect import effects_by_name
 from ..model.effect_file import load_effects
-from ..model.kinds import model_of
-from ..model.robot_file import run_for
-from ..robots.machine.file import robot_at
-from ..robots.tool_file import is_tool
-from ..study import Study
 from . import output, reporting
 from .diagnosis_tables import diagnosis as print_diagnosis
+from .machine_file import machine_at
 from .reporting import report_option
 
 
@@ -48,34 +40,28 @@ def diagnose(
     """
     if report is not None:
         reporting.require_view()
-    if is_tool(robot):
-        _tool(robot, runs, as_json=as_json, added=added, files=files, level=level, seed=seed, written=written,
-              destination=destination, report=report)  # fmt: skip
-        return
-    if written is not None:
-        raise SherkitError("--output: is for a flexible tool; sherkit calibrate --effect NAME -o writes a calibration")
-    nominal, for_runs = robot_at(robot)
+    machine = machine_at(robot)
+    machine.require_writable(written)
     own = tuple(effect for path in files for effect in load_effects(path))
     with output.steps(12) as step:
         step(f"reading {runs[0]}")
-        data = reduce(joined, (run_for(for_runs, run) for run in runs))
+        model, data = machine.read(runs)
         step("identifying the model as it is")
-        plain = model_of(nominal)
-        fit = identify(replace(plain, effects=effects_by_name(plain.known_effects, added, own)), data)
+        fit = identify(model, data, effects=effects_by_name(model.known_effects, added, own))
         found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)
         if report is not None:
             step("writing the report")
-            study = Study(nominal, data, effects=own, seed=seed)
-            for name in (*added, *found.effects):
-                study.add(name)
             title = f"What is {robot.stem} missing on {runs[0].name}?"
-            reporting.write(report, title, study, found, (robot, *runs, *files))
+            machine.report(report, title, found, own=own, added=added, seed=seed, sources=(robot, *runs, *files))
+    said = [] if written is None else machine.write(written, found)
     if as_json:
         output.print_json(found.to_json())
     else:
-        print_diagnosis(found, *((robot, *runs) if len(runs) == 1 else ()))
-    if report is not None and not as_json:
-        output.say(f"\nthe report is in {report}")
+        print_diagnosis(found, *machine.told(runs))
+        if said:
+            output.say("\n" + "\n".join(f"   {sentence}" for sentence in said))
+        if report is not None:
+            output.say(f"\nthe report is in {report}")
     _write_template(found, destination, as_json=as_json)
 
 
@@ -87,44 +73,3 @@ def _write_template(found: Diagnosis, destination: Path | None, *, as_json: bool
             output.say(f"\na template of this effect is in {destination}")
     elif destination is not None and not as_json:
         output.say("\nnothing is left that would need a template")
-
-
-def _tool(
-    path: Path, runs: tuple[Path, ...], *, as_json: bool, added: tuple[str, ...], files: tuple[Path, ...], level: float,
-    seed: int, written: Path | None, destination: Path | None, report: Path | None,
-) -> None:  # fmt: skip
-    """A run of a flexible tool against its camera."""
-    from ..robots.tool.applied import applied
-    from ..robots.tool.filters import estimate as estimate_tool
-    from ..robots.tool.model import ToolModel
-    from ..robots.tool.runs import read_tool_run
-    from ..robots.tool.tool import load_tool
-    from .tool import say_applied, write_tool_report
-
-    if len(runs) > 1:
-        raise SherkitError(f"{runs[1]}: runs of a flexible tool are diagnosed one at a time")
-    own = tuple(effect for file in files for effect in load_effects(file))
-    with output.steps(12) as step:
-        step(f"reading {runs[0]}")
-        model = ToolModel(load_tool(path), read_tool_run(runs[0]))
-        step("fitting the camera's offset")
-        candidates = {e.name: e for e in model.candidates}
-        fit = identify(model, model.readings, effects=effects_by_name(candidates, added, own))
-        found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)
-    told = applied(model, found.fit)
-    if report is not None:
-        title = f"What is {path.stem} missing on {runs[0].name}?"
-        write_tool_report(report, title, found, estimate_tool(told.tool, model.run), told)
-    if written is not None:
-        told.tool.save(written)
-    if as_json:
-        output.print_json(found.to_json())
-    else:
-        print_diagnosis(found)
-        if written is not None:
-            output.say("")
-            say_applied(told)
-            output.say(f"   the tool is in {written}")
-        if report is not None:
-            output.say(f"\nthe report is in {report}")
-    _write_template(found, destination, as_json=as_json)

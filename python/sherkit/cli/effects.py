@@ -9,14 +9,13 @@ import click
 from ..data.files import write_whole
 from ..errors import SherkitError
 from ..model.effect import Effect, effects_by_name
-from ..model.kinds import Robot, catalogue_of, known_kinds
-from ..robots.machine.file import robot_at
+from ..model.kinds import Robot, known_kinds
 from ..robots.tool.effects import TOOL_CATALOGUE
-from ..robots.tool_file import KIND, is_tool
 from . import output, reporting
 from .demo import EXAMPLE
+from .machine_file import machine_at
 
-_OF_TOOL = "the flexible tool and its camera"
+_TOOL, _OF_TOOL = "flexible_tool", "the flexible tool and its camera"
 
 
 @click.command()
@@ -29,13 +28,11 @@ _OF_TOOL = "the flexible tool and its camera"
 )
 def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
     """List the physical effects that can be found and added; with NAME, show one."""
-    nominal = None
-    if robot is not None:
-        nominal = None if is_tool(robot) else robot_at(robot)[0]
-    catalogues = {name: kind.model.catalogue for name, kind in known_kinds().items()} | {KIND: TOOL_CATALOGUE}
-    if robot is not None:
-        kind = KIND if nominal is None else nominal.kind
-        catalogues = {kind: catalogues[kind] if nominal is None else dict(catalogue_of(nominal))}
+    machine = None if robot is None else machine_at(robot)
+    nominal = None if machine is None else machine.drawn_on
+    catalogues = {name: kind.model.catalogue for name, kind in known_kinds().items()} | {_TOOL: TOOL_CATALOGUE}
+    if machine is not None:
+        catalogues = {machine.kind: dict(machine.catalogue)}
     if name is None:
         for kind, catalogue in catalogues.items():
             made = output.table(_title(kind), "effect", "link", "parameters", "needs")

@@ -15,10 +15,8 @@ from ..robots.files import load_calibration
 from ..robots.printer.back import commands, held, write_klipper_config
 from ..robots.printer.calibration import PrinterCalibration
 from ..robots.printer.robot import FIRMWARES
-from ..robots.tool.c_header import c_header
-from ..robots.tool.tool import load_tool
-from ..robots.tool_file import is_tool
 from . import output
+from .machine_file import own_way_of
 
 
 @click.command()
@@ -39,7 +37,7 @@ def export(what: tuple[str, ...], destination: Path, config: Path | None) -> Non
     elif len(what) == 2 and what[0] in FIRMWARES:
         _printer(what[0], Path(what[1]), destination, config)
     elif len(what) == 2 and what[0] == "c":
-        (_tool if is_tool(Path(what[1])) else _robot)(Path(what[1]), destination)
+        _c(Path(what[1]), destination)
     else:
         raise click.UsageError(
             "expected the file of a run; c and the file of a calibration or a flexible tool; or a firmware and the "
@@ -47,20 +45,13 @@ def export(what: tuple[str, ...], destination: Path, config: Path | None) -> Non
         )
 
 
-def _robot(calibration: Path, destination: Path) -> None:
-    """A calibrated robot as a C header."""
+def _c(calibration: Path, destination: Path) -> None:
+    """A calibrated robot, or a machine that has a header of its own, as a C header."""
+    if (own_way := own_way_of(calibration, "export")) is not None:
+        own_way(destination)
+        return
     write_whole(destination, calibration_header(load_calibration(calibration), calibration.name))
     output.say(f"{destination} written; cc loop.c $(sherkit c --cflags --libs) links it (sherkit c --example FOLDER)")
-
-
-def _tool(file: Path, destination: Path) -> None:
-    """A flexible tool as a C header."""
-    made = load_tool(file)
-    if made.noise != "propagated":
-        output.warn(f"{file}: noise '{made.noise}' is for comparisons; the loop in C runs the filter of 'propagated'")
-    header = c_header(made, file.name)
-    write_whole(destination, header)
-    output.say(f"{destination} written; a loop includes it: cc loop.c $(sherkit c --cflags --libs)")
 
 
 def _printer(firmware: str, calibration: Path, destination: Path, config: Path | None) -> None:

@@ -14,10 +14,9 @@ from ..errors import SherkitError
 from ..model.kinds import Option, Robot, SeenInPictures, kind_of, known_kinds
 from ..model.robot_file import load_robot
 from ..names import listed
-from ..robots.tool.tool import load_tool
-from ..robots.tool.virtual import EXPERIMENTS, VirtualTool
-from ..robots.tool_file import is_tool
+from ..robots.tool.virtual import EXPERIMENTS
 from . import output
+from .machine_file import own_way_of
 from .vision import require_vision
 
 
@@ -63,8 +62,8 @@ def simulate(
     truth: Path | None, experiment: str, seconds: float, **given: Any,
 ) -> None:  # fmt: skip
     """Simulate a run of ROBOT (TOML) with planted errors, or of a flexible tool (see --experiment)."""
-    if is_tool(robot):
-        _tool(robot, destination, experiment, seconds, seed, given)
+    if (own_way := own_way_of(robot, "simulate")) is not None:
+        own_way(destination, experiment=experiment, seconds=seconds, seed=seed, given=given)
         return
     nominal = load_robot(robot)
     data, planted = _run(robot, nominal, poses, repeats, order, errors, seed, given)
@@ -73,25 +72,6 @@ def simulate(
     if truth is not None:
         write_whole(truth, tomli_w.dumps(planted))
         output.say(f"planted errors written to {truth}", destination)
-
-
-def _tool(path: Path, destination: Path, experiment: str, seconds: float, seed: int, given: dict[str, Any]) -> None:
-    """A run of the flexible tool as its file has it."""
-    wrong = [f"--{name.replace('_', '-')}" for name, value in given.items() if value is not None]
-    if wrong:
-        raise SherkitError(f"{path}: is a flexible tool; {listed(wrong)} is not for that kind")
-    virtual = VirtualTool(load_tool(path))
-    if experiment == "bench":
-        loads = virtual.bench(seed=seed)
-        loads.save(destination)
-        output.say(f"{len(loads)} loads written to {destination}", destination)
-        return
-    if experiment == "free":
-        run = virtual.free_motion(seconds=seconds, seed=seed)
-    else:
-        run = virtual.run(experiment, seconds=seconds, seed=seed)
-    run.save(destination)
-    output.say(f"{len(run)} rows and {len(run.camera_time_s)} pictures written to {destination}", destination)
 
 
 def _run(

@@ -24,10 +24,11 @@ from ...data.toml import Table, read_toml
 from ...errors import RobotError
 from ...saved import Saved
 from ...types import Floats
-from ..tool_file import KIND
 
 Triple = tuple[float, float, float]
 
+#: The key ``kind`` of its file.
+KIND = "flexible_tool"
 NOISES = ("propagated", "ebrahimi_2020", "ebrahimi_2020_of_force")
 BENDINGS = ("exact", "small")
 #: Fibres stand at 120° around the shaft; a moment of 1 mN·mm shifts the wavelength opposite to it by this, nm.

@@ -1,0 +1,148 @@
+"""The file of a machine that a person gave to a verb: whatever its kind, the verbs ask it the same."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, reduce
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+from ..data import Measurements
+from ..data.joined import joined
+from ..diagnosis import Diagnosis
+from ..errors import SherkitError
+from ..model.base import ModelWithEffects
+from ..model.effect import Effect
+from ..model.kinds import Robot, catalogue_of, model_of
+from ..model.robot_file import run_for
+from ..robots.machine.file import robot_at
+from ..study import Study
+from . import reporting
+
+#: Machines that are no robots with joints, by the key ``kind`` of their file: where their :class:`MachineFile` is,
+#: which is loaded only for one of them.
+_OTHERS = {"flexible_tool": ("sherkit.cli.tool_file", "ToolFile")}
+
+
+class MachineFile(Protocol):
+    """What verbs ask of a machine by its file."""
+
+    #: The name of its kind.
+    kind: str
+    #: Verbs that it answers in a way of its own, by name: with what a person typed.
+    own_ways: Mapping[str, Callable[..., None]]
+
+    @property
+    def catalogue(self) -> Mapping[str, Effect]:
+        """Its effects by name."""
+        ...
+
+    @property
+    def drawn_on(self) -> Robot | None:
+        """The robot that an effect is drawn on."""
+        ...
+
+    def read(self, runs: Sequence[Path]) -> tuple[ModelWithEffects, Measurements]:
+        """Its model as it is, and the rows to compare it with."""
+        ...
+
+    def told(self, runs: Sequence[Path]) -> tuple[Path, ...]:
+        """The files that the next command of a diagnosis names, where it is one of theirs."""
+        ...
+
+    def require_writable(self, destination: Path | None) -> None:
+        """Refuses a file ``--output`` of a diagnosis where a diagnosis writes none."""
+        ...
+
+    def write(self, destination: Path, found: Diagnosis) -> list[str]:
+        """Writes what was named into a file of the next run; sentences on what was written."""
+        ...
+
+    def report(
+        self, path: Path, title: str, found: Diagnosis, *, own: Sequence[Effect], added: Sequence[str], seed: int,
+        sources: Sequence[Path],
+    ) -> None:  # fmt: skip
+        """Writes the report of a diagnosis."""
+        ...
+
+
+class RobotFile:
+    """A robot, an arm, a printer, a machine of the user's."""
+
+    #: None: a verb's body is about robots.
+    own_ways: Mapping[str, Callable[..., None]] = {}
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.nominal, self.for_runs = robot_at(path)
+        self.kind = self.nominal.kind
+
+    @cached_property
+    def catalogue(self) -> Mapping[str, Effect]:
+        """Its effects by name."""
+        return catalogue_of(self.nominal)
+
+    @property
+    def drawn_on(self) -> Robot | None:
+        """The robot that an effect is drawn on: itself."""
+        return self.nominal
+
+    def read(self, runs: Sequence[Path]) -> tuple[ModelWithEffects, Measurements]:
+        """Its model as drawn, and all runs joined."""
+        self.data = reduce(joined, (run_for(self.for_runs, run) for run in runs))
+        return model_of(self.nominal), self.data
+
+    def told(self, runs: Sequence[Path]) -> tuple[Path, ...]:
+        """Robot and run, of one run."""
+        return (self.path, *runs) if len(runs) == 1 else ()
+
+    def require_writable(self, destination: Path | None) -> None:
+        """A robot's calibration is a verb of its own."""
+        if destination is not None:
+            raise SherkitError(
+                "--output: is for a flexible tool; sherkit calibrate --effect NAME -o writes a calibration"
+            )
+
+    def write(self, destination: Path, found: Diagnosis) -> list[str]:
+        """Nothing: a calibration is a verb of its own."""
+        self.require_writable(destination)
+        del found
+        return []
+
+    def report(
+        self, path: Path, title: str, found: Diagnosis, *, own: Sequence[Effect], added: Sequence[str], seed: int,
+        sources: Sequence[Path],
+    ) -> None:  # fmt: skip
+        """The report of a study that has all that was named."""
+        study = Study(self.nominal, self.data, effects=own, seed=seed)
+        for name in (*added, *found.effects):
+            study.add(name)
+        reporting.write(path, title, study, found, sources)
+
+
+def machine_at(path: Path) -> MachineFile:
+    """The machine of a file: TOML, or the Python file of a machine, which is run.
+
+    Raises :class:`~sherkit.errors.RobotError` as :func:`~sherkit.load_robot` does.
+    """
+    return _other(path) or RobotFile(path)
+
+
+def own_way_of(path: Path, verb: str) -> Callable[..., None] | None:
+    """How the machine of a file answers this verb, where that is in a way of its own. A robot's file is not read."""
+    other = _other(path)
+    return None if other is None else other.own_ways.get(verb)
+
+
+def _other(path: Path) -> MachineFile | None:
+    """The machine of a file that is no robot with joints."""
+    try:
+        kind: Any = tomllib.loads(path.read_text(encoding="utf-8-sig")).get("kind")
+    except (OSError, ValueError, RecursionError):
+        return None  # its reader says what is wrong
+    if not isinstance(kind, str) or kind not in _OTHERS:
+        return None
+    module, name = _OTHERS[kind]
+    return cast(MachineFile, getattr(import_module(module), name)(path))

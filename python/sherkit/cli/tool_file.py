@@ -1,0 +1,132 @@
+"""A flexible tool's file, as the verbs ask for it: a run of it is a series in time beside a camera's pictures."""
+
+from __future__ import annotations
+
+import webbrowser
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..data import Measurements
+from ..data.files import write_whole
+from ..diagnosis import Diagnosis
+from ..diagnosis import diagnose as run_diagnosis
+from ..errors import SherkitError
+from ..fit.identify import identify
+from ..model.base import ModelWithEffects
+from ..model.effect import Effect
+from ..model.effect_file import load_effects
+from ..model.kinds import model_of
+from ..names import listed
+from ..robots.tool.applied import applied
+from ..robots.tool.c_header import c_header
+from ..robots.tool.effects import TOOL_CATALOGUE
+from ..robots.tool.filters import estimate
+from ..robots.tool.model import ToolModel
+from ..robots.tool.runs import read_tool_run
+from ..robots.tool.tool import load_tool
+from ..robots.tool.virtual import VirtualTool
+from . import output
+from .output import refuse_given
+from .tool import calibrate_tool, sentences_of, write_tool_report
+
+
+class ToolFile:
+    """A flexible tool."""
+
+    kind = "flexible_tool"
+    catalogue: Mapping[str, Effect] = TOOL_CATALOGUE
+    drawn_on = None
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @property
+    def own_ways(self) -> Mapping[str, Callable[..., None]]:
+        """A bench of known loads instead of poses, a page that is one file, runs in time, a header of its own."""
+        return {"calibrate": self._calibrate, "app": self._app, "simulate": self._simulate, "export": self._export}
+
+    # -- a diagnosis -------------------------------------------------------------------------------------
+
+    def read(self, runs: Sequence[Path]) -> tuple[ModelWithEffects, Measurements]:
+        """The tool in one run, and where the camera saw its tip."""
+        if len(runs) > 1:
+            raise SherkitError(f"{runs[1]}: runs of a flexible tool are diagnosed one at a time")
+        self.model = ToolModel(load_tool(self.path), read_tool_run(runs[0]))
+        return model_of(self.model), self.model.readings
+
+    def told(self, runs: Sequence[Path]) -> tuple[Path, ...]:
+        """None: what is next is said by what was written."""
+        del runs
+        return ()
+
+    def require_writable(self, destination: Path | None) -> None:
+        """A tool's file holds what was named."""
+
+    def write(self, destination: Path, found: Diagnosis) -> list[str]:
+        """The tool with what was named."""
+        told = applied(self.model, found.fit)
+        told.tool.save(destination)
+        return [*sentences_of(told), f"the tool is in {destination}"]
+
+    def report(self, path: Path, title: str, found: Diagnosis, **_: Any) -> None:
+        """The story of the run, with what was named written into the tool."""
+        told = applied(self.model, found.fit)
+        write_tool_report(path, title, found, estimate(told.tool, self.model.run), told)
+
+    # -- verbs in a way of its own -----------------------------------------------------------------------
+
+    def _calibrate(self, loads: Path, destination: Path | None) -> None:
+        refuse_given("robot", "run", "destination", why="is not for the known loads of a flexible tool")
+        calibrate_tool(self.path, loads, destination)
+
+    def _app(self, run: Path, files: Sequence[Path], *, opened: bool) -> None:
+        """Estimates and diagnoses the run, writes the page beside it and opens it: depth over time with its errors,
+        verdict, what each effect would bring, and what is left."""
+        refuse_given(
+            "robot", "run", "files", "no_open",
+            why=f"{self.path}: the page of a flexible tool's run is one file, beside RUN; give TOOL and RUN, and "
+            "--effects for effects of your own",
+        )  # fmt: skip
+        own = tuple(effect for file in files for effect in load_effects(file))
+        with output.steps(14) as step:
+            step(f"reading {run}")
+            model, data = self.read((run,))
+            step("fitting the camera's offset")
+            found = run_diagnosis(identify(model, data), effects=own, step=step)
+            page = run.parent / f"{run.stem}.story.html"
+            step("depth and tip")
+            self.report(page, f"{self.path.stem} on {run.name}", found)
+        output.say(f"{found.headline}\nthe page is {page}")
+        if opened:
+            webbrowser.open(page.resolve().as_uri())
+
+    def _simulate(
+        self, destination: Path, *, experiment: str, seconds: float, seed: int, given: Mapping[str, Any]
+    ) -> None:
+        """A run of the tool as its file has it."""
+        wrong = [f"--{name.replace('_', '-')}" for name, value in given.items() if value is not None]
+        if wrong:
+            raise SherkitError(f"{self.path}: is a flexible tool; {listed(wrong)} is not for that kind")
+        virtual = VirtualTool(load_tool(self.path))
+        if experiment == "bench":
+            loads = virtual.bench(seed=seed)
+            loads.save(destination)
+            output.say(f"{len(loads)} loads written to {destination}", destination)
+            return
+        if experiment == "free":
+            run = virtual.free_motion(seconds=seconds, seed=seed)
+        else:
+            run = virtual.run(experiment, seconds=seconds, seed=seed)
+        run.save(destination)
+        output.say(f"{len(run)} rows and {len(run.camera_time_s)} pictures written to {destination}", destination)
+
+    def _export(self, destination: Path) -> None:
+        """A C header."""
+        made = load_tool(self.path)
+        if made.noise != "propagated":
+            output.warn(
+                f"{self.path}: noise '{made.noise}' is for comparisons; the loop in C runs the filter of 'propagated'"
+            )
+        write_whole(destination, c_header(made, self.path.name))
+        output.say(f"{destination} written; a loop includes it: cc loop.c $(sherkit c --cflags --libs)")
