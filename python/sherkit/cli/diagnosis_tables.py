@@ -25,6 +25,8 @@ _COLOUR = {
     "undecided": "yellow",
 }
 _MOST = 8
+#: Before a command in a sentence.
+_COMMAND = ": sherkit "
 
 
 def _long(d: Diagnosis, value: float) -> str:
@@ -73,6 +75,12 @@ def _say(findings: Iterable[Finding], files: str = FILES) -> None:
         if one.about == "tie":
             # the names of a tie come first, and before them nothing matters
             said.stylize("bold", 0, said.plain.index(":"))
+        why, begins, command = said.plain.rpartition(_COMMAND)
+        if begins:
+            out.print(Padding(Text(why + ":"), (0, 0, 0, 3), expand=False))
+            # a line of its own, which is copied as one however wide the screen is
+            out.print(Text(f"     sherkit {command}"), soft_wrap=True)
+            continue
         out.print(Padding(said, (0, 0, 0, 3), expand=False))
 
 

@@ -82,25 +82,36 @@ def _wrong(d: Diagnosis) -> Iterator[Finding]:
             to_do=f"To be rid of it in the machine: {repair[:1].lower()}{repair[1:]}" if repair else "",
         )  # fmt: skip
     else:
-        off = f"off by {first} {d.unit}"
-        cause, to_do = {
-            "adequate": (
-                f"The model describes this machine: on poses that it was not fitted to it is {off}, and nothing that "
-                "was tried would make that less.",
-                "Use the calibration as it is; only better or more readings could tell more.",
-            ),
-            "undecided": (
-                f"The model is {off} on poses that it was not fitted to, and that may be because these are too few: "
-                "nothing shows beside what they leave open.",
-                "Measure more poses, out to the rim of the workspace, and ask again.",
-            ),
-            "unexplained": (
-                f"The model is {off}, and no effect that is known explains it: what is left has a pattern.",
-                "Look at the pattern below, ask what could leave it, and add that as an effect of your own.",
-            ),
-        }[d.verdict]
+        cause, to_do = _without_effect(d, f"off by {first} {d.unit}")
         yield Finding(WRONG, "cause", cause, came, to_do=to_do)
     yield Finding(WRONG, "verdict", d.headline)
+
+
+def _without_effect(d: Diagnosis, off: str) -> tuple[str, str]:
+    """What is said where no effect is named, and what to do."""
+    mistake = next((check.fails for check in d.checks if check.name == "set_up" and check.holds is False), None)
+    if mistake is not None:
+        return (
+            f"Columns or the robot's file are not as they should be: {mistake}. Before that is put right nothing can "
+            "be said of the machine.",
+            "Put that right, and ask again.",
+        )
+    if d.verdict == "adequate":
+        return (
+            f"The model describes this machine: on poses that it was not fitted to it is {off}, and nothing that was "
+            "tried would make that less.",
+            "Use the calibration as it is; only better or more readings could tell more.",
+        )
+    if d.verdict == "undecided":
+        return (
+            f"The model is {off} on poses that it was not fitted to, and that may be because these are too few: "
+            "nothing shows beside what they leave open.",
+            "Measure more poses, out to the rim of the workspace, and ask again.",
+        )
+    return (
+        f"The model is {off}, and no effect that is known explains it: what is left has a pattern.",
+        "Look at the pattern below, ask what could leave it, and add that as an effect of your own.",
+    )
 
 
 def _most(d: Diagnosis, effect: Effect) -> str:
