@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from sherkit.model.effect import Effect, Sentences, catalogue_of_core
-from sherkit.model.sentences import common
+from sherkit.model.effect import Effect, Sentences
+from sherkit.model.sentences import COMMON, catalogue_of
 
 from .core import CATALOGUE
 
 _OWN = {
+    "datum": COMMON["datum"],
     "droop": Sentences(
         physics="The arm's own weight tilts the shoulder, so the tip falls; the value is the fall at full reach.",
         residuals="Downwards, with the square of the distance from the shoulder.",
@@ -16,11 +17,4 @@ _OWN = {
 }
 
 #: The effects by name, in the order of the chain.
-PLANAR_CATALOGUE: dict[str, Effect] = catalogue_of_core(
-    CATALOGUE,
-    common(
-        "datum", "joint_scale", "encoder_eccentricity", "encoder_cyclic", "backlash", "joint_slip", "thermal_growth",
-        "drift", "slip", "thermal_shift", "sensor_linearity",
-    )
-    | _OWN,
-)  # fmt: skip
+PLANAR_CATALOGUE: dict[str, Effect] = catalogue_of(CATALOGUE, _OWN)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from .effect import Sentences
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from .effect import Effect, Sentences, catalogue_of_core
 
 COMMON: dict[str, Sentences] = {
     "joint_scale": Sentences(
@@ -95,6 +98,12 @@ COMMON: dict[str, Sentences] = {
 }
 
 
-def common(*names: str) -> dict[str, Sentences]:
-    """The common sentences of these effects."""
-    return {name: COMMON[name] for name in names}
+def catalogue_of(table: Sequence[Mapping[str, Any]], own: Mapping[str, Sentences]) -> dict[str, Effect]:
+    """The effects of a robot's compiled table by name, in its order: the sentences of each are the robot's ``own``, or
+    those of any robot.
+
+    A row that every model has (geometry, datum) is an effect only where the robot's own say so. Raises
+    :class:`~sherkit.errors.EffectError` where an effect has no sentences, or sentences no effect.
+    """
+    shared = {row["name"]: COMMON[row["name"]] for row in table if not row["base"] and row["name"] in COMMON}
+    return catalogue_of_core(table, {**shared, **own})

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from sherkit._core import DeltaModel
 
-from ...model.effect import Effect, Sentences, catalogue_of_core
-from ...model.sentences import common
+from ...model.effect import Effect, Sentences
+from ...model.sentences import COMMON, catalogue_of
 
 _OWN = {
+    "datum": COMMON["datum"],
     "joint_scale": Sentences(
         physics="Each encoder counts too many or too few millimetres: its scale is a few parts in ten thousand off.",
         residuals="Grows in proportion to the travel of one joint; zero at the home position.",
@@ -65,11 +66,4 @@ _OWN = {
 }
 
 #: The effects by name, in the order of the chain.
-CATALOGUE: dict[str, Effect] = catalogue_of_core(
-    DeltaModel.CATALOGUE,
-    common(
-        "encoder_cyclic", "backlash", "joint_slip", "thermal_growth", "drift", "thermal_shift", "sensor_linearity",
-        "datum",
-    )
-    | _OWN,
-)  # fmt: skip
+CATALOGUE: dict[str, Effect] = catalogue_of(DeltaModel.CATALOGUE, _OWN)

@@ -11,9 +11,9 @@ import numpy as np
 
 from sherkit._core import SerialModel
 
-from ...model.effect import Effect, Sentences, catalogue_of_core
+from ...model.effect import Effect, Sentences
 from ...model.parameter import Parameter
-from ...model.sentences import common
+from ...model.sentences import catalogue_of
 from .robot import Joint, Serial
 
 _OWN = {
@@ -67,14 +67,7 @@ _OWN = {
 }
 
 #: The effects by name, in the order of the chain, for all the joints that an arm may have.
-SERIAL_CATALOGUE: dict[str, Effect] = catalogue_of_core(
-    SerialModel.CATALOGUE,
-    common(
-        "joint_scale", "encoder_eccentricity", "encoder_cyclic", "backlash", "joint_slip", "thermal_growth",
-        "thermal_shift", "drift", "slip", "sensor_linearity",
-    )
-    | _OWN,
-)  # fmt: skip
+SERIAL_CATALOGUE: dict[str, Effect] = catalogue_of(SerialModel.CATALOGUE, _OWN)
 
 #: Postures by which the drawing tells what weight does, and the part of what a joint moves that counts as nothing.
 _POSTURES, _NOTHING = 50, 1e-9

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from sherkit._core import SphericalModel
 
-from ...model.effect import Effect, Sentences, catalogue_of_core
-from ...model.sentences import common
+from ...model.effect import Effect, Sentences
+from ...model.sentences import catalogue_of
 
 _OWN = {
     "joint_offset": Sentences(
@@ -50,11 +50,4 @@ _OWN = {
 }
 
 #: The effects by name, in the order of the chain.
-SPHERICAL_CATALOGUE: dict[str, Effect] = catalogue_of_core(
-    SphericalModel.CATALOGUE,
-    common(
-        "backlash", "joint_slip", "encoder_eccentricity", "encoder_cyclic", "thermal_shift", "drift", "slip",
-        "camera_pose", "camera_slip", "focal_length", "lens_distortion", "camera_delay",
-    )
-    | _OWN,
-)  # fmt: skip
+SPHERICAL_CATALOGUE: dict[str, Effect] = catalogue_of(SphericalModel.CATALOGUE, _OWN)
