@@ -16,8 +16,8 @@ from sherkit.cli.demo import EXAMPLE as ROBOT
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import second_simulator as simulator
 
-#: Repeats of 588 poses: rows from 2,940 on. Longer runs are asked for by hand: ``bench.py --rows 300000``.
-REPEATS = (5, 17, 51)
+#: Repeats of 588 poses: from 2,940 to 299,880 rows. Longer runs are asked for by hand: ``bench.py --rows 1000000``.
+REPEATS = (5, 17, 51, 510)
 
 
 def run_with_lean(repeats: int) -> sk.Measurements:
