@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from .linearised import blocks
 _BEYOND = 1e-6
 #: Part of a further column's squared length that the fitted ones must leave of it.
 _LEFT = 1e-8
+#: Numbers of Gram matrices that are kept before they are summed.
+_TOGETHER = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +46,7 @@ class Folds:
         code = (per_repetition ** np.arange(repetitions)) @ fold
         _, first_of, cell = np.unique(code, return_index=True, return_inverse=True)
         cells = place[:, first_of]
-        grams = right = np.zeros(0)
+        count, grams = 0, np.zeros(0)
         for rows in blocks(n):
             order = np.argsort(cell[rows], kind="stable")
             both = np.concatenate([columns(rows), residual[rows][:, :, None]], axis=2)[order]
@@ -51,9 +54,15 @@ class Folds:
                 count = both.shape[2]
                 grams = np.zeros((repetitions * per_repetition, count, count))
             here = cell[rows][order]
-            for part in np.split(np.arange(len(here)), np.flatnonzero(np.diff(here)) + 1):
-                flat = both[part[0] : part[-1] + 1].reshape(-1, both.shape[2])
-                grams[cells[:, here[part[0]]]] += flat.T @ flat
+            edges = [0, *(np.flatnonzero(np.diff(here)) + 1).tolist(), len(here)]
+            parts = [both[a:b].reshape(-1, count) for a, b in pairwise(edges)]
+            of = cells[:, here[edges[:-1]]]
+            # a few at a time: adding each by itself would take longer than to make it
+            for some in blocks(len(parts), max(_TOGETHER // count**2, 1)):
+                own = np.stack([part.T @ part for part in parts[some]])
+                in_fold = np.zeros((len(grams), len(own)))
+                in_fold[of[:, some], np.arange(len(own))] = 1.0
+                grams += (in_fold @ own.reshape(len(own), -1)).reshape(grams.shape)
         length = np.sqrt(np.diagonal(grams[:per_repetition].sum(axis=0))[:-1])
         length = np.where(length > 0, length, 1.0)
         right = grams[:, :-1, -1] / length

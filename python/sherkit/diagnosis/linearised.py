@@ -26,9 +26,9 @@ T = TypeVar("T")
 BLOCK = 8192
 
 
-def blocks(n: int) -> list[slice]:
-    """Stretches of at most :data:`BLOCK` of ``n`` rows, alike in length."""
-    edges = np.linspace(0, n, -(-n // BLOCK) + 1).round().astype(int).tolist()
+def blocks(n: int, most: int = BLOCK) -> list[slice]:
+    """Stretches of at most so many of ``n`` rows, alike in length."""
+    edges = np.linspace(0, n, -(-n // most) + 1).round().astype(int).tolist()
     return [slice(a, b) for a, b in pairwise(edges)]
 
 
