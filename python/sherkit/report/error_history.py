@@ -163,8 +163,10 @@ def _reach(state: ErrorHistory) -> tuple[float, float]:
     values = [v for step in state.steps for side in (step.held_out, step.fitted) for v in side.values()]
     known = [v for v in (*values, *state.noise.values(), state.required or 0.0) if np.isfinite(v) and v > 0] or [1.0]
     low, high = min(known), max(known)
-    room = max(high / low, 2.0) ** 0.08
-    return low / room, high * room
+    reach = max(high / low, 2.0)
+    # the name of a line stands above it
+    above = 0.2 if high == state.required or high in state.noise.values() else 0.08
+    return low / reach**0.08, high * reach**above
 
 
 def _steps(state: ErrorHistory) -> list[str]:
