@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ..data import Measurements
+from ..data.lagged import DRAWN_C, Room
 from ..data.noise import Noise, noise_of
 from ..errors import FitError
 from ..fit.hold_out import blocks_of
@@ -18,7 +19,7 @@ from ..model.base import Derivatives, ModelWithEffects, Tried, beside_one_anothe
 from ..model.effect import Effect
 from ..saved import Saved
 from ..types import Bools, Floats, Ints
-from .linearised import Linearised
+from .linearised import Linearised, last_asked
 from .next_poses import Proposal, next_poses
 
 #: No residual is told from zero below this part of the range of the readings.
@@ -209,10 +210,19 @@ class FittedRun(Saved):
         alone = [effect.link == "body" and first.reads_point for effect, _ in columns]
         known = own(slice(0, 1)).inputs is not None
 
-        def lagging(effect: Effect, lag_s: float) -> Callable[[slice], Floats]:
-            """Columns of an effect at a lag."""
-            behind = self.model.with_settings(effect, lag_s).tried_by_blocks(part, self.fit.values, [effect])
-            return lambda some: behind(some).columns[:, axes] / over
+        def lagging(effect: Effect) -> Callable[[float], Callable[[slice], Floats]]:
+            """Columns of an effect at any lag: those of a stand that is warmer by a degree, by how much it is."""
+            warmer = replace(part, room=Room(np.zeros(1), np.array([DRAWN_C + 1.0])))
+            of_degree = self.model.with_settings(effect, 1.0).tried_by_blocks(warmer, self.fit.values, [effect])
+            per_degree = _PerDegree(lambda some: of_degree(some).columns[:, axes] / over)
+
+            def at(lag_s: float) -> Callable[[slice], Floats]:
+                later = part.later(lag_s)
+                assert later is not None, "a room has a temperature"
+                degrees = later - DRAWN_C
+                return lambda some: per_degree.columns(some) * degrees[some, None, None]
+
+            return at
 
         inputs = {name: np.ascontiguousarray(part.joints[:, k]) for k, name in enumerate(part.layout.joints)}
         out = Linearised(
@@ -233,11 +243,22 @@ class FittedRun(Saved):
             ),
             periodic=tuple(periodic) if known else (),
             # what no time says cannot be told to come later
-            lagging=tuple((e, partial(lagging, e)) for e in asked if e.is_lagging) if part.room is not None else (),
+            lagging=tuple((e, lagging(e)) for e in asked if e.is_lagging) if part.room is not None else (),
             untestable=untestable | first.refused,
         )
         self._last = rows, effects, sigma, out
         return out
+
+
+@dataclass(frozen=True, eq=False)
+class _PerDegree:
+    """Columns (b, m, k) of a stretch of rows where what follows the room is warmer by a degree."""
+
+    of: Callable[[slice], Floats]
+
+    @last_asked
+    def columns(self, rows: slice) -> Floats:
+        return self.of(rows)
 
 
 @dataclass(frozen=True, eq=False)
