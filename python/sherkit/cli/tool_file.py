@@ -56,9 +56,8 @@ class ToolFile:
         return model_of(self.model), self.model.readings
 
     def told(self, runs: Sequence[Path]) -> tuple[Path, ...]:
-        """None: what is next is said by what was written."""
-        del runs
-        return ()
+        """Tool and run."""
+        return (self.path, *runs)
 
     def require_writable(self, destination: Path | None) -> None:
         """A tool's file holds what was named."""

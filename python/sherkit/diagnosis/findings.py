@@ -215,7 +215,9 @@ def _steps_next(d: Diagnosis) -> Iterator[str]:
     elif d.verdict == "explained":
         named = " ".join(f"--effect {e}" for e in d.effects)
         without = " --without-outliers" if len(d.outliers) else ""
-        yield f"add it: sherkit calibrate {FILES} {named}{without} -o calibrated.toml"
+        # a model of another sort may say itself where what is named is written to
+        into = getattr(getattr(d.fit.model, "plain", None), "writes", None)
+        yield f"add it: sherkit {into or f'calibrate {FILES} {named}{without} -o calibrated.toml'}"
     elif d.signature is not None:
         yield f"write a template of an effect with the shape of what is left: {TEMPLATE}"
         yield "or repeat the run in another order and at another temperature: what moves with them is named by them"

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,9 @@ class ToolModel(Saved):
 
     tool: FlexibleTool
     run: ToolRun
+
+    #: The command that writes what was named into a file.
+    writes: ClassVar[str] = "diagnose ROBOT RUN -o with_it.toml"
 
     def __post_init__(self) -> None:
         require_camera(self.run)
