@@ -16,7 +16,7 @@ from ..errors import SherkitError
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
 from ..model.kinds import Robot, catalogue_of, model_of
-from ..model.robot_file import run_for
+from ..model.robot_file import RobotLike, run_for
 from ..robots.machine.file import robot_at
 from ..study import Study
 from . import reporting
@@ -29,10 +29,13 @@ _OTHERS = {"flexible_tool": ("sherkit.cli.tool_file", "ToolFile")}
 class MachineFile(Protocol):
     """What verbs ask of a machine by its file."""
 
-    #: The name of its kind.
-    kind: str
     #: Verbs that it answers in a way of its own, by name: with what a person typed.
     own_ways: Mapping[str, Callable[..., None]]
+
+    @property
+    def kind(self) -> str:
+        """The name of its kind."""
+        ...
 
     @property
     def catalogue(self) -> Mapping[str, Effect]:
@@ -76,8 +79,21 @@ class RobotFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.nominal, self.for_runs = robot_at(path)
-        self.kind = self.nominal.kind
+
+    @cached_property
+    def _read(self) -> tuple[Robot, RobotLike]:
+        """The robot, and what a run of it is read by; once, and not before a verb has refused its options."""
+        return robot_at(self.path)
+
+    @property
+    def nominal(self) -> Robot:
+        """The robot as drawn."""
+        return self._read[0]
+
+    @property
+    def kind(self) -> str:
+        """The name of its kind."""
+        return self.nominal.kind
 
     @cached_property
     def catalogue(self) -> Mapping[str, Effect]:
@@ -91,7 +107,7 @@ class RobotFile:
 
     def read(self, runs: Sequence[Path]) -> tuple[ModelWithEffects, Measurements]:
         """Its model as drawn, and all runs joined."""
-        self.data = reduce(joined, (run_for(self.for_runs, run) for run in runs))
+        self.data = reduce(joined, (run_for(self._read[1], run) for run in runs))
         return model_of(self.nominal), self.data
 
     def told(self, runs: Sequence[Path]) -> tuple[Path, ...]:
