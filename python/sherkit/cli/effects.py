@@ -11,11 +11,12 @@ from ..errors import SherkitError
 from ..model.effect import Effect, effects_by_name
 from ..model.kinds import Robot, known_kinds
 from ..robots.tool.effects import TOOL_CATALOGUE
+from ..robots.tool.tool import KIND
 from . import output, reporting
 from .demo import EXAMPLE
 from .machine_file import machine_at
 
-_TOOL, _OF_TOOL = "flexible_tool", "the flexible tool and its camera"
+_OF_TOOL = "the flexible tool and its camera"
 
 
 @click.command()
@@ -30,7 +31,7 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
     """List the physical effects that can be found and added; with NAME, show one."""
     machine = None if robot is None else machine_at(robot)
     nominal = None if machine is None else machine.drawn_on
-    catalogues = {name: kind.model.catalogue for name, kind in known_kinds().items()} | {_TOOL: TOOL_CATALOGUE}
+    catalogues = {name: kind.model.catalogue for name, kind in known_kinds().items()} | {KIND: TOOL_CATALOGUE}
     if machine is not None:
         catalogues = {machine.kind: dict(machine.catalogue)}
     if name is None:

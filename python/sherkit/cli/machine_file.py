@@ -4,26 +4,21 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property, reduce
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
-from ..data import Measurements
-from ..data.joined import joined
-from ..diagnosis import Diagnosis
-from ..errors import SherkitError
-from ..model.base import ModelWithEffects
-from ..model.effect import Effect
-from ..model.kinds import Robot, catalogue_of, model_of
-from ..model.robot_file import RobotLike, run_for
-from ..robots.machine.file import robot_at
-from ..study import Study
-from . import reporting
+if TYPE_CHECKING:
+    from ..data import Measurements
+    from ..diagnosis import Diagnosis
+    from ..model.base import ModelWithEffects
+    from ..model.effect import Effect
+    from ..model.kinds import Robot
 
-#: Machines that are no robots with joints, by the key ``kind`` of their file: where their :class:`MachineFile` is,
-#: which is loaded only for one of them.
-_OTHERS = {"flexible_tool": ("sherkit.cli.tool_file", "ToolFile")}
+#: Where the :class:`MachineFile` of a robot is, and by the key ``kind`` of their files that of machines that are none:
+#: only the one that is asked for is loaded.
+_ROBOT = ("robot_file", "RobotFile")
+_OTHERS = {"flexible_tool": ("tool_file", "ToolFile")}
 
 
 class MachineFile(Protocol):
@@ -71,94 +66,29 @@ class MachineFile(Protocol):
         ...
 
 
-class RobotFile:
-    """A robot, an arm, a printer, a machine of the user's."""
-
-    #: None: a verb's body is about robots.
-    own_ways: Mapping[str, Callable[..., None]] = {}
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    @cached_property
-    def _read(self) -> tuple[Robot, RobotLike]:
-        """The robot, and what a run of it is read by; once, and not before a verb has refused its options."""
-        return robot_at(self.path)
-
-    @property
-    def nominal(self) -> Robot:
-        """The robot as drawn."""
-        return self._read[0]
-
-    @property
-    def kind(self) -> str:
-        """The name of its kind."""
-        return self.nominal.kind
-
-    @cached_property
-    def catalogue(self) -> Mapping[str, Effect]:
-        """Its effects by name."""
-        return catalogue_of(self.nominal)
-
-    @property
-    def drawn_on(self) -> Robot | None:
-        """The robot that an effect is drawn on: itself."""
-        return self.nominal
-
-    def read(self, runs: Sequence[Path]) -> tuple[ModelWithEffects, Measurements]:
-        """Its model as drawn, and all runs joined."""
-        self.data = reduce(joined, (run_for(self._read[1], run) for run in runs))
-        return model_of(self.nominal), self.data
-
-    def told(self, runs: Sequence[Path]) -> tuple[Path, ...]:
-        """Robot and run, of one run."""
-        return (self.path, *runs) if len(runs) == 1 else ()
-
-    def require_writable(self, destination: Path | None) -> None:
-        """A robot's calibration is a verb of its own."""
-        if destination is not None:
-            raise SherkitError(
-                "--output: is for a flexible tool; sherkit calibrate --effect NAME -o writes a calibration"
-            )
-
-    def write(self, destination: Path, found: Diagnosis) -> list[str]:
-        """Nothing: a calibration is a verb of its own."""
-        self.require_writable(destination)
-        del found
-        return []
-
-    def report(
-        self, path: Path, title: str, found: Diagnosis, *, own: Sequence[Effect], added: Sequence[str], seed: int,
-        sources: Sequence[Path],
-    ) -> None:  # fmt: skip
-        """The report of a study that has all that was named."""
-        study = Study(self.nominal, self.data, effects=own, seed=seed)
-        for name in (*added, *found.effects):
-            study.add(name)
-        reporting.write(path, title, study, found, sources)
-
-
 def machine_at(path: Path) -> MachineFile:
     """The machine of a file: TOML, or the Python file of a machine, which is run.
 
-    Raises :class:`~sherkit.errors.RobotError` as :func:`~sherkit.load_robot` does.
+    Raises :class:`~sherkit.errors.RobotError` as :func:`~sherkit.load_robot` does, where it is first asked.
     """
-    return _other(path) or RobotFile(path)
+    return _made(_other(path) or _ROBOT, path)
 
 
 def own_way_of(path: Path, verb: str) -> Callable[..., None] | None:
     """How the machine of a file answers this verb, where that is in a way of its own. A robot's file is not read."""
     other = _other(path)
-    return None if other is None else other.own_ways.get(verb)
+    return None if other is None else _made(other, path).own_ways.get(verb)
 
 
-def _other(path: Path) -> MachineFile | None:
-    """The machine of a file that is no robot with joints."""
+def _made(of: tuple[str, str], path: Path) -> MachineFile:
+    module, name = of
+    return cast("MachineFile", getattr(import_module(f".{module}", __package__), name)(path))
+
+
+def _other(path: Path) -> tuple[str, str] | None:
+    """Where the machine of a file is that is no robot with joints."""
     try:
         kind: Any = tomllib.loads(path.read_text(encoding="utf-8-sig")).get("kind")
     except (OSError, ValueError, RecursionError):
         return None  # its reader says what is wrong
-    if not isinstance(kind, str) or kind not in _OTHERS:
-        return None
-    module, name = _OTHERS[kind]
-    return cast(MachineFile, getattr(import_module(module), name)(path))
+    return _OTHERS.get(kind) if isinstance(kind, str) else None

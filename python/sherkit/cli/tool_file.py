@@ -24,7 +24,7 @@ from ..robots.tool.effects import TOOL_CATALOGUE
 from ..robots.tool.filters import estimate
 from ..robots.tool.model import ToolModel
 from ..robots.tool.runs import read_tool_run
-from ..robots.tool.tool import load_tool
+from ..robots.tool.tool import KIND, load_tool
 from ..robots.tool.virtual import VirtualTool
 from . import output
 from .output import refuse_given
@@ -34,7 +34,7 @@ from .tool import calibrate_tool, sentences_of, write_tool_report
 class ToolFile:
     """A flexible tool."""
 
-    kind = "flexible_tool"
+    kind = KIND
     catalogue: Mapping[str, Effect] = TOOL_CATALOGUE
     drawn_on = None
 

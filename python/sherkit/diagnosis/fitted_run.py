@@ -140,16 +140,13 @@ class FittedRun(Saved):
                 model = model.without_effect(effect.name)
         return FittedRun(identify(model, self.data, noise=self.fit.noise, start=self.fit.values[~taken]))
 
-    def on(self, rows: Ints, sigma: Floats) -> FittedRun:
-        """The full fit on these rows alone, with this noise (columns,), from the values of this one."""
+    def on(self, rows: Ints, sigma: Floats | None = None) -> FittedRun:
+        """The full fit on these rows alone, with this noise (columns,) or that which each row has, from the values of
+        this one."""
         data = self.data.select(rows)
-        noise = Noise(np.where(data.taken, sigma, 1.0), self.fit.noise.origin)
+        each = self.fit.noise.sigma[rows] if sigma is None else np.where(data.taken, sigma, 1.0)
+        noise = Noise(each, self.fit.noise.origin)
         return FittedRun(identify(self.model, data, noise=noise, start=self.fit.values))
-
-    def some(self, rows: Ints) -> FittedRun:
-        """The full fit of these rows alone, each with the noise it has, from the values of this one."""
-        noise = Noise(self.fit.noise.sigma[rows], self.fit.noise.origin)
-        return FittedRun(identify(self.model, self.data.select(rows), noise=noise, start=self.fit.values))
 
     def as_in(self, other: FittedRun) -> FittedRun:
         """The full fit of the rows of ``other`` to this model, from the values of this one."""

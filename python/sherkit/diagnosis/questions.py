@@ -129,7 +129,7 @@ def diagnose(
     periods = repeats.periods if repeats is not None else ()
     long = run
     if len(enough := enough_of(run.data, rows)) < len(rows):
-        run, rows = run.some(enough), np.arange(len(enough))
+        run, rows = run.on(enough), np.arange(len(enough))
         notes.append(
             f"{len(enough)} of {int(long.whole.sum())} rows are searched, evenly of all poses and times: what only all "
             "of them would show is smaller than a twentieth of the noise; noise, outliers and the fit are of all rows"
