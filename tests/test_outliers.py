@@ -17,7 +17,7 @@ import sherkit as sk
 import worlds
 from second_simulator.plans import Order
 from sherkit.cli import main
-from sherkit.diagnosis.outliers import gross_errors_marked
+from sherkit.diagnosis import gross_errors
 from worlds import Floats
 
 
@@ -166,4 +166,4 @@ def test_a_calibration_leaves_them_out_where_asked(tmp_path: Path, capsys: pytes
     assert f"marked as outliers and not fitted: lines {', '.join(str(r + 2) for r in rows)}" in said
     # joints swapped: every row looks wrong, and none is marked
     swapped = data.to_frame().rename({"q1_mm": "q2_mm", "q2_mm": "q1_mm"})
-    assert not gross_errors_marked(sk.identify(world.robot, sk.from_frame(swapped))).outlier.any()
+    assert not len(gross_errors(sk.identify(world.robot, sk.from_frame(swapped))))

@@ -234,10 +234,11 @@ def test_a_fit_says_of_any_machine_what_it_says_of_a_robot() -> None:
     assert fit.rms()["parallel"] == pytest.approx(NOISE, rel=0.2)
     assert fit.unobserved == ()
     assert {d.unit for d in fit.badly_observed} == {"arcsec"}
-    assert len(fit.outliers) == 0
+    assert len(sk.diagnosis.gross_errors(fit)) == 0
     wild = rows.readings.copy()
     wild[17] += 20 * NOISE
-    assert sk.identify(mount.Mount(), rows.with_readings(wild), loss="huber").outliers.tolist() == [17]
+    spoilt = sk.identify(mount.Mount(), rows.with_readings(wild), loss="huber")
+    assert sk.diagnosis.gross_errors(spoilt).tolist() == [17]
     table = str(fit)
     for parameter in fit.parameters:
         assert f"\n{parameter.name} " in table

@@ -11,7 +11,7 @@ import numpy as np
 from .arguments import Seed, as_annotated
 from .data import Measurements
 from .data.given import RunLike
-from .diagnosis.outliers import gross_errors_marked, warn_of_outliers
+from .diagnosis.outliers import gross_errors, warn_of_outliers
 from .diagnosis.setting import setting_for
 from .diagnosis.sizes import refuse_absurd
 from .errors import EffectError, FitError
@@ -99,7 +99,7 @@ def calibrate(
             step(f"looking for gross errors in the {name} run")
             # what needs a setting that is searched for is among the effects that are tried, not in this fit
             inside = [e for e in added if e.search is None]
-            data = gross_errors_marked(identify(model, data, effects=inside), own)
+            data = data.mark_outliers(gross_errors(identify(model, data, effects=inside), own))
         step(f"identifying the {name} run")
         for effect in added:
             missing = missing_columns(effect, data)
@@ -109,15 +109,16 @@ def calibrate(
             model = model.adopting(effect, at=at)
         fit = identify(model, data, loss=loss, priors=priors, linear=linear)
         refuse_absurd(fit, [effect.name for effect in added])
-        if loss == "linear" and not without_outliers:
-            warn_of_outliers(fit, own)
+        outliers = np.zeros(0, dtype=np.int64)
+        if not without_outliers:
+            outliers = (warn_of_outliers if loss == "linear" else gross_errors)(fit, own)
         step(f"holding out blocks of the {name} run")
         held = hold_out(fit.model, data, seed=seed, loss=loss).residuals
         corrected = None
         if correction != "none" and made.may_correct(fit):
             step(f"correcting what the {name} run leaves")
             corrected = made.correct(fit, correction, seed)
-        return CalibrationRun(fit, held, corrected, made.in_region(fit))
+        return CalibrationRun(fit, held, corrected, made.in_region(fit), outliers)
 
     first = run(whole, "whole")
     second = run(local, "local") if local is not None else None
@@ -182,7 +183,7 @@ def _run_json(run: CalibrationRun) -> dict[str, Any]:
         "covariance": (fit.covariance + fit.unobserved_covariance).tolist(),
         "badly_observed": directions(fit.badly_observed),
         "unobserved": directions(fit.unobserved),
-        "outliers": fit.data.line[fit.outliers].tolist(),
+        "outliers": fit.data.line[run.outliers].tolist(),
         "correction": None,
         "paper_protocol": None,
         **(run.correction.to_json() if run.correction is not None else {}),

@@ -12,8 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from ..diagnosis import Diagnosis, largest
-from ..diagnosis.finding import APART, MISSING, NEXT, WHERE, WHICH, Finding
-from ..diagnosis.findings import AS_IT_CAME, FILES, figure, p_value
+from ..diagnosis.finding import APART, FILES, MISSING, NEXT, WHERE, WHICH, Finding
+from ..diagnosis.findings import AS_IT_CAME, figure, p_value
 from ..diagnosis.next_poses import SEPARATION
 from .output import out, table
 
@@ -25,8 +25,6 @@ _COLOUR = {
     "undecided": "yellow",
 }
 _MOST = 8
-#: Before a command in a sentence.
-_COMMAND = ": sherkit "
 
 
 def _long(d: Diagnosis, value: float) -> str:
@@ -71,17 +69,14 @@ def diagnosis(d: Diagnosis, *files: Path) -> None:
 def _say(findings: Iterable[Finding], files: str = FILES) -> None:
     """Findings one under the other, a line that is too long goes on below its begin."""
     for one in findings:
-        said = Text(str(one).replace(FILES, files))
+        said = Text(f"{one.answer}:" if one.command else str(one))
         if one.about == "tie":
             # the names of a tie come first, and before them nothing matters
             said.stylize("bold", 0, said.plain.index(":"))
-        why, begins, command = said.plain.rpartition(_COMMAND)
-        if begins:
-            out.print(Padding(Text(why + ":"), (0, 0, 0, 3), expand=False))
-            # a line of its own, which is copied as one however wide the screen is
-            out.print(Text(f"     sherkit {command}"), soft_wrap=True)
-            continue
         out.print(Padding(said, (0, 0, 0, 3), expand=False))
+        if one.command:
+            # a line of its own, which is copied as one however wide the screen is
+            out.print(Text(f"     {one.command.replace(FILES, files)}"), soft_wrap=True)
 
 
 def _claims(d: Diagnosis) -> Table:

@@ -90,8 +90,8 @@ def account(e: CalibrationRun, title: str) -> None:
         out.print("  worst observed directions (one standard deviation):")
         for d in fit.badly_observed:
             out.print(f"    {d}")
-    if len(fit.outliers):
-        lines = fit.data.line[fit.outliers]
+    if len(e.outliers):
+        lines = fit.data.line[e.outliers]
         plural = "s" if len(lines) > 1 else ""
         out.print(
             f"  [bold yellow]{len(lines)} suspected outlier{plural}[/], "

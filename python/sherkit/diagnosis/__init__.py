@@ -3,8 +3,12 @@
 from .answers import Diagnosis
 from .finding import Finding
 from .findings import largest
+from .outliers import gross_errors
 from .questions import diagnose
 from .shapes import play_operator
 from .template import indistinguishable, sentence, template
 
-__all__ = ["Diagnosis", "Finding", "diagnose", "indistinguishable", "largest", "play_operator", "sentence", "template"]
+__all__ = [
+    "Diagnosis", "Finding", "diagnose", "gross_errors", "indistinguishable", "largest", "play_operator", "sentence",
+    "template",
+]  # fmt: skip

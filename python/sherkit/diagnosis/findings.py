@@ -9,14 +9,12 @@ from ..figures import in_names, number, stated
 from ..model.effect import Effect
 from ..names import listed
 from .answers import CandidateReport, Diagnosis
-from .finding import APART, MISSING, NEXT, WHERE, WHICH, WRONG, Finding
+from .finding import APART, FILES, MISSING, NEXT, WHERE, WHICH, WRONG, Finding
 from .outliers import sentences
 from .template import indistinguishable, sentence
 
-#: Where a command has the files that were given, and commands of which a finding may speak.
-FILES = "ROBOT RUN"
-AGAIN = f"sherkit diagnose {FILES} MORE"
-TEMPLATE = f"sherkit diagnose {FILES} --template my_effects.py"
+_AGAIN = f"sherkit diagnose {FILES} MORE"
+_TEMPLATE = f"sherkit diagnose {FILES} --template my_effects.py"
 #: What an error is called before anything is added.
 AS_IT_CAME = "as it came"
 _ORIGIN = {
@@ -181,7 +179,7 @@ def _which(d: Diagnosis) -> Iterator[Finding]:
         told = f"{sentence(d.signature)} {indistinguishable(d.signature)}".rstrip()
         yield Finding(
             WHICH, "shape", told,
-            to_do=f"write a template of an effect with this shape: {TEMPLATE}",
+            to_do=f"write a template of an effect with this shape: {_TEMPLATE}",
         )  # fmt: skip
 
 
@@ -197,39 +195,42 @@ def _apart(d: Diagnosis) -> Iterator[Finding]:
 
 
 def _next(d: Diagnosis) -> Iterator[Finding]:
-    for answer in _steps_next(d):
-        yield Finding(NEXT, "next", answer)
+    for answer, command in _steps_next(d):
+        yield Finding(NEXT, "next", answer, command=command)
 
 
-def _steps_next(d: Diagnosis) -> Iterator[str]:
+def _steps_next(d: Diagnosis) -> Iterator[tuple[str, str]]:
+    """What to do, and the command that does it where there is one."""
     if d.indistinguishable:
         if d.advice:
-            yield d.advice
+            yield d.advice, ""
         if d.next_poses:
-            yield "measure the poses below, some time after this run, and diagnose both: " + AGAIN
+            yield "measure the poses below, some time after this run, and diagnose both", _AGAIN
         elif not d.advice:
-            yield "which poses could be reached is not known of this machine, so none are proposed"
+            yield "which poses could be reached is not known of this machine, so none are proposed", ""
     elif d.too_few_poses:
-        yield "measure more poses, out to the rim of the workspace: these are too few for the parameters of the model"
+        more = "measure more poses, out to the rim of the workspace: these are too few for the parameters of the model"
+        yield more, ""
         yield from _failing(d)
     elif d.verdict == "explained":
         named = " ".join(f"--effect {e}" for e in d.effects)
         without = " --without-outliers" if len(d.outliers) else ""
         # a model of another sort may say itself where what is named is written to
         into = getattr(getattr(d.fit.model, "plain", None), "writes", None)
-        yield f"add it: sherkit {into or f'calibrate {FILES} {named}{without} -o calibrated.toml'}"
+        yield "add it", f"sherkit {into or f'calibrate {FILES} {named}{without} -o calibrated.toml'}"
     elif d.signature is not None:
-        yield f"write a template of an effect with the shape of what is left: {TEMPLATE}"
-        yield "or repeat the run in another order and at another temperature: what moves with them is named by them"
+        yield "write a template of an effect with the shape of what is left", _TEMPLATE
+        yield "or repeat the run in another order and at another temperature: what moves with them is named by them", ""
     elif d.verdict != "adequate":
         yield from _failing(d)
     elif d.not_needed:
-        yield f"take {' and '.join(d.not_needed)} out of the model: the error on rows held out is no larger without"
+        out = " and ".join(d.not_needed)
+        yield f"take {out} out of the model: the error on rows held out is no larger without", ""
     elif d.noise_origin == "unknown":
-        yield "repeat some poses, or add sigma columns: only then can it be said whether the model is good enough"
+        yield "repeat some poses, or add sigma columns: only then can it be said whether the model is good enough", ""
     else:
-        yield "nothing; go on with the model as it is"
+        yield "nothing; go on with the model as it is", ""
 
 
-def _failing(d: Diagnosis) -> Iterator[str]:
-    return (check.fails for check in d.checks if check.forbids_praise)
+def _failing(d: Diagnosis) -> Iterator[tuple[str, str]]:
+    return ((check.fails, "") for check in d.checks if check.forbids_praise)

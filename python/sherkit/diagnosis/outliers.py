@@ -12,6 +12,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from .. import linalg
+from ..arguments import as_annotated
 from ..data import Measurements
 from ..errors import FitError, SherkitWarning
 from ..fit.identify import Fit
@@ -51,7 +53,7 @@ def without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[FittedR
     first, run = run, robust_start(run, rows)
     outliers = np.flatnonzero(run.data.outlier & ~first.data.outlier)
     for _ in range(_FITS):
-        again = gross_errors(run, effects, rows)
+        again = _outlying(run, effects, rows)
         if np.array_equal(again, outliers):
             break
         outliers = again
@@ -59,22 +61,28 @@ def without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[FittedR
     return run, outliers
 
 
-def gross_errors_marked(fit: Fit, effects: Sequence[Effect] = ()) -> Measurements:
-    """The rows of a fit with those marked that a diagnosis lists as gross errors; ``effects`` are tried beside the
-    catalogue. Beside a mistake of the set-up every row may look wrong, and none is marked."""
-    _, outliers = _seen_from(fit, effects)
-    return fit.data.mark_outliers(outliers)
+@as_annotated
+@linalg.one_thread()
+def gross_errors(fit: Fit, effects: Sequence[Effect] = ()) -> Ints:
+    """Rows (k,), by number from 0, that a diagnosis of this fit would leave out as gross errors.
+
+    ``effects`` are your own, tried beside the catalogue. None beside a mistake of the set-up, where every row may look
+    wrong, and none where there are too few rows to tell.
+
+        fit = sk.identify("demo/robot.toml", "demo/whole.csv")
+        print(fit.data.line[sk.gross_errors(fit)])
+    """
+    return _seen_from(fit, effects)[1]
 
 
-def warn_of_outliers(fit: Fit, effects: Sequence[Effect] = ()) -> None:
-    """Warns where a fit is decided by rows that a diagnosis lists as gross errors."""
-    try:
-        run, outliers = _seen_from(fit, effects)
-    except FitError:
-        return  # too few rows to tell
+def warn_of_outliers(fit: Fit, effects: Sequence[Effect]) -> Ints:
+    """The :func:`gross_errors` of a fit, with a warning where they decide it."""
+    run, outliers = _seen_from(fit, effects)
+    if not len(outliers):
+        return outliers
     left = [one.per_unit * float(np.sqrt(np.mean(one.residuals[one.used] ** 2))) for one in (FittedRun(fit), run)]
-    if not len(outliers) or left[0] < _MATTERS * left[1]:
-        return
+    if left[0] < _MATTERS * left[1]:
+        return outliers
     many, data = len(outliers) > 1, fit.data
     warnings.warn(
         f"{data.source}: {data.counted}{'s' if many else ''} {spans(data.line[outliers])} look{'' if many else 's'} "
@@ -84,6 +92,7 @@ def warn_of_outliers(fit: Fit, effects: Sequence[Effect] = ()) -> None:
         SherkitWarning,
         stacklevel=4,
     )
+    return outliers
 
 
 def _seen_from(fit: Fit, effects: Sequence[Effect]) -> tuple[FittedRun, Ints]:
@@ -91,10 +100,13 @@ def _seen_from(fit: Fit, effects: Sequence[Effect]) -> tuple[FittedRun, Ints]:
     run = FittedRun(fit)
     if run.is_exact or set_up_mistakes(fit.model, fit.data, fit.values):
         return run, np.zeros(0, dtype=np.int64)
-    return without_outliers(run, (*run.catalogue, *effects))
+    try:
+        return without_outliers(run, (*run.catalogue, *effects))
+    except FitError:  # too few rows to tell
+        return run, np.zeros(0, dtype=np.int64)
 
 
-def gross_errors(run: FittedRun, effects: Sequence[Effect], rows: Ints) -> Ints:
+def _outlying(run: FittedRun, effects: Sequence[Effect], rows: Ints) -> Ints:
     """Those of these rows, sorted, that are gross errors as seen from this fit.
 
     All that is read after a pause is no accident, it is news: a visit to the machine that is off as a whole stays.

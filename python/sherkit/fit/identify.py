@@ -16,8 +16,6 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-import scipy
-from numpy.typing import NDArray
 
 import sherkit._core as _core
 
@@ -25,7 +23,7 @@ from .. import linalg
 from ..arguments import as_annotated
 from ..data import Measurements
 from ..data.given import RunLike
-from ..data.noise import MAD, Noise, noise_of
+from ..data.noise import Noise, noise_of
 from ..errors import FitError, RobotError
 from ..model.any import Model
 from ..model.base import ModelWithEffects
@@ -48,9 +46,6 @@ _ROBUST_ROUNDS = 30
 #: of its deviation when the rounds are over.
 _SETTLED = 1e-7
 _STILL = 1e-3
-_MAD_EFFICIENCY = 0.37
-#: Chance that a run without outliers has any row listed as one.
-_OUTLIER_LEVEL = 0.01
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -178,27 +173,6 @@ class Fit(Identified, Shown):
         by itself``, or ``fixed``.
         """
         return frame_of(self)
-
-    @cached_property
-    def outliers(self) -> NDArray[np.int64]:
-        """Rows with a residual that noise does not explain: suspected, listed, never dropped.
-
-        The spread is taken robustly from the residuals themselves; the threshold is such that a run of pure
-        noise has no suspect in 99 of 100 cases.
-        """
-        suspect = np.zeros(len(self.data), dtype=bool)
-        count = int(self.data.taken.sum())
-        for k in range(self.data.readings.shape[1]):
-            rows = self.data.used[:, k]
-            if rows.sum() < 5:
-                continue
-            u = self.residuals[rows, k] / self.noise.sigma[rows, k]
-            wide = MAD * float(np.median(np.abs(u - np.median(u))))
-            # a median deviation of few residuals is itself uncertain, with about 0.37 of their number as freedom
-            threshold = float(-scipy.special.stdtrit(max(_MAD_EFFICIENCY * len(u), 1.0), 0.5 * _OUTLIER_LEVEL / count))
-            if wide > 0:
-                suspect[np.flatnonzero(rows)[np.abs(u - np.median(u)) > threshold * wide]] = True
-        return np.flatnonzero(suspect)
 
     def rms(self, which: Floats | None = None) -> dict[str, float]:
         """RMS of residuals per reading, in the unit that people read; of :attr:`residuals` unless others are given.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -61,13 +61,15 @@ class CalibrationRun:
 
     ``held_out`` (n, m) are residuals of fits that did not see the row's block; blocks are dealt once, since a
     correction is judged on the same (a study and a diagnosis average five). ``correction`` is None where none was
-    asked for or the robot has none; ``region`` (n,) are the rows in its region of interest, None where it has none.
+    asked for or the robot has none; ``region`` (n,) are the rows in its region of interest, None where it has none;
+    ``outliers`` (k,) are rows that were used and that a diagnosis lists as gross errors.
     """
 
     fit: Fit
     held_out: Floats
     correction: Corrected | None = None
     region: Bools | None = None
+    outliers: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @cached_property
     def corrected(self) -> Floats:
