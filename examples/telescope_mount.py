@@ -173,7 +173,7 @@ def main() -> None:
         print(f"{rows.source}: {len(rows)} stars, {len(d.outliers)} of them outliers: {d.verdict}")
         for step in d.steps:
             name = "six geometric terms" if step.effect is None else f"+ {step.effect}"
-            print(f"    {name:<24}{on_both_axes(step.held_out_rms):10.2f}″ held out")
+            print(f"    {name:<24}{on_both_axes(step.error.rms):10.2f}″ held out")
         for c in d.candidates:
             if c.effect not in d.effects:
                 print(f"    (with {c.effect + ' alone':<29}{on_both_axes(c.held_out_rms):7.2f}″)")

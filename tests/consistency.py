@@ -19,16 +19,16 @@ CONFIRMED = 0.05
 
 
 def noise_of(d: Any) -> float | None:
-    """RMS of the noise over the readings, in the unit of the held-out errors; None where it is not known."""
+    """The noise of all readings of a row together, as errors are counted; None where it is not known."""
     if d.noise_origin == "unknown":
         return None
-    return float(np.sqrt(np.mean(np.square(list(d.noise.values())))))
+    return float(np.sqrt(np.sum(np.square(list(d.noise.values())))))
 
 
 def contradictions(d: Any, level: float = CONFIRMED) -> list[str]:
     """Each way in which a diagnosis contradicts itself, as a sentence; empty where it does not."""
     out = []
-    errors = [step.held_out_rms for step in d.steps]
+    errors = [step.error.rms for step in d.steps]
     noise = noise_of(d)
     verdict = d.verdict.split(",")[0]  # "adequate, but … is not needed" praises as well
     if verdict in PRAISED:
@@ -41,10 +41,10 @@ def contradictions(d: Any, level: float = CONFIRMED) -> list[str]:
         if absurd and not d.caveat:
             out.append(f"{d.verdict}, but the size of {', '.join(absurd)} is not plausible, and nothing says so")
     for before, step in pairwise(d.steps):
-        if not step.held_out_rms < before.held_out_rms:
+        if not step.error.rms < before.error.rms:
             out.append(
-                f"{step.effect} is named, but the held-out error goes from {before.held_out_rms:.5g} to "
-                f"{step.held_out_rms:.5g} {d.unit}"
+                f"{step.effect} is named, but the held-out error goes from {before.error.rms:.5g} to "
+                f"{step.error.rms:.5g} {d.unit}"
             )
     if d.effects and d.confirmed is not None and not d.confirmed <= level:
         out.append(f"{', '.join(d.effects)} named, but on rows not used p = {d.confirmed:.2g}")

@@ -44,7 +44,7 @@ def record(answer: Answer) -> Record:
         "outliers": len(d.outliers),
         "noise_origin": d.noise_origin,
         "noise": {name: _short(value) for name, value in d.noise.items()},
-        "held_out": {s.effect or "as it came": _short(s.held_out_rms) for s in d.steps},
+        "held_out": {s.effect or "geometry calibrated": _short(s.error.rms) for s in d.steps},
         "sizes": {name: _short(value) for name, value in sizes.items()},
     }
 

@@ -388,7 +388,7 @@ def outcome(slip: Slip, run: Run, seed: int) -> tuple[str, str]:
     leaked = [s for s in answer.sentences if "invalid value" in s or "divide by zero" in s]
     if leaked:
         return "crash", leaked[0]
-    small = d.steps[-1].held_out_rms <= 1.5 * wrong.noise
+    small = d.steps[-1].error.rms / np.sqrt(d.error.axes) <= 1.5 * wrong.noise
     if d.verdict == "explained" or (d.verdict == "adequate" and not small):
         return "lie", answer.short()
     if d.effects:

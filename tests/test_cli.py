@@ -193,7 +193,7 @@ def test_tables_hold_the_same_numbers(work: Path, whole: Measurements) -> None:
     rows = {
         cells[0].strip(): cells[1:] for line in done.stdout.splitlines() if len(cells := line.strip("│").split("│")) > 2
     }
-    after = [float(cell.split("±")[0]) for cell in rows["after geometry"]]
+    after = [float(cell.split("±")[0]) for cell in rows["geometry calibrated, fitted rows"][2:]]
     assert after == pytest.approx(list(fit.rms().values()), abs=0.051)
     for p, value in zip(fit.parameters, fit.values, strict=True):
         shown = float(rows[p.name][1]) if p.unit == "mm" else np.deg2rad(float(rows[p.name][1]))
@@ -415,7 +415,9 @@ def test_demo_shows_the_tables_of_the_paper(tmp_path: Path) -> None:
     assert again is not None
     result = told(sherkit(tmp_path, *again[1].split(), "--json"))
     after = result["whole"]["rms_um"]["after"]
-    cells = re.search(r"after geometry\s*│([^│]*)±[^│]*│([^│]*)±[^│]*│([^│]*)±", done.stdout)
+    cells = re.search(
+        r"geometry calibrated, fitted rows\s*│[^│]*│[^│]*│([^│]*)±[^│]*│([^│]*)±[^│]*│([^│]*)±", done.stdout
+    )
     assert cells is not None
     assert [float(c) for c in cells.groups()] == pytest.approx([after[a] for a in "xyz"], abs=0.051)
 
@@ -429,8 +431,8 @@ def test_demo_tells_its_story_on_one_screen(made: Path) -> None:
     assert max(map(len, lines)) <= 80
     heads = [line for line in lines if re.match(r"\d\. ", line)]
     assert [head.split()[0] for head in heads] == ["1.", "2.", "3.", "4.", "5."]
-    left = re.search(r"(\S+) µm at places it was not fitted to", said)
-    falls = re.search(r"the geometric model +█+ (\S+) µm", said)
+    left = re.search(r"(\S+) µm RMS in 3-D at\s+places it was not fitted to", said)
+    falls = re.search(r"geometry calibrated +█+ (\S+) µm", said)
     assert left is not None
     assert falls is not None
     assert left[1] == falls[1]

@@ -75,5 +75,5 @@ def test_how_a_table_is_written_decides_nothing(name: str) -> None:
             other = sk.diagnose(robot, sk.from_frame(table, columns=names))
         assert (other.verdict, set(other.effects)) == (plain.verdict, set(plain.effects))
         assert set(map(frozenset, other.indistinguishable)) == set(map(frozenset, plain.indistinguishable))
-        errors = [[step.held_out_rms for step in d.steps] for d in (plain, other)]
+        errors = [[step.error.rms for step in d.steps] for d in (plain, other)]
         assert errors[1] == pytest.approx(errors[0], rel=0.01)

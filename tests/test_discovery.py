@@ -147,8 +147,8 @@ def test_each_effect_is_found_by_name(k: int, name: str) -> None:
     assert d.verdict == "explained"
     assert name in named(d)
     assert d.p_missing <= LEVEL
-    assert d.steps[0].held_out_rms > 1.2 * NOISE_UM
-    assert abs(d.steps[-1].held_out_rms / NOISE_UM - 1) < held_out_allowance(d)
+    assert d.steps[0].error.rms / np.sqrt(d.error.axes) > 1.2 * NOISE_UM
+    assert abs(d.steps[-1].error.rms / np.sqrt(d.error.axes) / NOISE_UM - 1) < held_out_allowance(d)
     report = {c.effect: c for c in d.candidates}[name]
     assert report.p_value < LEVEL
     assert d.signature is None
@@ -207,7 +207,7 @@ def test_two_effects_are_found_together(pair: tuple[str, str]) -> None:
     assert d.verdict == "explained"
     assert set(pair) <= named(d)
     assert [s.effect for s in d.steps] == [None, *d.effects]
-    assert abs(d.steps[-1].held_out_rms / NOISE_UM - 1) < held_out_allowance(d)
+    assert abs(d.steps[-1].error.rms / np.sqrt(d.error.axes) / NOISE_UM - 1) < held_out_allowance(d)
 
 
 def test_humidity_is_described_and_not_explained() -> None:
@@ -337,7 +337,7 @@ def compensated_um(run: Run, d: sk.diagnosis.Diagnosis, folder: Path) -> float:
     """Held-out RMS, µm, once the template of the signature is part of the model."""
     study = sk.Study(DELTA, run.data)
     study.add(filled_in(d, folder))
-    return study.history[-1].held_out
+    return study.history[-1].error.rms
 
 
 @pytest.mark.slow
@@ -406,7 +406,7 @@ def test_crosstalk_of_joints_is_at_least_predicted(ratio: float) -> None:
         d = measured(GRIDS["whole"], seed, scaled={"joint_crosstalk": ratio * NOISE_UM}).diagnose()
         assert d.verdict != "adequate"
         if d.verdict == "explained":
-            assert abs(d.steps[-1].held_out_rms / NOISE_UM - 1) < held_out_allowance(d)
+            assert abs(d.steps[-1].error.rms / np.sqrt(d.error.axes) / NOISE_UM - 1) < held_out_allowance(d)
 
 
 @pytest.mark.slow
@@ -443,8 +443,9 @@ def test_the_right_effect_is_named_in_98_of_100(ratio: float, where: str) -> Non
             d = hidden(name, ratio, where, seed)
             kind = "right" if name in named(d) else "wrong" if d.verdict == "explained" else "missed"
             outcome[kind] += 1
-            if kind == "right" and abs(d.steps[-1].held_out_rms / NOISE_UM - 1) > held_out_allowance(d):
-                off.append((name, seed, d.steps[-1].held_out_rms))
+            each = d.error.rms / np.sqrt(d.error.axes)
+            if kind == "right" and abs(each / NOISE_UM - 1) > held_out_allowance(d):
+                off.append((name, seed, each))
     count = outcome.total()
     assert count - outcome["right"] <= stats.binom.isf(RARE, count, 0.02), outcome
     assert outcome["wrong"] <= stats.binom.isf(RARE, count, 0.01), outcome

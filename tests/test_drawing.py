@@ -258,7 +258,7 @@ def test_hostile_texts_stay_texts() -> None:
 def test_errors_stand_where_they_were_measured(study: sk.Study) -> None:
     """Catches arrows of another sign or scale, of another row, and a mean over other poses."""
     before = next(s.fit for s in study.history if s.fit is not None)
-    scene = space_of(before, study.fit, ("as it came", "now"))
+    scene = space_of(before, study.fit, ("geometry calibrated", "now"))
     assert scene is not None
     assert scene.arrows is not None
     a, data = scene.arrows, study.data
@@ -276,7 +276,7 @@ def test_errors_stand_where_they_were_measured(study: sk.Study) -> None:
 def test_scenes_move(study: sk.Study, tmp_path: Path) -> None:
     """Catches a scene that stays empty, a slider that moves nothing, and a hover without the row's number."""
     before = next(s.fit for s in study.history if s.fit is not None)
-    scene = space_of(before, study.fit, ("as it came", "now"))
+    scene = space_of(before, study.fit, ("geometry calibrated", "now"))
     assert scene is not None
     card = effect_card(study.fit.model.effects[0], EXAMPLE, fit=study.fit)
     file = tmp_path / "card.html"
@@ -310,7 +310,7 @@ def test_scenes_move(study: sk.Study, tmp_path: Path) -> None:
               e.slab = -1; e.draw()
               e.hover({clientX: c.left + e.from[0], clientY: c.top + e.from[1]}); return e.tip.textContent }"""
         )
-        assert re.match(r"pose at row \d+\nas it came: [\d.]+ µm\nnow: [\d.]+ µm$", said), said
+        assert re.match(r"pose at row \d+\ngeometry calibrated: [\d.]+ µm\nnow: [\d.]+ µm$", said), said
     assert complaints == []
 
 

@@ -56,8 +56,8 @@ def test_each_machine_is_diagnosed_by_itself(found: Fleet, runs: list[str]) -> N
     assert found.shared["rail_lean"] == (runs[3],)
     alone = sk.diagnose(sk.identify(EXAMPLE, runs[3]))
     assert found.machines[3].verdict == alone.verdict
-    assert found.machines[3].left == alone.steps[-1].held_out_rms
-    assert found.machines[3].as_it_came > 2 * found.machines[3].left
+    assert found.machines[3].after == alone.steps[-1].error.rms
+    assert found.machines[3].before > 2 * found.machines[3].after
 
 
 def test_a_row_is_flat_and_the_same_from_a_diagnosis_and_a_fleet(found: Fleet, runs: list[str]) -> None:
@@ -66,8 +66,8 @@ def test_a_row_is_flat_and_the_same_from_a_diagnosis_and_a_fleet(found: Fleet, r
     row = alone.row()
     assert all(value is None or isinstance(value, str | int | float) for value in row.values())
     assert row["effects"] == "rail_lean"
-    assert row["left_um"] == alone.steps[-1].held_out_rms
-    assert row["ratio"] == pytest.approx(row["left_um"] / row["as_it_came_um"])
+    assert row["after_um"] == alone.steps[-1].error.rms
+    assert row["ratio"] == pytest.approx(row["after_um"] / row["before_um"])
     assert row["p_lack_of_fit"] == next(c.p for c in alone.checks if c.name == "poses_as_repeats")
     table = found.to_frame()
     assert table["run"].to_list() == runs
@@ -131,7 +131,7 @@ def fleet_of(values: np.ndarray, std: float = 0.1) -> Fleet:
     names = [f"p{k}" for k in range(values.shape[1])]
     units, stds = dict.fromkeys(names, "mm"), dict.fromkeys(names, std)
     made = [dict(zip(names, row.tolist(), strict=True)) for row in values]
-    return Fleet(tuple(Machine(f"m{k}", left=5.0, values=v, std=stds, units=units) for k, v in enumerate(made)))
+    return Fleet(tuple(Machine(f"m{k}", after=5.0, values=v, std=stds, units=units) for k, v in enumerate(made)))
 
 
 def test_the_odd_one_is_named_and_the_others_are_not() -> None:

@@ -57,7 +57,7 @@ def table(title: str, outcomes: Iterable[tuple[str, str]]) -> None:
 
 def made_up(**changes: Any) -> Any:
     """A report that does not contradict itself, but for the changes."""
-    step = lambda effect, rms: SimpleNamespace(effect=effect, held_out_rms=rms)  # noqa: E731
+    step = lambda effect, rms: SimpleNamespace(effect=effect, error=SimpleNamespace(rms=rms))  # noqa: E731
     report = {
         "verdict": "explained", "unit": "µm", "noise": {"x": 2.0, "y": 2.0}, "noise_origin": "repeats",
         "effects": ("rail_lean",), "steps": (step(None, 8.0), step("rail_lean", 2.1)), "confirmed": 0.0005,
@@ -69,7 +69,7 @@ def made_up(**changes: Any) -> Any:
 
 def test_the_check_finds_each_contradiction() -> None:
     """Catches a check that lets a contradiction pass, or finds one where none is."""
-    step = lambda effect, rms: SimpleNamespace(effect=effect, held_out_rms=rms)  # noqa: E731
+    step = lambda effect, rms: SimpleNamespace(effect=effect, error=SimpleNamespace(rms=rms))  # noqa: E731
     consistent(made_up())
     left = (step(None, 8.0), step("rail_lean", 2.6))
     assert len(contradictions(made_up(steps=left))) == 1
@@ -124,7 +124,7 @@ def test_a_pitch_that_is_wrong_is_found_out() -> None:
     """Catches an effect that is named at a period at which it does nothing. Seed 0."""
     d = honest(worlds.pitch_wrong(0).ask())
     assert d.effects == ("encoder_cyclic",)
-    assert abs(d.steps[-1].held_out_rms / NOISE_UM - 1) < 0.1
+    assert abs(d.steps[-1].error.rms / np.sqrt(d.error.axes) / NOISE_UM - 1) < 0.1
 
 
 def test_a_period_that_no_file_has_is_searched() -> None:

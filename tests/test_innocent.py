@@ -61,7 +61,7 @@ class Count:
             self.lies.append(f"{where}: {answer.short()}")
             return
         praised = d.verdict in ("adequate", "explained")
-        honest = d.steps[-1].held_out_rms <= PRAISE * world.noise
+        honest = d.steps[-1].error.rms / np.sqrt(d.error.axes) <= PRAISE * world.noise
         if praised and not honest:
             self.lies.append(f"{where}: {answer.short()}")
         guilty = TRUE_NAMES.get(kind, set())

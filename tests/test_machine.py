@@ -78,7 +78,7 @@ def named(d: sk.diagnosis.Diagnosis) -> set[str]:
 
 
 def held_out(d: sk.diagnosis.Diagnosis) -> float:
-    return d.steps[-1].held_out_rms
+    return d.steps[-1].error.rms
 
 
 # -- what is missing ---------------------------------------------------------------------------------------

@@ -128,7 +128,7 @@ def test_wrong_rows_are_named_by_pose_and_by_line() -> None:
     assert f"rows {line[wrong][0]}" in poses
     assert d.fit.data.outlier.sum() == 10
     assert d.base.data.outlier.sum() == 10
-    assert d.steps[0].held_out_rms < 1.2 * worlds.NOISE_UM
+    assert d.steps[0].error.rms / np.sqrt(d.error.axes) < 1.2 * worlds.NOISE_UM
 
 
 def knocked() -> tuple[worlds.World, Floats, Floats]:
@@ -145,7 +145,7 @@ def test_a_study_marks_what_its_diagnosis_lists() -> None:
     step = study.mark_outliers()
     assert np.flatnonzero(study.data.outlier).tolist() == rows.tolist()
     assert step.action == "5 rows marked as outliers"
-    assert step.held_out < 0.5 * study.history[0].held_out
+    assert step.error.rms < 0.5 * study.history[0].error.rms
     with pytest.raises(sk.errors.MeasurementError, match="lists no rows as gross errors"):
         study.mark_outliers()
     study.undo()

@@ -173,25 +173,25 @@ def test_the_hidden_effect_leads_and_a_click_adds_it(lab: Path) -> None:
         first = page.get_by_role("button").filter(has_text=re.compile(r"^\+ ")).first
         assert first.inner_text() == "+ rail_lean"
         assert "explained" in text(page, "headline")
-        assert f" {study.history[0].held_out:.0f} " in text(page, "numbers")
+        assert f" {study.history[0].error.rms:.0f} " in text(page, "numbers")
         np.testing.assert_allclose(arrows(page), expected_arrows(study.fit), atol=0.02)
 
         study.add("rail_lean")
         button(page, "+ rail_lean").click()
         button(page, "✓ rail_lean").wait_for()
-        wait_for(page, "numbers", f"{study.history[-1].held_out:.2f}")
+        wait_for(page, "numbers", f"{study.history[-1].error.rms:.2f}")
         # the pictures come after the answer
         page.wait_for_function("Math.abs(Bokeh.documents[0].get_model_by_name('after_0').data.ex[0]) < 20")
         np.testing.assert_allclose(arrows(page), expected_arrows(study.fit), atol=0.02)
         page.wait_for_function("Bokeh.documents[0].get_model_by_name('steps').data.action.length == 2")
         steps = source(page, "steps")
-        assert steps["action"] == ["the geometric model", "added rail_lean"]
-        np.testing.assert_allclose(steps["held_x"], [s.held_out_rms["x_mm"] for s in study.history], rtol=1e-6)
+        assert steps["action"] == ["geometry calibrated", "+ rail_lean"]
+        np.testing.assert_allclose(steps["held_x"], [s.error.by_reading["x_mm"] for s in study.history], rtol=1e-6)
         diagnosed(page)
         assert "adequate" in text(page, "headline")
 
         # two states compared the other way round
-        page.get_by_label("with", exact=True).select_option(label="0. the geometric model")
+        page.get_by_label("with", exact=True).select_option(label="0. geometry calibrated")
         page.wait_for_function(
             "Math.abs(Bokeh.documents[0].get_model_by_name('after_0').data.ex[0]) > 20", timeout=_WAIT_MS
         )
@@ -206,9 +206,9 @@ def test_the_hidden_effect_leads_and_a_click_adds_it(lab: Path) -> None:
         # click again: removed; undo: there again
         button(page, "✓ rail_lean").click()
         button(page, "+ rail_lean").wait_for()
-        button(page, "Undo: removed rail_lean").click()
+        button(page, "Undo: − rail_lean").click()
         button(page, "✓ rail_lean").wait_for()
-        button(page, "Redo: removed rail_lean").wait_for()
+        button(page, "Redo: − rail_lean").wait_for()
         # what was taken back is folded
         page.wait_for_function("Bokeh.documents[0].get_model_by_name('steps').data.action.length == 2")
         button(page, "Show 2 steps taken back").click()
@@ -253,7 +253,7 @@ def test_an_effect_is_typed_tried_and_added(lab: Path) -> None:
             lines.fill(wrong)
             button(page, "Run these lines").click()
             wait_for(page, "error_lines", part)
-        assert source(page, "steps")["action"] == ["the geometric model"]
+        assert source(page, "steps")["action"] == ["geometry calibrated"]
         lines.fill(OWN)
         button(page, "Run these lines").click()
         button(page, "+ floor_ramp").wait_for()

@@ -24,6 +24,7 @@ from scipy import stats
 import sherkit as sk
 from browsing import needs_browser, opened
 from sherkit.diagnosis import Diagnosis
+from sherkit.fit.error import ErrorSize
 from sherkit.report import style
 from sherkit.report.atlas import atlas_of, signature_atlas
 from sherkit.report.candidates import candidates
@@ -116,7 +117,7 @@ def many() -> Run:
 
 
 def change(run: Run) -> Change:
-    return Change(run.before, run.after, "as it came", "with what was found")
+    return Change(run.before, run.after, "geometry calibrated", "with what was found")
 
 
 PICTURES: dict[str, Callable[[Run], Picture[Any]]] = {
@@ -470,13 +471,14 @@ def test_fall_is_the_history(demo: Run) -> None:
     made = error_history(error_history_of(demo.study, demo.found))
     t = table(made, "steps")
     assert [str(s).split(". ", 1)[1] for s in t["step"]] == [s.action for s in demo.study.history]
+    assert t["held_error"].tolist() == [s.error.rms for s in demo.study.history]
     for axis in "xyz":
-        assert t[f"held_{axis}"].tolist() == [s.held_out_rms[f"{axis}_mm"] for s in demo.study.history]
-        assert t[f"fit_{axis}"].tolist() == [s.training_rms[f"{axis}_mm"] for s in demo.study.history]
+        assert t[f"held_{axis}"].tolist() == [s.error.by_reading[f"{axis}_mm"] for s in demo.study.history]
+        assert t[f"fit_{axis}"].tolist() == [s.fitted.by_reading[f"{axis}_mm"] for s in demo.study.history]
     figure = plots(made)[0]
     lines = [s.location for s in figure.select({"type": Span})]
-    assert sorted(lines) == pytest.approx(sorted([20.0, *demo.found.noise.values()]))
-    values = [v for k, column in t.items() if k.startswith(("held", "fit")) for v in column]
+    assert sorted(lines) == pytest.approx(sorted([20.0, demo.found.noise_size]))
+    values = [v for k, column in t.items() if k.startswith(("held", "fit", "p95")) for v in column]
     assert figure.y_range.start < min(values + lines)
     assert figure.y_range.end > max(values + lines)
 
@@ -485,17 +487,20 @@ def test_the_path_leaves_out_what_was_taken_back() -> None:
     """Catches a step of the path that is folded, an undone one that is drawn, and numbers where names have room."""
 
     def step(action: str, effects: tuple[str, ...], left: float, rows: int = 9) -> StudyStep:
-        return StudyStep(action, effects, {"x_mm": left}, {"x_mm": left}, {}, rows, None)
+        return StudyStep(action, effects, size(left), size(left), {}, rows, None)
 
-    plain, lean = step("the geometric model", (), 130.0), step("added rail_lean", ("rail_lean",), 5.0)
+    def size(left: float) -> ErrorSize:
+        return ErrorSize(left, left, left, left, "µm", held_out=True, by_reading={"x_mm": left})
+
+    plain, lean = step("geometry calibrated", (), 130.0), step("+ rail_lean", ("rail_lean",), 5.0)
     marked = step("1 rows marked as outliers", ("rail_lean",), 4.9)
-    undone, slip = step("undone: added rail_lean", (), 130.0), step("added slip", ("slip",), 120.0)
+    undone, slip = step("undone: + rail_lean", (), 130.0), step("+ slip", ("slip",), 120.0)
     assert current_path([plain, lean, marked]) == [0, 1, 2]
     assert current_path([plain, lean, undone]) == [0]
     assert current_path([plain, lean, marked, step("undone", ("rail_lean",), 5.0)]) == [0, 1]
     assert current_path([plain, slip, undone, lean, marked]) == [0, 3, 4]
     assert current_path([plain, lean, step("redone: added rail_lean", ("rail_lean",), 5.0)]) == [0, 1]
-    many = ErrorHistory([ErrorOfStep(f"step {k}", {"x": 9.0 - 0.1 * k}, {"x": 8.0}) for k in range(23)], {}, "µm")
+    many = ErrorHistory([ErrorOfStep(f"step {k}", size(9.0 - 0.1 * k), size(8.0)) for k in range(23)], None, "µm")
     made = error_history(many)
     assert plots(made)[0].x_range.factors == [str(k) for k in range(23)]
     assert table(made, "steps")["action"][22] == "step 22"

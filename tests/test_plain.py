@@ -113,7 +113,7 @@ def test_held_out_lies_between_two_plain_cross_validations(effect: str | None) -
     ours, kind, harsh = [], [], []
     for seed in SEEDS:
         case = Case(seed, effect)
-        ours.append(sk.diagnose(sk.identify(case.robot, case.run)).steps[0].held_out_rms * 1e-3)
+        ours.append(sk.diagnose(sk.identify(case.robot, case.run)).steps[0].error.rms * 1e-3 / np.sqrt(3.0))
         groups = case.run.groups
         of_pose = np.stack([case.run.readings[groups == g, :3].mean(axis=0) for g in groups.tolist()])
         first = np.array([np.argmax(groups == g) for g in groups.tolist()], dtype=float)

@@ -157,7 +157,7 @@ def test_a_run_without_heights(folder: Path) -> None:
     assert (found.verdict, found.effects) == ("explained", ("backlash",))
     study = sk.Study(robot, flat)
     study.add("backlash")
-    assert set(study.history[-1].held_out_rms) == {"x_mm", "y_mm"}
+    assert set(study.history[-1].error.by_reading) == {"x_mm", "y_mm"}
     # from a side that is known; from either, half of what is lost counts
     made = study.calibration()
     assert made.accuracy([300.0, 100.0], direction=[1.0, 1.0]) < 0.02 < made.accuracy([300.0, 100.0])
@@ -187,9 +187,9 @@ def test_a_users_effect_is_one_like_the_others(folder: Path) -> None:
 def test_a_study_is_led_and_kept(folder: Path) -> None:
     """Catches a study that cannot be opened again because it does not know the robot, its effects or its settings."""
     study = sk.Study("robot.toml", measured(sk.load_robot("robot.toml"), "slip"))
-    before = study.history[0].held_out
+    before = study.history[0].error.rms
     study.add("slip")
-    assert study.history[-1].held_out < 0.6 * before
+    assert study.history[-1].error.rms < 0.6 * before
     study.add("droop")
     study.undo()
     study.save("study")

@@ -154,9 +154,9 @@ def test_report_says_what_the_json_says(demo: Path) -> None:
         verdict = page.inner_text("#verdict")
         assert verdict.startswith(found["verdict"] + ":")
         assert all(name in verdict for name in found["effects"])
-        agrees(page.inner_text("#error-before"), found["steps"][0]["held_out_rms_um"], " µm")
-        agrees(page.inner_text("#error-after"), found["steps"][-1]["held_out_rms_um"], " µm")
-        agrees(page.inner_text("#noise"), math.sqrt(np.mean(np.square(list(found["noise_um"].values())))), " µm")
+        agrees(page.inner_text("#error-before"), found["steps"][0]["error"]["rms"], " µm")
+        agrees(page.inner_text("#error-after"), found["steps"][-1]["error"]["rms"], " µm")
+        agrees(page.inner_text("#noise"), math.hypot(*found["noise_um"].values()), " µm")
         assert f"p = {found['p_missing']:.2g}" in page.inner_text("#missing")
         rows = cells(page, "candidates")
         assert [row[0] for row in rows] == [c["effect"] for c in found["candidates"]]
@@ -168,14 +168,14 @@ def test_report_says_what_the_json_says(demo: Path) -> None:
             agrees(row[5].split()[1], in_people_units(c["parameters"][0]["unit"])[1] * c["parameters"][0]["value"])
         assert [row[0] for row in cells(page, "where")] == [d["variable"] for d in found["where"]]
         for row, one, step in zip(cells(page, "fall"), (plain, last), study.history, strict=True):
-            for cell, axis in zip(row[1:], "xyz", strict=True):
-                held, fitted = cell.rstrip(")").split(" (")
-                agrees(held, step.held_out_rms[f"{axis}_mm"])
+            agrees(row[1], step.error.rms)
+            agrees(row[2], step.error.p95)
+            for cell, axis in zip(row[3:], "xyz", strict=True):
+                agrees(cell, step.error.by_reading[f"{axis}_mm"])
                 # another deal of blocks
-                assert float(held) == pytest.approx(one["rms_um"]["held_out"][axis], rel=0.1)
-                agrees(fitted, one["rms_um"]["after"][axis])
-        assert study.history[0].held_out == pytest.approx(found["steps"][0]["held_out_rms_um"], rel=1e-9)
-        assert study.history[-1].held_out == pytest.approx(found["steps"][-1]["held_out_rms_um"], rel=1e-3)
+                assert float(cell) == pytest.approx(one["rms_um"]["held_out"][axis], rel=0.1)
+        assert study.history[0].error.rms == pytest.approx(found["steps"][0]["error"]["rms"], rel=1e-9)
+        assert study.history[-1].error.rms == pytest.approx(found["steps"][-1]["error"]["rms"], rel=1e-3)
         rows = cells(page, "parameters")
         assert [row[0] for row in rows] == [p["name"] for p in last["parameters"]]
         for row, p in zip(rows, last["parameters"], strict=True):
@@ -192,14 +192,14 @@ def test_switches_move_the_pictures(demo: Path) -> None:
     """Catches numbers of another state or variable, swapped axes, rows in another order, and a stale title."""
     robot, data = sk.load_robot(demo / "demo/robot.toml"), sk.read_measurements(demo / "demo/whole.csv")
     fits = {
-        "with beam_alignment": sk.identify(
+        "+ beam_alignment": sk.identify(
             sk.delta.DeltaModel(robot, effects=effects_by_name(CATALOGUE, ("beam_alignment",))), data
         ),
-        "the model as it came": sk.identify(sk.delta.DeltaModel(robot), data),
+        "geometry calibrated": sk.identify(sk.delta.DeltaModel(robot), data),
     }
-    base = 1e3 * fits["the model as it came"].residuals[:, :3]
+    base = 1e3 * fits["geometry calibrated"].residuals[:, :3]
     with opened(demo / "demo" / "report.html") as page:
-        assert page.eval_on_selector("#state", "s => s.options[s.selectedIndex].text") == "with rail_lean"
+        assert page.eval_on_selector("#state", "s => s.options[s.selectedIndex].text") == "+ rail_lean"
         for title, fit in fits.items():
             page.select_option("#state", label=title)
             page.select_option("#variable", label="q2, mm")
@@ -219,7 +219,7 @@ def test_switches_move_the_pictures(demo: Path) -> None:
             np.testing.assert_allclose(np.sort(shown, axis=0), np.sort(expected, axis=0), atol=1e-3)
             assert source(page, "after_0_key")["title"][0].startswith(title)
             before = source(page, "earlier")
-            if title == "the model as it came":
+            if title == "geometry calibrated":
                 assert len(before["r0"]) == len(source(page, "gained")["v"]) == 0
             else:
                 np.testing.assert_allclose(before["r1"], base[:, 1], atol=1e-3)
@@ -346,7 +346,7 @@ def test_calibration_with_a_local_run_an_effect_and_a_loss(runs: Path) -> None:
     assert f"{number(told['local']['rms_um']['before']['x'])} ±" in text
     assert "adequate: no effect is missing" in text
     assert "with rail_lean" in text
-    assert "the model as it came: " not in text
+    assert "geometry calibrated: " not in text
     assert "local.csv SHA-256" in text
     assert "sk.load_calibration" in text
 
@@ -469,7 +469,7 @@ def test_texts_of_files_are_texts(runs: Path) -> None:
         page.select_option("#variable", label=HOSTILE[1])
         settled(page)
         assert len(source(page, "points")["v"]) == len(frame)
-        assert "with heave" in page.inner_text("#state")
+        assert "+ heave" in page.inner_text("#state")
         assert "'it'\"'\"'s " in page.inner_text("#command")
 
 

@@ -178,8 +178,8 @@ def test_each_effect_is_found_by_name(k: int, name: str) -> None:
     assert name in named(d)
     assert d.p_missing <= LEVEL
     assert d.unit == "px"
-    assert d.steps[0].held_out_rms > 1.2 * NOISE_PX
-    assert abs(d.steps[-1].held_out_rms / NOISE_PX - 1) < held_out_allowance(d)
+    assert d.steps[0].error.rms / np.sqrt(d.error.axes) > 1.2 * NOISE_PX
+    assert abs(d.steps[-1].error.rms / np.sqrt(d.error.axes) / NOISE_PX - 1) < held_out_allowance(d)
     report = {c.effect: c for c in d.candidates}[name]
     assert report.p_value < LEVEL
     assert d.signature is None
@@ -217,7 +217,7 @@ def test_two_effects_are_found_together(pair: tuple[str, str]) -> None:
     assert d.verdict == "explained"
     assert set(pair) <= named(d)
     assert [s.effect for s in d.steps] == [None, *d.effects]
-    assert abs(d.steps[-1].held_out_rms / NOISE_PX - 1) < held_out_allowance(d)
+    assert abs(d.steps[-1].error.rms / np.sqrt(d.error.axes) / NOISE_PX - 1) < held_out_allowance(d)
 
 
 def test_two_effects_that_one_explains_are_called_by_that_one() -> None:
@@ -230,7 +230,7 @@ def test_two_effects_that_one_explains_are_called_by_that_one() -> None:
     d = run.diagnose()
     assert run.enough_alone() == {"camera_pose"}
     assert (d.verdict, d.effects) == ("explained", ("camera_pose",))
-    assert abs(d.steps[-1].held_out_rms / NOISE_PX - 1) < held_out_allowance(d)
+    assert abs(d.steps[-1].error.rms / np.sqrt(d.error.axes) / NOISE_PX - 1) < held_out_allowance(d)
 
 
 def test_a_cause_of_many_parameters_is_found_beside_the_small_ones_that_imitate_it() -> None:
@@ -299,8 +299,9 @@ def test_the_right_effect_is_named_in_98_of_100(ratio: float, where: str) -> Non
             kind = "right" if name in named(d) else "wrong" if d.verdict == "explained" else "missed"
             outcome[kind] += 1
             missed[name] += kind != "right"
-            if kind == "right" and abs(d.steps[-1].held_out_rms / NOISE_PX - 1) > held_out_allowance(d):
-                off.append((name, seed, d.steps[-1].held_out_rms))
+            each = d.error.rms / np.sqrt(d.error.axes)
+            if kind == "right" and abs(each / NOISE_PX - 1) > held_out_allowance(d):
+                off.append((name, seed, each))
     count = outcome.total()
     assert count - outcome["right"] <= stats.binom.isf(RARE, count, 0.02), missed
     assert outcome["wrong"] <= stats.binom.isf(RARE, count, 0.01), missed

@@ -67,7 +67,7 @@ def test_the_lag_of_a_stand_is_found(seed: int) -> None:
     assert d.effects == ("thermal_shift",)
     true = run.effects["thermal_shift"][3]
     assert abs(d.fit.model.thermal_shift_lag_s / true - 1) < 0.25
-    assert abs(d.steps[-1].held_out_rms / delta.NOISE_UM - 1) < delta.held_out_allowance(d)
+    assert abs(d.steps[-1].error.rms / np.sqrt(d.error.axes) / delta.NOISE_UM - 1) < delta.held_out_allowance(d)
     assert any("after the recorded temperature" in note for note in d.notes)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 import sherkit as sk
 from second_simulator import Robot, draw_geometric_errors, grid, make_plan, scaled_effect, simulate, truth
 from sherkit.data.joined import joined
-from sherkit.fit.hold_out import spatial_blocks
+from sherkit.fit.blocks import spatial_blocks
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]
@@ -97,11 +97,11 @@ def test_every_step_is_an_independent_refit(leaning: sk.Measurements) -> None:
         fit = sk.identify(model, data)
         assert step.effects == tuple(e.name for e in effects)
         assert step.rows == len(data)
-        same(step.training_rms, fit.rms())
+        same(step.fitted.by_reading, fit.rms())
         same(step.parameters, fit.by_name, 1e-7)
-        same(step.held_out_rms, held_out_um(model, data), 1e-3)
-        assert step.held_out == pytest.approx(np.sqrt(np.mean(np.square(list(step.held_out_rms.values())))))
-    assert study.history[1].held_out < 1.1e3 * NOISE_MM < study.history[0].held_out
+        same(step.error.by_reading, held_out_um(model, data), 1e-3)
+        assert step.error.rms == pytest.approx(np.linalg.norm(list(step.error.by_reading.values())))
+    assert study.history[1].error.rms < 1.1e3 * np.sqrt(3) * NOISE_MM < study.history[0].error.rms
     assert len(study.data) == 2 * len(leaning)
     assert study.data.outlier.sum() == 2
     assert len(np.unique(study.data.groups)) == 2 * len(np.unique(leaning.groups))
@@ -143,7 +143,7 @@ def test_undo_goes_back_to_the_start(leaning: sk.Measurements) -> None:
     step = study.undo()
     assert study.effects == ()
     same(step.parameters, first.parameters)
-    same(step.held_out_rms, first.held_out_rms)
+    same(step.error.by_reading, first.error.by_reading)
     with pytest.raises(sk.errors.EffectError, match="nothing to undo"):
         study.undo()
 
@@ -155,28 +155,28 @@ def test_redo_makes_again_what_was_undone(leaning: sk.Measurements) -> None:
     study.add("drift")
     study.mark_outliers([1])
     study.undo()
-    assert (study.undoes, study.redoes) == ("added drift", "1 rows marked as outliers")
+    assert (study.undoes, study.redoes) == ("+ drift", "1 rows marked as outliers")
     study.undo()
-    assert (study.undoes, study.redoes) == ("", "added drift")
+    assert (study.undoes, study.redoes) == ("", "+ drift")
     study.redo()
     assert study.effects == ("drift",)
     step = study.redo()
     assert study.data.outlier.sum() == 1
     assert step.action == "redone: 1 rows marked as outliers"
-    same(step.held_out_rms, held_out_um(study.model, study.data), 1e-3)
+    same(step.error.by_reading, held_out_um(study.model, study.data), 1e-3)
     with pytest.raises(sk.errors.EffectError, match="nothing to do again"):
         study.redo()
     study.undo()
     study.add("rail_lean")
-    assert (study.undoes, study.redoes) == ("added rail_lean", "")
+    assert (study.undoes, study.redoes) == ("+ rail_lean", "")
 
 
 def test_without_is_the_error_of_the_rest(leaning: sk.Measurements) -> None:
     """Catches a study that asking changes, and the error of another model."""
     study = sk.Study(EXAMPLE, leaning)
-    plain = study.history[0].held_out
+    plain = study.history[0].error.rms
     study.add("rail_lean")
-    assert study.without("rail_lean").held_out == pytest.approx(plain, rel=1e-9)
+    assert study.without("rail_lean").error.rms == pytest.approx(plain, rel=1e-9)
     assert (study.effects, len(study.history)) == (("rail_lean",), 2)
     with pytest.raises(sk.errors.EffectError, match="not in the model"):
         study.without("drift")
@@ -218,7 +218,7 @@ def test_a_diagnosis_is_kept_until_something_changes(leaning: sk.Measurements) -
     again = study.diagnose()
     assert again is not d
     assert again.verdict == "adequate"
-    assert abs(study.history[-1].held_out / d.steps[-1].held_out_rms - 1) < 0.05
+    assert abs(study.history[-1].error.rms / d.steps[-1].error.rms - 1) < 0.05
 
 
 def test_another_level_is_another_question(leaning: sk.Measurements) -> None:
@@ -249,13 +249,13 @@ def test_a_saved_study_comes_back_whole(tmp_path: Path) -> None:
     for name, values in study.data.covariates.items():
         np.testing.assert_array_equal(back.data.covariates[name], values)
     for a, b in zip(back.history, study.history, strict=True):
-        for f in ("action", "effects", "training_rms", "held_out_rms", "parameters", "rows"):
+        for f in ("action", "effects", "fitted", "error", "parameters", "rows"):
             assert getattr(a, f) == getattr(b, f)
     np.testing.assert_allclose(back.fit.predicted, study.fit.predicted, atol=1e-9)
     assert repr(back) == repr(study)
     back.remove("wave")
     study.remove("wave")
-    same(back.history[-1].held_out_rms, study.history[-1].held_out_rms)
+    same(back.history[-1].error.by_reading, study.history[-1].error.by_reading)
 
 
 def test_a_loaded_history_holds_the_fit_of_each_step(leaning: sk.Measurements, tmp_path: Path) -> None:
@@ -265,7 +265,7 @@ def test_a_loaded_history_holds_the_fit_of_each_step(leaning: sk.Measurements, t
     study.save(tmp_path)
     back = sk.Study.load(tmp_path)
     for step in back.history:
-        same(step.fit.rms(), step.training_rms)
+        same(step.fit.rms(), step.fitted.by_reading)
 
 
 def test_a_folder_that_is_no_study_says_so(leaning: sk.Measurements, tmp_path: Path) -> None:
@@ -503,7 +503,7 @@ def test_a_users_effect_at_each_link_is_recovered(effect: sk.Effect, values: lis
     study.add(effect.name)
     place = study.model.owns(effect)
     assert (np.abs(study.fit.values[place] - values) < 4 * study.fit.std[place]).all()
-    assert study.history[-1].held_out < 1.1e3 * NOISE_MM
+    assert study.history[-1].error.rms < 1.1e3 * np.sqrt(3) * NOISE_MM
     assert study.diagnose().verdict == "adequate"
 
 

@@ -39,7 +39,7 @@ mount = _load()
 
 def on_sky(report: Any) -> float:
     """Held-out RMS as an angle on the sky, arcsec."""
-    return float(mount.on_both_axes(report.held_out_rms))
+    return float(mount.on_both_axes(report.error.rms))
 
 
 # -- measured ----------------------------------------------------------------------------------------------

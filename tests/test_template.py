@@ -63,9 +63,9 @@ def test_the_template_of_what_is_left_explains_it(of: Any, tmp_path: Path) -> No
     (effect,) = load_effects(path)
     again = sk.diagnose(fit, effects=(effect,))
     assert "unknown_effect" in again.effects
-    assert again.steps[-1].held_out_rms < 0.5 * again.steps[0].held_out_rms
+    assert again.steps[-1].error.rms < 0.5 * again.steps[0].error.rms
     if isinstance(robot, sk.delta.Delta | sk.spherical.Spherical):
         study = sk.Study(robot, data)
-        before = study.diagnose().steps[0].held_out_rms
-        assert study.add(effect).held_out_rms
-        assert study.diagnose().steps[0].held_out_rms < 0.5 * before
+        before = study.diagnose().steps[0].error.rms
+        assert study.add(effect).error.rms
+        assert study.diagnose().steps[0].error.rms < 0.5 * before

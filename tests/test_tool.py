@@ -578,7 +578,7 @@ def test_effects_are_found_by_name(name: str) -> None:
     """Catches an effect that is computed with the wrong sign or not at all; visible part 1 × the noise, seed 1."""
     d = diagnosed(name, 1)
     assert name in {*d.effects, *(other for tie in d.indistinguishable for other in tie)}
-    assert d.steps[-1].held_out_rms == pytest.approx(NOISE_MM, rel=0.06)
+    assert d.steps[-1].error.rms / np.sqrt(d.error.axes) == pytest.approx(NOISE_MM, rel=0.06)
 
 
 def test_a_force_that_lags_is_explained() -> None:

@@ -66,12 +66,12 @@ def test_a_change_is_shown_then_diagnosed_and_saved(bench: Workbench, tmp_path: 
         before.effects = ("slip",)  # type: ignore[misc]
     assert sk.Study.load(tmp_path / "study").effects == ("rail_lean",)
     np.testing.assert_allclose(moments[0].now.values, 1e3 * moments[0].history[-1].fit.residuals[:, :3])
-    assert moments[-1].without["rail_lean"] == pytest.approx(before.history[0].held_out, rel=1e-9)
+    assert moments[-1].without["rail_lean"] == pytest.approx(before.history[0].error.rms, rel=1e-9)
     bench.toggle("rail_lean")
     bench.undo()
     settled(bench)
     assert bench.page_state.effects == ("rail_lean",)
-    assert (bench.page_state.undoes, bench.page_state.redoes) == ("added rail_lean", "removed rail_lean")
+    assert (bench.page_state.undoes, bench.page_state.redoes) == ("+ rail_lean", "− rail_lean")
     bench.redo()
     settled(bench)
     assert bench.page_state.effects == ()
@@ -85,12 +85,12 @@ def test_the_workspace_follows_the_model(bench: Workbench) -> None:
     settled(bench)
     assert [kind for kind, _ in told if kind in ("moment", "space")] == ["moment", "moment", "space"]
     assert bench.page_state.space.startswith("<sherkit-scene")
-    assert "the geometric model and added rail_lean" in bench.page_state.space
+    assert "geometry calibrated and + rail_lean" in bench.page_state.space
     bench.toggle("rail_lean")
     settled(bench)
     # with one step alone, what is found missing stands beside it
-    assert "added rail_lean" not in bench.page_state.space
-    assert "the geometric model and with rail_lean" in bench.page_state.space
+    assert bench.page_state.effects == ()
+    assert "geometry calibrated and + rail_lean" in bench.page_state.space
 
 
 def test_errors_are_sentences_and_change_nothing(bench: Workbench, tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_a_study_is_reopened_only_for_the_same_files(
     bench.close()
     again = Workbench.open(*files, tmp_path / "study")
     assert again.page_state.effects == ("rail_lean",)
-    assert again.page_state.undoes == "added rail_lean"
+    assert again.page_state.undoes == "+ rail_lean"
     again.undo()
     settled(again)
     assert again.page_state.effects == ()

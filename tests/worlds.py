@@ -67,7 +67,7 @@ class Answer:
         if self.diagnosis is None:
             return "error: " + " ".join(self.sentences[-1].split())[-90:]
         d = self.diagnosis
-        fall = " → ".join(f"{s.held_out_rms:.4g}" for s in d.steps)
+        fall = " → ".join(f"{s.error.rms:.4g}" for s in d.steps)
         noise = float(np.sqrt(np.mean(np.square(list(d.noise.values())))))
         what = f": {', '.join(d.effects)}" if d.effects else ""
         p = "" if d.confirmed is None else f", confirmed p {d.confirmed:.2g}"

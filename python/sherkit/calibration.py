@@ -165,6 +165,8 @@ def _run_json(run: CalibrationRun) -> dict[str, Any]:
             if repeats
             else None,
         },
+        "nominal_error": fit.nominal_error.to_json(),
+        "error": fit.error.to_json(),
         f"rms_{unit}": {
             "before": rms(fit.nominal_residuals),
             "after": rms(fit.residuals),

@@ -142,8 +142,8 @@ class Fleet:
         """Values with their uncertainty by quantity and run."""
         out: dict[str, dict[str, tuple[float, float]]] = {"error left": {}}
         for m in self.diagnosed:
-            if m.left:
-                out["error left"][m.run] = (m.left, 0.0)
+            if m.after:
+                out["error left"][m.run] = (m.after, 0.0)
             for name, value in (m.values or {}).items():
                 out.setdefault(name, {})[m.run] = (value, (m.std or {})[name])
         return out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 #: Characters of a name that a sentence repeats.
 _LONGEST = 200
@@ -27,3 +27,12 @@ def listed(names: Iterable[object], most: int = 8) -> str:
     if len(items) > most:
         return ", ".join(items[:most]) + f" and {len(items) - most} more"
     return ", ".join(items)
+
+
+#: What a model is called as it is drawn, and once its geometry is fitted; each effect that is added then is a step.
+NOMINAL, CALIBRATED = "nominal", "geometry calibrated"
+
+
+def state_with(effects: Sequence[str]) -> str:
+    """What a model is called that has these effects, as every screen says it."""
+    return " ".join(f"+ {name}" for name in effects) or CALIBRATED

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,9 @@ from .data.given import RunLike
 from .data.joined import joined
 from .data.toml import Table
 from .diagnosis import Diagnosis, diagnose
-from .diagnosis.fitted_run import FittedRun
-from .diagnosis.held_out import held_out_by_reading
 from .diagnosis.setting import setting_for
-from .errors import EffectError, FitError, MeasurementError, SherkitError, SherkitWarning
+from .errors import EffectError, MeasurementError, SherkitError, SherkitWarning
+from .fit.error import held_out_error, of_residuals
 from .fit.hold_out import hold_out
 from .fit.identify import Fit, identify
 from .fit.robust import LOSSES
@@ -28,11 +27,11 @@ from .model.chain import ChainModel
 from .model.effect import Effect, effects_by_name
 from .model.kinds import model_of, robot_from_table
 from .model.robot_file import RobotLike, robot_of, run_for
-from .names import listed
+from .names import CALIBRATED, NOMINAL, listed
 from .notebook import Shown
 from .robots.calibrated import Calibration, calibration_class
 from .robots.calibration_run import CalibrationRun
-from .study_file import finite, model_state, read_rows, read_state, write_study
+from .study_file import error_from, error_state, finite, model_state, read_rows, read_state, write_study
 from .study_step import Before, StudyStep
 from .types import Ints
 
@@ -71,7 +70,7 @@ class Study(Shown):
         for effect in effects:
             self._register(effect)
         self.model = model_of(self.robot, free)
-        self._record("the geometric model")
+        self._record(CALIBRATED)
 
     # -- state -------------------------------------------------------------------------------------------
 
@@ -96,22 +95,13 @@ class Study(Shown):
         step = StudyStep(
             action=action,
             effects=tuple(e.name for e in model.effects),
-            training_rms=fit.rms(),
-            held_out_rms=self._held_out_rms(fit),
-            unit=self.data.layout.unit,
+            fitted=of_residuals(self.data, fit.residuals, held_out=False),
+            error=held_out_error(fit, self.seed),
             parameters=dict(zip(names, fit.values.tolist(), strict=True)),
             rows=len(self.data),
             fit=fit,
         )
         return step, fit
-
-    def _held_out_rms(self, fit: Fit) -> dict[str, float]:
-        """As the diagnosis has it; by refits without each block where the rows are too few or of a kind for one."""
-        try:
-            return held_out_by_reading(FittedRun(fit), self.seed)
-        except FitError:
-            held = hold_out(fit.model, self.data, seed=self.seed, loss=self.loss, start=fit.values)
-            return fit.rms(held.residuals)
 
     def _take(self, step: StudyStep, fit: Fit) -> StudyStep:
         """Makes a step the last one of the history, and its fit the current one."""
@@ -182,7 +172,7 @@ class Study(Shown):
         )
         if at is None:
             at = setting_for(self.fit, chosen)
-        action = chosen.name if chosen.frees else f"added {chosen.name}"
+        action = chosen.name if chosen.frees else f"+ {chosen.name}"
         return self._change(self.model.adopting(chosen, at=at), self.data, action)
 
     @as_annotated
@@ -190,7 +180,7 @@ class Study(Shown):
         """Takes an effect out and refits. Raises :class:`~sherkit.errors.EffectError` where it is not in the model."""
         if name not in self.effects:
             raise EffectError(f"'{name}' is not in the model; it has {listed(self.effects) or 'no effects'}")
-        return self._change(self.model.without_effect(name), self.data, f"removed {name}")
+        return self._change(self.model.without_effect(name), self.data, f"− {name}")
 
     def without(self, name: str) -> StudyStep:
         """What the rest of the model would leave without one of its effects; the study stays as it is.
@@ -344,8 +334,8 @@ class Study(Shown):
                 {
                     "action": s.action,
                     "effects": list(s.effects),
-                    "training_rms": finite(s.training_rms),
-                    "held_out_rms": finite(s.held_out_rms),
+                    "fitted": error_state(s.fitted),
+                    "error": error_state(s.error),
                     "parameters": finite(s.parameters),
                     "rows": s.rows,
                 }
@@ -405,21 +395,21 @@ class Study(Shown):
         return replace(self.data.select(np.arange(count)), outlier=marked)
 
     def _step_from(self, one: Table) -> StudyStep:
-        figures = {}
-        for key in ("training_rms", "held_out_rms", "parameters"):
-            with one.table(key) as t:
-                figures[key] = {name: t.number(name) for name in t.names()}
+        with one.table("parameters") as t:
+            parameters = {name: t.number(name) for name in t.names()}
+        fitted, error = (error_from(one, key) for key in ("fitted", "error"))
         effects = one.texts("effects")
         return StudyStep(
             action=one.words("action"),
             effects=effects,
             rows=one.whole("rows", least=0),
-            fit=self._fit_of(effects, figures["training_rms"]),
-            unit=self.data.layout.unit,
-            **figures,
+            fit=self._fit_of(effects, fitted.by_reading),
+            fitted=fitted,
+            error=error,
+            parameters=parameters,
         )
 
-    def _fit_of(self, effects: Sequence[str], training_rms: dict[str, float]) -> Fit | None:
+    def _fit_of(self, effects: Sequence[str], left: Mapping[str, float]) -> Fit | None:
         """The fit of an earlier step, where the rows of today give what it left."""
         try:
             model = replace(
@@ -429,14 +419,10 @@ class Study(Shown):
             return None
         fit = identify(model, self.data, loss=self.loss)
         rms = fit.rms()
-        same = rms.keys() == training_rms.keys() and np.allclose(
-            list(rms.values()), [training_rms[k] for k in rms], rtol=1e-9
-        )
+        same = rms.keys() == left.keys() and np.allclose(list(rms.values()), [left[k] for k in rms], rtol=1e-9)
         return fit if same else None
 
     def __repr__(self) -> str:
-        lines = [f"Study of {self.data.source}: {len(self.data)} rows"]
-        for s in self.history:
-            axes = ", ".join(f"{k.rsplit('_', 1)[0]} {v:.3g}" for k, v in s.held_out_rms.items())
-            lines.append(f"  {s.action:<32} held out {axes} {self.data.layout.unit}")
+        lines = [f"Study of {self.data.source}: {len(self.data)} rows", f"  {NOMINAL:<24} {self._fit.nominal_error}"]
+        lines += [f"  {s.action:<24} {s.error}" for s in self.history]
         return "\n".join(lines)

@@ -18,11 +18,14 @@ from .data.files import write_whole
 from .data.tables import parquet_errors
 from .data.toml import Table
 from .errors import NotWritten, SherkitError
+from .fit.error import ErrorSize
 from .model.chain import ChainModel
 from .types import Ints
 
-_FORMAT = 3
+_FORMAT = 4
 _STATE = "study.json"
+#: How large an error is, in a file.
+_SIZES = ("mean", "rms", "p95", "max")
 #: No table has a line beyond.
 _MOST_LINES = 2**53
 
@@ -104,6 +107,33 @@ def _unpacked(stretches: list[tuple[int, int]]) -> Ints:
 def finite(figures: Mapping[str, float]) -> dict[str, float]:
     """Figures that a file can hold."""
     return {name: value for name, value in figures.items() if np.isfinite(value)}
+
+
+def error_state(error: ErrorSize) -> dict[str, Any]:
+    """An error, for a file."""
+    sizes = finite({name: getattr(error, name) for name in _SIZES})
+    known = {"unit": error.unit, "held_out": error.held_out, "axes": error.axes, "rows": error.rows}
+    return {**sizes, **known, "by_reading": finite(error.by_reading)}
+
+
+def error_from(step: Table, key: str) -> ErrorSize:
+    """The error that a step has under this key."""
+    with step.table(key) as t:
+        sizes = [t.number(name, float("nan")) if t.has(name) else float("nan") for name in _SIZES]
+        with t.table("by_reading") as b:
+            by_reading = {name: b.number(name) for name in b.names()}
+        mean, rms, p95, most = sizes
+        return ErrorSize(
+            mean,
+            rms,
+            p95,
+            most,
+            unit=t.words("unit"),
+            held_out=t.flag("held_out", False),
+            axes=t.whole("axes", least=1),
+            rows=t.whole("rows", least=0),
+            by_reading=by_reading,
+        )
 
 
 def model_state(model: ChainModel) -> dict[str, Any]:

@@ -4,38 +4,30 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from .data import Measurements
+from .fit.error import ErrorSize
 from .fit.identify import Fit
 from .model.chain import ChainModel
 
 
 @dataclass(frozen=True, eq=False)
 class StudyStep:
-    """One state of a study: what was done, and the error it left by reading, in ``unit``, fitted and held out.
+    """One state of a study: what was done, and the ``error`` it left on poses held out, beside that of the rows it was
+    ``fitted`` to.
 
     ``fit`` is None for steps of a loaded study whose rows were others than the last ones: those were not kept.
     """
 
     action: str
     effects: tuple[str, ...]
-    training_rms: dict[str, float]
-    held_out_rms: dict[str, float]
+    fitted: ErrorSize
+    error: ErrorSize
     parameters: dict[str, float]
     rows: int
     fit: Fit | None
-    unit: str = "µm"
 
     def __repr__(self) -> str:
-        axes = ", ".join(f"{k.rsplit('_', 1)[0]} {v:.3g}" for k, v in self.held_out_rms.items())
-        return f"StudyStep({self.action}: held out {axes} {self.unit})"
-
-    @property
-    def held_out(self) -> float:
-        """Held-out RMS of all readings together."""
-        values = list(self.held_out_rms.values())
-        return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
+        return f"StudyStep({self.action}: {self.error})"
 
 
 @dataclass(frozen=True, eq=False)

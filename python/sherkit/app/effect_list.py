@@ -82,7 +82,7 @@ def idle(found: Diagnosis) -> frozenset[str]:
     One that is named, or tied with one, is none of them.
     """
     kept = {*found.effects, *(name for tie in found.indistinguishable for name in tie)}
-    now = found.steps[0].held_out_rms
+    now = found.steps[0].error.rms
     out = {c.effect for c in found.candidates if c.held_out_rms + 2 * c.held_out_std >= now}
     return frozenset({*out, *found.untestable} - kept)
 
@@ -169,7 +169,7 @@ def _said(name: str, page_state: PageState) -> str:
     would = next((c for c in found.candidates if c.effect == name), None)
     if would is None:
         return ""
-    scale = found.steps[0].held_out_rms
+    scale = found.steps[0].error.rms
     part = 100 * min(would.held_out_rms / scale, 1.0) if scale > 0 else 100
     tied = any(name in tie for tie in found.indistinguishable)
     note = " · tied" if tied else "" if would.plausible else " · implausible"

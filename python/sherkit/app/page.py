@@ -263,12 +263,13 @@ class StudyPage:
         unit = escape(left.unit)
         beside = []
         if left.noise_origin != "unknown":
-            beside.append(f"noise {number(float(np.sqrt(np.mean(left.noise**2))))} {unit}")
+            beside.append(f"noise {number(float(np.linalg.norm(left.noise)))} {unit}")
         if page_state.required_um and left.unit == "µm":
             beside.append(f"needed {page_state.required_um:g} {unit}")
         self._numbers.text = (
-            f'<span style="font-size:34px;line-height:1"><b id="error-now">{number(last.held_out)}</b> {unit}</span>'
-            " is how far the model is off at poses that it was not fitted to (RMS)<br>"
+            f'<span style="font-size:34px;line-height:1"><b id="error-now">{number(last.error.rms)}</b> {unit}</span>'
+            f" RMS {last.error.in_words} is how far the model is off at poses that it was not fitted to;"
+            f" 95 % are within {number(last.error.p95)} {unit}<br>"
             f"{' · '.join(beside)}{' · ' if beside else ''}"
             f"in the model: {escape(listed(page_state.effects, 20)) or 'the geometry alone'}"
         )

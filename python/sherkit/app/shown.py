@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from html import escape
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from bokeh.layouts import column, row
 from bokeh.models import Div, Select
 
+from ..names import CALIBRATED
 from ..report.error_history import ErrorHistory, ErrorOfStep, current_path, error_history
 from ..report.parameters import parameters
 from ..report.picture import Picture
@@ -24,7 +26,7 @@ _WIDTH, _FALL_HEIGHT, _FALL_ROOM = 1000, 232, 350
 #: The colour scale stands beside the panels of the map.
 _BESIDE = 160
 _SCALES = [("shared", "one scale for both"), ("own", "each its own scale"), ("noise", "in units of the noise")]
-_SHORT = (("added ", "+ "), ("removed ", "− "), ("the geometric model", "geometry"), (" marked as outliers", " marked"))
+_SHORT = ((CALIBRATED, "geometry"), (" marked as outliers", " marked"))
 
 
 class Maps:
@@ -133,7 +135,7 @@ class Fall:
         self._page_state: PageState | None = None
         self._pictures: dict[str, Picture[Any]] = {}
         #: What the pictures were built for; other readings or units need new ones.
-        self._fall_for: tuple[str, ...] | None = None
+        self._fall_for: bool | None = None
         self._parameters_for: tuple[str, ...] | None = None
         self._all = False
         self.fall = column(name="fall", sizing_mode="stretch_width")
@@ -155,17 +157,12 @@ class Fall:
         count = f"{folded} step{'s' if folded > 1 else ''}"
         self.unfold.label = f"Fold the {count} taken back" if self._all else f"Show {count} taken back"
         chosen = [s for k, s in enumerate(page_state.history) if self._all or k in path]
-        steps = [
-            ErrorOfStep(s.action, {k.rsplit("_", 1)[0]: v for k, v in s.held_out_rms.items()},
-                 {k.rsplit("_", 1)[0]: v for k, v in s.training_rms.items()}, _short(s.action))
-            for s in chosen
-        ]  # fmt: skip
+        steps = [ErrorOfStep.of(s, _short(s.action)) for s in chosen]
         left = page_state.now
-        known = left.noise_origin != "unknown"
-        noise = dict(zip(left.names, left.noise.tolist(), strict=True)) if known else {}
+        noise = math.hypot(*left.noise) if left.noise_origin != "unknown" else None
         state = ErrorHistory(steps, noise, left.unit, page_state.required_um if left.unit == "µm" else None)
-        if self._fall_for != tuple(noise):
-            self._fall_for = tuple(noise)
+        if self._fall_for != (noise is None):
+            self._fall_for = noise is None
             self._put("fall", self.fall, error_history(state, height_px=_FALL_HEIGHT, room_px=_FALL_ROOM))
         else:
             self._pictures["fall"].show(state)

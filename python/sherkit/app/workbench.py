@@ -27,11 +27,11 @@ from ..errors import MeasurementError, SherkitError, SherkitWarning
 from ..model.effect_file import load_effects
 from ..model.kinds import required_um
 from ..model.robot_file import columns_of
+from ..names import state_with
 from ..report.card import drawing_of
 from ..report.error_history import current_path
 from ..report.residuals import Residuals, residuals_of
 from ..report.space import space_of
-from ..report.states import title_of
 from ..robots.machine.file import is_machine, robot_at
 from ..study import Study
 from .folder import SOURCES, TYPED, begun_from, hold, require_effects, require_same
@@ -162,7 +162,7 @@ class Workbench:
                 without = {}
                 for name in self.page_state.effects:
                     step(f"without {name}")
-                    without[name] = self._study.without(name).held_out
+                    without[name] = self._study.without(name).error.rms
                 drawings = self._drawings(found, step)
                 self.page_state = replace(self.page_state, diagnosis=found, without=without, drawings=drawings)
                 self._say("moment", self.page_state)
@@ -193,7 +193,7 @@ class Workbench:
         before, after, titles = path[0].fit, path[-1].fit, (path[0].action, path[-1].action)
         found = self.page_state.diagnosis
         if len(path) == 1 and found is not None and found.effects:
-            after, titles = found.fit, (titles[0], title_of(found.effects))
+            after, titles = found.fit, (titles[0], state_with(found.effects))
         if before is None or after is None:
             return ""
         step("drawing the workspace")

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from textwrap import fill
 
-import numpy as np
 from rich.markup import escape
 
 from ..diagnosis import Diagnosis
 from ..figures import number
 from ..model.kinds import required_um
+from ..names import NOMINAL
 from ..study import Study
 from .output import out, say
 
@@ -24,13 +24,13 @@ def story(
     out.print("[bold]SIMULATION.[/] A virtual delta robot, built a little wrong, with rails that lean,")
     out.print(f"is measured at {targets} places by an instrument with a noise of 5 µm.\n")
     unit = study.data.layout.unit
-    noise = float(np.sqrt(np.mean(np.square(list(found.noise.values())))))
+    noise, first = found.noise_size, study.history[0].error
     needed = required_um(study.robot)
     asked = f"; {needed:g} {unit} are needed" if needed else ""
     _head(1, "What calibrating the geometry leaves")
     _tell(
-        f"{number(study.history[0].held_out)} {unit} at places it was not fitted to, where noise alone is "
-        f"{number(noise)} {unit}{asked}."
+        f"{number(first.rms)} {unit} RMS {first.in_words} at places it was not fitted to, 95 % within "
+        f"{number(first.p95)}; noise alone is {number(noise)}{asked}."
     )
     _head(2, "Which effect is missing")
     _tell(found.headline[:1].upper() + found.headline[1:] + ".")
@@ -41,12 +41,15 @@ def story(
     if found.effects and others:
         _tell(f"The next best, {others[0].effect}, would leave {number(others[0].held_out_rms)} {unit}.")
     _head(3, "The fall of the error")
-    for name, value in (*((s.action, s.held_out) for s in study.history), ("noise", noise)):
-        _bar(name, value, study.history[0].held_out, unit)
+    nominal = study.history[0].fit
+    steps = [] if nominal is None else [(NOMINAL, nominal.nominal_error.rms)]
+    steps += [(step.action, step.error.rms) for step in study.history]
+    for name, value in (*steps, ("noise", noise)):
+        _bar(name, value, steps[0][1], unit)
     _head(4, f"Sent to {targets} places, the robot misses them by")
-    for name, value in zip(("as drawn", "through calibrated.toml"), missed_um, strict=True):
+    for name, value in zip((NOMINAL, "through calibrated.toml"), missed_um, strict=True):
         _bar(name, value, missed_um[0], "µm")
-    _tell("(where it stands, without the instrument's noise: a reading there adds that)")
+    _tell("(RMS in 3-D of where it stands, without the instrument's noise: a reading there adds that)")
     _head(5, "What to open next")
     _next(folder, report)
 

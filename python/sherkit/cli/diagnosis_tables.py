@@ -13,8 +13,9 @@ from rich.text import Text
 
 from ..diagnosis import Diagnosis, largest
 from ..diagnosis.finding import APART, FILES, MISSING, NEXT, WHERE, WHICH, Finding
-from ..diagnosis.findings import AS_IT_CAME, figure, p_value
+from ..diagnosis.findings import figure, p_value
 from ..diagnosis.next_poses import SEPARATION
+from ..names import CALIBRATED
 from .output import out, table
 
 _COLOUR = {
@@ -91,11 +92,11 @@ def _claims(d: Diagnosis) -> Table:
 
 def falling(d: Diagnosis) -> Table:
     """The error on poses held out, step by step."""
-    made = table("Error on poses held out", "model", f"{d.unit} RMS")
+    made = table("Error on poses held out", "model", f"{d.unit} RMS {d.error.in_words}", "95 % within")
     for s in d.steps:
-        made.add_row(AS_IT_CAME if s.effect is None else f"+ {s.effect}", _long(d, s.held_out_rms))
-    noise = (sum(v**2 for v in d.noise.values()) / len(d.noise)) ** 0.5
-    made.add_row("noise", _long(d, noise), style="dim")
+        state = CALIBRATED if s.effect is None else f"+ {s.effect}"
+        made.add_row(state, _long(d, s.error.rms), _long(d, s.error.p95))
+    made.add_row("noise", _long(d, d.noise_size), "", style="dim")
     return made
 
 

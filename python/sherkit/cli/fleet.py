@@ -14,6 +14,7 @@ from rich.markup import escape
 from ..errors import SherkitError
 from ..fleets import FEWEST, Fleet, fleet
 from ..model.effect_file import load_effects
+from ..names import CALIBRATED
 from . import output
 
 
@@ -65,12 +66,12 @@ def _is_pattern(run: str) -> bool:
 def _print(found: Fleet) -> None:
     unit = next((m.unit for m in found.diagnosed), "")
     table = output.table(
-        "Machines", "run", "rows", "verdict", "missing", f"as it came, {unit}", "left", "noise",
-        note="errors: RMS of single readings on poses held out",
+        "Machines", "run", "rows", "verdict", "missing", f"{CALIBRATED}, {unit}", "left", "noise",
+        note="errors: RMS of rows on poses held out, in 3-D for what is read in space",
     )  # fmt: skip
     for m in found.machines:
         if m.failed is None:
-            errors = ("–" if v is None else f"{v:.3g}" for v in (m.as_it_came, m.left, m.noise))
+            errors = ("–" if v is None else f"{v:.3g}" for v in (m.before, m.after, m.noise))
             table.add_row(escape(m.run), str(m.rows), m.verdict, escape(", ".join(m.effects)), *errors)
         else:
             table.add_row(escape(m.run), "–", "failed", "", "", "", "")

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from ..calibration import Result
 from ..errors import SherkitError
-from ..figures import in_people_units, with_error
+from ..figures import in_people_units, number, with_error
 from ..model.kinds import required_um
 from ..names import listed
 from ..robots.calibrated import Calibration, calibration_class
@@ -28,15 +28,23 @@ def errors(e: CalibrationRun, title: str, beside: Mapping[str, Mapping[str, tupl
     """Table I: error per axis before, after the geometry, held out, after the correction."""
     layout, taken = e.fit.data.layout, np.any(e.fit.data.taken, axis=0)
     axes = [name for name, any_ in zip(layout.readings, taken.tolist(), strict=True) if any_]
-    made = table(title, f"{layout.unit}, RMS ± std", *[a.rsplit("_", 1)[0] for a in axes])
-    for name, key, rms in e.lines():
-        made.add_row(name, *[_pm(rms.get(a), layout.unit) for a in axes])
+    several = e.fit.error.axes > 1
+    together = [f"error {e.fit.error.in_words}", "95 % within"] if several else ["95 % within"]
+    made = table(title, f"{layout.unit}, RMS", *together, *[f"{a.rsplit('_', 1)[0]} ± std" for a in axes])
+    for name, key, error, rms in e.lines():
+        sizes = [number(error.rms), number(error.p95)] if several else [number(error.p95)]
+        made.add_row(name, *sizes, *[_pm(rms.get(a), layout.unit) for a in axes])
         printed = (beside or {}).get(key)
         if printed:
-            made.add_row("  the paper's robot", *[f"{v[0]} ± {v[1]}" for v in printed.values()], style="dim")
+            blank = [""] * len(sizes)
+            made.add_row("  the paper's robot", *blank, *[f"{v[0]} ± {v[1]}" for v in printed.values()], style="dim")
     repeats = e.fit.data.repeatability
     if repeats:
-        made.add_row("repeatability (1 σ)", *[f"± {layout.per_unit * v:.3g}" for v in repeats.sigma.values()])
+        made.add_row(
+            "repeatability (1 σ)",
+            *[""] * len(together),
+            *[f"± {layout.per_unit * v:.3g}" for v in repeats.sigma.values()],
+        )
     return made
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..fit.error import ErrorSize
 from ..fit.forms import Known, known
 from ..fit.identify import Fit
 from ..notebook import Shown
@@ -36,10 +37,10 @@ class CandidateReport:
 
 @dataclass(frozen=True)
 class StepReport:
-    """One step of the fall: the effect added (None: the model as it came) and the error that held."""
+    """One step of the fall: the effect added (None: nothing yet) and the error that held."""
 
     effect: str | None
-    held_out_rms: float
+    error: ErrorSize
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +54,9 @@ class Diagnosis(Shown):
     leading one first; ``confirmed`` is the largest p with which a named effect earns its place on rows held out.
     ``next_poses`` are joints to drive to and the coordinates that these are, in the order to measure them, each with
     the separation in standard deviations that run and poses up to it reach; ``advice`` says what no reachable pose
-    tells, and what would. ``fit`` is the model with the named effects on all rows. Errors are RMS of single readings in
-    ``unit``: µm for a delta.
+    tells, and what would. ``fit`` is the model with the named effects on all rows. Errors are those of rows, in 3-D for
+    what is read in space (:class:`~sherkit.fit.error.ErrorSize`), in ``unit``: µm for a delta; ``noise`` is that of
+    single readings.
     """
 
     verdict: str
@@ -94,9 +96,19 @@ class Diagnosis(Shown):
         return f"{line}; with a caveat: {self.caveat}" if self.caveat else line
 
     @property
+    def error(self) -> ErrorSize:
+        """What the model with the named effects leaves on poses held out."""
+        return self.steps[-1].error
+
+    @property
     def too_few_poses(self) -> bool:
         """Whether nothing stands against praise but that the poses fix the parameters too loosely."""
         return {check.name for check in self.checks if check.forbids_praise} == {LOOSE}
+
+    @property
+    def noise_size(self) -> float:
+        """The noise as the error is counted: of all that is read of a row together."""
+        return float(np.linalg.norm(list(self.noise.values())))
 
     @cached_property
     def known(self) -> dict[str, Known]:
@@ -112,9 +124,9 @@ class Diagnosis(Shown):
             effects=self.effects,
             not_needed=self.not_needed,
             unit=self.unit,
-            as_it_came=float(self.steps[0].held_out_rms),
-            left=float(self.steps[-1].held_out_rms),
-            noise=float(np.sqrt(np.mean(np.square(list(self.noise.values()))))),
+            before=float(self.steps[0].error.rms),
+            after=float(self.error.rms),
+            noise=self.noise_size,
             noise_origin=self.noise_origin,
             p_missing=self.p_missing,
             p_lack_of_fit=next((check.p for check in self.checks if check.name == POSES_AS_REPEATS), None),
@@ -166,7 +178,8 @@ class Diagnosis(Shown):
             "not_needed": list(self.not_needed),
             "checks": [check.to_json() for check in self.checks],
             "indistinguishable": [list(t) for t in self.indistinguishable],
-            "steps": [{"effect": s.effect, f"held_out_rms{um}": s.held_out_rms} for s in self.steps],
+            "error": self.error.to_json(),
+            "steps": [{"effect": s.effect, "error": s.error.to_json()} for s in self.steps],
             "candidates": [
                 {
                     "effect": c.effect,

@@ -66,7 +66,7 @@ def checks_of(
         f"familywise over {len(found.result.stages[-1].scan.candidates)} effects and shapes",
         holds=p > level and not found.result.signature, p=p, fails="what is left has a structure",
     )  # fmt: skip
-    error = found.steps[-1].held_out_rms
+    error = found.steps[-1].error.rms
     small = _small(final, error, sigma, origin, by_noise)
     fails = not left.holds or small.holds is False or (fitness is not None and fitness.counts)
     known = origin != "unknown"
@@ -292,7 +292,7 @@ def _loosely(
     told = f"{poses} pose{'s fix' if poses > 1 else ' fixes'} {len(fit.values)} parameters so loosely that "
     known = small.holds is not None
     noise = _noise(final, sigma) if known else (
-        final.per_unit * float(np.sqrt((left**2).sum() / max(left.size - fit.rank, 1)))
+        final.per_row * float(np.sqrt((left**2).sum() / max(left.size - fit.rank, 1)))
     )  # fmt: skip
     if poses * len(final.axes) <= fit.rank:
         told += "a fit goes through all of them, and nothing tells whether it holds elsewhere"
@@ -311,4 +311,4 @@ def _loosely(
 
 
 def _noise(final: FittedRun, sigma: Floats) -> float:
-    return final.per_unit * float(np.sqrt(np.mean(sigma[list(final.axes)] ** 2)))
+    return final.per_row * float(np.sqrt(np.mean(sigma[list(final.axes)] ** 2)))

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..fit.folds import Beside, Folds
 from ..types import Floats, Ints
-from .folds import Beside, Folds
 from .stage import Stage
 
 
@@ -35,7 +35,7 @@ def held_out(stage: Stage, fold: Ints) -> list[HeldOutError]:
     folds = Folds.of(columns, view.residual * stage.sigma, fold)
     ends = np.cumsum([0, *(len(stage.scan.numbers(c.columns)) for c in stage.candidates)]).tolist()
     beside = Beside(folds, stage.scan.fitted)
-    return [_error(folds, beside.held_out(slice(a, b)), stage.run.per_unit) for a, b in pairwise(ends)]
+    return [_error(folds, beside.held_out(slice(a, b)), stage.run.per_row) for a, b in pairwise(ends)]
 
 
 def _error(folds: Folds, squares: Floats, unit: float) -> HeldOutError:

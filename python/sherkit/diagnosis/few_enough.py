@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..fit.folds import Folds, roots_of
 from ..types import Floats, Ints
 from .fitted_run import FittedRun
-from .folds import Folds, roots_of
 from .stage import testable
 
 #: A set is enough where rows held out are off by no more than this many times the least of all sets.
@@ -75,4 +75,4 @@ def few_enough(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]) ->
 
 def _rms(folds: Folds, scale: Floats, run: FittedRun) -> float:
     squares = float(folds.held_out.sum() / folds.counts.sum())
-    return float(np.sqrt(max(squares, 0.0) * np.mean(scale**2))) * run.per_unit
+    return float(np.sqrt(max(squares, 0.0) * np.mean(scale**2))) * run.per_row

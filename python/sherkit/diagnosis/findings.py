@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 from ..figures import in_names, number, stated
 from ..model.effect import Effect
-from ..names import listed
+from ..model.kinds import required_um
+from ..names import CALIBRATED, listed
 from .answers import CandidateReport, Diagnosis
 from .finding import APART, FILES, MISSING, NEXT, WHERE, WHICH, WRONG, Finding
 from .outliers import sentences
@@ -15,8 +16,6 @@ from .template import indistinguishable, sentence
 
 _AGAIN = f"sherkit diagnose {FILES} MORE"
 _TEMPLATE = f"sherkit diagnose {FILES} --template my_effects.py"
-#: What an error is called before anything is added.
-AS_IT_CAME = "as it came"
 _ORIGIN = {
     "declared": "as declared in the file",
     "repeats": "from repeats of poses",
@@ -58,9 +57,9 @@ def _with_p(value: float) -> str:
 
 def _wrong(d: Diagnosis) -> Iterator[Finding]:
     """In sentences for a person who reads nothing else, and the verdict in one line."""
-    first, last = number(d.steps[0].held_out_rms), number(d.steps[-1].held_out_rms)
+    first, last = number(d.steps[0].error.rms), number(d.steps[-1].error.rms)
     end = in_names(d.unit)
-    came = {f"as_it_came_{end}": float(d.steps[0].held_out_rms)}
+    came = {f"before_{end}": float(d.steps[0].error.rms)}
     if d.effects:
         causes = [effect for effect in d.fit.model.effects if effect.name in d.effects]
         physics = " ".join(f"{_first_sentence(e.physics)} {_most(d, e)}".strip() for e in causes)
@@ -73,16 +72,26 @@ def _wrong(d: Diagnosis) -> Iterator[Finding]:
         yield Finding(WRONG, "cause", f"The model lacks {listed(d.effects)}. {physics}".strip() + tied)
         yield Finding(
             WRONG, "brings",
-            f"With that in the model the error falls from {first} to {last} {d.unit} on poses that the fit had not "
-            f"seen.{whole}{doubt}",
-            came | {f"left_{end}": float(d.steps[-1].held_out_rms)},
+            f"With that in the model the error falls from {first} to {last} {d.unit} RMS {d.error.in_words}, 95 % "
+            f"within {number(d.error.p95)}, on poses that the fit had not seen{_beside(d)}.{whole}{doubt}",
+            came | {f"after_{end}": float(d.steps[-1].error.rms)},
             sure="" if d.confirmed is None else _with_p(d.confirmed),
             to_do=f"To be rid of it in the machine: {repair[:1].lower()}{repair[1:]}" if repair else "",
         )  # fmt: skip
     else:
-        cause, to_do = _without_effect(d, f"off by {first} {d.unit}")
+        off = f"off by {first} {d.unit} RMS {d.error.in_words}, 95 % within {number(d.error.p95)}{_beside(d)}"
+        cause, to_do = _without_effect(d, off)
         yield Finding(WRONG, "cause", cause, came, to_do=to_do)
     yield Finding(WRONG, "verdict", d.headline)
+
+
+def _beside(d: Diagnosis) -> str:
+    """The noise, and what is needed, which is compared with what 95 of 100 poses stay within."""
+    told = [f"the noise is {number(d.noise_size)}"] if d.noise_origin != "unknown" else []
+    needed = required_um(getattr(d.fit.model, "robot", None))
+    if needed and d.unit == "µm":
+        told.append(f"{needed:g} are needed")
+    return f"; {', '.join(told)}" if told else ""
 
 
 def _without_effect(d: Diagnosis, off: str) -> tuple[str, str]:
@@ -171,8 +180,8 @@ def _which(d: Diagnosis) -> Iterator[Finding]:
     for step in d.steps:
         check = earned.get(step.effect or "")
         yield Finding(
-            WHICH, "step", AS_IT_CAME if step.effect is None else f"+ {step.effect}",
-            {f"held_out_rms_{end}": float(step.held_out_rms)},
+            WHICH, "step", CALIBRATED if step.effect is None else f"+ {step.effect}",
+            {f"held_out_rms_{end}": float(step.error.rms)},
             sure="" if check is None or check.p is None else _with_p(check.p),
         )  # fmt: skip
     if d.signature is not None:

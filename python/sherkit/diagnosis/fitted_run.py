@@ -13,7 +13,7 @@ from ..data import Measurements
 from ..data.lagged import DRAWN_C, Room
 from ..data.noise import Noise, noise_of
 from ..errors import FitError
-from ..fit.hold_out import blocks_of
+from ..fit.error import axes_of
 from ..fit.identify import Fit, identify
 from ..model.base import Derivatives, ModelWithEffects, Tried, beside_one_another
 from ..model.effect import Effect
@@ -40,7 +40,7 @@ class FittedRun(Saved):
         self.model: ModelWithEffects = fit.model
         self.data = data
         self.names = data.layout.names
-        self.axes = tuple(k for k in range(data.coordinates) if data.taken[:, k].any()) or (data.coordinates,)
+        self.axes = axes_of(data)
         if not self.axes:
             raise FitError(f"{data.source}: diagnosis needs coordinates; these rows are distances only")
         self._last: tuple[Ints, tuple[Effect, ...], Floats, Linearised] | None = None
@@ -58,6 +58,12 @@ class FittedRun(Saved):
     def per_unit(self) -> float:
         """What turns a reading into :attr:`unit`."""
         return self.data.layout.per_unit
+
+    @property
+    def per_row(self) -> float:
+        """What turns a root mean square of single readings over all axes into that of rows, the error, in
+        :attr:`unit`: each row counts by the length of all that is read of it (:mod:`~sherkit.fit.error`)."""
+        return self.per_unit * float(np.sqrt(len(self.axes)))
 
     @property
     def catalogue(self) -> tuple[Effect, ...]:
@@ -104,10 +110,6 @@ class FittedRun(Saved):
             used = self.data.readings[self.used[:, a], a]
             out[a] = max(DIGITS * float(np.ptp(used)) if len(used) else 0.0, 1e-12)
         return out
-
-    def blocks(self, folds: int, seed: int) -> Ints:
-        """A fold (n,) for every row; neighbours stay together."""
-        return blocks_of(self.data, self.model.place(self.data, self.fit.predicted), folds, seed)
 
     def owns(self, effect: Effect) -> slice:
         """Where the parameters of an effect that is in the model stand among the fitted ones."""

@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from .. import linalg
-from ..errors import FitError
+from ..fit.error import ErrorSize, held_out_error, repeated_folds_of
+from ..fit.folds import Folds, roots_of
 from ..types import Floats, Ints
 from .fitted_run import FittedRun
-from .folds import Folds, roots_of
 from .linearised import Linearised
 from .stage import testable
 
@@ -23,39 +23,20 @@ Columns = Callable[[slice], Floats]
 
 #: Held-out error over noise up to which what is left is as small as the noise.
 PRAISE = 1.25
-#: Blocks that are held out in turn, and how often they are drawn anew so that nothing hangs on one draw.
-_FOLDS = 6
-_REPETITIONS = 5
 #: Readings for each parameter from which on what noise does to the parameters is next to nothing in any block.
 _ENOUGH = 200
 #: Noises that are drawn to know what they leave on rows held out.
 _DRAWS = 999
 
 
-def repeated_folds_of(run: FittedRun, seed: int) -> list[Ints]:
+def folds_of_run(run: FittedRun, seed: int) -> list[Ints]:
     """Folds (n,) of all rows, of each repetition."""
-    return [run.blocks(_FOLDS, _REPETITIONS * seed + k) for k in range(_REPETITIONS)]
+    return repeated_folds_of(run.data, run.model.place(run.data, run.fit.predicted), seed)
 
 
-def held_out_rms(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]) -> float:
-    """RMS of single readings held out, in the unit of the run. ``sigma`` (columns,) weighs them."""
-    scale = sigma[list(run.axes)]
-    return rms(_all_squares(run, scale, repeated_folds), scale) * run.per_unit
-
-
-def held_out_by_reading(run: FittedRun, seed: int) -> dict[str, float]:
-    """The same of each reading column by its name.
-
-    Raises :class:`~sherkit.errors.FitError` for too few rows that have all readings, or readings beside coordinates.
-    """
-    data = run.data
-    if data.used[:, data.coordinates :].any():
-        raise FitError(f"{data.source}: has distances; only coordinates are held out in this way")
-    sigma, origin = run.noise
-    scale = (run.scatter if origin == "unknown" else sigma)[list(run.axes)]
-    squares = _all_squares(run, scale, repeated_folds_of(run, seed))
-    error = run.per_unit * scale * np.sqrt(np.mean(squares, axis=(0, 1)))
-    return dict(zip((run.data.layout.readings[a] for a in run.axes), error.tolist(), strict=True))
+def error_of(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]) -> ErrorSize:
+    """The error of a fit on rows held out. ``sigma`` (columns,) weighs the readings."""
+    return held_out_error(run.fit, sigma=sigma, repeated_folds=repeated_folds)
 
 
 def rms(squares: Floats, scale: Floats) -> float:
@@ -120,9 +101,3 @@ def _square_root(grams: Floats) -> Floats:
     """Matrices (f, k, k) whose products with their transposes are these."""
     value, vector = linalg.eigh(grams)
     return vector * np.sqrt(np.where(value > 1e-12 * value[:, -1:], value, 0.0))[:, None, :]
-
-
-def _all_squares(run: FittedRun, scale: Floats, repeated_folds: Sequence[Ints]) -> Floats:
-    rows = testable(run, np.flatnonzero(run.whole))
-    view = run.linearised(rows, (), scale)
-    return squares_of(view, np.stack([fold[rows] for fold in repeated_folds]))[0]

@@ -20,10 +20,10 @@ import numpy as np
 
 from .._core import walsh_hadamard
 from ..errors import SherkitError
+from ..fit.folds import Beside, Folds, ranks_of, roots_of
 from ..model.effect import Effect
 from ..types import Floats, Ints
 from .fitted_run import FittedRun
-from .folds import Beside, Folds, ranks_of, roots_of
 from .held_out import Columns, folds_of, rms, squares_of
 from .linearised import Linearised
 from .scan import FLIPS, codes_of
@@ -107,8 +107,8 @@ def held_out_gain(
     p = flipped(gain.mean(axis=0), more.group, seed)
     return HeldOutGain(
         effect.name,
-        without=rms(without, scale) * run.per_unit,
-        with_it=rms(with_it, scale) * run.per_unit,
+        without=rms(without, scale) * run.per_row,
+        with_it=rms(with_it, scale) * run.per_row,
         p=p,
         again=float(chosen.mean()),
     )

@@ -39,8 +39,8 @@ class LackOfFit:
 
     @property
     def size(self) -> float:
-        """RMS of :attr:`own` over the axes."""
-        return float(np.sqrt(np.mean(np.square(list(self.own.values())))))
+        """Length of :attr:`own`."""
+        return float(np.linalg.norm(list(self.own.values())))
 
 
 def lack_of_fit(run: FittedRun, level: float) -> LackOfFit | None:

@@ -10,26 +10,17 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, wraps
-from itertools import pairwise
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from .. import linalg
 from ..data.columns import unit_in
+from ..fit.folds import blocks
 from ..model.effect import Effect
 from ..types import Floats, Ints
 
 T = TypeVar("T")
-
-#: Rows that are looked at together: a few megabytes of columns, however long the run is.
-BLOCK = 8192
-
-
-def blocks(n: int, most: int = BLOCK) -> list[slice]:
-    """Stretches of at most so many of ``n`` rows, alike in length."""
-    edges = np.linspace(0, n, -(-n // most) + 1).round().astype(int).tolist()
-    return [slice(a, b) for a, b in pairwise(edges)]
 
 
 def last_asked(function: Callable[[Any, slice], T]) -> Callable[[Any, slice], T]:

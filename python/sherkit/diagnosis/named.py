@@ -14,7 +14,7 @@ from .answers import StepReport
 from .beside import Description, described, innocents
 from .explanation import refit
 from .fitted_run import FittedRun
-from .held_out import held_out_rms
+from .held_out import error_of
 from .held_out_gain import HeldOutGain, held_out_gain
 from .search import Search, SearchResult
 from .setting import on_all_rows
@@ -74,13 +74,13 @@ def searched(
         result = search.find(in_model) if look else search.as_it_stands()
         # the noise is as correlated in time whoever is asked
         rho = search.rho
-        base = StepReport(None, held_out_rms(run, sigma, repeated_folds))
+        base = StepReport(None, error_of(run, sigma, repeated_folds))
         if not result.added:
             return Named(search, result, run, [], (base,), notes)
         result.added, told = on_all_rows(run, result.added)
         step("held-out errors")
         final, gains, steps = _judged(run, result, tried, sigma, repeated_folds, seed, base)
-        falls = all(after.held_out_rms < before.held_out_rms for before, after in pairwise(steps))
+        falls = all(after.error.rms < before.error.rms for before, after in pairwise(steps))
         refusals = _refusals(run, final, result, gains, falls)
         if not refusals:
             alone = alone or described(search, result.stages[0])
@@ -134,9 +134,9 @@ def _judged(
     steps, left, partial = [base], list(result.added), run
     ordered: list[Candidate] = []
     while left:
-        options = [(held_out_rms(with_it, sigma, repeated_folds), k, with_it)
+        options = [(error_of(with_it, sigma, repeated_folds), k, with_it)
                    for k, with_it in enumerate(refit(partial, (c,)) for c in left)]  # fmt: skip
-        error, k, partial = min(options, key=lambda o: o[:2])
+        error, k, partial = min(options, key=lambda o: (o[0].rms, o[1]))
         ordered.append(left.pop(k))
         steps.append(StepReport(ordered[-1].name, error))
     result.added = ordered

@@ -23,7 +23,7 @@ from ..model.effect import Effect
 from ..model.parameter import Parameter
 from ..types import Bools, Floats, Ints
 from .fitted_run import FittedRun
-from .held_out import held_out_rms
+from .held_out import error_of
 from .held_out_gain import flipped
 
 #: Orders of the polynomials tried.
@@ -89,7 +89,7 @@ def one_unknown(
     for effect, what in _unknowns(base):
         try:
             run = base.refit([(effect, None)])
-            fitted.append((len(effect.parameters), held_out_rms(run, sigma, repeated_folds), run, what))
+            fitted.append((len(effect.parameters), error_of(run, sigma, repeated_folds).rms, run, what))
         except SherkitError:
             continue
     if not fitted:
@@ -101,7 +101,7 @@ def one_unknown(
         what=what,
         numbers=numbers,
         instead=sum(len(e.parameters) for e in final.model.effects if e.name in names),
-        held_out=(error, held_out_rms(final, sigma, repeated_folds)),
+        held_out=(error, error_of(final, sigma, repeated_folds).rms),
         rim=rim,
         p_rim=p_rim,
         unit=final.unit,
@@ -124,7 +124,7 @@ def _at_the_rim(unknown: FittedRun, named: FittedRun, sigma: Floats) -> tuple[tu
             left.append(run.residuals_on(rows, run.on(inner, sigma))[:, axes])
     except SherkitError:
         return None, None
-    rms = tuple(named.per_unit * float(np.sqrt(np.mean(one**2))) for one in left)
+    rms = tuple(named.per_row * float(np.sqrt(np.mean(one**2))) for one in left)
     gain = ((left[1] / sigma[axes]) ** 2 - (left[0] / sigma[axes]) ** 2).sum(axis=1)
     return (rms[0], rms[1]), flipped(gain, group, 0)
 

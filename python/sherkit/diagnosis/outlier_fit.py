@@ -16,9 +16,10 @@ import numpy as np
 
 from .. import linalg
 from ..data.noise import MAD
+from ..fit.folds import BLOCK
 from ..types import Bools, Floats, Ints
 from .fitted_run import DIGITS
-from .linearised import BLOCK, Linearised, orthonormal
+from .linearised import Linearised, orthonormal
 from .robust_start import CUT, ROUNDS, huber
 from .shapes import Family, build
 from .tails import chi2_log_tail, chi2_tail, f_tail, normal_beyond

@@ -16,6 +16,7 @@ from .. import linalg
 from ..arguments import as_annotated
 from ..data import Measurements
 from ..errors import FitError, SherkitWarning
+from ..fit.error import of_residuals
 from ..fit.identify import Fit
 from ..fit.set_up import set_up_mistakes
 from ..model.effect import Effect
@@ -80,7 +81,7 @@ def warn_of_outliers(fit: Fit, effects: Sequence[Effect]) -> Ints:
     run, outliers = _seen_from(fit, effects)
     if not len(outliers):
         return outliers
-    left = [one.per_unit * float(np.sqrt(np.mean(one.residuals[one.used] ** 2))) for one in (FittedRun(fit), run)]
+    left = [of_residuals(one.data, one.residuals, held_out=False).rms for one in (fit, run.fit)]
     if left[0] < _MATTERS * left[1]:
         return outliers
     many, data = len(outliers) > 1, fit.data

@@ -44,4 +44,4 @@ def smallest_found(stage: Stage, candidate: Candidate, threshold: float) -> tupl
         return float("inf"), float("inf")
     times = float(np.sqrt(needed / at_size))
     rms = float(np.sqrt(needed / (stage.scan.n * stage.scan.m)) * np.sqrt(np.mean(stage.sigma**2)))
-    return times, rms * stage.run.per_unit
+    return times, rms * stage.run.per_row

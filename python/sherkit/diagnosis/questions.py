@@ -31,7 +31,7 @@ from .explanation import is_plausible
 from .few_enough import few_enough
 from .findings import findings_of
 from .fitted_run import FittedRun
-from .held_out import by_noise_alone, repeated_folds_of
+from .held_out import by_noise_alone, folds_of_run
 from .lack_of_fit import lack_of_fit
 from .linearised import orthonormal
 from .named import not_needed, searched
@@ -134,7 +134,7 @@ def diagnose(
             f"{len(enough)} of {int(long.whole.sum())} rows are searched, evenly of all poses and times: what only all "
             "of them would show is smaller than a twentieth of the noise; noise, outliers and the fit are of all rows"
         )
-    repeated_folds = repeated_folds_of(run, seed)
+    repeated_folds = folds_of_run(run, seed)
     steps = steps_in(run) if look and not run.is_exact else None
     if steps is not None and not steps.alone and steps.put_back is not None:
         # digits were cut off where no effect is missing once they are put back
@@ -282,7 +282,7 @@ def _candidate_reports(
     for alternative in found.alternatives:
         for candidate in alternative.candidates:
             fits.setdefault(candidate.name, alternative.stage.run)
-    fitted = {s.effect: s.held_out_rms for s in steps[1:2]}
+    fitted = {s.effect: s.error.rms for s in steps[1:2]}
     out = []
     for name, (score, error, candidate) in best.items():
         # kept above what a float can tell from zero: a p of zero would claim too much

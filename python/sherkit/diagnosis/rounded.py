@@ -89,7 +89,7 @@ def rounded(run: FittedRun, beyond: float, sigma: Floats, *, noise_known: bool) 
     for a in axes:
         step = step_of(run.data.readings[rows, a])
         left = shared_by_repeats(step, float(sigma[a])) if noise_known and step else step / np.sqrt(12.0)
-        by_readings[run.data.layout.readings[a]] = (step, left * run.per_unit / np.sqrt(len(axes)))
+        by_readings[run.data.layout.readings[a]] = (step, left * run.per_unit)
     for joints, parts in ((True, by_joints), (False, by_readings)):
         square = sum(left**2 for _, left in parts.values())
         if 0 < least * beyond**2 <= square <= _SHARE[1] * beyond**2:
@@ -126,7 +126,7 @@ def steps_in(run: FittedRun) -> Steps | None:
     by_readings = {}
     for a in run.axes:
         step = step_of(run.data.readings[rows, a])
-        by_readings[run.data.layout.readings[a]] = (step, step * run.per_unit / np.sqrt(12.0 * len(run.axes)))
+        by_readings[run.data.layout.readings[a]] = (step, step * run.per_unit / np.sqrt(12.0))
     out = []
     for joints, parts in ((True, _of_joints(run, data, run.data.joints[rows])), (False, by_readings)):
         size = float(np.sqrt(sum(one**2 for _, one in parts.values())))
@@ -145,7 +145,7 @@ def steps_in(run: FittedRun) -> Steps | None:
 
 def _rms(run: FittedRun) -> float:
     """What a fit leaves, RMS of readings in the unit of the run."""
-    return run.per_unit * float(np.sqrt(np.mean(run.residuals[run.whole][:, list(run.axes)] ** 2)))
+    return run.per_row * float(np.sqrt(np.mean(run.residuals[run.whole][:, list(run.axes)] ** 2)))
 
 
 def _put_back(run: FittedRun, steps: Floats, *, joints: bool, towards_zero: bool) -> FittedRun | None:
@@ -180,7 +180,7 @@ def _of_joints(run: FittedRun, data: Measurements, joints: Floats) -> dict[str, 
             # a place that the robot cannot reach
             return {}
         moved = (ends[1] - ends[0])[:, list(run.axes)]
-        out[name] = (step, run.per_unit * float(np.sqrt(np.mean(moved**2) / 12.0)))
+        out[name] = (step, run.per_row * float(np.sqrt(np.mean(moved**2) / 12.0)))
     return out
 
 

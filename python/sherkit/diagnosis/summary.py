@@ -11,11 +11,11 @@ from ..figures import in_names
 class Summary:
     """What a diagnosis says of a run, without its rows.
 
-    ``as_it_came`` and ``left`` are errors (RMS of single readings on poses held out) in ``unit`` without and with the
-    ``effects`` that were found missing; ``noise`` is that of a reading, by ``noise_origin``. ``p_missing`` is that of
-    the one test over all effects and shapes before anything is added, ``p_lack_of_fit`` that of poses against their
-    repeats with what was found in the model, None where too few were repeated; ``p_confirmed`` the largest with which
-    an effect earns its place on rows held out, None where none is named.
+    ``before`` and ``after`` are errors (RMS of rows held out, in 3-D for what is read in space) in ``unit`` without
+    and with the ``effects`` that were found missing; ``noise`` is counted as they are, by ``noise_origin``.
+    ``p_missing`` is that of the one test over all effects and shapes before anything is added, ``p_lack_of_fit`` that
+    of poses against their repeats with what was found in the model, None where too few were repeated; ``p_confirmed``
+    the largest with which an effect earns its place on rows held out, None where none is named.
     """
 
     rows: int = 0
@@ -23,8 +23,8 @@ class Summary:
     effects: tuple[str, ...] = ()
     not_needed: tuple[str, ...] = ()
     unit: str = ""
-    as_it_came: float | None = None
-    left: float | None = None
+    before: float | None = None
+    after: float | None = None
     noise: float | None = None
     noise_origin: str = ""
     p_missing: float | None = None
@@ -33,17 +33,17 @@ class Summary:
     outliers: int = 0
 
     def row(self) -> dict[str, str | int | float | None]:
-        """One flat dict with the unit in each name (``left_um`` for µm), names of effects in one text, and ``ratio``:
-        the error left over that as it came."""
+        """One flat dict with the unit in each name (``after_um`` for µm), names of effects in one text, and ``ratio``:
+        the error after over that before."""
         end = f"_{in_names(self.unit)}"
         return {
             "rows": self.rows,
             "verdict": self.verdict,
             "effects": ", ".join(self.effects),
             "not_needed": ", ".join(self.not_needed),
-            f"as_it_came{end}": self.as_it_came,
-            f"left{end}": self.left,
-            "ratio": self.left / self.as_it_came if self.left is not None and self.as_it_came else None,
+            f"before{end}": self.before,
+            f"after{end}": self.after,
+            "ratio": self.after / self.before if self.after is not None and self.before else None,
             f"noise{end}": self.noise,
             "noise_origin": self.noise_origin,
             "p_missing": self.p_missing,

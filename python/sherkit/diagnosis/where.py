@@ -27,7 +27,7 @@ def where(stage: Stage) -> tuple[Dependence, ...]:
     """One line for each variable (joints, coordinates, time, directions, covariates), the clearest first."""
     out = []
     z = stage.scan.z_scores[: stage.n_shapes]
-    error = stage.view.residual * stage.sigma * stage.run.per_unit
+    error = stage.view.residual * stage.sigma * stage.run.per_row
     for name, values in stage.view.variables.items():
         scores = [s for s, shape in zip(z.tolist(), stage.shapes, strict=True) if shape.depends_on == (name,)]
         if not scores:

@@ -34,6 +34,7 @@ from ..model.robot_file import RobotLike, load_robot, run_for
 from ..notebook import Shown
 from ..types import Floats
 from .directions import Direction, badly_observed, unobserved
+from .error import ErrorSize, held_out_error, of_residuals
 from .iterate import reached
 from .least_squares import LeastSquares
 from .robust import LOSSES, scale, spread
@@ -133,6 +134,16 @@ class Fit(Identified, Shown):
     def residuals(self) -> Floats:
         """Measured minus predicted (n, m); NaN where nothing was taken."""
         return np.where(self.data.taken, self.data.readings - self.predicted, np.nan)
+
+    @cached_property
+    def error(self) -> ErrorSize:
+        """How far it is off, on rows held out (:mod:`sherkit.fit.error`)."""
+        return held_out_error(self)
+
+    @cached_property
+    def nominal_error(self) -> ErrorSize:
+        """How far the nominal robot is off."""
+        return of_residuals(self.data, self.nominal_residuals, held_out=False)
 
     @cached_property
     def nominal_residuals(self) -> Floats:

@@ -37,7 +37,8 @@ def table_of(fit: Any) -> str:
         ("fit", f"{len(fit.parameters)} parameters to {len(fit.data)} rows of {fit.data.source}"),
         ("effects", effects or "none"),
         ("loss", fit.loss + (", with plausible sizes as knowledge" if fit.priors else "")),
-        ("RMS", f"{errors} {layout.unit}"),
+        ("error", str(fit.error)),
+        ("fitted", f"{errors} {layout.unit} RMS"),
         ("noise", f"{origin[fit.noise.origin]}; residuals are {fit.scale:.3g} times as large"
          if fit.noise.origin != "unknown" else origin["unknown"]),
         ("rank", f"{fit.rank} of {len(fit.parameters)}{condition}"),

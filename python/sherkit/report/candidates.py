@@ -28,7 +28,7 @@ def candidates(found: Diagnosis) -> Picture[Diagnosis]:
         height=_ROW_HEIGHT * len(names) + _AROUND, sizing_mode="stretch_width", x_axis_type="log",
         y_range=FactorRange(*names[::-1]), x_range=Range1d(low, high),
     )  # fmt: skip
-    made.xaxis.axis_label = f"RMS error on poses held out with it in the model, {found.unit}"
+    made.xaxis.axis_label = f"error on poses held out with it in the model, {found.unit} RMS {found.error.in_words}"
     made.add_layout(
         Whisker(base="effect", lower="low", upper="high", source=sources["effects"], dimension="width",
                 line_color=MUTED, upper_head=None, lower_head=None, line_width=2)
@@ -37,7 +37,7 @@ def candidates(found: Diagnosis) -> Picture[Diagnosis]:
         "error", "effect", source=sources["effects"], size=13, marker="marker", fill_color="fill", line_color="line",
         line_width=2,
     )  # fmt: skip
-    made.add_layout(Span(location=found.steps[0].held_out_rms, dimension="height", line_color=INK, line_dash="dashed"))
+    made.add_layout(Span(location=found.steps[0].error.rms, dimension="height", line_color=INK, line_dash="dashed"))
     noise = _noise(found)
     if noise:
         made.add_layout(Span(location=noise, dimension="height", line_color=MUTED, line_dash="dotted", line_width=2))
@@ -80,13 +80,13 @@ def _names(found: Diagnosis) -> list[str]:
 def _noise(found: Diagnosis) -> float:
     if found.noise_origin == "unknown":
         return 0.0
-    return float(np.sqrt(np.mean(np.square(list(found.noise.values())))))
+    return found.noise_size
 
 
 def _reach(found: Diagnosis) -> tuple[float, float]:
-    values = [max(c.held_out_rms, 1e-12) for c in found.candidates] + [found.steps[0].held_out_rms]
+    values = [max(c.held_out_rms, 1e-12) for c in found.candidates] + [found.steps[0].error.rms]
     # an addition that overfits a small run may hold out absurdly badly; it need not set the scale
-    top = min(max(values), 5 * found.steps[0].held_out_rms)
+    top = min(max(values), 5 * found.steps[0].error.rms)
     low = min([*values, *map(_lowest, found.candidates), _noise(found) or np.inf])
     return 0.85 * low, 1.1 * top * (top / low) ** 0.2
 

@@ -153,7 +153,7 @@ def _brings(effect: Effect, found: Diagnosis | None, without: float | None) -> s
     if found is not None and effect.name in found.effects:
         k = next((k for k, s in enumerate(found.steps) if s.effect == effect.name), None)
         if k:
-            before, after = found.steps[k - 1].held_out_rms, found.steps[k].held_out_rms
+            before, after = found.steps[k - 1].error.rms, found.steps[k].error.rms
             said = f"Without it {number(before)} {found.unit}, with it {number(after)} {found.unit}"
     elif found is not None and without is not None:
         said = f"Without it {number(without)} {found.unit}"
@@ -161,7 +161,7 @@ def _brings(effect: Effect, found: Diagnosis | None, without: float | None) -> s
         one = next((c for c in found.candidates if c.effect == effect.name), None)
         if one is not None:
             said = (
-                f"Added alone it would leave {number(one.held_out_rms)} of {number(found.steps[0].held_out_rms)} "
+                f"Added alone it would leave {number(one.held_out_rms)} of {number(found.steps[0].error.rms)} "
                 f"{found.unit}"
             )
             said += "" if one.plausible else ", at a size that is not plausible"

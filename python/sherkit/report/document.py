@@ -32,7 +32,7 @@ from ..figures import in_people_units, stated, with_error
 from ..fit.forms import known
 from ..fit.identify import Fit
 from ..model.kinds import required_um
-from ..names import listed
+from ..names import CALIBRATED, listed, state_with
 from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from ..study import Study
@@ -51,7 +51,7 @@ from .residuals import Residuals, residuals_of
 from .run import run_in_time
 from .scene import script as scene_script
 from .space import space_of
-from .states import State, packed, states_of, title_of
+from .states import State, packed, states_of
 from .style import number, quantity
 from .svg import Panel, residual_maps, round_bar
 from .workspace import NextPoses, accuracy_map, accuracy_of, next_poses
@@ -184,11 +184,11 @@ def _printed(picture: Picture[Any]) -> str:
 def _bars(report: Report) -> list[tuple[str, str, float]]:
     """Before, after, noise and what is needed as bars: key, name and length of each."""
     found, needed = report.found, required_um(report.study.robot)
-    out = [("error-before", "error as it came", found.steps[0].held_out_rms)]
+    out = [("error-before", CALIBRATED, found.steps[0].error.rms)]
     if len(found.steps) > 1:
-        out.append(("error-after", f"with {listed(found.effects)}", found.steps[-1].held_out_rms))
+        out.append(("error-after", state_with(found.effects), found.error.rms))
     if found.noise_origin != "unknown":
-        out.append(("noise", "noise of a reading", _rms(list(found.noise.values()))))
+        out.append(("noise", "noise", found.noise_size))
     if needed and found.unit == "µm":
         out.append(("needed", "needed", needed))
     return out
@@ -222,7 +222,7 @@ def _cards(report: Report, atlas: Atlas | None) -> tuple[list[str], list[tuple[s
 def _space(report: Report) -> str:
     """The errors before and after in three dimensions; nothing where the run says no places."""
     base, last = report.found.base, report.study.fit
-    titles = ("as it came", title_of(report.study.effects) if report.study.effects else "as it is now")
+    titles = (CALIBRATED, state_with(report.study.effects))
     scene = space_of(base, last, titles, report.calibration)
     return "" if scene is None else scene.html()
 
@@ -270,7 +270,7 @@ def _states(report: Report, base: Fit) -> tuple[list[State], int]:
     known = tuple(e.name for e in base.model.effects)
     path = {s.effects: drawn(s.fit) for s in study.history if s.fit is not None and set(s.effects) > set(known)}
     states = states_of(found, known, path, tuple(study.own.values()), base)
-    return states, next((k for k, s in enumerate(states) if s.title == title_of(study.effects)), 0)
+    return states, next((k for k, s in enumerate(states) if s.title == state_with(study.effects)), 0)
 
 
 def _leading(found: Diagnosis, left: Residuals) -> str:
@@ -335,23 +335,23 @@ def _error_lines(report: Report) -> list[dict[str, Any]]:
 
 
 def _table_one(run: CalibrationRun, key: str, beside: Mapping[str, Mapping[str, tuple[int, int]]]) -> dict[str, Any]:
-    axes = list(run.lines()[0][2])
+    axes = list(run.lines()[0][3])
     rows: list[tuple[str, list[str], bool]] = []
-    for name, printed, rms in run.lines():
-        rows.append(
-            (name.strip(), [f"{number(rms[a][0])} ± {number(rms[a][1])}" if a in rms else "" for a in axes], False)
-        )
+    for name, printed, error, rms in run.lines():
+        each = [f"{number(rms[a][0])} ± {number(rms[a][1])}" if a in rms else "" for a in axes]
+        rows.append((name.strip(), [number(error.rms), number(error.p95), *each], False))
         figures = beside.get(printed, {})
         if figures:
-            rows.append(("the paper's robot", [f"{v[0]} ± {v[1]}" for v in figures.values()], True))
+            rows.append(("the paper's robot", ["", "", *(f"{v[0]} ± {v[1]}" for v in figures.values())], True))
     repeats = run.fit.data.repeatability
     if repeats:
         per_unit = run.fit.data.layout.per_unit
         cells = [f"± {number(per_unit * repeats.sigma[a])}" if a in repeats.sigma else "" for a in axes]
-        rows.append(("repeatability (1 σ)", cells, False))
+        rows.append(("repeatability (1 σ)", ["", "", *cells], False))
     title = {"whole": "the whole workspace", "local": "the region of interest"}[key]
     unit = run.fit.data.layout.unit
-    return {"title": title, "axes": [a.rsplit("_", 1)[0] for a in axes], "unit": unit, "rows": rows}
+    columns = [f"error {run.fit.error.in_words}", "95 % within", *(a.rsplit("_", 1)[0] for a in axes)]
+    return {"title": title, "axes": columns, "unit": unit, "rows": rows}
 
 
 def _parameter_lines(report: Report) -> list[tuple[str, str, str, str, str, str]]:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from bokeh.models import FactorRange, Label, Range1d, Span
 
+from ..data.columns import bare
 from ..diagnosis import Diagnosis
+from ..fit.error import ErrorSize
 from ..model.kinds import required_um
 from ..study import Study
 from ..study_step import StudyStep
+from ..types import Floats
 from .picture import Picture, Tables, single, sources_of
 from .style import COLOURS, FONT, FONT_SIZE, INK, MARKERS, figure, hover, legend
 
@@ -23,29 +26,35 @@ _NAMED = 9
 _LETTER = 8.4
 #: Height of a line of them, px.
 _LINE_PX = 22
-#: What all readings leave together, beside each of them.
-_ALL = "all"
+#: The error, beside that of each reading.
+_ERROR = "error"
 
 
 @dataclass(frozen=True)
 class ErrorOfStep:
-    """One step: what was done, and the error it left on each axis, held out and fitted, in the unit of the fall.
+    """One step: what was done, and the error it left, held out and of the rows that were fitted.
 
     ``short`` is what stands at the axis, where that is another name.
     """
 
     action: str
-    held_out: Mapping[str, float]
-    fitted: Mapping[str, float]
+    held_out: ErrorSize
+    fitted: ErrorSize
     short: str = ""
+
+    @classmethod
+    def of(cls, step: StudyStep, short: str = "") -> ErrorOfStep:
+        """That of a step of a study."""
+        return cls(step.action, step.error, step.fitted, short)
 
 
 @dataclass(frozen=True)
 class ErrorHistory:
-    """Steps in order; ``noise`` by axis (empty where unknown), ``required`` the accuracy needed, both in ``unit``."""
+    """Steps in order; ``noise`` as the error is counted (None where unknown), ``required`` the accuracy needed, both in
+    ``unit``."""
 
     steps: Sequence[ErrorOfStep]
-    noise: Mapping[str, float]
+    noise: float | None
     unit: str
     required: float | None = None
 
@@ -58,7 +67,7 @@ def current_path(history: Sequence[StudyStep]) -> list[int]:
     path: list[int] = []
     states: list[tuple[Any, ...]] = []
     for k, step in enumerate(history):
-        left = tuple((name, f"{value:.6g}") for name, value in step.training_rms.items())
+        left = tuple((name, f"{value:.6g}") for name, value in step.fitted.by_reading.items())
         state = (frozenset(step.effects), step.rows, left)
         if state in states:
             place = states.index(state)
@@ -71,63 +80,59 @@ def current_path(history: Sequence[StudyStep]) -> list[int]:
 
 def error_history_of(study: Study, found: Diagnosis | None = None) -> ErrorHistory:
     """The fall of a study, with the noise that a diagnosis knows."""
-    steps = [
-        ErrorOfStep(
-            s.action,
-            {name.rsplit("_", 1)[0]: v for name, v in s.held_out_rms.items()},
-            {name.rsplit("_", 1)[0]: v for name, v in s.training_rms.items()},
-        )
-        for s in study.history
-    ]
+    steps = [ErrorOfStep.of(step) for step in study.history]
     known = found is not None and found.noise_origin != "unknown"
     unit = study.data.layout.unit
     # an accuracy in µm says nothing of pixels
     needed = required_um(study.robot) if unit == "µm" else None
-    return ErrorHistory(steps, found.noise if found is not None and known else {}, unit, needed)
+    return ErrorHistory(steps, found.noise_size if found is not None and known else None, unit, needed)
 
 
 def error_history(state: ErrorHistory, *, height_px: int = _HEIGHT, room_px: int = 860) -> Picture[ErrorHistory]:
-    """RMS of single readings at every step on a logarithmic scale.
+    """The error at every step on a logarithmic scale, and beside it that of each reading.
 
-    Filled marks are errors on blocks of poses that the fit had not seen, open ones those on the rows it was fitted to;
-    the heavy line is that of all readings together. ``room_px`` is there for the names of steps.
+    Filled marks are RMS on blocks of poses that the fit had not seen, open ones those on the rows it was fitted to; the
+    heavy line is the error, its bar what 95 of 100 rows stay within. ``room_px`` is there for the names of steps.
     """
     names = _names(state)
-    together = [_ALL] if len(names) > 1 else []
+    error = state.steps[-1].held_out
     sources = sources_of(_tables(state))
     made = figure(
         height=height_px, sizing_mode="stretch_width", y_axis_type="log", x_range=FactorRange(*_steps(state)),
         y_range=Range1d(*_reach(state)),
     )  # fmt: skip
-    made.yaxis.axis_label = f"RMS error, {state.unit}"
+    made.yaxis.axis_label = f"error, {state.unit}"
     made.xaxis.major_label_orientation = _slant(state, room_px)
     renderers = []
-    for k, name in enumerate([*names, *together]):
+    for k, name in enumerate([*names, _ERROR]):
         last = k == len(names)
         colour, marker = (INK, "plus") if last else (COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)])
+        called = f"error {error.in_words}" if last else name
         made.line("step", f"held_{name}", source=sources["steps"], color=colour, line_width=4 if last else 2,
-                  legend_label=name)  # fmt: skip
+                  legend_label=called)  # fmt: skip
         filled = made.scatter(
-            "step", f"held_{name}", source=sources["steps"], color=colour, marker=marker, size=13, legend_label=name
+            "step", f"held_{name}", source=sources["steps"], color=colour, marker=marker, size=13, legend_label=called
         )
         open_ = made.scatter(
             "step", f"fit_{name}", source=sources["steps"], line_color=colour, fill_color="white", marker=marker, size=9
         )
         renderers += [filled, open_]
-        if name in state.noise:
-            made.add_layout(Span(location=state.noise[name], dimension="width", line_color=colour, line_dash="dotted"))
+    made.segment("step", f"held_{_ERROR}", "step", "p95", source=sources["steps"], color=INK, line_width=2)
+    made.scatter("step", "p95", source=sources["steps"], color=INK, marker="dash", size=16, line_width=2)
     if state.required:
         made.add_layout(
             Span(location=state.required, dimension="width", line_color=INK, line_width=2, line_dash="dashed")
         )
         _say(made, state.required, f"needed: {state.required:g} {state.unit}")
     if state.noise:
-        _say(made, float(np.mean(list(state.noise.values()))), "noise")
+        made.add_layout(Span(location=state.noise, dimension="width", line_color=INK, line_dash="dotted"))
+        _say(made, state.noise, "noise")
     made.add_tools(
         hover(
             renderers,
             ("step", "@action"),
-            *((n, f"@held_{n}{{0.0}} held out, @fit_{n}{{0.0}} fitted") for n in [*names, *together]),
+            *((n, f"@held_{n}{{0.0}} held out, @fit_{n}{{0.0}} fitted") for n in [*names, _ERROR]),
+            ("95 % within", "@p95{0.0}"),
         )
     )
     made.xgrid.grid_line_color = None
@@ -139,9 +144,9 @@ def error_history(state: ErrorHistory, *, height_px: int = _HEIGHT, room_px: int
         made.xaxis.major_label_orientation = _slant(new, room_px)
 
     note = (
-        "Filled: on blocks of poses that the fit had not seen. Open: on the rows it was fitted to."
-        f"{' Black: all readings together.' if together else ''}"
-        f"{' Dotted: the noise of each axis; below it nothing can be gained.' if state.noise else ''}"
+        "Filled: RMS on blocks of poses that the fit had not seen. Open: on the rows it was fitted to."
+        f" Black: the error {error.in_words}, its bar what 95 of 100 rows stay within, which is what is needed."
+        f"{' Dotted: the noise; below it nothing can be gained.' if state.noise else ''}"
     )
     return Picture("fall", single("fall", made), sources, _tables, tune, note=note)
 
@@ -155,17 +160,20 @@ def _say(made: Any, height: float, text: str) -> None:
 
 
 def _names(state: ErrorHistory) -> list[str]:
-    return list(dict.fromkeys(name for step in state.steps for name in step.held_out))
+    """Readings, where there are several."""
+    every = list(dict.fromkeys(bare(name) for step in state.steps for name in step.held_out.by_reading))
+    return every if len(every) > 1 else []
 
 
 def _reach(state: ErrorHistory) -> tuple[float, float]:
     """Lowest and highest error of the axis: every value has a place there, and so have noise and requirement."""
-    values = [v for step in state.steps for side in (step.held_out, step.fitted) for v in side.values()]
-    known = [v for v in (*values, *state.noise.values(), state.required or 0.0) if np.isfinite(v) and v > 0] or [1.0]
+    sides = [side for step in state.steps for side in (step.held_out, step.fitted)]
+    values = [v for side in sides for v in (side.rms, side.p95, *side.by_reading.values())]
+    known = [v for v in (*values, state.noise or 0.0, state.required or 0.0) if np.isfinite(v) and v > 0] or [1.0]
     low, high = min(known), max(known)
     reach = max(high / low, 2.0)
     # the name of a line stands above it
-    above = 0.2 if high == state.required or high in state.noise.values() else 0.08
+    above = 0.2 if high in (state.required, state.noise) else 0.08
     return low / reach**0.08, high * reach**above
 
 
@@ -184,12 +192,15 @@ def _slant(state: ErrorHistory, room_px: int) -> float:
 
 def _tables(state: ErrorHistory) -> Tables:
     table: dict[str, object] = {"step": _steps(state), "action": [r.action for r in state.steps]}
-    for name in _names(state):
-        for key, values in (("held", [r.held_out.get(name) for r in state.steps]),
-                            ("fit", [r.fitted.get(name) for r in state.steps])):  # fmt: skip
-            # a logarithmic axis has no place for zero
-            table[f"{key}_{name}"] = np.array([v if v is not None and v > 0 else np.nan for v in values])
-    for key in ("held", "fit"):
-        each = np.array([table[f"{key}_{name}"] for name in _names(state)])
-        table[f"{key}_{_ALL}"] = np.sqrt(np.mean(each**2, axis=0))
+    for key, sides in (("held", [r.held_out for r in state.steps]), ("fit", [r.fitted for r in state.steps])):
+        each = [{bare(name): value for name, value in side.by_reading.items()} for side in sides]
+        for name in _names(state):
+            table[f"{key}_{name}"] = _drawn([one.get(name, np.nan) for one in each])
+        table[f"{key}_{_ERROR}"] = _drawn([side.rms for side in sides])
+    table["p95"] = _drawn([r.held_out.p95 for r in state.steps])
     return {"steps": table}
+
+
+def _drawn(values: Sequence[float]) -> Floats:
+    """On a logarithmic axis, which has no place for zero."""
+    return np.array([v if v > 0 else np.nan for v in values])

@@ -22,6 +22,7 @@ from ..errors import SherkitError
 from ..fit.identify import Fit
 from ..model.effect import Catalogue, Effect
 from ..model.kinds import Robot, known_kinds
+from ..names import CALIBRATED, state_with
 from ..robots.calibrated import Calibration
 from ..robots.tool.filters import Estimate
 from ..study import Study
@@ -85,7 +86,7 @@ def pictures_of(value: Any) -> list[Picture[Any]]:
         return [error_history(error_history_of(value)), _map(before, value.fit, steps)]
     if isinstance(value, Diagnosis):
         shown: list[Picture[Any]] = [candidates(value)] if value.candidates else []
-        return [*shown, _map(value.base, value.fit, ("as it came", " and ".join(value.effects)))]
+        return [*shown, _map(value.base, value.fit, (CALIBRATED, state_with(value.effects)))]
     if isinstance(value, Calibration):
         return [accuracy_map(accuracy_of(value))]
     if isinstance(value, Fit):

@@ -1,4 +1,4 @@
-"""States of one run that a reader can switch between without a server: the model as it came, with each single effect
+"""States of one run that a reader can switch between without a server: the calibrated geometry, with each single effect
 added, and every step of the chosen path. Packed as numbers in text, for the offline report.
 """
 
@@ -17,7 +17,7 @@ from ..diagnosis.setting import searched
 from ..errors import SherkitError
 from ..fit.identify import Fit
 from ..model.effect import Effect
-from ..names import listed
+from ..names import state_with
 from .picture import Picture, Table
 from .residual_against import Windows, gained, means, points, shown
 from .residual_map import Change
@@ -51,12 +51,12 @@ def states_of(
     """
     base = found.base if base is None else base
     run = FittedRun(base)
-    out = [State(title_of(known), residuals_of(base))]
+    out = [State(state_with(known), residuals_of(base))]
     named = {e.name: e for e in (*run.catalogue, *effects)}
     taken = {frozenset(added) for added in path}
     for candidate in found.candidates[:_MOST_SINGLE]:
         effect = named.get(candidate.effect)
-        title = title_of([*known, candidate.effect])
+        title = state_with([*known, candidate.effect])
         if effect is None or {*known, candidate.effect} in taken:
             continue
         setting = None
@@ -69,12 +69,7 @@ def states_of(
             out.append(State(title, residuals_of(run.refit([(effect, setting)]).fit)))
         except SherkitError:
             continue
-    return out + [State(title_of(added), residuals_of(fit)) for added, fit in path.items()]
-
-
-def title_of(effects: Sequence[str]) -> str:
-    """What a state is called that has these effects."""
-    return f"with {listed(effects)}" if effects else "the model as it came"
+    return out + [State(state_with(added), residuals_of(fit)) for added, fit in path.items()]
 
 
 def packed(states: Sequence[State], maps: Picture[Change]) -> dict[str, Any]:

@@ -11,9 +11,13 @@ from typing import Any
 import numpy as np
 
 from ..errors import SherkitWarning
+from ..fit.error import ErrorSize, of_residuals
 from ..fit.identify import Fit
-from ..names import listed
+from ..names import CALIBRATED, NOMINAL, listed
 from ..types import Bools, Floats, Ints
+
+#: Lines below those of a model on rows held out.
+_ROWS, _CORRECTED = "  the rows it was fitted to", "  with the correction"
 
 
 @dataclass(frozen=True)
@@ -93,24 +97,33 @@ class CalibrationRun:
                 out[name] = (float(np.sqrt(np.mean(v**2))), float(v.std()))
         return out
 
-    def lines(self) -> list[tuple[str, str, dict[str, tuple[float, float]]]]:
-        """Table I: name of a line, that of the paper's ('' where it prints none), RMS and deviation by reading."""
-        region = self.region
+    def lines(self) -> list[tuple[str, str, ErrorSize, dict[str, tuple[float, float]]]]:
+        """Table I: name of a line, that of the paper's ('' where it prints none), the error, and RMS and deviation of
+        each reading."""
+        region, fitted = self.region, " ".join([CALIBRATED, *(f"+ {e.name}" for e in self.fit.model.effects)])
         wanted: list[tuple[str, str, Floats, Bools | None]] = [
-            ("before calibration", "before", self.fit.nominal_residuals, None),
-            ("after geometry", "after", self.fit.residuals, None),
-            ("  on poses held out", "", self.held_out, None),
+            (NOMINAL, "before", self.fit.nominal_residuals, None),
+            (fitted, "", self.held_out, None),
+            (_ROWS, "after", self.fit.residuals, None),
         ]
         if self.correction is not None:
-            wanted.append(("  held out, corrected", "", self.corrected, None))
+            wanted.append((_CORRECTED, "", self.corrected, None))
         if region is not None and region.any() and not region.all():
             wanted += [
-                ("before, region of interest", "before, region", self.fit.nominal_residuals, region),
-                ("after, region of interest", "after, region", self.fit.residuals, region),
+                (f"{NOMINAL}, region", "before, region", self.fit.nominal_residuals, region),
+                (f"{fitted}, region", "", self.held_out, region),
+                (_ROWS, "after, region", self.fit.residuals, region),
             ]
             if self.correction is not None:
-                wanted.append(("  held out, corrected", "", self.corrected, region))
-        return [(name, key, self.rms(values, rows)) for name, key, values, rows in wanted]
+                wanted.append((_CORRECTED, "", self.corrected, region))
+        out = []
+        for name, key, values, rows in wanted:
+            data = self.fit.data if rows is None else self.fit.data.select(np.flatnonzero(rows))
+            error = of_residuals(data, values if rows is None else values[rows], held_out=name not in (NOMINAL, _ROWS))
+            # that of the fit is seen in several ways to cut the run, as everywhere
+            error = self.fit.error if values is self.held_out and rows is None else error
+            out.append((name, key, error, self.rms(values, rows)))
+        return out
 
     def _left_out(self) -> Floats:
         """What the user's effects add to the prediction (n, m)."""

@@ -124,7 +124,7 @@ def _wrong(
     stands = min((p.misfit for p in (now, free) if p is not None), default=np.inf)
     better = _much_better(model, data, datum, stands, now)
     unit, per_unit = data.layout.unit, data.layout.per_unit
-    before = float("nan") if now is None else per_unit * now.rms_of_all
+    before = float("nan") if now is None else per_unit * now.error
     if not better:
         if now is None or free is None or min(now.relative, free.relative) < _ABSURD or not _moves(model, data, now):
             return []
@@ -132,7 +132,7 @@ def _wrong(
             return []
         return [_nothing_usual(now, before, unit)]
     first, found = better[0]
-    after = per_unit * found.rms_of_all
+    after = per_unit * found.error
     looks, advice = (
         dict.fromkeys(words) for words in zip(*((one.looks, one.advice) for one, _ in better), strict=True)
     )

@@ -72,6 +72,11 @@ class Plausible:
         """RMS over all columns."""
         return float(np.sqrt(np.nanmean(self.rms**2)))
 
+    @property
+    def error(self) -> float:
+        """RMS of rows, each by the length of all that is read of it."""
+        return float(np.sqrt(np.nansum(self.rms**2)))
+
 
 def plausible_fit(model: ModelWithEffects, data: Measurements, datum: Bools, rounds: int = _ROUNDS) -> Plausible | None:
     """The fit with plausible parameters; None where the model cannot compute the rows.

@@ -19,7 +19,7 @@ import sherkit._core as _core
 
 from ...data.toml import Table
 from ...errors import FitError, ShapeError
-from ...fit.hold_out import spatial_blocks
+from ...fit.blocks import spatial_blocks
 from ...fit.identify import Fit
 from ...saved import Saved
 from ...types import Floats

@@ -10,14 +10,21 @@ import numpy as np
 
 from .. import linalg
 from ..types import Floats, Ints
-from .linearised import blocks
 
+#: Rows that are looked at together: a few megabytes of columns, however long the run is.
+BLOCK = 8192
 #: Part of any direction's squared length that every fold must leave to the others, or pseudo-inverses are needed.
 _BEYOND = 1e-6
 #: Part of a further column's squared length that the fitted ones must leave of it.
 _LEFT = 1e-8
 #: Numbers of Gram matrices that are kept before they are summed.
 _TOGETHER = 4_000_000
+
+
+def blocks(n: int, most: int = BLOCK) -> list[slice]:
+    """Stretches of at most so many of ``n`` rows, alike in length."""
+    edges = np.linspace(0, n, -(-n // most) + 1).round().astype(int).tolist()
+    return [slice(a, b) for a, b in pairwise(edges)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,183 @@
+"""The error of a model: how far what was read lies from what the model says, pose by pose.
+
+For what is read in one unit in space that is the distance in 3-D, for pixels and angles the length of the difference
+of all that is read together: mean, root mean square, what 95 of 100 rows stay within, and the largest (ISO 9283:1998,
+6.2, of single readings). It is held out wherever a model was fitted: each row is predicted by a fit that did not see
+its block, in several ways to cut the run into blocks. All is linear around the full fit, so that a fit without a block
+is a subtraction of Gram matrices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from .. import linalg
+from ..data import Measurements
+from ..data.noise import Noise
+from ..figures import number
+from ..types import Bools, Floats, Ints
+from .blocks import blocks_of
+from .folds import Folds, blocks
+
+#: Blocks that are held out in turn, and how often they are drawn anew so that nothing hangs on one draw.
+_FOLDS = 6
+_REPETITIONS = 5
+
+
+@dataclass(frozen=True)
+class ErrorSize:
+    """Distances of ``rows`` rows from what a model says, in ``unit``: over ``axes`` readings of each together.
+
+    ``held_out`` tells whether each was predicted by a fit that did not see it; ``by_reading`` are the root mean squares
+    of single readings by the name of their column.
+    """
+
+    mean: float
+    rms: float
+    p95: float
+    max: float
+    unit: str
+    held_out: bool
+    axes: int = 1
+    rows: int = 0
+    by_reading: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, squares: Floats, unit: str, *, held_out: bool, names: Sequence[str], together: Sequence[int]
+    ) -> ErrorSize:
+        """Of squared errors (n, m) in ``unit``, NaN where nothing was read, of readings ``names``; those ``together``
+        make the distance. Rows that hold all of these count, else any with one."""
+        own = squares[:, list(together)]
+        whole = np.isfinite(own).all(axis=1)
+        own = own[whole] if whole.any() else np.nan_to_num(own[np.isfinite(own).any(axis=1)])
+        distance = np.sqrt(own.sum(axis=1))
+        read = np.isfinite(squares)
+        by_reading = {
+            name: float(np.sqrt(np.mean(squares[read[:, k], k]))) for k, name in enumerate(names) if read[:, k].any()
+        }
+        if not len(distance):
+            nan = float("nan")
+            return cls(nan, nan, nan, nan, unit, held_out, len(together), 0, by_reading)
+        return cls(
+            float(distance.mean()), float(np.sqrt(np.mean(distance**2))), float(np.quantile(distance, 0.95)),
+            float(distance.max()), unit, held_out, len(together), len(distance), by_reading,
+        )  # fmt: skip
+
+    @property
+    def in_words(self) -> str:
+        """What it is of."""
+        if self.axes == 3:
+            return "in 3-D"
+        return f"of {self.axes} readings together" if self.axes > 1 else "of single readings"
+
+    def __str__(self) -> str:
+        how = ", held out" if self.held_out else ""
+        return f"{number(self.rms)} {self.unit} RMS {self.in_words}, 95 % within {number(self.p95)}{how}"
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "rms": _finite(self.rms), "p95": _finite(self.p95), "max": _finite(self.max), "mean": _finite(self.mean),
+            "unit": self.unit, "held_out": self.held_out, "rows": self.rows,
+            "by_reading": {name: _finite(value) for name, value in self.by_reading.items()},
+        }  # fmt: skip
+
+
+class Fitted(Protocol):
+    """What is asked of a fit."""
+
+    @property
+    def model(self) -> Any:
+        """The model."""
+
+    @property
+    def data(self) -> Measurements:
+        """Its rows."""
+
+    @property
+    def values(self) -> Floats:
+        """Its parameters (p,)."""
+
+    @property
+    def noise(self) -> Noise:
+        """The noise of each reading."""
+
+    @property
+    def predicted(self) -> Floats:
+        """What it says (n, m)."""
+
+    @property
+    def residuals(self) -> Floats:
+        """Measured minus that (n, m)."""
+
+
+def axes_of(data: Measurements) -> tuple[int, ...]:
+    """Columns of readings that make the error: coordinates that were taken; where none was, the distance."""
+    return tuple(k for k in range(data.coordinates) if data.taken[:, k].any()) or (data.coordinates,)
+
+
+def of_residuals(data: Measurements, residuals: Floats, *, held_out: bool) -> ErrorSize:
+    """The error that residuals (n, m) are, of rows that are not marked as outliers."""
+    squares = np.where(data.used, (data.layout.per_unit * residuals) ** 2, np.nan)
+    return ErrorSize.of(
+        squares, data.layout.unit, held_out=held_out, names=data.layout.readings, together=axes_of(data)
+    )
+
+
+def repeated_folds_of(data: Measurements, place: Mapping[str, Floats], seed: int) -> list[Ints]:
+    """Folds (n,) of all rows, of each repetition; ``place`` (n,) by name says where they are."""
+    return [blocks_of(data, place, _FOLDS, _REPETITIONS * seed + k) for k in range(_REPETITIONS)]
+
+
+@linalg.one_thread()
+def held_out_error(
+    fit: Fitted, seed: int = 0, *, sigma: Floats | None = None, repeated_folds: Sequence[Ints] | None = None
+) -> ErrorSize:
+    """The error of a fit on rows held out; of one pose alone, which cannot be, what the fit leaves.
+
+    ``sigma`` (columns,) weighs the readings, the noise of each where it is left out; ``repeated_folds`` are those of
+    :func:`repeated_folds_of`.
+    """
+    data = fit.data
+    used = data.used & np.isfinite(fit.residuals)
+    rows = np.flatnonzero(used.any(axis=1))
+    if sigma is None:
+        sigma = _noise_of(fit, used)
+    if repeated_folds is None:
+        repeated_folds = repeated_folds_of(data, fit.model.place(data, fit.predicted), seed)
+    fold = np.stack([np.unique(one[rows], return_inverse=True)[1].ravel() for one in repeated_folds])
+    if not len(rows) or fold.max(axis=1).min() < 1:
+        return of_residuals(data, fit.residuals, held_out=False)
+    part, there = data.select(rows), used[rows]
+    by_model = fit.model.linearised_by_blocks(part, fit.values)
+    # axes that nothing was read on count for nothing
+    weight = np.where(there, 1.0 / sigma, 0.0)
+    residual = np.where(there, fit.residuals[rows], 0.0) * weight
+
+    def columns(some: slice) -> Floats:
+        return np.asarray(by_model(some).parameters * weight[some, :, None])
+
+    folds = Folds.of(columns, residual, fold)
+    errors = [(folds.errors(columns(some), residual[some], some) ** 2).mean(axis=0) for some in blocks(len(rows))]
+    squares = np.where(there, np.concatenate(errors) * (data.layout.per_unit * sigma) ** 2, np.nan)
+    return ErrorSize.of(squares, data.layout.unit, held_out=True, names=data.layout.readings, together=axes_of(data))
+
+
+def _noise_of(fit: Fitted, used: Bools) -> Floats:
+    """The noise (columns,) that weighs readings; where it is not known, what the fit leaves."""
+    known = fit.noise.origin != "unknown"
+    each = np.where(used, fit.noise.sigma if known else fit.residuals, np.nan)
+    out = np.ones(each.shape[1])
+    for k in np.flatnonzero(used.any(axis=0)):
+        column = each[used[:, k], k]
+        out[k] = max(float(np.sqrt(np.mean(column**2)) if known else np.std(column)), 1e-12)
+    return out
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
