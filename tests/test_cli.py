@@ -193,7 +193,7 @@ def test_tables_hold_the_same_numbers(work: Path, whole: Measurements) -> None:
     rows = {
         cells[0].strip(): cells[1:] for line in done.stdout.splitlines() if len(cells := line.strip("│").split("│")) > 2
     }
-    after = [float(cell.split("±")[0]) for cell in rows["geometry calibrated, fitted rows"][2:]]
+    after = [float(cell.split("±")[0]) for cell in rows["the rows it was fitted to"][2:]]
     assert after == pytest.approx(list(fit.rms().values()), abs=0.051)
     for p, value in zip(fit.parameters, fit.values, strict=True):
         shown = float(rows[p.name][1]) if p.unit == "mm" else np.deg2rad(float(rows[p.name][1]))
@@ -416,7 +416,7 @@ def test_demo_shows_the_tables_of_the_paper(tmp_path: Path) -> None:
     result = told(sherkit(tmp_path, *again[1].split(), "--json"))
     after = result["whole"]["rms_um"]["after"]
     cells = re.search(
-        r"geometry calibrated, fitted rows\s*│[^│]*│[^│]*│([^│]*)±[^│]*│([^│]*)±[^│]*│([^│]*)±", done.stdout
+        r"the rows it was fitted to\s*│[^│]*│[^│]*│([^│]*)±[^│]*│([^│]*)±[^│]*│([^│]*)±", done.stdout
     )
     assert cells is not None
     assert [float(c) for c in cells.groups()] == pytest.approx([after[a] for a in "xyz"], abs=0.051)
