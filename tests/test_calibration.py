@@ -522,7 +522,7 @@ _NAN, _INF = float("nan"), float("inf")
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("calibration.format", 4),
+        ("calibration.format", 5),
         ("calibration.format", "1"),
         ("robot.kind", "hexapod"),
         ("robot.geometry", 3),
@@ -651,14 +651,14 @@ def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
 
 
 def inside_radius(seed: int, lean: float, half_mm: float, count: int = 200) -> float:
-    """Share of fresh readings, at fresh poses within ±half_mm, within the predicted radius of the predicted place."""
+    """Share of fresh readings, at fresh poses within ±half_mm, that lie as near as predicted to the predicted place."""
     robot, result = experiment(seed, lean)
     c = result.calibration
     x = np.random.default_rng([seed, 7]).uniform(-half_mm, half_mm, (count, 3))
     fresh = robot.measure(x, repeats=1, seed=seed + 2000)
     place = c.forward_batch(fresh.joints).require()
     off = np.linalg.norm(fresh.readings[:, :3] - place, axis=1)
-    return float(np.mean(off <= [c.accuracy(p) for p in place]))
+    return float(np.mean(off <= c.predicted_accuracies(place).visit_mm))
 
 
 @pytest.mark.parametrize("half_mm", [9.5, 19.0])
@@ -670,6 +670,28 @@ def test_predicted_accuracy_is_honest(half_mm: float) -> None:
     shares = [inside_radius(seed, 0.0, half_mm) for seed in range(8)]
     assert 0.90 <= np.mean(shares) <= 0.99
     assert min(shares) >= 0.85
+
+
+def test_accuracy_is_where_the_mean_of_many_visits_lies() -> None:
+    """Catches an accuracy that still holds the noise, or one that does not hold: places are missed by a tenth of it.
+
+    95 of 100 places, of which those of one robot go together: 8 robots.
+    """
+    shares, ratios = [], []
+    for seed in range(8):
+        robot, result = experiment(seed, 0.0)
+        made = result.calibration
+        x = np.random.default_rng([seed, 8]).uniform(-19.0, 19.0, (100, 3))
+        home = robot.true_reading(made.robot.inverse([0.0, 0.0, 0.0]))
+        off = np.linalg.norm(robot.true_reading(made.inverse_batch(x).require()) - home - x, axis=1)
+        found = made.predicted_accuracies(x)
+        shares.append(np.mean(off <= found.total_mm))
+        ratios.append(np.median(found.total_mm) / np.quantile(off, 0.95))
+        # isotropic noise of 5 µm
+        assert made.repeatability(x[0]) == pytest.approx(0.005 * 2.7955, rel=0.1)
+        assert (found.visit_mm > found.total_mm).all()
+    assert np.mean(shares) >= 0.93
+    assert np.median(ratios) < 6.0
 
 
 @pytest.mark.parametrize("half_mm", [9.5, 19.0])

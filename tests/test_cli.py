@@ -415,9 +415,7 @@ def test_demo_shows_the_tables_of_the_paper(tmp_path: Path) -> None:
     assert again is not None
     result = told(sherkit(tmp_path, *again[1].split(), "--json"))
     after = result["whole"]["rms_um"]["after"]
-    cells = re.search(
-        r"the rows it was fitted to\s*│[^│]*│[^│]*│([^│]*)±[^│]*│([^│]*)±[^│]*│([^│]*)±", done.stdout
-    )
+    cells = re.search(r"the rows it was fitted to\s*│[^│]*│[^│]*│([^│]*)±[^│]*│([^│]*)±[^│]*│([^│]*)±", done.stdout)
     assert cells is not None
     assert [float(c) for c in cells.groups()] == pytest.approx([after[a] for a in "xyz"], abs=0.051)
 

@@ -78,7 +78,7 @@ def named(d: sk.diagnosis.Diagnosis) -> set[str]:
 
 
 def held_out(d: sk.diagnosis.Diagnosis) -> float:
-    return d.steps[-1].error.rms
+    return d.error.rms / np.sqrt(d.error.axes)
 
 
 # -- what is missing ---------------------------------------------------------------------------------------

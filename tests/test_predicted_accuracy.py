@@ -70,9 +70,10 @@ def test_what_the_poses_could_not_show_is_promised(name: str) -> None:
 def test_poses_that_show_everything_leave_little_unseen(name: str) -> None:
     """Catches an addition for what irregular poses have ruled out, and a radius that does not hold without it."""
     found = kept(named(name), range(2), places=60)
-    assert np.median(found.addition) < 0.2 * np.median(found.radius)
+    assert np.median(found.addition) < 0.4 * np.median(found.visit)
     assert found.by_radius >= 0.90
     assert found.whole >= 0.93
+    assert found.by_visit >= 0.93
 
 
 @pytest.mark.slow
@@ -81,6 +82,7 @@ def test_a_promise_holds(set_up: SetUp) -> None:
     """Catches any kind of run, effect or pose set of the list for which less than 93 of 100 places are held."""
     found = kept(set_up, range(6))
     assert found.whole >= 0.93
+    assert found.by_visit >= 0.93
     if set_up.aliased and not set_up.fitted and set_up.noise == 1.0:
         assert found.by_radius < 0.93, "the poses show it, so that it is no test of the addition"
 

@@ -113,12 +113,12 @@ def calibrate(
         if not without_outliers:
             outliers = (warn_of_outliers if loss == "linear" else gross_errors)(fit, own)
         step(f"holding out blocks of the {name} run")
-        held = hold_out(fit.model, data, seed=seed, loss=loss).residuals
+        held = hold_out(fit.model, data, seed=seed, loss=loss)
         corrected = None
         if correction != "none" and made.may_correct(fit):
             step(f"correcting what the {name} run leaves")
             corrected = made.correct(fit, correction, seed)
-        return CalibrationRun(fit, held, corrected, made.in_region(fit), outliers)
+        return CalibrationRun(fit, held.residuals, corrected, made.in_region(fit), outliers, held.block)
 
     first = run(whole, "whole")
     second = run(local, "local") if local is not None else None

@@ -287,9 +287,11 @@ class Study(Shown):
         blocks. Raises :class:`~sherkit.errors.CalibrationError` where its kind has no calibration."""
         made = calibration_class(self.robot)
         made.require(self.robot)
-        held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss, start=self.fit.values).residuals
+        held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss, start=self.fit.values)
         correction = made.correct(self.fit, seed=self.seed) if made.may_correct(self.fit) else None
-        return made.from_runs(CalibrationRun(self.fit, held, correction, made.in_region(self.fit)))
+        return made.from_runs(
+            CalibrationRun(self.fit, held.residuals, correction, made.in_region(self.fit), block=held.block)
+        )
 
     @as_annotated
     def register(self, effect: Effect) -> None:

@@ -84,14 +84,16 @@ class PlanarCalibration(Calibration):
     def of(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> Self:
         """From a run; there is no local one."""
         del local
-        fit, held_out = whole.fit, whole.deployed(whole.held_out)[:, :2]
+        fit = whole.fit
         count = len(fit.model.indices)
         use = fit.data.taken[:, :2].all(axis=1) & ~fit.data.outlier
         seen = fit.data.readings[use, :2] - [fit.by_name.get(f"datum_{axis}", 0.0) for axis in "xy"]
+        left, scatter = whole.left(lambda missed: missed[use][:, :2], whole.deployed(whole.held_out))
         part = Part(
             **Part.identified(fit),
             covariance=(fit.covariance + fit.unobserved_covariance)[:count, :count],
-            residual_covariance=held_out[use].T @ held_out[use] / max(int(use.sum()), 1),
+            residual_covariance=left,
+            noise_covariance=scatter,
             low=seen.min(axis=0),
             high=seen.max(axis=0),
         )

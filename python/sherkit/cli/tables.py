@@ -128,11 +128,14 @@ def accuracy(calibration: Calibration) -> None:
         f"Predicted accuracy{f' (needed: {needed:g} µm)' if needed else ''}",
         "at",
         *(name.rpartition("_")[0] + ", " + name.rpartition("_")[2] for name in calibration.coordinates),
-        "95 % within, µm",
+        "accuracy, µm",
         "of it unseen",
+        "repeatability",
+        "one reading",
         "",
-        note="95 % within: so far from the command lie 95 of 100 readings there, the instrument's noise with them.  "
-        "of it unseen: what effects of plausible size could do there that the poses of the run could not show.",
+        note="accuracy: so far from the command lies the mean of many visits, in 95 of 100 cases.  of it unseen: what "
+        "effects of plausible size could do there that the poses of the run could not show.  repeatability: so far "
+        "from that mean lie 95 of 100 readings, the instrument's noise with them.  one reading: both together.",
     )
     narrowing: dict[str, str] = {}
     for name, place in calibration.places():
@@ -140,11 +143,13 @@ def accuracy(calibration: Calibration) -> None:
         try:
             predicted = calibration.predicted_accuracy(place)
             note = "" if calibration.measured(place) else "extrapolated: no pose was measured there"
-            made.add_row(name, *cells, f"{1e3 * predicted.total_mm:.1f}", f"{1e3 * predicted.addition_mm:.1f}", note)
+            scatter = calibration.repeatability(place)
+            sizes = (predicted.total_mm, predicted.addition_mm, scatter, predicted.visit_mm)
+            made.add_row(name, *cells, *("unknown" if np.isnan(v) else f"{1e3 * v:.1f}" for v in sizes), note)
             if predicted.matters:
                 narrowing[predicted.effect] = predicted.advice
         except SherkitError as error:  # the rim may be beyond reach: say so in the table
-            made.add_row(name, *cells, "", "", str(error))
+            made.add_row(name, *cells, "", "", "", "", str(error))
     out.print(made)
     for effect, advice in narrowing.items():
         out.print(f"  unseen is mostly {effect}. {advice}")

@@ -390,7 +390,10 @@ def _accuracy_lines(calibration: Calibration | None) -> list[tuple[str, str, str
     for name, place in calibration.places():
         try:
             predicted = calibration.predicted_accuracy(place)
-            text = f"{1e3 * predicted.total_mm:.1f} µm, of it {1e3 * predicted.addition_mm:.1f} unseen"
+            text = (
+                f"{1e3 * predicted.total_mm:.1f} µm (mean of many visits), of it {1e3 * predicted.addition_mm:.1f} "
+                f"unseen; {1e3 * predicted.visit_mm:.1f} µm for a single reading"
+            )
             text += f": mostly {predicted.effect}. {predicted.advice}" if predicted.matters else ""
             text += "" if calibration.measured(place) else " (extrapolated: no pose was measured there)"
         except SherkitError as error:

@@ -56,7 +56,8 @@ def accuracy_of(calibration: Calibration) -> AccuracyMap:
 
 
 def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
-    """A panel for each height: radius that holds 95 of 100 readings; the region within the requirement outlined.
+    """A panel for each height: radius that holds the mean of many visits in 95 of 100 cases; the region within the
+    requirement outlined.
 
     Hatched where no pose was measured: there it is extrapolation and holds only as far as the model does.
     """
@@ -99,8 +100,8 @@ def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
         met = 100 * float(np.mean(known <= state.required_um)) if len(known) else 0.0
         outlined = f" Outlined: {state.required_um:g} µm or better ({met:.0f} % of what can be reached)."
     note = (
-        "Radius around a commanded position within which 95 of 100 readings there lie, the instrument's noise with "
-        f"them.{outlined} Hatched: no pose was measured there.{unseen}"
+        "Radius around a commanded position within which the mean of many visits lies, in 95 of 100 cases; single "
+        f"readings scatter about it.{outlined} Hatched: no pose was measured there.{unseen}"
     )
     return Picture("accuracy", stacked("accuracy", figures, columns=len(figures)), sources, _tables, note=note)
 

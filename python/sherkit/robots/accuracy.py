@@ -45,7 +45,7 @@ class Accurate(Deployed):
     def spread(self, coordinates: Floats, joints: Floats) -> Floats:
         """Covariance (n, d, d) of where the robot really is when sent to ``coordinates`` (n, k) by ``joints`` (n, j).
 
-        Parameter covariance carried there, plus that of held-out residuals. In units of which one makes
+        Parameter covariance carried there, plus that of what the model leaves. In units of which one makes
         :attr:`reach_mm` at the tool.
         """
 
@@ -71,13 +71,21 @@ class Accurate(Deployed):
         return missed[:, : len(self.coordinates)]
 
     def accuracy(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> float:
-        """Radius, mm, within which the robot is predicted to be of ``coordinates`` (k,) in 95 of 100 cases.
+        """Radius, mm, within which the mean of many visits to ``coordinates`` (k,) is predicted to lie in 95 of 100
+        cases: pose accuracy (ISO 9283). How single visits scatter about it is :meth:`repeatability`.
 
         The whole of :meth:`predicted_accuracy`: what the poses of the run show, and what they could not have shown.
         Where no pose was measured (:meth:`measured`) this is extrapolation and holds only as far as the model does.
         Raises as :meth:`inverse`.
         """
         return self.predicted_accuracy(coordinates, direction=direction).total_mm
+
+    def repeatability(self, coordinates: ArrayLike) -> float:
+        """Radius, mm, about the mean of many visits to ``coordinates`` (k,) that holds 95 of 100 readings there, the
+        instrument's noise with them; NaN where neither repeats nor declared deviations tell it."""
+        scatter = self.part_at(self._place(coordinates)).noise_covariance
+        known = scatter is not None and bool(scatter.any())
+        return self.reach_mm * float(radius_95(scatter[None])[0]) if scatter is not None and known else float("nan")
 
     def accuracy_batch(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> Batch:
         """:meth:`accuracy` at every one of ``coordinates`` (n, k): values (n,), mm; those out of reach are marked."""
@@ -96,11 +104,12 @@ class Accurate(Deployed):
         """:meth:`predicted_accuracy` at every one of ``coordinates`` (n, k), all reached in one ``direction`` (j,) if
         given.
 
-        The radius: parameter covariance carried to the place, plus the covariance of held-out residuals (noise and what
-        the model leaves), plus half of the lost motion that is in the model where no direction is given; that of a
-        Gaussian by matching two moments of its squared length (Satterthwaite). The addition: by how much that grows
-        with the covariance of what one effect of the catalogue at plausible size could do there and did not show at the
-        poses (:mod:`~sherkit.robots.unobserved_effects`): of all effects, the one that could do most.
+        The radius: parameter covariance carried to the place, plus the covariance of what the model leaves on poses
+        held out (all of it where the noise is not known), plus half of the lost motion that is in the model where no
+        direction is given; that of a Gaussian by matching two moments of its squared length (Satterthwaite). The
+        addition: by how much that grows with the covariance of what one effect of the catalogue at plausible size could
+        do there and did not show at the poses (:mod:`~sherkit.robots.unobserved_effects`): of all effects, the one that
+        could do most.
         """
         x = self._places(coordinates)
         inverse = self.inverse_batch(x, direction=direction)
@@ -127,7 +136,12 @@ class Accurate(Deployed):
                     worst[row] = Hiding(one.called(part.model(self.robot)), one.places, one.left)
         radius[rows] = self.reach_mm * radius_95(known)
         addition[rows] = self.reach_mm * radius_95(whole) - radius[rows]
-        return PredictedAccuracies(radius, addition, tuple(worst), inverse.reached, inverse.why, self.coordinates)
+        visit = np.full(len(x), np.nan)
+        scatter = np.array([one.scatter for one in parts]).reshape(known.shape)
+        visit[rows] = self.reach_mm * radius_95(whole + scatter)
+        return PredictedAccuracies(
+            radius, addition, visit, tuple(worst), inverse.reached, inverse.why, self.coordinates
+        )
 
     def _either_side(self, part: Part, joints: Floats) -> Floats:
         """Covariance (n, d, d) of not knowing from which side ``joints`` (n, j) are reached: of lost motion that is in
@@ -179,7 +193,7 @@ class Accurate(Deployed):
         x, joints = x[within], np.ascontiguousarray(inverse.values[within])
         sides = rng.choice([-1.0, 1.0], joints.shape)
         now = np.column_stack([np.tile(part.now[:2], (len(x), 1)), sides])
-        return Asked(x, joints, now, self.spread(x, joints), self.carried)
+        return Asked(x, joints, now, self.spread(x, joints) + part.scatter, self.carried)
 
     def measured(self, coordinates: ArrayLike) -> bool:
         """Whether ``coordinates`` (k,) lie in the box in which poses were measured, give or take a tenth."""

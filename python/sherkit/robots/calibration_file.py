@@ -17,8 +17,9 @@ from ..errors import CalibrationError, SherkitError
 from ..model.kinds import Robot
 
 #: 2: what the poses of a run could not show is written beside what they did; before, accuracy left that out. 3: under
-#: the key ``unobserved_effects``, which was ``unshown``.
-FORMAT = 3
+#: the key ``unobserved_effects``, which was ``unshown``. 4: how single readings scatter is apart from what the model
+#: leaves; where it is not, as in earlier files, it is counted as that.
+FORMAT = 4
 
 
 def write(path: Path, settings: Mapping[str, Any], robot: Robot, parts: Mapping[str, dict[str, Any]]) -> None:
@@ -48,6 +49,8 @@ def tables_of(path: Path, kind: str | None = None) -> dict[str, Any]:
     """
     tables = read_toml(path, "calibration", CalibrationError)
     settings = tables.get("calibration")
+    if isinstance(settings, dict) and settings.get("format") == 3:
+        settings["format"] = FORMAT
     if isinstance(settings, dict) and settings.get("format") == 2:
         for part in tables.values():
             if isinstance(part, dict) and "unshown" in part:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from .. import linalg
 from ..errors import SherkitWarning
 from ..fit.error import ErrorSize, of_residuals
+from ..fit.folds import Folds, roots_of
 from ..fit.identify import Fit
 from ..names import CALIBRATED, NOMINAL, listed
 from ..types import Bools, Floats, Ints
@@ -66,7 +69,8 @@ class CalibrationRun:
     ``held_out`` (n, m) are residuals of fits that did not see the row's block; blocks are dealt once, since a
     correction is judged on the same (a study and a diagnosis average five). ``correction`` is None where none was
     asked for or the robot has none; ``region`` (n,) are the rows in its region of interest, None where it has none;
-    ``outliers`` (k,) are rows that were used and that a diagnosis lists as gross errors.
+    ``outliers`` (k,) are rows that were used and that a diagnosis lists as gross errors;
+    ``block`` (n,) is that of each row, where it is known.
     """
 
     fit: Fit
@@ -74,6 +78,7 @@ class CalibrationRun:
     correction: Corrected | None = None
     region: Bools | None = None
     outliers: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    block: Ints | None = None
 
     @cached_property
     def corrected(self) -> Floats:
@@ -82,6 +87,46 @@ class CalibrationRun:
         out = self.held_out.copy()
         if self.correction is not None and self.correction.chosen:
             out[self.correction.rows, : self.fit.data.coordinates] = self.correction.held_out
+        return out
+
+    def left(
+        self, carry: Callable[[Floats], Floats], held_out: Floats, *, corrected: bool = False
+    ) -> tuple[Floats, Floats]:
+        """What the model leaves of poses held out beyond what their readings scatter and beyond what noise does to the
+        parameters, and that scatter: covariances (d, d) each.
+
+        ``carry`` takes residuals (n, m) as ``held_out`` to coordinates (k, d) of the rows that count, linearly. Of what
+        is ``corrected`` what noise does to the correction is part of what it leaves. Where the noise is not known,
+        nothing is parted from it: the scatter is zero.
+        """
+        held = _moment(carry(held_out))
+        sigma = self.fit.noise.sigma
+        if self.fit.noise.origin == "unknown":
+            return held, np.zeros_like(held)
+        axes = np.flatnonzero(self.fit.data.taken.any(axis=0))
+        scatter = sum(_moment(carry(np.where(np.arange(sigma.shape[1]) == k, sigma, 0.0))) for k in axes)
+        known: Floats = np.asarray(scatter)
+        if not corrected:
+            moved = self._moved_by_noise()
+            known = known + np.asarray(sum(_moment(carry(moved[:, :, k])) for k in range(moved.shape[2])))
+        value, vector = linalg.eigh(held - known)
+        # by chance some directions leave less than noise: what is left in all is no more for that
+        positive = value.clip(0.0)
+        positive *= max(float(value.sum()), 0.0) / max(float(positive.sum()), 1e-300)
+        return (vector * positive) @ vector.T, np.asarray(scatter)
+
+    def _moved_by_noise(self) -> Floats:
+        """What noise does to predictions of rows held out (n, m, r), as the columns of a root of their covariance."""
+        fit, used = self.fit, self.fit.data.used
+        weight = np.where(used, 1.0 / fit.noise.sigma, 0.0)
+        columns = fit.model.linearised(fit.data, fit.values).parameters
+        block = np.zeros(len(used), dtype=np.int64) if self.block is None else self.block
+        folds = Folds.of(lambda some: columns[some] * weight[some, :, None], np.zeros(weight.shape), block[None])
+        seen = folds.outside[0] if block.any() else folds.grams
+        roots = roots_of(seen) / folds.length[:, None]
+        out = np.zeros((*weight.shape, roots.shape[2]))
+        for k, root in enumerate(roots):
+            out[block == k] = columns[block == k] @ root
         return out
 
     def rms(self, values: Floats, rows: Bools | None = None) -> dict[str, tuple[float, float]]:
@@ -148,3 +193,8 @@ class CalibrationRun:
             stacklevel=3,
         )
         return residuals + without
+
+
+def _moment(errors: Floats) -> Floats:
+    """Second moment (d, d) of errors (k, d)."""
+    return np.asarray(errors.T @ errors / max(len(errors), 1))

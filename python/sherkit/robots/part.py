@@ -31,10 +31,11 @@ class Part:
     do not run in a control loop and are listed in ``left_out``. ``now`` holds time, temperature and a direction for
     each joint that stand for the covariates where the loop does not give its own: the end of the run, its mean
     temperature, the middle of the backlash. ``covariance`` (p, p) in the order of ``values``; ``residual_covariance``
-    (k, k) of held-out readings about the model, noise included, in the unit of the coordinates. ``low`` and ``high``
-    (k,) are the corners of the box in which the run measured, as coordinates. ``readings`` are the columns that
-    instruments showed; ``unobserved_effects`` is what the poses could not show, by effect, and ``untried`` are effects
-    of which nothing can be said: the run lacks a column that they need.
+    (k, k) of what poses held out miss beyond noise and parameters, ``noise_covariance`` (k, k) of how single readings
+    scatter about their pose, both in the unit of the coordinates; where the noise is not known it is in the first.
+    ``low`` and ``high`` (k,) are the corners of the box in which the run measured, as coordinates. ``readings`` are the
+    columns that instruments showed; ``unobserved_effects`` is what the poses could not show, by effect, and ``untried``
+    are effects of which nothing can be said: the run lacks a column that they need.
     """
 
     free: tuple[str, ...]
@@ -49,6 +50,7 @@ class Part:
     high: Floats
     made_from: str
     rows: int
+    noise_covariance: Floats | None = field(default=None, kw_only=True)
     readings: tuple[str, ...] = field(default=(), kw_only=True)
     unobserved_effects: tuple[UnobservedEffect, ...] = field(default=(), kw_only=True)
     untried: tuple[str, ...] = field(default=(), kw_only=True)
@@ -73,6 +75,11 @@ class Part:
             "rows": len(data),
             "readings": data.layout.coordinates,
         }
+
+    @property
+    def scatter(self) -> Floats:
+        """Covariance (k, k) of single readings about their pose, zero where it is not known."""
+        return np.zeros_like(self.residual_covariance) if self.noise_covariance is None else self.noise_covariance
 
     def model(self, robot: Robot) -> ChainModel:
         """The model that was identified."""
@@ -105,6 +112,7 @@ class Part:
             ],
             "covariance": self.covariance.tolist(),
             f"residual_covariance_{unit}2": self.residual_covariance.tolist(),
+            **({} if self.noise_covariance is None else {f"noise_covariance_{unit}2": self.noise_covariance.tolist()}),
             **self._own_table(unit),
             f"low_{unit}": self.low.tolist(),
             f"high_{unit}": self.high.tolist(),
@@ -151,6 +159,9 @@ class Part:
             high=high,
             made_from=table.words("made_from", empty=True),
             rows=table.whole("rows", least=0),
+            noise_covariance=(
+                table.covariance(f"noise_covariance_{unit}2", size) if table.has(f"noise_covariance_{unit}2") else None
+            ),
             readings=table.texts("readings"),
             untried=table.texts("untried"),
             **cls._own_fields(table, unit, size),

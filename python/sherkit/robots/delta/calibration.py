@@ -54,15 +54,19 @@ class DeltaPart(Part):
         """
         fit = run.fit
         full = fit.data.taken[:, :3].all(axis=1) & ~fit.data.outlier
-        with_it, without = run.corrected[full, :3], run.held_out[full, :3]
         if full.any():
-            back = run.deployed(np.zeros_like(run.held_out))[full, :3]
-            with_it, without = with_it + back, without + back
+            back = run.deployed(np.zeros_like(run.held_out))
+            with_it, without = run.corrected + back, run.held_out + back
+            corrected = run.correction is not None and run.correction.chosen
+            before, scatter = run.left(lambda missed: missed[full, :3], without)
+            left = run.left(lambda missed: missed[full, :3], with_it, corrected=True)[0] if corrected else before
         else:
-            with_it = without = np.sqrt(3.0 * float(np.nanmean(run.held_out**2))) * np.eye(3)
-        left, before = _second_moment(with_it), _second_moment(without)
+            with_it = without = run.held_out
+            read = np.isfinite(without) & fit.data.used
+            before, scatter = (np.eye(3) * one for one in run.left(lambda missed: missed[read][:, None], without))
+            left = before
         # the fit took all misfit for noise; what the correction has removed of it is none
-        shrink = min(1.0, float(np.trace(left) / max(np.trace(before), 1e-300)))
+        shrink = min(1.0, float(np.nansum(with_it**2) / max(np.nansum(without**2), 1e-300)))
         where = fit.predicted[~fit.data.is_distance & ~fit.data.outlier, :3]
         if len(where) == 0:
             where = np.zeros((1, 3))
@@ -72,6 +76,7 @@ class DeltaPart(Part):
             **cls.identified(fit),
             covariance=(fit.covariance * shrink + fit.unobserved_covariance)[:core, :core],
             residual_covariance=left,
+            noise_covariance=scatter,
             low=where.min(axis=0),
             high=where.max(axis=0),
             uncorrected_covariance=before,
@@ -280,7 +285,3 @@ class DeltaCalibration(Calibration):
         if self.local is not None:
             parts += f", local from {self.local.rows} rows within ±{self.region_half_width_mm:g} mm"
         return f"DeltaCalibration({parts})"
-
-
-def _second_moment(residuals_mm: Floats) -> Floats:
-    return residuals_mm.T @ residuals_mm / max(len(residuals_mm), 1)

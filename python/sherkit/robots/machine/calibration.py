@@ -99,11 +99,12 @@ class MachineCalibration(Calibration):
         low, high = went.min(axis=0), went.max(axis=0)
         if hasattr(fit.model.robot.joints, "keys"):  # ranges were given
             low, high = np.minimum(low, fit.model.robot.box[:, 0]), np.maximum(high, fit.model.robot.box[:, 1])
-        left = held_out[use]
+        left, scatter = whole.left(lambda missed: missed[use], held_out)
         part = Part(
             **Part.identified(fit),
             covariance=(fit.covariance + fit.unobserved_covariance)[:count, :count],
-            residual_covariance=left.T @ left / max(int(use.sum()), 1),
+            residual_covariance=left,
+            noise_covariance=scatter,
             low=np.zeros(len(cls.coordinates)),
             high=np.zeros(len(cls.coordinates)),
         )

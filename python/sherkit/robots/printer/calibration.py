@@ -27,7 +27,8 @@ class PrinterPart(DeltaPart):
     def of(cls, run: CalibrationRun) -> PrinterPart:
         """The part that a run gives: heights say how far off it is, the same on every axis."""
         fit = run.fit
-        left = float(np.nanmean(run.held_out**2)) * np.eye(3)
+        read = np.isfinite(run.held_out)
+        left, scatter = (np.eye(3) * one for one in run.left(lambda missed: missed[read][:, None], run.held_out))
         tips = fit.model.tips(fit.data)[~distances(fit.data) & ~fit.data.outlier]
         where = tips if len(tips) else np.zeros((1, 3))
         core = len(fit.model.indices)
@@ -35,6 +36,7 @@ class PrinterPart(DeltaPart):
             **cls.identified(fit),
             covariance=(fit.covariance + fit.unobserved_covariance)[:core, :core],
             residual_covariance=left,
+            noise_covariance=scatter,
             low=where.min(axis=0),
             high=where.max(axis=0),
             uncorrected_covariance=left,

@@ -54,19 +54,22 @@ class SerialCalibration(Calibration):
             high=np.zeros(size),
         )
         made = cls(fit.model.robot, part)
-        # where the tracker saw it, in the axes of the base
-        missed = held_out[use][:, :size] @ made.tracker_turn
         where = made.forward_batch(fit.data.joints[counted.any(axis=1)]).require("row")
-        spread = missed.T @ missed / max(len(missed), 1)
-        if not use.any() and counted.any():
+        if use.any() or not counted.any():
+            # where the tracker saw it, in the axes of the base
+            left, scatter = whole.left(lambda missed: missed[use][:, :size] @ made.tracker_turn, held_out)
+        else:
             # distances alone: their errors are along every direction
-            spread = np.eye(size) * float(np.mean(held_out[counted] ** 2))
+            left, scatter = (
+                np.eye(size) * one for one in whole.left(lambda missed: missed[counted][:, None], held_out)
+            )
         if len(where) == 0:
             where = np.zeros((1, size))
         settled = Part(
             **Part.identified(fit),
             covariance=part.covariance,
-            residual_covariance=spread,
+            residual_covariance=left,
+            noise_covariance=scatter,
             low=where.min(axis=0),
             high=where.max(axis=0),
         )

@@ -29,8 +29,7 @@ class SphericalCalibration(Calibration):
     """A calibrated spherical robot. Angles φ and γ, rad, are those of the end of the tool axis seen from the centre.
 
     What was identified of the measurement alone (camera, its delay, the marker's place on the tool) does not move the
-    tool and is left out of :meth:`forward`. Residuals (2, 2), rad², are angles across the tool, the camera's noise
-    included.
+    tool and is left out of :meth:`forward`. Residuals (2, 2), rad², are angles across the tool.
     """
 
     coordinates: ClassVar = SPHERICAL_ANGLES.coordinates
@@ -57,10 +56,12 @@ class SphericalCalibration(Calibration):
             ),
         )
         full = fit.data.taken.all(axis=1) & ~fit.data.outlier & np.isfinite(held_out).all(axis=1)
-        angles, across = made._as_angles(fit, held_out, full)
+        angles = made._as_angles(fit, held_out, full)[0]
+        left, scatter = whole.left(lambda missed: made._as_angles(fit, missed, full)[1], held_out)
         part = replace(
             made.whole,
-            residual_covariance=across.T @ across / max(len(across), 1),
+            residual_covariance=left,
+            noise_covariance=scatter,
             low=angles.min(axis=0) if len(angles) else np.zeros(2),
             high=angles.max(axis=0) if len(angles) else np.zeros(2),
         )
