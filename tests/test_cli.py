@@ -43,7 +43,7 @@ COMMANDS = {
         "--linear",
         "--correction",
         "--exclude",
-        "--without-outliers",
+        "--with-outliers",
     ],
     "demo": ["--seed", "--output", "--tables"],
     "simulate": ["--poses", "--repeats", "--noise-um", "--truth", "--output", "--order"],
@@ -190,9 +190,10 @@ def test_tables_hold_the_same_numbers(work: Path, whole: Measurements) -> None:
     for title in ("Table I:", "Table II:", "Table III:", "Predicted accuracy"):
         assert title in done.stdout
     fit = calibrate(load_robot("robot.toml"), whole).whole.fit
-    rows = {
-        cells[0].strip(): cells[1:] for line in done.stdout.splitlines() if len(cells := line.strip("│").split("│")) > 2
-    }
+    rows: dict[str, list[str]] = {}
+    for line in done.stdout.splitlines():
+        if len(cells := line.strip("│").split("│")) > 2:
+            rows.setdefault(cells[0].strip(), cells[1:])
     after = [float(cell.split("±")[0]) for cell in rows["the rows it was fitted to"][2:]]
     assert after == pytest.approx(list(fit.rms().values()), abs=0.051)
     for p, value in zip(fit.parameters, fit.values, strict=True):
@@ -237,8 +238,9 @@ def test_excluded_lines_are_named_and_not_fitted(work: Path, whole: Measurements
     clean = whole.mark_outliers(np.array([10, 17]))
     after = calibrate(load_robot("robot.toml"), clean, correction="none").whole.fit.rms()
     assert " ± ".join([f"{after['x_mm']:.1f}"] * 2) in done.stdout
-    used = sherkit(work, "calibrate", "robot.toml", "spoilt.csv", "--correction", "none").stdout
-    assert re.search(r"suspected outliers?, lines? [^;]*\b13\b[^;]*; they were used", re.sub(r"\s+", " ", used))
+    for given, what in (((), "left out"), (("--with-outliers",), "used all the same")):
+        said = sherkit(work, "calibrate", "robot.toml", "spoilt.csv", "--correction", "none", *given).stdout
+        assert re.search(rf"gross errors?, lines? [^:]*\b13\b[^:]*: {what}", re.sub(r"\s+", " ", said))
 
 
 # -- exit codes and errors -----------------------------------------------------------------------------------

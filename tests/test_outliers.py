@@ -6,6 +6,7 @@ Robots and runs of seed 0 where nothing else is said. Rates of poses that are wr
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -122,9 +123,9 @@ def test_wrong_rows_are_named_by_pose_and_by_line() -> None:
     d = diagnosed(world, add)
     assert set(d.outliers.tolist()) == {*np.flatnonzero(wrong).tolist(), single}
     (poses,) = [note for note in d.notes if note.startswith("3 poses are wrong in all their repeats (pose 10-11, 60;")]
-    (row,) = [note for note in d.notes if note.startswith("one row is a suspected outlier")]
+    (row,) = [note for note in d.notes if re.search(r"^row \d+ is [\d.]+ mm off and left out", note)]
     line = d.fit.data.line
-    assert f"row {line[single]})" in row
+    assert row.startswith(f"row {line[single]} is ")
     assert f"rows {line[wrong][0]}" in poses
     assert d.fit.data.outlier.sum() == 10
     assert d.base.data.outlier.sum() == 10
@@ -138,32 +139,45 @@ def knocked() -> tuple[worlds.World, Floats, Floats]:
     return world, rows, pushed(world, rows, 50.0 * worlds.NOISE_UM)
 
 
-def test_a_study_marks_what_its_diagnosis_lists() -> None:
-    """Catches rows that a person must copy by hand, and a mark that nothing says anything of."""
+def test_a_study_leaves_out_what_its_diagnosis_lists(tmp_path: Path) -> None:
+    """Catches rows that are in one number and not in another, that come back by themselves, or cannot be taken in."""
     world, rows, add = knocked()
     study = sk.Study(world.robot, rows_of(world, add))
-    step = study.mark_outliers()
-    assert np.flatnonzero(study.data.outlier).tolist() == rows.tolist()
-    assert step.action == "5 rows marked as outliers"
-    assert step.error.rms < 0.5 * study.history[0].error.rms
-    with pytest.raises(sk.errors.MeasurementError, match="lists no rows as gross errors"):
-        study.mark_outliers()
+    assert study.left_out.tolist() == rows.tolist() == np.flatnonzero(study.data.outlier).tolist()
+    assert len(study.history) == 1
+    found = study.diagnose()
+    assert found.outliers.tolist() == rows.tolist()
+    assert found.steps[0].error.rms == pytest.approx(study.history[0].error.rms, rel=1e-6)
+    with_them = sk.Study(world.robot, rows_of(world, add), with_outliers=True)
+    assert not with_them.data.outlier.any()
+    assert with_them.history[0].error.rms > 2.0 * study.history[0].error.rms
+    assert not len(with_them.diagnose().outliers)
+    step = study.put_back(rows[:2])
+    assert step.action == "2 rows put back"
+    assert study.left_out.tolist() == study.diagnose().outliers.tolist() == rows[2:].tolist()
+    study.save(tmp_path / "study")
+    again = sk.Study.load(tmp_path / "study")
+    assert again.left_out.tolist() == again.diagnose().outliers.tolist() == rows[2:].tolist()
+    with pytest.raises(sk.errors.MeasurementError, match="is not left out"):
+        study.put_back(rows[:1])
     study.undo()
-    assert not study.data.outlier.any()
+    assert study.left_out.tolist() == rows.tolist()
+    study.put_back()
+    with pytest.raises(sk.errors.MeasurementError, match="no row is left out"):
+        study.put_back()
 
 
-def test_a_calibration_leaves_them_out_where_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_calibration_leaves_them_out_unless_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Catches an option that marks other rows than the diagnosis lists, or marks in silence."""
     world, rows, add = knocked()
     data = rows_of(world, add)
     data.save(tmp_path / "run.csv")
     worlds.write_robot_toml(tmp_path / "robot.toml", world.settings)
     with pytest.raises(SystemExit) as end:
-        main(["calibrate", str(tmp_path / "robot.toml"), str(tmp_path / "run.csv"), "--without-outliers",
-              "--correction", "none"])  # fmt: skip
+        main(["calibrate", *(str(tmp_path / name) for name in ("robot.toml", "run.csv")), "--correction", "none"])
     assert end.value.code == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert f"marked as outliers and not fitted: lines {', '.join(str(r + 2) for r in rows)}" in said
+    assert f"5 gross errors, lines {', '.join(str(r + 2) for r in rows)}: left out; --with-outliers uses them" in said
     # joints swapped: every row looks wrong, and none is marked
     swapped = data.to_frame().rename({"q1_mm": "q2_mm", "q2_mm": "q1_mm"})
     assert not len(gross_errors(sk.identify(world.robot, sk.from_frame(swapped))))

@@ -132,8 +132,6 @@ def test_a_calibration_is_no_worse_than_a_polynomial(effect: str | None) -> None
         data, true = case.run, sk.from_frame(pl.DataFrame(case.true))
         study = sk.Study(case.robot, data)
         found = study.diagnose()
-        if len(found.outliers):
-            study.mark_outliers()
         for name in found.effects:
             study.add(name)
         ours.append(case.error_mm(study.fit))

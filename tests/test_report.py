@@ -164,7 +164,8 @@ def test_report_says_what_the_json_says(demo: Path) -> None:
             error, std = row[2].split(" ± ")
             agrees(error, c["held_out_rms_um"])
             agrees(std, c["held_out_std_um"])
-            assert row[4] == ("plausible" if c["plausible"] else "implausible")
+            assert ("implausible" in row[4]) != c["plausible"]
+            agrees(row[4].split()[0], c["plausible_sizes"])
             agrees(row[5].split()[1], in_people_units(c["parameters"][0]["unit"])[1] * c["parameters"][0]["value"])
         assert [row[0] for row in cells(page, "where")] == [d["variable"] for d in found["where"]]
         for row, one, step in zip(cells(page, "fall"), (plain, last), study.history, strict=True):

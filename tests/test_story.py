@@ -85,7 +85,7 @@ def test_a_wrongly_built_robot_is_brought_on_target(seed: int, tmp_path: Path) -
     # and the accuracy that it claims holds: 95 of 100 readings within the radius, ± 4 standard deviations
     joints = calibrated.inverse_batch(where).require()
     reading = arrived(joints, seed) + np.random.default_rng(seed).normal(size=where.shape) * 1e-3 * NOISE_UM
-    inside = np.linalg.norm(reading - where, axis=1) <= [calibrated.accuracy(x) for x in where]
+    inside = np.linalg.norm(reading - where, axis=1) <= calibrated.predicted_accuracies(where).visit_mm
     assert 0.90 < inside.mean() < 1.0
 
 
@@ -139,15 +139,16 @@ def test_a_run_with_faults_is_mended_by_what_sherkit_says(tmp_path: Path) -> Non
 
 
 def test_outliers_do_not_decide_under_a_robust_loss(tmp_path: Path) -> None:
-    """Catches a robust loss that is robust in name only: one row in fifty is wrong by 0.1 to 0.25 mm."""
+    """Catches a robust loss that is robust in name only: one row in fifty is wrong by 0.1 to 0.25 mm, and used."""
     seed = 4
     write_robot_toml(tmp_path / "robot.toml")
     noise = Noise(sigma_mm=1e-3 * NOISE_UM, outlier_fraction=0.02)
     write_csv(run(whole_grid(), seed, noise), tmp_path / "run.csv")
     for loss in ("linear", "tukey"):
         sherkit(
-            tmp_path, "calibrate", "robot.toml", "run.csv", "--loss", loss, "--correction", "none", "-o", f"{loss}.toml"
-        )
+            tmp_path, "calibrate", "robot.toml", "run.csv", "--loss", loss, "--correction", "none", "--with-outliers",
+            "-o", f"{loss}.toml",
+        )  # fmt: skip
     where = targets(18.0)
     linear, tukey = (misses_um(Calibration.load(tmp_path / f"{n}.toml"), where, seed) for n in ("linear", "tukey"))
     assert tukey.max() < NOISE_UM

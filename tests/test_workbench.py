@@ -99,7 +99,7 @@ def test_errors_are_sentences_and_change_nothing(bench: Workbench, tmp_path: Pat
     bench.toggle("no_such_effect")
     bench.undo()
     bench.mark_outliers([10_000])
-    bench.mark_suspects()
+    bench.put_back()
     bench.add_measurements("empty.csv", b"")
     bench.add_measurements("bad.csv", b"q1_mm,q2_mm,q3_mm,x_mm\n1,2,3,four\n")
     bench.type_effect("raise SystemExit(3)")
@@ -114,7 +114,7 @@ def test_errors_are_sentences_and_change_nothing(bench: Workbench, tmp_path: Pat
     assert "no_such_effect" in errors[0]
     assert "nothing to undo" in errors[1]
     assert "there is no row 10000" in errors[2]
-    assert "lists no rows as gross errors" in errors[3]
+    assert "no row is left out as a gross error" in errors[3]
     assert errors[4].startswith("empty.csv: is empty")
     assert errors[5].startswith("bad.csv: line 2")
     assert "SystemExit" in errors[6]

@@ -61,7 +61,7 @@ def calibrate(
     priors: bool = False,
     linear: bool = False,
     correction: str = "auto",
-    without_outliers: bool = False,
+    with_outliers: bool = False,
     seed: Seed = 0,
     step: Progress = _silent,
 ) -> Result:
@@ -70,8 +70,8 @@ def calibrate(
     Robot and runs may be given by their files, runs as frames too. ``effects``, names of the catalogue or the user's
     own, are identified together with the geometry. ``correction``, for robots that have one: ``auto`` chooses it
     by blocked cross-validation (or none, where none helps); ``none`` leaves the geometry alone; ``paper`` takes the one
-    of the paper's protocol, and is refused for robots without one. ``without_outliers`` leaves out the rows that a
-    diagnosis lists as gross errors; else they are used, with a warning.
+    of the paper's protocol, and is refused for robots without one. Rows that a diagnosis lists as gross errors are left
+    out, unless ``with_outliers``: then they are used, with a warning where they decide the fit.
     ``step`` is told what is being done. Raises :class:`~sherkit.errors.FitError`, and
     :class:`~sherkit.errors.CalibrationError` for a robot whose kind has no calibration.
 
@@ -95,11 +95,13 @@ def calibrate(
 
     def run(data: Measurements, name: str) -> CalibrationRun:
         model = model_of(robot, free)
-        if without_outliers:
+        outliers = np.zeros(0, dtype=np.int64)
+        if not with_outliers:
             step(f"looking for gross errors in the {name} run")
             # what needs a setting that is searched for is among the effects that are tried, not in this fit
             inside = [e for e in added if e.search is None]
-            data = data.mark_outliers(gross_errors(identify(model, data, effects=inside), own))
+            outliers = gross_errors(identify(model, data, effects=inside), own)
+            data = data.mark_outliers(outliers)
         step(f"identifying the {name} run")
         for effect in added:
             missing = missing_columns(effect, data)
@@ -109,8 +111,7 @@ def calibrate(
             model = model.adopting(effect, at=at)
         fit = identify(model, data, loss=loss, priors=priors, linear=linear)
         refuse_absurd(fit, [effect.name for effect in added])
-        outliers = np.zeros(0, dtype=np.int64)
-        if not without_outliers:
+        if with_outliers:
             outliers = (warn_of_outliers if loss == "linear" else gross_errors)(fit, own)
         step(f"holding out blocks of the {name} run")
         held = hold_out(fit.model, data, seed=seed, loss=loss)

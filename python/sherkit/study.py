@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,9 +14,9 @@ from .data import Measurements
 from .data.given import RunLike
 from .data.joined import joined
 from .data.toml import Table
-from .diagnosis import Diagnosis, diagnose
+from .diagnosis import Diagnosis, diagnose, gross_errors
 from .diagnosis.setting import setting_for
-from .errors import EffectError, MeasurementError, SherkitError, SherkitWarning
+from .errors import EffectError, MeasurementError, SherkitError
 from .fit.error import held_out_error, of_residuals
 from .fit.hold_out import hold_out
 from .fit.identify import Fit, identify
@@ -42,9 +41,10 @@ class Study(Shown):
     """Compares a robot with its measurements, step by step. Both may be given by their files.
 
     ``effects`` are the user's own, beside the catalogue; ``free`` and ``loss`` are those of
-    :func:`~sherkit.fit.identify.identify`. Every change refits all parameters and takes the held-out
-    error anew; :attr:`history` holds each step. Raises :class:`~sherkit.errors.FitError` where the rows cannot be
-    fitted.
+    :func:`~sherkit.fit.identify.identify`. Rows that a diagnosis lists as gross errors are left out of every number
+    (:attr:`left_out`), unless ``with_outliers``; :meth:`put_back` takes them in. Every change refits all parameters and
+    takes the held-out error anew; :attr:`history` holds each step. Raises :class:`~sherkit.errors.FitError` where the
+    rows cannot be fitted.
     """
 
     @as_annotated
@@ -57,6 +57,7 @@ class Study(Shown):
         free: Sequence[str] = (),
         loss: str = "linear",
         seed: Seed = 0,
+        with_outliers: bool = False,
     ) -> None:
         self.robot = robot_of(robot)
         self.data = run_for(robot, data)
@@ -70,7 +71,11 @@ class Study(Shown):
         for effect in effects:
             self._register(effect)
         self.model = model_of(self.robot, free)
+        #: Rows that were judged to be gross errors; those of them that are not marked were put back.
+        self._judged: Ints = np.zeros(0, dtype=np.int64)
+        self._with_outliers = with_outliers
         self._record(CALIBRATED)
+        self._leave_out(gross_errors(self._fit, tuple(self.own.values()), keep=self._put_back))
 
     # -- state -------------------------------------------------------------------------------------------
 
@@ -83,6 +88,36 @@ class Study(Shown):
     def effects(self) -> tuple[str, ...]:
         """Names of the effects in the model."""
         return tuple(e.name for e in self.model.effects)
+
+    @property
+    def left_out(self) -> Ints:
+        """Rows (k,), by number from 0, that are left out as gross errors."""
+        return self._judged[self.data.outlier[self._judged]]
+
+    @property
+    def _put_back(self) -> list[int]:
+        if self._with_outliers:
+            return list(range(len(self.data)))
+        return self._judged[~self.data.outlier[self._judged]].tolist()
+
+    def _leave_out(self, rows: Ints) -> bool:
+        """Leaves these rows out of the step that is taken, and takes in what was judged before and is right; whether
+        that changes anything."""
+        marked = self.data.outlier.copy()
+        marked[self.left_out] = False
+        marked[rows] = True
+        self._judged = np.union1d(self._judged[~self.data.outlier[self._judged]], rows)
+        if np.array_equal(marked, self.data.outlier):
+            return False
+        before, action = self.data, self.history.pop().action
+        self.data = replace(self.data, outlier=marked)
+        try:
+            self._record(action)
+        except SherkitError:
+            # the rows that are left cannot be fitted
+            self.data = before
+            self._record(action)
+        return True
 
     def _record(self, action: str) -> StudyStep:
         step, fit = self._looked_at(self.model, action)
@@ -128,10 +163,22 @@ class Study(Shown):
     def diagnose(self, *, level: Level = 0.01, step: Callable[[str], None] = lambda _: None) -> Diagnosis:
         """What is missing now. The answer is kept until something changes."""
         if self._diagnosis is None or self._diagnosis.level != level:
-            self._diagnosis = diagnose(
-                self.fit, effects=tuple(self.own.values()), level=level, seed=self.seed, step=step
-            )
+            found = diagnose(
+                self._with_all(), effects=tuple(self.own.values()), level=level, keep=self._put_back, seed=self.seed,
+                step=step,
+            )  # fmt: skip
+            # what is left out is one decision: the rows of the answer are those of the study
+            self._leave_out(found.outliers)
+            self._diagnosis = found
         return self._diagnosis
+
+    def _with_all(self) -> Fit:
+        """The fit of all rows but those that a person marked: what is wrong is judged anew."""
+        if not len(self.left_out):
+            return self._fit
+        marked = self.data.outlier.copy()
+        marked[self.left_out] = False
+        return identify(self.model, replace(self.data, outlier=marked), loss=self.loss)
 
     @as_annotated
     def add(
@@ -160,13 +207,6 @@ class Study(Shown):
         missing = missing_columns(chosen, self.data)
         if missing:
             raise EffectError(f"'{chosen.name}' needs the column {listed(missing)}, which these rows lack")
-        if self._diagnosis is not None and len(wild := self._diagnosis.outliers):
-            warnings.warn(
-                f"{self.data.source}: {len(wild)} {self.data.counted}s that the diagnosis lists as gross errors are in "
-                "the fits of this study: study.mark_outliers() leaves them out",
-                SherkitWarning,
-                stacklevel=3,
-            )
         at = {"time_s": slip_time_s, "period_mm": period_mm, "period_rad": period_rad, "lag_s": lag_s}.get(
             chosen.search or ""
         )
@@ -233,26 +273,50 @@ class Study(Shown):
     @as_annotated
     def extend(self, more: Measurements) -> StudyStep:
         """Joins new measurements to the study and refits: :func:`joined`."""
-        return self._change(self.model, joined(self.data, more), f"{len(more)} rows joined")
+        step = self._change(self.model, joined(self.data, more), f"{len(more)} rows joined")
+        wrong = gross_errors(self._with_all(), tuple(self.own.values()), keep=self._put_back)
+        return self.history[-1] if self._leave_out(wrong) else step
 
     @as_annotated
-    def mark_outliers(self, rows: Sequence[int] | Ints | None = None) -> StudyStep:
-        """Marks rows (by number from 0) as outliers: kept, listed, not fitted; left out, those that the diagnosis
-        lists as gross errors (:attr:`~sherkit.Diagnosis.outliers`).
+    def mark_outliers(self, rows: Sequence[int] | Ints) -> StudyStep:
+        """Marks rows (by number from 0) as outliers: kept, listed, not fitted.
 
-        Raises :class:`~sherkit.errors.MeasurementError` for a row that is not there, or where none is listed.
+        Raises :class:`~sherkit.errors.MeasurementError` for a row that is not there.
         """
-        if rows is None:
-            rows = self.diagnose().outliers
-            if not len(rows):
-                raise MeasurementError(f"{self.data.source}: the diagnosis lists no rows as gross errors")
-        absent = [r for r in np.ravel(rows) if not 0 <= r < len(self.data)]
-        if absent:
+        which = self._rows(rows)
+        self._judged = np.setdiff1d(self._judged, which)
+        return self._change(self.model, self.data.mark_outliers(which), f"{len(which)} rows marked as outliers")
+
+    @as_annotated
+    def put_back(self, rows: Sequence[int] | Ints | None = None) -> StudyStep:
+        """Takes rows (by number from 0) in that are left out, all that are :attr:`left_out` unless they are given: no
+        diagnosis leaves them out again.
+
+        Raises :class:`~sherkit.errors.MeasurementError` for a row that is not left out.
+        """
+        which = self.left_out if rows is None else self._rows(rows)
+        if not len(which):
+            raise MeasurementError(f"{self.data.source}: no row is left out as a gross error")
+        if not self.data.outlier[which].all():
+            there = self.data.line[which[~self.data.outlier[which]]]
+            raise MeasurementError(f"{self.data.source}: {self.data.counted} {listed(there)} is not left out")
+        taken = self.data.outlier.copy()
+        taken[which] = False
+        before, self._judged = self._judged, np.union1d(self._judged, which)
+        try:
+            return self._change(self.model, replace(self.data, outlier=taken), f"{len(which)} rows put back")
+        except SherkitError:
+            self._judged = before
+            raise
+
+    def _rows(self, rows: Sequence[int] | Ints) -> Ints:
+        which = np.unique(np.ravel(np.asarray(rows)).astype(np.int64))
+        absent = which[(which < 0) | (which >= len(self.data))]
+        if len(absent):
             raise MeasurementError(
                 f"{self.data.source}: there is no row {listed(absent)}; rows are counted from 0 to {len(self.data) - 1}"
             )
-        marked = self.data.mark_outliers(np.ravel(rows).astype(np.int64))
-        return self._change(self.model, marked, f"{len(rows)} rows marked as outliers")
+        return which
 
     @as_annotated
     def follow(self, data: Measurements) -> StudyStep:
@@ -330,6 +394,8 @@ class Study(Shown):
                 }
                 for u in self._undone
             ],
+            "judged": self._judged.tolist(),
+            "with_outliers": self._with_outliers,
             "seed": self.seed,
             "loss": self.loss,
             "history": [
@@ -362,6 +428,9 @@ class Study(Shown):
         study.seed, study.loss = state.whole("seed", least=0), state.text("loss", LOSSES)
         study.data = read_rows(folder, state)
         study.own, study._undone, study._redone, study._diagnosis = {}, [], [], None
+        study._with_outliers = state.flag("with_outliers", False)
+        judged = np.array(state.wholes("judged"), dtype=np.int64)
+        study._judged = judged[(judged >= 0) & (judged < len(study.data))]
         for effect in effects:
             study._register(effect)
         study.model = study._model_from(state)
@@ -427,4 +496,7 @@ class Study(Shown):
     def __repr__(self) -> str:
         lines = [f"Study of {self.data.source}: {len(self.data)} rows", f"  {NOMINAL:<24} {self._fit.nominal_error}"]
         lines += [f"  {s.action:<24} {s.error}" for s in self.history]
+        if len(wrong := self.left_out):
+            told = f"{self.data.counted}{'s' if len(wrong) > 1 else ''} {listed(self.data.line[wrong], 20)}"
+            lines.append(f"  left out as gross errors: {told}; put_back() takes them in")
         return "\n".join(lines)

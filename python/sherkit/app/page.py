@@ -277,8 +277,12 @@ class StudyPage:
     def _draw_headline(self, page_state: PageState) -> None:
         found, data = page_state.diagnosis, page_state.data
         rows = f"{escape(data.source.rpartition('/')[2])}: {len(data)} rows"
-        if data.outlier.any():
-            rows += f", {int(data.outlier.sum())} marked"
+        wrong = page_state.left_out
+        if wrong:
+            named = f"{data.counted}{'s' if len(wrong) > 1 else ''} {listed(data.line[list(wrong)], 8)}"
+            rows += f"; {escape(named)} left out as gross error{'s' if len(wrong) > 1 else ''}"
+        if (marked := int(data.outlier.sum()) - len(wrong)) > 0:
+            rows += f", {marked} marked"
         if found is None:
             self._headline.text, self._findings.text = rows, ""
             return

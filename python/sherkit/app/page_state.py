@@ -37,6 +37,8 @@ class PageState:
     """
 
     data: Measurements
+    #: Rows that are left out as gross errors.
+    left_out: tuple[int, ...]
     effects: tuple[str, ...]
     own: tuple[str, ...]
     #: The built-in effects of this robot, and the user's own.

@@ -16,7 +16,7 @@ from .page_state import ROWS, PageState, Said
 from .workbench import Workbench
 
 _SHOWN = 40
-_SUSPECTS = "No rows are suspected"
+_SUSPECTS = "No row is left out"
 _TELL = "window.sherkitChosen = cb_obj.tags; window.dispatchEvent(new Event('sherkit-chosen'))"
 _NOTHING = "Select points in the pictures, or type their rows, to see which they are."
 
@@ -36,7 +36,7 @@ class Selection:
         self._mark = button("Mark as outliers", "mark", disabled=True, width=180)
         self._mark.on_click(self._marked)
         self._suspects = button(_SUSPECTS, "suspects", disabled=True, width=220)
-        self._suspects.on_click(lambda: do(bench.mark_suspects))
+        self._suspects.on_click(lambda: do(bench.put_back))
         self._typed = TextInput(name="typed_rows", width=450, stylesheets=[TYPE])
         self._typed.on_change("value", lambda attr, old, new: self._select_typed())
         buttons = row(
@@ -52,10 +52,9 @@ class Selection:
     def show(self, page_state: PageState) -> None:
         """Says what is suspected of a moment, and how rows are counted."""
         self._page_state = page_state
-        found = page_state.diagnosis
-        suspected = 0 if found is None else len(found.outliers)
-        self._suspects.disabled = not suspected
-        self._suspects.label = f"Mark the {suspected} suspected" if suspected else _SUSPECTS
+        count = len(page_state.left_out)
+        self._suspects.disabled = not count
+        self._suspects.label = f"Put back the {count} left out" if count else _SUSPECTS
         lines = page_state.data.counted == "line"
         self._typed.title = f"Rows by their number {'in the file' if lines else 'from 0'}, such as 12, 40-45"
         self._draw()

@@ -159,6 +159,9 @@ class Workbench:
             try:
                 step = self._step("diagnosing")
                 found = self._study.diagnose(step=step)
+                if self._study.history[-1] is not self.page_state.history[-1]:
+                    # other rows are left out now
+                    self.page_state = self._page_state()
                 without = {}
                 for name in self.page_state.effects:
                     step(f"without {name}")
@@ -274,9 +277,9 @@ class Workbench:
         """Makes the change again that was taken back last."""
         return self.change("doing again", lambda study, _: study.redo(), about=HISTORY)
 
-    def mark_suspects(self) -> Future[None]:
-        """Marks the rows that the diagnosis lists as gross errors."""
-        return self.change("marking the suspected rows", lambda study, _: study.mark_outliers(), about=ROWS)
+    def put_back(self) -> Future[None]:
+        """Takes the rows in that are left out as gross errors."""
+        return self.change("putting rows back", lambda study, _: study.put_back(), about=ROWS)
 
     def mark_outliers(self, rows: Sequence[int]) -> Future[None]:
         """Marks rows (from 0) as outliers."""
@@ -387,6 +390,7 @@ class Workbench:
         self._number += 1
         return PageState(
             data=study.data,
+            left_out=tuple(study.left_out.tolist()),
             effects=study.effects,
             own=tuple(study.own),
             known={**study.model.known_effects, **study.model.held, **study.own},

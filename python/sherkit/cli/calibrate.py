@@ -10,7 +10,6 @@ import numpy as np
 from ..calibration import CORRECTIONS, to_json
 from ..calibration import calibrate as run_calibration
 from ..data import Measurements
-from ..diagnosis import diagnose
 from ..errors import MeasurementError
 from ..fit.robust import LOSSES
 from ..model.effect import effects_by_name
@@ -40,10 +39,8 @@ NOT_CONVERGED = 3
 @click.option("--linear", is_flag=True, help="The paper's single linear step instead of the nonlinear minimum.")
 @click.option("--correction", type=click.Choice(CORRECTIONS), default="auto", show_default=True)
 @click.option("--exclude", default="", help="Lines of RUN to leave out as outliers, separated by commas.")
-@click.option("--without-outliers", is_flag=True, help="Leave out the rows that a diagnosis lists as gross errors too.")
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Rules the dealing of blocks to folds."
-)
+@click.option("--with-outliers", is_flag=True, help="Use the rows that a diagnosis leaves out as gross errors too.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of random splits.")
 @report_option
 def calibrate(
     robot: Path,
@@ -59,7 +56,7 @@ def calibrate(
     linear: bool,
     correction: str,
     exclude: str,
-    without_outliers: bool,
+    with_outliers: bool,
     seed: int,
     report: Path | None,
 ) -> int:
@@ -90,7 +87,7 @@ def calibrate(
             priors=priors,
             linear=linear,
             correction=correction,
-            without_outliers=without_outliers,
+            with_outliers=with_outliers,
             seed=seed,
             step=step,
         )
@@ -99,13 +96,12 @@ def calibrate(
             result.calibration.save(destination)
         if report is not None:
             step("diagnosing what is left")
-            found = diagnose(result.whole.fit, effects=tuple(own), seed=seed, step=step)
-            step("writing the report")
-            study = Study(
-                nominal, result.whole.fit.data, effects=own, free=result.whole.fit.model.free, loss=loss, seed=seed
-            )
+            free_ones = result.whole.fit.model.free
+            study = Study(nominal, data, effects=own, free=free_ones, loss=loss, seed=seed, with_outliers=with_outliers)
             for name in added:
                 study.add(name)
+            found = study.diagnose(step=step)
+            step("writing the report")
             sources = [robot, run, *([local] if local else []), *files]
             title = f"Calibration of {robot.stem} from {run.name}"
             reporting.write(report, title, study, found, sources, calibration=result.calibration, result=result)

@@ -22,17 +22,19 @@ from .reporting import report_option
 @click.argument("robot", type=click.Path(path_type=Path))
 @click.argument("runs", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RUN [MORE]...")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
+@click.option("--checks", "every_check", is_flag=True, help="List everything that was checked, not only what fails.")
 @click.option("--effects", "files", type=click.Path(path_type=Path), multiple=True, help="Python file of your effects.")
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model already.")
 @click.option("-o", "--output", "written", type=click.Path(path_type=Path),
               help="Of a flexible tool: write it with the effects of --effect and those that were named.")  # fmt: skip
 @click.option("--template", "destination", type=click.Path(path_type=Path), help="Write an effect of the shape found.")
 @click.option("--level", type=click.FloatRange(0.0005, 0.2), default=0.01, show_default=True, help="Of the test.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Rules folds and flips.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of random splits.")
 @report_option
 def diagnose(
-    robot: Path, runs: tuple[Path, ...], as_json: bool, files: tuple[Path, ...], added: tuple[str, ...],
-    written: Path | None, destination: Path | None, level: float, seed: int, report: Path | None,
+    robot: Path, runs: tuple[Path, ...], as_json: bool, every_check: bool, files: tuple[Path, ...],
+    added: tuple[str, ...], written: Path | None, destination: Path | None, level: float, seed: int,
+    report: Path | None,
 ) -> None:  # fmt: skip
     """Say what ROBOT (TOML) is missing on the measurements RUN (CSV or Parquet), joined with MORE measured later.
 
@@ -57,7 +59,7 @@ def diagnose(
     if as_json:
         output.print_json(found.to_json())
     else:
-        print_diagnosis(found, *machine.told(runs))
+        print_diagnosis(found, *machine.told(runs), every_check=every_check)
         if said:
             output.say("\n" + "\n".join(f"   {sentence}" for sentence in said))
         if report is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rich.markup import escape
@@ -12,8 +12,9 @@ from rich.table import Table
 from rich.text import Text
 
 from ..diagnosis import Diagnosis, largest
+from ..diagnosis.checks import Check
 from ..diagnosis.finding import APART, FILES, MISSING, NEXT, WHERE, WHICH, Finding
-from ..diagnosis.findings import figure, p_value
+from ..diagnosis.findings import figure, p_value, plausibility
 from ..diagnosis.next_poses import SEPARATION
 from ..names import CALIBRATED
 from .output import out, table
@@ -26,6 +27,8 @@ _COLOUR = {
     "undecided": "yellow",
 }
 _MOST = 8
+#: Columns of a screen on which candidates have their parameters beside them.
+_WIDE = 105
 
 
 def _long(d: Diagnosis, value: float) -> str:
@@ -37,8 +40,10 @@ def _with_unit(column: str) -> str:
     return f"{name}, {unit}"
 
 
-def diagnosis(d: Diagnosis, *files: Path) -> None:
-    """Everything a diagnosis found; ``files`` are those of the robot and of its run, for the commands it proposes."""
+def diagnosis(d: Diagnosis, *files: Path, every_check: bool = False) -> None:
+    """The answer first: verdict, cause and size, error before and after, the next command; then everything that a
+    diagnosis found. ``files`` are those of the robot and of its run, for the commands it proposes; of what was checked
+    that is said which fails, or ``every_check``."""
     given = shlex.join(map(str, files)) or FILES
     # praise has no colour where nobody knows how much of the rest is noise
     colour = _COLOUR[d.verdict] if d.noise_origin != "unknown" or d.verdict not in ("adequate", "explained") else "cyan"
@@ -63,8 +68,13 @@ def diagnosis(d: Diagnosis, *files: Path) -> None:
     _say((one for one in d.findings if one.question == NEXT), given)
     if d.next_poses:
         out.print(_poses(d))
-    out.print(_claims(d))
     out.print(falling(d))
+    failing = [check for check in d.checks if check.holds is False]
+    if every_check or failing:
+        out.print(_checks(d.checks if every_check else failing))
+    if not every_check:
+        holding = sum(check.holds is True for check in d.checks)
+        out.print(f"{holding} of {len(d.checks)} checks hold{'' if failing else ', none fails'}; --checks lists them")
 
 
 def _say(findings: Iterable[Finding], files: str = FILES) -> None:
@@ -80,10 +90,10 @@ def _say(findings: Iterable[Finding], files: str = FILES) -> None:
             out.print(Text(f"     {one.command.replace(FILES, files)}"), soft_wrap=True)
 
 
-def _claims(d: Diagnosis) -> Table:
+def _checks(checks: Sequence[Check]) -> Table:
     """What the verdict rests on."""
     made = table("What the verdict rests on", "check", "", "result", "p", "rows")
-    for check in d.checks:
+    for check in checks:
         word = {True: "yes", False: "[bold red]no[/]", None: "?"}[check.holds]
         p = "" if check.p is None else p_value(check.p)
         made.add_row(escape(check.tested), word, escape(check.result), p, escape(check.rows))
@@ -101,7 +111,7 @@ def falling(d: Diagnosis) -> Table:
 
 
 def _where(d: Diagnosis) -> Table:
-    made = table("", "against", "p", f"{d.unit} RMS from its lowest to its highest sixth")
+    made = table("", "against", "p", f"{d.unit} RMS from its lowest to its highest sextile")
     for line in d.where[:_MOST]:
         made.add_row(line.variable, p_value(line.p_value), "  ".join(figure(d, v) for v in line.rms))
     made.caption = f"correlation with the nearest neighbour in space: {d.neighbour_correlation:.2f}"
@@ -109,15 +119,14 @@ def _where(d: Diagnosis) -> Table:
 
 
 def _candidates(d: Diagnosis) -> Table:
-    made = table("", "effect", "link", f"held out {d.unit}", "p", "size", "largest parameter, or what is known")
+    """Every effect that could be tried; on a narrow screen without their parameters, which report and JSON have."""
+    columns = ["effect", "acts at", f"held out {d.unit}", "p", "× plausible size"]
+    wide = out.width >= _WIDE
+    made = table("", *columns, *(["largest parameter, or what is known"] if wide else []))
     for c in d.candidates:
-        value = largest(d, c)
-        named = c.effect in d.effects
-        mark = "plausible" if c.plausible else "implausible"
-        made.add_row(
-            f"[bold]{escape(c.effect)}[/]" if named else escape(c.effect),
-            c.link, _long(d, c.held_out_rms), p_value(c.p_value), mark, value,
-        )  # fmt: skip
+        name = f"[bold]{escape(c.effect)}[/]" if c.effect in d.effects else escape(c.effect)
+        cells = [name, c.link, _long(d, c.held_out_rms), p_value(c.p_value), plausibility(c)]
+        made.add_row(*cells, *([largest(d, c)] if wide else []))
     return made
 
 

@@ -14,32 +14,46 @@ import sherkit._core as _core
 from ..errors import SherkitError
 from ..starting import loaded
 
-#: The verbs, and where each stands: a file here, loaded when its verb is typed, and the name in it.
-_VERBS = {
-    "app": "app.app",
-    "c": "c_library.c_library",
-    "calibrate": "calibrate.calibrate",
-    "demo": "demo.demo",
-    "diagnose": "diagnose.diagnose",
-    "completion": "completion.completion",
-    "doctor": "doctor.doctor",
-    "effects": "effects.effects",
-    "estimate": "tool.estimate",
-    "export": "export.export",
-    "fleet": "fleet.fleet_command",
-    "home": "home.home",
-    "import": "importing.import_group",
-    "intrinsics": "vision.intrinsics",
-    "lab": "lab.lab",
-    "markers": "vision.markers",
-    "measure": "measure.measure",
-    "plan": "plan.plan",
-    "printer": "printer.printer",
-    "register": "tool.register",
-    "schema": "schema.schema",
-    "simulate": "simulate.simulate",
-    "tool": "tool_story.tool_story",
+#: The verbs by what they are for, each with where it stands (a file here, loaded when its verb is typed, and the name
+#: in it) and what it does in a line.
+_GROUPS = {
+    "Start": {
+        "demo": ("demo.demo", "the whole way on a virtual robot, in half a minute"),
+        "doctor": ("doctor.doctor", "what is installed, what is missing, how to fix it"),
+        "completion": ("completion.completion", "verbs, options and files completed with the tab key"),
+    },
+    "Diagnose": {
+        "diagnose": ("diagnose.diagnose", "which effect the model of a robot is missing on a run"),
+        "calibrate": ("calibrate.calibrate", "identify a robot, correct it, predict its accuracy"),
+        "app": ("app.app", "the same on a page, to click"),
+        "effects": ("effects.effects", "the effects that can be found and added"),
+        "fleet": ("fleet.fleet_command", "many runs of machines built alike, in one table"),
+        "simulate": ("simulate.simulate", "a run with errors planted in it"),
+    },
+    "Measure": {
+        "plan": ("plan.plan", "what an experiment could find, before it is driven"),
+        "home": ("home.home", "set the zero of axes"),
+        "measure": ("measure.measure", "drive to each pose, read the instruments"),
+        "lab": ("lab.lab", "emulated instruments of a laboratory"),
+        "export": ("export.export", "the rows of a run, also while it goes on"),
+        "schema": ("schema.schema", "what a file may hold, as JSON schema"),
+    },
+    "Import, cameras, C": {
+        "import": ("importing.import_group", "files of other programs into robot.toml and run.csv"),
+        "markers": ("vision.markers", "where a marker is in pictures"),
+        "intrinsics": ("vision.intrinsics", "focal lengths, centre, distortion of a camera"),
+        "c": ("c_library.c_library", "header and library for a control loop in C or C++"),
+    },
+    "Flexible tool": {
+        "tool": ("tool_story.tool_story", "a tool file from known loads, its story in a run"),
+        "estimate": ("tool.estimate", "depth and tip of a tool along a run"),
+        "register": ("tool.register", "frame and clock of its camera"),
+    },
+    "Printer": {
+        "printer": ("printer.printer", "what is wrong with a delta printer, by what it probed"),
+    },
 }
+_VERBS = {name: place for group in _GROUPS.values() for name, (place, _) in group.items()}
 
 
 class _Verbs(click.Group):
@@ -52,6 +66,12 @@ class _Verbs(click.Group):
         command: click.Command = getattr(import_module(f".{file}", __package__), name)
         command.epilog = import_module(".examples", __package__).epilog(cmd_name)
         return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """By what they are for, a line each."""
+        for title, group in _GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, said) for name, (_, said) in group.items()])
 
 
 @click.group(

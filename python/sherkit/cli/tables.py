@@ -99,16 +99,15 @@ def account(e: CalibrationRun, title: str) -> None:
         for d in fit.badly_observed:
             out.print(f"    {d}")
     if len(e.outliers):
-        lines = fit.data.line[e.outliers]
+        lines, used = fit.data.line[e.outliers], not fit.data.outlier[e.outliers].any()
         plural = "s" if len(lines) > 1 else ""
         out.print(
-            f"  [bold yellow]{len(lines)} suspected outlier{plural}[/], "
-            f"{fit.data.counted}{plural} {listed(lines, 20)}; "
-            "they were used. --loss huber keeps them from deciding; a column 'outlier' = 1 leaves them out."
+            f"  [bold yellow]{len(lines)} gross error{plural}[/], {fit.data.counted}{plural} {listed(lines, 20)}: "
+            + ("used all the same" if used else "left out; --with-outliers uses them")
         )
-    if fit.data.outlier.any():
-        marked = fit.data.line[fit.data.outlier]
-        out.print(f"  marked as outliers and not fitted: {fit.data.counted}s {listed(marked, 20)}")
+    marked = np.setdiff1d(np.flatnonzero(fit.data.outlier), e.outliers)
+    if len(marked):
+        out.print(f"  marked as outliers and not fitted: {fit.data.counted}s {listed(fit.data.line[marked], 20)}")
     if e.correction is not None:
         out.print(f"  {e.correction}")
 

@@ -225,6 +225,10 @@ class Measurements:
         outlier[rows] = True
         return replace(self, outlier=outlier)
 
+    def kept(self) -> Measurements:
+        """The same rows, none of them marked as an outlier."""
+        return replace(self, outlier=np.zeros(len(self), dtype=bool))
+
     @cached_property
     def used(self) -> Bools:
         """Readings (n, m) that were taken, in rows that are not marked as outliers."""

@@ -23,7 +23,9 @@ from .where import Dependence
 class CandidateReport:
     """One effect as an addition to the fit: what it would bring and whether that can be believed.
 
-    ``held_out_std`` is the standard error of ``held_out_rms``, from how much the blocks held out differ.
+    ``held_out_std`` is the standard error of ``held_out_rms``, from how much the blocks held out differ; ``times`` is
+    its largest parameter in plausible sizes, and it is ``plausible`` where that is at most five, give or take two
+    deviations.
     """
 
     effect: str
@@ -32,6 +34,7 @@ class CandidateReport:
     held_out_std: float
     p_value: float
     plausible: bool
+    times: float
     parameters: tuple[dict[str, Any], ...]
 
 
@@ -188,6 +191,7 @@ class Diagnosis(Shown):
                     f"held_out_std{um}": c.held_out_std,
                     "p_value": c.p_value,
                     "plausible": c.plausible,
+                    "plausible_sizes": c.times,
                     "parameters": list(c.parameters),
                 }
                 for c in self.candidates

@@ -47,6 +47,12 @@ def p_value(value: float) -> str:
     return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
 
 
+def plausibility(one: CandidateReport) -> str:
+    """How large a candidate is beside what is plausible."""
+    times = f"{one.times:.2g} ×" if one.times < 1e4 else "> 10⁴ ×"
+    return times if one.plausible else f"{times}, implausible"
+
+
 def _with_p(value: float) -> str:
     told = p_value(value)
     return f"p {told}" if told.startswith("<") else f"p = {told}"
@@ -156,9 +162,9 @@ def _missing(d: Diagnosis) -> Iterator[Finding]:
     )  # fmt: skip
     if len(d.outliers):
         yield Finding(
-            MISSING, "left_out", f"{len(d.outliers)} of {len(d.fit.data)} rows, which look wrong",
+            MISSING, "left_out", f"{len(d.outliers)} of {len(d.fit.data)} rows, as gross errors",
             {"rows": len(d.fit.data)}, rows=tuple(d.fit.data.line[d.outliers].tolist()),
-            to_do=" ".join(sentences(d.fit.data, d.outliers)),
+            to_do=" ".join(sentences(d.fit, d.outliers)),
         )  # fmt: skip
     for note in d.notes:
         yield Finding(MISSING, "note", note)
@@ -169,7 +175,7 @@ def _where(d: Diagnosis) -> Iterator[Finding]:
     if clearest is not None and clearest.p_value <= d.level:
         ends = f"{figure(d, clearest.rms[0])} to {figure(d, clearest.rms[-1])} {d.unit}"
         yield Finding(
-            WHERE, "where", f"most clearly against {clearest.variable}, {ends} from its lowest to its highest sixth",
+            WHERE, "where", f"most clearly against {clearest.variable}, {ends} from its lowest to its highest sextile",
             sure=_with_p(clearest.p_value),
         )  # fmt: skip
 
@@ -223,10 +229,9 @@ def _steps_next(d: Diagnosis) -> Iterator[tuple[str, str]]:
         yield from _failing(d)
     elif d.verdict == "explained":
         named = " ".join(f"--effect {e}" for e in d.effects)
-        without = " --without-outliers" if len(d.outliers) else ""
         # a model of another sort may say itself where what is named is written to
         into = getattr(getattr(d.fit.model, "plain", None), "writes", None)
-        yield "add it", f"sherkit {into or f'calibrate {FILES} {named}{without} -o calibrated.toml'}"
+        yield "add it", f"sherkit {into or f'calibrate {FILES} {named} -o calibrated.toml'}"
     elif d.signature is not None:
         yield "write a template of an effect with the shape of what is left", _TEMPLATE
         yield "or repeat the run in another order and at another temperature: what moves with them is named by them", ""

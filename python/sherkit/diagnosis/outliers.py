@@ -16,6 +16,7 @@ from .. import linalg
 from ..arguments import as_annotated
 from ..data import Measurements
 from ..errors import FitError, SherkitWarning
+from ..figures import number
 from ..fit.error import of_residuals
 from ..fit.identify import Fit
 from ..fit.set_up import set_up_mistakes
@@ -42,8 +43,8 @@ _ONE_VALUE = 0.4
 _MATTERS = 1.1
 
 
-def without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[FittedRun, Ints]:
-    """The fit without gross errors, and their rows (k,), indices of the data.
+def without_outliers(run: FittedRun, effects: Sequence[Effect], keep: Sequence[int] = ()) -> tuple[FittedRun, Ints]:
+    """The fit without gross errors, and their rows (k,), indices of the data; rows to ``keep`` are none.
 
     Every row is judged anew by each fit, those that an earlier one listed as well: what one gross error hid comes to
     light, and what was listed in its shadow comes back. Raises :class:`FitError` for too few rows.
@@ -54,7 +55,7 @@ def without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[FittedR
     first, run = run, robust_start(run, rows)
     outliers = np.flatnonzero(run.data.outlier & ~first.data.outlier)
     for _ in range(_FITS):
-        again = _outlying(run, effects, rows)
+        again = np.setdiff1d(_outlying(run, effects, rows), keep)
         if np.array_equal(again, outliers):
             break
         outliers = again
@@ -64,8 +65,8 @@ def without_outliers(run: FittedRun, effects: Sequence[Effect]) -> tuple[FittedR
 
 @as_annotated
 @linalg.one_thread()
-def gross_errors(fit: Fit, effects: Sequence[Effect] = ()) -> Ints:
-    """Rows (k,), by number from 0, that a diagnosis of this fit would leave out as gross errors.
+def gross_errors(fit: Fit, effects: Sequence[Effect] = (), *, keep: Sequence[int] = ()) -> Ints:
+    """Rows (k,), by number from 0, that a diagnosis of this fit would leave out as gross errors, but those to ``keep``.
 
     ``effects`` are your own, tried beside the catalogue. None beside a mistake of the set-up, where every row may look
     wrong, and none where there are too few rows to tell.
@@ -73,7 +74,7 @@ def gross_errors(fit: Fit, effects: Sequence[Effect] = ()) -> Ints:
         fit = sk.identify("demo/robot.toml", "demo/whole.csv")
         print(fit.data.line[sk.gross_errors(fit)])
     """
-    return _seen_from(fit, effects)[1]
+    return _seen_from(fit, effects, keep)[1]
 
 
 def warn_of_outliers(fit: Fit, effects: Sequence[Effect]) -> Ints:
@@ -88,21 +89,20 @@ def warn_of_outliers(fit: Fit, effects: Sequence[Effect]) -> Ints:
     warnings.warn(
         f"{data.source}: {data.counted}{'s' if many else ''} {spans(data.line[outliers])} look{'' if many else 's'} "
         f"wrong and {'are' if many else 'is'} in this fit: it leaves {left[0]:.4g} {run.unit}, without "
-        f"{'them' if many else 'it'} {left[1]:.4g}; leave out what a diagnosis lists (--without-outliers, "
-        "without_outliers=True, study.mark_outliers()), or mark the rows by a column 'outlier' = 1",
+        f"{'them' if many else 'it'} {left[1]:.4g}",
         SherkitWarning,
         stacklevel=4,
     )
     return outliers
 
 
-def _seen_from(fit: Fit, effects: Sequence[Effect]) -> tuple[FittedRun, Ints]:
+def _seen_from(fit: Fit, effects: Sequence[Effect], keep: Sequence[int] = ()) -> tuple[FittedRun, Ints]:
     """As :func:`without_outliers`, from a fit."""
     run = FittedRun(fit)
     if run.is_exact or set_up_mistakes(fit.model, fit.data, fit.values):
         return run, np.zeros(0, dtype=np.int64)
     try:
-        return without_outliers(run, (*run.catalogue, *effects))
+        return without_outliers(run, (*run.catalogue, *effects), keep)
     except FitError:  # too few rows to tell
         return run, np.zeros(0, dtype=np.int64)
 
@@ -117,11 +117,12 @@ def _outlying(run: FittedRun, effects: Sequence[Effect], rows: Ints) -> Ints:
     return np.sort(rows[outliers & ~_visits(view.time, outliers)])
 
 
-def sentences(data: Measurements, rows: Ints) -> tuple[str, ...]:
-    """What is said of gross errors (indices of ``data``): poses that are wrong in all their readings, and single rows
-    apart; each by its line in the file."""
+def sentences(fit: Fit, rows: Ints) -> tuple[str, ...]:
+    """What is said of gross errors (indices of the rows of a ``fit`` without them): poses that are wrong in all their
+    readings, and single rows apart; each by its line in the file, and how far it is off."""
     if not len(rows):
         return ()
+    data = fit.data
     outliers = np.zeros(len(data), dtype=bool)
     outliers[rows] = True
     counted = outliers | ~data.outlier
@@ -141,11 +142,14 @@ def sentences(data: Measurements, rows: Ints) -> tuple[str, ...]:
         )
     single = np.flatnonzero(outliers & ~whole[group])
     if len(single):
-        what, are = (f"{len(single)} {data.counted}s", "are suspected outliers") if len(single) > 1 else (
-            f"one {data.counted}", "is a suspected outlier"
-        )  # fmt: skip
-        where = f"{data.counted}{'s' if len(single) > 1 else ''} {spans(data.line[single])}"
-        out.append(f"{what} {are} ({where}); all figures here are without {'them' if len(single) > 1 else 'it'}")
+        off = of_residuals(data.select(single).kept(), fit.residuals[single], held_out=False)
+        many = len(single) > 1
+        where = f"{data.counted}{'s' if many else ''} {spans(data.line[single])}"
+        by = f"{'up to ' if many else ''}{_in_large(off.max, off.unit)}"
+        out.append(
+            f"{where} {'are' if many else 'is'} {by} off and left out: all figures here are without "
+            f"{'them' if many else 'it'}"
+        )
     return (*out, *_one_value(data, rows))
 
 
@@ -162,6 +166,11 @@ def _one_value(data: Measurements, rows: Ints) -> Iterator[str]:
                 f"{name} is {value + 0.0:.8g} in {int(count.max())} of these {len(rows)} rows: lost readings, "
                 "or an instrument at the end of its range, it seems; leave these cells empty"
             )
+
+
+def _in_large(value: float, unit: str) -> str:
+    """A size, in mm from a thousand µm on."""
+    return f"{number(1e-3 * value)} mm" if unit == "µm" and value >= 1e3 else f"{number(value)} {unit}"
 
 
 def in_one_go(data: Measurements, rows: Ints) -> Ints:

@@ -68,12 +68,14 @@ def diagnose(
     *,
     effects: Sequence[Effect] = (),
     level: Level = LEVEL,
+    keep: Sequence[int] = (),
     seed: Seed = 0,
     step: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """Diagnoses what a fit leaves, or what that of a robot or model to ``data`` does, as :func:`identify` takes them.
 
-    ``effects`` are the user's own, beside the catalogue or the model's candidates. Raises
+    ``effects`` are the user's own, beside the catalogue or the model's candidates. Rows to ``keep`` (by number from 0)
+    are never left out as gross errors. Raises
     :class:`~sherkit.errors.FitError` where there is too little to diagnose, and
     :class:`~sherkit.errors.EffectError` for a user's effect that is none.
 
@@ -103,10 +105,10 @@ def diagnose(
 
     step("noise and outliers")
     # beside a mistake of the set-up every row may look wrong
-    run, outliers = (run, np.zeros(0, dtype=np.int64)) if not look else without_outliers(run, every)
+    run, outliers = (run, np.zeros(0, dtype=np.int64)) if not look else without_outliers(run, every, keep)
     sigma, origin = run.noise
     rows = np.flatnonzero(run.whole)
-    notes += sentences(run.data, outliers)
+    notes += sentences(run.fit, outliers)
     if run.is_exact:
         notes.append(
             f"every reading is what the model says, to the last digits: {run.data.source} was computed, it seems, not "
@@ -293,7 +295,8 @@ def _candidate_reports(
             for q, v, s in zip(candidate.effect.parameters, values.tolist(), std.tolist(), strict=True)
         )
         left = fitted.get(name, error.rms)
-        out.append(CandidateReport(name, candidate.effect.link, left, error.std, p, ok, parameters))
+        times = max((abs(q["value"]) / q["size"] for q in parameters), default=0.0)
+        out.append(CandidateReport(name, candidate.effect.link, left, error.std, p, ok, times, parameters))
     named = [c.name for c in found.added]
     out.sort(key=lambda c: (named.index(c.effect) if c.effect in named else len(named), c.held_out_rms))
     return tuple(out)

@@ -110,7 +110,7 @@ def what_it_is(effect: Effect, fit: Fit | None) -> str:
     one = _known(effect, fit)
     told = (
         ("What it is", effect.physics), ("How it shows", effect.residuals),
-        ("In the workshop", effect.remedy if one is None else one.remedy),
+        ("How to fix it", effect.remedy if one is None else one.remedy),
     )  # fmt: skip
     return "".join(f"<h4>{title}</h4><p>{escape(text)}</p>" for title, text in told if text)
 

@@ -27,6 +27,7 @@ from ..calibration import Result
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis
 from ..diagnosis.finding import APART, NEXT
+from ..diagnosis.findings import plausibility
 from ..errors import SherkitError
 from ..figures import in_people_units, stated, with_error
 from ..fit.forms import known
@@ -119,7 +120,7 @@ def html(report: Report) -> str:
         "p": _p,
         "quantity": quantity,
         "listed": listed,
-        "rms": _rms,
+        "plausibility": plausibility,
         "known": stated,
     }
     return environment.get_template("report.html").render(
@@ -164,10 +165,6 @@ def html(report: Report) -> str:
 def _in_script(value: Any) -> str:
     """JSON that can stand in a page: no text in it ends its script element or begins another."""
     return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
-
-
-def _rms(values: Sequence[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _p(value: float) -> str:
@@ -316,10 +313,12 @@ def _measured(report: Report) -> list[tuple[str, str]]:
         out.append(("correlation of the noise", f"{report.found.correlation_in_time:.2f} from row to row"))
     columns = [n for n in left.variables if n not in left.place]
     out.append(("further columns", listed(columns, 20) or "none"))
-    if data.outlier.any():
-        out.append(("marked as outliers, not fitted", f"{left.counted}s {listed(data.line[data.outlier], 30)}"))
-    if len(report.found.outliers):
-        out.append(("suspected outliers", f"{left.counted}s {listed(data.line[report.found.outliers], 30)}"))
+    wrong = report.found.outliers
+    marked = np.setdiff1d(np.flatnonzero(data.outlier), wrong)
+    if len(marked):
+        out.append(("marked as outliers, not fitted", f"{left.counted}s {listed(data.line[marked], 30)}"))
+    if len(wrong):
+        out.append(("left out as gross errors", f"{left.counted}s {listed(data.line[wrong], 30)}"))
     out += [(note.name, note.text) for note in calibration_class(report.study.robot).about(report.study.fit)]
     return out + [("remark", text) for text in report.remarks]
 

@@ -147,7 +147,7 @@ def _note(change: Change) -> str:
         if change.before.noise_origin != "unknown"
         else ""
     )
-    rms = " The number over a panel is the RMS of its single readings: an arrow of several is longer."
+    rms = " The number over a panel is the RMS error of its single readings, of all axes together."
     return f"{arrow}{colour}{many}. {_SAID[change.scale]}{circle}{rms if len(names) > 1 else ''}"
 
 
@@ -336,7 +336,7 @@ def _tables(change: Change, panels: _Panels, scale: _Scale) -> Tables:
                 "n": a["n"], "lines": a["lines"], "rows": a["rows"],
             }  # fmt: skip
             use = mask & ~left.outlier
-            rms = float(np.sqrt(np.nanmean(left.values[use] ** 2))) if use.any() else 0.0
+            rms = float(np.sqrt(np.nansum(np.nanmean(left.values[use] ** 2, axis=0)))) if use.any() else 0.0
             out[f"{moment}_{k}_key"] = _key(scale, moment, left, title, panels.names[k], rms, k)
     return out
 

@@ -69,7 +69,7 @@ class CalibrationRun:
     ``held_out`` (n, m) are residuals of fits that did not see the row's block; blocks are dealt once, since a
     correction is judged on the same (a study and a diagnosis average five). ``correction`` is None where none was
     asked for or the robot has none; ``region`` (n,) are the rows in its region of interest, None where it has none;
-    ``outliers`` (k,) are rows that were used and that a diagnosis lists as gross errors;
+    ``outliers`` (k,) are rows that a diagnosis lists as gross errors, left out or used;
     ``block`` (n,) is that of each row, where it is known.
     """
 
