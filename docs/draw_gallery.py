@@ -55,18 +55,18 @@ ITEMS = [
          "arrows with the circle: noise alone would leave 95 of 100 inside it.",
          "from sherkit.report.residuals import residuals_of\n"
          "from sherkit.report.residual_map import Change, residual_map\n"
-         'change = Change(residuals_of(before), residuals_of(study.fit), "as it came", "with rail_lean")\n'
+         'change = Change(residuals_of(before), residuals_of(study.fit), "geometry calibrated", "+ rail_lean")\n'
          "residual_map(change, width_px=700)"),
     Item("residual_map_plane", "… of one plane and 20 rows",
          "Each pose was read once; the noise, 5 µm, stands in columns of the file, so that there is a circle without "
          "repeats.",
-         'change = Change(residuals_of(before), residuals_of(study.fit), "as it came", "with rail_lean")\n'
+         'change = Change(residuals_of(before), residuals_of(study.fit), "geometry calibrated", "+ rail_lean")\n'
          "residual_map(change, width_px=700)",
          "plane"),
     Item("residual_map_many", "… of 20,000 rows",
          "Poses are so many that arrows would hide one another: each is the mean of a cell, and the planes are slabs "
          "of equally many rows.",
-         'change = Change(residuals_of(before), residuals_of(study.fit), "as it came", "with rail_lean")\n'
+         'change = Change(residuals_of(before), residuals_of(study.fit), "geometry calibrated", "+ rail_lean")\n'
          "residual_map(change, width_px=700)",
          "many"),
     Item("against", "Residual against anything",
@@ -120,7 +120,7 @@ ITEMS = [
          "for the run of one plane and 20 rows: the run of the demo leaves nothing tied.",
          "from sherkit.report.workspace import NextPoses, next_poses\n"
          "next_poses(NextPoses(found.next_poses, residuals_of(before)))", "plane"),
-    Item("noise_before", "Against the noise: as it came",
+    Item("noise_before", "Against the noise: geometry calibrated",
          "Left the readings in units of their noise, right the same as quantiles against those of a Gaussian. Where "
          "the line is steeper than the dashed one there is more than noise.",
          "from sherkit.report.noise import noise_picture\nnoise_picture(residuals_of(before))"),

@@ -28,7 +28,7 @@ def candidates(found: Diagnosis) -> Picture[Diagnosis]:
         height=_ROW_HEIGHT * len(names) + _AROUND, sizing_mode="stretch_width", x_axis_type="log",
         y_range=FactorRange(*names[::-1]), x_range=Range1d(low, high),
     )  # fmt: skip
-    made.xaxis.axis_label = f"error on poses held out with it in the model, {found.unit} RMS {found.error.in_words}"
+    made.xaxis.axis_label = f"RMS error {found.error.in_words} on poses held out with it in the model, {found.unit}"
     made.add_layout(
         Whisker(base="effect", lower="low", upper="high", source=sources["effects"], dimension="width",
                 line_color=MUTED, upper_head=None, lower_head=None, line_width=2)
