@@ -155,11 +155,6 @@ def diagnosed(rows: sk.Measurements) -> sk.diagnosis.Diagnosis:
     return sk.diagnose(sk.identify(Mount(), rows))
 
 
-def on_both_axes(rms: float) -> float:
-    """The RMS of an error as an angle on the sky, from that of its two components together."""
-    return float(np.sqrt(2.0) * rms)
-
-
 def main() -> None:
     """Prints, for every run, the verdict and how the error on directions held out falls."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else DATA
@@ -173,10 +168,10 @@ def main() -> None:
         print(f"{rows.source}: {len(rows)} stars, {len(d.outliers)} of them outliers: {d.verdict}")
         for step in d.steps:
             name = "six geometric terms" if step.effect is None else f"+ {step.effect}"
-            print(f"    {name:<24}{on_both_axes(step.error.rms):10.2f}″ held out")
+            print(f"    {name:<24}{step.error.rms:10.2f}″ held out")
         for c in d.candidates:
             if c.effect not in d.effects:
-                print(f"    (with {c.effect + ' alone':<29}{on_both_axes(c.held_out_rms):7.2f}″)")
+                print(f"    (with {c.effect + ' alone':<29}{c.held_out_rms:7.2f}″)")
         for p in (p for c in d.candidates if c.effect in d.effects for p in c.parameters):
             print(f"    {p['name']} = {p['value']:.0f} ± {p['std']:.0f} {p['unit']}")
         if d.signature:

@@ -82,9 +82,9 @@ def test_the_doctor_knows_every_extra(monkeypatch):
     monkeypatch.setattr(doctor, "requires", lambda _: ["numpy>=1.26", 'pyserial>=3.5 ; extra == "lab"'])
     monkeypatch.setattr(doctor, "_version", lambda name: None if name == "pyserial" else "1.0")
     found = {one.what: one for one in doctor.findings()}
-    assert found["core"].well
-    assert not found["extra lab"].well
-    assert found["extra lab"].mend == 'pip install "sherkit[lab]"'
+    assert found["core"].ok
+    assert not found["extra lab"].ok
+    assert found["extra lab"].fix == 'pip install "sherkit[lab]"'
     assert CliRunner().invoke(cli, ["doctor", "--json"], standalone_mode=False).return_value == 0
     monkeypatch.setattr(doctor, "_version", lambda name: None)
     shown = CliRunner().invoke(cli, ["doctor"], standalone_mode=False)

@@ -1,4 +1,4 @@
-"""``sherkit doctor``: what is installed, what lacks for which purpose, and the one command that mends it."""
+"""``sherkit doctor``: what is installed, what is missing for which purpose, and the one command that fixes it."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ _FIRST_OF = {"opencv-python-headless": "cv2", "pyserial": "serial"}
 
 @dataclass(frozen=True)
 class Finding:
-    """One line: what was looked at, whether it is well, what was found, and the command that mends it."""
+    """One line: what was looked at, whether it is ok, what was found, and how to fix it."""
 
     what: str
-    well: bool
+    ok: bool
     found: str
-    mend: str = ""
+    fix: str = ""
     needed: bool = False
 
 
@@ -51,15 +51,21 @@ def findings() -> Iterator[Finding]:
     yield Finding("sherkit", True, f"{_core.__version__} in {Path(__file__).resolve().parents[1]}")
     yield Finding("Python", True, f"{platform.python_version()} ({platform.machine()}, {platform.system()})")
     for extra, packages in _extras().items():
-        lacks = [name for name in packages if _version(name) is None]
-        found = ", ".join(f"{name} {_version(name)}" for name in packages if name not in lacks)
+        missing = [name for name in packages if _version(name) is None]
+        found = ", ".join(f"{name} {_version(name)}" for name in packages if name not in missing)
         needed = extra == ""
         title = "core" if needed else f"extra {extra}"
-        mend = (
-            "" if not lacks else f'pip install "sherkit[{extra}]"' if extra else "pip install --force-reinstall sherkit"
+        fix = (
+            ""
+            if not missing
+            else f'pip install "sherkit[{extra}]"'
+            if extra
+            else "pip install --force-reinstall sherkit"
         )
-        said = found if not lacks else f"lacks {', '.join(lacks)}" + ("" if needed else f", for {_PURPOSE[extra]}")
-        yield Finding(title, not lacks, said, mend, needed)
+        said = (
+            found if not missing else f"missing: {', '.join(missing)}" + ("" if needed else f", for {_PURPOSE[extra]}")
+        )
+        yield Finding(title, not missing, said, fix, needed)
     yield _sqlite()
     yield _browser()
     yield _ports()
@@ -97,17 +103,17 @@ def _sqlite() -> Finding:
     if find_spec("_sqlite3") is not None:
         return Finding("SQLite", True, "runs of experiments, bags of ROS 2")
     said = "this Python was built without it: no experiment is run, and no bag of ROS 2 read"
-    mend = "sudo apt-get install libsqlite3-dev, then build Python again" if sys.platform == "linux" else ""
-    return Finding("SQLite", False, said, mend or "install Python from python.org")
+    fix = "sudo apt-get install libsqlite3-dev, then build Python again" if sys.platform == "linux" else ""
+    return Finding("SQLite", False, said, fix or "install Python from python.org")
 
 
 def _browser() -> Finding:
     found = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
     if found is not None:
         return Finding("browser", True, f"{found}: pictures as PNG and SVG")
-    mend = {"linux": "sudo apt-get install chromium", "darwin": "brew install --cask chromium"}.get(sys.platform, "")
+    fix = {"linux": "sudo apt-get install chromium", "darwin": "brew install --cask chromium"}.get(sys.platform, "")
     said = "no Chromium: pictures are written as HTML, not as PNG and SVG"
-    return Finding("browser", False, said, mend or "install Chromium or Chrome")
+    return Finding("browser", False, said, fix or "install Chromium or Chrome")
 
 
 def _ports() -> Finding:
@@ -118,8 +124,8 @@ def _ports() -> Finding:
     paths = sorted(port.device for port in comports())
     closed = [path for path in paths if not os.access(path, os.R_OK | os.W_OK)] if os.name == "posix" else []
     if closed:
-        mend = "sudo usermod -aG dialout $USER, then log in again"
-        return Finding("serial ports", False, f"{', '.join(closed)} cannot be opened by you", mend)
+        fix = "sudo usermod -aG dialout $USER, then log in again"
+        return Finding("serial ports", False, f"{', '.join(closed)} cannot be opened by you", fix)
     return Finding("serial ports", True, ", ".join(paths) or "none is plugged in")
 
 
@@ -135,19 +141,19 @@ def _c_library() -> Finding:
 @click.command()
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
 def doctor(as_json: bool) -> int:
-    """Say what is installed, what lacks and for what, and the one command that mends it.
+    """Say what is installed, what is missing and for what, and the one command that fixes it.
 
-    Ends with code 1 only where something lacks that nothing works without.
+    Ends with code 1 only where something is missing that nothing works without.
     """
     found = list(findings())
     if as_json:
         output.print_json([vars(one) for one in found])
     else:
-        made = output.table("What is installed", "", "", "what was found", "to mend it")
+        made = output.table("What is installed", "", "", "what was found", "how to fix it")
         for one in found:
-            mark = "well" if one.well else "MISSING" if one.needed else "lacks"
-            made.add_row(one.what, mark, escape(one.found), escape(one.mend))
+            mark = "ok" if one.ok else "MISSING" if one.needed else "missing"
+            made.add_row(one.what, mark, escape(one.found), escape(one.fix))
         for column in made.columns[1:]:
             column.justify, column.overflow = "left", "fold"
         output.out.print(made)
-    return int(any(one.needed and not one.well for one in found))
+    return int(any(one.needed and not one.ok for one in found))

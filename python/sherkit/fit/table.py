@@ -15,14 +15,17 @@ from .forms import known
 _OBSERVED = 1e-3
 #: Deviations from zero from which on a number of an effect is one by itself.
 _CLEAR = 3.0
-_COLUMNS = ("parameter", "value", "± readings", "± with sizes", "unit", "")
+_COLUMNS = ("parameter", "nominal", "deviation", "value", "± readings", "± total", "unit", "")
+#: Correlations that are told: so many, of this size at least.
+_MOST, _LEAST = 5, 0.1
 
 
 def table_of(fit: Any) -> str:
-    """Text of some lines for a :class:`~sherkit.fit.identify.Fit`: errors, noise, rank, then each parameter.
+    """Text of some lines for a :class:`~sherkit.fit.identify.Fit`: errors, noise, rank, then each parameter: as it is
+    drawn, where the robot's file says so, by how much it is off, and both together; and the strongest correlations.
 
-    ``± readings`` is the standard deviation that the readings leave, ``± with sizes`` that with what they do not tell
-    at all, from plausible sizes. Angles are in degrees; numbers to compute with are in
+    ``± readings`` is the standard deviation that the readings leave, ``± total`` that with what they do not tell at
+    all, from plausible sizes. Angles are in degrees; numbers to compute with are in
     :attr:`~sherkit.fit.identify.Fit.params`. A parameter is ``observed``, ``in part`` or ``unobserved`` by the
     readings, or ``fixed``; of an effect of which a simpler form is ``known``, which has a line of its own, it may be
     known ``not by itself``.
@@ -39,24 +42,27 @@ def table_of(fit: Any) -> str:
         ("loss", fit.loss + (", with plausible sizes as knowledge" if fit.priors else "")),
         ("error", str(fit.error)),
         ("fitted", f"{errors} {layout.unit} RMS"),
-        ("noise", f"{origin[fit.noise.origin]}; residuals are {fit.scale:.3g} times as large"
+        ("noise", f"{origin[fit.noise.origin]}; reduced χ² {fit.scale**2:.3g}"
          if fit.noise.origin != "unknown" else origin["unknown"]),
         ("rank", f"{fit.rank} of {len(fit.parameters)}{condition}"),
         *([("supported", fit.crowded)] if fit.crowded else []),
         ("converged", f"{'yes' if fit.converged else 'NO'}, {fit.evaluations} evaluations"),
     ]  # fmt: skip
+    drawn = _nominal(fit.model)
     lines: list[tuple[str, ...]] = [_COLUMNS]
     for p, value, readings, sizes, state in zip(
         fit.parameters, fit.values, fit.std_from_readings, fit.std, _states(fit), strict=True
     ):
-        lines.append((p.name, *_cells(p.unit, value, readings, sizes), state))
+        lines.append((p.name, *_cells(p.unit, drawn.get(p.name), value, readings, sizes), state))
     for name, one in known(fit).items():
         for value in one.values:
-            cells = _cells(value.unit, value.value, value.std, value.std)
+            cells = _cells(value.unit, None, value.value, value.std, value.std)
             lines.append((f"{name}: {one.where} {value.what}", *cells, "known"))
-    lines += [(p.name, "0", "", "", in_people_units(p.unit)[0], "fixed") for p in fit.model.fixed]
+    for p in fit.model.fixed:
+        as_drawn = _as_drawn(p.unit, drawn.get(p.name))
+        lines.append((p.name, as_drawn, "0", as_drawn, "", "", in_people_units(p.unit)[0], "fixed"))
     widths = [max(len(line[k]) for line in lines) for k in range(len(_COLUMNS))]
-    words = (True, False, False, False, True, True)
+    words = (True, *[False] * 5, True, True)
     head = [f"{name:<10} {text}" for name, text in about]
     body = [
         "  ".join(
@@ -65,13 +71,40 @@ def table_of(fit: Any) -> str:
         ).rstrip()
         for line in lines
     ]
-    return "\n".join([*head, "", *body])
+    return "\n".join([*head, "", *body, *_correlated(fit)])
 
 
-def _cells(unit: str, *numbers: float) -> tuple[str, ...]:
-    """A value and its deviations, rounded to the first of these, then the unit in which people read them."""
+def _nominal(model: Any) -> dict[str, float]:
+    """Geometric parameters as the robot is drawn, by name, where it says them."""
+    robot = getattr(model, "robot", None)
+    names, values = getattr(robot, "parameter_names", ()), getattr(robot, "geometry", ())
+    return dict(zip(names, map(float, values), strict=True)) if len(names) == len(values) else {}
+
+
+def _as_drawn(unit: str, value: float | None) -> str:
+    return "" if value is None else f"{in_people_units(unit)[1] * value:.6g}"
+
+
+def _cells(unit: str, drawn: float | None, off: float, readings: float, total: float) -> tuple[str, ...]:
+    """A parameter as drawn, by how much it is off, both together, and the deviations; all but the first rounded to what
+    the readings leave; then the unit in which people read them."""
     shown, factor = in_people_units(unit)
-    return (*with_error(*(factor * float(v) for v in numbers)), shown)
+    known = off if drawn is None else drawn + off
+    deviation, std, other, value = with_error(*(factor * float(v) for v in (off, readings, total, known)))
+    return _as_drawn(unit, drawn), deviation, "" if drawn is None else value, std, other, shown
+
+
+def _correlated(fit: Any) -> list[str]:
+    """The strongest correlations between parameters, from readings and plausible sizes."""
+    covariance = fit.covariance + fit.unobserved_covariance
+    std = np.sqrt(np.diag(covariance).clip(0.0))
+    known = np.where(std > 0, std, np.inf)
+    pairs = np.triu(covariance / np.outer(known, known), 1)
+    names = [p.name for p in fit.parameters]
+    strongest = np.argsort(-np.abs(pairs), axis=None, kind="stable")[:_MOST]
+    told = [(pairs.flat[k], *np.unravel_index(k, pairs.shape)) for k in strongest]
+    lines = [f"  {names[i]}, {names[j]}: {value:+.3f}" for value, i, j in told if abs(value) >= _LEAST]
+    return ["", "correlations", *lines] if lines else []
 
 
 def frame_of(fit: Any) -> pl.DataFrame:
