@@ -39,7 +39,7 @@ mount = _load()
 
 def on_sky(report: Any) -> float:
     """Held-out RMS as an angle on the sky, arcsec."""
-    return float(report.error.rms)
+    return float(report.error.rms if hasattr(report, "error") else report.held_out_rms)
 
 
 # -- measured ----------------------------------------------------------------------------------------------
