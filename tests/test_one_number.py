@@ -130,3 +130,14 @@ def test_rows_that_hold_a_part_count_where_none_holds_all(squares: Any, rms: flo
     made = ErrorSize.of(np.array(squares), "px", held_out=False, names=("u", "v"), together=(0, 1))
     assert made.rows == rows
     assert made.rms == pytest.approx(rms, nan_ok=True)
+
+
+@pytest.mark.parametrize("poses", [2, 3])
+def test_poses_that_a_fit_goes_through_are_held_out_by_fits_of_their_own(poses: int) -> None:
+    """Catches an error of nothing where a fit has more parameters than readings, and goes through all of them."""
+    robot = known_kinds()["delta"].example
+    places = np.random.default_rng(1).uniform(-18.0, 18.0, (poses, 3))
+    fit = sk.identify(robot, sk.delta.VirtualDelta.draw(robot, 1, noise_mm=0.005).measure(places, repeats=1, seed=1))
+    assert fit.rms()["x_mm"] < 1.0
+    assert fit.error.held_out
+    assert fit.error.rms > 50.0

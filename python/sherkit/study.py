@@ -17,7 +17,7 @@ from .data.toml import Table
 from .diagnosis import Diagnosis, diagnose, gross_errors
 from .diagnosis.setting import setting_for
 from .errors import EffectError, MeasurementError, SherkitError
-from .fit.error import held_out_error, of_residuals
+from .fit.error import of_residuals
 from .fit.hold_out import hold_out
 from .fit.identify import Fit, identify
 from .fit.robust import LOSSES
@@ -131,7 +131,7 @@ class Study(Shown):
             action=action,
             effects=tuple(e.name for e in model.effects),
             fitted=of_residuals(self.data, fit.residuals, held_out=False),
-            error=held_out_error(fit, self.seed),
+            error=fit.error_by(self.seed),
             parameters=dict(zip(names, fit.values.tolist(), strict=True)),
             rows=len(self.data),
             fit=fit,

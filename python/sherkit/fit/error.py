@@ -9,7 +9,7 @@ is a subtraction of Gram matrices.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -18,11 +18,14 @@ import numpy as np
 from .. import linalg
 from ..data import Measurements
 from ..data.noise import Noise
+from ..errors import FitError
 from ..figures import number
 from ..types import Bools, Floats, Ints
 from .blocks import blocks_of
 from .folds import Folds, blocks
 
+#: Rows below which a fit without some of them is made anew: what it does not tell is then most of it.
+_FEWEST = 10
 #: Blocks that are held out in turn, and how often they are drawn anew so that nothing hangs on one draw.
 _FOLDS = 6
 _REPETITIONS = 5
@@ -136,11 +139,17 @@ def repeated_folds_of(data: Measurements, place: Mapping[str, Floats], seed: int
 
 @linalg.one_thread()
 def held_out_error(
-    fit: Fitted, seed: int = 0, *, sigma: Floats | None = None, repeated_folds: Sequence[Ints] | None = None
+    fit: Fitted,
+    seed: int = 0,
+    *,
+    refit: Callable[[Measurements], Floats] | None = None,
+    sigma: Floats | None = None,
+    repeated_folds: Sequence[Ints] | None = None,
 ) -> ErrorSize:
     """The error of a fit on rows held out; of one pose alone, which cannot be, what the fit leaves.
 
-    ``sigma`` (columns,) weighs the readings, the noise of each where it is left out; ``repeated_folds`` are those of
+    ``refit`` gives the parameters (p,) of some rows alone: very few rows are held out by it. ``sigma`` (columns,)
+    weighs the readings, the noise of each where it is left out; ``repeated_folds`` are those of
     :func:`repeated_folds_of`.
     """
     data = fit.data
@@ -153,6 +162,8 @@ def held_out_error(
     fold = np.stack([np.unique(one[rows], return_inverse=True)[1].ravel() for one in repeated_folds])
     if not len(rows) or fold.max(axis=1).min() < 1:
         return of_residuals(data, fit.residuals, held_out=False)
+    if refit is not None and len(rows) < _FEWEST:
+        return _refitted(fit, refit, rows, fold[0])
     part, there = data.select(rows), used[rows]
     by_model = fit.model.linearised_by_blocks(part, fit.values)
     # axes that nothing was read on count for nothing
@@ -166,6 +177,21 @@ def held_out_error(
     errors = [(folds.errors(columns(some), residual[some], some) ** 2).mean(axis=0) for some in blocks(len(rows))]
     squares = np.where(there, np.concatenate(errors) * (data.layout.per_unit * sigma) ** 2, np.nan)
     return ErrorSize.of(squares, data.layout.unit, held_out=True, names=data.layout.readings, together=axes_of(data))
+
+
+def _refitted(fit: Fitted, refit: Callable[[Measurements], Floats], rows: Ints, fold: Ints) -> ErrorSize:
+    """By fits of their own without each block of these rows."""
+    left = np.full(fit.residuals.shape, np.nan)
+    for one in np.unique(fold):
+        inside = rows[fold == one]
+        try:
+            values = refit(fit.data.select(rows[fold != one]))
+            part = fit.data.select(inside)
+            left[inside] = part.readings - fit.model.predict(part, values)
+        except FitError:
+            # what is left without the block fits nothing
+            return of_residuals(fit.data, fit.residuals, held_out=False)
+    return of_residuals(fit.data, left, held_out=True)
 
 
 def _noise_of(fit: Fitted, used: Bools) -> Floats:

@@ -138,7 +138,15 @@ class Fit(Identified, Shown):
     @cached_property
     def error(self) -> ErrorSize:
         """How far it is off, on rows held out (:mod:`sherkit.fit.error`)."""
-        return held_out_error(self)
+        return self.error_by(0)
+
+    def error_by(self, seed: int) -> ErrorSize:
+        """The same by other random splits."""
+        return held_out_error(self, seed, refit=self._refitted)
+
+    def _refitted(self, data: Measurements) -> Floats:
+        """The parameters (p,) of these rows alone, from the drawing."""
+        return identify(self.model, data, loss=self.loss, priors=self.priors).values
 
     @cached_property
     def nominal_error(self) -> ErrorSize:
