@@ -451,6 +451,22 @@ def test_marked_outliers_stay_in_sight(demo: Run) -> None:
     assert (points["size"] > 8).sum() == 20
 
 
+def test_rows_that_are_left_out_stand_at_the_rim(demo: Run) -> None:
+    """Catches a scale that one wrong row decides, and one that is drawn where it is not without a word."""
+    values = demo.after.values.copy()
+    row = int(np.flatnonzero(demo.data.outlier)[0])
+    values[row] = [25e3, -25e3, 0.0]
+    left = replace(demo.after, values=values)
+    counted = values[~left.outlier]
+    for made, name in ((residual_against(ResidualAgainst(left, "q1_mm")), "points"), (run_in_time(left), "run")):
+        t = table(made, name)
+        for k in range(3):
+            span = np.ptp(np.append(counted[:, k], 0.0))
+            assert np.abs(t[f"r{k}"]).max() <= np.abs(counted[:, k]).max() + 0.07 * span
+        assert "left out" in t["beyond"][list(t["line"]).index(left.line[row])]
+        assert sum(map(bool, t["beyond"])) <= left.outlier.sum()
+
+
 def test_run_in_time(many: Run) -> None:
     """Catches readings in another order, hidden thinning, and a temperature that is not below."""
     made = run_in_time(many.after)

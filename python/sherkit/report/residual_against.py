@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..types import Floats, Ints
 from .picture import Picture, Table, Tables, sources_of, stacked, thinned
-from .residuals import Residuals
+from .residuals import Residuals, at_the_rim
 from .style import COLOURS, FONT_SIZE, INK, MARKERS, MUTED, PLAIN, figure, hover, quantity
 
 MOST_POINTS = 3000
@@ -83,7 +83,8 @@ def earlier(before: Residuals | None, now: Residuals) -> Table:
     """Error of the drawn rows before the effects were added; empty where nothing was."""
     if before is None or before is now or len(before) != len(now):
         return {"v": _f([])} | {f"r{k}": _f([]) for k in range(len(now.names))}
-    return {f"r{k}": _f(before.values[shown(now), k]) for k in range(len(now.names))}
+    values = at_the_rim(now, before.values)[0]
+    return {f"r{k}": _f(values[shown(now), k]) for k in range(len(now.names))}
 
 
 def shown(left: Residuals) -> NDArray[np.int64]:
@@ -94,7 +95,9 @@ def shown(left: Residuals) -> NDArray[np.int64]:
 def points(left: Residuals) -> Table:
     """Error of the drawn rows by reading, without the variable."""
     rows = shown(left)
-    out: Table = {f"r{k}": _f(left.values[rows, k]) for k in range(len(left.names))}
+    values, beyond = at_the_rim(left, left.values)
+    out: Table = {f"r{k}": _f(values[rows, k]) for k in range(len(left.names))}
+    out["beyond"] = [beyond[row] for row in rows]
     out["line"], out["row"] = left.line[rows].astype(np.int32), left.row[rows].astype(np.int32)
     few = len(rows) < _FEW_ROWS
     out["alpha"] = np.where(left.outlier[rows], 0.9, 0.8 if few else 0.35).astype(np.float32)
@@ -220,5 +223,7 @@ def _panel(sources: dict[str, ColumnDataSource], k: int, name: str, state: Resid
     made.varea("v", f"low{k}", f"high{k}", source=sources["mean"], fill_color=INK, fill_alpha=0.18)
     made.line("v", f"m{k}", source=sources["mean"], color=INK, line_width=2.5)
     made.line("v", f"g{k}", source=sources["gained"], color=COLOURS[3], line_width=3, line_dash="dashed")
-    made.add_tools(hover([dots], ("at", "@v{0.000}"), (name, f"@r{k}{{0.0}} {unit}"), (state.now.counted, "@line")))
+    made.add_tools(
+        hover([dots], ("at", "@v{0.000}"), (name, f"@r{k}{{0.0}} {unit}@beyond"), (state.now.counted, "@line"))
+    )
     return made

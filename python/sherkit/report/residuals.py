@@ -48,6 +48,25 @@ class Residuals:
         return np.sqrt(np.nansum(used**2, axis=0) / np.maximum(count, 1))
 
 
+#: Part of the span of what counts at which rows that are left out stand beyond it.
+_RIM = 0.06
+#: Behind the number of a row that stands at the rim.
+BEYOND = " (at the rim: farther off, and left out)"
+
+
+def at_the_rim(left: Residuals, values: Floats) -> tuple[Floats, list[str]]:
+    """``values`` (n, m) as they are drawn: rows that are left out stand at the rim of those that count, where they are
+    farther off, and what is said behind the number of each row."""
+    counted = np.where(left.outlier[:, None], np.nan, values)
+    if not left.outlier.any() or not np.isfinite(counted).any():
+        return values, [""] * len(values)
+    low, high = (np.array([f(c[np.isfinite(c)], initial=0.0) for c in counted.T]) for f in (np.min, np.max))
+    margin = _RIM * (high - low)
+    drawn = np.where(left.outlier[:, None], np.clip(values, low - margin, high + margin), values)
+    moved = (np.nan_to_num(drawn) != np.nan_to_num(values)).any(axis=1)
+    return drawn, [BEYOND if one else "" for one in moved]
+
+
 def residuals_of(fit: Fit) -> Residuals:
     """What a fit leaves, on every row of its run that has a reading."""
     run, data = FittedRun(fit), fit.data

@@ -8,7 +8,7 @@ import numpy as np
 from bokeh.models import Span
 
 from .picture import Picture, Tables, sources_of, stacked, thinned
-from .residuals import Residuals
+from .residuals import Residuals, at_the_rim
 from .style import COLOURS, MARKERS, MUTED, figure, hover, legend, quantity
 
 _HEIGHT, _BELOW = 320, 150
@@ -30,7 +30,9 @@ def run_in_time(left: Residuals) -> Picture[Residuals]:
             "t", f"r{k}", source=sources["run"], color=COLOURS[k % len(COLOURS)], marker=MARKERS[k % len(MARKERS)],
             size="size", alpha=0.8 if len(left) < _FEW else 0.45, legend_label=name,
         )  # fmt: skip
-        made.add_tools(hover([dots], ("", name), ("residual", f"@r{k}{{0.0}} {left.unit}"), (left.counted, "@line")))
+        made.add_tools(
+            hover([dots], ("", name), ("residual", f"@r{k}{{0.0}} {left.unit}@beyond"), (left.counted, "@line"))
+        )
     legend(made)
     figures = [made]
     for name in _below(left):
@@ -45,7 +47,7 @@ def run_in_time(left: Residuals) -> Picture[Residuals]:
     drawn = (
         f"{MOST_POINTS} of {n} rows, chosen at random, marked outliers first" if n > MOST_POINTS else f"all {n} rows"
     )
-    note = f"What the model leaves, in the order of the run: {drawn}."
+    note = f"What the model leaves, in the order of the run: {drawn}. Rows that are left out stand at the rim."
     return Picture("run", stacked("run", figures, sizing_mode="stretch_width"), sources, _tables, note=note)
 
 
@@ -63,6 +65,8 @@ def _tables(left: Residuals) -> Tables:
     time = left.variables.get("time_s", left.row.astype(float))
     table: dict[str, Any] = {"t": time[rows], "line": left.line[rows].astype(np.int32)}
     table["size"] = np.where(left.outlier[rows], 11, 7 if len(left) < _FEW else 4)
-    table |= {f"r{k}": left.values[rows, k].astype(np.float32) for k in range(len(left.names))}
+    values, beyond = at_the_rim(left, left.values)
+    table |= {f"r{k}": values[rows, k].astype(np.float32) for k in range(len(left.names))}
+    table["beyond"] = [beyond[row] for row in rows]
     table |= {name: left.variables[name][rows] for name in _below(left)}
     return {"run": table}
