@@ -76,6 +76,7 @@ def doors(folder: Path) -> dict[str, Door]:
         "Study.extend": Door(of_a_study("extend"), {"more": data}),
         "Study.follow": Door(of_a_study("follow"), {"data": data}),
         "Study.mark_outliers": Door(of_a_study("mark_outliers"), {"rows": [1]}),
+        "Study.put_back": Door(of_a_study("put_back"), {"rows": [1]}),
         "Study.diagnose": Door(of_a_study("diagnose"), {"level": 0.01}),
         "Study.register": Door(of_a_study("register"), {"effect": None}),
         "Study.save": Door(of_a_study("save"), {"folder": folder / "saved"}),
