@@ -18,9 +18,10 @@ import sherkit as sk
 from sherkit.cli.main import cli
 from sherkit.data.doubts.repeats import copied
 from sherkit.diagnosis.fitted_run import FittedRun
-from sherkit.diagnosis.held_out import by_noise_alone, folds_of_run
+from sherkit.diagnosis.held_out import by_noise_alone
 from sherkit.diagnosis.stage import stage_of
 from sherkit.diagnosis.waves import waves_of
+from sherkit.fit.error import repeated_folds_of
 from sherkit.robots.serial import Serial, postures
 from sherkit.types import Floats
 from test_arm_counted import OwnArm, arm_in
@@ -59,7 +60,7 @@ def test_what_noise_leaves_on_rows_held_out_is_what_fits_without_them_leave(pose
     data = few(poses, repeats, 0).data
     declared = np.full(data.readings.shape, SIGMA)
     run = FittedRun(sk.identify(DELTA, replace(data, sigma=declared)))
-    repeated_folds, sigma = folds_of_run(run, 0), run.noise[0]
+    repeated_folds, sigma = repeated_folds_of(run.fit, 0), run.noise[0]
     view = run.linearised(np.arange(len(data)), (), sigma[list(run.axes)])
     columns = view.fitted(slice(0, len(data)))
     n, m, p = columns.shape

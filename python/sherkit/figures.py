@@ -62,3 +62,8 @@ def number(value: float) -> str:
         return "–"
     size = abs(value)
     return f"{value:.0f}" if size >= 100 else f"{value:.1f}" if size >= 10 else f"{value:.2f}"
+
+
+def finite(value: float) -> float | None:
+    """A figure as JSON holds it: none where it is not finite."""
+    return value if math.isfinite(value) else None

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from html import escape
 from typing import Any
 
-import numpy as np
 from bokeh.document import Document
 from bokeh.layouts import column, row
 from bokeh.models import CustomJS, FileInput, TextAreaInput
@@ -263,7 +262,7 @@ class StudyPage:
         unit = escape(left.unit)
         beside = []
         if left.noise_origin != "unknown":
-            beside.append(f"noise {number(float(np.linalg.norm(left.noise)))} {unit}")
+            beside.append(f"noise {number(left.noise_size)} {unit}")
         if page_state.required_um and left.unit == "µm":
             beside.append(f"needed {page_state.required_um:g} {unit}")
         self._numbers.text = (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from html import escape
 from typing import Any
@@ -159,7 +158,7 @@ class Fall:
         chosen = [s for k, s in enumerate(page_state.history) if self._all or k in path]
         steps = [ErrorOfStep.of(s, _short(s.action)) for s in chosen]
         left = page_state.now
-        noise = math.hypot(*left.noise) if left.noise_origin != "unknown" else None
+        noise = left.noise_size if left.noise_origin != "unknown" else None
         state = ErrorHistory(steps, noise, left.unit, page_state.required_um if left.unit == "µm" else None)
         if self._fall_for != (noise is None):
             self._fall_for = noise is None

@@ -16,7 +16,6 @@ from ..diagnosis.checks import Check
 from ..diagnosis.finding import APART, FILES, MISSING, NEXT, WHERE, WHICH, Finding
 from ..diagnosis.findings import figure, p_value, plausibility
 from ..diagnosis.next_poses import SEPARATION
-from ..names import CALIBRATED
 from .output import out, table
 
 _COLOUR = {
@@ -104,8 +103,7 @@ def falling(d: Diagnosis) -> Table:
     """The error on poses held out, step by step."""
     made = table("Error on poses held out", "model", f"{d.unit} RMS {d.error.in_words}", "95 % within")
     for s in d.steps:
-        state = CALIBRATED if s.effect is None else f"+ {s.effect}"
-        made.add_row(state, _long(d, s.error.rms), _long(d, s.error.p95))
+        made.add_row(s.state, _long(d, s.error.rms), _long(d, s.error.p95))
     made.add_row("noise", _long(d, d.noise_size), "", style="dim")
     return made
 

@@ -55,17 +55,12 @@ def findings() -> Iterator[Finding]:
         found = ", ".join(f"{name} {_version(name)}" for name in packages if name not in missing)
         needed = extra == ""
         title = "core" if needed else f"extra {extra}"
-        fix = (
-            ""
-            if not missing
-            else f'pip install "sherkit[{extra}]"'
-            if extra
-            else "pip install --force-reinstall sherkit"
-        )
-        said = (
-            found if not missing else f"missing: {', '.join(missing)}" + ("" if needed else f", for {_PURPOSE[extra]}")
-        )
-        yield Finding(title, not missing, said, fix, needed)
+        if not missing:
+            yield Finding(title, True, found, needed=needed)
+            continue
+        fix = "pip install --force-reinstall sherkit" if needed else f'pip install "sherkit[{extra}]"'
+        purpose = "" if needed else f", for {_PURPOSE[extra]}"
+        yield Finding(title, False, f"missing: {', '.join(missing)}{purpose}", fix, needed)
     yield _sqlite()
     yield _browser()
     yield _ports()

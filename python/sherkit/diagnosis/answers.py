@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from ..figures import finite
 from ..fit.error import ErrorSize
 from ..fit.forms import Known, known
 from ..fit.identify import Fit
+from ..names import state_with
 from ..notebook import Shown
 from ..types import Ints
 from .checks import LOOSE, POSES_AS_REPEATS, Check, headline
@@ -23,9 +26,8 @@ from .where import Dependence
 class CandidateReport:
     """One effect as an addition to the fit: what it would bring and whether that can be believed.
 
-    ``held_out_std`` is the standard error of ``held_out_rms``, from how much the blocks held out differ; ``times`` is
-    its largest parameter in plausible sizes, and it is ``plausible`` where that is at most five, give or take two
-    deviations.
+    ``held_out_std`` is the standard error of ``held_out_rms``, from how much the blocks held out differ; it is
+    ``plausible`` where its largest parameter has at most five plausible sizes, give or take two deviations.
     """
 
     effect: str
@@ -34,8 +36,21 @@ class CandidateReport:
     held_out_std: float
     p_value: float
     plausible: bool
-    times: float
     parameters: tuple[dict[str, Any], ...]
+
+    @property
+    def largest(self) -> dict[str, Any]:
+        """The parameter that is farthest beyond its plausible size."""
+        return max(self.parameters, key=_times)
+
+    @property
+    def times(self) -> float:
+        """How many plausible sizes that is."""
+        return _times(self.largest) if self.parameters else 0.0
+
+
+def _times(parameter: Mapping[str, Any]) -> float:
+    return float(abs(parameter["value"]) / parameter["size"])
 
 
 @dataclass(frozen=True)
@@ -44,6 +59,11 @@ class StepReport:
 
     effect: str | None
     error: ErrorSize
+
+    @property
+    def state(self) -> str:
+        """What the model is called then."""
+        return state_with([] if self.effect is None else [self.effect])
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +219,7 @@ class Diagnosis(Shown):
             "known": [one.to_json() for one in self.known.values()],
             "untestable": self.untestable,
             "smallest_found": {
-                name: {"plausible_sizes": _finite(size), f"rms{um}": _finite(rms)}
+                name: {"plausible_sizes": finite(size), f"rms{um}": finite(rms)}
                 for name, (size, rms) in self.smallest_found.items()
             },
             "where": [{"variable": d.variable, f"rms{um}": list(d.rms), "p_value": d.p_value} for d in self.where],
@@ -211,7 +231,3 @@ class Diagnosis(Shown):
             "advice": self.advice,
             "notes": list(self.notes),
         }
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from ..figures import in_names, number, stated
 from ..model.effect import Effect
 from ..model.kinds import required_um
-from ..names import CALIBRATED, listed
+from ..names import listed
 from .answers import CandidateReport, Diagnosis
 from .finding import APART, FILES, MISSING, NEXT, WHERE, WHICH, WRONG, Finding
 from .outliers import sentences
@@ -33,7 +33,7 @@ def largest(found: Diagnosis, one: CandidateReport) -> str:
     its plausible size."""
     if one.effect in found.known:
         return found.known[one.effect].short
-    worst = max(one.parameters, key=lambda q: abs(q["value"]) / q["size"])
+    worst = one.largest
     return f"{worst['name']} = {stated(worst['value'], worst['std'], worst['unit'])}"
 
 
@@ -186,7 +186,7 @@ def _which(d: Diagnosis) -> Iterator[Finding]:
     for step in d.steps:
         check = earned.get(step.effect or "")
         yield Finding(
-            WHICH, "step", CALIBRATED if step.effect is None else f"+ {step.effect}",
+            WHICH, "step", step.state,
             {f"held_out_rms_{end}": float(step.error.rms)},
             sure="" if check is None or check.p is None else _with_p(check.p),
         )  # fmt: skip

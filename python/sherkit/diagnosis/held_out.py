@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from .. import linalg
-from ..fit.error import ErrorSize, held_out_error, repeated_folds_of
+from ..fit.error import ErrorSize, held_out_error
 from ..fit.folds import Folds, roots_of
 from ..types import Floats, Ints
 from .fitted_run import FittedRun
@@ -27,11 +27,6 @@ PRAISE = 1.25
 _ENOUGH = 200
 #: Noises that are drawn to know what they leave on rows held out.
 _DRAWS = 999
-
-
-def folds_of_run(run: FittedRun, seed: int) -> list[Ints]:
-    """Folds (n,) of all rows, of each repetition."""
-    return repeated_folds_of(run.data, run.model.place(run.data, run.fit.predicted), seed)
 
 
 def error_of(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]) -> ErrorSize:

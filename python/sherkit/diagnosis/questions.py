@@ -14,6 +14,7 @@ from ..arguments import Level, Seed, as_annotated
 from ..data.doubts import doubts
 from ..data.given import RunLike
 from ..errors import EffectError, FitError
+from ..fit.error import repeated_folds_of
 from ..fit.forms import known
 from ..fit.identify import Fit, identify
 from ..fit.set_up import held, set_up_mistakes, unread
@@ -31,7 +32,7 @@ from .explanation import is_plausible
 from .few_enough import few_enough
 from .findings import findings_of
 from .fitted_run import FittedRun
-from .held_out import by_noise_alone, folds_of_run
+from .held_out import by_noise_alone
 from .lack_of_fit import lack_of_fit
 from .linearised import orthonormal
 from .named import not_needed, searched
@@ -136,7 +137,7 @@ def diagnose(
             f"{len(enough)} of {int(long.whole.sum())} rows are searched, evenly of all poses and times: what only all "
             "of them would show is smaller than a twentieth of the noise; noise, outliers and the fit are of all rows"
         )
-    repeated_folds = folds_of_run(run, seed)
+    repeated_folds = repeated_folds_of(run.fit, seed)
     steps = steps_in(run) if look and not run.is_exact else None
     if steps is not None and not steps.alone and steps.put_back is not None:
         # digits were cut off where no effect is missing once they are put back
@@ -295,8 +296,7 @@ def _candidate_reports(
             for q, v, s in zip(candidate.effect.parameters, values.tolist(), std.tolist(), strict=True)
         )
         left = fitted.get(name, error.rms)
-        times = max((abs(q["value"]) / q["size"] for q in parameters), default=0.0)
-        out.append(CandidateReport(name, candidate.effect.link, left, error.std, p, ok, times, parameters))
+        out.append(CandidateReport(name, candidate.effect.link, left, error.std, p, ok, parameters))
     named = [c.name for c in found.added]
     out.sort(key=lambda c: (named.index(c.effect) if c.effect in named else len(named), c.held_out_rms))
     return tuple(out)

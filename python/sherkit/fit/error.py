@@ -19,7 +19,7 @@ from .. import linalg
 from ..data import Measurements
 from ..data.noise import Noise
 from ..errors import FitError
-from ..figures import number
+from ..figures import finite, number
 from ..types import Bools, Floats, Ints
 from .blocks import blocks_of
 from .folds import Folds, blocks
@@ -85,9 +85,9 @@ class ErrorSize:
     def to_json(self) -> dict[str, Any]:
         """For programs."""
         return {
-            "rms": _finite(self.rms), "p95": _finite(self.p95), "max": _finite(self.max), "mean": _finite(self.mean),
+            "rms": finite(self.rms), "p95": finite(self.p95), "max": finite(self.max), "mean": finite(self.mean),
             "unit": self.unit, "held_out": self.held_out, "rows": self.rows,
-            "by_reading": {name: _finite(value) for name, value in self.by_reading.items()},
+            "by_reading": {name: finite(value) for name, value in self.by_reading.items()},
         }  # fmt: skip
 
 
@@ -132,8 +132,9 @@ def of_residuals(data: Measurements, residuals: Floats, *, held_out: bool) -> Er
     )
 
 
-def repeated_folds_of(data: Measurements, place: Mapping[str, Floats], seed: int) -> list[Ints]:
-    """Folds (n,) of all rows, of each repetition; ``place`` (n,) by name says where they are."""
+def repeated_folds_of(fit: Fitted, seed: int) -> list[Ints]:
+    """Folds (n,) of all rows of a fit, of each repetition."""
+    data, place = fit.data, fit.model.place(fit.data, fit.predicted)
     return [blocks_of(data, place, _FOLDS, _REPETITIONS * seed + k) for k in range(_REPETITIONS)]
 
 
@@ -158,7 +159,7 @@ def held_out_error(
     if sigma is None:
         sigma = _noise_of(fit, used)
     if repeated_folds is None:
-        repeated_folds = repeated_folds_of(data, fit.model.place(data, fit.predicted), seed)
+        repeated_folds = repeated_folds_of(fit, seed)
     fold = np.stack([np.unique(one[rows], return_inverse=True)[1].ravel() for one in repeated_folds])
     if not len(rows) or fold.max(axis=1).min() < 1:
         return of_residuals(data, fit.residuals, held_out=False)
@@ -203,7 +204,3 @@ def _noise_of(fit: Fitted, used: Bools) -> Floats:
         column = each[used[:, k], k]
         out[k] = max(float(np.sqrt(np.mean(column**2)) if known else np.std(column)), 1e-12)
     return out
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None

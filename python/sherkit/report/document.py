@@ -334,9 +334,10 @@ def _error_lines(report: Report) -> list[dict[str, Any]]:
 
 
 def _table_one(run: CalibrationRun, key: str, beside: Mapping[str, Mapping[str, tuple[int, int]]]) -> dict[str, Any]:
-    axes = list(run.lines()[0][3])
+    lines = run.lines()
+    axes = list(lines[0][3])
     rows: list[tuple[str, list[str], bool]] = []
-    for name, printed, error, rms in run.lines():
+    for name, printed, error, rms in lines:
         each = [f"{number(rms[a][0])} ± {number(rms[a][1])}" if a in rms else "" for a in axes]
         rows.append((name.strip(), [number(error.rms), number(error.p95), *each], False))
         figures = beside.get(printed, {})

@@ -40,6 +40,11 @@ class Residuals:
     def __len__(self) -> int:
         return len(self.values)
 
+    @property
+    def noise_size(self) -> float:
+        """The noise as the error is counted: of all that is read of a row together."""
+        return float(np.linalg.norm(self.noise))
+
     @cached_property
     def rms(self) -> Floats:
         """Root mean square of each reading (m,) over rows that are not marked as outliers."""

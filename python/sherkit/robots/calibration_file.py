@@ -49,9 +49,7 @@ def tables_of(path: Path, kind: str | None = None) -> dict[str, Any]:
     """
     tables = read_toml(path, "calibration", CalibrationError)
     settings = tables.get("calibration")
-    if isinstance(settings, dict) and settings.get("format") == 3:
-        settings["format"] = FORMAT
-    if isinstance(settings, dict) and settings.get("format") == 2:
+    if isinstance(settings, dict) and settings.get("format") in (2, 3):
         for part in tables.values():
             if isinstance(part, dict) and "unshown" in part:
                 part["unobserved_effects"] = part.pop("unshown")

@@ -115,6 +115,12 @@ class CalibrationRun:
         positive *= max(float(value.sum()), 0.0) / max(float(positive.sum()), 1e-300)
         return (vector * positive) @ vector.T, np.asarray(scatter)
 
+    def left_alike(self, read: Bools, held_out: Floats) -> tuple[Floats, Floats]:
+        """:meth:`left` where readings say how far off something is and not where to, as distances and heights do: the
+        same along every direction. ``read`` (n, m) are those that count."""
+        left, scatter = self.left(lambda missed: missed[read][:, None], held_out)
+        return left * np.eye(3), scatter * np.eye(3)
+
     def _moved_by_noise(self) -> Floats:
         """What noise does to predictions of rows held out (n, m, r), as the columns of a root of their covariance."""
         fit, used = self.fit, self.fit.data.used
@@ -164,9 +170,12 @@ class CalibrationRun:
         out = []
         for name, key, values, rows in wanted:
             data = self.fit.data if rows is None else self.fit.data.select(np.flatnonzero(rows))
-            error = of_residuals(data, values if rows is None else values[rows], held_out=name not in (NOMINAL, _ROWS))
-            # that of the fit is seen in several ways to cut the run, as everywhere
-            error = self.fit.error if values is self.held_out and rows is None else error
+            if values is self.held_out and rows is None:
+                # seen in several ways to cut the run, as everywhere
+                error = self.fit.error
+            else:
+                held_out = values is self.held_out or values is self.corrected
+                error = of_residuals(data, values if rows is None else values[rows], held_out=held_out)
             out.append((name, key, error, self.rms(values, rows)))
         return out
 

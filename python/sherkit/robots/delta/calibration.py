@@ -62,8 +62,7 @@ class DeltaPart(Part):
             left = run.left(lambda missed: missed[full, :3], with_it, corrected=True)[0] if corrected else before
         else:
             with_it = without = run.held_out
-            read = np.isfinite(without) & fit.data.used
-            before, scatter = (np.eye(3) * one for one in run.left(lambda missed: missed[read][:, None], without))
+            before, scatter = run.left_alike(np.isfinite(without) & fit.data.used, without)
             left = before
         # the fit took all misfit for noise; what the correction has removed of it is none
         shrink = min(1.0, float(np.nansum(with_it**2) / max(np.nansum(without**2), 1e-300)))

@@ -27,8 +27,7 @@ class PrinterPart(DeltaPart):
     def of(cls, run: CalibrationRun) -> PrinterPart:
         """The part that a run gives: heights say how far off it is, the same on every axis."""
         fit = run.fit
-        read = np.isfinite(run.held_out)
-        left, scatter = (np.eye(3) * one for one in run.left(lambda missed: missed[read][:, None], run.held_out))
+        left, scatter = run.left_alike(np.isfinite(run.held_out), run.held_out)
         tips = fit.model.tips(fit.data)[~distances(fit.data) & ~fit.data.outlier]
         where = tips if len(tips) else np.zeros((1, 3))
         core = len(fit.model.indices)

@@ -60,9 +60,7 @@ class SerialCalibration(Calibration):
             left, scatter = whole.left(lambda missed: missed[use][:, :size] @ made.tracker_turn, held_out)
         else:
             # distances alone: their errors are along every direction
-            left, scatter = (
-                np.eye(size) * one for one in whole.left(lambda missed: missed[counted][:, None], held_out)
-            )
+            left, scatter = whole.left_alike(counted, held_out)
         if len(where) == 0:
             where = np.zeros((1, size))
         settled = Part(
