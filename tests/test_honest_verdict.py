@@ -60,7 +60,7 @@ def made_up(**changes: Any) -> Any:
     step = lambda effect, rms: SimpleNamespace(effect=effect, error=SimpleNamespace(rms=rms))  # noqa: E731
     report = {
         "verdict": "explained", "unit": "µm", "noise": {"x": 2.0, "y": 2.0}, "noise_origin": "repeats",
-        "effects": ("rail_lean",), "steps": (step(None, 8.0), step("rail_lean", 2.1)), "confirmed": 0.0005,
+        "effects": ("rail_lean",), "steps": (step(None, 12.0), step("rail_lean", 3.0)), "confirmed": 0.0005,
         "candidates": (SimpleNamespace(effect="rail_lean", plausible=True),), "fit": SimpleNamespace(converged=True),
         "caveat": None,
     }  # fmt: skip
@@ -71,11 +71,11 @@ def test_the_check_finds_each_contradiction() -> None:
     """Catches a check that lets a contradiction pass, or finds one where none is."""
     step = lambda effect, rms: SimpleNamespace(effect=effect, error=SimpleNamespace(rms=rms))  # noqa: E731
     consistent(made_up())
-    left = (step(None, 8.0), step("rail_lean", 2.6))
+    left = (step(None, 12.0), step("rail_lean", 3.7))
     assert len(contradictions(made_up(steps=left))) == 1
     assert not contradictions(made_up(steps=left, verdict="partly explained"))
     assert not contradictions(made_up(steps=left, noise_origin="unknown"))
-    assert len(contradictions(made_up(steps=(step(None, 2.0), step("rail_lean", 2.1))))) == 1
+    assert len(contradictions(made_up(steps=(step(None, 2.9), step("rail_lean", 3.0))))) == 1
     assert len(contradictions(made_up(confirmed=0.2))) == 1
     assert len(contradictions(made_up(fit=SimpleNamespace(converged=False)))) == 1
     absurd = (SimpleNamespace(effect="rail_lean", plausible=False),)

@@ -78,6 +78,16 @@ def test_what_slipped_and_stayed_is_an_effect(noises: float) -> None:
     assert "slip" in d.effects
 
 
+def test_what_slipped_early_is_an_effect() -> None:
+    """Catches the beginning of a run that is thrown away because it is the smaller part, and poses with it of which
+    one reading belongs to that beginning: a slip after the first twentieth of shuffled rows."""
+    world = worlds.delta_world(4, order="shuffled")
+    n = len(world.columns["pose"])
+    d = diagnosed(world, pushed(world, np.arange(n // 20), 20.0 * worlds.NOISE_UM))
+    assert not len(d.outliers)
+    assert d.effects == ("slip",)
+
+
 def test_a_reading_off_by_kilometres_does_not_weigh_its_axis_down() -> None:
     """Catches noise that is still that of the wild repeats, a fit that stays where they threw it, and the other
     readings of the pose listed with it. One reading each of three poses: 3 km in x, 10 m in z, 50 µm in y."""

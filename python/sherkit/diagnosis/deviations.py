@@ -198,34 +198,40 @@ class Deviations:
         return Scan(_OneBlock(block), candidates, np.unique(standing, return_inverse=True)[1].ravel())
 
     def _simplest(self, scan: Scan, shapes: Sequence[Held]) -> tuple[Held, int | None]:
-        """The shape with the lowest criterion of Schwarz, and its axis; a cycle between those that were looked for."""
+        """The shape with the lowest criterion of Schwarz, and its axis; a cycle or a step between those that were looked
+        for."""
         gain, rank = scan.gains
         n, m = self.free * scan.m, scan.m
         score = n * np.log(np.maximum(1.0 - gain / scan.sum_of_squares, 1e-12)) + rank * np.log(n)
         best = int(np.argmin(np.where(rank > 0, score, np.inf)))
         held, axis = shapes[best // (m + 1)], best % (m + 1)
         where = None if axis == m else axis
-        return (held if held.period is None else self._finer(held, where)), where
+        finer = [held, *(self._periods(held) if held.shape == "periodic" else self._moments(held))]
+        return finer[int(np.argmax([self._taken(one, where) for one in finer]))], where
 
-    def _finer(self, held: Held, axis: int | None) -> Held:
-        """A cycle at the period that takes most."""
+    def _periods(self, held: Held) -> list[Held]:
+        """A cycle at the periods about its own."""
         assert held.period is not None
         spacing = 1.0 / (_FINELY * float(np.ptp(self.variables[held.name])))
+        frequencies = 1.0 / held.period + spacing * np.linspace(-1.0, 1.0, 33)
+        return [replace(held, period=1.0 / frequency) for frequency in frequencies[frequencies > 0].tolist()]
+
+    def _moments(self, held: Held) -> list[Held]:
+        """A step at each row about its own."""
+        if held.shape != "step":
+            return []
+        values = self.variables[held.name]
+        near, reach = int(np.searchsorted(values, cast(float, held.at))), len(values) // _STEPS + 1
+        return [replace(held, at=float(at)) for at in np.unique(values[max(near - reach, 0) : near + reach])[1:]]
+
+    def _taken(self, held: Held, axis: int | None) -> float:
+        """What a shape takes of the deviations that are searched, on one axis or on all."""
         on = self.tame if axis is None else self.tame[:, [axis]]
         if self.accepted:
             basis = orthonormal(np.column_stack(self.accepted), 1e-6)
             on = on - basis @ (basis.T @ on)
-        on = on[self.seen]
-        best, at = -1.0, held
-        for frequency in 1.0 / held.period + spacing * np.linspace(-1.0, 1.0, 33):
-            if frequency <= 0:
-                continue
-            tried = replace(held, period=1.0 / float(frequency))
-            basis = orthonormal(self._columns([tried], self.seen), 1e-6)
-            taken = float(((basis.T @ on) ** 2).sum())
-            if taken > best:
-                best, at = taken, tried
-        return at
+        basis = orthonormal(self._columns([held], self.seen), 1e-6)
+        return float(((basis.T @ on[self.seen]) ** 2).sum())
 
     def _accept(self, held: Held, axis: int | None) -> None:
         columns = self._columns([held], slice(None))

@@ -56,15 +56,20 @@ class OutlierFit:
     ``e`` (n, m) are residuals, over noise that is ``declared`` or not; an item is what is judged as one: the readings
     of a pose that agree, or a row that stands apart from them. What is fitted is taken for the same in all rows of an
     item: ``basis`` (items · m, k) is orthonormal where each item weighs as much as it has rows. The rows of a
-    ``stretch`` (n,) are items of their own, which are never inliers but share one error.
+    ``stretch`` (n,) are items of their own, which are never inliers but share one error; rows that stand ``alone`` (n,)
+    are judged without the others of their pose.
     """
 
-    def __init__(self, view: Linearised, *, declared: bool, stretch: Bools | None = None) -> None:
+    def __init__(
+        self, view: Linearised, *, declared: bool, stretch: Bools | None = None, alone: Bools | None = None
+    ) -> None:
         self.view = view
         self.declared = declared
         self.e = view.residual
         self.floor = np.maximum(DIGITS * np.ptp(self.e, axis=0), 1e-12)
         self.within, apart = self._apart()
+        if alone is not None:
+            apart = apart | alone
         first, size = np.arange(len(view)), len(view)
         group = np.unique(view.repeated, return_inverse=True)[1].ravel()
         group = np.where(apart, size + first, group)
@@ -82,6 +87,29 @@ class OutlierFit:
 
     def outliers(self) -> Bools:
         """Rows (n,) that are gross errors.
+
+        One reading may take all of its pose with it: what is off most is judged alone, and the pose is wrong as a whole
+        only where its other readings still are.
+        """
+        out = self._outlying()
+        alone = self._furthest_of_each(out)
+        if not alone.any():
+            return out
+        again = OutlierFit(self.view, declared=self.declared, alone=alone)._outlying()
+        others = np.bincount(self.item, again & ~alone) > 0
+        return again | (out & others[self.item])
+
+    def _furthest_of_each(self, outliers: Bools) -> Bools:
+        """Of each pose of which all are listed, three readings at least, the one (n,) that is off most from the others."""
+        out = np.zeros(len(outliers), dtype=bool)
+        for k in np.flatnonzero((np.bincount(self.item, outliers) == self.count) & (self.count >= 3) & ~self.moved):
+            rows = self.order[self.starts[k] : self.starts[k] + int(self.count[k])]
+            off = (self.e[rows] - np.median(self.e[rows], axis=0)) / np.maximum(self.within, self.floor)
+            out[rows[np.argmax((off**2).sum(axis=1))]] = True
+        return out
+
+    def _outlying(self) -> Bools:
+        """As :meth:`outliers`, each item as a whole.
 
         Columns may describe a run in which much is wrong, wrong poses one to which columns belong, and either one in
         which something was bumped and put back: the simplest is believed.

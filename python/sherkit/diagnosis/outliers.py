@@ -35,6 +35,9 @@ _FITS = 8
 _PAUSE = 20.0
 _OUTLYING_VISIT = 0.5
 _FEWEST_OF_A_VISIT = 4
+#: The beginning or the end of a run of so many rows is news where so many of them are outliers.
+_FEWEST_OF_AN_END = 12
+_OUTLYING_END = 0.8
 #: Wrong rows that follow one another are of something that lasted where they are so many, at so many poses.
 _LASTS, _POSES = 5, 3
 #: Part of the wrong rows that hold one value where that is what is wrong with them.
@@ -110,11 +113,12 @@ def _seen_from(fit: Fit, effects: Sequence[Effect], keep: Sequence[int] = ()) ->
 def _outlying(run: FittedRun, effects: Sequence[Effect], rows: Ints) -> Ints:
     """Those of these rows, sorted, that are gross errors as seen from this fit.
 
-    All that is read after a pause is no accident, it is news: a visit to the machine that is off as a whole stays.
+    All that is read after a pause is no accident, it is news: a visit to the machine that is off as a whole stays; so
+    does the beginning or the end of the run.
     """
     view = run.linearised(rows, effects, run.noise[0][list(run.axes)])
     outliers = OutlierFit(view, declared=run.noise[1] == "declared").outliers()
-    return np.sort(rows[outliers & ~_visits(view.time, outliers)])
+    return np.sort(rows[outliers & ~_visits(view.time, outliers) & ~_ends(outliers)])
 
 
 def sentences(fit: Fit, rows: Ints) -> tuple[str, ...]:
@@ -205,3 +209,14 @@ def _visits(time: Floats | None, outliers: Bools) -> Bools:
     count = np.bincount(visit)
     share = np.bincount(visit, outliers) / count
     return ((share >= _OUTLYING_VISIT) & (count >= _FEWEST_OF_A_VISIT))[visit]
+
+
+def _ends(outliers: Bools) -> Bools:
+    """Rows, as they were read, from the first up to a moment, or from one on, that are off nearly all: something
+    slipped there, and what was read before it is as good as what was read after."""
+    out = np.zeros(len(outliers), dtype=bool)
+    for view, rows in ((outliers, out), (outliers[::-1], out[::-1])):
+        end = int(np.argmax(np.cumsum(np.where(view, 1, -1)))) + 1
+        if end >= _FEWEST_OF_AN_END and view[:end].mean() >= _OUTLYING_END:
+            rows[:end] = True
+    return out

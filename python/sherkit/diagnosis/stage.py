@@ -24,6 +24,8 @@ from .waves import Waves, waves_of
 _LAGS, _READINGS_BEHIND = 8, 4.0
 #: Rows that tell how noise is correlated in time: more would tell it better than any test here could see.
 _CORRELATED = 8192
+#: Part of a step's square below which nothing of it is left beside the other columns.
+_NOTHING_LEFT = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,6 +292,7 @@ def _correlation(view: Linearised, family: Family, back: Ints | None) -> float:
     rows = slice(0, min(len(view), _CORRELATED))
     last = view.effects[-1][1].stop if view.effects else 0
     basis = _rich_basis(view.fitted(rows), view.effects_in(rows)[:, :, :last], family, rows)
+    basis = np.concatenate([basis, _largest_step(view.residual[rows], basis)], axis=1)
     return correlation_in_time(view.residual[rows], basis, None if back is None else back[rows])
 
 
@@ -314,6 +317,26 @@ def _rich_basis(fitted: Floats, physical: Floats, family: Family, rows: slice) -
         out[:, a, a * f.shape[1] : (a + 1) * f.shape[1]] = f
     out[:, :, m * f.shape[1] :] = q.reshape(n, m, -1)
     return out.reshape(n * m, -1)
+
+
+def _largest_step(residual: Floats, basis: Floats) -> Floats:
+    """What an orthonormal basis (n·m, k) leaves of the step on all axes that takes most beside it, orthonormal
+    (n·m, r): neighbours on one side of it are alike whatever the noise is."""
+    n, m = residual.shape
+    cuts = np.arange(2, n - 2)
+    if not len(cuts):
+        return np.zeros((n * m, 0))
+    flat = residual.reshape(-1)
+    left = (flat - basis @ (basis.T @ flat)).reshape(n, m)
+    within = np.cumsum(basis.reshape(n, m, -1)[::-1], axis=0)[::-1][cuts]
+    free = (n - cuts)[:, None] - (within**2).sum(axis=2)
+    along = np.cumsum(left[::-1], axis=0)[::-1][cuts]
+    gain = np.where(free > _NOTHING_LEFT * n, along**2 / np.maximum(free, 1e-12), 0.0).sum(axis=1)
+    step = np.zeros((n, m, m))
+    step[cuts[np.argmax(gain)] :] = np.eye(m)
+    columns = step.reshape(n * m, m)
+    columns = columns - basis @ (basis.T @ columns)
+    return orthonormal(columns[:, (columns**2).sum(axis=0) > _NOTHING_LEFT * n], 1e-6)
 
 
 def again(old: Shape, shapes: Sequence[Shape]) -> Shape:
