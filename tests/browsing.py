@@ -86,6 +86,12 @@ def settled(page: Any) -> None:
     page.wait_for_function(_IDLE, timeout=_TIMEOUT_MS)
 
 
+def unfold(page: Any) -> None:
+    """Opens all that is folded."""
+    page.evaluate("document.querySelectorAll('details.part').forEach(one => { one.open = true })")
+    settled(page)
+
+
 def source(page: Any, name: str) -> dict[str, list[Any]]:
     """The columns of a named table of the page's pictures, as they are now."""
     found: dict[str, list[Any]] = page.evaluate(

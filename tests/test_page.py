@@ -191,12 +191,12 @@ def test_the_hidden_effect_leads_and_a_click_adds_it(lab: Path) -> None:
         assert "adequate" in text(page, "headline")
 
         # two states compared the other way round
-        page.get_by_label("with", exact=True).select_option(label="0. geometry calibrated")
+        page.get_by_label("with", exact=True).select_option(label="geometry calibrated")
         page.wait_for_function(
             "Math.abs(Bokeh.documents[0].get_model_by_name('after_0').data.ex[0]) > 20", timeout=_WAIT_MS
         )
         np.testing.assert_allclose(arrows(page), expected_arrows(study.history[0].fit), atol=0.02)
-        page.get_by_label("with", exact=True).select_option(label="1. + rail_lean")
+        page.get_by_label("with", exact=True).select_option(label="+ rail_lean")
 
         # against another variable
         page.get_by_label("Residual against").select_option(label="time, s")

@@ -36,3 +36,8 @@ NOMINAL, CALIBRATED = "nominal", "geometry calibrated"
 def state_with(effects: Sequence[str]) -> str:
     """What a model is called that has these effects, as every screen says it."""
     return " ".join(f"+ {name}" for name in effects) or CALIBRATED
+
+
+def told_apart(names: Sequence[str]) -> list[str]:
+    """Names of which each that comes more than once has its number behind it: what was added, taken out, added."""
+    return [one if names.count(one) == 1 else f"{one} ({names[: k + 1].count(one)})" for k, one in enumerate(names)]

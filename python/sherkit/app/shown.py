@@ -9,7 +9,7 @@ from typing import Any
 from bokeh.layouts import column, row
 from bokeh.models import Div, Select
 
-from ..names import CALIBRATED
+from ..names import CALIBRATED, told_apart
 from ..report.error_history import ErrorHistory, ErrorOfStep, current_path, error_history
 from ..report.parameters import parameters
 from ..report.picture import Picture
@@ -65,7 +65,8 @@ class Maps:
 
     def _fill(self, page_state: PageState) -> None:
         known = [k for k in current_path(page_state.history) if page_state.residuals[k]]
-        steps = [(str(k), f"{place}. {page_state.history[k].action}") for place, k in enumerate(known)]
+        names = told_apart([page_state.history[k].action for k in known])
+        steps = [(str(k), name) for k, name in zip(known, names, strict=True)]
         self._before.options, self._after.options = steps, steps
         # one state alone is compared with nothing
         if self.choices.visible != (len(steps) > 1):

@@ -26,6 +26,8 @@ from .style import ADDED, FONT, FONT_SIZE, INK, figure, quantity
 
 _TILE = 216
 _PER_ROW = 4
+#: Tiles that explain less of the squared error are not drawn, but for the best.
+_SHOWS = 0.08
 _MOST_ARROWS = 120
 
 
@@ -121,14 +123,15 @@ def signature_atlas(atlas: Atlas) -> Picture[Atlas]:
     sources = sources_of(_tables(atlas))
     figures = []
     x_range, y_range = Range1d(*_reach(atlas.x)), Range1d(*_reach(atlas.y))
-    for k in range(len(atlas.tiles)):
+    for k, tile in enumerate(atlas.tiles):
+        if k > 1 and tile.share < _SHOWS:
+            continue
         made = figure(
             frame_width=_TILE, frame_height=_TILE, x_range=x_range, y_range=y_range, tools="pan,wheel_zoom,reset"
         )
         made.axis.visible = False
         made.segment("x", "y", "x1", "y1", source=sources[f"tile_{k}"], color=INK if k == 0 else ADDED, line_width=2)
         made.scatter("x", "y", source=sources[f"tile_{k}"], size=3, color=INK)
-        tile = atlas.tiles[k]
         made.title.text = tile.title if k == 0 else f"{tile.title}: {100 * max(tile.share, 0):.0f} %"
         made.title.text_font_style = "normal" if k else "bold"
         figures.append(made)

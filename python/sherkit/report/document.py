@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -26,7 +27,7 @@ import sherkit._core as _core
 from ..calibration import Result
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis
-from ..diagnosis.finding import APART, NEXT
+from ..diagnosis.finding import APART, FILES, NEXT
 from ..diagnosis.findings import plausibility
 from ..errors import SherkitError
 from ..figures import in_people_units, stated, with_error
@@ -59,6 +60,17 @@ from .workspace import NextPoses, accuracy_map, accuracy_of, next_poses
 
 #: Cards of effects that cannot be told from those that are named.
 _MOST_TIED = 3
+#: Candidates that stand in the part that is open.
+_MOST_OPEN = 5
+#: The parts, in the order in which a person asks.
+_CONTENTS = (
+    ("answer", "Answer"), ("maps", "Maps"), ("which", "What it is"), ("known", "Parameters"),
+    ("rests", "What it rests on"), ("measured", "What was measured"), ("good", "How good the model was"),
+    ("missing_from", "Is anything missing?"), ("where_it_shows", "Where it shows"), ("alike", "What else was tried"),
+    ("apart", "What cannot be told apart"), ("history", "How the error fell"),
+    ("parameters_more", "How well known"), ("next", "What to measure next"), ("use", "How to use it"),
+    ("made", "How this was made"),
+)  # fmt: skip
 #: Height of a printed page as wide as the pictures (letter, which is the lower), with room for a note; what axis and
 #: title take of a figure, px.
 _PAGE_PX, _AXIS_PX = 1230, 62
@@ -122,6 +134,7 @@ def html(report: Report) -> str:
         "listed": listed,
         "plausibility": plausibility,
         "known": stated,
+        "given": lambda command: command.replace(FILES, _given(report)),
     }
     return environment.get_template("report.html").render(
         report=report,
@@ -130,6 +143,10 @@ def html(report: Report) -> str:
         said=report.found.findings,
         questions={"APART": APART, "NEXT": NEXT},
         answer={one.about: one for one in report.found.findings},
+        contents=_CONTENTS,
+        most=_MOST_OPEN,
+        alone=_nothing_added(report),
+        across=not _nothing_added(report),
         cards=cards,
         other_cards=other_cards,
         space=_space(report),
@@ -160,6 +177,16 @@ def html(report: Report) -> str:
                   *((name, version(name)) for name in ("numpy", "scipy", "polars", "bokeh"))],
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     )  # fmt: skip
+
+
+def _given(report: Report) -> str:
+    """The files of the robot and of its run, for commands."""
+    return shlex.join(one.name for one in report.sources[:2]) if len(report.sources) > 1 else FILES
+
+
+def _nothing_added(report: Report) -> bool:
+    """Whether the study stands where the diagnosis was asked: there is no second map then."""
+    return {e.name for e in report.study.fit.model.effects} <= {e.name for e in report.found.base.model.effects}
 
 
 def _in_script(value: Any) -> str:
@@ -206,14 +233,14 @@ def _cards(report: Report, atlas: Atlas | None) -> tuple[list[str], list[tuple[s
     every = {**found.base.model.known_effects, **found.base.model.held, **study.own}
     inside = {e.name: e for e in study.fit.model.effects}
 
-    def card(name: str) -> str:
+    def card(name: str, atlas: Atlas | None = None) -> str:
         fit = study.fit if name in inside else found.fit
         machine = fit.model.robot or getattr(fit.model, "plain", None)
         return effect_card(inside.get(name, every[name]), machine, fit=fit, found=found, atlas=atlas)
 
     tied = [name for tie in found.indistinguishable for name in tie if name not in found.effects]
     others = [name for name in dict.fromkeys(tied) if name in every][:_MOST_TIED]
-    return [card(name) for name in found.effects if name in every], [(name, card(name)) for name in others]
+    return [card(name) for name in found.effects if name in every], [(name, card(name, atlas)) for name in others]
 
 
 def _space(report: Report) -> str:
@@ -234,7 +261,8 @@ def _pictures(report: Report) -> tuple[dict[str, Picture[Any]], dict[str, Any] |
     atlas: Atlas | None = None
     states, now = _states(report, base)
     chosen = states[now]
-    out["residual_map"] = residual_map(Change(before, chosen.left, states[0].title, chosen.title))
+    change = Change(before, chosen.left, states[0].title, chosen.title)
+    out["residual_map"] = residual_map(change, planes_across=True, alone=_nothing_added(report))
     if before.variables:
         variable = _leading(found, before)
         out["against"] = residual_against(ResidualAgainst(chosen.left, variable, before if now else None))
@@ -252,12 +280,19 @@ def _pictures(report: Report) -> tuple[dict[str, Picture[Any]], dict[str, Any] |
         out["accuracy"] = accuracy_map(accuracy_of(report.calibration))
     if found.next_poses:
         out["next_poses"] = next_poses(NextPoses(found.next_poses, before))
-    out["noise_before"], out["noise_after"] = noise_picture(before), noise_picture(after)
-    out["run"] = run_in_time(after)
-    for name in ("residual_map", "against", "atlas", "next_poses", "noise_before", "noise_after", "run"):
+    out["noise"] = noise_picture(after)
+    if _in_time(found):
+        out["run"] = run_in_time(after)
+    for name in ("residual_map", "against", "atlas", "next_poses", "noise", "run"):
         if name in out:
             out[name].note += said(len(base.data), len(found.base.data))
     return out, swaps, atlas
+
+
+def _in_time(found: Diagnosis) -> bool:
+    """Whether the run in time shows more than noise."""
+    wanders = any(one.holds is False for one in found.checks if one.name in ("steady", "nothing_left"))
+    return wanders or bool(found.correlation_in_time) or bool(len(found.outliers))
 
 
 def _states(report: Report, base: Fit) -> tuple[list[State], int]:

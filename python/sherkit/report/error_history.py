@@ -13,6 +13,7 @@ from ..data.columns import bare
 from ..diagnosis import Diagnosis
 from ..fit.error import ErrorSize
 from ..model.kinds import required_um
+from ..names import told_apart
 from ..study import Study
 from ..study_step import StudyStep
 from ..types import Floats
@@ -180,7 +181,7 @@ def _reach(state: ErrorHistory) -> tuple[float, float]:
 def _steps(state: ErrorHistory) -> list[str]:
     if len(state.steps) > _NAMED:
         return [str(k) for k in range(len(state.steps))]
-    return [f"{k}. {step.short or step.action}" for k, step in enumerate(state.steps)]
+    return told_apart([step.short or step.action for step in state.steps])
 
 
 def _slant(state: ErrorHistory, room_px: int) -> float:

@@ -21,7 +21,7 @@ from .scene import Arrows, Field, Scene
 #: So many arrows are drawn, and places at which the accuracy is predicted.
 _MOST_ARROWS, _MOST_CELLS = 3000, 700
 #: Height by width: with what is said above it, a scene stands on one screen.
-_ASPECT = 0.5
+_ASPECT = 0.42
 #: Rings of the largest errors.
 _WORST = 5
 #: Heights that a run kept to, if they are no more; else slabs of equally many places.
