@@ -20,6 +20,8 @@ from .controls import TYPE, button
 from .page_state import PageState
 
 _BUTTON, _WIDTH = 190, 356
+#: An effect that leaves more, in % of what there is, has no bar.
+_BRINGS_NOTHING = 97.0
 _CARD = """
 details { font-size: 15px; margin: 0 0 6px 6px; color: var(--ink); } summary { cursor: pointer; color: var(--link); }
 summary:focus-visible { outline: 3px solid var(--part); } p { margin: 2px 0; line-height: 1.3; } h4 { margin: 5px 0 0; }
@@ -173,8 +175,8 @@ def _said(name: str, page_state: PageState) -> str:
     part = 100 * min(would.held_out_rms / scale, 1.0) if scale > 0 else 100
     tied = any(name in tie for tie in found.indistinguishable)
     note = " · tied" if tied else "" if would.plausible else " · implausible"
-    return (
-        f"leaves <b>{number(would.held_out_rms)}</b> {unit}{note}"
-        f'<div style="background:var(--whole);height:5px;width:130px"><div style="background:var(--part);height:5px;'
-        f'width:{part:.0f}%"></div></div>'
-    )
+    leaves = f"leaves <b>{number(would.held_out_rms)}</b> {unit}{note}"
+    if part > _BRINGS_NOTHING:
+        return leaves
+    bar = f'<div style="background:var(--part);height:5px;width:{part:.0f}%"></div>'
+    return f'{leaves}<div style="background:var(--whole);height:5px;width:130px">{bar}</div>'

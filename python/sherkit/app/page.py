@@ -101,18 +101,19 @@ class StudyPage:
         self._fall = Fall()
         self._space = text("space", visible=False)
         controls = row(
-            self._undo, self._redo, self._advised, self._ask, self._fall.unfold, self._cancel, self._status,
+            self._undo, self._redo, self._advised, self._selection.put_back, self._ask, self._fall.unfold, self._cancel,
+            self._status, text("exports", text=links, sizing_mode=None, margin=(12, 5, 5, 5)),
             styles={"flex-wrap": "wrap"},
         )  # fmt: skip
         # each of these is laid out by itself: a new line of progress must not draw every picture again
         roots: dict[str, Any] = {
-            "top": column(self._numbers, self._headline, controls, places[HISTORY], sizing_mode="stretch_width"),
+            "top": column(
+                self._numbers, self._headline, controls, places[HISTORY], places[EXPORTS], sizing_mode="stretch_width"
+            ),
             "findings": self._findings,
             "effects": column(places[_EFFECTS], self._effects.root, width=_LEFT),
             "own": self._own_lines(),
-            "more": column(
-                self._files(), places[FILES], text("exports", text=links), places[EXPORTS], sizing_mode="stretch_width"
-            ),
+            "more": column(self._files(), places[FILES], sizing_mode="stretch_width"),
             "choices": self._maps.choices,
             "map": self._maps.map,
             "space": self._space,

@@ -16,7 +16,6 @@ from .page_state import ROWS, PageState, Said
 from .workbench import Workbench
 
 _SHOWN = 40
-_SUSPECTS = "No row is left out"
 _TELL = "window.sherkitChosen = cb_obj.tags; window.dispatchEvent(new Event('sherkit-chosen'))"
 _NOTHING = "Select points in the pictures, or type their rows, to see which they are."
 
@@ -35,14 +34,14 @@ class Selection:
         self._list.js_on_change("tags", CustomJS(code=_TELL))
         self._mark = button("Mark as outliers", "mark", disabled=True, width=180)
         self._mark.on_click(self._marked)
-        self._suspects = button(_SUSPECTS, "suspects", disabled=True, width=220)
-        self._suspects.on_click(lambda: do(bench.put_back))
+        #: Stands beside what else changes the study.
+        self.put_back = button("", "suspects", visible=False)
+        self.put_back.on_click(lambda: do(bench.put_back))
         self._typed = TextInput(name="typed_rows", width=450, stylesheets=[TYPE])
         self._typed.on_change("value", lambda attr, old, new: self._select_typed())
         buttons = row(
             self._typed,
             self._mark,
-            self._suspects,
             align="end",
             sizing_mode="stretch_width",
             styles={"flex-wrap": "wrap"},
@@ -53,8 +52,7 @@ class Selection:
         """Says what is suspected of a moment, and how rows are counted."""
         self._page_state = page_state
         count = len(page_state.left_out)
-        self._suspects.disabled = not count
-        self._suspects.label = f"Put back the {count} left out" if count else _SUSPECTS
+        self.put_back.visible, self.put_back.label = bool(count), f"Put back the {count} left out"
         lines = page_state.data.counted == "line"
         self._typed.title = f"Rows by their number {'in the file' if lines else 'from 0'}, such as 12, 40-45"
         self._draw()

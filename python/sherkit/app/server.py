@@ -74,7 +74,7 @@ class PageServer:
     ) -> None:
         self.bench = bench
         token = secrets.token_urlsafe(12)
-        links = "".join(f'<a href="/{token}/{name}" download>{text}</a><br>' for name, text in _LINKS)
+        links = "".join(f'<a href="/{token}/{name}" download>{text}</a> &nbsp; ' for name, text in _LINKS)
         application = Application(FunctionHandler(lambda document: _make(document, bench, links, command, follow)))
         shared = {"bench": bench, "command": command}
         # Other machines call this one by names that it does not know, and Bokeh knows no IPv6; there the path that

@@ -9,7 +9,7 @@ from typing import Any
 from bokeh.layouts import column, row
 from bokeh.models import Div, Select
 
-from ..names import CALIBRATED, told_apart
+from ..names import told_apart
 from ..report.error_history import ErrorHistory, ErrorOfStep, current_path, error_history
 from ..report.parameters import parameters
 from ..report.picture import Picture
@@ -25,7 +25,7 @@ _WIDTH, _FALL_HEIGHT, _FALL_ROOM = 1000, 232, 350
 #: The colour scale stands beside the panels of the map.
 _BESIDE = 160
 _SCALES = [("shared", "one scale for both"), ("own", "each its own scale"), ("noise", "in units of the noise")]
-_SHORT = ((CALIBRATED, "geometry"), (" marked as outliers", " marked"))
+_SHORT = ((" marked as outliers", " marked"),)
 
 
 class Maps:

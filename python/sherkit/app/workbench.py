@@ -200,7 +200,7 @@ class Workbench:
         if before is None or after is None:
             return ""
         step("drawing the workspace")
-        scene = space_of(before, after, titles)
+        scene = space_of(before, after, titles, moment=len(path) - 1, whole=True)
         return "" if scene is None else scene.html()
 
     def tell(self, error: BaseException, about: str = EXPORTS) -> None:

@@ -75,7 +75,10 @@ class Field:
 @dataclass(frozen=True, eq=False)
 class Scene:
     """What is drawn: a machine with more and more of an effect (``frames``: factor and drawing, the first one without),
-    or at one pose; errors; a field. ``begin`` is the factor that is shown first. ``label`` says in words what it is."""
+    or at one pose; errors; a field. ``begin`` is the factor that is shown first, ``moment`` the number of the state
+    whose errors are. The view is as wide as what is measured, or as the ``whole`` machine. ``label`` says in words
+    what it is.
+    """
 
     label: str
     frames: Sequence[tuple[float, Drawing]] = ()
@@ -84,6 +87,8 @@ class Scene:
     field: Field | None = None
     unit: str = "mm"
     aspect: float = 0.72
+    moment: int = 0
+    whole: bool = False
 
     def html(self) -> str:
         """The element, with the still picture in it."""
@@ -100,7 +105,7 @@ class Scene:
             # what is measured fills the middle, however much larger the machine is
             places = self.arrows.where_mm
             middle = places.mean(axis=0)
-            reach = _ERRORS_FILL * float(np.linalg.norm(np.ptp(places, axis=0)))
+            reach = np.inf if self.whole else _ERRORS_FILL * float(np.linalg.norm(np.ptp(places, axis=0)))
             every = np.concatenate([places, np.clip(every, middle - reach, middle + reach)])
         middle = 0.5 * (every.min(axis=0) + every.max(axis=0))
         seen = projected(every, middle, 1.0, (0.0, 0.0))
@@ -126,6 +131,7 @@ class Scene:
             "unit": self.unit,
             "axes": ["x", "y", "z"],
             "begin": self.begin,
+            "moment": self.moment,
             "parts": [[p.name, p.look, p.path_mm.shape[1]] for p in parts],
             "frames": [{"at": at, "p": _packed(d.points_mm[0])} for at, d in self.frames],
             "arrows": None if self.arrows is None else _told_arrows(self.arrows, size),

@@ -21,7 +21,7 @@ from .scene import Arrows, Field, Scene
 #: So many arrows are drawn, and places at which the accuracy is predicted.
 _MOST_ARROWS, _MOST_CELLS = 3000, 700
 #: Height by width: with what is said above it, a scene stands on one screen.
-_ASPECT = 0.42
+_ASPECT, _ASPECT_OF_ALL = 0.42, 0.8
 #: Rings of the largest errors.
 _WORST = 5
 #: Heights that a run kept to, if they are no more; else slabs of equally many places.
@@ -29,10 +29,12 @@ _PLANES, _SLABS = 12, 6
 
 
 def space_of(
-    before: Fit, after: Fit, titles: tuple[str, ...], calibration: Calibration | None = None
+    before: Fit, after: Fit, titles: tuple[str, ...], calibration: Calibration | None = None, *, moment: int = 0,
+    whole: bool = False,
 ) -> Scene | None:  # fmt: skip
     """The scene of two fits of one run: errors of the one and of the other, mean of the repeats of a pose. Where both
-    are the same, its errors once.
+    are the same, its errors once. It begins with the errors of the fit of this number, ``moment``, and shows the
+    ``whole`` machine or what is measured of it.
 
     Errors are those of the place that who trusts the drawing reads off the instrument: for a camera, on the sphere of
     the drawing. None where the run says no places: distances alone, or poses with a coordinate that was not read.
@@ -63,7 +65,9 @@ def space_of(
     )  # fmt: skip
     field = None if calibration is None else _field(calibration, draw, after, where)
     label = f"{machine_name(after.model)} and the errors of {len(where)} poses, {' and '.join(titles)}"
-    return Scene(label, [(0.0, machine)], 0.0, arrows, field, machine.unit, _ASPECT)
+    aspect = _ASPECT_OF_ALL if whole else _ASPECT
+    moment = min(moment, len(errors) - 1)
+    return Scene(label, [(0.0, machine)], 0.0, arrows, field, machine.unit, aspect, moment, whole)
 
 
 def machine_name(model: Any) -> str:

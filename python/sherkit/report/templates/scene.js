@@ -45,7 +45,7 @@ class Scene extends HTMLElement {
     if (s.arrows) s.arrows = {...s.arrows, where: floats(s.arrows.where), errors: s.arrows.errors.map(floats),
       line: floats(s.arrows.line), worst: s.arrows.worst.map(floats)}
     if (s.field) s.field = {...s.field, where: floats(s.field.where), value: floats(s.field.value)}
-    this.at = s.begin; this.moment = 0; this.slab = -1; this.showField = false
+    this.at = s.begin; this.moment = s.moment; this.slab = -1; this.showField = false
     // poses that a person chose elsewhere on the page, by their lines
     window.addEventListener("sherkit-chosen", () => this.ask())
     this.controls()
