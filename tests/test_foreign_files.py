@@ -53,8 +53,7 @@ def test_a_refusal_proposes_the_mapping(ours: pl.DataFrame) -> None:
         sk.from_frame(frame)
     said = str(caught.value)
     assert "column 'q1_mm' is missing" in said
-    table = said.partition("[columns] ")[2]
-    proposed = tomllib.loads(table.replace(", ", "\n"))
+    proposed = tomllib.loads("columns = " + said.partition("columns = ")[2])["columns"]
     assert proposed == FOREIGN | {"z_mm": "Z (µm)"}
     with pytest.warns(SherkitWarning, match="converted"):
         data = sk.from_frame(frame, columns=proposed)
@@ -64,7 +63,7 @@ def test_a_refusal_proposes_the_mapping(ours: pl.DataFrame) -> None:
 def test_angles_are_proposed_and_converted() -> None:
     """Catches a proposal that knows one robot alone, and degrees taken for radians."""
     frame = {"Theta 1 [deg]": [30.0, 60.0], "Theta 2 [deg]": [0.0, 90.0], "u [px]": [1.0, 2.0], "v [px]": [3.0, 4.0]}
-    with pytest.raises(MeasurementError, match=r'\[columns\] theta1_rad = "Theta 1 \[deg\]", theta2_rad ='):
+    with pytest.raises(MeasurementError, match=r'columns = \{ theta1_rad = "Theta 1 \[deg\]", theta2_rad ='):
         sk.from_frame(frame)
     columns = {"theta1_rad": "Theta 1 [deg]", "theta2_rad": "Theta 2 [deg]", "u_px": "u [px]", "v_px": "v [px]"}
     with pytest.warns(SherkitWarning, match="'Theta 1"):
@@ -207,7 +206,7 @@ def test_all_that_is_missing_is_proposed_at_once() -> None:
         return str(caught.value)
 
     said = refused("t", "Enc1 [mm]", "Enc2 [mm]", "Enc3 [mm]", "laser x", "laser y", "laser z", "hum")
-    table = tomllib.loads("[columns]\n" + said.partition("[columns] ")[2].replace(", ", "\n"))["columns"]
+    table = tomllib.loads("columns = " + said.partition("columns = ")[2])["columns"]
     joints = {f"q{k}_mm": f"Enc{k} [mm]" for k in (1, 2, 3)}
     assert table == {**joints, "x_mm": "laser x", "y_mm": "laser y", "z_mm": "laser z", "time_s": "t"}
     assert "those without a unit in ours" in said

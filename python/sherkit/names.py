@@ -29,6 +29,17 @@ def listed(names: Iterable[object], most: int = 8) -> str:
     return ", ".join(items)
 
 
+def spans(numbers: Iterable[int], most: int = 20) -> str:
+    """Numbers for a sentence, sorted, neighbours as one span: 12-14, 40; cut after ``most`` spans."""
+    parts: list[list[int]] = []
+    for n in sorted(set(map(int, numbers))):
+        if parts and n == parts[-1][1] + 1:
+            parts[-1][1] = n
+        else:
+            parts.append([n, n])
+    return listed((f"{first}-{last}" if last > first else str(first) for first, last in parts), most)
+
+
 #: What a model is called as it is drawn, and once its geometry is fitted; each effect that is added then is a step.
 NOMINAL, CALIBRATED = "nominal", "geometry calibrated"
 

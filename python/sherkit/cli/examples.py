@@ -9,6 +9,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "sherkit calibrate robot.toml run.csv -o calibrated.toml",
         "sherkit calibrate robot.toml whole.csv --local near.csv --effect rail_lean --report calibration.html",
     ),
+    "check": ("sherkit check run.csv", "sherkit check run.csv robot.toml --write clean.csv"),
     "completion": ("sherkit completion bash",),
     "demo": ("sherkit demo",),
     "diagnose": (

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import warnings
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType
 
 import click
 
 import sherkit._core as _core
 
-from ..errors import SherkitError
+from ..errors import MeasurementError, SherkitError
 from ..starting import loaded
 
 #: The verbs by what they are for, each with where it stands (a file here, loaded when its verb is typed, and the name
@@ -26,6 +28,7 @@ _GROUPS = {
         "diagnose": ("diagnose.diagnose", "which effect the model of a robot is missing on a run"),
         "calibrate": ("calibrate.calibrate", "identify a robot, correct it, predict its accuracy"),
         "app": ("app.app", "the same on a page, to click"),
+        "check": ("check.check", "all that is wrong with a file of measurements, mended"),
         "effects": ("effects.effects", "the effects that can be found and added"),
         "fleet": ("fleet.fleet_command", "many runs of machines built alike, in one table"),
         "simulate": ("simulate.simulate", "a run with errors planted in it"),
@@ -90,6 +93,13 @@ def _output() -> ModuleType:
     return import_module(".output", __package__)
 
 
+def _pointer(error: SherkitError) -> str:
+    """Where a person is led who has met the first of a file's mistakes."""
+    source = str(error).partition(": ")[0]
+    is_table = isinstance(error, MeasurementError) and source.endswith(".csv") and Path(source).is_file()
+    return f"; sherkit check {shlex.quote(source)} lists all that is wrong with it" if is_table else ""
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Runs a command; errors become one sentence and an exit code."""
     try:
@@ -98,7 +108,7 @@ def main(arguments: list[str] | None = None) -> None:
             typed = sys.argv[1:] if arguments is None else arguments
             code = cli.main(args=typed, prog_name="sherkit", standalone_mode=False, obj=typed)
     except SherkitError as error:
-        _output().fail(str(error))
+        _output().fail(f"{error}{_pointer(error)}")
         sys.exit(1)
     except (click.exceptions.Abort, KeyboardInterrupt):
         _output().fail("interrupted")

@@ -63,13 +63,13 @@ def print_json(value: Any) -> None:
     print(json.dumps(value, indent=2, allow_nan=False))
 
 
-def table(title: str, *columns: str, note: str | None = None) -> Table:
-    """An empty table; the first column is text, the others numbers."""
+def table(title: str, *columns: str, note: str | None = None, texts: bool = False) -> Table:
+    """An empty table; the first column is text, the others numbers, or ``texts`` as well."""
     made = Table(title=escape(title), title_justify="left", title_style="bold", caption_justify="left")
     made.caption = escape(note) if note else None
     for k, column in enumerate(columns):
         # a name is broken rather than cut
-        made.add_column(escape(column), justify="left" if k == 0 else "right", overflow="fold")
+        made.add_column(escape(column), justify="left" if k == 0 or texts else "right", overflow="fold")
     return made
 
 

@@ -27,6 +27,8 @@ _UNITS: tuple[dict[str, float], ...] = (
     {"c": 1.0},
     {"N": 1e3, "mN": 1.0},
 )
+#: Cells of a row of units beside columns that have none.
+_BARE = ("", "-", "1", "%", "k", "kg", "hpa", "mbar", "count", "counts", "text", "string")
 #: What people call the time, in small letters.
 _TIMES = ("t", "time", "timestamp", "zeit", "temps", "tempo")
 _SPELT = {"µm": "um", "μm": "um", "micron": "um", "inch": "in", "°": "deg", "degree": "deg", "degrees": "deg",
@@ -41,6 +43,12 @@ def stated(header: str) -> tuple[str, str]:
         return bare(header), unit_in(header)
     unit = (found["square"] if found["square"] is not None else found["round"]).strip()
     return found["stem"].strip(), _SPELT.get(unit, unit)
+
+
+def is_unit(text: str) -> bool:
+    """Whether a cell holds a unit and nothing else."""
+    text = text.strip()
+    return any(_SPELT.get(text, text) in kind for kind in _UNITS) or text.lower() in _BARE
 
 
 def factor(unit: str, wanted: str) -> float | None:
@@ -81,23 +89,39 @@ def renamed(frame: pl.DataFrame, columns: Columns, source: str) -> tuple[pl.Data
     return frame.rename({theirs: ours for ours, theirs in columns.items()}), factors
 
 
-def proposal(names: Sequence[str]) -> str:
-    """What could be meant by foreign names, as a mapping to be looked at: for the sentence that refuses them."""
+def meanings(names: Sequence[str], layouts: Sequence[Layout] = ()) -> tuple[Layout, dict[str, str]]:
+    """The kind of run that foreign names come nearest to, of all or of some, and what could be meant by them: names of
+    columns by ours."""
 
     def named(layout: Layout) -> tuple[int, int]:
         """How many columns would have a meaning, and how few of them by another name."""
         meant = _matched(names, layout)
         return len(meant) + sum(name in names for name in (*layout.joints, *layout.readings)), -len(meant)
 
-    nearest = max(known_layouts(), key=named)
-    found, likely = _matched(names, nearest), _likely(names, nearest)
+    nearest = max(layouts or known_layouts(), key=named)
+    found = _matched(names, nearest)
+    if found:
+        likely = _likely(names, nearest)
+        found |= {ours: name for ours, name in likely.items() if ours not in found and name not in found.values()}
+    return nearest, found
+
+
+def in_toml(columns: Columns) -> str:
+    """A mapping as the first line of a robot file has it."""
+    return f"columns = {{ {', '.join(f'{ours} = {_quoted(theirs)}' for ours, theirs in columns.items())} }}"
+
+
+def proposal(names: Sequence[str]) -> str:
+    """What could be meant by foreign names, as a mapping to be looked at: for the sentence that refuses them."""
+    found = meanings(names)[1]
     if not found:
         return ""
-    found |= {ours: theirs for ours, theirs in likely.items() if ours not in found and theirs not in found.values()}
-    said = ", ".join(f"{ours} = {_quoted(theirs)}" for ours, theirs in found.items())
     bare_ones = [theirs for theirs in found.values() if not stated(theirs)[1]]
     unit = ", those without a unit in ours" if bare_ones else ""
-    return f"; if these are meant{unit}, say so in the robot file or to read_measurements: [columns] {said}"
+    return (
+        f"; if these are meant{unit}, say so at the beginning of the robot file, or to read_measurements: "
+        f"{in_toml(found)}"
+    )
 
 
 def refuse_unmapped(names: Sequence[str], layout: Layout, source: str) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..data.doubts import Doubt
 from ..fit.set_up import Mistake
-from ..names import listed
+from ..names import listed, spans
 from ..types import Floats, Ints
 from .checks import APART, AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SMALL, Check
 from .few_enough import FewEnough
@@ -19,7 +19,7 @@ from .held_out_gain import HeldOutGain
 from .lack_of_fit import LackOfFit
 from .named import Named
 from .one_unknown import OneUnknown
-from .outliers import in_one_go, spans
+from .outliers import in_one_go
 from .repeats import Repeats
 from .rounded import Rounded, rounded
 from .sizes import ABSURD, PLAUSIBLE, largest, sizes_of
@@ -76,7 +76,7 @@ def checks_of(
     out += [left, _poses(final, fitness, followed=bool(found.result.signature) or steps is not None), small]
     if (loose := _loosely(final, small, error, sigma, enough)) is not None:
         out.append(loose)
-    out.append(_digits(steps, used, asked=fails))
+    out.append(_digits(steps, used, asked=fails, alone=digits is not None))
     out.append(_repeats(repeats))
     out.append(_as_declared(final, contradicted, origin))
     out.append(_steady(final, slow_drift, used))
@@ -219,12 +219,15 @@ def _poses(final: FittedRun, fitness: LackOfFit | None, *, followed: bool) -> Ch
     )  # fmt: skip
 
 
-def _digits(steps: Rounded | None, used: str, *, asked: bool) -> Check:
+def _digits(steps: Rounded | None, used: str, *, asked: bool, alone: bool) -> Check:
+    """``alone``: steps are most of all that is left. Where they are those of joints, what repeats differ by is no noise
+    of an instrument, and nothing is praised beside it."""
     tested = "columns have digits enough"
     told = "what is left is not what steps of their columns leave" if asked else "nothing asks for more of them"
     if steps is not None:
         told = str(steps)
-    return Check(DIGITS, tested, used, told, holds=steps is None, decisive=False, fails=told)
+    decisive = steps is not None and steps.joints and alone
+    return Check(DIGITS, tested, used, told, holds=steps is None, decisive=decisive, fails=told)
 
 
 def _repeats(repeats: Repeats | None) -> Check:

@@ -90,7 +90,9 @@ def headline(checks: Sequence[Check], effects: Sequence[str], not_needed: Sequen
     # a wrong column, or an absurd number, moves the drawing as well
     wrong = {check.name for check in checks if check.holds is False}
     spoken = {APART, DIGITS, DECLARED} | ({AS_DRAWN} if not wrong & _MOVES else set())
-    line += "".join(f"; but {check.fails}" for check in checks if check.name in wrong & spoken)
+    line += "".join(
+        f"; but {check.fails}" for check in checks if check.name in wrong & spoken and check.fails not in line
+    )
     if not_needed:
         verb = "is" if len(not_needed) == 1 else "are"
         line += f"; but {' and '.join(not_needed)}, in the model already, {verb} not needed"

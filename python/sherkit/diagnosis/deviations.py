@@ -198,8 +198,7 @@ class Deviations:
         return Scan(_OneBlock(block), candidates, np.unique(standing, return_inverse=True)[1].ravel())
 
     def _simplest(self, scan: Scan, shapes: Sequence[Held]) -> tuple[Held, int | None]:
-        """The shape with the lowest criterion of Schwarz, and its axis; a cycle or a step between those that were looked
-        for."""
+        """The shape with the lowest criterion of Schwarz, and its axis; a cycle or a step is made finer."""
         gain, rank = scan.gains
         n, m = self.free * scan.m, scan.m
         score = n * np.log(np.maximum(1.0 - gain / scan.sum_of_squares, 1e-12)) + rank * np.log(n)

@@ -100,7 +100,7 @@ class OutlierFit:
         return again | (out & others[self.item])
 
     def _furthest_of_each(self, outliers: Bools) -> Bools:
-        """Of each pose of which all are listed, three readings at least, the one (n,) that is off most from the others."""
+        """Of each pose of three readings at least, all listed, the one (n,) that is off most from the others."""
         out = np.zeros(len(outliers), dtype=bool)
         for k in np.flatnonzero((np.bincount(self.item, outliers) == self.count) & (self.count >= 3) & ~self.moved):
             rows = self.order[self.starts[k] : self.starts[k] + int(self.count[k])]

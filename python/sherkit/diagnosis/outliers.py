@@ -21,7 +21,7 @@ from ..fit.error import of_residuals
 from ..fit.identify import Fit
 from ..fit.set_up import set_up_mistakes
 from ..model.effect import Effect
-from ..names import listed
+from ..names import spans
 from ..types import Bools, Floats, Ints
 from .fitted_run import FittedRun
 from .outlier_fit import OutlierFit
@@ -187,13 +187,6 @@ def in_one_go(data: Measurements, rows: Ints) -> Ints:
     runs = np.split(order, np.flatnonzero(np.diff(outliers[order].astype(int))) + 1)
     lasting = (r for r in runs if len(r) >= _LASTS and outliers[r[0]] and len(np.unique(data.standing[r])) >= _POSES)
     return np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *lasting]))
-
-
-def spans(numbers: Ints) -> str:
-    """Sorted numbers for a sentence, neighbours as one span: 12-14, 40."""
-    numbers = np.unique(numbers)
-    parts = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
-    return listed((f"{p[0]}-{p[-1]}" if len(p) > 1 else f"{p[0]}" for p in parts), 20)
 
 
 def _visits(time: Floats | None, outliers: Bools) -> Bools:

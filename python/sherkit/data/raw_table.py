@@ -1,0 +1,195 @@
+"""A file of measurements as people and programs leave it: its cells as text, and what is in the way of reading them.
+
+The readers refuse at the first thing that is wrong; here all of it is listed, by line, and mended where nothing has to
+be guessed.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from ..errors import MeasurementError
+from ..names import listed, spans
+from .headers import is_unit
+
+#: Cells that say that nothing was read.
+NOTHING = ("---", "--", "-", "n/a", "na", "nan", "#n/a", "#nv", "null", "none", "?", "k.a.", "x", "*", "err", "error")
+_NUMBER = re.compile(r"[-+]?(\d[\d.,]*|[.,]\d+)([eE][-+]?\d+)?")
+#: Lines that tell how cells are parted, and where names begin.
+_LOOKED_AT = 200
+#: Lines that a sentence names.
+_NAMED = 6
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """Something that is wrong with a file: what, in which ``lines`` and ``column``, and the ``cure``; ``mended`` where
+    the table that is made of it is without."""
+
+    said: str
+    cure: str
+    lines: tuple[int, ...] = ()
+    column: str = ""
+    mended: bool = True
+
+    def __str__(self) -> str:
+        many = len(self.lines) > 1
+        where = [f"line{'s' if many else ''} {spans(self.lines, _NAMED)}"] if self.lines else []
+        where += [f"column '{self.column}'"] if self.column else []
+        return f"{', '.join(where)}{': ' if where else ''}{self.said}"
+
+
+@dataclass(frozen=True)
+class RawTable:
+    """Cells of a file as text: a row each, with its ``line`` in the file, under ``names``; those of a row of units
+    stand in the names, in brackets."""
+
+    names: tuple[str, ...]
+    rows: list[list[str]]
+    line: list[int]
+    wrong: list[Wrong] = field(default_factory=list)
+
+    def column(self, name: str) -> list[str]:
+        """The cells of a column."""
+        k = self.names.index(name)
+        return [row[k] for row in self.rows]
+
+    def without(self, empty: Sequence[str]) -> RawTable:
+        """The table without some columns."""
+        keep = [k for k, name in enumerate(self.names) if name not in empty]
+        rows = [[row[k] for k in keep] for row in self.rows]
+        return replace(self, names=tuple(self.names[k] for k in keep), rows=rows)
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number, with whatever marks between its digits."""
+    return _NUMBER.fullmatch(cell) is not None
+
+
+def raw_table(path: Path) -> RawTable:
+    """Reads a CSV with all that is wrong with it. Raises :class:`~sherkit.errors.MeasurementError` where it holds no
+    table at all."""
+    wrong: list[Wrong] = []
+    texts = _text(path, wrong).splitlines()
+    lines = [(n, s) for n, s in enumerate(texts, start=1) if s.strip() and not s.lstrip().startswith("#")]
+    if not lines:
+        raise MeasurementError(f"{path}: is empty; expected a line of column names and rows of measurements")
+    separator = _separator([s for _, s in lines[:_LOOKED_AT]])
+    cells = list(_cells(path, lines, separator))
+    first = next((k for k, (_, row) in enumerate(cells) if _is_data(row)), len(cells))
+    head, units = _head(path, cells[:first], wrong)
+    names = _names(head, units, wrong)
+    rows, line = [], []
+    again, empty, short = [], [], []
+    for number, row in cells[first:]:
+        filled = [cell for cell in row if cell]
+        if not filled:
+            empty.append(number)
+        elif row[: len(head)] == head or (units and row[: len(units)] == units):
+            again.append(number)
+        elif len(row) < len(head) or any(row[len(head) :]):
+            short.append((number, len(row)))
+        else:
+            rows.append(row[: len(head)])
+            line.append(number)
+    if again:
+        wrong.append(Wrong("the names of the columns stand here again", "take the line out", tuple(again)))
+    if empty:
+        wrong.append(Wrong("holds separators alone", "take the line out", tuple(empty)))
+    for number, count in short:
+        said = f"has {count} cells, the header has {len(head)}"
+        wrong.append(Wrong(said, "complete the row, or take it out", (number,), mended=False))
+    table = RawTable(names, rows, line, wrong)
+    unnamed = [name for name in names if name.startswith("\0")]
+    used = [k + 1 for k, name in enumerate(names) if name in unnamed and any(table.column(name))]
+    if used:
+        said = f"the columns {listed(used)} hold cells and have no name: they are not used"
+        wrong.append(Wrong(said, "give each a name in the first line"))
+    return table.without(unnamed)
+
+
+def _text(path: Path, wrong: list[Wrong]) -> str:
+    """The file as text, in the encoding that it shows."""
+    content = path.read_bytes()
+    for mark, encoding in ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16")):
+        if content.startswith(mark):
+            wrong.append(Wrong("the file is UTF-16", "save it as UTF-8"))
+            return content.decode(encoding, errors="replace")
+    if b"\0" in content[:4096]:
+        raise MeasurementError(f"{path}: is not text; expected CSV as UTF-8, or Parquet in a file named .parquet")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        number = content.count(b"\n", 0, error.start) + 1
+        said = f"is not UTF-8 (byte {content[error.start]:#04x}); it reads as Windows-1252"
+        wrong.append(Wrong(said, "save the file as UTF-8", (number,)))
+        return content.decode("cp1252", errors="replace")
+
+
+def _separator(lines: Sequence[str]) -> str:
+    """What parts the cells: what most lines have equally often."""
+
+    def agreed(mark: str) -> tuple[int, int]:
+        count, times = Counter(line.count(mark) for line in lines if mark in line).most_common(1)[0]
+        return times * (count > 0), count
+
+    marks = [mark for mark in ";\t,|" if any(mark in line for line in lines)]
+    # decimal commas are as many in every row, too: a mark that is no part of a number goes before
+    sure = [mark for mark in marks if mark != "," and agreed(mark)[0] >= 0.5 * len(lines)]
+    return max(sure or marks or [","], key=agreed)
+
+
+def _cells(path: Path, lines: Sequence[tuple[int, str]], separator: str) -> Iterator[tuple[int, list[str]]]:
+    for number, text in lines:
+        try:
+            row = next(csv.reader([text], delimiter=separator))
+        except (csv.Error, StopIteration):
+            raise MeasurementError(f"{path}: line {number} is not CSV") from None
+        yield number, [_tidy(cell) for cell in row]
+
+
+def _tidy(cell: str) -> str:
+    return cell.replace("\u2212", "-").replace("\u00a0", " ").replace("\u202f", "").strip()
+
+
+def _is_data(row: Sequence[str]) -> bool:
+    """A row of measurements: most of its cells are numbers, or say that nothing was read."""
+    filled = [cell for cell in row if cell]
+    numbers = sum(map(is_number, filled))
+    return numbers >= 2 and numbers + sum(cell.lower() in NOTHING for cell in filled) > 0.5 * len(filled)
+
+
+def _head(path: Path, above: list[tuple[int, list[str]]], wrong: list[Wrong]) -> tuple[list[str], list[str]]:
+    """The names of the columns, and the units below them; what stands above them are notes."""
+    if not above:
+        raise MeasurementError(f"{path}: has no line of column names above its rows")
+    units: list[str] = []
+    number, row = above[-1]
+    if len(above) > 1 and any(row) and all(is_unit(cell.strip("[]()")) for cell in row if cell):
+        wrong.append(Wrong("is a row of units", "write each unit behind its name: 'x [mm]'", (number,)))
+        units, above = row, above[:-1]
+        number, row = above[-1]
+    notes = tuple(n for n, _ in above[:-1])
+    if notes:
+        wrong.append(Wrong("above the names of the columns", "put # before it, as before every note", notes))
+    while row and not row[-1]:
+        row = row[:-1]
+    return row, units
+
+
+def _names(head: Sequence[str], units: Sequence[str], wrong: list[Wrong]) -> tuple[str, ...]:
+    """Names of columns, each once, with their units; those without a name are numbered behind a zero byte."""
+    out: list[str] = []
+    for k, name in enumerate(head):
+        unit = units[k].strip("[]()") if k < len(units) else ""
+        full = f"{name} [{unit}]" if name and unit else name or f"\0{k}"
+        if full in out:
+            wrong.append(Wrong(f"'{full}' is the name of two columns", "give each a name of its own", mended=False))
+            full = f"{full} ({k + 1})"
+        out.append(full)
+    return tuple(out)
