@@ -17,6 +17,7 @@ from urllib.parse import unquote, urlsplit
 
 sys.path.insert(0, str(Path(__file__).parent))
 from make_notebooks import make as make_notebooks
+from make_pages import make as make_pages
 
 HERE = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "CODE_OF_CONDUCT.md", "LICENSE",
@@ -57,11 +58,16 @@ def build(site: Path) -> list[str]:
     source = site.with_name(f"{site.name}_source")
     lay_out(source)
     make_notebooks(source / "docs" / "notebooks")
+    made = make_pages(source / "docs" / "made")
     wrong = _Warnings()
     logger = logging.getLogger("mkdocs")
     logger.addHandler(wrong)
     try:
         config = load_config(str(HERE / "mkdocs.yml"), docs_dir=str(source), site_dir=str(site))
+        reference = next(part["Reference"] for part in config["nav"] if "Reference" in part)
+        reference += [
+            {title: [{name: page.relative_to(source).as_posix()} for name, page in pages]} for title, pages in made
+        ]
         mkdocs_build(config)
     finally:
         logger.removeHandler(wrong)

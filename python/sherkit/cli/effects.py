@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -22,21 +24,27 @@ _OF_TOOL = "the flexible tool and its camera"
 @click.command()
 @click.argument("name", required=False)
 @click.option("--robot", type=click.Path(path_type=Path), help="The robot to draw the effect on; default: an example.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 @click.option(
     "--picture",
     type=click.Path(path_type=Path),
     help="Draw the effect on this robot: its card (.html), or what it leaves at the poses (.svg).",
 )
-def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
+def effects(name: str | None, robot: Path | None, as_json: bool, picture: Path | None) -> None:
     """List the physical effects that can be found and added; with NAME, show one."""
     machine = None if robot is None else machine_at(robot)
     nominal = None if machine is None else machine.drawn_on
     catalogues = {name: kind.model.catalogue for name, kind in known_kinds().items()} | {KIND: TOOL_CATALOGUE}
     if machine is not None:
         catalogues = {machine.kind: dict(machine.catalogue)}
+    if as_json:
+        if name is not None:
+            effects_by_name({k: v for catalogue in catalogues.values() for k, v in catalogue.items()}, (name,))
+        output.print_json(_json(catalogues, name))
+        return
     if name is None:
         for kind, catalogue in catalogues.items():
-            made = output.table(_title(kind), "effect", "link", "parameters", "needs")
+            made = output.table(_title(kind), "effect", "acts at", "parameters", "needs", texts=True)
             for e in catalogue.values():
                 made.add_row(e.name, e.link, str(len(e.parameters)), ", ".join(e.needs))
             output.out.print(made)
@@ -70,6 +78,28 @@ def effects(name: str | None, robot: Path | None, picture: Path | None) -> None:
         output.say(f"what {name} leaves on this robot is drawn in {picture}")
 
 
+def _json(catalogues: Mapping[str, Mapping[str, Effect]], name: str | None) -> dict[str, Any]:
+    """The catalogues by kind of machine, or what they hold under one name."""
+    every = {
+        kind: [_told(effect) for effect in catalogue.values() if name in (None, effect.name)]
+        for kind, catalogue in catalogues.items()
+    }
+    return {"format": "sherkit effects 1", "effects": {kind: told for kind, told in every.items() if told}}
+
+
+def _told(effect: Effect) -> dict[str, Any]:
+    return {
+        "name": effect.name,
+        "acts_at": effect.link,
+        "physics": effect.physics,
+        "residuals": effect.residuals,
+        "remedy": effect.remedy,
+        "needs": list(effect.needs),
+        "searched": effect.search,
+        "parameters": [{"name": p.name, "plausible_size": p.size, "unit": p.unit} for p in effect.parameters],
+    }
+
+
 def _title(kind: str) -> str:
     known = known_kinds()
     return f"Effects of {known[kind].title if kind in known else _OF_TOOL}"
@@ -78,11 +108,11 @@ def _title(kind: str) -> str:
 def _show(effect: Effect, of: str) -> None:
     if of:
         output.out.rule(of)
-    output.out.print(f"[bold]{effect.name}[/], at the link '{effect.link}'")
+    output.out.print(f"[bold]{effect.name}[/], acts at the {effect.link}")
     for title, text in (
         ("physics", effect.physics),
         ("its residuals", effect.residuals),
-        ("in the workshop", effect.remedy),
+        ("how to fix it", effect.remedy),
         ("needs", ", ".join(effect.needs) or "no column besides the readings"),
     ):
         output.out.print(f"  [bold]{title}:[/] {text}")
