@@ -141,9 +141,10 @@ def _joints(path: Path) -> pl.DataFrame:
 @click.option("--square-mm", type=click.FloatRange(min=0, min_open=True), required=True, help="Side of a square.")
 @click.option("--marker-mm", type=click.FloatRange(min=0, min_open=True), help="Side of a tag of a ChArUco board.")
 @click.option("-o", "--output", "destination", type=click.Path(path_type=Path), help="Write the table [camera] here.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of a table.")
 def intrinsics(
     pictures: tuple[Path, ...], chessboard: str | None, charuco: str | None, square_mm: float, marker_mm: float | None,
-    destination: Path | None,
+    destination: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Focal lengths, centre and distortion of a camera from PICTURES of a board (files or folders)."""
     require_vision()
@@ -159,15 +160,25 @@ def intrinsics(
         found = chessboard_intrinsics(files, _two("--chessboard", chessboard), square_mm)
     else:
         found = charuco_intrinsics(files, _two("--charuco", charuco or ""), square_mm, marker_mm or 0.0)
+    labels = ("focal_px x", "focal_px y", "centre_px u", "centre_px v", "k1", "k2", "p1", "p2")
+    values = (*found.focal_px, *found.centre_px, *found.distortion)
     table = output.table(
         f"Camera of {found.size_px[0]} × {found.size_px[1]} px from {found.pictures} pictures", "", "value", "± std",
         note=f"corners are left with an RMS of {found.rms_px:.3f} px",
     )  # fmt: skip
-    labels = ("focal_px x", "focal_px y", "centre_px u", "centre_px v", "k1", "k2", "p1", "p2")
-    values = (*found.focal_px, *found.centre_px, *found.distortion)
     for label, value, std in zip(labels, values, found.std, strict=True):
         table.add_row(label, f"{value:.5g}" if abs(value) < 10 else f"{value:.2f}", f"{std:.2g}")
-    output.out.print(table)
+    if as_json:
+        output.print_json({
+            "format": "sherkit intrinsics 1", "size_px": list(found.size_px), "pictures": found.pictures,
+            "rms_px": found.rms_px, "without": dict(found.without),
+            "values": {
+                label: {"value": float(value), "std": float(std)}
+                for label, value, std in zip(labels, values, found.std, strict=True)
+            },
+        })  # fmt: skip
+    else:
+        output.out.print(table)
     for name, why in found.without.items():
         output.warn(f"{name}: {why}")
     if destination is not None:
@@ -178,7 +189,8 @@ def intrinsics(
             "distortion": [*found.distortion, 0.0],
         }
         write_whole(destination, tomli_w.dumps({"camera": lens}))
-        output.say(f"{destination}: the lens, for the table [camera] of a robot file; add where the camera stands")
+        if not as_json:
+            output.say(f"{destination}: the lens, for the table [camera] of a robot file; add where the camera stands")
 
 
 def _two(option: str, text: str) -> tuple[int, int]:

@@ -24,8 +24,9 @@ from ..model.effect import Effect
 from ..names import spans
 from ..types import Bools, Floats, Ints
 from .fitted_run import FittedRun
+from .linearised import Linearised, orthonormal
 from .outlier_fit import OutlierFit
-from .robust_start import robust_start
+from .robust_start import huber, robust_start
 from .stage import testable
 
 #: Fits, each without what the one before it listed.
@@ -38,6 +39,8 @@ _FEWEST_OF_A_VISIT = 4
 #: The beginning or the end of a run of so many rows is news where so many of them are outliers.
 _FEWEST_OF_AN_END = 12
 _OUTLYING_END = 0.8
+#: What a slip leaves of such rows is at most so many times what is left of the others.
+_SLIPPED = 3.0
 #: Wrong rows that follow one another are of something that lasted where they are so many, at so many poses.
 _LASTS, _POSES = 5, 3
 #: Part of the wrong rows that hold one value where that is what is wrong with them.
@@ -118,7 +121,7 @@ def _outlying(run: FittedRun, effects: Sequence[Effect], rows: Ints) -> Ints:
     """
     view = run.linearised(rows, effects, run.noise[0][list(run.axes)])
     outliers = OutlierFit(view, declared=run.noise[1] == "declared").outliers()
-    return np.sort(rows[outliers & ~_visits(view.time, outliers) & ~_ends(outliers)])
+    return np.sort(rows[outliers & ~_visits(view.time, outliers) & ~_ends(view, outliers)])
 
 
 def sentences(fit: Fit, rows: Ints) -> tuple[str, ...]:
@@ -204,12 +207,30 @@ def _visits(time: Floats | None, outliers: Bools) -> Bools:
     return ((share >= _OUTLYING_VISIT) & (count >= _FEWEST_OF_A_VISIT))[visit]
 
 
-def _ends(outliers: Bools) -> Bools:
-    """Rows, as they were read, from the first up to a moment, or from one on, that are off nearly all: something
-    slipped there, and what was read before it is as good as what was read after."""
+def _ends(view: Linearised, outliers: Bools) -> Bools:
+    """Rows, as they were read, from the first up to a moment, or from one on, that are off nearly all, and by what one
+    slip does to all of them: something slipped there, and what was read before it is as good as what was read after."""
     out = np.zeros(len(outliers), dtype=bool)
-    for view, rows in ((outliers, out), (outliers[::-1], out[::-1])):
-        end = int(np.argmax(np.cumsum(np.where(view, 1, -1)))) + 1
-        if end >= _FEWEST_OF_AN_END and view[:end].mean() >= _OUTLYING_END:
-            rows[:end] = True
+    every = np.arange(len(outliers))
+    for rows in (every, every[::-1]):
+        end = int(np.argmax(np.cumsum(np.where(outliers[rows], 1, -1)))) + 1
+        if end < _FEWEST_OF_AN_END or outliers[rows[:end]].mean() < _OUTLYING_END:
+            continue
+        here = np.sort(rows[:end])
+        if _slipped(view, here, outliers):
+            out[here] = True
     return out
+
+
+def _slipped(view: Linearised, rows: Ints, outliers: Bools) -> bool:
+    """Whether one slip, of what is read or of whatever effect has a moment, leaves of these rows no more than the fit
+    leaves of those that are right."""
+    m = view.residual.shape[1]
+    steps = [np.broadcast_to(np.eye(m), (len(rows), m, m))]
+    effects = view.effects_in(slice(int(rows[0]), int(rows[-1]) + 1))
+    steps += [effects[:, :, at] for _, at in view.in_time if at is not None]
+    basis = orthonormal(np.concatenate(steps, axis=2))
+    off = view.residual[rows]
+    left = huber(off, lambda tame: (basis @ (basis.T @ tame.reshape(-1))).reshape(off.shape))
+    spread = np.median(np.abs(view.residual[~outliers]), axis=0)
+    return bool((np.median(np.abs(left), axis=0) <= _SLIPPED * spread).all())

@@ -36,6 +36,7 @@ from .picture import Picture
 from .policy import fresh_nonce, page_of
 from .residual_map import Change, residual_map
 from .residuals import residuals_of
+from .scene import script as scenes
 from .workspace import accuracy_map, accuracy_of
 
 #: Where the frames find Bokeh.
@@ -112,19 +113,34 @@ def cell(value: Any) -> str | None:
         if isinstance(value, Effect):
             return _framed(card_page("", [effect_card(value, _example_with(value))]))
         if isinstance(value, Study | Diagnosis | Calibration | Fit | Estimate):
-            return _with_bokeh(value, pictures_of(value))
+            return _with_bokeh(value, pictures_of(value), _cards(value) if isinstance(value, Diagnosis) else "")
         return _framed(card_page("", [_text(value), scene_of_robot(value).html()]))
     except SherkitError:
         return None
 
 
-def _with_bokeh(value: Any, pictures: list[Picture[Any]]) -> str:
+def _cards(found: Diagnosis) -> str:
+    """The cards of what a diagnosis names."""
+    fit = found.fit
+    machine = fit.model.robot or getattr(fit.model, "plain", None)
+    return "".join(
+        effect_card(effect, machine, fit=fit, found=found)
+        for effect in fit.model.effects
+        if effect.name in found.effects
+    )
+
+
+def _with_bokeh(value: Any, pictures: list[Picture[Any]], cards: str = "") -> str:
+    """Text, ``cards`` and pictures of a value."""
     parts: list[Any] = [Div(text=_text(value))]
     for one in pictures:
         parts += [one.root, Div(text=f"<p style='font-size:14px;color:#555'>{escape(one.note)}</p>", width=900)]
     here, nonce = _cell_that_runs(), fresh_nonce()
     borrowed = "" if here is None else _BORROW.replace("NONCE", nonce).replace("BROUGHT", _BROUGHT)
     page = page_of(column(*parts, sizing_mode="stretch_width"), "", nonce, borrowed)
+    if cards:
+        head, body, tail = page.partition("<body>")
+        page = f'{head}{body}{cards}<script nonce="{nonce}">{scenes()}</script>{tail}'
     brings = ""
     if here is not None and _Bringer.asks(here):
         source = ";\n".join(Resources(mode="inline", components=["bokeh", "bokeh-widgets"]).js_raw)
