@@ -37,6 +37,9 @@ _ABSORBED = 1e-3
 _LIKE_NOISE = 1.5
 #: What is an outlier without a column, and alone tells so much of it with it, is no witness for it.
 _ALONE = 0.25
+#: Chance of a reading that is judged without the others of its pose; variance of readings about the median of three.
+_ALONE_OFF = 1e-2
+_ABOUT_A_MEDIAN = 1.5
 #: Efficiency of a median absolute deviation.
 _MAD_EFFICIENCY = 0.37
 #: A prediction is never taken for better than this part of the reading's own variance.
@@ -100,12 +103,14 @@ class OutlierFit:
         return again | (out & others[self.item])
 
     def _furthest_of_each(self, outliers: Bools) -> Bools:
-        """Of each pose of three readings at least, all listed, the one (n,) that is off most from the others."""
+        """Of each pose of three readings at least, all listed, the one (n,) that is off most from the others, where it
+        is by more than noise."""
         out = np.zeros(len(outliers), dtype=bool)
         for k in np.flatnonzero((np.bincount(self.item, outliers) == self.count) & (self.count >= 3) & ~self.moved):
             rows = self.order[self.starts[k] : self.starts[k] + int(self.count[k])]
             off = (self.e[rows] - np.median(self.e[rows], axis=0)) / np.maximum(self.within, self.floor)
-            out[rows[np.argmax((off**2).sum(axis=1))]] = True
+            square = (off**2).sum(axis=1) / _ABOUT_A_MEDIAN
+            out[rows[np.argmax(square)]] = chi2_tail(float(square.max()), self.e.shape[1]) < _ALONE_OFF
         return out
 
     def _outlying(self) -> Bools:
