@@ -2,11 +2,13 @@
 effects and catalogues.
 
 Every cell is a page of its own in a frame, as high as what it shows: it needs no extension and no network. Bokeh, which
-is large, stands once in a notebook, as text in the first cell that needs it; the frames of all cells read it there.
+is large, stands once in a notebook, packed in the first cell that needs it; the frames of all cells read it there.
 """
 
 from __future__ import annotations
 
+import base64
+import gzip
 import sys
 from collections.abc import Callable
 from html import escape
@@ -33,7 +35,7 @@ from .estimate import depth_over_time, estimate_picture
 from .mechanism import scene_of_robot
 from .parameters import parameters
 from .picture import Picture
-from .policy import fresh_nonce, page_of
+from .policy import LATER, fresh_nonce, page_of
 from .residual_map import Change, residual_map
 from .residuals import residuals_of
 from .scene import script as scenes
@@ -43,11 +45,21 @@ from .workspace import accuracy_map, accuracy_of
 _BROUGHT = "sherkit-bokeh"
 _BORROW = """
 <script nonce="NONCE">
-(function borrow(left) {
+(async function borrow(left) {
   const held = window.parent.document.getElementById("BROUGHT")
-  if (held) (0, eval)(held.textContent)
-  else if (left) setTimeout(borrow, 100, left - 1)
-  else document.body.prepend("The cell that brought Bokeh to this notebook is gone: restart the kernel, run again.")
+  if (!held && left) return setTimeout(borrow, 100, left - 1)
+  const gone = "The cell that brought Bokeh to this notebook is gone: restart the kernel, run again."
+  if (!held) return document.body.prepend(gone)
+  const packed = Uint8Array.from(atob(held.textContent), c => c.charCodeAt(0))
+  const text = await new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"))).text()
+  ;(0, eval)(text)
+  const run = () => { for (const one of document.querySelectorAll("script.LATER")) {
+    const made = document.createElement("script")
+    made.nonce = "NONCE"
+    made.textContent = one.textContent
+    document.body.append(made)
+  } }
+  if (document.readyState === "loading") document.addEventListener("DOMContentLoaded", run); else run()
 })(100)
 </script>
 """
@@ -136,7 +148,9 @@ def _with_bokeh(value: Any, pictures: list[Picture[Any]], cards: str = "") -> st
     for one in pictures:
         parts += [one.root, Div(text=f"<p style='font-size:14px;color:#555'>{escape(one.note)}</p>", width=900)]
     here, nonce = _cell_that_runs(), fresh_nonce()
-    borrowed = "" if here is None else _BORROW.replace("NONCE", nonce).replace("BROUGHT", _BROUGHT)
+    borrowed = (
+        "" if here is None else _BORROW.replace("NONCE", nonce).replace("BROUGHT", _BROUGHT).replace("LATER", LATER)
+    )
     page = page_of(column(*parts, sizing_mode="stretch_width"), "", nonce, borrowed)
     if cards:
         head, body, tail = page.partition("<body>")
@@ -144,7 +158,8 @@ def _with_bokeh(value: Any, pictures: list[Picture[Any]], cards: str = "") -> st
     brings = ""
     if here is not None and _Bringer.asks(here):
         source = ";\n".join(Resources(mode="inline", components=["bokeh", "bokeh-widgets"]).js_raw)
-        brings = f'<pre hidden id="{_BROUGHT}">{escape(source)}</pre>'
+        packed = base64.b64encode(gzip.compress(source.encode(), mtime=0)).decode()
+        brings = f'<pre hidden id="{_BROUGHT}">{packed}</pre>'
     return brings + _framed(page, nonce)
 
 

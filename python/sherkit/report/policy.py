@@ -19,9 +19,12 @@ _PAGE = """
 {% block js_resources %}{{ (borrowed or numbered(bokeh_js, nonce)) | safe }}{% endblock %}
 {% block inner_body %}
 {{ self.contents() }}
-{{ numbered(plot_script, nonce) | safe }}
+{{ numbered(later(plot_script) if borrowed else plot_script, nonce) | safe }}
 {% endblock %}
 """
+#: The class of scripts that wait.
+LATER = "later"
+_RUNS = re.compile(r'^(\s*)<script(?: type="text/javascript")?>', flags=re.MULTILINE)
 _OPENING = re.compile(r"^(\s*)<script\b", flags=re.MULTILINE)
 
 
@@ -62,8 +65,13 @@ def page_of(root: UIElement, title: str, nonce: str = "", borrowed: str = "") ->
     """A page of what Bokeh draws, under the policy of a file that asks nothing of a network.
 
     Scripts that are added to it need its ``nonce``, which is fresh unless given. ``borrowed`` are scripts that bring
-    Bokeh where the page shall not hold it itself.
+    Bokeh where the page shall not hold it itself, and then run what draws, which waits as text.
     """
     nonce = nonce or fresh_nonce()
-    known = {"nonce": nonce, "policy": policy(nonce), "numbered": numbered, "borrowed": borrowed}
+    known = {"nonce": nonce, "policy": policy(nonce), "numbered": numbered, "borrowed": borrowed, "later": _later}
     return file_html(root, INLINE, title, template=_PAGE, template_variables=known)
+
+
+def _later(scripts: str) -> str:
+    """Scripts as text of the page, for whoever runs them once what they need is there."""
+    return _RUNS.sub(rf'\1<script type="text/plain" class="{LATER}">', scripts)
