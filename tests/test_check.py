@@ -248,3 +248,23 @@ def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
         assert code == 1
         assert err.startswith("error: run.csv")
     assert said(tmp_path, "check", "nowhere.csv")[0] == 1
+
+
+def test_units_in_cells_and_kelvin(tmp_path: Path) -> None:
+    """Catches rows that are taken for notes since every cell has its unit behind it, and 293 °C."""
+    values = run_of(8)
+    rows = ["Motor 1,Motor 2,Motor 3,X,Y,Z,Temp (K),Zeit"]
+    rows += [
+        ",".join([f"{v:.4f} mm" for v in row[:6]] + [f"{row[6] + 273.15:.2f}", f"{k % 12 + 1}:30 PM"])
+        for k, row in enumerate(values)
+    ]
+    (tmp_path / "run.csv").write_text("\n".join(rows), encoding="utf-8")
+    found = check_file(tmp_path / "run.csv")
+    assert found.is_mended, found.refused
+    assert found.data is not None
+    np.testing.assert_allclose(found.data.joints, values[:, :3], atol=1e-9)
+    np.testing.assert_allclose(found.data.covariates["temperature_c"], values[:, 6], atol=1e-2)
+    assert found.data.time_s is not None
+    np.testing.assert_allclose(np.diff(found.data.time_s), 3600.0)
+    assert any("is in kelvin" in str(one) for one in found.wrong)
+    assert sum("every cell ends in 'mm'" in str(one) for one in found.wrong) == 6

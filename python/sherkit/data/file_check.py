@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -18,7 +19,7 @@ from ..names import closest, listed
 from .columns import POSE, REPEAT, TIME, Layout, bare, known_layouts, unit_in
 from .frames import clean
 from .headers import Columns, factor, meanings, stated
-from .raw_table import NOTHING, RawTable, Wrong, is_number, raw_table
+from .raw_table import NOTHING, WITH_UNIT, RawTable, Wrong, is_number, raw_table
 from .reader import checked
 from .rows import Measurements
 from .tables import PARQUET, read_parquet
@@ -31,7 +32,6 @@ _CALLED = {
     POSE: ("pose", "punkt", "point", "messpunkt", "position nr", "pos", "nr", "no", "nummer"),
     REPEAT: ("repeat", "repetition", "wiederholung", "wdh", "durchgang", "zyklus", "messung"),
 }
-_WITH_UNIT = re.compile(r"(?P<number>[-+]?\d[\d.,]*(?:[eE][-+]?\d+)?)\s*(?P<unit>[^\d\s.,][^\d]*)")
 _DAY = re.compile(r"\d{1,4}[./-]\d{1,2}[./-]\d{2,4}")
 _CLOCK = re.compile(r"\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?(\s*[AaPp][Mm])?")
 _DAYS = ("%Y-%m-%d", "%d.%m.%Y", "%d.%m.%y", "%Y/%m/%d", "%m/%d/%Y", "%d/%m/%Y", "%d-%m-%Y")
@@ -207,7 +207,7 @@ class _Checking:
     def _units_in_cells(self) -> None:
         """Units behind every number go to the name of the column."""
         for name, cells in list(self.cells.items()):
-            found = [_WITH_UNIT.fullmatch(cell) for cell in cells if cell and cell.lower() not in NOTHING]
+            found = [WITH_UNIT.fullmatch(cell) for cell in cells if cell and cell.lower() not in NOTHING]
             units = {one["unit"].strip() for one in found if one}
             if not found or not all(found) or len(units) != 1:
                 continue
@@ -216,7 +216,7 @@ class _Checking:
                 Wrong(f"every cell ends in '{unit}'", f"write the unit once: '{name} [{unit}]'", (), name)
             )
             new = f"{name} [{unit}]"
-            stripped = [one["number"] if (one := _WITH_UNIT.fullmatch(cell)) else cell for cell in cells]
+            stripped = [one["number"] if (one := WITH_UNIT.fullmatch(cell)) else cell for cell in cells]
             self.cells = {new if n == name else n: stripped if n == name else v for n, v in self.cells.items()}
 
     def _nothing_read(self) -> None:
@@ -265,6 +265,15 @@ class _Checking:
                 self.wrong.append(Wrong(said, "leave them out", self._lines(thousands), name))
             self.cells[name] = [cell.replace(other, "").replace(mark, ".") for cell in cells]
 
+    def _in_celsius(self, name: str, unit: str) -> None:
+        """Kelvin and Fahrenheit, where the header states them, become degrees Celsius."""
+        scale = {"K": "K", "kelvin": "K", "°F": "F", "F": "F", "degF": "F"}.get(unit)
+        if scale is None:
+            return
+        self.wrong.append(Wrong(f"is in {'kelvin' if scale == 'K' else 'Fahrenheit'}", "write °C", column=name))
+        with suppress(ValueError):  # what is no number is said already
+            self.cells[name] = [f"{_celsius(float(c), scale):.10g}" if c else c for c in self.cells[name]]
+
     # -- names ---------------------------------------------------------------------------------------------
 
     def _meanings(self) -> tuple[Layout, dict[str, str]]:
@@ -283,11 +292,17 @@ class _Checking:
                 if stem.lower() == bare(ours).lower() and ours not in columns and convertible:
                     columns[ours] = name
                     break
+            if stem.lower() in _CALLED[_TEMPERATURE]:
+                self._in_celsius(name, unit)
             for ours, called in _CALLED.items():
                 whole = ours == _TEMPERATURE or all(re.fullmatch(r"\d*", cell) for cell in self.cells[name])
                 if stem.lower() in called and whole and ours not in columns and ours not in names:
                     columns.setdefault(ours, name)
         return layout, {ours: theirs for ours, theirs in columns.items() if theirs in names}
+
+
+def _celsius(degrees: float, unit: str) -> float:
+    return degrees - 273.15 if unit == "K" else (degrees - 32.0) / 1.8
 
 
 def _mark_of(cells: Sequence[str]) -> str:
@@ -351,5 +366,6 @@ def said_of(found: FileCheck) -> str:
         return f"{found.source}: nothing is wrong, {len(found.data or ())} rows"
     many = f"{count} thing{'s are' if count != 1 else ' is'} wrong"
     own = list(found.unsaid.values())
-    foreign = f"; {len(own)} columns have names of their own: {listed(own, 12)}" if own else ""
+    many_own = f"{len(own)} columns have names of their own" if len(own) > 1 else "one column has a name of its own"
+    foreign = f"; {many_own}: {listed(own, 12)}" if own else ""
     return f"{found.source}: {many}{foreign}"

@@ -14,12 +14,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ..errors import MeasurementError
-from ..names import listed, spans
+from ..names import spans
 from .headers import is_unit
 
 #: Cells that say that nothing was read.
 NOTHING = ("---", "--", "-", "n/a", "na", "nan", "#n/a", "#nv", "null", "none", "?", "k.a.", "x", "*", "err", "error")
 _NUMBER = re.compile(r"[-+]?(\d[\d.,]*|[.,]\d+)([eE][-+]?\d+)?")
+#: A number with its unit behind it, in the same cell.
+WITH_UNIT = re.compile(r"(?P<number>[-+]?\d[\d.,]*(?:[eE][-+]?\d+)?)\s*(?P<unit>[^\d\s.,:/-][^\d:]*)")
 #: Lines that tell how cells are parted, and where names begin.
 _LOOKED_AT = 200
 #: Lines that a sentence names.
@@ -106,10 +108,9 @@ def raw_table(path: Path) -> RawTable:
         wrong.append(Wrong(said, "complete the row, or take it out", (number,), mended=False))
     table = RawTable(names, rows, line, wrong)
     unnamed = [name for name in names if name.startswith("\0")]
-    used = [k + 1 for k, name in enumerate(names) if name in unnamed and any(table.column(name))]
-    if used:
-        said = f"the columns {listed(used)} hold cells and have no name: they are not used"
-        wrong.append(Wrong(said, "give each a name in the first line"))
+    for k, name in enumerate(names):
+        if name in unnamed and any(table.column(name)):
+            wrong.append(Wrong(f"column {k + 1} holds cells and has no name: it is not used", "give it a name"))
     return table.without(unnamed)
 
 
@@ -160,7 +161,7 @@ def _tidy(cell: str) -> str:
 def _is_data(row: Sequence[str]) -> bool:
     """A row of measurements: most of its cells are numbers, or say that nothing was read."""
     filled = [cell for cell in row if cell]
-    numbers = sum(map(is_number, filled))
+    numbers = sum(is_number(cell) or WITH_UNIT.fullmatch(cell) is not None for cell in filled)
     return numbers >= 2 and numbers + sum(cell.lower() in NOTHING for cell in filled) > 0.5 * len(filled)
 
 
