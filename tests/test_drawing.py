@@ -333,7 +333,7 @@ def test_bokeh_stands_once_in_a_notebook(study: sk.Study, monkeypatch: pytest.Mo
     assert again is not None
     assert 6e5 < len(first) < 1.1e6
     assert len(second) < 2e5
-    assert 6e5 < len(again)
+    assert len(again) > 6e5
     running.parent_header["metadata"]["cellId"] = "three"
     found = sk.diagnose(study.history[0].fit)._repr_html_()
     assert found is not None
