@@ -115,10 +115,10 @@ def test_deviates_are_those_of_least_squares(added: tuple[int, ...]) -> None:
     scan, parts = problem()
     extra = [columns_of(CANDIDATES[i], parts) for i in added]
     model = np.concatenate([parts["fitted"].reshape(N * M, P), *extra], axis=1)
-    given = scan.given(*(CANDIDATES[i] for i in added))
+    given = scan.with_columns(*(CANDIDATES[i] for i in added))
     residual = parts["residual"].ravel()
     few = scan.among([CANDIDATES[i] for i in added])
-    assert few.left(*range(len(added))) == pytest.approx(given.sum_of_squares, rel=1e-10)
+    assert few.rss(*range(len(added))) == pytest.approx(given.sum_of_squares, rel=1e-10)
     assert given.sum_of_squares == pytest.approx(float((left(residual, model) ** 2).sum()), rel=1e-10)
     assert given.free == N * M - np.linalg.matrix_rank(model)
     z_scores = given.z_scores
@@ -161,7 +161,7 @@ def test_flips_are_flips_of_whole_poses_fitted_again() -> None:
     """
     scan, parts = problem(3)
     extra = columns_of(CANDIDATES[0], parts)
-    given = scan.given(CANDIDATES[0])
+    given = scan.with_columns(CANDIDATES[0])
     model = np.concatenate([parts["fitted"].reshape(N * M, P), extra], axis=1)
     residual = left(parts["residual"].ravel(), model).reshape(N, M)
     poses = np.unique(parts["group"])
@@ -203,7 +203,7 @@ def test_nothing_left_scores_minus_infinity() -> None:
     z_scores = scan.z_scores
     # a part of 1e-3 left is too little for a shape and enough for an effect, whose derivative is exact
     assert (z_scores == -np.inf).tolist() == [True, True, False, True, False, True, False]
-    gone = scan.given(candidates[2]).z_scores
+    gone = scan.with_columns(candidates[2]).z_scores
     assert gone[2] == -np.inf
 
 
@@ -406,7 +406,7 @@ def test_waves_that_are_never_written_out_are_those_that_are(rho: float, in_turn
     np.testing.assert_allclose(never.z_scores, written.z_scores, rtol=1e-7, atol=1e-7)
     np.testing.assert_allclose(never.null(3), written.null(3), rtol=1e-7, atol=1e-7)
     for k in (4, len(sets) + 1):
-        one, other = (scan.given(scan.candidates[k]) for scan in (written, never))
+        one, other = (scan.with_columns(scan.candidates[k]) for scan in (written, never))
         np.testing.assert_allclose(other.z_scores, one.z_scores, rtol=1e-7, atol=1e-7)
     gram, along, _ = never.along_waves(waves.at[3])
     taken = float(along @ np.linalg.lstsq(gram, along, rcond=1e-8)[0])

@@ -95,7 +95,7 @@ def described(search: Search, stage: Stage, most: int = _MOST_SHAPES) -> Descrip
         best = stage.shapes.index(shape)
         shapes.append(shape)
         numbers.append(numbers[-1] + int(rank[best]) + (shape.period is not None) + (shape.shape == "step"))
-        scan = scan.given(shape.columns)
+        scan = scan.with_columns(shape.columns)
         left.append(scan.sum_of_squares)
     return Description(tuple(shapes), tuple(left), tuple(numbers), count)
 

@@ -28,7 +28,7 @@ def confounded_with(stage: Stage) -> dict[str, tuple[str, ...]]:
     for candidate in stage.candidates:
         scale = 1.0 if candidate.columns.functions else np.array([p.size for p in candidate.effect.parameters])
         columns = scan.of(candidate.columns)
-        whole, left = (gram * np.multiply.outer(scale, scale) for gram in (columns.whole, columns.left))
+        whole, left = (gram * np.multiply.outer(scale, scale) for gram in (columns.whole, columns.gram))
         # of the basis only what lies in it counts
         inside = fitted @ scan.root @ (columns.by_model.T * scale)
         if hidden := _taken_up(whole, left, inside, fitted * size, names):

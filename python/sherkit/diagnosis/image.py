@@ -23,7 +23,7 @@ class Projected:
     by_residual: Floats
 
     @property
-    def left(self) -> Floats:
+    def gram(self) -> Floats:
         """Gram matrix (k, k) of what the model leaves of them."""
         return self.whole - self.by_model @ self.by_model.T
 
@@ -69,13 +69,13 @@ class Image:
         """What the model leaves of columns (r, k) or (r,)."""
         return columns - self.basis @ (self.basis.T @ columns)
 
-    def given(self, count: int) -> tuple[float, int]:
+    def rss_and_rank(self, count: int) -> tuple[float, int]:
         """Sum of squares that the first columns of the model leave of the residual, and their rank."""
         basis = orthonormal(self.model[:, :count])
         left = self.residual - basis @ (basis.T @ self.residual)
         return float(left @ left), basis.shape[1]
 
-    def left(self, *which: int) -> float:
+    def rss(self, *which: int) -> float:
         """Sum of squares of the residual once these sets of columns are in the model too."""
         added = self.free_of_model(np.concatenate([self.model[:, :0], *(self.columns[k] for k in which)], axis=1))
         # a second projection, since an added column may have almost nothing left

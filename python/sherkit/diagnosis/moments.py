@@ -80,7 +80,7 @@ def best_lag(stage: Stage, best: Candidate, at_once: tuple[float, Candidate] | N
 
     lags = best.setting * 2.0 ** np.linspace(-1.0, 1.0, _FINER)
     image = stage.scan.image([partial(columns, lag) for lag in lags.tolist()])
-    left = np.array([image.left(k) for k in range(len(lags))])
+    left = np.array([image.rss(k) for k in range(len(lags))])
     finest = int(np.argmin(left))
     if at_once is not None:
         total, n = stage.scan.sum_of_squares, stage.scan.n * stage.scan.m

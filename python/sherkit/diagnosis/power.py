@@ -39,7 +39,7 @@ def smallest_found(stage: Stage, candidate: Candidate, threshold: float) -> tupl
         # a step's function was centred and scaled to unit length: one plausible step is this much of it
         size = size / stage.sigma * np.sqrt(stage.scan.n / 4.0)
     needed = noncentrality(threshold, len(size), stage.scan.free)
-    at_size = float(np.diag(stage.scan.of(candidate.columns).left) @ size**2)
+    at_size = float(np.diag(stage.scan.of(candidate.columns).gram) @ size**2)
     if at_size <= 0:
         return float("inf"), float("inf")
     times = float(np.sqrt(needed / at_size))

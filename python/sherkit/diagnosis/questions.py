@@ -309,7 +309,7 @@ def _parameters(base: Stage, candidate: Candidate, run: FittedRun | None) -> tup
         place = run.owns(effect)
         return run.fit.values[place], run.fit.std[place], is_plausible(run, effect)
     columns = base.scan.of(candidate.columns)
-    gram = columns.left
+    gram = columns.gram
     # of a column that the fit holds rounding is left: whatever that says of its size, the deviation is larger
     squares = np.maximum(np.diag(gram), np.maximum(_ROUNDING * np.diag(columns.whole), 1e-300))
     np.fill_diagonal(gram, squares)
@@ -332,8 +332,8 @@ def _signature(found: SearchResult, stage: Stage) -> dict[str, Any]:
     shape: Shape = stage.nuisance[0]
     scan = stage.scan
     image = scan.image([])
-    plain, rank = image.given(scan.fitted)
-    gain = plain - image.given(scan.fitted + len(scan.numbers(scan.model[0])))[0]
+    plain, rank = image.rss_and_rank(scan.fitted)
+    gain = plain - image.rss_and_rank(scan.fitted + len(scan.numbers(scan.model[0])))[0]
     # what is left once every shape that was found is in the model stands for the noise
     excess = max(plain - scan.sum_of_squares * (image.count - rank) / scan.free, gain)
     told = {

@@ -188,7 +188,7 @@ class Scan:
             part for part in parts if isinstance(part, Products)
         )
 
-    def given(self, *columns: Columns) -> Scan:
+    def with_columns(self, *columns: Columns) -> Scan:
         """The family once more columns are part of the model too, at the price of one look at these alone: what the
         model leaves of them stands, orthonormal, behind what is there."""
         if not columns:

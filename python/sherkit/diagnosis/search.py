@@ -100,7 +100,7 @@ class Search:
         self.rho, self.waves = stage.filtered.rho, stage.waves or self.waves
         return stage
 
-    def left(self, stage: Stage, scan: Scan | None = None) -> float:
+    def p_value(self, stage: Stage, scan: Scan | None = None) -> float:
         """Familywise p of what is left of a run."""
         if stage.run.is_exact:
             return 1.0
@@ -116,11 +116,11 @@ class Search:
         """Searches until nothing significant is left, or nothing explains what is. Shapes that ``described`` the run
         are in the model from the beginning: an effect is then found in what they leave."""
         stage = self.stage(self.base)
-        p = self.left(stage)
+        p = self.p_value(stage)
         found = SearchResult([stage], p_first=p, p_left=p)
         for one in described:
             stage = self._describe(found, stage, one)
-            p = self.left(stage)
+            p = self.p_value(stage)
         while p <= self.level and len(found.added) + len(found.signature) < _MOST_STEPS + len(described):
             explanations, singles, nearest = self.explanations(stage)
             shape = self.simpler_shape(stage, explanations)
@@ -150,7 +150,7 @@ class Search:
                 stage = self._describe(found, stage, best)
             else:
                 break
-            p = self.left(stage)
+            p = self.p_value(stage)
         found.p_left = p
         self._prune(found)
         self._forget(found)
@@ -169,7 +169,7 @@ class Search:
     def as_it_stands(self) -> SearchResult:
         """Nothing is looked for."""
         stage = self.stage(self.base)
-        p = self.left(stage)
+        p = self.p_value(stage)
         return SearchResult([stage], p_first=p, p_left=p)
 
     def simpler_shape(self, stage: Stage, explanations: Sequence[Explanation]) -> Shape | None:
@@ -182,14 +182,14 @@ class Search:
         shape = self.best_shape(stage)
         if shape is None:
             return None
-        given = stage.scan.given(shape.columns)
+        given = stage.scan.with_columns(shape.columns)
         of_shape = schwarz(given, len(stage.scan.numbers(shape.columns)))
         image = stage.among(members := list({id(c): c for e in explanations for c in e.candidates}.values()))
         places = [[members.index(c) for c in e.candidates] for e in explanations]
         of_pair = min(
-            bic_of(image.left(*at), image.count, e.candidates) for at, e in zip(places, explanations, strict=True)
+            bic_of(image.rss(*at), image.count, e.candidates) for at, e in zip(places, explanations, strict=True)
         )
-        if of_shape < of_pair - CLEARLY and self.left(stage, given) > self.level:
+        if of_shape < of_pair - CLEARLY and self.p_value(stage, given) > self.level:
             return shape
         return None
 
@@ -210,7 +210,7 @@ class Search:
         scores = self.scores(stage)
         own = float(scores[stage.shapes.index(shape)])
         # of what describes but a part, another that takes as much but for a little describes as well
-        part = self.left(stage, stage.scan.given(shape.columns)) <= self.level
+        part = self.p_value(stage, stage.scan.with_columns(shape.columns)) <= self.level
         near = as_low(stage, scores, max(CLEARLY, -(1.0 - _AS_MUCH) * own if part else 0.0))
         out: dict[tuple[frozenset[str], str], Shape] = {}
         for other, _ in sorted(near, key=partial(simplicity, stage)):
@@ -231,7 +231,7 @@ class Search:
         def best(at: Floats) -> float:
             """The frequency of these (k,) that leaves least."""
             image = stage.scan.image([partial(filtered, f) for f in at.tolist()])
-            return float(at[np.argmin([image.left(k) for k in range(len(at))])])
+            return float(at[np.argmin([image.rss(k) for k in range(len(at))])])
 
         def filtered(frequency: float, rows: slice, block: Block) -> Floats:
             del block
@@ -284,7 +284,7 @@ class Search:
         image = stage.among(single)
         screened = []
         for members in sets:
-            left = image.left(*(place[id(c)] for c in members))
+            left = image.rss(*(place[id(c)] for c in members))
             if stage.scan.sum_of_squares - left >= _TAKES * largest:
                 screened.append((bic_of(left, image.count, members), schwarz_of(left, image.count, 0), members))
         screened.sort(key=lambda s: s[0])
@@ -314,7 +314,7 @@ class Search:
         after = self.stage(run, stage.nuisance, thorough=False)
         if float(after.scan.z_scores.max()) <= _PLAINLY_LEFT:
             after = self.stage(run, stage.nuisance)
-        return Explanation(members, after, self.left(after))
+        return Explanation(members, after, self.p_value(after))
 
     def _settled(self, stage: Stage, found: Explanation) -> Explanation | None:
         """A set with each of its settings as it takes most beside the others; None where none is searched for."""
@@ -371,7 +371,7 @@ class Search:
         """Takes out shapes and effects that later effects have made needless."""
         if found.added and found.signature:
             stage = self.stage(found.stages[-1].run)
-            if (p := self.left(stage)) > self.level:
+            if (p := self.p_value(stage)) > self.level:
                 found.signature, found.as_well, found.p_left = [], [], p
                 found.stages.append(stage)
         if len(found.added) < 2:
@@ -379,7 +379,7 @@ class Search:
         for candidate in list(found.added[:-1]):
             rest = [c for c in found.added if c is not candidate]
             stage = self.stage(refit(self.base, rest), found.stages[-1].nuisance)
-            p = self.left(stage)
+            p = self.p_value(stage)
             if p > self.level:
                 found.added = rest
                 found.stages.append(stage)
@@ -390,8 +390,8 @@ class Search:
         scan = found.stages[-1].scan
         image, columns, kept = scan.image([]), scan.fitted, []
         for shape, model in zip(found.signature, scan.model, strict=True):
-            before, columns = image.given(columns)[1], columns + len(scan.numbers(model))
-            if image.given(columns)[1] > before:
+            before, columns = image.rss_and_rank(columns)[1], columns + len(scan.numbers(model))
+            if image.rss_and_rank(columns)[1] > before:
                 kept.append(shape)
         if len(kept) < len(found.signature):
             if kept[:1] != found.signature[:1]:
@@ -399,4 +399,4 @@ class Search:
             found.signature = kept
             stage = self.stage(found.stages[-1].run, kept)
             found.stages.append(stage)
-            found.p_left = self.left(stage)
+            found.p_left = self.p_value(stage)

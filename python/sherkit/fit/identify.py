@@ -269,7 +269,7 @@ def identify(
         if priors and noise.origin == "unknown":
             # a prior is weighed against the noise, which only the residuals tell
             loose, _ = problem.solve(weights, values, linear=linear)
-            weights = weights / max(scale(problem.left(loose.trial), weights, loose.result()["rank"], loss), 1e-12)
+            weights = weights / max(scale(problem.residuals(loose.trial), weights, loose.result()["rank"], loss), 1e-12)
         solver, ended = problem.solve(weights, values, priors=priors, linear=linear)
         result = solver.result()
         if not reached(ended, result):
@@ -285,24 +285,24 @@ def identify(
     if loss != "linear":
         # residuals are judged by their own spread, taken anew until it settles
         for _ in range(_ROBUST_ROUNDS):
-            robust = weights / spread(problem.left(values), weights)
+            robust = weights / spread(problem.residuals(values), weights)
             solver, ended = problem.solve(robust, values, priors=priors, linear=linear, loss=loss)
             moved, values = np.abs(solver.trial - values), solver.trial
             if (moved <= _SETTLED * problem.sizes).all():
                 break
         result = solver.result()
     evaluations, at_minimum = result["evaluations"], reached(ended, result)
-    judged = weights if loss == "linear" else weights / spread(problem.left(values), weights)
+    judged = weights if loss == "linear" else weights / spread(problem.residuals(values), weights)
     if loss != "linear" or priors:
         # what the readings say there, none of them weighed down for being far off
         result = problem.information(judged, values)
-    ratio = scale(problem.left(values), judged, result["rank"], loss)
+    ratio = scale(problem.residuals(values), judged, result["rank"], loss)
     covariance, beyond = result["covariance"] * ratio**2, result["unobserved_covariance"]
     if priors:
         known = problem.information(judged / ratio, values, priors=True)
         covariance, beyond = known["covariance"], known["unobserved_covariance"]
     # of a robust fit the covariance is that of each column by its own spread; this is all of them over the noise
-    overall = ratio if loss == "linear" else scale(problem.left(values), weights, result["rank"], loss)
+    overall = ratio if loss == "linear" else scale(problem.residuals(values), weights, result["rank"], loss)
     still = np.maximum(_STILL * np.sqrt(np.diag(covariance).clip(0.0)), _SETTLED * problem.sizes)
     fit = Fit(
         model=model,

@@ -33,7 +33,7 @@ class LeastSquares:
             self._last = values.copy(), self.model.predict(self.data, values)
         return self._last[1]
 
-    def left(self, values: Floats) -> Floats:
+    def residuals(self, values: Floats) -> Floats:
         """Measured minus predicted (n, m)."""
         return self.data.readings - self.predicted(values)
 

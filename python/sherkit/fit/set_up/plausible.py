@@ -98,12 +98,12 @@ def plausible_fit(model: ModelWithEffects, data: Measurements, datum: Bools, rou
     best: Plausible | None = None
     try:
         with np.errstate(all="ignore"):
-            rms = robust_rms(problem.left(values), used, centred=bool(datum.any()))
+            rms = robust_rms(problem.residuals(values), used, centred=bool(datum.any()))
             for _ in range(rounds):
                 weights = np.where(used, 1.0 / np.maximum(np.where(taken, rms, 1.0), smallest), 0.0)
                 solver, _ = problem.solve(weights, values, priors=True, loss="cauchy", max_evaluations=_EVALUATIONS)
                 values = solver.trial
-                rms = robust_rms(problem.left(values), used)
+                rms = robust_rms(problem.residuals(values), used)
                 now = Plausible(values, rms, spread, moved_by(values, sizes, datum), elsewhere)
                 if not np.isfinite(rms[taken]).all() or (best is not None and now.misfit > best.misfit - _WORTH):
                     break
