@@ -93,6 +93,7 @@ pictures: $(STAMP)
 	$(BIN)/python docs/draw_printer.py
 	$(BIN)/python docs/draw_gallery.py
 	$(BIN)/python docs/draw_page.py
+	$(BIN)/python docs/draw_screens.py
 
 bench: $(STAMP)
 	$(BIN)/python -m pip install --quiet "$$(ls $(WHEELS)/sherkit-*.whl)[bench]"
