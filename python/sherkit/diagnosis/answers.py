@@ -27,7 +27,7 @@ class CandidateReport:
     """One effect as an addition to the fit: what it would bring and whether that can be believed.
 
     ``held_out_std`` is the standard error of ``held_out_rms``, from how much the blocks held out differ; it is
-    ``plausible`` where its largest parameter has at most five plausible sizes, give or take two deviations.
+    ``plausible`` where its largest parameter has at most three plausible sizes, give or take two deviations.
     """
 
     effect: str

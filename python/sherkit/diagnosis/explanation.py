@@ -76,6 +76,6 @@ def plausible(explanation: Explanation, base: FittedRun) -> bool:
     return all(is_plausible(run, c.effect) for c in explanation.candidates) and not displaces(run.fit, base.fit)
 
 
-def is_plausible(run: FittedRun, effect: Effect) -> bool:
-    """Whether no parameter of an effect is far beyond its plausible size."""
-    return bool((sizes_of(run.fit)[run.owns(effect)] <= PLAUSIBLE).all())
+def is_plausible(run: FittedRun, effect: Effect, most: float = PLAUSIBLE) -> bool:
+    """Whether no parameter of an effect is beyond so many times its plausible size."""
+    return bool((sizes_of(run.fit)[run.owns(effect)] <= most).all())

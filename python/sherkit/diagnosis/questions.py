@@ -45,7 +45,7 @@ from .rounded import steps_in
 from .search import SearchResult
 from .setting import periods_shown
 from .shapes import Shape
-from .sizes import implausible
+from .sizes import TOLD, implausible
 from .stage import Candidate, Stage, stage_of
 from .steady import slow_drift_of
 from .template import what_parts
@@ -307,7 +307,7 @@ def _parameters(base: Stage, candidate: Candidate, run: FittedRun | None) -> tup
     effect = candidate.effect
     if run is not None:
         place = run.owns(effect)
-        return run.fit.values[place], run.fit.std[place], is_plausible(run, effect)
+        return run.fit.values[place], run.fit.std[place], is_plausible(run, effect, TOLD)
     columns = base.scan.of(candidate.columns)
     gram = columns.gram
     # of a column that the fit holds rounding is left: whatever that says of its size, the deviation is larger
@@ -323,7 +323,7 @@ def _parameters(base: Stage, candidate: Candidate, run: FittedRun | None) -> tup
         unit = base.sigma / np.sqrt(base.scan.n / 4.0)
         x, std = x * unit, std * unit
     size = np.array([p.size for p in effect.parameters])
-    return x, std, bool((np.abs(x) - 2 * std <= 5 * size).all())
+    return x, std, bool((np.abs(x) - 2 * std <= TOLD * size).all())
 
 
 def _signature(found: SearchResult, stage: Stage) -> dict[str, Any]:

@@ -11,8 +11,9 @@ from ..errors import FitError, SherkitWarning
 from ..fit.identify import Fit
 from ..types import Floats
 
-#: Plausible sizes up to which a parameter is plausible, and those from which on it is absurd and nothing is believed.
-PLAUSIBLE, ABSURD = 5.0, 500.0
+#: Plausible sizes up to which people are told that a parameter is plausible; up to which a search takes it for as good
+#: as any; and from which on it is absurd, and nothing is believed.
+TOLD, PLAUSIBLE, ABSURD = 3.0, 5.0, 500.0
 
 
 def sizes_of(fit: Fit) -> Floats:
@@ -48,7 +49,7 @@ def refuse_absurd(fit: Fit, names: Sequence[str]) -> None:
 
     Raises :class:`~sherkit.errors.FitError`.
     """
-    told = implausible(fit, names)
+    told = implausible(fit, names, PLAUSIBLE)
     if told is None:
         return
     sizes = sizes_of(fit)
@@ -57,12 +58,12 @@ def refuse_absurd(fit: Fit, names: Sequence[str]) -> None:
     warnings.warn(f"{fit.data.source}: {told}", SherkitWarning, stacklevel=3)
 
 
-def implausible(fit: Fit, names: Sequence[str]) -> str | None:
-    """The named effect whose size is far beyond what is plausible, as a sentence; None where there is none."""
+def implausible(fit: Fit, names: Sequence[str], most: float = TOLD) -> str | None:
+    """The named effect whose size is beyond so many times what is plausible, as a sentence; None where none is."""
     sizes = sizes_of(fit)
     for effect in fit.model.effects:
         place = fit.model.owns(effect)
-        if effect.name in names and sizes[place].max() > PLAUSIBLE:
+        if effect.name in names and sizes[place].max() > most:
             k = place.start + int(np.argmax(sizes[place]))
-            return f"{largest(fit, k)}: look for another cause, or for why it is so large"
+            return f"{largest(fit, k)} ({sizes[k]:.2g} ×): look for another cause, or for why it is so large"
     return None
