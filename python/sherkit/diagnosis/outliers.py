@@ -226,10 +226,14 @@ def _slipped(view: Linearised, rows: Ints, outliers: Bools) -> bool:
     """Whether one slip, of what is read or of whatever effect has a moment, leaves of these rows no more than the fit
     leaves of those that are right."""
     m = view.residual.shape[1]
-    steps = [np.broadcast_to(np.eye(m), (len(rows), m, m))]
-    effects = view.effects_in(slice(int(rows[0]), int(rows[-1]) + 1))
-    steps += [effects[:, :, at] for _, at in view.in_time if at is not None]
-    basis = orthonormal(np.concatenate(steps, axis=2))
+    slips = []
+    for block in view.blocks:
+        here = slice(max(block.start, int(rows[0])), min(block.stop, int(rows[-1]) + 1))
+        if here.start < here.stop:
+            effects = view.effects_in(here)
+            of_effects = [effects[:, :, at] for _, at in view.in_time if at is not None]
+            slips.append(np.concatenate([np.broadcast_to(np.eye(m), (len(effects), m, m)), *of_effects], axis=2))
+    basis = orthonormal(np.concatenate(slips))
     off = view.residual[rows]
     left = huber(off, lambda tame: (basis @ (basis.T @ tame.reshape(-1))).reshape(off.shape))
     spread = np.median(np.abs(view.residual[~outliers]), axis=0)
