@@ -120,7 +120,7 @@ def _times_of_day() -> str:
 
 BAD = (
     Bad("a reading in micrometres", ("'x_um'", "millimetres", "'x_mm'"), GOOD.replace("x_mm", "x_um")),
-    Bad("a unit in the header", ("'x [um]'", '[columns] x_mm = "x [um]"'), GOOD.replace("x_mm", "x [um]")),
+    Bad("a unit in the header", ("'x [um]'", 'columns = { x_mm = "x [um]" }'), GOOD.replace("x_mm", "x [um]")),
     Bad("a joint in metres", ("'q1_mm' is missing", "'q1_m'", "millimetres"), GOOD.replace("q1_mm", "q1_m")),
     Bad("a misspelt column", ("'q2_mm' is missing", "'q2mm' meant"), GOOD.replace("q2_mm", "q2mm")),
     Bad(

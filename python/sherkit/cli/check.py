@@ -47,6 +47,10 @@ def check(run: Path, robot: Path | None, destination: Path | None, as_json: bool
         _tell(found)
         _next(found, robot, destination if written else None)
     if not (written if destination is not None else found.is_good):
+        what = (
+            "not all of it can be mended, nothing was written" if destination is not None else "cannot be read as it is"
+        )
+        output.fail(f"{run}: {what}")
         sys.exit(1)
 
 

@@ -18,12 +18,15 @@ from .image import Image
 from .linearised import Linearised, Whitening, correlation_in_time, last_asked, orthonormal
 from .scan import Block, Columns, Scan
 from .shapes import Family, Shape, build
+from .tails import chi2_log_tail
 from .waves import Waves, waves_of
 
 #: Time constants that are tried, and the fewest readings in one of them.
 _LAGS, _READINGS_BEHIND = 8, 4.0
 #: Rows that tell how noise is correlated in time: more would tell it better than any test here could see.
 _CORRELATED = 8192
+#: Chance that pure noise has a step.
+_STEPS = 1e-6
 #: Part of a step's square below which nothing of it is left beside the other columns.
 _NOTHING_LEFT = 1e-4
 
@@ -321,17 +324,21 @@ def _rich_basis(fitted: Floats, physical: Floats, family: Family, rows: slice) -
 
 def _largest_step(residual: Floats, basis: Floats) -> Floats:
     """What an orthonormal basis (n·m, k) leaves of the step on all axes that takes most beside it, orthonormal
-    (n·m, r): neighbours on one side of it are alike whatever the noise is."""
+    (n·m, r): neighbours on one side of it are alike whatever the noise is. Nothing where chance may have taken it."""
     n, m = residual.shape
     cuts = np.arange(2, n - 2)
-    if not len(cuts):
-        return np.zeros((n * m, 0))
+    nothing, free_numbers = np.zeros((n * m, 0)), n * m - basis.shape[1]
+    if not len(cuts) or free_numbers <= m:
+        return nothing
     flat = residual.reshape(-1)
     left = (flat - basis @ (basis.T @ flat)).reshape(n, m)
     within = np.cumsum(basis.reshape(n, m, -1)[::-1], axis=0)[::-1][cuts]
     free = (n - cuts)[:, None] - (within**2).sum(axis=2)
     along = np.cumsum(left[::-1], axis=0)[::-1][cuts]
     gain = np.where(free > _NOTHING_LEFT * n, along**2 / np.maximum(free, 1e-12), 0.0).sum(axis=1)
+    variance = max(float((left**2).sum() - gain.max()) / (free_numbers - m), 1e-300)
+    if chi2_log_tail(float(gain.max()) / variance, m) + np.log(len(cuts)) > np.log(_STEPS):
+        return nothing
     step = np.zeros((n, m, m))
     step[cuts[np.argmax(gain)] :] = np.eye(m)
     columns = step.reshape(n * m, m)

@@ -153,7 +153,7 @@ def _with_bokeh(value: Any, pictures: list[Picture[Any]], cards: str = "") -> st
     )
     page = page_of(column(*parts, sizing_mode="stretch_width"), "", nonce, borrowed)
     if cards:
-        head, body, tail = page.partition("<body>")
+        head, body, tail = page.rpartition("<body>")  # Bokeh's own text has one before it
         page = f'{head}{body}{cards}<script nonce="{nonce}">{scenes()}</script>{tail}'
     brings = ""
     if here is not None and _Bringer.asks(here):
