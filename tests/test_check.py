@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 import tomllib
 from collections.abc import Callable
@@ -16,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sherkit as sk
+from running import command
 from sherkit import save_robot
-from sherkit.cli import main
 from sherkit.data.file_check import FileCheck, check_file
 from sherkit.errors import MeasurementError
 from strategies import EXAMPLE
@@ -38,14 +36,8 @@ def run_of(rows: int, seed: int = 0) -> np.ndarray[Any, Any]:
 
 def said(folder: Path, *arguments: str) -> tuple[int, str, str]:
     """Exit code, stdout and stderr of a command in a folder."""
-    out, err = io.StringIO(), io.StringIO()
-    code: Any = 0
-    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            main(list(arguments))
-        except SystemExit as done:
-            code = done.code
-    return int(code or 0), " ".join(out.getvalue().split()), err.getvalue()
+    code, out, err = command(folder, *arguments)
+    return code, " ".join(out.split()), err
 
 
 def german(values: np.ndarray[Any, Any]) -> bytes:

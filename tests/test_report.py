@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 import math
 import re
@@ -21,8 +19,8 @@ import pytest
 
 import sherkit as sk
 from browsing import needs_browser, opened, settled, source, unfold
+from running import command
 from sherkit import save_robot
-from sherkit.cli import main
 from sherkit.figures import in_people_units, with_error
 from sherkit.model.effect import effects_by_name
 from sherkit.report.estimate import EstimateOverTime
@@ -43,18 +41,6 @@ def heave(rows, p):
     """</script><b id="bold">bold</b>"""
     return p.amplitude * np.outer(np.sin(rows.position[:, 0]), [0, 0, 1])
 '''
-
-
-def command(folder: Path, *arguments: str) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of the command, run in ``folder``."""
-    out, err = io.StringIO(), io.StringIO()
-    code: Any = 0
-    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            main(list(arguments))
-        except SystemExit as done:
-            code = done.code
-    return int(code or 0), out.getvalue(), err.getvalue()
 
 
 def done(folder: Path, *arguments: str) -> str:

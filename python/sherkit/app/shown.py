@@ -25,7 +25,7 @@ _WIDTH, _FALL_HEIGHT, _FALL_ROOM = 1000, 232, 350
 #: The colour scale stands beside the panels of the map.
 _BESIDE = 160
 _SCALES = [("shared", "one scale for both"), ("own", "each its own scale"), ("noise", "in units of the noise")]
-_SHORT = ((" marked as outliers", " marked"),)
+_MARKED, _MARKED_SHORT = " marked as outliers", " marked"
 
 
 class Maps:
@@ -186,9 +186,7 @@ class Fall:
 
 
 def _short(action: str) -> str:
-    for long, short in _SHORT:
-        action = action.replace(long, short)
-    return action
+    return action.replace(_MARKED, _MARKED_SHORT)
 
 
 #: What a canvas shows, for those who do not see it.

@@ -37,9 +37,10 @@ def effects(name: str | None, robot: Path | None, as_json: bool, picture: Path |
     catalogues = {name: kind.model.catalogue for name, kind in known_kinds().items()} | {KIND: TOOL_CATALOGUE}
     if machine is not None:
         catalogues = {machine.kind: dict(machine.catalogue)}
+    holders = [kind for kind, catalogue in catalogues.items() if name in catalogue]
+    if name is not None and not holders:
+        effects_by_name({k: v for catalogue in catalogues.values() for k, v in catalogue.items()}, (name,))
     if as_json:
-        if name is not None:
-            effects_by_name({k: v for catalogue in catalogues.values() for k, v in catalogue.items()}, (name,))
         output.print_json(_json(catalogues, name))
         return
     if name is None:
@@ -50,9 +51,6 @@ def effects(name: str | None, robot: Path | None, as_json: bool, picture: Path |
             output.out.print(made)
         output.say("sherkit effects NAME shows one; your own go into a Python file: --effects my_effects.py")
         return
-    holders = [kind for kind, catalogue in catalogues.items() if name in catalogue]
-    if not holders:
-        effects_by_name({k: v for catalogue in catalogues.values() for k, v in catalogue.items()}, (name,))
     for kind in holders:
         _show(catalogues[kind][name], _title(kind) if len(holders) > 1 else "")
     if picture is not None:

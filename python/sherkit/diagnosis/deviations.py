@@ -206,7 +206,7 @@ class Deviations:
         held, axis = shapes[best // (m + 1)], best % (m + 1)
         where = None if axis == m else axis
         finer = [held, *(self._periods(held) if held.shape == "periodic" else self._moments(held))]
-        return finer[int(np.argmax([self._taken(one, where) for one in finer]))], where
+        return self._taking_most(finer, where), where
 
     def _periods(self, held: Held) -> list[Held]:
         """A cycle at the periods about its own."""
@@ -223,14 +223,17 @@ class Deviations:
         near, reach = int(np.searchsorted(values, cast(float, held.at))), len(values) // _STEPS + 1
         return [replace(held, at=float(at)) for at in np.unique(values[max(near - reach, 0) : near + reach])[1:]]
 
-    def _taken(self, held: Held, axis: int | None) -> float:
-        """What a shape takes of the deviations that are searched, on one axis or on all."""
+    def _taking_most(self, shapes: Sequence[Held], axis: int | None) -> Held:
+        """The shape that takes most of the deviations that are searched, on one axis or on all."""
+        if len(shapes) == 1:
+            return shapes[0]
         on = self.tame if axis is None else self.tame[:, [axis]]
         if self.accepted:
             basis = orthonormal(np.column_stack(self.accepted), 1e-6)
             on = on - basis @ (basis.T @ on)
-        basis = orthonormal(self._columns([held], self.seen), 1e-6)
-        return float(((basis.T @ on[self.seen]) ** 2).sum())
+        on = on[self.seen]
+        bases = (orthonormal(self._columns([held], self.seen), 1e-6) for held in shapes)
+        return shapes[int(np.argmax([float(((basis.T @ on) ** 2).sum()) for basis in bases]))]
 
     def _accept(self, held: Held, axis: int | None) -> None:
         columns = self._columns([held], slice(None))

@@ -146,7 +146,6 @@ def html(report: Report) -> str:
         contents=_CONTENTS,
         most=_MOST_OPEN,
         alone=_nothing_added(report),
-        across=not _nothing_added(report),
         cards=cards,
         other_cards=other_cards,
         space=_space(report),
