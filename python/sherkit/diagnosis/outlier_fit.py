@@ -18,11 +18,13 @@ from .. import linalg
 from ..data.noise import MAD
 from ..fit.folds import BLOCK
 from ..types import Bools, Floats, Ints
+from .apart import apart_from_pose
 from .fitted_run import DIGITS
 from .linearised import Linearised, orthonormal
 from .robust_start import CUT, ROUNDS, huber
 from .shapes import Family, build
-from .tails import chi2_log_tail, chi2_tail, f_tail, normal_beyond
+from .step_gains import step_gains
+from .tails import chi2_log_tail, chi2_tail, f_tail
 
 #: Chance that a run without gross errors has anything listed; of several that are listed, the expected part of false
 #: ones.
@@ -70,7 +72,7 @@ class OutlierFit:
         self.declared = declared
         self.e = view.residual
         self.floor = np.maximum(DIGITS * np.ptp(self.e, axis=0), 1e-12)
-        self.within, apart = self._apart()
+        self.within, apart = apart_from_pose(self.e, view.repeated, self.floor, _LEVEL)
         if alone is not None:
             apart = apart | alone
         first, size = np.arange(len(view)), len(view)
@@ -343,12 +345,8 @@ class OutlierFit:
         cuts = cuts[self.view.time[cuts] > self.view.time[cuts - 1]]
         if not len(cuts):
             return None
-        after = np.cumsum(tame[::-1], axis=0)[::-1][cuts]
-        inside = np.zeros((len(cuts), m))
-        for column in self.basis.T:
-            inside += np.cumsum(self._up(column.reshape(-1, m))[::-1], axis=0)[::-1][cuts] ** 2
-        free = (n - cuts)[:, None] - inside
-        gain = np.where(free > _ABSORBED * n, after**2 / np.maximum(free, 1e-12), 0.0).sum(axis=1) / variance
+        columns = (self._up(column.reshape(-1, m)) for column in self.basis.T)
+        gain = step_gains(tame, columns, cuts, _ABSORBED) / variance
         best = int(np.argmax(gain))
         return float(chi2_log_tail(gain[best], m) + np.log(len(cuts))), int(cuts[best])
 
@@ -436,27 +434,3 @@ class OutlierFit:
         out = np.zeros(len(p), dtype=bool)
         out[order[: min(int(below[-1]) + 1, len(p) // 2)] if len(below) else []] = True
         return out
-
-    def _apart(self) -> tuple[Floats, Bools]:
-        """Noise (m,) within poses, zero where it is not known; and the rows (n,) that stand apart from the other
-        readings of their pose."""
-        n, m = self.e.shape
-        group = np.unique(self.view.repeated, return_inverse=True)[1].ravel()
-        order = np.argsort(group, kind="stable")
-        ordered, ids = self.e[order], group[order]
-        steps = np.diff(ordered, axis=0)[np.diff(ids) == 0]
-        if len(steps) < 5:
-            return np.zeros(m), np.zeros(n, dtype=bool)
-        noise = np.maximum(MAD * np.median(np.abs(steps), axis=0) / np.sqrt(2.0), self.floor)
-        threshold = normal_beyond(0.5 * _LEVEL / (n * m))
-        count = np.bincount(group)
-        starts = np.concatenate([[0], np.cumsum(count)[:-1]])
-        far = np.zeros(n, dtype=bool)
-        for size in np.unique(count[count >= 2]):
-            rows = starts[count == size][:, None] + np.arange(size)
-            block = ordered[rows]
-            limit = threshold * noise * (1.0 if size > 2 else np.sqrt(0.5))
-            apart = np.abs(block - np.median(block, axis=1, keepdims=True)) > limit
-            far[order[rows.ravel()]] = apart.any(axis=2).ravel()
-        steps = np.diff(ordered, axis=0)[(np.diff(ids) == 0) & ~far[order][1:] & ~far[order][:-1]]
-        return np.sqrt(0.5 * (steps**2).mean(axis=0)) if len(steps) else noise, far

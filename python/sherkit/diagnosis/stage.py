@@ -18,6 +18,7 @@ from .image import Image
 from .linearised import Linearised, Whitening, correlation_in_time, last_asked, orthonormal
 from .scan import Block, Columns, Scan
 from .shapes import Family, Shape, build
+from .step_gains import step_gains
 from .tails import chi2_log_tail
 from .waves import Waves, waves_of
 
@@ -332,10 +333,7 @@ def _largest_step(residual: Floats, basis: Floats) -> Floats:
         return nothing
     flat = residual.reshape(-1)
     left = (flat - basis @ (basis.T @ flat)).reshape(n, m)
-    within = np.cumsum(basis.reshape(n, m, -1)[::-1], axis=0)[::-1][cuts]
-    free = (n - cuts)[:, None] - (within**2).sum(axis=2)
-    along = np.cumsum(left[::-1], axis=0)[::-1][cuts]
-    gain = np.where(free > _NOTHING_LEFT * n, along**2 / np.maximum(free, 1e-12), 0.0).sum(axis=1)
+    gain = step_gains(left, (column.reshape(n, m) for column in basis.T), cuts, _NOTHING_LEFT)
     variance = max(float((left**2).sum() - gain.max()) / (free_numbers - m), 1e-300)
     if chi2_log_tail(float(gain.max()) / variance, m) + np.log(len(cuts)) > np.log(_STEPS):
         return nothing
