@@ -20,7 +20,7 @@ FLOORS = (
     ("model", "vision"),
     ("fit",),
     ("robots", "diagnosis"),
-    ("planning", "calibration", "study_file", "study_step", "fleets", "printers"),
+    ("planning", "calibration", "fleets", "printers"),
     ("study",),
     ("report", "lab"),
     ("__init__",),

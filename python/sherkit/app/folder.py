@@ -10,7 +10,7 @@ from typing import IO, Any
 from ..data.tables import PARQUET
 from ..errors import SherkitError
 from ..model.kinds import known_kinds
-from ..study_file import read_state
+from ..study.files import read_state
 from .tail import whole_lines
 
 TYPED = "typed_effects.py"

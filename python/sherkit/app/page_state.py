@@ -9,7 +9,7 @@ from ..data import Measurements
 from ..diagnosis import Diagnosis
 from ..model.effect import Effect
 from ..report.residuals import Residuals
-from ..study_step import StudyStep
+from ..study import StudyStep
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from ..diagnosis import Diagnosis
 from ..fit.error import ErrorSize
 from ..model.kinds import required_um
 from ..names import told_apart
-from ..study import Study
-from ..study_step import StudyStep
+from ..study import Study, StudyStep
 from ..types import Floats
 from .picture import Picture, Tables, single, sources_of
 from .style import COLOURS, FONT, FONT_SIZE, INK, MARKERS, figure, hover, legend

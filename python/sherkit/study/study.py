@@ -2,37 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from .arguments import Level, NotNegative, Positive, Seed, as_annotated
-from .data import Measurements
-from .data.given import RunLike
-from .data.joined import joined
-from .data.toml import Table
-from .diagnosis import Diagnosis, diagnose, gross_errors
-from .diagnosis.setting import setting_for
-from .errors import EffectError, MeasurementError, SherkitError
-from .fit.error import of_residuals
-from .fit.hold_out import hold_out
-from .fit.identify import Fit, identify
-from .fit.robust import LOSSES
-from .model.base import missing_columns
-from .model.chain import ChainModel
-from .model.effect import Effect, effects_by_name
-from .model.kinds import model_of, robot_from_table
-from .model.robot_file import RobotLike, robot_of, run_for
-from .names import CALIBRATED, NOMINAL, listed
-from .notebook import Shown
-from .robots.calibrated import Calibration, calibration_class
-from .robots.calibration_run import CalibrationRun
-from .study_file import error_from, error_state, finite, model_state, read_rows, read_state, write_study
-from .study_step import Before, StudyStep
-from .types import Ints
+from ..arguments import Level, NotNegative, Positive, Seed, as_annotated
+from ..data import Measurements
+from ..data.given import RunLike
+from ..data.joined import joined
+from ..data.toml import Table
+from ..diagnosis import Diagnosis, diagnose, gross_errors
+from ..diagnosis.setting import setting_for
+from ..errors import EffectError, MeasurementError, SherkitError
+from ..fit.error import of_residuals
+from ..fit.hold_out import hold_out
+from ..fit.identify import Fit, identify
+from ..fit.robust import LOSSES
+from ..model.base import missing_columns
+from ..model.chain import ChainModel
+from ..model.effect import Effect, effects_by_name
+from ..model.kinds import model_of, robot_from_table
+from ..model.robot_file import RobotLike, robot_of, run_for
+from ..names import CALIBRATED, NOMINAL, listed
+from ..notebook import Shown
+from ..robots.calibrated import Calibration, calibration_class
+from ..robots.calibration_run import CalibrationRun
+from ..types import Ints
+from . import files
+from .steps import Before, StudyStep
 
 _FOLLOWED = "the run so far"
 
@@ -77,8 +76,6 @@ class Study(Shown):
         self._record(CALIBRATED)
         self._leave_out(gross_errors(self._fit, tuple(self.own.values()), keep=self._put_back))
 
-    # -- state -------------------------------------------------------------------------------------------
-
     @property
     def fit(self) -> Fit:
         """The current fit."""
@@ -103,14 +100,12 @@ class Study(Shown):
     def _leave_out(self, rows: Ints) -> bool:
         """Leaves these rows out of the step that is taken, and takes in what was judged before and is right; whether
         that changes anything."""
-        marked = self.data.outlier.copy()
-        marked[self.left_out] = False
-        marked[rows] = True
+        judged = self._with_outliers_at(rows)
         self._judged = np.union1d(self._judged[~self.data.outlier[self._judged]], rows)
-        if np.array_equal(marked, self.data.outlier):
+        if np.array_equal(judged.outlier, self.data.outlier):
             return False
         before, action = self.data, self.history.pop().action
-        self.data = replace(self.data, outlier=marked)
+        self.data = judged
         try:
             self._record(action)
         except SherkitError:
@@ -118,6 +113,13 @@ class Study(Shown):
             self.data = before
             self._record(action)
         return True
+
+    def _with_outliers_at(self, rows: Ints) -> Measurements:
+        """The rows as they would be if these were judged, and no others."""
+        marked = self.data.outlier.copy()
+        marked[self.left_out] = False
+        marked[rows] = True
+        return replace(self.data, outlier=marked)
 
     def _record(self, action: str) -> StudyStep:
         step, fit = self._looked_at(self.model, action)
@@ -157,8 +159,6 @@ class Study(Shown):
         self._redone.clear()
         return step
 
-    # -- what a person does ------------------------------------------------------------------------------
-
     @as_annotated
     def diagnose(self, *, level: Level = 0.01, step: Callable[[str], None] = lambda _: None) -> Diagnosis:
         """What is missing now. The answer is kept until something changes."""
@@ -176,9 +176,7 @@ class Study(Shown):
         """The fit of all rows but those that a person marked: what is wrong is judged anew."""
         if not len(self.left_out):
             return self._fit
-        marked = self.data.outlier.copy()
-        marked[self.left_out] = False
-        return identify(self.model, replace(self.data, outlier=marked), loss=self.loss)
+        return identify(self.model, self._with_outliers_at(self.left_out[:0]), loss=self.loss)
 
     @as_annotated
     def add(
@@ -207,9 +205,8 @@ class Study(Shown):
         missing = missing_columns(chosen, self.data)
         if missing:
             raise EffectError(f"'{chosen.name}' needs the column {listed(missing)}, which these rows lack")
-        at = {"time_s": slip_time_s, "period_mm": period_mm, "period_rad": period_rad, "lag_s": lag_s}.get(
-            chosen.search or ""
-        )
+        given = {"time_s": slip_time_s, "period_mm": period_mm, "period_rad": period_rad, "lag_s": lag_s}
+        at = given.get(chosen.search or "")
         if at is None:
             at = setting_for(self.fit, chosen)
         action = chosen.name if chosen.frees else f"+ {chosen.name}"
@@ -218,18 +215,19 @@ class Study(Shown):
     @as_annotated
     def remove(self, name: str) -> StudyStep:
         """Takes an effect out and refits. Raises :class:`~sherkit.errors.EffectError` where it is not in the model."""
-        if name not in self.effects:
-            raise EffectError(f"'{name}' is not in the model; it has {listed(self.effects) or 'no effects'}")
-        return self._change(self.model.without_effect(name), self.data, f"− {name}")
+        return self._change(self._model_without(name), self.data, f"− {name}")
 
     def without(self, name: str) -> StudyStep:
         """What the rest of the model would leave without one of its effects; the study stays as it is.
 
         Raises :class:`~sherkit.errors.EffectError` where the effect is not in the model.
         """
+        return self._looked_at(self._model_without(name), f"without {name}")[0]
+
+    def _model_without(self, name: str) -> ChainModel:
         if name not in self.effects:
             raise EffectError(f"'{name}' is not in the model; it has {listed(self.effects) or 'no effects'}")
-        return self._looked_at(self.model.without_effect(name), f"without {name}")[0]
+        return self.model.without_effect(name)
 
     @property
     def can_undo(self) -> bool:
@@ -383,34 +381,15 @@ class Study(Shown):
         """
         state = {
             "robot": self.robot.to_tables(),
-            **model_state(self.model),
-            # rows are only ever added, and marked
-            "undo": [
-                {
-                    **model_state(u.model),
-                    "action": u.action,
-                    "rows": len(u.data),
-                    "outliers": np.flatnonzero(u.data.outlier).tolist(),
-                }
-                for u in self._undone
-            ],
+            **files.model_state(self.model),
+            "undo": [files.before_state(one) for one in self._undone],
             "judged": self._judged.tolist(),
             "with_outliers": self._with_outliers,
             "seed": self.seed,
             "loss": self.loss,
-            "history": [
-                {
-                    "action": s.action,
-                    "effects": list(s.effects),
-                    "fitted": error_state(s.fitted),
-                    "error": error_state(s.error),
-                    "parameters": finite(s.parameters),
-                    "rows": s.rows,
-                }
-                for s in self.history
-            ],
+            "history": [files.step_state(one) for one in self.history],
         }
-        write_study(Path(folder), state, self.data)
+        files.write_study(Path(folder), state, self.data)
 
     @classmethod
     @as_annotated
@@ -421,12 +400,12 @@ class Study(Shown):
         file and key for what is no study.
         """
         folder = Path(folder)
-        state = read_state(folder)
+        state = files.read_state(folder)
         study = cls.__new__(cls)
         with state.table("robot") as r:
             study.robot = robot_from_table(r)
         study.seed, study.loss = state.whole("seed", least=0), state.text("loss", LOSSES)
-        study.data = read_rows(folder, state)
+        study.data = files.read_rows(folder, state)
         study.own, study._undone, study._redone, study._diagnosis = {}, [], [], None
         study._with_outliers = state.flag("with_outliers", False)
         judged = np.array(state.wholes("judged"), dtype=np.int64)
@@ -435,61 +414,31 @@ class Study(Shown):
             study._register(effect)
         study.model = study._model_from(state)
         for undone in state.tables("undo"):
-            before = study._data_from(undone)
+            before = files.rows_from(undone, study.data)
             action = undone.words("action", empty=True) if undone.has("action") else ""
             try:
                 study._undone.append(Before(study._model_from(undone), before, action=action))
             except EffectError:  # an effect of the user's that is no longer given: what lies before it is out of reach
                 study._undone.clear()
         study._fit = identify(study.model, study.data, loss=study.loss)
-        study.history = [study._step_from(s) for s in state.tables("history", optional=False)]
+        steps = map(files.step_from, state.tables("history", optional=False))
+        study.history = [replace(step, fit=study._fit_of(step)) for step in steps]
         if not study.history:
             raise state.fail("history", "at least one step")
         state.finish()
         return study
 
     def _model_from(self, state: Table) -> ChainModel:
-        plain = model_of(self.robot, state.texts("free"))
-        effects = effects_by_name(plain.known_effects, state.texts("effects"), tuple(self.own.values()))
-        settings: dict[str, Any] = {name: state.number(name) if state.has(name) else None for name in plain.settings()}
-        return replace(plain, effects=effects, **settings)
+        return files.model_from(state, self.robot, tuple(self.own.values()))
 
-    def _data_from(self, undone: Table) -> Measurements:
-        count = undone.whole("rows", least=1)
-        if count > len(self.data):
-            raise undone.fail("rows", f"no more than the {len(self.data)} rows of the study")
-        marked = np.zeros(count, dtype=bool)
-        for row in undone.wholes("outliers"):
-            if not 0 <= row < count:
-                raise undone.fail("outliers", f"rows from 0 to {count - 1}")
-            marked[row] = True
-        return replace(self.data.select(np.arange(count)), outlier=marked)
-
-    def _step_from(self, one: Table) -> StudyStep:
-        with one.table("parameters") as t:
-            parameters = {name: t.number(name) for name in t.names()}
-        fitted, error = (error_from(one, key) for key in ("fitted", "error"))
-        effects = one.texts("effects")
-        return StudyStep(
-            action=one.words("action"),
-            effects=effects,
-            rows=one.whole("rows", least=0),
-            fit=self._fit_of(effects, fitted.by_reading),
-            fitted=fitted,
-            error=error,
-            parameters=parameters,
-        )
-
-    def _fit_of(self, effects: Sequence[str], left: Mapping[str, float]) -> Fit | None:
+    def _fit_of(self, step: StudyStep) -> Fit | None:
         """The fit of an earlier step, where the rows of today give what it left."""
         try:
-            model = replace(
-                self.model, effects=effects_by_name(self.model.known_effects, effects, tuple(self.own.values()))
-            )
+            effects = effects_by_name(self.model.known_effects, step.effects, tuple(self.own.values()))
         except EffectError:  # an effect of the user's that is no longer given
             return None
-        fit = identify(model, self.data, loss=self.loss)
-        rms = fit.rms()
+        fit = identify(replace(self.model, effects=effects), self.data, loss=self.loss)
+        rms, left = fit.rms(), step.fitted.by_reading
         same = rms.keys() == left.keys() and np.allclose(list(rms.values()), [left[k] for k in rms], rtol=1e-9)
         return fit if same else None
 

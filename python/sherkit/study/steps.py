@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .data import Measurements
-from .fit.error import ErrorSize
-from .fit.identify import Fit
-from .model.chain import ChainModel
+from ..data import Measurements
+from ..fit.error import ErrorSize
+from ..fit.identify import Fit
+from ..model.chain import ChainModel
 
 
 @dataclass(frozen=True, eq=False)

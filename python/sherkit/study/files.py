@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,14 +13,17 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from .data import Measurements, from_frame
-from .data.files import write_whole
-from .data.tables import parquet_errors
-from .data.toml import Table
-from .errors import NotWritten, SherkitError
-from .fit.error import ErrorSize
-from .model.chain import ChainModel
-from .types import Ints
+from ..data import Measurements, from_frame
+from ..data.files import write_whole
+from ..data.tables import parquet_errors
+from ..data.toml import Table
+from ..errors import NotWritten, SherkitError
+from ..fit.error import ErrorSize
+from ..model.chain import ChainModel
+from ..model.effect import Effect, effects_by_name
+from ..model.kinds import Robot, model_of
+from ..types import Ints
+from .steps import Before, StudyStep
 
 _FORMAT = 4
 _STATE = "study.json"
@@ -143,3 +146,58 @@ def model_state(model: ChainModel) -> dict[str, Any]:
         "effects": [e.name for e in model.effects],
         **{name: value for name, value in model.settings().items() if value is not None},
     }
+
+
+def model_from(state: Table, robot: Robot, own: Sequence[Effect]) -> ChainModel:
+    """The model of a state of the study. Raises :class:`~sherkit.errors.EffectError` where an effect is not known."""
+    plain = model_of(robot, state.texts("free"))
+    effects = effects_by_name(plain.known_effects, state.texts("effects"), own)
+    settings: dict[str, Any] = {name: state.number(name) if state.has(name) else None for name in plain.settings()}
+    return replace(plain, effects=effects, **settings)
+
+
+def before_state(before: Before) -> dict[str, Any]:
+    """What can be undone, for a file: rows are only ever added, and marked."""
+    outliers = np.flatnonzero(before.data.outlier).tolist()
+    return {**model_state(before.model), "action": before.action, "rows": len(before.data), "outliers": outliers}
+
+
+def rows_from(undone: Table, data: Measurements) -> Measurements:
+    """The rows of a state that can be undone, from those of the study."""
+    count = undone.whole("rows", least=1)
+    if count > len(data):
+        raise undone.fail("rows", f"no more than the {len(data)} rows of the study")
+    marked = np.zeros(count, dtype=bool)
+    for row in undone.wholes("outliers"):
+        if not 0 <= row < count:
+            raise undone.fail("outliers", f"rows from 0 to {count - 1}")
+        marked[row] = True
+    return replace(data.select(np.arange(count)), outlier=marked)
+
+
+def step_state(step: StudyStep) -> dict[str, Any]:
+    """A step of the history, for a file."""
+    return {
+        "action": step.action,
+        "effects": list(step.effects),
+        "fitted": error_state(step.fitted),
+        "error": error_state(step.error),
+        "parameters": finite(step.parameters),
+        "rows": step.rows,
+    }
+
+
+def step_from(one: Table) -> StudyStep:
+    """A step of the history, without its fit."""
+    with one.table("parameters") as t:
+        parameters = {name: t.number(name) for name in t.names()}
+    fitted, error = (error_from(one, key) for key in ("fitted", "error"))
+    return StudyStep(
+        action=one.words("action"),
+        effects=one.texts("effects"),
+        rows=one.whole("rows", least=0),
+        fit=None,
+        fitted=fitted,
+        error=error,
+        parameters=parameters,
+    )
