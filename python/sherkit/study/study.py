@@ -371,8 +371,6 @@ class Study(Shown):
         plain.check_effect(effect, self.data, np.zeros(len(plain.parameters)))
         self.own[effect.name] = effect
 
-    # -- files -------------------------------------------------------------------------------------------
-
     @as_annotated
     def save(self, folder: str | Path) -> None:
         """Writes robot, rows and steps into a folder that :meth:`load` reads back without loss: all of it or nothing.
