@@ -20,7 +20,8 @@ from ..types import Floats
 
 #: Keys of a table look alike (base_radius_mm, platform_radius_mm); a misspelt one looks more alike still.
 _MISSPELT = 0.75
-_LARGEST = 1e100
+#: What a number of a machine can be in size, in whatever unit, and least where it is not zero; what an array holds.
+_LARGEST, _SMALLEST, _LARGEST_OF_ARRAY = 1e15, 1e-30, 1e100
 #: Characters of a wrong value that a message repeats.
 _LONGEST = 100
 
@@ -129,6 +130,8 @@ class Table:
     def fail(self, key: str, expected: str) -> SherkitError:
         """The error for a key, in words."""
         found = repr(self._values[key]) if key in self._values else "nothing"
+        if _is_beyond(self._values.get(key)):
+            expected += f", of a size from {_SMALLEST:g} to {_LARGEST:g}"
         found = found if len(found) <= _LONGEST else f"{found[:_LONGEST]} …"
         return self._error(f"{self._where}: {self._name(key)}: expected {expected}, found {found}")
 
@@ -290,7 +293,7 @@ class Table:
             made = np.array(value, dtype=float)
         except (TypeError, ValueError, OverflowError):
             raise self.fail(key, kind) from None
-        if made.shape != shape or np.isnan(made).any() or (finite and not (np.abs(made) < _LARGEST).all()):
+        if made.shape != shape or np.isnan(made).any() or (finite and not (np.abs(made) < _LARGEST_OF_ARRAY).all()):
             raise self.fail(key, kind)
         return made
 
@@ -317,7 +320,7 @@ class Table:
         )
         schema = (_POSITIVE if positive else _NUMBER) | ({} if least is None else {"minimum": least})
         value = self._get(key, kind, default, schema, 1.0)
-        if not _is_number(value) or (positive and value <= 0) or (least is not None and value < least):
+        if not _is_number(value) or (positive and value < _SMALLEST) or (least is not None and value < least):
             raise self.fail(key, kind)
         return float(value)
 
@@ -356,7 +359,7 @@ class Table:
             not isinstance(value, list | tuple)
             or len(value) != count
             or not all(_is_number(v) for v in value)
-            or (positive and min(value) <= 0)
+            or (positive and min(value) < _SMALLEST)
         ):
             each = f", one for each, such as [{', '.join([f'{value:g}'] * count)}]" if _is_number(value) else ""
             raise self.fail(key, kind + each)
@@ -367,6 +370,15 @@ def _is_plain(value: object) -> bool:
     return all(map(_is_plain, value)) if isinstance(value, list) else isinstance(value, str | bool | int | float)
 
 
+def _is_beyond(value: object) -> bool:
+    """Whether a number, or one of a list, is of no size that a machine has."""
+    if isinstance(value, list | tuple):
+        return any(map(_is_beyond, value))
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    return value != 0 and not _SMALLEST <= abs(value) <= _LARGEST
+
+
 def _is_number(value: object) -> bool:
     # NaN is not below anything; Python's whole numbers have no end, floats have
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _LARGEST
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST

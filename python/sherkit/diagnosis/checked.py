@@ -11,7 +11,7 @@ from ..data.doubts import Doubt
 from ..fit.set_up import Mistake
 from ..names import listed, spans
 from ..types import Floats, Ints
-from .checks import APART, AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SMALL, Check
+from .checks import APART, AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SETTLED, SMALL, Check
 from .few_enough import FewEnough
 from .fitted_run import FittedRun
 from .held_out import PRAISE
@@ -139,7 +139,7 @@ def _converged(final: FittedRun, used: str) -> Check:
     fit = final.fit
     how = "settled" if fit.converged else "still moved"
     return Check(
-        "converged", "the fit converged", used, f"it {how} after {fit.evaluations} evaluations", holds=fit.converged,
+        SETTLED, "the fit converged", used, f"it {how} after {fit.evaluations} evaluations", holds=fit.converged,
         fails="the fit did not converge, so that nothing it says can be believed",
     )  # fmt: skip
 

@@ -14,9 +14,10 @@ REPEATS = "repeats_are_noise"
 POSES_AS_REPEATS = "poses_as_repeats"
 #: The checks that compare rows held out with the noise, and with what few poses make of it.
 SMALL, LOOSE = "as_small_as_noise", "poses_suffice"
-#: The check that the poses are no line; where it alone fails, or that they suffice, nothing is decided.
-PLACES = "poses_tell"
-_UNDECIDED = {LOOSE, PLACES}
+#: The checks that the poses are no line, and that the fit came to rest; where these alone fail, or that the poses
+#: suffice, nothing is decided.
+PLACES, SETTLED = "poses_tell", "converged"
+_UNDECIDED = {LOOSE, PLACES, SETTLED}
 #: Checks without which the drawing is not judged.
 _MOVES = {"set_up", "plausible", PLACES}
 #: Reasons that the first line gives; the checks have all.

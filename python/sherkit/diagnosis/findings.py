@@ -117,8 +117,8 @@ def _without_effect(d: Diagnosis, off: str) -> tuple[str, str]:
         )
     if d.verdict == "undecided":
         return (
-            f"The model is {off} on poses that it was not fitted to, and that may be because these are too few: "
-            "nothing shows beside what they leave open.",
+            f"The model is {off} on poses that it was not fitted to, and that may be because these are too few, or too "
+            "close together: nothing shows beside what they leave open.",
             "Measure more poses, out to the rim of the workspace, and ask again.",
         )
     return (

@@ -97,16 +97,28 @@ def set_up_mistakes(model: ModelWithEffects, data: Measurements, values: Floats 
     return (*out, *wrong)
 
 
+def _usual_noise(data: Measurements) -> Floats:
+    """Noise (m,) of each column, NaN where nothing was taken or nothing tells it."""
+    noise = noise_of(data)
+    if noise.origin == "unknown":
+        return np.full(data.used.shape[1], np.nan)
+    pairs = zip(noise.sigma.T, data.used.T, strict=True)
+    return np.array([np.median(sigma[used]) if used.any() else np.nan for sigma, used in pairs])
+
+
+def _is_noise(now: Plausible, data: Measurements) -> bool:
+    """Whether a fit leaves no more than readings of one pose differ among themselves."""
+    taken = np.isfinite(now.rms)
+    return bool((now.rms <= _NOISES * _usual_noise(data))[taken].all())
+
+
 def _is_small(now: Plausible, data: Measurements) -> bool:
     """Whether a fit leaves so little, with parameters so plausible, that nothing can be wrong that it would show."""
-    noise = noise_of(data)
-    pairs = zip(noise.sigma.T, data.used.T, strict=True)
-    usual = np.array([np.median(sigma[used]) if used.any() else np.nan for sigma, used in pairs])
     # one that hardly moves beside the others, as the height in a plane, may be all noise
     spread = np.maximum(now.spread, _LEAST_SPREAD * np.nanmax(now.spread))
-    small = now.rms <= _SMALL * spread
-    if noise.origin != "unknown":
-        small |= (now.rms <= _NOISES * usual) & (now.rms <= _NOT_LARGE * spread)
+    small = (now.rms <= _SMALL * spread) | (
+        (now.rms <= _NOISES * _usual_noise(data)) & (now.rms <= _NOT_LARGE * spread)
+    )
     return bool(small[np.isfinite(now.rms)].all()) and now.moved <= _MOVED and now.elsewhere < 0.5
 
 
@@ -130,7 +142,7 @@ def _wrong(
             return []
         if _is_physics(model, data, datum, now):
             return []
-        return [_nothing_usual(now, before, unit)]
+        return [_all_noise(now, before, unit) if _is_noise(now, data) else _nothing_usual(now, before, unit)]
     first, found = better[0]
     after = per_unit * found.error
     looks, advice = (
@@ -264,6 +276,15 @@ def _with_an_effect(model: ModelWithEffects, data: Measurements, datum: Bools) -
             found = plausible_fit(more, data, np.append(datum, np.zeros(len(effect.parameters), dtype=bool)))
             if found is not None:
                 yield found
+
+
+def _all_noise(now: Plausible, before: float, unit: str) -> Mistake:
+    """That readings differ at one pose about as much as between poses."""
+    sentence = (
+        f"readings of one pose differ by {_plain(before)} {unit} RMS, {100 * now.relative:.0f} % of how far "
+        "all readings move: the poses are too close together, or poses and readings do not belong together"
+    )
+    return Mistake(sentence, before)
 
 
 def _nothing_usual(now: Plausible, before: float, unit: str) -> Mistake:

@@ -95,7 +95,7 @@ class _Tree:
         xacro = f"{path}: is a xacro, which is a program; let it write its URDF: xacro {path.name} > robot.urdf"
         try:
             root = ElementTree.fromstring(text)
-        except (ElementTree.ParseError, ValueError) as error:
+        except (ElementTree.ParseError, ValueError, LookupError) as error:  # an encoding that nobody knows is looked up
             raise RobotError(xacro if b"<xacro:" in text else f"{path}: is no XML: {error}") from None
         if path.suffix == ".xacro" or any("/xacro}" in one.tag for one in root.iter()):
             raise RobotError(xacro)

@@ -122,6 +122,9 @@ def knowledge(
     """
     rows, k = off.shape
     usable = np.isfinite(off).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
+    if not usable.any():
+        return Knowledge(quantity, signal, truth, condition, rows, coverage=0.0, nees=np.inf, low=0.0, high=0.0,
+                            largest=np.inf, of_truth=0.0, least_coverage=STATED)  # fmt: skip
     off, spread = off[usable], covariance[usable] + (of_truth + _FINEST_MM**2) * np.eye(k)
     whitened = linalg.solve(linalg.cholesky(spread), off[..., None])[..., 0]
     squared = (whitened**2).sum(axis=1)
