@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
+import os
 import threading
 import time
 from collections.abc import Iterator
@@ -92,13 +94,15 @@ def test_effects_apart_give_what_they_give_here(bench: Workbench) -> None:
     [
         ("while True: pass", "", "did not end within 2 s"),
         ("pass", "while True: pass\n", "did not end within 2 s"),
+        ("import time; time.sleep(600)", "", "did not end within 2 s"),
+        ("import subprocess; subprocess.run(['sleep', '600'])", "", "did not end within 2 s"),
         ("import os; os._exit(3)", "", "exit code 3"),
         ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "", "SIGSEGV"),
         ("import sys; sys.exit()", "", "SystemExit"),
         ("hog = []\n    while True: hog.append(np.empty(50_000_000))", "", "more than 2 GB of memory"),
         ("pass", "import sys; sys.exit(1)\n", "SystemExit"),
     ],
-    ids=["endless", "endless at once", "exit", "crash", "sys.exit", "memory", "sys.exit at once"],
+    ids=["endless", "endless at once", "asleep", "waiting", "exit", "crash", "sys.exit", "memory", "sys.exit at once"],
 )
 def test_lines_that_misbehave_are_ended(bench: Workbench, inside: str, before: str, said: str) -> None:
     """Catches lines that take the page with them, one that is silent on what happened, and half a change."""
@@ -113,6 +117,36 @@ def test_lines_that_misbehave_are_ended(bench: Workbench, inside: str, before: s
     bench.toggle("rail_lean")
     done(bench)
     assert bench.page_state.effects == ("rail_lean",)
+
+
+_DETACHED = """
+    import subprocess
+    subprocess.Popen(["sh", "-c", "(sleep 777.{n} &) ; exit"], start_new_session=True)
+    subprocess.Popen(["sleep", "777.{n}"])
+    {then}
+"""
+
+
+def running(command: str) -> bool:
+    """Whether a program of this command line is there."""
+    told = (path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline") if os.access(path, os.R_OK))
+    with contextlib.suppress(OSError):
+        return any(command.encode() in one.replace(b"\0", b" ") for one in told)
+    return False
+
+
+@pytest.mark.parametrize("then", ["import time; time.sleep(600)", "import os; os._exit(3)", "pass"])
+def test_what_lines_begin_ends_with_them(bench: Workbench, then: str) -> None:
+    """Catches a child, or a detached grandchild, that outlives lines that were ended, crashed or were put away."""
+    patient(bench, 2.0)
+    number = f"{os.getpid()}{abs(hash(then)) % 1000}"
+    bench.type_effect(lines(_DETACHED.format(n=number, then=then)))
+    done(bench)
+    bench.close()
+    deadline = time.monotonic() + 20.0
+    while running(f"sleep 777.{number}") and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not running(f"sleep 777.{number}")
 
 
 def test_an_effect_that_crashes_in_the_fit_leaves_the_study_as_it_was(bench: Workbench) -> None:

@@ -12,10 +12,12 @@ import os
 import signal
 import tempfile
 import time
+import uuid
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import SimpleNamespace
@@ -28,10 +30,11 @@ from ..model.effect import Effect
 from ..model.effect_file import load_effects
 from ..model.rows import Rows, run_of
 from ..types import Floats
+from .processes import end_marked, marked, waited_s
 
-#: How long one look at all rows may compute, how many times longer it may take where other work has the machine, and
-#: how often a person's wish to end it is looked for, s.
-PATIENCE_S, _WAITING, _LOOK_S = 20.0, 30.0, 0.05
+#: How long one look at all rows may take, by the clock but for the time in which other work has the machine, and how
+#: often a person's wish to end it is looked for, s.
+PATIENCE_S, _LOOK_S = 20.0, 0.05
 #: What the lines may ask for beside what Python needs for itself, bytes.
 _MEMORY = 2 * 2**30
 #: Runs that the process keeps: every fold of a cross-validation is one.
@@ -124,10 +127,13 @@ class _Process:
         self._look, self._patience_s = look, patience_s
         self._sent: OrderedDict[int, weakref.ref[Measurements]] = OrderedDict()
         self._number = itertools.count()
+        self._mark = uuid.uuid4().hex
         context = multiprocessing.get_context("spawn")
         self._line, far = context.Pipe()
-        self._process = context.Process(target=_serve, args=(far, source), daemon=True)
-        self._process.start()
+        self._process = context.Process(target=_serve, args=(far, source, self._mark), daemon=True)
+        resource_tracker.ensure_running()  # Python's own, which serves every process: it must not have the mark
+        with marked(self._mark):
+            self._process.start()
         far.close()
         try:
             self.effects: tuple[_Described, ...] = self._answer()
@@ -158,26 +164,29 @@ class _Process:
             raise self._gone() from None
 
     def _answer(self, rows: Rows | None = None) -> Any:
-        begun, computed = time.monotonic(), _computed_s(self._process.pid)
+        begun = self._clock_s()
         while True:
             try:
                 if not self._line.poll(_LOOK_S):
                     self._look()
-                    took = (time.monotonic() - begun) / (_WAITING if computed is not None else 1.0)
-                    if max(took, (_computed_s(self._process.pid) or 0.0) - (computed or 0.0)) > self._patience_s:
+                    if self._clock_s() - begun > self._patience_s:
                         raise _Ended(f"did not end within {self._patience_s:g} s, and were ended")
                     continue
                 kind, value = self._line.recv()
             except (EOFError, OSError):
                 raise self._gone() from None
             if kind == "ready":  # what Python needs to begin is not the lines' own
-                computed = _computed_s(self._process.pid)
+                begun = self._clock_s()
             elif kind == "position" and rows is not None:
                 self._send(_position(rows))
             elif kind == "failed":
                 raise EffectError(value)
             else:
                 return value
+
+    def _clock_s(self) -> float:
+        """The clock without the time in which the process could have run and other work had the processor."""
+        return time.monotonic() - waited_s(self._process.pid)
 
     def _gone(self) -> _Ended:
         self._process.join(10.0)
@@ -191,6 +200,7 @@ class _Process:
         return _Ended(f"crashed their process ({name})")
 
     def end(self) -> None:
+        end_marked(self._mark)
         self._process.kill()
         self._process.join()
         self._line.close()
@@ -203,22 +213,13 @@ def _position(rows: Rows) -> tuple[str, Any]:
         return "failed", str(error)
 
 
-def _computed_s(pid: int | None) -> float | None:
-    """Processor time of a process; None where this system does not tell."""
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-    except (OSError, ValueError, IndexError, AttributeError):
-        return None
-
-
 # -- in the process ----------------------------------------------------------------------------------------------
 
 
-def _serve(line: Connection, source: str) -> None:
+def _serve(line: Connection, source: str, mark: str) -> None:
     """What the process does: runs the lines, and answers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page, which ends this process
-    _end_with_parent()
+    _end_with_parent(mark)
     _bound_memory()
     line.send(("ready", None))
     with tempfile.TemporaryDirectory() as folder:
@@ -278,7 +279,7 @@ def _said(error: BaseException) -> str:
     return str(error) if isinstance(error, EffectError) else f"{type(error).__name__}: {error}"
 
 
-def _end_with_parent() -> None:
+def _end_with_parent(mark: str) -> None:
     """Lines that never end do not outlive the page, however that ends."""
     import threading
     from multiprocessing.connection import wait
@@ -288,6 +289,7 @@ def _end_with_parent() -> None:
     def watch() -> None:
         if parent is not None:
             wait([parent.sentinel])
+        end_marked(mark)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
