@@ -200,6 +200,20 @@ def test_a_disk_that_cannot_lock_is_not_another_runner(tmp_path, monkeypatch):
         RunFile.create(tmp_path / "a.sqlite", PLAN, ABOUT)
 
 
+def test_a_second_name_of_a_run_is_the_same_run(tmp_path):
+    """Catches a second runner through a hard link, whose log takes rows away that the first one acknowledged."""
+    with RunFile.create(tmp_path / "a.sqlite", PLAN, ABOUT) as file:
+        file.begin({})
+        (tmp_path / "elsewhere").mkdir()
+        os.link(tmp_path / "a.sqlite", tmp_path / "elsewhere" / "b.sqlite")
+        with pytest.raises(ExperimentError, match=r"b\.sqlite: is being measured by another program"):
+            lock.RunLock(tmp_path / "elsewhere" / "b.sqlite")
+        os.symlink(tmp_path / "a.sqlite", tmp_path / "c.sqlite")
+        with pytest.raises(ExperimentError, match="one run has one runner"):
+            lock.RunLock(tmp_path / "c.sqlite")
+    lock.RunLock(tmp_path / "elsewhere" / "b.sqlite").release()
+
+
 def test_the_run_file_is_as_safe_as_it_says(tmp_path):
     """Catches a write-ahead log or a synchronous mode that a change of libraries has switched off."""
     with RunFile.create(tmp_path / "a.sqlite", PLAN, ABOUT) as file:
