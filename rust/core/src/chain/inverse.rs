@@ -10,13 +10,15 @@ const ITERATIONS: usize = 30;
 pub(crate) type Missed<const J: usize> = (SVector<f64, J>, SMatrix<f64, J, J>, bool);
 
 /// Joint readings at which nothing is missed any more, as `miss` tells. Newton's iteration squares what is missed: where it
-/// is `near`, the step that is left is the last.
+/// is `near`, the step that is left is the last. What is reached then is asked once more, of `again`, which knows nothing
+/// of the way there: a calibration that makes no robot may come near on a branch that forward kinematics never takes.
 ///
 /// # Errors
-/// Those of `miss`; [`Error::Singular`]; [`Error::NotConverged`] where the model folds over.
+/// Those of `miss` and `again`; [`Error::Singular`]; [`Error::NotConverged`] where the model folds over.
 pub(crate) fn inverse<const J: usize>(
     start: SVector<f64, J>,
     mut miss: impl FnMut(&SVector<f64, J>) -> Result<Missed<J>>,
+    again: impl FnOnce(&SVector<f64, J>) -> Result<SVector<f64, J>>,
     near: impl Fn(&SVector<f64, J>) -> bool,
 ) -> Result<SVector<f64, J>> {
     let mut joints = start;
@@ -24,7 +26,10 @@ pub(crate) fn inverse<const J: usize>(
         let (missed, by_joints, exact) = miss(&joints)?;
         joints += by_joints.try_inverse().ok_or(Error::Singular)? * missed;
         if exact && near(&missed) {
-            return Ok(joints);
+            if near(&again(&joints)?) {
+                return Ok(joints);
+            }
+            break;
         }
     }
     Err(Error::NotConverged {

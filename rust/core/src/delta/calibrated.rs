@@ -143,7 +143,8 @@ impl Calibrated<'_> {
             })?;
             Ok((position - reached, by_joints, settled))
         };
-        inverse(start, miss, |missed| missed.norm() < NEAR_MM)
+        let again = |joints: &Vector3<f64>| Ok(position - self.forward(joints, now)?.0);
+        inverse(start, miss, again, |missed| missed.norm() < NEAR_MM)
     }
 }
 

@@ -100,7 +100,8 @@ impl Calibrated {
             missed.x = wrapped(missed.x);
             Ok((missed, by_joints, true))
         };
-        inverse(start, miss, |missed| missed.amax() < NEAR_RAD)
+        let again = |joints: &Vector2<f64>| Ok(miss(joints)?.0);
+        inverse(start, miss, again, |missed| missed.amax() < NEAR_RAD)
     }
 
     /// Displacement of the remote centre of motion at joint readings.
