@@ -210,8 +210,8 @@ class Campaign:
         except SherkitError as error:
             self.refused += 1
             said = str(error)
-            if not said or "Traceback" in said or len(said) > 4000:
-                self.wrong.setdefault(f"no sentence: {said[:60]!r}", (label, content))
+            if not said or "Traceback" in said or "\n" in said or len(said) > 1000:
+                self.wrong.setdefault(f"no sentence: {len(said)} characters, {said[:60]!r} … {said[-60:]!r}", (label, content))
         except BaseException as error:
             if isinstance(error, KeyboardInterrupt | SystemExit):
                 raise

@@ -260,3 +260,30 @@ def test_units_in_cells_and_kelvin(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff(found.data.time_s), 3600.0)
     assert any("is in kelvin" in str(one) for one in found.wrong)
     assert sum("every cell ends in 'mm'" in str(one) for one in found.wrong) == 6
+
+
+def test_a_sentence_repeats_a_cell_on_one_line(tmp_path: Path) -> None:
+    """Catches a cell of a hundred lines, as a pasted note, that fills the screen in place of the sentence."""
+    run = tmp_path / "run.csv"
+    lines = ["q1_mm,q2_mm,q3_mm,x_mm,y_mm,z_mm", *(",".join(map(str, row[:6])) for row in run_of(8))]
+    lines[3] = '"' + "see the\nbook " * 40 + '",' + lines[3].partition(",")[2]
+    run.write_text("\n".join(lines))
+    with pytest.raises(MeasurementError) as refused:
+        sk.read_measurements(run)
+    assert "\n" not in str(refused.value)
+    assert len(str(refused.value)) < 300
+    found = check_file(run)
+    (wrong,) = found.wrong
+    assert wrong.lines == (4,)
+    assert "'see the book" in wrong.said
+    assert len(wrong.said) < 120
+
+
+def test_rows_that_are_short_alike_are_one_thing(tmp_path: Path) -> None:
+    """Catches a list of two thousand lines that says one thing two thousand times."""
+    run = tmp_path / "run.csv"
+    lines = ["q1_mm,q2_mm,q3_mm,x_mm,y_mm,z_mm", *(",".join(map(str, row[:6])) for row in run_of(30))]
+    lines[4:24] = [line.rpartition(",")[0] for line in lines[4:24]]
+    run.write_text("\n".join(lines))
+    (wrong,) = check_file(run).wrong
+    assert str(wrong) == "lines 5-24: has 5 cells, the header has 6"

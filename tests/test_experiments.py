@@ -176,6 +176,22 @@ def test_a_full_disk_is_a_sentence(tmp_path):
         assert file.done() == {0}
 
 
+def test_a_full_disk_is_not_a_damaged_run(tmp_path):
+    """Catches a person who throws a whole run away since there was no room to read it in."""
+
+    class Full:
+        def execute(self, *_):
+            error = sqlite3.OperationalError("database or disk is full")
+            error.sqlite_errorname = "SQLITE_FULL"
+            raise error
+
+    with RunFile.create(tmp_path / "a.sqlite", PLAN, ABOUT) as file:
+        whole, file._db = file._db, Full()
+        with pytest.raises(ExperimentError, match=r"a\.sqlite: cannot be read now: database or disk is full"):
+            file.done()
+        file._db = whole
+
+
 def test_a_run_keeps_its_own_time(tmp_path, monkeypatch):
     """Catches rows that are judged at another time than they are stored with, after the clock was set back."""
     with RunFile.create(tmp_path / "a.sqlite", PLAN, ABOUT) as file:

@@ -5,8 +5,14 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Sequence
 
-#: Characters of a name that a sentence repeats.
-_LONGEST = 200
+#: Characters of a name, and of a cell, that a sentence repeats.
+_LONGEST, _LONGEST_CELL = 200, 80
+
+
+def brief(found: object, most: int = _LONGEST_CELL) -> str:
+    """What a file holds, for a sentence: on one line, cut where nobody would read on."""
+    text = " ".join(str(found).split())
+    return text if len(text) <= most else f"{text[:most]}…"
 
 
 def closest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
@@ -23,7 +29,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 def listed(names: Iterable[object], most: int = 8) -> str:
     """Names for a sentence, cut after ``most`` with a count of the rest; each cut where nobody would read on."""
-    items = [text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…" for text in map(str, names)]
+    items = [brief(name, _LONGEST) for name in names]
     if len(items) > most:
         return ", ".join(items[:most]) + f" and {len(items) - most} more"
     return ", ".join(items)

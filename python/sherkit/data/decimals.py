@@ -8,6 +8,7 @@ from typing import NoReturn
 import polars as pl
 
 from ..errors import MeasurementError
+from ..names import brief
 from ..types import Ints
 
 #: A number with a decimal comma; other commas belong to labels.
@@ -50,7 +51,9 @@ class DecimalMark:
             if not self._point and (points := point[name]).any():
                 self._point = str(column.filter(points)[0])
                 if before:
-                    self._refuse(name, column, points, line, f"the decimal mark of this file is the comma ('{before}')")
+                    self._refuse(
+                        name, column, points, line, f"the decimal mark of this file is the comma ('{brief(before)}')"
+                    )
             if (sure := commas[name] & ~doubtful[name]).any():
                 self._proven.add(name)
                 self._comma = self._comma or str(column.filter(sure)[0])
@@ -65,7 +68,7 @@ class DecimalMark:
             if thousands.any():
                 self._refuse(name, column, thousands, line, "commas between thousands are not read; leave them out")
             if comma.any() and self._point:
-                why = f"the decimal mark of this file is the point ('{self._point}'); write it without a comma"
+                why = f"the decimal mark of this file is the point ('{brief(self._point)}'); write it without a comma"
                 self._refuse(name, column, comma, line, why)
             proven = name in self._proven or (bool(self._comma) and not whole[name].any())
             if doubtful[name].any() and not proven:
@@ -80,5 +83,5 @@ class DecimalMark:
 
     def _refuse(self, name: str, column: pl.Series, where: pl.Series, line: Ints, why: str) -> NoReturn:
         row = int(where.arg_max() or 0)
-        cell = column[row].strip()
-        raise MeasurementError(f"{self._path}: line {line[row]}, column '{name}': '{cell}': {why}")
+        found = brief(column[row])
+        raise MeasurementError(f"{self._path}: line {line[row]}, column '{brief(name)}': '{found}': {why}")

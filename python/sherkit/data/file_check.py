@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from ..errors import MeasurementError, SherkitWarning
-from ..names import closest, listed
+from ..names import brief, closest, listed
 from .columns import POSE, REPEAT, TIME, Layout, bare, known_layouts, unit_in
 from .frames import clean
 from .headers import Columns, factor, meanings, stated
@@ -194,7 +194,7 @@ class _Checking:
             texts = [f"{d} {t}".strip() for d, t in zip(self.cells[day], texts, strict=True)]
         seconds, bad = _seconds(texts)
         if seconds is None:
-            said = f"'{texts[bad]}' is no time that is known"
+            said = f"'{brief(texts[bad])}' is no time that is known"
             line = self.table.line[bad]
             self.wrong.append(Wrong(said, "write seconds, counted from any moment", (line,), timed, mended=False))
             self.words.append(timed)
@@ -213,7 +213,12 @@ class _Checking:
                 continue
             unit = units.pop()
             self.wrong.append(
-                Wrong(f"every cell ends in '{unit}'", f"write the unit once: '{name} [{unit}]'", (), name)
+                Wrong(
+                    f"every cell ends in '{brief(unit)}'",
+                    f"write the unit once: '{brief(name)} [{brief(unit)}]'",
+                    (),
+                    name,
+                )
             )
             new = f"{name} [{unit}]"
             stripped = [one["number"] if (one := WITH_UNIT.fullmatch(cell)) else cell for cell in cells]
@@ -230,12 +235,12 @@ class _Checking:
                 continue
             nothing = [cell.lower() in NOTHING for cell in cells]
             if any(nothing):
-                said = f"'{cells[nothing.index(True)]}' is no number; it says that nothing was read"
+                said = f"'{brief(cells[nothing.index(True)])}' is no number; it says that nothing was read"
                 self.wrong.append(Wrong(said, "leave the cell empty", self._lines(nothing), name))
                 self.cells[name] = ["" if no else cell for cell, no in zip(cells, nothing, strict=True)]
             bad = [bool(cell) and not no and not is_number(cell) for cell, no in zip(cells, nothing, strict=True)]
             if any(bad):
-                said = f"'{cells[bad.index(True)]}' is not a number"
+                said = f"'{brief(cells[bad.index(True)])}' is not a number"
                 self.wrong.append(Wrong(said, "write the number, or leave the cell empty", self._lines(bad), name,
                                         mended=False))  # fmt: skip
 
@@ -249,7 +254,7 @@ class _Checking:
                 mark = proven.copy().pop() if len(proven) == 1 else "."
                 if len(proven) != 1 or mark == ".":
                     some = [bool(re.search(r",\d{3}$", cell)) for cell in cells]
-                    said = f"'{cells[some.index(True)]}' may be a thousand or have a decimal comma"
+                    said = f"'{brief(cells[some.index(True)])}' may be a thousand or have a decimal comma"
                     self.wrong.append(Wrong(said, "write numbers with a decimal point", self._lines(some), name,
                                             mended=False))  # fmt: skip
                     continue
@@ -261,7 +266,7 @@ class _Checking:
             other = "," if mark == "." else "."
             thousands = [other in cell for cell in cells]
             if any(thousands):
-                said = f"'{cells[thousands.index(True)]}' has marks between its thousands"
+                said = f"'{brief(cells[thousands.index(True)])}' has marks between its thousands"
                 self.wrong.append(Wrong(said, "leave them out", self._lines(thousands), name))
             self.cells[name] = [cell.replace(other, "").replace(mark, ".") for cell in cells]
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..arguments import as_annotated
 from ..errors import MeasurementError
+from ..names import brief
 from ..types import Ints
 from . import columns as c
 from .headers import Columns, proposal, refuse_unmapped, renamed
@@ -112,7 +113,7 @@ def _numbers(column: pl.Series, name: str, place: str, line: Ints, layout: c.Lay
     elif column.dtype.is_numeric() or column.dtype in (pl.Boolean, pl.Null):
         raw = column
     elif known:
-        _refuse(place, line, np.ones(len(column), dtype=bool), name, f"{column[0]!r} is not a number")
+        _refuse(place, line, np.ones(len(column), dtype=bool), name, f"{brief(repr(column[0]))} is not a number")
     else:
         return None
     number = raw.cast(pl.Float64, strict=False)
@@ -128,7 +129,7 @@ def _numbers(column: pl.Series, name: str, place: str, line: Ints, layout: c.Lay
         first = raw[int(np.argmax(bad))]
         if name == c.TIME and ":" in first:
             hint = "; expected seconds, counted from any moment"
-        _refuse(place, line, bad, name, f"'{first}' is not a number{hint}")
+        _refuse(place, line, bad, name, f"'{brief(first)}' is not a number{hint}")
     missing = number.is_null().to_numpy()
     # NaN is how pandas and NumPy say "nothing"; in a file it is a number that went wrong
     broken = np.isinf(values) | (np.abs(values) > _LARGEST) | (np.isnan(values) & ~missing if text else False)
@@ -154,4 +155,4 @@ def _numbers(column: pl.Series, name: str, place: str, line: Ints, layout: c.Lay
 def _refuse(place: str, line: Ints, bad: NDArray[np.bool_], name: str, what: str) -> NoReturn:
     rows = np.flatnonzero(bad)
     more = f" (and {len(rows) - 1} more rows)" if len(rows) > 1 else ""
-    raise MeasurementError(f"{place} {line[rows[0]]}, column '{name}': {what}{more}")
+    raise MeasurementError(f"{place} {line[rows[0]]}, column '{brief(name)}': {what}{more}")

@@ -10,11 +10,12 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ..errors import MeasurementError
-from ..names import spans
+from ..names import brief, spans
 from .headers import is_unit
 
 #: Cells that say that nothing was read.
@@ -26,6 +27,8 @@ WITH_UNIT = re.compile(r"(?P<number>[-+]?\d[\d.,]*(?:[eE][-+]?\d+)?)\s*(?P<unit>
 _LOOKED_AT = 200
 #: Lines that a sentence names.
 _NAMED = 6
+#: Lines over which a quoted cell may go on.
+_MOST_LINES = 100
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class Wrong:
     def __str__(self) -> str:
         many = len(self.lines) > 1
         where = [f"line{'s' if many else ''} {spans(self.lines, _NAMED)}"] if self.lines else []
-        where += [f"column '{self.column}'"] if self.column else []
+        where += [f"column '{brief(self.column)}'"] if self.column else []
         return f"{', '.join(where)}{': ' if where else ''}{self.said}"
 
 
@@ -87,7 +90,8 @@ def raw_table(path: Path) -> RawTable:
     head, units = _head(path, cells[:first], wrong)
     names = _names(head, units, wrong)
     rows, line = [], []
-    again, empty, short = [], [], []
+    again, empty = [], []
+    short: dict[int, list[int]] = {}
     for number, row in cells[first:]:
         filled = [cell for cell in row if cell]
         if not filled:
@@ -95,7 +99,7 @@ def raw_table(path: Path) -> RawTable:
         elif row[: len(head)] == head or (units and row[: len(units)] == units):
             again.append(number)
         elif len(row) < len(head) or any(row[len(head) :]):
-            short.append((number, len(row)))
+            short.setdefault(len(row), []).append(number)
         else:
             rows.append(row[: len(head)])
             line.append(number)
@@ -103,9 +107,9 @@ def raw_table(path: Path) -> RawTable:
         wrong.append(Wrong("the names of the columns stand here again", "take the line out", tuple(again)))
     if empty:
         wrong.append(Wrong("holds separators alone", "take the line out", tuple(empty)))
-    for number, count in short:
-        said = f"has {count} cells, the header has {len(head)}"
-        wrong.append(Wrong(said, "complete the row, or take it out", (number,), mended=False))
+    for count, numbers in short.items():
+        said = f"has {count} cell{'s' if count > 1 else ''}, the header has {len(head)}"
+        wrong.append(Wrong(said, "complete the row, or take it out", tuple(numbers), mended=False))
     table = RawTable(names, rows, line, wrong)
     unnamed = [name for name in names if name.startswith("\0")]
     for k, name in enumerate(names):
@@ -146,12 +150,27 @@ def _separator(lines: Sequence[str]) -> str:
 
 
 def _cells(path: Path, lines: Sequence[tuple[int, str]], separator: str) -> Iterator[tuple[int, list[str]]]:
-    for number, text in lines:
+    """The rows, each with its first line: a quoted cell may go on over the next lines, unless its quote is never closed
+    or closes far below, as a mark of inches would."""
+    k = 0
+    while k < len(lines):
+        number = lines[k][0]
         try:
-            row = next(csv.reader([text], delimiter=separator))
-        except (csv.Error, StopIteration):
+            row, count = _row(lines, k, separator)
+        except csv.Error:
             raise MeasurementError(f"{path}: line {number} is not CSV") from None
         yield number, [_tidy(cell) for cell in row]
+        k += count
+
+
+def _row(lines: Sequence[tuple[int, str]], k: int, separator: str) -> tuple[list[str], int]:
+    """Cells of the row that begins with line k of these, and how many lines it takes."""
+    if '"' in lines[k][1]:
+        some = (f"{text}\n" for _, text in lines[k : k + _MOST_LINES])
+        reader = csv.reader(some, delimiter=separator, strict=True)
+        with suppress(csv.Error):
+            return next(reader), reader.line_num
+    return next(csv.reader([lines[k][1]], delimiter=separator)), 1
 
 
 def _tidy(cell: str) -> str:
@@ -190,7 +209,9 @@ def _names(head: Sequence[str], units: Sequence[str], wrong: list[Wrong]) -> tup
         unit = units[k].strip("[]()") if k < len(units) else ""
         full = f"{name} [{unit}]" if name and unit else name or f"\0{k}"
         if full in out:
-            wrong.append(Wrong(f"'{full}' is the name of two columns", "give each a name of its own", mended=False))
+            wrong.append(
+                Wrong(f"'{brief(full)}' is the name of two columns", "give each a name of its own", mended=False)
+            )
             full = f"{full} ({k + 1})"
         out.append(full)
     return tuple(out)

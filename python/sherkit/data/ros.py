@@ -12,7 +12,7 @@ import numpy as np
 
 from ..arguments import as_annotated
 from ..errors import MeasurementError, SherkitWarning
-from ..names import listed, nearest
+from ..names import brief, listed, nearest
 from ..types import Floats
 from .columns import TIME, unit_in
 from .frames import from_frame
@@ -195,4 +195,5 @@ def _read(path: Path, topic: str, values: Any) -> list[tuple[float, list[float]]
         raise
     # rosbags raises errors of its own, of SQLite, of decompression and of YAML
     except Exception as error:
-        raise MeasurementError(f"{path}: is no bag that can be read: {type(error).__name__}: {error}") from None
+        why = f"{type(error).__name__}: {brief(error, 200)}"
+        raise MeasurementError(f"{path}: is no bag that can be read: {why}") from None

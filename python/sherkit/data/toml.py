@@ -15,15 +15,15 @@ import numpy as np
 
 from .. import linalg
 from ..errors import RobotError, SherkitError
-from ..names import closest, listed, nearest
+from ..names import brief, closest, listed, nearest
 from ..types import Floats
 
 #: Keys of a table look alike (base_radius_mm, platform_radius_mm); a misspelt one looks more alike still.
 _MISSPELT = 0.75
 #: What a number of a machine can be in size, in whatever unit, and least where it is not zero; what an array holds.
 _LARGEST, _SMALLEST, _LARGEST_OF_ARRAY = 1e15, 1e-30, 1e100
-#: Characters of a wrong value that a message repeats.
-_LONGEST = 100
+#: Characters of a wrong value, and of the path of a file, that a message repeats.
+_LONGEST, _LONGEST_PATH = 100, 500
 
 
 def read_toml(path: str | Path, what: str, error: type[SherkitError] = RobotError) -> dict[str, Any]:
@@ -34,7 +34,7 @@ def read_toml(path: str | Path, what: str, error: type[SherkitError] = RobotErro
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
-        raise error(f"{path}: there is no such {what} file") from None
+        raise error(f"{brief(path, _LONGEST_PATH)}: there is no such {what} file") from None
     except IsADirectoryError:
         raise error(f"{path}: is a folder, expected a {what} TOML file") from None
     except OSError as wrong:
@@ -125,15 +125,14 @@ class Table:
             _WATCHED.append(self)
 
     def _name(self, key: str) -> str:
-        return f"[{self._path}] {key}" if self._path else key
+        return f"[{self._path}] {brief(key)}" if self._path else brief(key)
 
     def fail(self, key: str, expected: str) -> SherkitError:
         """The error for a key, in words."""
         found = repr(self._values[key]) if key in self._values else "nothing"
         if _is_beyond(self._values.get(key)):
             expected += f", of a size from {_SMALLEST:g} to {_LARGEST:g}"
-        found = found if len(found) <= _LONGEST else f"{found[:_LONGEST]} …"
-        return self._error(f"{self._where}: {self._name(key)}: expected {expected}, found {found}")
+        return self._error(f"{self._where}: {self._name(key)}: expected {expected}, found {brief(found, _LONGEST)}")
 
     def refuse(self, what: str) -> SherkitError:
         """The error for numbers that do not fit together, in words."""
@@ -376,7 +375,7 @@ def _is_beyond(value: object) -> bool:
         return any(map(_is_beyond, value))
     if not isinstance(value, int | float) or isinstance(value, bool):
         return False
-    return value != 0 and not _SMALLEST <= abs(value) <= _LARGEST
+    return 0 < abs(value) < _SMALLEST or abs(value) > _LARGEST
 
 
 def _is_number(value: object) -> bool:

@@ -16,6 +16,9 @@ from ...errors import ExperimentError
 from .plan import Plan
 from .point import Point
 
+#: What SQLite says where the disk or another program stands in the way, not what is in the file.
+_OUTSIDE = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_BUSY", "SQLITE_LOCKED", "SQLITE_CANTOPEN", "SQLITE_READONLY")
+
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
@@ -26,6 +29,10 @@ def reads(method: _Method) -> _Method:
     def sound(self: RunRows, *args: Any, **kwargs: Any) -> Any:
         try:
             return method(self, *args, **kwargs)
+        except sqlite3.OperationalError as error:
+            outside = getattr(error, "sqlite_errorname", "").startswith(_OUTSIDE)
+            what = "cannot be read now" if outside else "is damaged and cannot be read"
+            raise ExperimentError(f"{self.path}: {what}: {error}") from None
         except (sqlite3.Error, pl.exceptions.PolarsError, ValueError, TypeError, LookupError, OverflowError) as error:
             raise ExperimentError(f"{self.path}: is damaged and cannot be read: {error}") from None
 

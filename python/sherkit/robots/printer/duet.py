@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import MeasurementError, RobotError
+from ...names import brief
 from .gcode import one, words
 from .klipper_config import text_of
 from .probings import Found, Rows
@@ -97,7 +98,7 @@ def _map(path: Path) -> list[tuple[float, float, float]]:
                 continue
             height = _number(cell)
             if height is None:
-                raise MeasurementError(f"{path}: line {j + 4}: expected a height, found '{cell}'")
+                raise MeasurementError(f"{path}: line {j + 4}: expected a height, found '{brief(cell)}'")
             out.append((low[0] + i * step[0], low[1] + j * step[1], height))
     return out
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import RobotError
-from ...names import listed
+from ...names import brief, listed
 from ...types import Floats
 
 #: What begins each line of the block, and what stands in its first one.
@@ -104,7 +104,7 @@ class KlipperConfig:
             return math.prod(float(a) / float(b) for a, b in pairs)
         except (ValueError, ZeroDivisionError):
             raise RobotError(
-                f"{self.path}: [{section}] gear_ratio: expected pairs like 80:16, found '{text}'"
+                f"{self.path}: [{section}] gear_ratio: expected pairs like 80:16, found '{brief(text)}'"
             ) from None
 
     def number(self, section: str, key: str, default: float | None = None) -> float:
@@ -124,7 +124,7 @@ class KlipperConfig:
         except ValueError:
             values = np.array([])
         if len(values) != count or not np.isfinite(values).all():
-            raise RobotError(f"{self.path}: [{section}] {key}: expected {count} number(s), found '{text}'")
+            raise RobotError(f"{self.path}: [{section}] {key}: expected {count} number(s), found '{brief(text)}'")
         return values
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import RobotError
-from ...names import listed, nearest
+from ...names import brief, listed, nearest
 from ...types import Floats
 from .frames import Triple, about, as_written, frame, of_rpy
 from .robot import MOST_JOINTS, TYPES, Joint, Serial
@@ -116,7 +116,7 @@ class _Row:
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise RobotError(f"{self.where}: {column}: expected a number, found '{text}'")
+            raise RobotError(f"{self.where}: {column}: expected a number, found '{brief(text)}'")
         return value
 
     def angle(self, column: str) -> float:
