@@ -211,7 +211,9 @@ class Campaign:
             self.refused += 1
             said = str(error)
             if not said or "Traceback" in said or "\n" in said or len(said) > 1000:
-                self.wrong.setdefault(f"no sentence: {len(said)} characters, {said[:60]!r} … {said[-60:]!r}", (label, content))
+                self.wrong.setdefault(
+                    f"no sentence: {len(said)} characters, {said[:60]!r} … {said[-60:]!r}", (label, content)
+                )
         except BaseException as error:
             if isinstance(error, KeyboardInterrupt | SystemExit):
                 raise

@@ -15,14 +15,14 @@ PACKAGE = Path(__file__).parents[1] / "python" / "sherkit"
 #: From the top down; CONTRIBUTING says what each is for. Rooms of one floor do not know each other.
 FLOORS = (
     ("errors", "names", "figures", "types", "notebook", "saved", "starting", "built_in", "doors", "_core"),
-    ("arguments", "linalg"),
+    ("arguments", "linalg", "extensions"),
     ("data",),
     ("model", "vision"),
     ("fit",),
     ("robots", "diagnosis"),
     ("planning", "calibration", "fleets", "printers"),
     ("study",),
-    ("report", "lab"),
+    ("report", "lab", "testing"),
     ("__init__",),
     ("app",),
     ("cli",),

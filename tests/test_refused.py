@@ -102,7 +102,7 @@ def of_unshown(key: str, row: int, value: float) -> Callable[[dict[str, Any]], N
         (of_unshown("moment", 0, 1e12), "larger than any robot"),
         (of_unshown("shown", 0, 1e12), "larger than any robot"),
         (a_parameter("unit", "m"), "is in mm, found 'm'"),
-        (a_parameter("value", 1e30), "no robot is so far off"),
+        (a_parameter("value", 1e30), "expected a number, of a size from"),
         (a_parameter("std", 1e-9), "by the covariance it is"),
         (a_parameter("sigma", 1.0), "unknown key"),
         (lambda tables: tables.update(extra=1), "unknown key extra"),

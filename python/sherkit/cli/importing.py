@@ -8,6 +8,7 @@ import click
 
 from ..data import Measurements, from_bluesky, from_rosbag
 from ..errors import MeasurementError, RobotError
+from ..extensions import IMPORTERS, brought_beside
 from ..model.robot_file import load_robot, save_robot
 from ..robots.printer import import_duet, import_klipper, import_marlin
 from ..robots.printer.probings import Found
@@ -18,7 +19,19 @@ from . import output
 from .printer import turned
 
 
-@click.group("import")
+class _Importers(click.Group):
+    """Those below, and those of other packages."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return [*super().list_commands(ctx), *brought_beside(self.commands, IMPORTERS, click.Command)]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        return super().get_command(ctx, cmd_name) or brought_beside(self.commands, IMPORTERS, click.Command).get(
+            cmd_name
+        )
+
+
+@click.group("import", cls=_Importers)
 def import_group() -> None:
     """Turn files of other programs into robot.toml and run.csv."""
 

@@ -14,6 +14,7 @@ import click
 import sherkit._core as _core
 
 from ..errors import MeasurementError, SherkitError
+from ..extensions import VERBS, brought_beside
 from ..starting import loaded
 
 #: The verbs by what they are for, each with where it stands (a file here, loaded when its verb is typed, and the name
@@ -60,11 +61,15 @@ _VERBS = {name: place for group in _GROUPS.values() for name, (place, _) in grou
 
 
 class _Verbs(click.Group):
-    """A group that knows the names of its commands; each is loaded when it is called, or told of in a help."""
+    """A group that knows the names of its commands; each is loaded when it is called, or told of in a help. Other
+    packages may bring more."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return [*_VERBS, *brought_beside(_VERBS, VERBS, click.Command)]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _VERBS:
-            return None
+            return brought_beside(_VERBS, VERBS, click.Command).get(cmd_name)
         file, _, name = _VERBS[cmd_name].partition(".")
         command: click.Command = getattr(import_module(f".{file}", __package__), name)
         command.epilog = import_module(".examples", __package__).epilog(cmd_name)
@@ -75,11 +80,13 @@ class _Verbs(click.Group):
         for title, group in _GROUPS.items():
             with formatter.section(title):
                 formatter.write_dl([(name, said) for name, (_, said) in group.items()])
+        if more := brought_beside(_VERBS, VERBS, click.Command):
+            with formatter.section("Of other packages"):
+                formatter.write_dl([(name, command.get_short_help_str(80)) for name, command in more.items()])
 
 
 @click.group(
     cls=_Verbs,
-    commands=[click.Command(name) for name in _VERBS],
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(_core.__version__, prog_name="sherkit")

@@ -17,7 +17,7 @@ from ..data.toml import Schema, Table, merged, watched
 from ..errors import SherkitError
 from ..lab.experiment import load_experiment
 from ..lab.experiment.poses import names_of_poses
-from ..lab.kinds import INSTRUMENTS
+from ..lab.kinds import instrument_kinds
 from ..model.kinds import Kind, known_kinds
 from ..model.robot_file import load_robot
 from ..robots.tool.tool import FlexibleTool, load_tool
@@ -65,7 +65,7 @@ def _experiments(folder: Path) -> Schema:
             yield {**rules, "plan": {"poses": poses}}
         # any set of poses, and each instrument by itself: none keeps the others from being asked
         simplest = min(kind.poses, key=len)
-        for name in INSTRUMENTS:
+        for name in instrument_kinds():
             yield {**rules, "plan": {"poses": simplest}, "instrument": [{"kind": name, "address": "http://x"}]}
 
     return _of_kinds(folder, examples, lambda path: load_experiment(path, offline=True))
@@ -76,7 +76,7 @@ def _laboratories(folder: Path) -> Schema:
     from ..lab.laboratory import load_laboratory
 
     def examples(kind: Kind, robot: str) -> Iterator[Mapping[str, Any]]:
-        shown = [n for n, row in INSTRUMENTS.items() if row.emulator and row.sees(kind.example)]
+        shown = [n for n, row in instrument_kinds().items() if row.emulator and row.sees(kind.example)]
         parts = [{"kind": name, "name": name} for name in shown]
         yield {"robot": robot, "instrument": parts, "tool": {}}
         yield {"robot": robot, "instrument": parts}

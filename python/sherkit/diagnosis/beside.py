@@ -34,6 +34,8 @@ _MOST_SHAPES = 12
 #: Part of what an effect brings that it must still bring beside the shapes; and where effects, with the shapes that go
 #: with them, say clearly more than shapes alone.
 _KEEPS, _KEEPS_AT_LEAST = 0.25, 0.01
+#: Part of what effects take by which shapes take more where they say more.
+_SAYS_MORE = 0.01
 #: Part of what is there beyond noise that may be left where effects are named.
 _LEFT_AT_MOST = 0.5
 #: What effects and their shapes leave on rows held out is all that is left up to this many times what is free leaves.
@@ -124,7 +126,10 @@ def innocents(
     best = min([with_effects, *(bic(e.stage.scan, e.candidates) for e in tied)])
     by_fit = min([beside.by_fit(), *(schwarz(e.stage.scan, 0) for e in tied)])
     clearly = alone.schwarz(some) < best - CLEARLY
-    if clearly and (shown or some < len(result.added) or alone.by_fit(some) < by_fit - CLEARLY):
+    # the best of many shapes takes a little more than what is true by chance
+    taken, more = alone.left[0] - beside.left[-1], beside.left[-1] - alone.left[some]
+    fits = alone.by_fit(some) < by_fit - CLEARLY and more > _SAYS_MORE * taken
+    if clearly and (shown or some < len(result.added) or fits):
         shown = (*shown, *alone.shown)
     left = _beyond_noise(final, sigma)
     if left > max(PRAISE**2 - 1.0, _LEFT_AT_MOST * _beyond_noise(search.base, sigma)):

@@ -1,14 +1,14 @@
 """THE table of instruments: a row for each kind, which says all that laboratories and experiments ask of it.
 
-A new one is its driver, its emulator, and a row of :data:`INSTRUMENTS`. Emulators are named, not imported: who measures
-needs none.
+A new one is its driver, its emulator, and a row of :data:`INSTRUMENTS`, or of another package that declares it under
+``[project.entry-points."sherkit.instruments"]``. Emulators are named, not imported: who measures needs none.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from importlib import import_module
 from typing import Any
 
@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from ..data.toml import Table
 from ..errors import ExperimentError
+from ..extensions import INSTRUMENTS as OF_PACKAGES
+from ..extensions import brought_beside
 from ..model.kinds import Robot, kind_of
 from .instruments import Axis, Galil, Hyperion, Keyence, NetFT, Scpi, Sm130, Snapshots, VideoCamera, fetch_scale
 from .instruments.axes import LETTERS
@@ -45,7 +47,7 @@ class InstrumentSettings:
     def meaning(self) -> dict[str, Any]:
         """What gives its numbers their meaning, for JSON: its kind, columns, and settings such as scale and zero."""
         return {"kind": self.kind, "columns": list(self.columns)} | {
-            name: self.settings[name] for name in INSTRUMENTS[self.kind].meaning
+            name: self.settings[name] for name in instrument_kinds()[self.kind].meaning
         }
 
 
@@ -58,9 +60,9 @@ class InstrumentKind:
     ``has_page`` for one that says on HTTP how to read it. ``meaning`` names those of its settings without which its
     numbers would mean something else: a run goes on only with the same.
 
-    ``emulator`` names the module and class that plays it in a laboratory, on a port of one of the ``links`` (the first
-    unless another is named); ``emulated`` reads the emulator's keys of a laboratory (table, robot). What is the user's
-    ``own`` Python has none.
+    ``emulator`` names the module and class (``package.module:Class`` of another package) that plays it in a laboratory,
+    on a port of one of the ``links`` (the first unless another is named); ``emulated`` reads the emulator's keys of a
+    laboratory (table, robot). What is the user's ``own`` Python has none.
     """
 
     settings: Callable[[Table, Robot, str], dict[str, Any]]
@@ -94,6 +96,9 @@ class InstrumentKind:
 
     def emulator_class(self) -> Any:
         """The emulator, imported now."""
+        if ":" in self.emulator:
+            module, _, name = self.emulator.partition(":")
+            return getattr(import_module(module), name)
         module, name = self.emulator.split(".")
         return getattr(import_module(f".emulators.{module}", __package__), name)
 
@@ -365,3 +370,9 @@ INSTRUMENTS: Mapping[str, InstrumentKind] = {
     "python": InstrumentKind(_sensor_settings, _own_sensor, own=True, meaning=("make", "with", "fields")),
     "python_axes": InstrumentKind(_axes_settings, _own_axes, own=True, moves=True, meaning=("make", "with")),
 }  # fmt: skip
+
+
+@cache
+def instrument_kinds() -> Mapping[str, InstrumentKind]:
+    """Every kind of instrument by name: those here, then those of other packages."""
+    return {**INSTRUMENTS, **brought_beside(INSTRUMENTS, OF_PACKAGES, InstrumentKind)}

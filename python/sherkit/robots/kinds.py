@@ -1,11 +1,18 @@
-"""THE list of built-in kinds of robot. A new one is a folder beside those here, and a line."""
+"""Makes the kinds of robot known that are installed: sherkit's own, a folder each beside this file, and those of other
+packages.
+
+Each is declared in the package's ``pyproject.toml``, under ``[project.entry-points."sherkit.robots"]``.
+"""
 
 from __future__ import annotations
 
-from importlib import import_module
+from ..extensions import ROBOTS, brought, declared
+from ..model.kinds import Kind, register
 
-from ..model.kinds import register
+#: Where columns fit no robot, messages speak of the first.
+_FIRST = ("delta", "spherical", "serial", "printer")
 
-# one after the other: where columns fit none, messages speak of the first
-for name in ("delta", "spherical", "serial", "printer"):
-    register(import_module(f".{name}", __package__).KIND)
+for name in sorted(declared(ROBOTS), key=lambda one: _FIRST.index(one) if one in _FIRST else len(_FIRST)):
+    kind = brought(ROBOTS, name, Kind)
+    if kind is not None:
+        register(kind)

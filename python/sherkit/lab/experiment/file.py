@@ -19,7 +19,7 @@ from ...model.robot_file import load_robot
 from ...names import listed
 from ...types import Floats
 from ..instruments import AxisController
-from ..kinds import INSTRUMENTS, InstrumentSettings
+from ..kinds import InstrumentSettings, instrument_kinds
 from ..own_code import OwnCode, run_code
 from ..ports import read_ports
 from .bench import Bench, Checks, Sensor, Settling
@@ -57,7 +57,7 @@ class Experiment:
 
     @property
     def _motors(self) -> InstrumentSettings:
-        return next(one for one in self.instruments if INSTRUMENTS[one.kind].moves)
+        return next(one for one in self.instruments if instrument_kinds()[one.kind].moves)
 
     @cached_property
     def times_s(self) -> Floats:
@@ -92,7 +92,7 @@ class Experiment:
 
     def motion(self) -> AxisController:
         """The motion controller, not yet connected. Raises :class:`~sherkit.errors.ExperimentError`."""
-        motion = INSTRUMENTS[self._motors.kind].driver(self._motors, self.robot)
+        motion = instrument_kinds()[self._motors.kind].driver(self._motors, self.robot)
         assert isinstance(motion, AxisController), "a kind that moves has a driver of axes"
         return motion
 
@@ -101,7 +101,7 @@ class Experiment:
         sensors: list[Sensor] = []
         for one in self.instruments:
             if one is not self._motors:
-                driver = INSTRUMENTS[one.kind].driver(one, self.robot)
+                driver = instrument_kinds()[one.kind].driver(one, self.robot)
                 sensors.append(Sensor(driver, one.columns, dict(one.settings)))
         noted = dict(self._motors.settings)
         return Bench(
@@ -205,8 +205,8 @@ def _rules(table: Table, robot: Robot) -> tuple[Settling, Checks, Goal | None]:
 def _instrument(
     table: Table, ports: Mapping[str, Mapping[str, Any]], path: Path, offline: bool, robot: Robot, code: OwnCode
 ) -> InstrumentSettings:
-    kind = table.text("kind", tuple(INSTRUMENTS))
-    row = INSTRUMENTS[kind]
+    kind = table.text("kind", tuple(instrument_kinds()))
+    row = instrument_kinds()[kind]
     name = table.words("name", kind)
     found = ports.get(name, {})
     address = table.words("address", str(found.get("address", "")))
@@ -228,9 +228,9 @@ def _instrument(
 
 
 def _check_instruments(instruments: tuple[InstrumentSettings, ...], path: Path, robot: Robot) -> None:
-    motors = [i.name for i in instruments if INSTRUMENTS[i.kind].moves]
+    motors = [i.name for i in instruments if instrument_kinds()[i.kind].moves]
     if len(motors) != 1:
-        moving = [f"'{name}'" for name, row in INSTRUMENTS.items() if row.moves]
+        moving = [f"'{name}'" for name, row in instrument_kinds().items() if row.moves]
         raise ExperimentError(
             f"{path}: has {len(motors)} [[instrument]] of kind {' or '.join(moving)}; expected one"
         )  # fmt: skip

@@ -15,7 +15,7 @@ from ...names import listed
 from ...robots.tool.tool import FlexibleTool, load_tool
 from ...robots.tool.virtual import VirtualTool
 from ..emulators import FAULTS
-from ..kinds import INSTRUMENTS
+from ..kinds import instrument_kinds
 from .virtual import HiddenEffects, ToolInHole
 
 LOOPBACK = "127.0.0.1"
@@ -79,7 +79,7 @@ def load_laboratory(path: str | Path) -> Laboratory:
             raise one.fail("name", "a name that no other instrument has")
     table.finish()
     if not instruments:
-        raise ExperimentError(f"{path}: has no [[instrument]]; known kinds: {listed(INSTRUMENTS)}")
+        raise ExperimentError(f"{path}: has no [[instrument]]; known kinds: {listed(instrument_kinds())}")
     return Laboratory(robot, virtual, hidden, tuple(instruments), seed, time_scale, host, str(path), tool)
 
 
@@ -103,9 +103,9 @@ def _tool(table: Table, folder: Path) -> ToolInHole:
 
 def _instrument(table: Table, robot: Robot) -> EmulatedInstrument:
     # of those that see where a robot is, only what sees this one
-    kinds = tuple(name for name, row in INSTRUMENTS.items() if row.emulator and row.sees(robot))
+    kinds = tuple(name for name, row in instrument_kinds().items() if row.emulator and row.sees(robot))
     kind = table.text("kind", kinds)
-    row = INSTRUMENTS[kind]
+    row = instrument_kinds()[kind]
     name = table.words("name", kind)
     link = table.text("link", row.links, row.links[0])
     port = table.whole("port", 0, least=0, most=65535)

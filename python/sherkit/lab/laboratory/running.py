@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from ...errors import ExperimentError
 from ..emulators import Faults, World
-from ..kinds import INSTRUMENTS
+from ..kinds import instrument_kinds
 from ..ports import write_ports
 from .file import EmulatedInstrument, Laboratory
 from .virtual import RobotOnTheBench
@@ -48,7 +48,7 @@ class RunningLaboratory:
         lab = self.laboratory
         # every instrument draws for itself, and the same in every run of this file
         seed = 1000 * lab.seed + number
-        emulator = INSTRUMENTS[one.kind].emulator_class()
+        emulator = instrument_kinds()[one.kind].emulator_class()
         faults = Faults(one.faults, seed=seed, stall_s=one.stall_s)
         try:
             return stack.enter_context(

@@ -1,0 +1,149 @@
+"""What the drawing of the stage may get wrong, link by link, and the effects that can be missing beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sherkit.data import Measurements
+from sherkit.data.columns import Layout
+from sherkit.fit.numpy_chain import NumpyChain
+from sherkit.model.chain import Block, ChainModel
+from sherkit.model.effect import Effect, Sentences
+from sherkit.model.sentences import COMMON, catalogue_of
+from sherkit.types import Bools, Floats
+
+from .stage import XYStage
+
+#: The columns of a run: what the scales say, and what an interferometer reads of the table.
+XY = Layout(("axis_1_mm", "axis_2_mm"), ("x_mm", "y_mm"), "µm", 1e3)
+_REFERENCE_C, _STEP = 20.0, 1e-30
+
+
+def _row(name: str, link: str, unit: str, size: float, lever: float, *parameters: str, **more: Any) -> dict[str, Any]:
+    own = [{"name": p, "symbol": p, "unit": unit, "size": size, "lever_mm": lever} for p in parameters]
+    return {"name": name, "link": link, "base": False, "parameters": own, "needs": [], "search": None, **more}
+
+
+#: THE table: what is free as drawn (``base``), then the effects in the order of the chain.
+TABLE: Sequence[dict[str, Any]] = (
+    _row("squareness", "structure", "rad", 1e-3, 60.0, "lean", base=True),
+    _row("datum", "sensor", "mm", 1.0, 1.0, "datum_x", "datum_y", "turned", base=True),
+    _row("joint_scale", "joints", "mm/mm", 1e-4, 60.0, "scale_1", "scale_2"),
+    _row("backlash", "joints", "mm", 0.005, 1.0, "width_1", "width_2", needs=["direction"]),
+    _row("bow", "structure", "mm", 0.01, 1.0, "of_1", "of_2"),
+    _row("thermal_growth", "body", "1/°C", 2e-5, 60.0, "coefficient", needs=["temperature_c"]),
+    _row("drift", "body", "mm/h", 0.05, 1.0, "rate_x", "rate_y", needs=["time_s"]),
+)
+CATALOGUE: dict[str, Effect] = catalogue_of(
+    TABLE,
+    {
+        "datum": COMMON["datum"],
+        "bow": Sentences(
+            physics="A guide is not straight: the table is led off sideways, most in the middle of the travel.",
+            residuals="Across an axis, with the square of where it stands.",
+            remedy="Scrape or shim the guide, or correct it by a table.",
+        ),
+    },
+)
+
+
+class XYChain(NumpyChain):
+    """The chain of one stage. Derivatives are complex steps, exact to rounding."""
+
+    def __init__(self, travel_mm: tuple[float, float], time_origin_s: float) -> None:
+        self.half = 0.5 * np.array(travel_mm)
+        self.time_origin_s = time_origin_s
+
+    def _readings(self, values: NDArray[Any], joints: NDArray[Any], known: Floats, push: NDArray[Any]) -> NDArray[Any]:
+        p = dict(zip((p["name"] for row in TABLE for p in row["parameters"]), values, strict=True))
+        time_s, temperature_c, direction = known[:, 0], known[:, 1], known[:, 2:4]
+
+        def acting(names: Sequence[str], gain: NDArray[Any]) -> Any:
+            # an effect at zero does not ask for its column
+            sizes = np.array([p[name] for name in names])
+            return sizes * gain if sizes.any() else 0.0
+
+        scales = joints * (1.0 + np.array([p["scale_1"], p["scale_2"]]))
+        scales = scales + acting(("width_1", "width_2"), 0.5 * direction)
+        straight = 1.0 - (scales / self.half) ** 2
+        across = np.stack([p["of_2"] * straight[:, 1], p["of_1"] * straight[:, 0]], axis=1)
+        table = np.stack([scales[:, 0] - p["lean"] * scales[:, 1], scales[:, 1]], axis=1) + across + push[:, :2]
+        table = table + acting(("coefficient",), (temperature_c - _REFERENCE_C)[:, None]) * table
+        table = table + acting(("rate_x", "rate_y"), (time_s - self.time_origin_s)[:, None] / 3600.0)
+        seen = np.stack([table[:, 0] - p["turned"] * table[:, 1], table[:, 1] + p["turned"] * table[:, 0]], axis=1)
+        return np.asarray(seen + np.array([p["datum_x"], p["datum_y"]]))
+
+    @staticmethod
+    def _inputs(block: Block) -> tuple[Floats, Floats, Floats]:
+        joints, _, known, push = block
+        n = len(joints)
+        return joints, np.full((n, 7), np.nan) if known is None else known, np.zeros((n, 3)) if push is None else push
+
+    def predict(self, values: Floats, block: Block) -> tuple[Floats, Bools]:
+        """Readings (n, 2), and which rows could be computed."""
+        out = self._readings(values, *self._inputs(block))
+        return out, np.isfinite(out).all(axis=1)
+
+    def derivatives(self, values: Floats, block: Block, free: Sequence[int]) -> tuple[Floats, Floats, Floats, Bools]:
+        """By the parameters ``free``, the joints and a displacement (n, 2, ·), and which rows could be computed."""
+        joints, known, push = self._inputs(block)
+
+        def along(size: int, which: Sequence[int], number: int) -> Floats:
+            columns = []
+            for k in which:
+                inputs = [values.astype(complex), joints.astype(complex), push.astype(complex)]
+                inputs[number] = inputs[number] + 1j * _STEP * np.eye(size)[k]
+                columns.append(self._readings(inputs[0], inputs[1], known, inputs[2]).imag / _STEP)
+            return np.stack(columns, axis=2) if columns else np.zeros((len(joints), 2, 0))
+
+        by_joints, by_body = along(2, range(2), 1), along(3, range(3), 2)
+        return along(len(values), free, 0), by_joints, by_body, self.predict(values, block)[1]
+
+
+@dataclass(frozen=True)
+class XYModel(ChainModel):
+    """A nominal stage with named errors and effects to identify. Readings are x and y of the table, mm."""
+
+    robot: XYStage
+    time_origin_s: float = 0.0
+
+    catalogue: ClassVar[Mapping[str, Effect]] = CATALOGUE
+    layouts: ClassVar = (XY,)
+    table: ClassVar = TABLE
+    targets: ClassVar = XY.coordinates
+
+    def lever_mm(self, name: str) -> float:
+        """All levers stand in the table."""
+        raise KeyError(name)
+
+    @property
+    def default(self) -> tuple[str, ...]:
+        """How square the axes are, and where the interferometer stands; the turn of its frame is no axis's."""
+        return tuple(p.name for p in self.base)
+
+    def settings(self) -> dict[str, float | None]:
+        """The origin of time."""
+        return {"time_origin_s": self.time_origin_s}
+
+    @cached_property
+    def core(self) -> XYChain:
+        """The chain."""
+        return XYChain(self.robot.travel_mm, self.time_origin_s)
+
+    def grid(self, data: Measurements) -> Floats:
+        """Places from which the next poses are chosen."""
+        from .stage import grid
+
+        del data
+        return grid(self.robot)
+
+    def reason(self, data: Measurements, row: int, values: Floats) -> str:
+        """A stage reaches everywhere: it is a column."""
+        del data, row, values
+        return "an effect that is at work needs a column that these rows lack"
