@@ -661,7 +661,7 @@ def inside_radius(seed: int, lean: float, half_mm: float, count: int = 200) -> f
     return float(np.mean(off <= c.predicted_accuracies(place).visit_mm))
 
 
-@pytest.mark.parametrize("half_mm", [9.5, 19.0])
+@pytest.mark.parametrize("half_mm", [pytest.param(9.5, marks=pytest.mark.slow), 19.0])
 def test_predicted_accuracy_is_honest(half_mm: float) -> None:
     """Catches a radius that is too small or too large: of 8 robots × 200 fresh readings 90 to 99 % are inside.
 
@@ -694,7 +694,7 @@ def test_accuracy_is_where_the_mean_of_many_visits_lies() -> None:
     assert np.median(ratios) < 6.0
 
 
-@pytest.mark.parametrize("half_mm", [9.5, 19.0])
+@pytest.mark.parametrize("half_mm", [9.5, pytest.param(19.0, marks=pytest.mark.slow)])
 def test_accuracy_is_never_too_good_where_a_correction_works(half_mm: float) -> None:
     """Catches a radius that forgets what the correction leaves: at least 90 % inside, and not ten times too wide."""
     for seed in range(4):

@@ -137,7 +137,13 @@ def silent(case: Case, seed: int) -> sk.diagnosis.Diagnosis:
 # -- one of each ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("k", "name"), list(enumerate(EFFECTS)))
+# a robot of its own in every row takes long to simulate
+_LONG = {"link_growth"}
+
+
+@pytest.mark.parametrize(
+    ("k", "name"), [pytest.param(*one, marks=[pytest.mark.slow] * (one[1] in _LONG)) for one in enumerate(EFFECTS)]
+)
 def test_each_effect_is_found_by_name(k: int, name: str) -> None:
     """Catches an effect that is never tried, tried with wrong columns, or outranked; and a wrong held-out error.
 
@@ -175,7 +181,7 @@ def test_nothing_is_found_where_nothing_is(seed: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["slip", "joint_slip"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2, 3))])
 def test_the_moment_of_a_slip_is_found_to_the_row(name: str, seed: int) -> None:
     """Catches a moment found on some of the rows and kept for all. Seeds 0 to 3, a step of about nine times the noise:
     one row off would show by 15 standard deviations."""
@@ -189,7 +195,7 @@ def test_the_moment_of_a_slip_is_found_to_the_row(name: str, seed: int) -> None:
         np.testing.assert_array_equal(run.data.time_s > model.settings()[f"{name}_time_s"], after)
 
 
-@pytest.mark.parametrize("order", ["planes", "shuffled"])
+@pytest.mark.parametrize("order", ["planes", pytest.param("shuffled", marks=pytest.mark.slow)])
 def test_the_correlation_of_the_noise_is_that_of_the_run(order: str) -> None:
     """Catches rows that are locked away or marked and so make neighbours of readings that are none.
 

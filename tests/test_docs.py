@@ -167,6 +167,7 @@ def test_what_is_shown_runs(name: str, work: Path) -> None:
         sherkit([*arguments, "--help"] if named else arguments, work)
 
 
+@pytest.mark.slow
 def test_the_gallery_is_what_its_script_draws(work: Path) -> None:
     """Catches a picture that a rename has broken, and a page that shows other lines than those that made it."""
     script = runpy.run_path(str(HERE / "docs" / "draw_gallery.py"))

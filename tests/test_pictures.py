@@ -157,7 +157,7 @@ def camera(count: int = 100) -> Reprojection:
     return Reprojection(seen, 0.5 * rng.normal(size=(count, 2)), (640, 480), np.arange(count), image)
 
 
-@pytest.fixture(params=["demo", "plane", "many"])
+@pytest.fixture(params=["demo", "plane", pytest.param("many", marks=pytest.mark.slow)])
 def run(request: pytest.FixtureRequest) -> Run:
     found: Run = request.getfixturevalue(request.param)
     assert found.study

@@ -185,7 +185,9 @@ def test_the_checker_of_links_sees_what_is_wrong(tmp_path: Path) -> None:
 # -- notebooks -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["delta", "serial", "spherical", "tool"])
+@pytest.mark.parametrize(
+    "name", ["delta", "tool", *(pytest.param(n, marks=pytest.mark.slow) for n in ("serial", "spherical"))]
+)
 def test_a_notebook_runs(name: str, notebooks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a cell that stops, and one whose value shows nothing; cell by cell, as a kernel would."""
     monkeypatch.chdir(notebooks)

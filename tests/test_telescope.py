@@ -156,9 +156,9 @@ def test_planted_flexure_explains() -> None:
 
 
 def test_nothing_planted_nothing_found() -> None:
-    verdicts = [sk.diagnose(sk.identify(mount.Mount(), simulated(seed))).verdict for seed in range(20)]
+    verdicts = [sk.diagnose(sk.identify(mount.Mount(), simulated(seed))).verdict for seed in range(8)]
     # one in a hundred may be found at this level
-    assert verdicts.count("adequate") >= 18
+    assert verdicts.count("adequate") >= 7
 
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy", "tukey"])

@@ -244,13 +244,14 @@ def test_the_fibres_delay_is_found() -> None:
         fibre_delay(tool_of(World()), free)
 
 
-def test_a_calibration_says_what_it_does_not_know(tmp_path: Path) -> None:
+@pytest.mark.parametrize("benches", [4, pytest.param(12, marks=pytest.mark.slow)])
+def test_a_calibration_says_what_it_does_not_know(tmp_path: Path, benches: int) -> None:
     """Catches a doubt that the file loses, deviations that are made up, and a stiffness that a noisy load cell bends.
 
-    12 benches of an exact rod; the load cell has 3 mN of noise, ten times what makes the cell's own fit too soft.
+    Benches of an exact rod; the load cell has 3 mN of noise, ten times what makes the cell's own fit too soft.
     """
     off = []
-    for seed in range(12):
+    for seed in range(benches):
         world = World(gain_error=0.05, reference_error_nm=0.01)
         found = calibrate_tool(tool_of(world, seed), loads_of(world, seed, force_std_mn=3.0))
         assert found.stiffness_mn_mm2

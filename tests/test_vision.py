@@ -161,7 +161,7 @@ def photographed(board: NDArray[np.uint8], count: int, seed: int) -> list[NDArra
     return out
 
 
-@pytest.mark.parametrize("board", ["chessboard", "charuco"])
+@pytest.mark.parametrize("board", [pytest.param("chessboard", marks=pytest.mark.slow), "charuco"])
 def test_intrinsics_come_back(board: str) -> None:
     """Catches swapped axes, a wrong size of squares, a deviation that is none: values within four of them."""
     if board == "chessboard":
