@@ -67,14 +67,13 @@ MADE: dict[str, Make] = {
 def test_how_a_table_is_written_decides_nothing(name: str, seed: int) -> None:
     """Catches an answer that hangs on the order of rows, the start of a clock, the numbers of poses, or a unit: each
     world is asked as it is and as another laboratory writes it."""
-    for seed in (seed,):
-        robot, columns = MADE[name](seed)
-        plain = sk.diagnose(robot, sk.from_frame(columns))
-        table, names = written_otherwise(columns, seed)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", sk.SherkitWarning)
-            other = sk.diagnose(robot, sk.from_frame(table, columns=names))
-        assert (other.verdict, set(other.effects)) == (plain.verdict, set(plain.effects))
-        assert set(map(frozenset, other.indistinguishable)) == set(map(frozenset, plain.indistinguishable))
-        errors = [[step.error.rms for step in d.steps] for d in (plain, other)]
-        assert errors[1] == pytest.approx(errors[0], rel=0.01)
+    robot, columns = MADE[name](seed)
+    plain = sk.diagnose(robot, sk.from_frame(columns))
+    table, names = written_otherwise(columns, seed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", sk.SherkitWarning)
+        other = sk.diagnose(robot, sk.from_frame(table, columns=names))
+    assert (other.verdict, set(other.effects)) == (plain.verdict, set(plain.effects))
+    assert set(map(frozenset, other.indistinguishable)) == set(map(frozenset, plain.indistinguishable))
+    errors = [[step.error.rms for step in d.steps] for d in (plain, other)]
+    assert errors[1] == pytest.approx(errors[0], rel=0.01)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import os
+import signal
+import tracemalloc
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -103,6 +106,60 @@ def test_a_cluster_says_the_same(found: Fleet, runs: list[str]) -> None:
         client.get_executor() as executor,
     ):
         assert sk.fleet(runs, EXAMPLE, executor=executor) == found
+
+
+@pytest.mark.slow
+def test_a_cluster_that_loses_a_worker_loses_no_machine(tmp_path: Path) -> None:
+    """Catches a fleet that ends, lacks machines, has them twice or in another order, or stops to say how far it is,
+    since one of two processes was killed in the middle of 200 runs."""
+    distributed = pytest.importorskip("distributed")
+    runs = []
+    for k in range(200):
+        machine(k, lean_rad=0.003 if k % 10 == 0 else 0.0).save(tmp_path / f"machine_{k:03d}.csv")
+        runs.append(str(tmp_path / f"machine_{k:03d}.csv"))
+    told: list[tuple[int, int]] = []
+    killed: list[int] = []
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+        ) as cluster,
+        distributed.Client(cluster) as client,
+        client.get_executor() as executor,
+    ):
+
+        def progress(done: int, total: int) -> None:
+            told.append((done, total))
+            if done == 60:
+                killed.append(next(iter(client.run(os.getpid).values())))
+                os.kill(killed[0], signal.SIGKILL)
+
+        made = sk.fleet(runs, EXAMPLE, executor=executor, progress=progress)
+    assert killed
+    assert told == [(k, 200) for k in range(201)]
+    assert [m.run for m in made.machines] == runs
+    assert [m.run for m in made.machines if m.failed] == []
+    assert sum(m.effects == ("rail_lean",) for m in made.machines[::10]) >= 19
+    assert made.machines[57:64] == sk.fleet(runs[57:64], EXAMPLE).machines
+
+
+def test_ten_thousand_verdicts_are_one_table() -> None:
+    """Catches a table that holds the rows of its runs, or is made in a time that grows with the square of them: 10,000
+    machines take less than 100 MB."""
+    told = sk.diagnose(EXAMPLE, machine(1))
+    values = dict(zip([p.name for p in told.fit.parameters], told.fit.values.tolist(), strict=True))
+    units, std = {p.name: p.unit for p in told.fit.parameters}, dict.fromkeys(values, 1e-3)
+    tracemalloc.start()
+    machines = tuple(
+        Machine(**vars(told.summary), run=f"machine {k}", values=dict(values), std=dict(std), units=units)
+        for k in range(10_000)
+    )
+    made = Fleet(machines)
+    table = made.to_frame()
+    assert tracemalloc.get_traced_memory()[1] < 100e6
+    tracemalloc.stop()
+    assert table.height == 10_000
+    assert table["run"].n_unique() == 10_000
+    assert made.stands_out == ()
 
 
 def test_the_command_prints_and_writes_the_same(
