@@ -12,11 +12,11 @@ from pathlib import Path
 
 import click
 
+from sherkit.base.names import listed
 from sherkit.cli.main import _GROUPS, cli
 from sherkit.errors import SherkitError
 from sherkit.model.effect import Effect
 from sherkit.model.kinds import Kind, known_kinds
-from sherkit.names import listed
 from sherkit.report.exaggerated import exaggerated
 from sherkit.report.mechanism import scene_of
 from sherkit.report.signature import signature_map

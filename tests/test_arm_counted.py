@@ -20,10 +20,10 @@ import pytest
 from scipy import stats
 
 import sherkit as sk
+from sherkit.base.types import Floats
 from sherkit.model.kinds import model_of
 from sherkit.robots.serial import Serial, VirtualSerial, postures
 from sherkit.robots.serial.dh import import_dh
-from sherkit.types import Floats
 from test_serial import EFFECTS, NOISE_MM, PLAIN, UR5, hidden_at, payloads, simulated
 
 COUNT = int(os.environ.get("SHERKIT_COUNT", "1"))

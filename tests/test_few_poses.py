@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from scipy import stats
 
 import sherkit as sk
+from sherkit.base.types import Floats
 from sherkit.cli.main import cli
 from sherkit.data.doubts.repeats import copied
 from sherkit.diagnosis.fitted_run import FittedRun
@@ -23,7 +24,6 @@ from sherkit.diagnosis.stage import stage_of
 from sherkit.diagnosis.waves import waves_of
 from sherkit.fit.error import repeated_folds_of
 from sherkit.robots.serial import Serial, postures
-from sherkit.types import Floats
 from test_arm_counted import OwnArm, arm_in
 from test_discovery import DELTA, SIGMA, Run, measured, named, whole_grid
 

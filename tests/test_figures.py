@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sherkit.figures import in_people_units, stated, with_error
+from sherkit.base.figures import in_people_units, stated, with_error
 
 
 @pytest.mark.parametrize(

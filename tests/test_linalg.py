@@ -16,7 +16,7 @@ import threadpoolctl
 from numpy.typing import NDArray
 
 import sherkit as sk
-from sherkit import linalg
+from sherkit.base import linalg
 from sherkit.errors import NotConverged, NotFinite, Singular
 from strategies import EXAMPLE
 from test_few_poses import few

@@ -22,11 +22,11 @@ from scipy import stats
 import sherkit as sk
 from second_machines import MACHINES, apart, run_of
 from sherkit.app.workbench import Workbench
+from sherkit.base.types import Floats
 from sherkit.errors import FitError, RobotError
 from sherkit.model.effect_file import load_effects
 from sherkit.robots.machine.derivative import steps_for
 from sherkit.robots.machine.file import load_machine
-from sherkit.types import Floats
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "machines"
 FILES = sorted(EXAMPLES.glob("*.py"))

@@ -21,7 +21,7 @@ import sherkit as sk
 from browsing import needs_browser, opened, settled, source, unfold
 from running import command
 from sherkit import save_robot
-from sherkit.figures import in_people_units, with_error
+from sherkit.base.figures import in_people_units, with_error
 from sherkit.model.effect import effects_by_name
 from sherkit.report.estimate import EstimateOverTime
 from sherkit.report.style import number

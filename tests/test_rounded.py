@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import sherkit as sk
+from sherkit.base.types import Floats
 from sherkit.data.steps import step_of
 from sherkit.diagnosis.rounded import shared_by_repeats
 from sherkit.robots.serial import Serial, postures
-from sherkit.types import Floats
 from test_arm_counted import OwnArm, arm_in
 from test_discovery import DELTA, SIGMA, Run, measured, whole_grid
 

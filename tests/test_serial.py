@@ -13,6 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
+from sherkit.base.types import Floats
 from sherkit.cli import main
 from sherkit.errors import ExperimentError, OutOfReach, RobotError, ShapeError
 from sherkit.lab.experiment import load_experiment
@@ -22,7 +23,6 @@ from sherkit.robots.serial import KIND, Hidden, Joint, Serial, VirtualSerial, po
 from sherkit.robots.serial.dh import import_dh
 from sherkit.robots.serial.frames import of_rpy, rpy_of
 from sherkit.robots.serial.urdf import import_urdf
-from sherkit.types import Floats
 
 #: The UR5 of its maker's documents, a target beside its last axis, and no part of its limits beyond what cables allow.
 UR5 = """name,d_mm,a_mm,alpha_deg

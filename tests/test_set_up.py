@@ -17,6 +17,7 @@ import sherkit as sk
 import worlds
 from planar_arm import KIND, PlanarArm, VirtualPlanarArm
 from planar_arm.pose_sets import fan
+from sherkit.base.types import Floats
 from sherkit.data import Measurements, columns
 from sherkit.errors import FitError
 from sherkit.fit import Mistake, set_up_mistakes
@@ -24,7 +25,6 @@ from sherkit.model import kinds
 from sherkit.model.kinds import model_of
 from sherkit.robots.serial import VirtualSerial, postures
 from sherkit.robots.serial.dh import import_dh
-from sherkit.types import Floats
 from test_arm_counted import TARGET_MM
 from test_serial import PLAIN, UR5
 from worlds import World

@@ -14,9 +14,9 @@ import test_arm_counted as arm
 import test_discovery as delta
 import test_spherical_discovery as spherical
 from second_simulator import grid
+from sherkit.base.types import Floats
 from sherkit.data.lagged import Room
 from sherkit.diagnosis import waves
-from sherkit.types import Floats
 
 NEW = ("thermal_shift", "joint_slip")
 #: Chance with which a correct program fails one of the counts below.

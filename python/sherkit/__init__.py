@@ -8,10 +8,10 @@ What a person does stands here; what belongs to one robot or to one step stands 
 from importlib import import_module as _import_module
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
-from . import starting as _starting  # noqa: F401  # isort: skip
-from . import built_in as _built_in
-from .doors import door as _door
-from .notebook import Shown as _Shown
+from .base import starting as _starting  # noqa: F401  # isort: skip
+from .base import built_in as _built_in
+from .base.doors import door as _door
+from .base.notebook import Shown as _Shown
 
 if _TYPE_CHECKING:
     from . import data, diagnosis, errors, fit, lab, model, planning, report

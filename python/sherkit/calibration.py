@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from .arguments import Seed, as_annotated
+from .base.arguments import Seed, as_annotated
+from .base.names import listed
+from .base.types import Floats
 from .data import Measurements
 from .data.given import RunLike
 from .diagnosis.outliers import gross_errors, warn_of_outliers
@@ -21,10 +23,8 @@ from .model.base import missing_columns
 from .model.effect import Effect, named_effects
 from .model.kinds import catalogue_of, model_of
 from .model.robot_file import RobotLike, robot_of, run_for
-from .names import listed
 from .robots.calibrated import Calibration, calibration_class
 from .robots.calibration_run import CalibrationRun
-from .types import Floats
 
 Progress = Callable[[str], None]
 

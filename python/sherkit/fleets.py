@@ -19,7 +19,8 @@ import numpy as np
 import polars as pl
 import scipy
 
-from .arguments import Level, Seed, as_annotated
+from .base.arguments import Level, Seed, as_annotated
+from .base.names import listed
 from .data.given import RunLike
 from .data.noise import MAD
 from .diagnosis import diagnose
@@ -29,7 +30,6 @@ from .fit.identify import identify
 from .model.effect import Effect, effects_by_name
 from .model.kinds import Robot, model_of
 from .model.robot_file import RobotLike, columns_of, robot_of, run_for
-from .names import listed
 
 #: Chance that a machine of a fleet in which none stands out is said to.
 LEVEL = 0.05

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from .base.types import Floats
 from .calibration import calibrate
 from .data import Measurements
 from .data.toml import Table, read_toml
@@ -33,7 +34,6 @@ from .model.chain import ChainModel
 from .model.kinds import Kind, Robot, known_kinds, model_of, register
 from .robots.files import load_calibration
 from .study import Study
-from .types import Floats
 
 #: Rows at which derivatives are compared with differences, and the part of a parameter's plausible size that is a step.
 _ROWS, _STEP = 8, 1e-3

@@ -8,13 +8,13 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from sherkit.base.types import Bools, Floats
 from sherkit.errors import NotConverged
 from sherkit.model.chain import Block
 from sherkit.robots.accuracy import Planes
 from sherkit.robots.calibrated import Calibration
 from sherkit.robots.calibration_run import CalibrationRun
 from sherkit.robots.part import Part
-from sherkit.types import Bools, Floats
 
 from .columns import TIP
 from .core import PlanarCore

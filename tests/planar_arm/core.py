@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sherkit.base.types import Bools, Floats
 from sherkit.fit.numpy_chain import NumpyChain
 from sherkit.model.chain import Block
-from sherkit.types import Bools, Floats
 
 _STEP = 1e-30
 _REFERENCE_C = 20.0

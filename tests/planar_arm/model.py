@@ -8,9 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from sherkit.base.types import Floats
 from sherkit.data import Measurements
 from sherkit.model.chain import ChainModel
-from sherkit.types import Floats
 
 from .columns import PLANAR, TIP
 from .core import CATALOGUE, PlanarCore

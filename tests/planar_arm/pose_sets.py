@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from sherkit.base.types import Floats
 from sherkit.data.toml import Table
-from sherkit.types import Floats
 
 from .robot import PlanarArm
 

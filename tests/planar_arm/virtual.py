@@ -10,11 +10,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sherkit.base.types import Floats
 from sherkit.data import Measurements
 from sherkit.data.toml import Table
 from sherkit.errors import ShapeError
 from sherkit.model.kinds import Option
-from sherkit.types import Floats
 
 from .columns import JOINTS, PLANAR
 from .robot import PlanarArm

@@ -17,8 +17,8 @@ from bokeh.models import CustomJS, FileInput, TextAreaInput
 from jinja2 import Environment, PackageLoader
 from tornado.ioloop import IOLoop
 
+from ..base.names import listed
 from ..diagnosis import template
-from ..names import listed
 from ..report.policy import fresh_nonce, numbered, policy
 from ..report.scene import script as scenes
 from ..report.style import number

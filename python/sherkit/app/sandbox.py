@@ -23,13 +23,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from ..base.types import Floats
 from ..data import Measurements
 from ..data.files import write_whole
 from ..errors import EffectError, SherkitError
 from ..model.effect import Effect
 from ..model.effect_file import load_effects
 from ..model.rows import Rows, run_of
-from ..types import Floats
 from .processes import end_marked, marked, waited_s
 
 #: How long one look at all rows may take, by the clock but for the time in which other work has the machine, and how

@@ -9,7 +9,7 @@ from typing import Any
 from bokeh.layouts import column, row
 from bokeh.models import Div, Select
 
-from ..names import told_apart
+from ..base.names import told_apart
 from ..report.error_history import ErrorHistory, ErrorOfStep, current_path, error_history
 from ..report.parameters import parameters
 from ..report.picture import Picture

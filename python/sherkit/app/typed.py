@@ -6,10 +6,10 @@ import ast
 from collections.abc import Callable
 from pathlib import Path
 
+from ..base.names import listed
 from ..data.files import write_whole
 from ..errors import EffectError
 from ..model.effect import Effect
-from ..names import listed
 from ..study import Study
 from .sandbox import PATIENCE_S, Sandbox
 

@@ -19,6 +19,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ..base.names import state_with
 from ..data import Measurements, read_measurements
 from ..data.files import write_whole
 from ..data.headers import Columns
@@ -27,7 +28,6 @@ from ..errors import MeasurementError, SherkitError, SherkitWarning
 from ..model.effect_file import load_effects
 from ..model.kinds import required_um
 from ..model.robot_file import columns_of
-from ..names import state_with
 from ..report.card import drawing_of
 from ..report.error_history import current_path
 from ..report.residuals import Residuals, residuals_of

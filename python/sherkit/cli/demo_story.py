@@ -7,10 +7,10 @@ from textwrap import fill
 
 from rich.markup import escape
 
+from ..base.figures import number
+from ..base.names import NOMINAL
 from ..diagnosis import Diagnosis
-from ..figures import number
 from ..model.kinds import required_um
-from ..names import NOMINAL
 from ..study import Study
 from .output import out, say
 

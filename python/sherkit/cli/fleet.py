@@ -11,10 +11,10 @@ from pathlib import Path
 import click
 from rich.markup import escape
 
+from ..base.names import CALIBRATED
 from ..errors import SherkitError
 from ..fleets import FEWEST, Fleet, fleet
 from ..model.effect_file import load_effects
-from ..names import CALIBRATED
 from . import output
 
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import click
 
+from ..base.names import listed
 from ..errors import ShapeError
 from ..lab.experiment import load_experiment
 from ..lab.instruments import AxisController
 from ..model.kinds import kind_of
-from ..names import listed
 from . import output
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
+from ..base.extensions import IMPORTERS, brought_beside
 from ..data import Measurements, from_bluesky, from_rosbag
 from ..errors import MeasurementError, RobotError
-from ..extensions import IMPORTERS, brought_beside
 from ..model.robot_file import load_robot, save_robot
 from ..robots.printer import import_duet, import_klipper, import_marlin
 from ..robots.printer.probings import Found

@@ -9,6 +9,7 @@ import numpy as np
 import tomli_w
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from ..base.types import Floats
 from ..calibration import calibrate
 from ..data import read_measurements
 from ..data.files import write_whole
@@ -18,7 +19,6 @@ from ..lab.laboratory import RunningLaboratory, load_laboratory
 from ..model.robot_file import load_robot
 from ..robots.delta.columns import POSITION
 from ..study import Study
-from ..types import Floats
 from . import diagnosis_tables, output
 from .demo import EXAMPLE
 

@@ -13,9 +13,9 @@ import click
 
 import sherkit._core as _core
 
+from ..base.extensions import VERBS, brought_beside
+from ..base.starting import loaded
 from ..errors import MeasurementError, SherkitError
-from ..extensions import VERBS, brought_beside
-from ..starting import loaded
 
 #: The verbs by what they are for, each with where it stands (a file here, loaded when its verb is typed, and the name
 #: in it) and what it does in a line.

@@ -9,12 +9,12 @@ import click
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from ..base.figures import in_names
+from ..base.names import listed
 from ..data import Measurements
 from ..errors import SherkitError
-from ..figures import in_names
 from ..lab.experiment import Experiment, load_experiment
 from ..model.kinds import Robot, kind_of, model_of
-from ..names import listed
 from ..planning.effect_power import LEVEL, POWER, EffectPower, Planning, planning_of
 from ..planning.power import EffectSize, Found, study_power
 from ..robots.machine.file import robot_at

@@ -8,12 +8,12 @@ from typing import Any
 import click
 import tomli_w
 
+from ..base.names import listed
 from ..data import Measurements
 from ..data.files import write_whole
 from ..errors import SherkitError
 from ..model.kinds import Option, Robot, SeenInPictures, kind_of, known_kinds
 from ..model.robot_file import load_robot
-from ..names import listed
 from ..robots.tool.virtual import EXPERIMENTS
 from . import output
 from .machine_file import own_way_of

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 from rich.table import Table
 
+from ..base.figures import in_people_units, number, with_error
+from ..base.names import listed
 from ..calibration import Result
 from ..errors import SherkitError
-from ..figures import in_people_units, number, with_error
 from ..model.kinds import required_um
-from ..names import listed
 from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from ..robots.delta import paper

@@ -9,9 +9,9 @@ import click
 import numpy as np
 import polars as pl
 
+from ..base.names import listed
 from ..data.tables import write_table
 from ..diagnosis import Diagnosis
-from ..names import listed
 from ..robots.tool.alignment import Aligned, align
 from ..robots.tool.applied import Applied
 from ..robots.tool.bench import read_loads

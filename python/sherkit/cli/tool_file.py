@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..base.names import listed
 from ..data import Measurements
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis
@@ -17,7 +18,6 @@ from ..model.base import ModelWithEffects
 from ..model.effect import Effect
 from ..model.effect_file import load_effects
 from ..model.kinds import model_of
-from ..names import listed
 from ..robots.tool.applied import applied
 from ..robots.tool.c_header import c_header
 from ..robots.tool.effects import TOOL_CATALOGUE

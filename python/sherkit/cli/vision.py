@@ -10,11 +10,11 @@ import click
 import polars as pl
 import tomli_w
 
+from ..base.names import listed
 from ..data.columns import POSE, REPEAT, TIME
 from ..data.files import write_whole
 from ..data.tables import read_table, write_table
 from ..errors import MeasurementError, SherkitError
-from ..names import listed
 from ..robots.spherical.columns import SPHERICAL_JOINTS
 from . import output
 

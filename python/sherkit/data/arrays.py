@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.names import listed
+from ..base.types import Bools, Floats, Ints
 from ..errors import NotFinite, ShapeError
-from ..names import listed
-from ..types import Bools, Floats, Ints
 from .columns import Layout
 from .rows import Measurements, begin_of, order_in_time
 

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..arguments import as_annotated
+from ..base.arguments import as_annotated
+from ..base.names import listed, nearest
 from ..errors import MeasurementError
-from ..names import listed, nearest
 from .columns import POSE, TIME, bare
 from .frames import from_frame
 from .headers import Columns

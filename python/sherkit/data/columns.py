@@ -7,9 +7,9 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from .. import built_in
+from ..base import built_in
+from ..base.names import closest, listed
 from ..errors import MeasurementError, SherkitWarning
-from ..names import closest, listed
 
 TIME = "time_s"
 TEMPERATURE = "temperature_c"

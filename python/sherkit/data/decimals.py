@@ -7,9 +7,9 @@ from typing import NoReturn
 
 import polars as pl
 
+from ..base.names import brief
+from ..base.types import Ints
 from ..errors import MeasurementError
-from ..names import brief
-from ..types import Ints
 
 #: A number with a decimal comma; other commas belong to labels.
 _COMMA = r"^\s*[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?\s*$"

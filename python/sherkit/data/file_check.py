@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from ..base.names import brief, closest, listed
 from ..errors import MeasurementError, SherkitWarning
-from ..names import brief, closest, listed
 from .columns import POSE, REPEAT, TIME, Layout, bare, known_layouts, unit_in
 from .frames import clean
 from .headers import Columns, factor, meanings, stated

@@ -9,10 +9,10 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from ..arguments import as_annotated
+from ..base.arguments import as_annotated
+from ..base.names import brief
+from ..base.types import Ints
 from ..errors import MeasurementError
-from ..names import brief
-from ..types import Ints
 from . import columns as c
 from .headers import Columns, proposal, refuse_unmapped, renamed
 from .rows import Measurements

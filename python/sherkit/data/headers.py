@@ -10,8 +10,8 @@ from typing import Any
 
 import polars as pl
 
+from ..base.names import closest, listed
 from ..errors import MeasurementError, SherkitWarning
-from ..names import closest, listed
 from .columns import TIME, Layout, bare, known_layouts, unit_in
 
 #: Names of columns by ours: ``{"q1_mm": "Enc1 [mm]"}``.

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
+from ..base.names import listed
+from ..base.types import Ints
 from ..errors import MeasurementError, SherkitWarning
-from ..names import listed
-from ..types import Ints
 from .columns import OUTLIER, POSE, REPEAT, Layout
 from .frames import from_frame
 from .rows import Measurements

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..types import Floats
+from ..base.types import Floats
 
 #: Temperature at which a robot is as drawn, and that of its stand in a control loop, which has no instrument, °C.
 DRAWN_C = 20.0

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..types import Floats
+from ..base.types import Floats
 from . import Measurements
 
 #: Standard deviation of a Gaussian per median absolute deviation.

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from ..types import Ints
+from ..base.types import Ints
 
 #: In a word, what only a reader that goes cell by cell understands.
 _SPECIAL = r'["#\r\x00]'

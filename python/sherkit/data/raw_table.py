@@ -14,8 +14,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from ..base.names import brief, spans
 from ..errors import MeasurementError
-from ..names import brief, spans
 from .headers import is_unit
 
 #: Cells that say that nothing was read.

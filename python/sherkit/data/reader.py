@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from ..arguments import as_annotated
+from ..base.arguments import as_annotated
+from ..base.types import Ints
 from ..errors import MeasurementError
-from ..types import Ints
 from . import columns as c
 from .decimals import DecimalMark
 from .frames import clean

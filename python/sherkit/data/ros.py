@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from ..arguments import as_annotated
+from ..base.arguments import as_annotated
+from ..base.names import brief, listed, nearest
+from ..base.types import Floats
 from ..errors import MeasurementError, SherkitWarning
-from ..names import brief, listed, nearest
-from ..types import Floats
 from .columns import TIME, unit_in
 from .frames import from_frame
 from .headers import factor

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ..base.types import Bools, Floats, Ints
 from ..errors import MeasurementError, SherkitWarning
-from ..types import Bools, Floats, Ints
 from . import columns as c
 
 #: Joints of repeats differ by less than this part of what the joints of a run differ by.

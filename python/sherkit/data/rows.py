@@ -13,9 +13,9 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from ..base.names import listed, nearest
+from ..base.types import Bools, Floats, Ints
 from ..errors import EffectError, ShapeError, SherkitWarning
-from ..names import listed, nearest
-from ..types import Bools, Floats, Ints
 from . import columns as c
 from .lagged import Room
 from .row_checks import check_rows

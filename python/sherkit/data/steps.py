@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..types import Floats
+from ..base.types import Floats
 
 #: Different values from which steps can be read, so many that are looked at first, and how far values may stand beside
 #: a step, in steps.

@@ -14,7 +14,7 @@ from typing import IO, Any
 import numpy as np
 import polars as pl
 
-from ..arguments import Count, as_annotated
+from ..base.arguments import Count, as_annotated
 from .frames import clean
 from .reader import checked, csv_blocks
 from .rows import Measurements

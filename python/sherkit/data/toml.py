@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from .. import linalg
+from ..base import linalg
+from ..base.names import brief, closest, listed, nearest
+from ..base.types import Floats
 from ..errors import RobotError, SherkitError
-from ..names import brief, closest, listed, nearest
-from ..types import Floats
 
 #: Keys of a table look alike (base_radius_mm, platform_radius_mm); a misspelt one looks more alike still.
 _MISSPELT = 0.75

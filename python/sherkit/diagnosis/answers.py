@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from ..figures import finite
+from ..base.figures import finite
+from ..base.names import state_with
+from ..base.notebook import Shown
+from ..base.types import Ints
 from ..fit.error import ErrorSize
 from ..fit.forms import Known, known
 from ..fit.identify import Fit
-from ..names import state_with
-from ..notebook import Shown
-from ..types import Ints
 from .checks import LOOSE, POSES_AS_REPEATS, Check, headline
 from .finding import Finding
 from .summary import Summary

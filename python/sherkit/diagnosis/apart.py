@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..base.types import Bools, Floats, Ints
 from ..data.noise import MAD
-from ..types import Bools, Floats, Ints
 from .tails import normal_beyond
 
 

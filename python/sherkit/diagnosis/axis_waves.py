@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from .._core import wave_sums
-from ..types import Floats, Ints
+from ..base.types import Floats, Ints
 from .gridded import Gridded
 from .linearised import Whitening
 from .waves import TURN

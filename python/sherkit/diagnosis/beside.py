@@ -17,8 +17,8 @@ from itertools import product
 import numpy as np
 import scipy
 
-from ..names import listed
-from ..types import Floats, Ints
+from ..base.names import listed
+from ..base.types import Floats, Ints
 from .explanation import bic, schwarz
 from .fitted_run import FittedRun
 from .held_out import PRAISE, Columns, rms, squares_of

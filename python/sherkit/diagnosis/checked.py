@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..base.names import listed, spans
+from ..base.types import Floats, Ints
 from ..data.doubts import Doubt
 from ..fit.set_up import Mistake
-from ..names import listed, spans
-from ..types import Floats, Ints
 from .checks import APART, AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SETTLED, SMALL, Check
 from .few_enough import FewEnough
 from .fitted_run import FittedRun

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .. import linalg
-from ..types import Floats
+from ..base import linalg
+from ..base.types import Floats
 from .linearised import orthonormal
 from .stage import Stage
 

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..base.types import Floats, Ints
 from ..fit.folds import Beside, Folds
-from ..types import Floats, Ints
 from .stage import Stage
 
 

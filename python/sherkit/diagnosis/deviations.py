@@ -9,9 +9,9 @@ from typing import cast
 
 import numpy as np
 
+from ..base.types import Floats, Ints
 from ..data.columns import bare
 from ..data.noise import MAD
-from ..types import Floats, Ints
 from .enough import enough_of
 from .fitted_run import FittedRun
 from .linearised import orthonormal

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..base.types import Ints
 from ..data import Measurements
-from ..types import Ints
 
 #: Rows beyond which more of them would only show what is smaller than a twentieth of the noise.
 ENOUGH = 8192

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..base.types import Floats
 from ..model.effect import Effect
-from ..types import Floats
 from .fitted_run import FittedRun
 from .scan import Scan
 from .simplest import CLEARLY

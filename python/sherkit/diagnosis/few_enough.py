@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..base.types import Floats, Ints
 from ..fit.folds import Folds, roots_of
-from ..types import Floats, Ints
 from .fitted_run import FittedRun
 from .stage import testable
 

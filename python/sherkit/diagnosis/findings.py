@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ..figures import in_names, number, stated
+from ..base.figures import in_names, number, stated
+from ..base.names import listed
 from ..model.effect import Effect
 from ..model.kinds import required_um
-from ..names import listed
 from .answers import CandidateReport, Diagnosis
 from .finding import APART, FILES, MISSING, NEXT, WHERE, WHICH, WRONG, Finding
 from .outliers import sentences

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from ..base.saved import Saved
+from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.lagged import DRAWN_C, Room
 from ..data.noise import Noise, noise_of
@@ -17,8 +19,6 @@ from ..fit.error import axes_of
 from ..fit.identify import Fit, identify
 from ..model.base import Derivatives, ModelWithEffects, Tried, beside_one_another
 from ..model.effect import Effect
-from ..saved import Saved
-from ..types import Bools, Floats, Ints
 from .linearised import Linearised, last_asked
 from .next_poses import Proposal, next_poses
 

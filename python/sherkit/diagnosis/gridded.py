@@ -18,7 +18,7 @@ import scipy
 from numpy.typing import NDArray
 
 from .._core import spread_rows
-from ..types import Floats, Ints
+from ..base.types import Floats, Ints
 
 Complexes = NDArray[np.complex128]
 

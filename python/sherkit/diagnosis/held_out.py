@@ -10,10 +10,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from .. import linalg
+from ..base import linalg
+from ..base.types import Floats, Ints
 from ..fit.error import ErrorSize, held_out_error
 from ..fit.folds import Folds, roots_of
-from ..types import Floats, Ints
 from .fitted_run import FittedRun
 from .linearised import Linearised
 from .stage import testable

@@ -19,10 +19,10 @@ from itertools import pairwise
 import numpy as np
 
 from .._core import walsh_hadamard
+from ..base.types import Floats, Ints
 from ..errors import SherkitError
 from ..fit.folds import Beside, Folds, ranks_of, roots_of
 from ..model.effect import Effect
-from ..types import Floats, Ints
 from .fitted_run import FittedRun
 from .held_out import Columns, folds_of, rms, squares_of
 from .linearised import Linearised

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from .. import linalg
-from ..types import Floats
+from ..base import linalg
+from ..base.types import Floats
 from .linearised import orthonormal
 
 

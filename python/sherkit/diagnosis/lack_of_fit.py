@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..types import Floats, Ints
+from ..base.types import Floats, Ints
 from .fitted_run import FittedRun
 from .tails import chi2_tail, pearson3_tail, ranks
 

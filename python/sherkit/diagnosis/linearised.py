@@ -14,11 +14,11 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from .. import linalg
+from ..base import linalg
+from ..base.types import Floats, Ints
 from ..data.columns import unit_in
 from ..fit.folds import blocks
 from ..model.effect import Effect
-from ..types import Floats, Ints
 
 T = TypeVar("T")
 

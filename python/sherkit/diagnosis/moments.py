@@ -6,8 +6,8 @@ from functools import partial
 
 import numpy as np
 
-from .. import linalg
-from ..types import Floats, Ints
+from ..base import linalg
+from ..base.types import Floats, Ints
 from .scan import Block
 from .stage import Candidate, Stage
 

@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..base.types import Floats, Ints
 from ..model.effect import Effect
-from ..types import Floats, Ints
 from .answers import StepReport
 from .beside import Description, described, innocents
 from .explanation import refit

@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import linalg
+from ..base import linalg
+from ..base.names import listed
+from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import bare
 from ..errors import SherkitError
 from ..fit.identify import Fit
 from ..model.base import Reachable
-from ..names import listed
-from ..types import Floats
 
 MOST = 12
 #: Separation from which poses are worth measuring, in standard deviations.

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from ..base.types import Bools, Floats, Ints
 from ..data.columns import unit_in
 from ..errors import SherkitError
 from ..model.effect import Effect
 from ..model.parameter import Parameter
-from ..types import Bools, Floats, Ints
 from .fitted_run import FittedRun
 from .held_out import error_of
 from .held_out_gain import flipped

@@ -14,10 +14,10 @@ from functools import cached_property
 
 import numpy as np
 
-from .. import linalg
+from ..base import linalg
+from ..base.types import Bools, Floats, Ints
 from ..data.noise import MAD
 from ..fit.folds import BLOCK
-from ..types import Bools, Floats, Ints
 from .apart import apart_from_pose
 from .fitted_run import DIGITS
 from .linearised import Linearised, orthonormal

@@ -12,17 +12,17 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from .. import linalg
-from ..arguments import as_annotated
+from ..base import linalg
+from ..base.arguments import as_annotated
+from ..base.figures import number
+from ..base.names import spans
+from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..errors import FitError, SherkitWarning
-from ..figures import number
 from ..fit.error import of_residuals
 from ..fit.identify import Fit
 from ..fit.set_up import set_up_mistakes
 from ..model.effect import Effect
-from ..names import spans
-from ..types import Bools, Floats, Ints
 from .fitted_run import FittedRun
 from .linearised import Linearised, orthonormal
 from .outlier_fit import OutlierFit

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from .. import linalg
-from ..names import listed
-from ..types import Floats, Ints
+from ..base import linalg
+from ..base.names import listed
+from ..base.types import Floats, Ints
 from .stage import Candidate, Stage
 from .waves import OVERSAMPLING, TURN, frequencies, rings
 

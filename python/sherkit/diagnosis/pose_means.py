@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from .. import linalg
-from ..types import Floats, Ints
+from ..base import linalg
+from ..base.types import Floats, Ints
 from .linearised import Whitening, orthonormal
 
 #: The most that an instrument's readings have in common from row to row; rounds in which it settles; slow is what takes

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import scipy
 
-from .. import linalg
-from ..arguments import Level, Seed, as_annotated
+from ..base import linalg
+from ..base.arguments import Level, Seed, as_annotated
+from ..base.types import Floats
 from ..data.doubts import doubts
 from ..data.given import RunLike
 from ..errors import EffectError, FitError
@@ -21,7 +22,6 @@ from ..fit.set_up import held, set_up_mistakes, unread
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
-from ..types import Floats
 from .answers import CandidateReport, Diagnosis, StepReport
 from .checked import checks_of
 from .checks import verdict_of

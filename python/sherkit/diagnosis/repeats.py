@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from ..base.names import listed
+from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.columns import bare
-from ..names import listed
-from ..types import Floats, Ints
 from .deviations import DIRECTION, FEWEST, Deviations, Held
 from .fitted_run import FittedRun
 

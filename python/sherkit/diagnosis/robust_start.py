@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .. import linalg
+from ..base import linalg
+from ..base.types import Floats, Ints
 from ..data.noise import MAD
 from ..errors import SherkitError
-from ..types import Floats, Ints
 from .fitted_run import DIGITS, FittedRun
 from .linearised import orthonormal
 

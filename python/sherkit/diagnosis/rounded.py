@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from ..base.figures import sized
+from ..base.names import listed
+from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import unit_in
 from ..data.steps import step_of
 from ..errors import SherkitError
-from ..figures import sized
 from ..fit.identify import identify
-from ..names import listed
-from ..types import Floats
 from .fitted_run import FittedRun
 
 #: What is left beyond noise is that of steps where it has this part of its square at least, at most this many

@@ -18,9 +18,9 @@ from typing import Any, Protocol
 import numpy as np
 import scipy
 
-from .. import linalg
 from .._core import largest_under_flips
-from ..types import Floats, Ints
+from ..base import linalg
+from ..base.types import Floats, Ints
 from .axis_waves import AxisProducts, AxisWaves
 from .image import Image, Projected, Triangle
 from .tails import z_score

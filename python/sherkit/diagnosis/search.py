@@ -17,9 +17,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.types import Floats
 from ..errors import SherkitError
 from ..model.effect import Effect
-from ..types import Floats
 from .explanation import Explanation, as_near, bic, bic_of, plausible, refit, schwarz, schwarz_of
 from .fitted_run import FittedRun
 from .moments import at_the_row, best_lag

@@ -13,7 +13,7 @@ from itertools import count as count_from
 import numpy as np
 
 from .._core import play
-from ..types import Floats, Ints
+from ..base.types import Floats, Ints
 from .axis_waves import Along
 from .linearised import Linearised, last_asked
 from .scan import Columns

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from ..types import Floats
+from ..base.types import Floats
 from .linearised import orthonormal
 from .shapes import Shape, wave
 from .stage import Stage

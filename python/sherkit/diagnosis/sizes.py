@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..base.types import Floats
 from ..errors import FitError, SherkitWarning
 from ..fit.identify import Fit
-from ..types import Floats
 
 #: Plausible sizes up to which people are told that a parameter is plausible; up to which a search takes it for as good
 #: as any; and from which on it is absurd, and nothing is believed.

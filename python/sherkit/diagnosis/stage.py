@@ -9,9 +9,9 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.types import Floats, Ints
 from ..errors import FitError
 from ..model.effect import Effect
-from ..types import Floats, Ints
 from .axis_waves import AxisWaves
 from .fitted_run import FittedRun
 from .image import Image

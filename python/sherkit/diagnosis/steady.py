@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..base.types import Floats
 from ..data.columns import bare
-from ..types import Floats
 from .fitted_run import FittedRun
 
 #: Slow is what takes more rows than this for one swing; of so many swings in the run at least, and at most.

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..types import Floats, Ints
+from ..base.types import Floats, Ints
 
 
 def step_gains(left: Floats, columns: Iterable[Floats], cuts: Ints, least: float) -> Floats:

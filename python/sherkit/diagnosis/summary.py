@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..figures import in_names
+from ..base.figures import in_names
 
 
 @dataclass(frozen=True, kw_only=True)

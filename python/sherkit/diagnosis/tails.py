@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ..types import Floats, Ints
+from ..base.types import Floats, Ints
 
 #: Halvings of an interval: to the last bit of what lies in it.
 _HALVINGS = 60

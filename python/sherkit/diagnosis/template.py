@@ -7,9 +7,9 @@ from collections.abc import Collection, Mapping, Sequence
 from keyword import iskeyword
 from typing import Any
 
+from ..base.names import listed
 from ..data.columns import Layout, bare, unit_in
 from ..errors import EffectError
-from ..names import listed
 
 _HEAD = '''"""Written by `sherkit diagnose`: {sentence}
 

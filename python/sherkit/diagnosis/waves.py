@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from .._core import wave_sums
-from ..types import Bools, Floats, Ints
+from ..base.types import Bools, Floats, Ints
 from .gridded import Complexes, Gridded
 from .linearised import Linearised, Whitening
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..base.types import Floats, Ints
 from ..data import Measurements
-from ..types import Floats, Ints
 
 _TILES = 4
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from .. import linalg
-from ..types import Floats
+from ..base import linalg
+from ..base.types import Floats
 
 
 def radius_95(covariances: Floats) -> Floats:

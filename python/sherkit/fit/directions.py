@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import linalg
+from ..base import linalg
+from ..base.types import Floats
 from ..model.parameter import Parameter
-from ..types import Floats
 
 #: Parameters whose share of a direction is below this fraction of the largest are not named.
 _NAMED = 0.3

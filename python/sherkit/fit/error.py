@@ -15,12 +15,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from .. import linalg
+from ..base import linalg
+from ..base.figures import finite, number
+from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.noise import Noise
 from ..errors import FitError
-from ..figures import finite, number
-from ..types import Bools, Floats, Ints
 from .blocks import blocks_of
 from .folds import Folds, blocks
 

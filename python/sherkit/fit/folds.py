@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from .. import linalg
-from ..types import Floats, Ints
+from ..base import linalg
+from ..base.types import Floats, Ints
 
 #: Rows that are looked at together: a few megabytes of columns, however long the run is.
 BLOCK = 8192

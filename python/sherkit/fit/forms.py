@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 import scipy
 
-from .. import linalg
+from ..base import linalg
+from ..base.names import listed
+from ..base.types import Floats
 from ..model.effect import Effect
 from ..model.parameter import Parameter
-from ..names import listed
-from ..types import Floats
 
 #: A form with a smaller p is refused.
 _LEVEL = 0.01

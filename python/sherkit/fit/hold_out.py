@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arguments import Count, Seed, as_annotated
+from ..base.arguments import Count, Seed, as_annotated
+from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..model.any import Model
 from ..model.base import ModelWithEffects
 from ..model.kinds import Robot, model_of
-from ..types import Floats, Ints
 from .blocks import blocks_of
 from .identify import identify, residuals
 

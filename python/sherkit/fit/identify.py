@@ -19,8 +19,10 @@ import polars as pl
 
 import sherkit._core as _core
 
-from .. import linalg
-from ..arguments import as_annotated
+from ..base import linalg
+from ..base.arguments import as_annotated
+from ..base.notebook import Shown
+from ..base.types import Floats
 from ..data import Measurements
 from ..data.given import RunLike
 from ..data.noise import Noise, noise_of
@@ -31,8 +33,6 @@ from ..model.effect import Effect, named_effects
 from ..model.kinds import model_of
 from ..model.parameter import Parameter
 from ..model.robot_file import RobotLike, load_robot, run_for
-from ..notebook import Shown
-from ..types import Floats
 from .directions import Direction, badly_observed, unobserved
 from .error import ErrorSize, held_out_error, of_residuals
 from .iterate import reached

@@ -7,8 +7,8 @@ from typing import Any
 
 import sherkit._core as _core
 
+from ..base.types import Floats
 from ..errors import FitError, RobotError
-from ..types import Floats
 
 #: Part of the variance of the noise that is not worth a step: it would go by a tenth of a deviation.
 _NOTHING = 1e-2

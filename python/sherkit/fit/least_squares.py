@@ -8,10 +8,10 @@ import numpy as np
 
 import sherkit._core as _core
 
+from ..base.types import Floats
 from ..data import Measurements
 from ..model.base import ModelWithEffects
 from ..model.chain import ChainModel
-from ..types import Floats
 from .iterate import iterate
 
 

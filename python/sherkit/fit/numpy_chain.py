@@ -9,9 +9,9 @@ import numpy as np
 
 import sherkit._core as _core
 
+from ..base.types import Bools, Floats
 from ..errors import FitError
 from ..model.chain import Block
-from ..types import Bools, Floats
 from .iterate import iterate
 
 

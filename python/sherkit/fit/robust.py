@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..base.types import Floats
 from ..data.noise import MAD
-from ..types import Floats
 
 LOSSES = ("linear", "huber", "cauchy", "tukey")
 

@@ -9,6 +9,7 @@ import numpy as np
 
 import sherkit._core as _core
 
+from ..base.types import Floats
 from ..data import MeasurementStream
 from ..errors import FitError
 from ..model.any import Model
@@ -16,7 +17,6 @@ from ..model.base import ModelWithEffects
 from ..model.chain import ChainModel
 from ..model.effect import Effect
 from ..model.kinds import Robot, model_of
-from ..types import Floats
 from .identify import Identified, extended_by
 from .iterate import iterate, reached
 from .least_squares import push

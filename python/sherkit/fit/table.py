@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from ..figures import in_people_units, with_error
+from ..base.figures import in_people_units, with_error
 from .forms import known
 
 #: A parameter counts as observed where no more than this part of its plausible variance is unobserved, and as

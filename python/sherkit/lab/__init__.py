@@ -6,7 +6,7 @@ who measures loads no emulator.
 
 from typing import TYPE_CHECKING
 
-from ..doors import door
+from ..base.doors import door
 
 if TYPE_CHECKING:
     from . import emulators as emulators

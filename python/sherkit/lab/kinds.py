@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.extensions import INSTRUMENTS as OF_PACKAGES
+from ..base.extensions import brought_beside
 from ..data.toml import Table
 from ..errors import ExperimentError
-from ..extensions import INSTRUMENTS as OF_PACKAGES
-from ..extensions import brought_beside
 from ..model.kinds import Robot, kind_of
 from .instruments import Axis, Galil, Hyperion, Keyence, NetFT, Scpi, Sm130, Snapshots, VideoCamera, fetch_scale
 from .instruments.axes import LETTERS

@@ -15,8 +15,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+from ..base.names import listed, nearest
 from ..errors import ExperimentError
-from ..names import listed, nearest
 
 GROUP = "sherkit.instruments"
 

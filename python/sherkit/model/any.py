@@ -13,9 +13,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from ..base.types import Floats
 from ..data import Measurements
 from ..errors import EffectError, ShapeError
-from ..types import Floats
 from .base import Derivatives, ModelWithEffects, Tried, beside_one_another
 from .effect import Effect
 from .parameter import Parameter

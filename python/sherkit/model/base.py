@@ -10,11 +10,11 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from ..base.saved import Saved
+from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import Layout
 from ..errors import EffectError, ShapeError
-from ..saved import Saved
-from ..types import Floats
 from .effect import Effect, check_user_effect
 from .parameter import Parameter
 from .rows import Rows

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..base.names import listed
+from ..base.types import Floats
 from ..errors import NotFinite, OutOfReach, ShapeError, SherkitError
-from ..names import listed
-from ..types import Floats
 
 
 class Batch(NamedTuple):

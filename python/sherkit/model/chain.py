@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 import sherkit._core as _core
 
+from ..base.names import listed, nearest
+from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, Layout, unit_in
 from ..errors import EffectError, FitError, ShapeError
-from ..names import listed, nearest
-from ..types import Bools, Floats
 from .base import Derivatives, ModelWithEffects, Reachable, Tried
 from .effect import Effect, freeing, parameters_of_core
 from .parameter import Parameter

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from ..base.types import Floats
 from ..data import Measurements
-from ..types import Floats
 
 #: How parts are drawn, from the back to the front.
 LOOKS = ("guide", "frame", "axis", "rod", "link", "platform", "joint", "sensor", "ray", "target", "shown")

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from ..arguments import as_annotated
+from ..base.arguments import as_annotated
+from ..base.names import listed, nearest
+from ..base.notebook import Shown
+from ..base.types import Floats
 from ..data.columns import unit_in
 from ..errors import EffectError, FitError
-from ..names import listed, nearest
-from ..notebook import Shown
-from ..types import Floats
 from .parameter import Parameter
 from .python_file import Named, named
 

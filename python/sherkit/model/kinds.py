@@ -13,13 +13,13 @@ from typing import Any, ClassVar, Protocol, Self, overload, runtime_checkable
 
 from numpy.typing import ArrayLike
 
-from .. import built_in
+from ..base import built_in
+from ..base.names import listed
+from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import Layout, know
 from ..data.toml import Table
 from ..errors import FitError, RobotError
-from ..names import listed
-from ..types import Floats
 from .any import Extended, Model
 from .base import ModelWithEffects
 from .batch import Batch

@@ -9,7 +9,8 @@ from typing import Any
 
 import tomli_w
 
-from ..arguments import as_annotated
+from ..base.arguments import as_annotated
+from ..base.names import listed
 from ..data import Measurements
 from ..data.columns import check_columns, is_known
 from ..data.files import write_whole
@@ -17,7 +18,6 @@ from ..data.given import RunLike, run_of
 from ..data.headers import Columns
 from ..data.toml import Table, read_toml
 from ..errors import MeasurementError, RobotError, SherkitWarning
-from ..names import listed
 from .kinds import Robot, kind_of, robot_from_tables
 
 #: The table of a robot file that is about its runs, not about the robot.

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from ..base.types import Bools, Floats
 from ..data import Measurements
-from ..types import Bools, Floats
 from .base import Derivatives, Tried, beside_one_another
 from .effect import Effect
 

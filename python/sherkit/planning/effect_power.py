@@ -15,15 +15,15 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from .. import linalg
+from ..base import linalg
+from ..base.names import nearest
+from ..base.types import Floats
 from ..data import Measurements
 from ..errors import EffectError, FitError
 from ..model.base import missing_columns
 from ..model.chain import ChainModel
 from ..model.effect import Effect
 from ..model.parameter import Parameter
-from ..names import nearest
-from ..types import Floats
 from .poses import PoseDesign, design_of
 
 #: An effect counts as found at this level, and a size as one that would be found with this power.

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import linalg
-from ..arguments import Positive, Seed, as_annotated
+from ..base import linalg
+from ..base.arguments import Positive, Seed, as_annotated
+from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..errors import FitError, ShapeError
 from ..model.chain import ChainModel
 from ..model.parameter import Parameter
-from ..types import Floats, Ints
 
 #: Singular values below this share of the largest are directions that no pose observes.
 _UNOBSERVED = 1e-9

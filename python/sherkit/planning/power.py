@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import Layout
 from ..data.files import write_whole
@@ -30,7 +31,6 @@ from ..errors import ExperimentError, FitError, SherkitError
 from ..fit.identify import identify
 from ..model.chain import ChainModel
 from ..model.kinds import model_of, robot_from_tables
-from ..types import Floats
 from .effect_power import Planning
 
 #: Runs of one effect that go to a worker together: what is sent is larger than what comes back.

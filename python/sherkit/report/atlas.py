@@ -14,12 +14,12 @@ import numpy as np
 from bokeh.core.properties import value
 from bokeh.models import Range1d
 
-from .. import linalg
+from ..base import linalg
+from ..base.types import Floats
 from ..diagnosis.fitted_run import FittedRun
 from ..diagnosis.linearised import orthonormal
 from ..diagnosis.stage import Stage, stage_of
 from ..model.effect import Effect
-from ..types import Floats
 from .picture import Picture, Tables, sources_of, stacked
 from .residual_map import plane_of_most, round_number
 from .style import ADDED, FONT, FONT_SIZE, INK, figure, quantity

@@ -14,16 +14,16 @@ from html import escape
 
 import numpy as np
 
+from ..base.figures import sized, stated
+from ..base.names import listed
+from ..base.types import Floats
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
-from ..figures import sized, stated
 from ..fit.forms import Known, known
 from ..fit.identify import Fit
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.kinds import Robot
-from ..names import listed
-from ..types import Floats
 from .atlas import Atlas, Tile
 from .exaggerated import Exaggerated, exaggerated
 from .mechanism import scene_of

@@ -24,17 +24,17 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import sherkit._core as _core
 
+from ..base.figures import in_people_units, stated, with_error
+from ..base.names import CALIBRATED, listed, state_with
 from ..calibration import Result
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis
 from ..diagnosis.finding import APART, FILES, NEXT
 from ..diagnosis.findings import plausibility
 from ..errors import SherkitError
-from ..figures import in_people_units, stated, with_error
 from ..fit.forms import known
 from ..fit.identify import Fit
 from ..model.kinds import required_um
-from ..names import CALIBRATED, listed, state_with
 from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from ..study import Study

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..base.types import Ints
 from ..data import Measurements
 from ..data.noise import Noise
 from ..fit.identify import Fit
-from ..types import Ints
 
 #: So many rows are drawn of a run, and its extremes.
 MOST_ROWS = 6000

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from bokeh.models import FactorRange, Label, Range1d, Span
 
+from ..base.names import told_apart
+from ..base.types import Floats
 from ..data.columns import bare
 from ..diagnosis import Diagnosis
 from ..fit.error import ErrorSize
 from ..model.kinds import required_um
-from ..names import told_apart
 from ..study import Study, StudyStep
-from ..types import Floats
 from .picture import Picture, Tables, single, sources_of
 from .style import COLOURS, FONT, FONT_SIZE, INK, MARKERS, figure, hover, legend
 

@@ -10,8 +10,8 @@ import numpy as np
 from bokeh.models import Span
 from numpy.typing import NDArray
 
+from ..base.types import Floats
 from ..robots.tool.filters import Estimate
-from ..types import Floats
 from .picture import Picture, Tables, sources_of, stacked
 from .style import ADDED, COLOURS, INK, MUTED, PLAIN, figure, hover, legend
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, TIME, unit_in
 from ..errors import SherkitError
@@ -15,7 +16,6 @@ from ..model.base import ModelWithEffects, missing_columns
 from ..model.drawing import Drawing
 from ..model.effect import Effect
 from ..model.kinds import Kind, Robot, draw_of, kind_of, model_of
-from ..types import Floats
 
 #: Times the effect as it is.
 FACTORS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)

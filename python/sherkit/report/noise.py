@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ..types import Floats
+from ..base.types import Floats
 from .picture import Picture, Tables, sources_of, stacked
 from .residuals import Residuals
 from .style import COLOURS, INK, MARKERS, figure, hover, legend

@@ -19,12 +19,12 @@ from bokeh.layouts import column
 from bokeh.models import Div
 from bokeh.resources import Resources
 
+from ..base.names import CALIBRATED, state_with
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
 from ..fit.identify import Fit
 from ..model.effect import Catalogue, Effect
 from ..model.kinds import Robot, known_kinds
-from ..names import CALIBRATED, state_with
 from ..robots.calibrated import Calibration
 from ..robots.tool.filters import Estimate
 from ..study import Study

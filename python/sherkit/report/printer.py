@@ -7,10 +7,10 @@ from html import escape
 
 import numpy as np
 
+from ..base.types import Floats
 from ..fit.forms import known
 from ..printers import Examined
 from ..robots.printer.model import distances
-from ..types import Floats
 
 _SIZE, _GAP, _TOP = 300, 40, 40
 #: Blue and orange, which colour-blind people tell apart too.

@@ -8,7 +8,7 @@ import numpy as np
 from bokeh.models import LinearColorMapper, Range1d
 from numpy.typing import NDArray
 
-from ..types import Floats
+from ..base.types import Floats
 from .picture import Picture, Tables, single, sources_of
 from .residual_map import round_number
 from .style import INK, SEQUENTIAL, colour_bar, figure, hover, number

@@ -9,7 +9,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Span
 from numpy.typing import NDArray
 
-from ..types import Floats, Ints
+from ..base.types import Floats, Ints
 from .picture import Picture, Table, Tables, sources_of, stacked, thinned
 from .residuals import Residuals, at_the_rim
 from .style import COLOURS, FONT_SIZE, INK, MARKERS, MUTED, PLAIN, figure, hover, quantity

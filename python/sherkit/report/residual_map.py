@@ -17,7 +17,7 @@ from bokeh.core.properties import value
 from bokeh.models import Circle, ColumnDataSource, FixedTicker, LinearColorMapper, Range1d, Segment, Text
 from numpy.typing import NDArray
 
-from ..types import Bools, Floats
+from ..base.types import Bools, Floats
 from .picture import Picture, Table, Tables, sources_of, stacked
 from .residuals import Residuals, in_noise
 from .style import DIVERGING, FONT, FONT_SIZE, INK, MUTED, colour_bar, figure, hover, number, padded, quantity

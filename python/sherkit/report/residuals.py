@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
+from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..diagnosis.fitted_run import FittedRun
 from ..fit.identify import Fit
-from ..types import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)

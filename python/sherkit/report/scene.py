@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from ..base.types import Floats
 from ..model.drawing import Drawing
-from ..types import Floats
 
 _STILL_PX = 640
 #: Turn about the vertical and height of the eye above the horizon, rad.

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..base.names import listed
 from ..errors import SherkitError
 from ..model.effect import Effect
 from ..model.kinds import Robot, kind_of, known_kinds
-from ..names import listed
 from .svg import Panel, residual_maps, round_bar
 
 

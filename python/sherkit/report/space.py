@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..errors import SherkitError
 from ..fit.identify import Fit
 from ..model.drawing import Draw, Drawing
 from ..model.kinds import draw_of, kind_of
 from ..robots.calibrated import Calibration
-from ..types import Floats, Ints
 from .picture import thinned
 from .scene import Arrows, Field, Scene
 

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from ..base.names import state_with
 from ..diagnosis import Diagnosis
 from ..diagnosis.fitted_run import FittedRun
 from ..diagnosis.setting import searched
 from ..errors import SherkitError
 from ..fit.identify import Fit
 from ..model.effect import Effect
-from ..names import state_with
 from .picture import Picture, Table
 from .residual_against import Windows, gained, means, points, shown
 from .residual_map import Change

@@ -9,7 +9,7 @@ from bokeh.models import BasicTickFormatter, ColorBar, FixedTicker, HoverTool, L
 from bokeh.palettes import interp_palette
 from bokeh.plotting import figure as bokeh_figure
 
-from ..figures import number as number
+from ..base.figures import number as number
 
 #: One size for everything that is read, large enough for a projector.
 FONT_SIZE = "16px"

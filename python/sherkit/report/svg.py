@@ -8,7 +8,7 @@ from html import escape
 
 import numpy as np
 
-from ..types import Floats
+from ..base.types import Floats
 
 _PANEL, _GAP, _TOP = 300, 40, 70
 _LOWER, _HIGHER = "#0072b2", "#d55e00"  # blue and orange, told apart by colour-blind people too

@@ -11,10 +11,10 @@ from bokeh.core.properties import value
 from bokeh.models import LinearColorMapper, Range1d
 from numpy.typing import NDArray
 
+from ..base.types import Floats
 from ..diagnosis.next_poses import SEPARATION
 from ..model.kinds import required_um
 from ..robots.calibrated import Calibration
-from ..types import Floats
 from .picture import Picture, Tables, sources_of, stacked
 from .residuals import Residuals
 from .style import FONT, FONT_SIZE, INK, MUTED, REFUSED, SEQUENTIAL, colour_bar, figure, hover, padded, quantity

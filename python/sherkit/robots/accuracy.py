@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..base.types import Bools, Floats
 from ..fit.coverage import radius_95
 from ..model.batch import Batch
-from ..types import Bools, Floats
 from .deployed import Deployed
 from .part import Part
 from .predicted_accuracy import Hiding, PredictedAccuracies, PredictedAccuracy

@@ -6,8 +6,8 @@ import math
 import re
 from typing import Any
 
+from ..base.types import Floats
 from ..errors import CalibrationError
-from ..types import Floats
 from .calibrated import Calibration
 
 #: The type of the C library by the kind of robot that a row is of (rust/core/src/flat.rs), as its second number says.

@@ -11,13 +11,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
+from ..base.names import listed
+from ..base.notebook import Shown
+from ..base.types import Bools
 from ..data.toml import Table
 from ..errors import CalibrationError, FitError
 from ..fit.identify import Fit
 from ..model.kinds import Robot, kind_of, known_kinds, robot_from_table
-from ..names import listed
-from ..notebook import Shown
-from ..types import Bools
 from .accuracy import Accurate
 from .calibration_file import reading, tables_of, write
 from .calibration_run import CalibrationRun, Corrected

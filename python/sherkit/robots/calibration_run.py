@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from .. import linalg
+from ..base import linalg
+from ..base.names import CALIBRATED, NOMINAL, listed
+from ..base.types import Bools, Floats, Ints
 from ..errors import SherkitWarning
 from ..fit.error import ErrorSize, of_residuals
 from ..fit.folds import Folds, roots_of
 from ..fit.identify import Fit
-from ..names import CALIBRATED, NOMINAL, listed
-from ..types import Bools, Floats, Ints
 
 #: Lines below those of a model on rows held out.
 _ROWS, _CORRECTED = "  the rows it was fitted to", "  with the correction"

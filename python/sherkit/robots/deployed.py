@@ -11,12 +11,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..base.saved import Saved
+from ..base.types import Bools, Floats
 from ..data.columns import unit_in
 from ..errors import SherkitWarning
 from ..model.batch import Batch, matrix, vector
 from ..model.kinds import Robot
-from ..saved import Saved
-from ..types import Bools, Floats
 from .part import Part
 
 #: A place is far from the poses of a run from this many times their extent on.

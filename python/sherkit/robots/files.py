@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..arguments import as_annotated
+from ..base.arguments import as_annotated
 from .calibrated import Calibration
 
 

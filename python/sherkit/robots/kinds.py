@@ -6,7 +6,7 @@ Each is declared in the package's ``pyproject.toml``, under ``[project.entry-poi
 
 from __future__ import annotations
 
-from ..extensions import ROBOTS, brought, declared
+from ..base.extensions import ROBOTS, brought, declared
 from ..model.kinds import Kind, register
 
 #: Where columns fit no robot, messages speak of the first.

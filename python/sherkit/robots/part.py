@@ -7,14 +7,14 @@ from typing import Any, Self
 
 import numpy as np
 
+from ..base.names import listed
+from ..base.types import Floats
 from ..data.columns import TEMPERATURE
 from ..data.toml import Table
 from ..fit.identify import Fit
 from ..model.chain import ChainModel
 from ..model.effect import effects_by_name
 from ..model.kinds import Robot, catalogue_of, kind_of, model_of
-from ..names import listed
-from ..types import Floats
 from .unobserved_effects import UnobservedEffect
 
 #: So many plausible sizes are no identified error any more.

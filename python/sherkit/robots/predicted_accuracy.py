@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import polars as pl
 
+from ..base.types import Bools, Floats
 from ..data.columns import bare, unit_in
-from ..types import Bools, Floats
 
 #: An addition of more than this part of the radius is worth a measurement.
 _MATTERS = 0.1

@@ -18,14 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from .. import linalg
+from ..base import linalg
+from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, TIME, unit_in
 from ..data.lagged import DRAWN_C
 from ..data.toml import Table
 from ..model.chain import ChainModel
 from ..model.effect import Effect
-from ..types import Bools, Floats
 
 
 @dataclass(frozen=True, eq=False)

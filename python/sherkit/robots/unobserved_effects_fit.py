@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from .. import linalg
+from ..base import linalg
+from ..base.types import Floats, Ints
 from ..fit.identify import Fit
 from ..model.chain import ChainModel
 from ..model.effect import Effect
-from ..types import Floats, Ints
 from .part import Part
 from .unobserved_effects import UnobservedEffect, at_rest, by_effect, waves, with_effect
 

@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from .. import linalg
+from ..base import linalg
+from ..base.types import Floats
 from ..model.effect import Effect
-from ..types import Floats
 from .calibration_run import CalibrationRun
 from .part import Part
 from .unobserved_effects import UnobservedEffect

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from ..base.types import Ints
 from ..data import Measurements, from_frame
 from ..data.files import write_whole
 from ..data.tables import parquet_errors
@@ -22,7 +23,6 @@ from ..fit.error import ErrorSize
 from ..model.chain import ChainModel
 from ..model.effect import Effect, effects_by_name
 from ..model.kinds import Robot, model_of
-from ..types import Ints
 from .steps import Before, StudyStep
 
 _FORMAT = 4

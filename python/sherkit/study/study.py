@@ -8,7 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arguments import Level, NotNegative, Positive, Seed, as_annotated
+from ..base.arguments import Level, NotNegative, Positive, Seed, as_annotated
+from ..base.names import CALIBRATED, NOMINAL, listed
+from ..base.notebook import Shown
+from ..base.types import Ints
 from ..data import Measurements
 from ..data.given import RunLike
 from ..data.joined import joined
@@ -25,11 +28,8 @@ from ..model.chain import ChainModel
 from ..model.effect import Effect, effects_by_name
 from ..model.kinds import model_of, robot_from_table
 from ..model.robot_file import RobotLike, robot_of, run_for
-from ..names import CALIBRATED, NOMINAL, listed
-from ..notebook import Shown
 from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
-from ..types import Ints
 from . import files
 from .steps import Before, StudyStep
 

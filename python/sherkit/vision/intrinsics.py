@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.names import listed
+from ..base.types import Floats
 from ..errors import SherkitError
-from ..names import listed
-from ..types import Floats
 from .pictures import CameraPicture, picture_in, picture_of
 
 #: A camera has nine unknowns and each picture adds six: fewer pictures than this fix them badly.

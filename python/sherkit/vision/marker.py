@@ -17,9 +17,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from .. import linalg
+from ..base import linalg
+from ..base.types import Floats
 from ..errors import SherkitError
-from ..types import Floats
 from .pictures import CameraPicture, picture_of
 
 KINDS = ("corner", "aruco", "apriltag")

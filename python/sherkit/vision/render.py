@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..types import Floats
+from ..base.types import Floats
 from .intrinsics import Intrinsics
 
 _SAMPLES = 4

@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sherkit.base.types import Bools, Floats
 from sherkit.data import Measurements
 from sherkit.data.columns import Layout
 from sherkit.fit.numpy_chain import NumpyChain
 from sherkit.model.chain import Block, ChainModel
 from sherkit.model.effect import Effect, Sentences
 from sherkit.model.sentences import COMMON, catalogue_of
-from sherkit.types import Bools, Floats
 
 from .stage import XYStage
 

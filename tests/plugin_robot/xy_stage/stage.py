@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sherkit.base.types import Floats
 from sherkit.data.toml import Table
 from sherkit.errors import OutOfReach, ShapeError
 from sherkit.model.batch import Batch, matrix, vector, why
-from sherkit.types import Floats
 
 
 @dataclass(frozen=True)

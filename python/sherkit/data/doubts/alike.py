@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ...types import Bools, Floats
+from ...base.types import Bools, Floats
 from .. import columns as c
 from ..rows import Measurements
 from .doubt import FEWEST, Doubt, some

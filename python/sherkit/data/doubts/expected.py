@@ -6,8 +6,8 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from ... import linalg
-from ...types import Bools, Floats
+from ...base import linalg
+from ...base.types import Bools, Floats
 from ..noise import MAD
 
 #: Terms of the function, and rows for each of them.

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...names import listed
-from ...types import Bools, Floats
+from ...base.names import listed
+from ...base.types import Bools, Floats
 from .. import columns as c
 from ..rows import Measurements
 from .doubt import FEWEST, Doubt, some

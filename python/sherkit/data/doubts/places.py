@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ... import linalg
-from ...types import Floats
+from ...base import linalg
+from ...base.types import Floats
 from ..rows import Measurements
 from .doubt import FEWEST, Doubt, some
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 import scipy
 
-from ...names import listed
-from ...types import Ints
+from ...base.names import listed
+from ...base.types import Ints
 from ..rows import Measurements
 from ..steps import step_of
 from .doubt import Doubt

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...types import Ints
+from ...base.types import Ints
 from .. import columns as c
 from ..columns import TIME
 from ..rows import Measurements

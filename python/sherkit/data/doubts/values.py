@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...types import Floats
+from ...base.types import Floats
 from ..columns import TEMPERATURE, unit_in
 from ..rows import Measurements
 from .doubt import FEWEST, Doubt

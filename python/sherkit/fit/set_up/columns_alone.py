@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ...base.names import listed
+from ...base.types import Ints
 from ...data import Measurements
 from ...errors import SherkitError
 from ...model.base import ModelWithEffects
-from ...names import listed
-from ...types import Ints
 
 #: A reading that never changes is a mistake where the place moves it by more than this part of what moves most.
 _MOVES = 0.05

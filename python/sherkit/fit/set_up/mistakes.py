@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...base.types import Bools, Floats
 from ...data import Measurements
 from ...data.doubts import angles, commanded, doubts
 from ...data.noise import noise_of
 from ...model.base import ModelWithEffects
-from ...types import Bools, Floats
 from .columns_alone import constant, constant_by_mistake
 from .hypotheses import SetUp, hypotheses, turned_frame
 from .plausible import COUNTED, NOT_COMPUTED, Plausible, as_fitted, only_shift, plausible_fit, thinned

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ...types import Floats
+from ...base.types import Floats
 
 
 class VirtualRobot(Protocol):

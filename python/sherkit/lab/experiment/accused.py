@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ... import linalg
+from ...base import linalg
+from ...base.types import Floats
 from ...data.columns import Layout
-from ...types import Floats
 
 #: What one free number of an explanation costs, in squares of standard deviations (about Akaike's, a little dearer).
 _COST = 6.0

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from ...base.names import listed
+from ...base.types import Floats
 from ...data.toml import Table, read_toml
 from ...errors import ExperimentError
 from ...model.kinds import Robot, kind_of
 from ...model.robot_file import load_robot
-from ...names import listed
-from ...types import Floats
 from ..instruments import AxisController
 from ..kinds import InstrumentSettings, instrument_kinds
 from ..own_code import OwnCode, run_code

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
+from ...base.types import Floats
 from ...data import Measurements, from_frame
 from ...data.columns import POSE, REPEAT, TIME
 from ...errors import FitError
 from ...fit.identify import Fit, identify
 from ...model.kinds import Robot, kind_of, model_of
-from ...types import Floats
 from .plan import Plan
 from .point import Point
 

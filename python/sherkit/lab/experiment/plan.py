@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...base.names import listed
+from ...base.types import Floats
 from ...errors import ExperimentError
-from ...names import listed
-from ...types import Floats
 
 #: As listed, pass after pass; drawn anew for each pass; from the last to the first; to and fro, pass by pass.
 ORDERS = ("planes", "shuffled", "reversed", "alternating")

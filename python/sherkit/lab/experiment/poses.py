@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from ...base.names import listed
+from ...base.types import Floats
 from ...data import Measurements
 from ...data.toml import Table
 from ...errors import ExperimentError
 from ...model.effect import effects_by_name
 from ...model.kinds import MOST_IN_LINE, Kind, Robot, kind_of, model_of
-from ...names import listed
 from ...planning.poses import choose_poses
 from ...robots.files import load_calibration
-from ...types import Floats
 
 _DESIGNED = "designed"
 _DIAGNOSIS = "diagnosis"

@@ -17,15 +17,15 @@ from functools import partial
 
 import numpy as np
 
-from ... import linalg
+from ...base import linalg
+from ...base.names import listed
+from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import TIME
 from ...errors import SherkitError, SherkitWarning
 from ...model.chain import ChainModel
 from ...model.effect import Effect
 from ...model.kinds import Robot, kind_of, model_of
-from ...names import listed
-from ...types import Floats
 from .accused import Accused, Seen, accuse
 from .point import Point
 

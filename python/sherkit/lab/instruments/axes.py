@@ -7,8 +7,8 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from ...base.names import listed
 from ...errors import InstrumentError, NotReferenced
-from ...names import listed
 from .base import Instrument, Reading
 
 #: The letters that axes of a controller have.

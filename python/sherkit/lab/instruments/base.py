@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, ClassVar, Self, TypeVar
 
+from ...base.names import nearest
 from ...errors import Disconnected, Garbled, InstrumentError, ShapeError, Timeout
-from ...names import nearest
 from .opening import open_port
 from .transport import Transport
 

@@ -10,8 +10,8 @@ import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 
+from ...base.names import listed
 from ...errors import Disconnected, Garbled, Halted, InstrumentError, OutOfRange, Refused, Timeout
-from ...names import listed
 from .axes import Axis
 from .base import Reading
 from .galil_line import LARGEST_COUNT

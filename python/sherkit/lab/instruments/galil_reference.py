@@ -11,8 +11,8 @@ import secrets
 import time
 from collections.abc import Sequence
 
+from ...base.names import listed
 from ...errors import Halted, InstrumentError, Refused, Timeout
-from ...names import listed
 from ..clock import now_s
 from .axes import Axis, AxisController, Reference
 from .base import Identity, Reading

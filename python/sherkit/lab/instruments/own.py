@@ -19,8 +19,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
+from ...base.names import listed
 from ...errors import Disconnected, Garbled, InstrumentError, OutOfRange, Timeout
-from ...names import listed
 from ..clock import now_s
 from .axes import Axis, AxisController, Reference
 from .base import Identity, Instrument, Reading

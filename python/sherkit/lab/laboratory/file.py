@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ...base.names import listed
 from ...data.toml import Table, read_toml
 from ...errors import ExperimentError
 from ...model.kinds import Robot, Virtual, kind_of, model_of
 from ...model.robot_file import load_robot
-from ...names import listed
 from ...robots.tool.tool import FlexibleTool, load_tool
 from ...robots.tool.virtual import VirtualTool
 from ..emulators import FAULTS

@@ -12,14 +12,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...base.names import nearest
+from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import TEMPERATURE, TIME
 from ...errors import EffectError, NotFinite, OutOfReach, Singular
 from ...model.chain import ChainModel
 from ...model.kinds import SeenInPictures, Virtual, kind_of, model_of
-from ...names import nearest
 from ...robots.tool.virtual import VirtualTool
-from ...types import Floats
 from ..emulators import StillRobot
 
 _ROOM_C = 20.0

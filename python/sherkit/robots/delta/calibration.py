@@ -15,12 +15,12 @@ import numpy as np
 
 import sherkit._core as _core
 
+from ...base.types import Bools, Floats
 from ...data.lagged import DRAWN_C
 from ...data.toml import Table
 from ...errors import CalibrationError, FitError
 from ...fit.identify import Fit
 from ...model.kinds import Robot
-from ...types import Bools, Floats
 from ..accuracy import Planes
 from ..calibrated import Calibration, Note
 from ..calibration_run import CalibrationRun

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from ...base.types import Floats, Ints
 from ...errors import FitError
 from ...fit.identify import Fit
-from ...types import Floats, Ints
 from ..calibration_run import Cells, Corrected
 from .correction import Choice, choose_correction, leftover
 from .paper import PaperProtocol, paper_protocol

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 import sherkit._core as _core
 
+from ...base.saved import Saved
+from ...base.types import Floats
 from ...data.toml import Table
 from ...errors import FitError, ShapeError
 from ...fit.blocks import spatial_blocks
 from ...fit.identify import Fit
-from ...saved import Saved
-from ...types import Floats
 
 Orders = tuple[int, int, int]
 

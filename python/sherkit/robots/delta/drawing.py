@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...base.types import Floats
 from ...data import Measurements
 from ...model.drawing import Drawing, Part, line, with_target
-from ...types import Floats
 from .model import DeltaModel
 
 #: Of a limb the core hands over foot and head of its rail, the ends of its rods at the carriage, those at the platform.

@@ -10,10 +10,10 @@ import numpy as np
 
 import sherkit._core as _core
 
+from ...base.types import Bools, Floats
 from ...data import Measurements
 from ...errors import SherkitError
 from ...model.chain import SLACK, ChainModel
-from ...types import Bools, Floats
 from .columns import DELTA, POSITION
 from .effects import CATALOGUE
 from .robot import Delta

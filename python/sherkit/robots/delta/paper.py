@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...base.types import Floats
 from ...errors import FitError
 from ...fit.identify import Fit
-from ...types import Floats
 from .correction import Correction, fit_polynomial, leftover, levels_of
 from .poses import grid
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...types import Floats
+from ...base.types import Floats
 
 
 def grid(half_width_mm: float, per_side: int, planes_mm: Sequence[float]) -> Floats:

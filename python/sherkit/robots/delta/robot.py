@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike
 
 import sherkit._core as _core
 
+from ...base.notebook import Shown
+from ...base.saved import Saved
+from ...base.types import Floats
 from ...data.toml import Table
 from ...errors import ShapeError, Singular
 from ...model.batch import Batch, matrix, vector, why
-from ...notebook import Shown
-from ...saved import Saved
-from ...types import Floats
 
 Triple = tuple[float, float, float]
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import linalg
+from ...base import linalg
+from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import TEMPERATURE, TIME
 from ...errors import SherkitError
 from ...model.effect import Effect
-from ...types import Floats
 from .columns import DELTA, JOINTS, POSITION
 from .model import DeltaModel
 from .poses import grid

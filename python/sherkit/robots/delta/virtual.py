@@ -14,13 +14,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ... import linalg
+from ...base import linalg
+from ...base.names import nearest
+from ...base.types import Floats
 from ...data import Measurements
 from ...data.toml import Table
 from ...errors import NotFinite, OutOfReach, ShapeError, Singular
 from ...model.kinds import Option
-from ...names import nearest
-from ...types import Floats
 from .robot import Delta
 
 #: Root mean squares of the columns of the paper's Table II (whole workspace), mm and rad.

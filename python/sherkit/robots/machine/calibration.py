@@ -8,12 +8,12 @@ from typing import Any, Self
 
 import numpy as np
 
+from ...base.types import Bools, Floats
 from ...data.columns import bare, unit_in
 from ...data.lagged import DRAWN_C
 from ...data.toml import Table
 from ...errors import NotConverged, OutOfReach
 from ...model.chain import Block
-from ...types import Bools, Floats
 from ..accuracy import Planes
 from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import linalg
+from ...base import linalg
+from ...base.types import Bools, Floats
 from ...fit.numpy_chain import NumpyChain
 from ...model.chain import Block
-from ...types import Bools, Floats
 from .effects import Generic, Known
 from .function import UserFunction
 

@@ -15,8 +15,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ...base.types import Floats
 from ...errors import FitError
-from ...types import Floats
 
 #: Readings (n, m) for inputs (n, i): joints and parameters beside each other, each row with its own.
 Function = Callable[[NDArray[np.inexact]], NDArray[np.inexact]]

@@ -12,15 +12,15 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...base.names import listed
+from ...base.notebook import Shown
+from ...base.saved import Saved
+from ...base.types import Floats
 from ...data.columns import TEMPERATURE, TIME, Layout, unit_in
 from ...data.toml import Table
 from ...errors import NotConverged, RobotError
 from ...model.batch import Batch, matrix, vector
 from ...model.parameter import Parameter
-from ...names import listed
-from ...notebook import Shown
-from ...saved import Saved
-from ...types import Floats
 from .core import not_in
 from .effects import Generic, generic_effects
 from .function import Derivative, Forward, UserFunction

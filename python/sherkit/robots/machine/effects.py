@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...base.types import Floats
 from ...data.columns import bare, unit_in
 from ...data.lagged import DRAWN_C
 from ...model.effect import Effect, Sentences, catalogue_of_core
 from ...model.sentences import COMMON
-from ...types import Floats
 
 #: A plausible small error of a reading or joint by its unit; of any other, this part of its range.
 _SMALL = {"mm": 0.1, "um": 100.0, "m": 1e-4, "rad": 2e-3, "mrad": 2.0, "deg": 0.1, "px": 5.0, "arcsec": 300.0}

@@ -6,11 +6,11 @@ import os
 from pathlib import Path
 from types import ModuleType
 
+from ...base.names import listed
 from ...errors import RobotError
 from ...model.kinds import Robot
 from ...model.python_file import run_python
 from ...model.robot_file import RobotLike, load_robot
-from ...names import listed
 from .machine import Machine
 
 _PYTHON = ".py"

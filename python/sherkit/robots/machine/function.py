@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...base.names import listed
+from ...base.types import Floats
 from ...errors import FitError, SherkitError
 from ...model.parameter import Parameter
-from ...names import listed
-from ...types import Floats
 from .derivative import AGREE, Steps, steps_for
 
 #: (joints (n, k), parameters by name) → readings (n, m).

@@ -11,8 +11,8 @@ from collections.abc import Callable
 import numpy as np
 import scipy
 
-from ... import linalg
-from ...types import Bools, Floats
+from ...base import linalg
+from ...base.types import Bools, Floats
 
 #: Places over the ranges of the joints from which one begins.
 _PLACES = 1024

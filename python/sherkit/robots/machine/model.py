@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy
 
+from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import unit_in
 from ...errors import EffectError
 from ...model.base import Reachable
 from ...model.chain import ChainModel
 from ...model.effect import Effect
-from ...types import Floats
 from .core import MachineCore
 from .described import Described
 

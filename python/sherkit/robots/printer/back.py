@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ...base.types import Floats
 from ...data import Measurements
 from ...data.files import write_whole
 from ...errors import RobotError
 from ...fit.identify import identify
-from ...types import Floats
 from .columns import PLATE, PROBED, PROBING
 from .klipper import STEPPERS
 from .klipper_config import SAVED, KlipperConfig, text_of

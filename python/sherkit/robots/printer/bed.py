@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ...base.types import Bools, Floats
 from ...model.effect import Effect, effect
 from ...model.parameter import Parameter
-from ...types import Bools, Floats
 from .columns import PLATE, PROBING
 
 #: Shapes are named by their height this far from the middle, mm.

@@ -8,10 +8,10 @@ from typing import ClassVar, cast
 
 import numpy as np
 
+from ...base.types import Floats
 from ...fit.identify import Fit
 from ...model.chain import ChainModel
 from ...model.kinds import Robot
-from ...types import Floats
 from ..calibrated import Note
 from ..calibration_run import CalibrationRun
 from ..delta.calibration import DeltaCalibration, DeltaPart

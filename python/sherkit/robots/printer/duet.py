@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ...base.names import brief
 from ...errors import MeasurementError, RobotError
-from ...names import brief
 from .gcode import one, words
 from .klipper_config import text_of
 from .probings import Found, Rows

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ...base.names import listed
+from ...base.types import Bools, Floats
 from ...errors import MeasurementError, RobotError
-from ...names import listed
-from ...types import Bools, Floats
 from ..delta.robot import Triple
 from .klipper_config import KlipperConfig
 from .probings import Found, Rows

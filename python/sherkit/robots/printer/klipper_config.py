@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ...base.names import brief, listed
+from ...base.types import Floats
 from ...errors import RobotError
-from ...names import brief, listed
-from ...types import Floats
 
 #: What begins each line of the block, and what stands in its first one.
 SAVED = "#*#"

@@ -9,6 +9,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ...base.names import listed
+from ...base.types import Bools, Floats
 from ...data import Measurements
 from ...errors import FitError
 from ...model.base import Reachable
@@ -16,8 +18,6 @@ from ...model.chain import Block
 from ...model.effect import Effect
 from ...model.parameter import Parameter
 from ...model.rows import Rows
-from ...names import listed
-from ...types import Bools, Floats
 from ..delta.model import DeltaModel
 from .bed import probing_zero, zeros_of
 from .columns import POSITION, PROBED, PROBING

@@ -9,8 +9,8 @@ import numpy as np
 
 import sherkit._core as _core
 
+from ...base.types import Bools, Floats
 from ...model.chain import Block
-from ...types import Bools, Floats
 
 #: Among the four readings of a delta.
 _HEIGHT, _DISTANCE, _READINGS = 2, 3, 4

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from ...base.types import Floats
 from ...data import Measurements
 from ...errors import MeasurementError, OutOfReach, RobotError
-from ...types import Floats
 from .columns import PLATE, PROBED, PROBING
 from .robot import Printer
 

@@ -7,8 +7,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from ...base.types import Floats
 from ...data.toml import Table
-from ...types import Floats
 from ..delta.robot import Delta, Triple
 from .towers import Towers
 

@@ -14,7 +14,7 @@ from typing import Self
 
 import numpy as np
 
-from ...types import Floats
+from ...base.types import Floats
 from ..delta.robot import Triple
 
 #: Where the towers A, B, C stand unless the firmware says otherwise, degrees.

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 import sherkit._core as _core
 
+from ...base.types import Floats
 from ...model.batch import Batch, matrix, vector
-from ...types import Floats
 from ..accuracy import Planes
 from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ...base.names import brief, listed, nearest
+from ...base.types import Floats
 from ...errors import RobotError
-from ...names import brief, listed, nearest
-from ...types import Floats
 from .frames import Triple, about, as_written, frame, of_rpy
 from .robot import MOST_JOINTS, TYPES, Joint, Serial
 

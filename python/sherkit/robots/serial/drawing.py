@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...base.types import Floats
 from ...data import Measurements
 from ...model.drawing import Drawing, Part, line, with_target
-from ...types import Floats
 from .frames import of_rpy
 from .model import SerialModel
 

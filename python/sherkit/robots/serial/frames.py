@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...types import Floats
+from ...base.types import Floats
 
 Triple = tuple[float, float, float]
 

@@ -10,13 +10,13 @@ import numpy as np
 import polars as pl
 import scipy
 
-from ...arguments import as_annotated
+from ...base.arguments import as_annotated
+from ...base.names import listed
+from ...base.types import Floats
 from ...data import Measurements
 from ...data.frames import clean
 from ...data.given import RunLike, run_of
 from ...errors import MeasurementError, SherkitWarning
-from ...names import listed
-from ...types import Floats
 from .columns import POSITION, TARGET
 from .frames import Triple, of_rpy
 from .robot import Serial

@@ -13,7 +13,8 @@ import scipy
 
 import sherkit._core as _core
 
-from ... import linalg
+from ...base import linalg
+from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import Layout
 from ...errors import FitError, SherkitWarning
@@ -21,7 +22,6 @@ from ...model.base import Reachable
 from ...model.chain import Block, ChainModel
 from ...model.effect import Effect, parameters_of_core
 from ...model.parameter import Parameter
-from ...types import Floats
 from .columns import CENTRE, PAYLOAD, PLANE, POSITION, TARGET
 from .effects import SERIAL_CATALOGUE, effects_of, has, joint_of, parameter_of
 from .frames import of_rpy

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ...types import Floats
+from ...base.types import Floats
 from .robot import Serial
 
 #: Postures of each, and the part of the limits that a local set keeps to.

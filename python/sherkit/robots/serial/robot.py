@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike
 
 import sherkit._core as _core
 
+from ...base.names import listed
+from ...base.notebook import Shown
+from ...base.saved import Saved
+from ...base.types import Bools, Floats
 from ...data.columns import Layout, know
 from ...data.toml import Table
 from ...errors import OutOfReach, ShapeError
 from ...model.batch import Batch, matrix, vector, why
-from ...names import listed
-from ...notebook import Shown
-from ...saved import Saved
-from ...types import Bools, Floats
 from .columns import layout_of_arm
 from .frames import Triple, frame, of_rpy, onto
 

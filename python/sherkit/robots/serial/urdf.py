@@ -15,9 +15,9 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from ...base.names import listed, nearest
+from ...base.types import Floats
 from ...errors import RobotError
-from ...names import listed, nearest
-from ...types import Floats
 from .frames import Triple, as_written, frame, of_rpy
 from .robot import MOST_JOINTS, Joint, Serial
 

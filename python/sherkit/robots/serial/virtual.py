@@ -14,12 +14,12 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from ... import linalg
+from ...base import linalg
+from ...base.types import Floats
 from ...data import Measurements
 from ...data.toml import Table
 from ...errors import ShapeError
 from ...model.kinds import Option
-from ...types import Floats
 from .columns import CENTRE, PAYLOAD, PLANE, TARGET
 from .robot import Serial
 

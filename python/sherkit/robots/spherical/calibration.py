@@ -11,9 +11,9 @@ import numpy as np
 
 import sherkit._core as _core
 
-from ... import linalg
+from ...base import linalg
+from ...base.types import Bools, Floats
 from ...fit.identify import Fit
-from ...types import Bools, Floats
 from ..accuracy import Planes
 from ..calibrated import Calibration, Note
 from ..calibration_run import CalibrationRun

@@ -10,9 +10,9 @@ import numpy as np
 
 import sherkit._core as _core
 
+from ...base.saved import Saved
+from ...base.types import Floats
 from ...data.toml import Table
-from ...saved import Saved
-from ...types import Floats
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]

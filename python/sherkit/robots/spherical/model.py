@@ -10,10 +10,10 @@ import numpy as np
 
 import sherkit._core as _core
 
+from ...base.types import Bools, Floats
 from ...data import Measurements
 from ...errors import SherkitError
 from ...model.chain import SLACK, ChainModel
-from ...types import Bools, Floats
 from .camera import CameraView
 from .columns import SPHERICAL_ANGLES, SPHERICAL_PIXELS
 from .effects import SPHERICAL_CATALOGUE

@@ -15,13 +15,13 @@ import numpy as np
 
 import sherkit._core as _core
 
+from ...base.names import listed
+from ...base.types import Floats
 from ...data import Measurements
 from ...data.noise import noise_of
 from ...errors import FitError
 from ...fit.identify import Fit
 from ...model.kinds import model_of
-from ...names import listed
-from ...types import Floats
 from .model import SphericalModel
 from .robot import Spherical
 

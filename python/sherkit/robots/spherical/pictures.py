@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import polars as pl
 
+from ...base.types import Floats
 from ...data import Measurements
 from ...data.files import write_whole
 from ...errors import MeasurementError, SherkitWarning
-from ...types import Floats
 from ...vision.marker import Seen, find_marker
 from ...vision.pictures import CameraPicture
 from .columns import SPHERICAL_PIXELS

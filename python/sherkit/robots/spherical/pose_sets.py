@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from ...base.types import Floats
 from ...data.toml import Table
 from ...model.kinds import MOST_IN_LINE, MOST_PER_SIDE
-from ...types import Floats
 from .poses import sphere_patch
 from .robot import Spherical
 from .straightness import LINES, targets

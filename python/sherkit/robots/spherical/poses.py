@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...base.types import Floats
 from ...errors import RobotError
-from ...types import Floats
 from .robot import Spherical
 
 

@@ -7,10 +7,10 @@ from typing import cast
 
 import numpy as np
 
-from ... import linalg
+from ...base import linalg
+from ...base.types import Floats
 from ...errors import FitError
 from ...fit.identify import Fit, identify
-from ...types import Floats
 from .model import SphericalModel
 
 EFFECT = "axis_offset"

@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike
 
 import sherkit._core as _core
 
+from ...base.notebook import Shown
+from ...base.saved import Saved
+from ...base.types import Floats
 from ...data.toml import Table
 from ...errors import RobotError, ShapeError, SherkitError
 from ...model.batch import Batch, matrix, vector, why
-from ...notebook import Shown
-from ...saved import Saved
-from ...types import Floats
 from .camera import CameraView
 
 Pair = tuple[float, float]

@@ -19,9 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ... import linalg
+from ...base import linalg
+from ...base.types import Floats
 from ...errors import ShapeError, SherkitError
-from ...types import Floats
 from .camera import CameraView
 
 Angles = tuple[float, float]

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...base.names import nearest
+from ...base.types import Floats
 from ...data import Measurements
 from ...data.toml import Table
 from ...errors import OutOfReach, ShapeError
 from ...model.kinds import Option
-from ...names import nearest
-from ...types import Floats
 from .camera import CameraView
 from .columns import SPHERICAL_JOINTS, SPHERICAL_PIXELS
 from .robot import Spherical

@@ -8,8 +8,8 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from ...base.types import Floats
 from ...errors import FitError, ShapeError
-from ...types import Floats
 from .plausible import check_shapes, likeness
 from .registration import Registration, register
 from .runs import ToolRun

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from ... import linalg
+from ...base import linalg
+from ...base.types import Bools, Floats
 from ...data.tables import write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
-from ...types import Bools, Floats
 from .columns import ARC, DEFLECTION, DEPTH, FIBRES, FORCE
 from .plausible import check_unit
 from .tables import numbers_of, table_at

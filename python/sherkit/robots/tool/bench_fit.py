@@ -22,8 +22,8 @@ from scipy.optimize import least_squares, minimize
 
 import sherkit._core as _core
 
-from ... import linalg
-from ...types import Floats
+from ...base import linalg
+from ...base.types import Floats
 
 #: How far a drawing may be off, mm: sections, free length; and the zero of the bench.
 SECTION_MM, LENGTH_MM, ZERO_MM = 0.2, 1.0, 0.2

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ... import linalg
+from ...base import linalg
+from ...base.types import Floats
 from ...errors import FitError, SherkitWarning
-from ...types import Floats
 from .bench import LEAST_LOADED, LEAST_UNLOADED, Loads, check_loads, check_sizes
 from .bench_fit import (
     CONVENTIONS,

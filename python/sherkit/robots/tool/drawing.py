@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ...base.types import Floats
 from ...model.drawing import Drawing, Part, line, with_target
-from ...types import Floats
 
 _STEPS = 25
 #: Radius of the hole as it is drawn, and how much of the way to the camera, by the length of the shaft.

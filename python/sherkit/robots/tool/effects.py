@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...base.types import Floats
 from ...model.effect import Effect
 from ...model.parameter import Parameter
-from ...types import Floats
 from .places import Places
 from .tool import FlexibleTool, nested, rotation_of
 

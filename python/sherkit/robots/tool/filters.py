@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 import sherkit._core as _core
 
+from ...base.notebook import Shown
+from ...base.types import Bools, Floats
 from ...errors import MeasurementError
-from ...notebook import Shown
-from ...types import Bools, Floats
 from .gratings import Fault, faults_of
 from .plausible import check_wavelengths
 from .runs import ToolRun

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...types import Bools, Floats
+from ...base.types import Bools, Floats
 from .columns import FIBRES
 from .plausible import OUT_OF_REACH_NM
 

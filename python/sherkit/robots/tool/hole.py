@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ... import linalg
-from ...types import Bools, Floats
+from ...base import linalg
+from ...base.types import Bools, Floats
 from .runs import ToolRun
 from .tool import FlexibleTool
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...types import Bools, Floats
+from ...base.types import Bools, Floats
 from .alignment import at_times
 from .filters import Estimate
 from .plausible import check_camera

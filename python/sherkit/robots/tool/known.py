@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ... import linalg
-from ...types import Bools, Floats
+from ...base import linalg
+from ...base.types import Bools, Floats
 from .alignment import at_times
 from .filters import NIS_LEVEL, Estimate
 

@@ -15,14 +15,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ...base.saved import Saved
+from ...base.types import Floats
 from ...data import Measurements, from_arrays
 from ...errors import FitError, MeasurementError, RobotError
 from ...model.drawing import Drawing
 from ...model.effect import Effect
 from ...model.parameter import Parameter
 from ...model.rows import Rows
-from ...saved import Saved
-from ...types import Floats
 from .alignment import at_times
 from .drawing import drawing
 from .effects import TOOL_CATALOGUE, ToolEffect

@@ -15,8 +15,8 @@ import numpy as np
 import scipy
 from scipy.sparse import csr_array
 
-from ... import linalg
-from ...types import Bools, Floats
+from ...base import linalg
+from ...base.types import Bools, Floats
 from .hole import Hole, find_hole
 from .runs import ToolRun
 from .tool import FlexibleTool, rotation_of

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ... import linalg
+from ...base import linalg
+from ...base.types import Floats
 from ...errors import FitError, MeasurementError, SherkitWarning
-from ...types import Floats
 from .columns import CAMERA, DEPTH, FIBRE_TIME, FIBRES, POSITION, TURN
 
 _UNITS = {"pm": 1e3, "um": 1e-3, "m": 1e-9}

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 import sherkit._core as _core
 
+from ...base.types import Floats
 from ...errors import ShapeError
-from ...types import Floats
 
 
 @dataclass(frozen=True, eq=False)

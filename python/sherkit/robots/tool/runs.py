@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from ...base.names import listed
+from ...base.types import Bools, Floats
 from ...data.columns import TIME
 from ...data.tables import write_table
 from ...errors import MeasurementError
-from ...names import listed
-from ...types import Bools, Floats
 from .columns import CAMERA, DEPTH, FIBRE_TIME, FIBRES, KNOWN, POSITION, TURN
 from .plausible import check_clocks, check_depth, check_turn
 from .tables import numbers_of, table_at

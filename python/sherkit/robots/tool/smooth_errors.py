@@ -15,8 +15,8 @@ from itertools import product
 import numpy as np
 from scipy.linalg import cho_solve
 
-from ... import linalg
-from ...types import Floats
+from ...base import linalg
+from ...base.types import Floats
 
 #: Pictures, evenly over the run, from which size and reaches are taken: what they cost grows with the cube.
 _MOST = 240

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import polars as pl
 
+from ...base.names import closest, listed
+from ...base.types import Floats
 from ...data.reader import checked
 from ...data.tables import read_table
 from ...errors import MeasurementError
-from ...names import closest, listed
-from ...types import Floats
 
 
 def table_at(path: Path) -> pl.DataFrame:

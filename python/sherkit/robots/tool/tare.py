@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...base.types import Bools, Floats
 from ...errors import MeasurementError
-from ...types import Bools, Floats
 from .runs import ToolRun
 from .tool import FlexibleTool, nested
 

@@ -19,11 +19,11 @@ import tomli_w
 
 import sherkit._core as _core
 
+from ...base.saved import Saved
+from ...base.types import Floats
 from ...data.files import write_whole
 from ...data.toml import Table, read_toml
 from ...errors import RobotError
-from ...saved import Saved
-from ...types import Floats
 
 Triple = tuple[float, float, float]
 

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import linalg
+from ...base import linalg
+from ...base.types import Floats
 from ...errors import ShapeError
-from ...types import Floats
 from .bench import Loads
 from .runs import ToolRun
 from .tool import FlexibleTool, rotation_of

@@ -12,7 +12,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TypeVar
 
-from .errors import SherkitWarning
+from ..errors import SherkitWarning
 
 #: The groups: values are a :class:`~sherkit.model.kinds.Kind`, a :class:`~sherkit.lab.kinds.InstrumentKind`, and a
 #: ``click.Command`` each below ``sherkit import`` and beside the verbs.

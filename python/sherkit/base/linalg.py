@@ -20,7 +20,7 @@ import scipy
 import scipy.linalg
 import threadpoolctl
 
-from .errors import NotConverged, NotFinite, Singular
+from ..errors import NotConverged, NotFinite, Singular
 from .types import Bools, Floats
 
 #: The threads of NumPy's BLAS and of SciPy's, which are two. Looked for once, while this is imported:

@@ -15,7 +15,7 @@ from typing import Annotated, Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from .errors import ArgumentError
+from ..errors import ArgumentError
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")

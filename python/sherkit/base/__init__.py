@@ -1,0 +1,1 @@
+"""Words that every floor uses: names, units, arguments, linear algebra, what other packages bring."""
