@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 import sherkit as sk
-from sherkit.report.svg import Panel, residual_maps
+from sherkit.report.picture import Panel, residual_maps
 
 FOLDER = Path("demo")
 OUT = Path(__file__).parent / "pictures" / "demo.svg"

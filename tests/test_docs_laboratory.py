@@ -72,8 +72,8 @@ def test_the_page_on_the_laboratory_runs(tmp_path, monkeypatch):
 def test_names_on_the_page_are_the_codes(tmp_path):
     """Catches a fault or parameter that the page names and the laboratory does not know."""
     from sherkit.lab.emulators import FAULTS
+    from sherkit.lab.experiment.file import names_of_poses
     from sherkit.lab.experiment.plan import ORDERS
-    from sherkit.lab.experiment.poses import names_of_poses
     from sherkit.lab.kinds import INSTRUMENTS
     from sherkit.model.kinds import KINDS
 

@@ -11,8 +11,7 @@ import pytest
 import sherkit as sk
 import worlds
 from sherkit.fit.forms import known, known_of
-from sherkit.model.effect import Effect
-from sherkit.model.parameter import Parameter
+from sherkit.model.effect import Effect, Parameter
 
 RAIL_LEAN = sk.delta.CATALOGUE["rail_lean"]
 

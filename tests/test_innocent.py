@@ -27,8 +27,8 @@ from second_simulator.unnamed import (
     telegraph,
 )
 from sherkit.diagnosis import indistinguishable, sentence
+from sherkit.diagnosis.explanation import is_alias
 from sherkit.diagnosis.held_out import PRAISE
-from sherkit.diagnosis.simplest import is_alias
 from worlds import Answer, World
 
 Make = Callable[[Kind, float, Any, int], Unnamed]

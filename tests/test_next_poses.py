@@ -15,7 +15,7 @@ import test_discovery as delta
 import test_spherical_discovery as spherical
 from sherkit.data.toml import Table
 from sherkit.diagnosis.next_poses import TELLS_SIGMA
-from sherkit.lab.experiment.poses import coordinates_of_plan
+from sherkit.lab.experiment.file import coordinates_of_plan
 from sherkit.model.kinds import kind_of, model_of
 
 #: Robots with joint limits and a workspace smaller than what their runs cover.

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import sherkit as sk
-from sherkit.data.plain import read_plain
-from sherkit.data.reader import csv_blocks
+from sherkit.data.reader import csv_blocks, read_plain
 
 HEADER = "q1_mm,q2_mm,q3_mm,x_mm,y_mm,z_mm,pose,operator,temperature_c\n"
 ROWS = ["1.25,2,3e0,0.1,-0.2,.3,1,ann,20", "1.5,2.5,3.5,0.25,,0.75,2,bob,21", "4,5,6,7.125,8,9,3,ann,22.5"]

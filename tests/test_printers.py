@@ -16,7 +16,7 @@ from second_printer.trials import Trial
 from sherkit import SherkitError, identify, load_robot, read_measurements
 from sherkit.cli import main
 from sherkit.errors import RobotError
-from sherkit.fit.iterate import iterate
+from sherkit.fit.least_squares import iterate
 from sherkit.model.effect import check_user_effect
 from sherkit.printers import examine, files_of
 from sherkit.robots.calibrated import Calibration

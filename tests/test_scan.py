@@ -12,13 +12,12 @@ from scipy import stats
 
 from sherkit.diagnosis import play_operator
 from sherkit.diagnosis.axis_waves import AxisWaves
-from sherkit.diagnosis.gridded import Gridded
+from sherkit.diagnosis.lack_of_fit import z_score
 from sherkit.diagnosis.linearised import Linearised, Whitening, correlation_in_time, orthonormal, whiten
 from sherkit.diagnosis.scan import Block, Columns, Scan, codes_of
 from sherkit.diagnosis.shapes import build, wave
 from sherkit.diagnosis.stage import _one_after_another
-from sherkit.diagnosis.tails import z_score
-from sherkit.diagnosis.waves import Waves, waves_of
+from sherkit.diagnosis.waves import Gridded, Waves, waves_of
 from sherkit.model.effect import Effect
 
 Floats = NDArray[np.float64]

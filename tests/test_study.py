@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 import sherkit as sk
 from second_simulator import Robot, draw_geometric_errors, grid, make_plan, scaled_effect, simulate, truth
 from sherkit.data.joined import joined
-from sherkit.fit.blocks import spatial_blocks
+from sherkit.fit.folds import spatial_blocks
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]

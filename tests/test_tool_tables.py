@@ -19,7 +19,7 @@ from sherkit.robots.tool.bench import read_loads
 from sherkit.robots.tool.calibration import calibrate_tool
 from sherkit.robots.tool.columns import CAMERA, FIBRES, FORCE, POSITION, TURN
 from sherkit.robots.tool.filters import _ordered, estimate
-from sherkit.robots.tool.judge import judge
+from sherkit.robots.tool.known import judge
 from sherkit.robots.tool.model import ToolModel
 from sherkit.robots.tool.runs import ToolRun, tool_run_of
 from sherkit.robots.tool.tool import FlexibleTool, load_tool

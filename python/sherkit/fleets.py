@@ -24,7 +24,7 @@ from .base.names import listed
 from .data.given import RunLike
 from .data.noise import MAD
 from .diagnosis import diagnose
-from .diagnosis.summary import Summary
+from .diagnosis.answers import Summary
 from .errors import FitError, SherkitError, SherkitWarning
 from .fit.identify import identify
 from .model.effect import Effect, effects_by_name

@@ -21,7 +21,7 @@ from .robots.printer import import_duet, import_klipper, import_marlin
 from .robots.printer.back import Held, commands, held
 from .robots.printer.bed import bed_shape
 from .robots.printer.gcode import words
-from .robots.printer.klipper_config import text_of
+from .robots.printer.klipper import text_of
 from .robots.printer.model import distances
 from .robots.printer.probings import Found
 from .robots.printer.suspects import Suspect, plain_fit, suspects, turns

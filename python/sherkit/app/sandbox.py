@@ -15,11 +15,13 @@ import time
 import uuid
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
+from threading import Lock
 from types import SimpleNamespace
 from typing import Any
 
@@ -30,7 +32,58 @@ from ..errors import EffectError, SherkitError
 from ..model.effect import Effect
 from ..model.effect_file import load_effects
 from ..model.rows import Rows, run_of
-from .processes import end_marked, marked, waited_s
+
+# -- Processes as Linux tells of them -------------------------------------------------------------------------------
+
+_NAME = "SHERKIT_LINES"
+_ONE_AT_A_TIME = Lock()
+
+
+def waited_s(pid: int | None) -> float:
+    """How long a process that could run had to wait for a processor; 0 where the system does not tell."""
+    try:
+        return int(Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()[1]) * 1e-9
+    except (OSError, ValueError, IndexError):
+        return 0.0
+
+
+@contextmanager
+def marked(mark: str) -> Iterator[None]:
+    """Gives the mark to the processes that are begun meanwhile, and so to all that these begin."""
+    with _ONE_AT_A_TIME:
+        os.environ[_NAME] = mark
+        try:
+            yield
+        finally:
+            del os.environ[_NAME]
+
+
+def end_marked(mark: str) -> None:
+    """Ends every process that has the mark, but this one: stopped first, so that none begins another one meanwhile."""
+    stopped: set[int] = set()
+    while new := set(_with_mark(mark)) - stopped:
+        for pid in new:
+            _send(pid, "SIGSTOP")
+        stopped |= new
+    for pid in stopped:
+        _send(pid, "SIGKILL")
+
+
+def _with_mark(mark: str) -> Iterator[int]:
+    wanted = f"{_NAME}={mark}\0".encode()
+    for one in Path("/proc").glob("[0-9]*"):
+        if int(one.name) != os.getpid():
+            with suppress(OSError):
+                if wanted in (one / "environ").read_bytes() + b"\0":
+                    yield int(one.name)
+
+
+def _send(pid: int, name: str) -> None:
+    with suppress(OSError, AttributeError):
+        os.kill(pid, getattr(signal, name))
+
+
+# --------------------------------------------------------------------------------------------------------------
 
 #: How long one look at all rows may take, by the clock but for the time in which other work has the machine, and how
 #: often a person's wish to end it is looked for, s.

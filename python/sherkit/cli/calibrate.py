@@ -11,7 +11,7 @@ from ..calibration import CORRECTIONS, to_json
 from ..calibration import calibrate as run_calibration
 from ..data import Measurements
 from ..errors import MeasurementError
-from ..fit.robust import LOSSES
+from ..fit.least_squares import LOSSES
 from ..model.effect import effects_by_name
 from ..model.effect_file import load_effects
 from ..model.kinds import catalogue_of

@@ -16,7 +16,7 @@ from ..data.files import write_whole
 from ..data.toml import Schema, Table, merged, watched
 from ..errors import SherkitError
 from ..lab.experiment import load_experiment
-from ..lab.experiment.poses import names_of_poses
+from ..lab.experiment.file import names_of_poses
 from ..lab.kinds import instrument_kinds
 from ..model.kinds import Kind, known_kinds
 from ..model.robot_file import load_robot

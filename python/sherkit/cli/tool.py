@@ -19,8 +19,7 @@ from ..robots.tool.calibration import ToolCalibration
 from ..robots.tool.calibration import calibrate_tool as run_calibration
 from ..robots.tool.filters import Estimate, Track, status_in_words
 from ..robots.tool.filters import estimate as run_filters
-from ..robots.tool.judge import Errors, Judgement, judge
-from ..robots.tool.known import Knowledge, known
+from ..robots.tool.known import Errors, Judgement, Knowledge, judge, known
 from ..robots.tool.runs import read_tool_run, require_camera, summary
 from ..robots.tool.tool import FlexibleTool, load_tool
 from . import output, reporting

@@ -20,8 +20,7 @@ from ..robots.tool.calibration import ToolCalibration
 from ..robots.tool.calibration import calibrate_tool as run_calibration
 from ..robots.tool.filters import Estimate
 from ..robots.tool.filters import estimate as run_filters
-from ..robots.tool.judge import judge
-from ..robots.tool.known import known
+from ..robots.tool.known import judge, known
 from ..robots.tool.model import ToolModel
 from ..robots.tool.places import Places
 from ..robots.tool.runs import ToolRun, read_tool_run, require_camera

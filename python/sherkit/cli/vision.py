@@ -65,7 +65,7 @@ def markers(
         wanted = "-o, the table to write" if sources else "SOURCES, the pictures to look at"
         raise click.UsageError(f"expected {wanted}; or --print FILE for a marker to print")
     from ..robots.spherical.pictures import WHY, joined_by_time, marker_rows, run_of
-    from ..vision.sources import pictures_from
+    from ..vision.pictures import pictures_from
 
     pictures, timed = pictures_from(sources, seconds)
     names: list[str] = []
@@ -149,7 +149,7 @@ def intrinsics(
     """Focal lengths, centre and distortion of a camera from PICTURES of a board (files or folders)."""
     require_vision()
     from ..vision.intrinsics import charuco_intrinsics, chessboard_intrinsics
-    from ..vision.sources import picture_files
+    from ..vision.pictures import picture_files
 
     if (chessboard is None) == (charuco is None):
         raise SherkitError("expected either --chessboard or --charuco")

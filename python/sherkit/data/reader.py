@@ -9,20 +9,162 @@ from collections.abc import Iterator
 from contextlib import suppress
 from itertools import chain, islice
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import polars as pl
 
 from ..base.arguments import as_annotated
+from ..base.names import brief
 from ..base.types import Ints
 from ..errors import MeasurementError
 from . import columns as c
-from .decimals import DecimalMark
 from .frames import clean
 from .headers import Columns
-from .plain import read_plain
 from .rows import Measurements
 from .tables import PARQUET, read_parquet
+
+# -- Decimal commas, in files whose cells are not parted by commas --------------------------------------------------
+
+#: A number with a decimal comma; other commas belong to labels.
+_COMMA = r"^\s*[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?\s*$"
+#: One that may as well have a comma between its thousands.
+_MAYBE_THOUSANDS = r"^\s*[+-]?[1-9]\d{0,2},\d{3}\s*$"
+#: A number that has thousands, or parts of them, beyond doubt.
+_THOUSANDS = r"^\s*[+-]?\d{1,3}(,\d{3}){2,}(\.\d*)?\s*$|^\s*[+-]?\d{1,3}(,\d{3})+\.\d*\s*$"
+_POINT = r"^\s*[+-]?(\d+\.\d*|\.\d+)([eE][+-]?\d+)?\s*$"
+_WHOLE = r"^\s*[+-]?\d+\s*$"
+
+
+class DecimalMark:
+    """What the cells of a file, block by block, say of its decimal mark.
+
+    A comma is one where some cell of the file cannot be read otherwise (``0,012``, ``1,5``) and no cell has a point.
+    ``1,000`` may be one or a thousand: it is one in a column all of whose numbers have commas, or where its own column
+    proves it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._point = ""
+        self._comma = ""
+        self._proven: set[str] = set()
+
+    def with_points(self, frame: pl.DataFrame, line: Ints) -> pl.DataFrame:
+        """The cells with points for decimal commas. Raises :class:`~sherkit.errors.MeasurementError` at the first that
+        can be read in two ways."""
+        # of the blocks before this one, which have been read with it
+        before = self._comma
+        commas, doubtful, point, whole, grouped = (
+            # of all columns at once: one question for each of them takes as long as one for all
+            frame.select(pl.all().str.contains(pattern)).to_dict()
+            for pattern in (_COMMA, _MAYBE_THOUSANDS, _POINT, _WHOLE, _THOUSANDS)
+        )
+        filled = frame.select(pl.all().str.strip_chars() != "").to_dict()
+        for name in frame.columns:
+            column = frame[name]
+            if not self._point and (points := point[name]).any():
+                self._point = str(column.filter(points)[0])
+                if before:
+                    self._refuse(
+                        name, column, points, line, f"the decimal mark of this file is the comma ('{brief(before)}')"
+                    )
+            if (sure := commas[name] & ~doubtful[name]).any():
+                self._proven.add(name)
+                self._comma = self._comma or str(column.filter(sure)[0])
+        out = []
+        for name in frame.columns:
+            column, comma, thousands = frame[name], commas[name], grouped[name]
+            # a column of words may hold anything
+            numbers = comma | point[name] | whole[name] | thousands
+            if (~numbers & filled[name]).sum() * 2 > len(column):
+                out.append(column)
+                continue
+            if thousands.any():
+                self._refuse(name, column, thousands, line, "commas between thousands are not read; leave them out")
+            if comma.any() and self._point:
+                why = f"the decimal mark of this file is the point ('{brief(self._point)}'); write it without a comma"
+                self._refuse(name, column, comma, line, why)
+            proven = name in self._proven or (bool(self._comma) and not whole[name].any())
+            if doubtful[name].any() and not proven:
+                why = "may be a thousand or have a decimal comma; write numbers with a decimal point"
+                self._refuse(name, column, doubtful[name], line, why)
+            if comma.any():
+                column = pl.select(pl.when(comma).then(column.str.replace(",", ".")).otherwise(column).alias(name))[
+                    name
+                ]
+            out.append(column)
+        return pl.DataFrame(out) if out else frame
+
+    def _refuse(self, name: str, column: pl.Series, where: pl.Series, line: Ints, why: str) -> NoReturn:
+        row = int(where.arg_max() or 0)
+        found = brief(column[row])
+        raise MeasurementError(f"{self._path}: line {line[row]}, column '{brief(name)}': '{found}': {why}")
+
+
+# -- CSV as programs write it ---------------------------------------------------------------------------------------
+
+#: In a word, what only a reader that goes cell by cell understands.
+_SPECIAL = r'["#\r\x00]'
+
+#: The first lines are not longer than this.
+_LONGEST = 1 << 16
+
+
+def read_plain(path: Path) -> tuple[pl.DataFrame, Ints] | None:
+    """The columns of a plain file and the line of each row; None where anything in it needs a closer look.
+
+    What is wrong with a file is said by that closer look, which reads it again: here nothing is refused.
+    """
+    if not path.is_file():
+        return None  # a pipe cannot be read again
+    try:
+        with path.open("rb") as file:
+            head, row = file.readline(_LONGEST), file.readline(_LONGEST)
+        byte = np.memmap(path, dtype=np.uint8, mode="r")
+        names = head.decode("utf-8-sig").removesuffix("\n").removesuffix("\r")
+        first = row.decode().removesuffix("\n").removesuffix("\r")
+    except (OSError, ValueError):  # among them: an empty file, and text that is none
+        return None
+    separator = max(",;\t", key=names.count)
+    columns = [name.strip() for name in names.split(separator)]
+    cells = first.split(separator)
+    if any(mark in names for mark in '"#\r\0') or not all(columns) or not len({*columns}) == len(columns) == len(cells):
+        return None
+    schema = {
+        name: pl.Float64 if _is_plain_number(cell) else pl.String for name, cell in zip(columns, cells, strict=True)
+    }
+    try:
+        frame = pl.read_csv(path, separator=separator, schema=schema, has_header=False, skip_rows=1, quote_char=None)
+    except pl.exceptions.PolarsError:
+        return None
+    rows = int(np.count_nonzero(byte == ord("\n")) - (byte[-1] == ord("\n")))
+    number, word = pl.col(pl.Float64), pl.col(pl.String)
+    told = frame.select(
+        # a number that went wrong is shown by its cell, and an empty cell may be one that is not there
+        broken=pl.any_horizontal(number.is_finite().not_().any(), False),
+        empty=pl.any_horizontal(pl.all().is_null().any()),
+        special=pl.any_horizontal(word.str.contains(_SPECIAL).any(), False),
+    ).row(0)
+    if frame.height != rows or told[0] or told[2]:
+        return None
+    if told[1] and np.count_nonzero(byte[len(head) :] == ord(separator)) != rows * (len(columns) - 1):
+        return None
+    if separator != "," and np.any(byte == ord(",")):
+        return None  # decimal commas, perhaps
+    return frame, np.arange(2, rows + 2, dtype=np.int64)
+
+
+def _is_plain_number(cell: str) -> bool:
+    """Whether a column that begins so holds numbers; an empty cell may be a reading that was not taken."""
+    try:
+        float(cell.strip() or "0")
+    except ValueError:
+        return False
+    return True
+
+
+# --------------------------------------------------------------------------------------------------------------
 
 #: A file with a zero byte among this many is no text.
 _HEAD = 4096

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..base.types import Bools, Floats, Ints
 from ..data.noise import MAD
-from .tails import normal_beyond
+from .lack_of_fit import normal_beyond
 
 
 def apart_from_pose(e: Floats, repeated: Ints, floor: Floats, level: float) -> tuple[Floats, Bools]:

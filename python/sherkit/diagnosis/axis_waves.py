@@ -10,9 +10,8 @@ import numpy as np
 
 from .._core import wave_sums
 from ..base.types import Floats, Ints
-from .gridded import Gridded
 from .linearised import Whitening
-from .waves import TURN
+from .waves import TURN, Gridded
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,14 +19,12 @@ import scipy
 
 from ..base.names import listed
 from ..base.types import Floats, Ints
-from .explanation import bic, schwarz
+from .explanation import CLEARLY, bic, lowest, schwarz
 from .fitted_run import FittedRun
-from .held_out import PRAISE, Columns, rms, squares_of
-from .held_out_gain import HeldOutGain, held_out_gain
+from .held_out import PRAISE, Columns, HeldOutGain, held_out_gain, rms, squares_of
 from .scan import Scan
 from .search import Search, SearchResult
 from .shapes import Shape, play_operator, wave
-from .simplest import CLEARLY, lowest
 from .stage import Stage, testable
 
 #: Shapes by which a run is described at most.

@@ -14,8 +14,7 @@ from ..fit.set_up import Mistake
 from .checks import APART, AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SETTLED, SMALL, Check
 from .few_enough import FewEnough
 from .fitted_run import FittedRun
-from .held_out import PRAISE
-from .held_out_gain import HeldOutGain
+from .held_out import PRAISE, HeldOutGain
 from .lack_of_fit import LackOfFit
 from .named import Named
 from .one_unknown import OneUnknown

@@ -4,16 +4,75 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from ..base.types import Floats
 from ..model.effect import Effect
 from .fitted_run import FittedRun
+from .linearised import orthonormal
 from .scan import Scan
-from .simplest import CLEARLY
+from .shapes import Shape, wave
 from .sizes import PLAUSIBLE, displaces, sizes_of
 from .stage import Candidate, Stage
+
+# -- Of the shapes that describe what is left as well as one another the simplest comes first, and no period that
+# the poses cannot tell from a slow bend ----------------------------------------------------------------------------
+
+#: Difference of Schwarz's criterion that counts as clear (Kass and Raftery, "Bayes factors", JASA 1995).
+CLEARLY = 6.0
+#: Kinds of shapes, the simplest first.
+_SIMPLEST = ("smooth", "step", "interaction", "hysteretic", "periodic")
+#: Waves slower than this part of a frequency, and the part of a wave from which on they stand in for it, where values
+#: are too far apart to tell.
+_SLOWER, _STANDS_IN = 0.8, 0.8
+#: Values that tell whether they do.
+_LOOKED_AT = 2000
+
+
+def lowest(stage: Stage, scores: Floats) -> Shape | None:
+    """The shape of a stage with the lowest criterion below zero, where there is one: the simplest of those as low."""
+    near = as_low(stage, scores)
+    return min(near, key=partial(simplicity, stage))[0] if near else None
+
+
+def simplicity(stage: Stage, one: tuple[Shape, float]) -> tuple[float, ...]:
+    """What orders shapes with their criterion, the simplest first: numbers, a period being one; kind; variables."""
+    shape, score = one
+    numbers = len(stage.scan.numbers(shape.columns)) + (shape.period is not None)
+    return numbers, _SIMPLEST.index(shape.shape), len(shape.depends_on), score
+
+
+def as_low(stage: Stage, scores: Floats, more: float = CLEARLY) -> list[tuple[Shape, float]]:
+    """Shapes whose criterion is below zero and higher by less than ``more`` than the lowest, with it, the lowest first.
+    A period that slower waves stand in for on these poses is none."""
+    out: list[tuple[Shape, float]] = []
+    for k in np.argsort(scores[: stage.n_shapes]).tolist():
+        if scores[k] >= min(0.0, out[0][1] + more if out else 0.0):
+            break
+        shape = stage.shapes[k]
+        told = shape.period is None or shape.depends_on[0] not in stage.view.place
+        if told or not is_alias(stage.view.variables[shape.depends_on[0]], shape.period or 0.0):
+            out.append((shape, float(scores[k])))
+    return out
+
+
+def is_alias(values: Floats, period: float) -> bool:
+    """Whether slower waves stand in for one of this period at the ``values`` that a variable has: on the lines of a
+    grid one as short as their distance is next to nothing, or what any slow bend is."""
+    some = np.sort(values)[:: max(len(values) // _LOOKED_AT, 1)]
+    u = (some - some[0]) / (some[-1] - some[0])
+    waves = np.stack(wave(some, period), axis=1)
+    half = np.arange(0, 2.0 * _SLOWER * (some[-1] - some[0]) / period + 1e-9)
+    if 2 * len(half) >= len(some):
+        return False
+    basis = orthonormal(np.cos(np.pi * np.outer(u, half)), 1e-6)
+    left = waves - basis @ (basis.T @ waves)
+    return bool((left**2).sum() < (1.0 - _STANDS_IN) * (waves**2).sum())
+
+
+# --------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

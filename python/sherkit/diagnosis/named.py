@@ -14,8 +14,7 @@ from .answers import StepReport
 from .beside import Description, described, innocents
 from .explanation import refit
 from .fitted_run import FittedRun
-from .held_out import error_of
-from .held_out_gain import HeldOutGain, held_out_gain
+from .held_out import HeldOutGain, error_of, held_out_gain
 from .search import Search, SearchResult
 from .setting import on_all_rows
 from .shapes import Shape

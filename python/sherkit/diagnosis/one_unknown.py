@@ -20,11 +20,9 @@ import numpy as np
 from ..base.types import Bools, Floats, Ints
 from ..data.columns import unit_in
 from ..errors import SherkitError
-from ..model.effect import Effect
-from ..model.parameter import Parameter
+from ..model.effect import Effect, Parameter
 from .fitted_run import FittedRun
-from .held_out import error_of
-from .held_out_gain import flipped
+from .held_out import error_of, flipped
 
 #: Orders of the polynomials tried.
 _ORDERS = (1, 2, 3)

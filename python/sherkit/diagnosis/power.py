@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
+from .lack_of_fit import rising_root, z_score
 from .stage import Candidate, Stage
-from .tails import rising_root, z_score
 
 POWER = 0.8
 

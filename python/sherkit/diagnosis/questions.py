@@ -26,13 +26,12 @@ from .answers import CandidateReport, Diagnosis, StepReport
 from .checked import checks_of
 from .checks import verdict_of
 from .confounding import confounded_with
-from .crossvalidation import HeldOutError, held_out
 from .enough import enough_of
 from .explanation import is_plausible
 from .few_enough import few_enough
 from .findings import findings_of
 from .fitted_run import FittedRun
-from .held_out import by_noise_alone
+from .held_out import HeldOutError, by_noise_alone, held_out
 from .lack_of_fit import lack_of_fit
 from .linearised import orthonormal
 from .named import not_needed, searched

@@ -23,7 +23,7 @@ from ..base import linalg
 from ..base.types import Floats, Ints
 from .axis_waves import AxisProducts, AxisWaves
 from .image import Image, Projected, Triangle
-from .tails import z_score
+from .lack_of_fit import z_score
 from .waves import FilteredWaves, Products
 
 #: Directions of a shape with less than this part left after projection cannot be told from the fit.

@@ -20,13 +20,25 @@ from numpy.typing import NDArray
 from ..base.types import Floats
 from ..errors import SherkitError
 from ..model.effect import Effect
-from .explanation import Explanation, as_near, bic, bic_of, plausible, refit, schwarz, schwarz_of
+from .explanation import (
+    CLEARLY,
+    Explanation,
+    as_low,
+    as_near,
+    bic,
+    bic_of,
+    lowest,
+    plausible,
+    refit,
+    schwarz,
+    schwarz_of,
+    simplicity,
+)
 from .fitted_run import FittedRun
 from .moments import at_the_row, best_lag
 from .periods import period_of
 from .scan import FLIPS, Block, Scan
 from .shapes import Shape, wave
-from .simplest import CLEARLY, as_low, lowest, simplicity
 from .stage import Candidate, Stage, again, stage_of
 from .waves import OVERSAMPLING, Waves
 

@@ -15,11 +15,11 @@ from ..model.effect import Effect
 from .axis_waves import AxisWaves
 from .fitted_run import FittedRun
 from .image import Image
+from .lack_of_fit import chi2_log_tail
 from .linearised import Linearised, Whitening, correlation_in_time, last_asked, orthonormal
 from .scan import Block, Columns, Scan
 from .shapes import Family, Shape, build
 from .step_gains import step_gains
-from .tails import chi2_log_tail
 from .waves import Waves, waves_of
 
 #: Time constants that are tried, and the fewest readings in one of them.

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..base import linalg
 from ..base.types import Floats
-from ..model.parameter import Parameter
+from ..model.effect import Parameter
 
 #: Parameters whose share of a direction is below this fraction of the largest are not named.
 _NAMED = 0.3

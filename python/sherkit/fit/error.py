@@ -21,8 +21,7 @@ from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.noise import Noise
 from ..errors import FitError
-from .blocks import blocks_of
-from .folds import Folds, blocks
+from .folds import Folds, blocks, blocks_of
 
 #: Rows below which a fit without some of them is made anew: what it does not tell is then most of it.
 _FEWEST = 10

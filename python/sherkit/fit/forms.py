@@ -20,8 +20,7 @@ import scipy
 from ..base import linalg
 from ..base.names import listed
 from ..base.types import Floats
-from ..model.effect import Effect
-from ..model.parameter import Parameter
+from ..model.effect import Effect, Parameter
 
 #: A form with a smaller p is refused.
 _LEVEL = 0.01

@@ -12,7 +12,7 @@ from ..data import Measurements
 from ..model.any import Model
 from ..model.base import ModelWithEffects
 from ..model.kinds import Robot, model_of
-from .blocks import blocks_of
+from .folds import blocks_of
 from .identify import identify, residuals
 
 

@@ -29,15 +29,12 @@ from ..data.noise import Noise, noise_of
 from ..errors import FitError, RobotError
 from ..model.any import Model
 from ..model.base import ModelWithEffects
-from ..model.effect import Effect, named_effects
+from ..model.effect import Effect, Parameter, named_effects
 from ..model.kinds import model_of
-from ..model.parameter import Parameter
 from ..model.robot_file import RobotLike, load_robot, run_for
 from .directions import Direction, badly_observed, unobserved
 from .error import ErrorSize, held_out_error, of_residuals
-from .iterate import reached
-from .least_squares import LeastSquares
-from .robust import LOSSES, scale, spread
+from .least_squares import LOSSES, LeastSquares, reached, scale, spread
 from .set_up import set_up_mistakes
 from .table import frame_of, table_of
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,108 @@ import sherkit._core as _core
 
 from ..base.types import Floats
 from ..data import Measurements
+from ..data.noise import MAD
+from ..errors import FitError, RobotError
 from ..model.base import ModelWithEffects
 from ..model.chain import ChainModel
-from .iterate import iterate
+
+# -- The iteration of a fit whose rows come from Python -------------------------------------------------------------
+
+#: Part of the variance of the noise that is not worth a step: it would go by a tenth of a deviation.
+_NOTHING = 1e-2
+#: So many steps that leave what the model can compute say that it ends on the way to the minimum.
+_EDGE = 12
+
+
+def iterate(solver: _core.Solver, feed: Callable[[Floats], None]) -> str:
+    """Runs the solver to its end and says which: ``converged`` or ``exhausted``.
+
+    ``feed`` gives the solver every row at the parameters asked for. A step that leaves what the model can compute
+    (:class:`~sherkit.errors.FitError`, or :class:`~sherkit.errors.RobotError` where it leaves no robot) is damped,
+    until there were a dozen; where the start does already, the error is raised.
+    """
+    evaluations, outside, over = 0, 0, ""
+    while True:
+        solver.clear()
+        if over:
+            # the solver goes back to where it stands by finding no further step
+            solver.fail()
+        else:
+            try:
+                feed(solver.trial)
+            except (FitError, RobotError):
+                if not evaluations:
+                    raise
+                solver.fail()
+                outside += 1
+        evaluations += 1
+        ended = solver.advance()
+        if ended != "evaluate":
+            return over or ended
+        if outside >= _EDGE:
+            over = "exhausted"
+
+
+def reached(ended: str, result: Mapping[str, Any]) -> bool:
+    """Whether a solver that ``ended`` so stands at the minimum, by its ``result``.
+
+    Along a combination that the rows hardly tell, steps stay long however small their use, and the curvature of the
+    rows makes them miss: there it is enough that next to nothing is left to gain.
+    """
+    variance = result["cost"] / max(result["rows"] - result["rank"], 1)
+    return ended == "converged" or bool(result["to_gain"] <= _NOTHING * variance)
+
+
+# -- Robust losses --------------------------------------------------------------------------------------------------
+
+LOSSES = ("linear", "huber", "cauchy", "tukey")
+
+
+def spread(residuals: Floats, weights: Floats) -> Floats:
+    """Robust spread of the weighted residuals (n, m), one per reading column, (m,)."""
+    u = residuals * weights
+    out = np.ones(weights.shape[1])
+    for k in range(weights.shape[1]):
+        used = weights[:, k] > 0
+        if used.any():
+            mad = MAD * float(np.median(np.abs(u[used, k])))
+            out[k] = mad if mad > 0 else 1.0
+    return out
+
+
+def scale(residuals: Floats, weights: Floats, rank: int, loss: str) -> float:
+    """Ratio of the residuals (n, m) to the assumed noise, by which the deviations grow.
+
+    With a robust loss, Huber's correction (Huber and Ronchetti, *Robust Statistics*, Eq. 7.81).
+    """
+    u = (residuals * weights)[weights > 0]
+    free = len(u) - rank
+    if free <= 0:
+        return 1.0
+    if loss == "linear":
+        return float(np.sqrt((u**2).sum() / free))
+    wide = np.broadcast_to(spread(residuals, weights), weights.shape)[weights > 0]
+    psi, slope = _influence(u / wide, loss)
+    mean_slope = float(slope.mean())
+    if mean_slope <= 0:
+        return float(np.sqrt((u**2).sum() / free))
+    correction = 1 + rank / len(u) * float(slope.var()) / mean_slope**2
+    return float(correction * np.sqrt(((psi * wide) ** 2).sum() / free) / mean_slope)
+
+
+def _influence(u: Floats, loss: str) -> tuple[Floats, Floats]:
+    """ψ and ψ' of the losses, with the constants of the core."""
+    if loss == "huber":
+        inside = np.abs(u) <= 1.345
+        return np.clip(u, -1.345, 1.345), inside.astype(float)
+    if loss == "cauchy":
+        t = (u / 2.385) ** 2
+        return u / (1 + t), (1 - t) / (1 + t) ** 2
+    t = np.minimum((u / 4.685) ** 2, 1.0)
+    return u * (1 - t) ** 2, np.where(t < 1, (1 - t) * (1 - 5 * t), 0.0)
+
+
+# --------------------------------------------------------------------------------------------------------------
 
 
 class LeastSquares:

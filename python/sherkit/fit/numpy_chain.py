@@ -12,7 +12,7 @@ import sherkit._core as _core
 from ..base.types import Bools, Floats
 from ..errors import FitError
 from ..model.chain import Block
-from .iterate import iterate
+from .least_squares import iterate
 
 
 class NumpyChain(ABC):

@@ -18,8 +18,7 @@ from ..model.chain import ChainModel
 from ..model.effect import Effect
 from ..model.kinds import Robot, model_of
 from .identify import Identified, extended_by
-from .iterate import iterate, reached
-from .least_squares import push
+from .least_squares import iterate, push, reached
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

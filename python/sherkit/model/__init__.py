@@ -1,8 +1,7 @@
 """What a model is, whatever the robot: parameters, effects, the rows that an effect sees, the compiled chain."""
 
 from .any import Extended, Model
-from .effect import Effect
-from .parameter import Parameter
+from .effect import Effect, Parameter
 
 __all__ = [
     "Effect",

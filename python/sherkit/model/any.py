@@ -17,8 +17,7 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..errors import EffectError, ShapeError
 from .base import Derivatives, ModelWithEffects, Tried, beside_one_another
-from .effect import Effect
-from .parameter import Parameter
+from .effect import Effect, Parameter
 from .rows import Rows
 
 

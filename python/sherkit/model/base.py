@@ -15,8 +15,7 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import Layout
 from ..errors import EffectError, ShapeError
-from .effect import Effect, check_user_effect
-from .parameter import Parameter
+from .effect import Effect, Parameter, check_user_effect
 from .rows import Rows
 
 

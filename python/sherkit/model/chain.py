@@ -23,8 +23,7 @@ from ..data import Measurements
 from ..data.columns import TEMPERATURE, Layout, unit_in
 from ..errors import EffectError, FitError, ShapeError
 from .base import Derivatives, ModelWithEffects, Reachable, Tried
-from .effect import Effect, freeing, parameters_of_core
-from .parameter import Parameter
+from .effect import Effect, Parameter, freeing, parameters_of_core
 from .rows import Rows
 from .stretches import OfEffects, OfModel, carry
 

@@ -15,8 +15,28 @@ from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data.columns import unit_in
 from ..errors import EffectError, FitError
-from .parameter import Parameter
 from .python_file import Named, named
+
+# -- Parameters of a model ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One identifiable quantity. Its value is a deviation from the drawing, zero where the drawing is right.
+
+    ``size`` is a plausible size in ``unit``: it weighs directions that no measurement observes and, where
+    priors are asked for, is the standard deviation of the prior. ``lever_mm`` turns the unit into the millimetres
+    it moves in this robot, so that directions of mixed units can be compared.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    size: float
+    lever_mm: float = 1.0
+
+
+# --------------------------------------------------------------------------------------------------------------
 
 LINKS = ("joints", "structure", "body", "sensor")
 #: Links at which a NumPy function can act, and the columns of what it gives, one row for each row of the run.

@@ -22,8 +22,7 @@ from ..data import Measurements
 from ..errors import EffectError, FitError
 from ..model.base import missing_columns
 from ..model.chain import ChainModel
-from ..model.effect import Effect
-from ..model.parameter import Parameter
+from ..model.effect import Effect, Parameter
 from .poses import PoseDesign, design_of
 
 #: An effect counts as found at this level, and a size as one that would be found with this power.

@@ -19,7 +19,7 @@ from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..errors import FitError, ShapeError
 from ..model.chain import ChainModel
-from ..model.parameter import Parameter
+from ..model.effect import Parameter
 
 #: Singular values below this share of the largest are directions that no pose observes.
 _UNOBSERVED = 1e-9

@@ -27,10 +27,10 @@ from ..model.kinds import Robot
 from .atlas import Atlas, Tile
 from .exaggerated import Exaggerated, exaggerated
 from .mechanism import scene_of
+from .picture import Panel, residual_maps, round_bar
 from .policy import fresh_nonce, policy
 from .scene import script
 from .style import number
-from .svg import Panel, residual_maps, round_bar
 
 _STYLE = """<style>
 .effect-card { display: grid; grid-template-columns: minmax(0, 11fr) minmax(0, 10fr); gap: 6px 26px;

@@ -45,7 +45,7 @@ from .drawn import drawn, said
 from .error_history import error_history, error_history_of
 from .noise import noise_picture
 from .parameters import correlations, directions, parameters
-from .picture import Picture, in_one_document
+from .picture import Panel, Picture, in_one_document, residual_maps, round_bar
 from .policy import fresh_nonce, numbered, policy
 from .residual_against import ResidualAgainst, residual_against
 from .residual_map import Change, planes_of, residual_map
@@ -55,7 +55,6 @@ from .scene import script as scene_script
 from .space import space_of
 from .states import State, packed, states_of
 from .style import number, quantity
-from .svg import Panel, residual_maps, round_bar
 from .workspace import NextPoses, accuracy_map, accuracy_of, next_poses
 
 #: Cards of effects that cannot be told from those that are named.

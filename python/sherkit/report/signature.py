@@ -8,7 +8,7 @@ from ..base.names import listed
 from ..errors import SherkitError
 from ..model.effect import Effect
 from ..model.kinds import Robot, kind_of, known_kinds
-from .svg import Panel, residual_maps, round_bar
+from .picture import Panel, residual_maps, round_bar
 
 
 def signature_map(effect: Effect, robot: Robot) -> str:

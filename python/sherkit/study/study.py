@@ -22,7 +22,7 @@ from ..errors import EffectError, MeasurementError, SherkitError
 from ..fit.error import of_residuals
 from ..fit.hold_out import hold_out
 from ..fit.identify import Fit, identify
-from ..fit.robust import LOSSES
+from ..fit.least_squares import LOSSES
 from ..model.base import missing_columns
 from ..model.chain import ChainModel
 from ..model.effect import Effect, effects_by_name

@@ -7,13 +7,10 @@ the joints reaches. What it says must be true of the table, whatever the machine
 from collections.abc import Callable, Iterator
 
 from ..rows import Measurements
-from .alike import alike
+from .alike import alike, piled
 from .doubt import Doubt
-from .piled import piled
-from .places import on_a_line
 from .repeats import averaged, commanded, copied, declared
-from .times import order_lost, time_in_milliseconds
-from .values import angles, temperature
+from .values import angles, on_a_line, order_lost, temperature, time_in_milliseconds
 
 __all__ = ["RULES", "Doubt", "angles", "commanded", "doubts"]
 

@@ -3,15 +3,71 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import combinations
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 
+from ...base import linalg
+from ...base.names import listed
 from ...base.types import Bools, Floats
 from .. import columns as c
+from ..noise import MAD
 from ..rows import Measurements
 from .doubt import FEWEST, Doubt, some
-from .expected import expected
+
+# -- What the other rows make one expect of a reading, without a model of the machine -------------------------------
+
+#: Terms of the function, and rows for each of them.
+_MOST_TERMS = 120
+_ROWS_PER_TERM = 3
+_DEGREES = (3, 2, 1)
+#: A joint that turns by more than this is seen through its sine and cosine, rad.
+_TURNS = 0.3
+#: Rounds in which rows that are far off lose their weight.
+_ROUNDS = 4
+
+
+def expected(inputs: Floats, turning: Bools, values: Floats, rows: Bools) -> tuple[Floats, float] | None:
+    """A polynomial in ``inputs`` (n, k), fitted to ``values`` (n,) in these ``rows``: what it gives in all rows, and
+    its robust RMS in those it was fitted to. ``turning`` (k,) tells angles. None where rows are too few.
+
+    Rows that are far off weigh less (Cauchy), so that a few wild ones do not count.
+    """
+    variables = _variables(inputs, turning)
+    if not variables:
+        return None
+    for degree in _DEGREES:
+        terms = [t for d in range(degree + 1) for t in combinations_with_replacement(range(len(variables)), d)]
+        if len(terms) <= _MOST_TERMS and _ROWS_PER_TERM * len(terms) <= rows.sum():
+            break
+    else:
+        return None
+    columns = np.stack([np.prod([np.ones(len(values)), *(variables[k] for k in t)], axis=0) for t in terms], axis=1)
+    weight = np.ones(int(rows.sum()))
+    for _ in range(_ROUNDS):
+        root = np.sqrt(weight)
+        x = linalg.lstsq(columns[rows] * root[:, None], values[rows] * root, rcond=1e-9)[0]
+        off = values[rows] - columns[rows] @ x
+        rms = MAD * float(np.median(np.abs(off)))
+        weight = 1.0 / (1.0 + (off / max(2.0 * rms, 1e-12)) ** 2)
+    return columns @ x, rms
+
+
+def _variables(inputs: Floats, turning: Bools) -> list[Floats]:
+    """The inputs that move, from -1 to 1, each once."""
+    out: list[Floats] = []
+    for column, turns in zip(inputs.T, turning, strict=True):
+        reach = float(np.ptp(column))
+        if reach == 0:
+            continue
+        if turns and _TURNS < reach < 4 * np.pi:
+            out += [np.sin(column), np.cos(column)]
+        else:
+            out.append((2.0 * column - column.max() - column.min()) / reach)
+    return out
+
+
+# --------------------------------------------------------------------------------------------------------------
 
 #: What may lie between two columns that are the same, as a part of their range: rounding.
 _ROUNDING = 1e-7
@@ -109,3 +165,87 @@ def _doubt(data: Measurements, one: str, another: str, line: tuple[float, float]
         "copied over the other, it seems; export both from the instruments again",
         columns=True,
     )
+
+
+# -- One value where many were expected -----------------------------------------------------------------------------
+
+#: Part of the rows that hold the one value, inside the range and at its end, and rows at least.
+_INSIDE, _AT_END = 0.1, 0.03
+_ROWS = 8
+#: The next value comes less often, by this factor.
+_ALONE = 3.0
+#: How far off the value is where it stands, in robust RMS of what the other rows leave.
+_OFF = 5.0
+#: Part of the rows at the end of a range that were expected beyond it.
+_BEYOND = 0.8
+#: Different poses at which the value stands.
+_POSES = 5
+
+
+def piled(data: Measurements) -> Iterator[Doubt]:
+    """Readings that are one value in many rows at places where the others make one expect another.
+
+    Where a plan stands in a plane, or an instrument has few digits, many readings are equal as well; but then they are
+    where the joints put them.
+    """
+    if len(data) < FEWEST or not data.layout.follows:
+        return
+    few = some(data)
+    turning = np.array([c.unit_in(joint) == "rad" for joint in data.layout.joints])
+    told: dict[tuple[str, float], list[tuple[str, int]]] = {}
+    for k, name in enumerate(data.layout.coordinates):
+        found = _piled(few.joints, turning, few.readings[:, k], few.used[:, k])
+        if found is not None:
+            how, value = found
+            count = int((data.used[:, k] & (data.readings[:, k] == value)).sum())
+            told.setdefault((how, value if how == "lost" else float(k)), []).append((name, count))
+            if how != "lost":
+                told[(how, float(k))] = [(f"{name} stays at {value:.8g}", count)]
+    for (how, value), each in told.items():
+        names, count = listed([name for name, _ in each]), max(n for _, n in each)
+        rows = f"in {count} of {len(data)} rows where the joints"
+        verb, them = ("is", "it") if len(each) == 1 else ("are", "them")
+        if how == "lost":
+            sentence = (
+                f"{names} {verb} {value + 0.0:.8g} {rows} put {them} elsewhere: readings that were lost, it seems; "
+                "leave these cells empty"
+            )
+        else:
+            sentence = (
+                f"{names}, the end of its range, {rows} carry it on: the instrument is saturated (clipped), it seems; "
+                "leave these cells empty, or measure within its range"
+            )
+        yield Doubt(sentence, columns=True)
+
+
+def _piled(joints: Floats, turning: Bools, values: Floats, used: Bools) -> tuple[str, float] | None:
+    """How one value is piled up, ``lost`` or ``clipped``, and the value."""
+    u = values[used]
+    if len(u) < FEWEST:
+        return None
+    different, count = np.unique(u, return_counts=True)
+    if len(different) < 2 or count.max() < max(_ROWS, _AT_END * len(u)):
+        return None
+    order = np.argsort(count, kind="stable")[::-1]
+    for k in order[:2]:
+        value, often = float(different[k]), int(count[k])
+        next_most = int(np.delete(count, k).max()) if k == order[0] else int(np.delete(count, order[:2]).max(initial=0))
+        if often < max(_ROWS, _AT_END * len(u)) or next_most * _ALONE > often:
+            continue
+        here = used & (values == value)
+        if len(np.unique(joints[here], axis=0)) < _POSES:
+            continue
+        found = expected(joints, turning, values, used & ~here)
+        if found is None:
+            continue
+        there, rms = found
+        off = there[here] - value
+        if np.median(np.abs(off)) <= _OFF * max(rms, 1e-12):
+            continue
+        at_end = k == 0 or k == len(different) - 1
+        beyond = off if k == len(different) - 1 else -off
+        if at_end and (beyond > -rms).mean() >= _BEYOND:
+            return "clipped", value
+        if often >= _INSIDE * len(u):
+            return "lost", value
+    return None

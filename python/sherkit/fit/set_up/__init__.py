@@ -1,6 +1,5 @@
 """Mistakes of the set-up, by their name: found before any physics is blamed."""
 
-from .columns_alone import held, unread
-from .mistakes import Mistake, set_up_mistakes
+from .mistakes import Mistake, held, set_up_mistakes, unread
 
 __all__ = ["Mistake", "held", "set_up_mistakes", "unread"]

@@ -8,8 +8,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any, Self
 
 from .faults import Fault
-from .page import WebPage
-from .server import LOOPBACK, Emulator
+from .server import LOOPBACK, Emulator, WebPage
 from .world import World
 
 _SATURATED = 0x8000_0002

@@ -11,8 +11,7 @@ import numpy as np
 
 from ...errors import ExperimentError
 from .faults import Faults
-from .page import WebPage
-from .server import LOOPBACK
+from .server import LOOPBACK, WebPage
 from .world import World
 
 

@@ -19,11 +19,34 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from http.server import HTTPServer
 from pathlib import Path
 from typing import ClassVar, Self
 
 from .faults import Fault, Faults
 from .world import World
+
+# -- A page on HTTP that an emulator serves from a thread of its own, for as long as it is entered ------------------
+
+
+class WebPage:
+    """Serves ``server`` between ``__enter__`` and ``__exit__``, and closes it."""
+
+    def __init__(self, server: HTTPServer) -> None:
+        self._server = server
+        self._thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+# --------------------------------------------------------------------------------------------------------------
 
 LOOPBACK = "127.0.0.1"
 _TICK_S = 0.005

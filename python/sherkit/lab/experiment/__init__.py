@@ -3,8 +3,7 @@
 from .bench import Bench
 from .file import Experiment, load_experiment
 from .live import Goal, Live
-from .plan import Plan, PlanStep, plan_of_poses
-from .point import Point
+from .plan import Plan, PlanStep, Point, plan_of_poses
 from .run_file import RunFile, export_run
 from .runner import Control, RunProgress, run
 

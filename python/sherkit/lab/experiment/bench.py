@@ -16,8 +16,7 @@ from ...model.kinds import Robot, kind_of
 from ..clock import now_s
 from ..instruments import AxisController
 from ..instruments.base import Identity, Instrument, Reading
-from .plan import PlanStep
-from .point import Point
+from .plan import PlanStep, Point
 from .watch import Watch
 
 #: A reading that is to stand still is looked at again so soon, s.

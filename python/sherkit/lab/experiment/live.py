@@ -14,8 +14,7 @@ from ...data.columns import POSE, REPEAT, TIME
 from ...errors import FitError
 from ...fit.identify import Fit, identify
 from ...model.kinds import Robot, kind_of, model_of
-from .plan import Plan
-from .point import Point
+from .plan import Plan, Point
 
 #: A fit is taken anew when the rows have grown by this share: the work stays proportional to the rows.
 _GROWTH = 0.02

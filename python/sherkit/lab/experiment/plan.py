@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,6 +13,21 @@ from numpy.typing import ArrayLike
 from ...base.names import listed
 from ...base.types import Floats
 from ...errors import ExperimentError
+
+# -- What is read at a step -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Point:
+    """What was read at a step: its pose and repeat, the host's time (s since 1970), and values by column name."""
+
+    pose: int
+    repeat: int
+    time_s: float
+    values: Mapping[str, float]
+
+
+# --------------------------------------------------------------------------------------------------------------
 
 #: As listed, pass after pass; drawn anew for each pass; from the last to the first; to and fro, pass by pass.
 ORDERS = ("planes", "shuffled", "reversed", "alternating")

@@ -11,8 +11,7 @@ from itertools import pairwise
 from ...errors import Disconnected, Garbled, Implausible, OutOfRange, SherkitError, Timeout
 from ...model.kinds import kind_of
 from .bench import Bench
-from .plan import Plan
-from .point import Point
+from .plan import Plan, Point
 from .run_file import RunFile
 from .watch import Doubt, Watch
 

@@ -27,7 +27,7 @@ from ...model.chain import ChainModel
 from ...model.effect import Effect
 from ...model.kinds import Robot, kind_of, model_of
 from .accused import Accused, Seen, accuse
-from .point import Point
+from .plan import Point
 
 #: Plausible sizes are taken so many times larger: a robot may be worse than most.
 _WORSE = 2.0

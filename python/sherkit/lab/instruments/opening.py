@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from ...errors import InstrumentError
-from .transport import SerialPort, TcpPort, Transport, UdpPort
-from .visa import SCHEME, VisaPort
+from .transport import SCHEME, SerialPort, TcpPort, Transport, UdpPort, VisaPort
 
 
 def open_port(

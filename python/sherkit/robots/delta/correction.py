@@ -21,7 +21,7 @@ from ...base.saved import Saved
 from ...base.types import Floats
 from ...data.toml import Table
 from ...errors import FitError, ShapeError
-from ...fit.blocks import spatial_blocks
+from ...fit.folds import spatial_blocks
 from ...fit.identify import Fit
 
 Orders = tuple[int, int, int]

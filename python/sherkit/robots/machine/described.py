@@ -20,7 +20,7 @@ from ...data.columns import TEMPERATURE, TIME, Layout, unit_in
 from ...data.toml import Table
 from ...errors import NotConverged, RobotError
 from ...model.batch import Batch, matrix, vector
-from ...model.parameter import Parameter
+from ...model.effect import Parameter
 from .core import not_in
 from .effects import Generic, generic_effects
 from .function import Derivative, Forward, UserFunction

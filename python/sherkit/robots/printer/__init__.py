@@ -3,12 +3,11 @@
 from ...model.kinds import Kind
 from ..delta.columns import POSITION
 from .calibration import PrinterCalibration
-from .columns import PROBED
 from .duet import import_duet
 from .klipper import import_klipper
 from .marlin import import_marlin
 from .model import PrinterModel
-from .robot import Printer
+from .robot import PROBED, Printer
 from .towers import ANGLES, Towers
 
 _EXAMPLE = Printer.with_towers(

@@ -14,11 +14,9 @@ from ...data import Measurements
 from ...data.files import write_whole
 from ...errors import RobotError
 from ...fit.identify import identify
-from .columns import PLATE, PROBED, PROBING
-from .klipper import STEPPERS
-from .klipper_config import SAVED, KlipperConfig, text_of
+from .klipper import SAVED, STEPPERS, KlipperConfig, text_of
 from .model import PrinterModel
-from .robot import FIRMWARES, Printer
+from .robot import FIRMWARES, PLATE, PROBED, PROBING, Printer
 from .towers import ANGLES, Towers
 
 #: Rings and places on each from which a firmware's numbers are chosen, over the printed area.

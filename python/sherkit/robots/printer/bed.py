@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from ...base.types import Bools, Floats
-from ...model.effect import Effect, effect
-from ...model.parameter import Parameter
-from .columns import PLATE, PROBING
+from ...model.effect import Effect, Parameter, effect
+from .robot import PLATE, PROBING
 
 #: Shapes are named by their height this far from the middle, mm.
 SPAN_MM = 100.0

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...errors import MeasurementError, RobotError
 from .gcode import one, words
-from .klipper_config import text_of
+from .klipper import text_of
 from .probings import Found, Rows
 from .robot import Printer
 from .towers import ANGLES, Towers

@@ -16,8 +16,7 @@ import numpy as np
 from ...base.types import Floats
 from ...data import Measurements
 from ...errors import MeasurementError, OutOfReach, RobotError
-from .columns import PLATE, PROBED, PROBING
-from .robot import Printer
+from .robot import PLATE, PROBED, PROBING, Printer
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,24 @@ from typing import Any, Self
 import numpy as np
 
 from ...base.types import Floats
+from ...data.columns import Layout
 from ...data.toml import Table
+from ..delta.columns import JOINTS, POSITION, TO_JOINTS
 from ..delta.robot import Delta, Triple
 from .towers import Towers
+
+# -- The columns of a run of a printer ------------------------------------------------------------------------------
+
+#: Where the carriages were sent; how high above the middle plane of the bed the probe's tip then was, or, in a row that
+#: has another end, how far apart the two places are. One reading a row, so that distances count as heights do.
+PROBED = Layout(JOINTS, ("measured_mm",), "µm", 1e3, None, TO_JOINTS, follows=False)
+#: How far the plate was turned, degrees anticlockwise seen from above, and which of the probings a row is from.
+PLATE, PROBING = "plate_deg", "probing"
+
+__all__ = ["PLATE", "POSITION", "PROBED", "PROBING"]
+
+
+# --------------------------------------------------------------------------------------------------------------
 
 #: What no firmware knows, as it usually is, mm: the distance of the two rods of an arm, and that of the arms' joints
 #: from the middle of the effector. They matter where an effector tilts alone: how far follows from the difference of

@@ -19,9 +19,8 @@ from ...errors import FitError, SherkitError
 from ...fit.identify import Fit, identify
 from ...model.effect import Effect
 from .bed import bed_shape
-from .columns import PLATE
 from .model import PrinterModel, distances
-from .robot import Printer
+from .robot import PLATE, Printer
 
 #: So many usual sizes are still plausible.
 _PLAUSIBLE = 5.0

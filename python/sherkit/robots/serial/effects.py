@@ -11,8 +11,7 @@ import numpy as np
 
 from sherkit._core import SerialModel
 
-from ...model.effect import Effect, Sentences
-from ...model.parameter import Parameter
+from ...model.effect import Effect, Parameter, Sentences
 from ...model.sentences import catalogue_of
 from .robot import Joint, Serial
 

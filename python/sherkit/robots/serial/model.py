@@ -20,8 +20,7 @@ from ...data.columns import Layout
 from ...errors import FitError, SherkitWarning
 from ...model.base import Reachable
 from ...model.chain import Block, ChainModel
-from ...model.effect import Effect, parameters_of_core
-from ...model.parameter import Parameter
+from ...model.effect import Effect, Parameter, parameters_of_core
 from .columns import CENTRE, PAYLOAD, PLANE, POSITION, TARGET
 from .effects import SERIAL_CATALOGUE, effects_of, has, joint_of, parameter_of
 from .frames import of_rpy

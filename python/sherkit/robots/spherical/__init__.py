@@ -5,8 +5,7 @@ from typing import Any
 
 from ...model.kinds import Asked, Kind
 from .calibration import SphericalCalibration
-from .camera import CameraView
-from .camera_placement import camera_placement, picture_half_angle
+from .camera import CameraView, camera_placement, picture_half_angle
 from .columns import SPHERICAL_ANGLES, SPHERICAL_PIXELS
 from .drawing import drawing
 from .effects import SPHERICAL_CATALOGUE

@@ -1,14 +1,12 @@
 """The flexible tool whose fibres feel the force."""
 
-from .alignment import align
+from .alignment import Registration, align, register
 from .bench import Loads, read_loads
 from .calibration import ToolCalibration, calibrate_tool
 from .effects import TOOL_CATALOGUE
 from .filters import Estimate, estimate
-from .judge import judge
-from .known import known
+from .known import judge, known
 from .model import ToolModel
-from .registration import Registration, register
 from .runs import ToolRun, read_tool_run, tool_run_of
 from .tool import FlexibleTool, load_tool
 from .virtual import VirtualTool

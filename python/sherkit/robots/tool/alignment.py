@@ -3,18 +3,139 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
+from scipy.linalg import cho_solve
 
+import sherkit._core as _core
+
+from ...base import linalg
 from ...base.types import Floats
 from ...errors import FitError, ShapeError
 from .plausible import check_shapes, likeness
-from .registration import Registration, register
 from .runs import ToolRun
-from .smooth_errors import SmoothErrors, smooth_errors
 from .tool import FlexibleTool
+
+# -- The rigid transform between two clouds of points ----------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """x_target = ``rotation`` x_source + ``translation_mm``.
+
+    ``residuals_mm`` (n, 3) are target less transformed source. ``covariance`` (6, 6) is that of a small rotation (rad,
+    about the target's axes) and of the translation (mm), for residuals of the size found.
+    """
+
+    rotation: Floats
+    translation_mm: Floats
+    residuals_mm: Floats
+    covariance: Floats
+
+    @property
+    def rotation_rad(self) -> Floats:
+        """The rotation as a vector (3,)."""
+        return np.asarray(scipy.spatial.transform.Rotation.from_matrix(self.rotation).as_rotvec())
+
+    @property
+    def mean_error_mm(self) -> float:
+        """Mean length of the residuals, as the paper prints it (Eq. 20)."""
+        known = np.isfinite(self.residuals_mm).all(axis=1)
+        return float(np.linalg.norm(self.residuals_mm[known], axis=1).mean())
+
+    def apply(self, points_mm: ArrayLike) -> Floats:
+        """Points (n, 3) of the source's frame in the target's."""
+        return np.atleast_2d(np.asarray(points_mm, dtype=float)) @ self.rotation.T + self.translation_mm
+
+
+def register(source_mm: ArrayLike, target_mm: ArrayLike, method: str = "quaternion") -> Registration:
+    """The transform that takes points (n, 3) to points (n, 3), by ``"quaternion"`` or ``"svd"``; both agree.
+
+    Raises :class:`~sherkit.errors.ShapeError` for clouds of unlike size, and :class:`~sherkit.errors.FitError` that
+    says whether the points are too few or stand on a line.
+    """
+    a, b = (np.ascontiguousarray(np.atleast_2d(np.asarray(p, dtype=float))) for p in (source_mm, target_mm))
+    if a.shape != b.shape or a.ndim != 2 or a.shape[1] != 3:
+        raise ShapeError(f"registration: expected two clouds (n, 3), got {a.shape} and {b.shape}")
+    found = _core.register_points(a, b, method)
+    return Registration(
+        rotation=found["rotation"],
+        translation_mm=found["translation_mm"],
+        residuals_mm=found["residuals_mm"],
+        covariance=found["unit_covariance"] * found["residual_variance"],
+    )
+
+
+# -- How well a fit to pictures is known whose errors are alike at neighbouring places and times --------------------
+
+#: Pictures, evenly over the run, from which size and reaches are taken: what they cost grows with the cube.
+_MOST = 240
+#: What is tried: reaches over place and time in parts of what the run spans, and the variance of the smooth errors over
+#: that of the noise.
+_REACHES_MM, _REACHES_S = np.geomspace(0.05, 0.8, 5), np.array([0.03, 0.2, 10.0])
+_RATIOS = np.concatenate([[0.0], np.geomspace(0.01, 100.0, 9)])
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothErrors:
+    """Errors of one axis: white ``noise_mm``, and smooth ones of ``size_mm`` that are alike within ``reach_mm`` and
+    ``reach_s``. ``covariance`` (p, p) is that of the parameters fitted by least squares."""
+
+    noise_mm: float
+    size_mm: float
+    reach_mm: float
+    reach_s: float
+    covariance: Floats
+
+
+def smooth_errors(jacobian: Floats, residuals_mm: Floats, places_mm: Floats, time_s: Floats) -> SmoothErrors:
+    """Of a least-squares fit with derivatives (n, m, p) that leaves residuals (n, m), at places (n, 3), mm, and times
+    (n,). Raises :class:`~sherkit.errors.Singular` for derivatives that are no fit's."""
+    n, m, p = jacobian.shape
+    flat = jacobian.reshape(n * m, p)
+    # the same size for angles, lengths and delays
+    unit = np.linalg.norm(flat, axis=0)
+    inverse = linalg.inv((flat / unit).T @ (flat / unit))
+    some = np.unique(np.linspace(0, n - 1, min(n, _MOST)).round().astype(np.int64))
+    j, e = jacobian[some] / unit, residuals_mm[some]
+    apart = ((places_mm[some, None] - places_mm[None, some]) ** 2).sum(axis=2)
+    later = (time_s[some, None] - time_s[None, some]) ** 2
+    spans = np.sqrt([max(apart.max(), 1e-12), max(later.max(), 1e-12)])
+
+    covariances, criteria, told = [], [], []
+    for wide, long in product(_REACHES_MM * spans[0], _REACHES_S * spans[1]):
+        alike = np.exp(-0.5 * (apart / wide**2 + later / long**2))
+        within = np.einsum("nmi,nk,kmj->ij", j, alike, j, optimize=True) * (n / len(some)) ** 2
+        for ratio in _RATIOS:
+            criterion, variance = _restricted(j, e, ratio * alike)
+            criteria.append(criterion)
+            covariances.append(variance * (inverse + ratio * inverse @ within @ inverse))
+            told.append((variance, ratio * variance, wide, long))
+    share = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
+    share /= share.sum()
+    noise, size, wide, long = np.array(told)[int(np.argmax(share))]
+    covariance = np.einsum("k,kij->ij", share, covariances) / np.outer(unit, unit)
+    return SmoothErrors(float(np.sqrt(noise)), float(np.sqrt(size)), float(wide), float(long), covariance)
+
+
+def _restricted(j: Floats, e: Floats, smooth: Floats) -> tuple[float, float]:
+    """Minus twice the restricted log-likelihood of residuals (n, m) whose smooth part has a covariance (n, n) in units
+    of the noise's, and the variance of the noise that goes with it."""
+    n, m, p = j.shape
+    factor = (linalg.cholesky(np.eye(n) + smooth), True)
+    solved = cho_solve(factor, np.concatenate([j.reshape(n, -1), e], axis=1))
+    weighted, left = solved[:, : m * p].reshape(j.shape), solved[:, m * p :]
+    gram, right = np.einsum("nmi,nmk->ik", j, weighted), np.einsum("nmi,nm->i", j, left)
+    free = e.size - p
+    variance = max(float((e * left).sum() - right @ linalg.solve(gram, right)), 1e-300) / free
+    determinant = 2.0 * m * np.log(np.diag(factor[0])).sum() + np.linalg.slogdet(gram)[1]
+    return float(free * np.log(variance) + determinant), variance
+
+
+# --------------------------------------------------------------------------------------------------------------
 
 _LEAST = 8
 #: No interrogator is later, s, and a delay less well known is none.
@@ -69,10 +190,10 @@ def align(
     """Frame and clock of a camera from a motion of the unbent tool that both saw: least squares over both.
 
     Robot (n, 3) at its times, camera (m, 3) at its own; delays up to ``longest_s`` either way are tried. Deviations
-    are those of :func:`~sherkit.robots.tool.smooth_errors.smooth_errors`. Raises :class:`~sherkit.errors.FitError`
+    are those of :func:`~sherkit.robots.tool.alignment.smooth_errors`. Raises :class:`~sherkit.errors.FitError`
     where fewer than eight pictures fall into the robot's time at every delay tried, where the camera saw another
     motion, one in other units or mirrored, where nothing moves enough to tell the delay, and as
-    :func:`~sherkit.robots.tool.registration.register`.
+    :func:`~sherkit.robots.tool.alignment.register`.
     """
     t, x = np.asarray(robot_time_s, dtype=float), np.asarray(robot_mm, dtype=float)
     at, seen = np.asarray(camera_time_s, dtype=float), np.asarray(camera_mm, dtype=float)

@@ -15,7 +15,7 @@ from ...data.tables import write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
 from .columns import ARC, DEFLECTION, DEPTH, FIBRES, FORCE
 from .plausible import check_unit
-from .tables import numbers_of, table_at
+from .runs import numbers_of, table_at
 from .tool import FlexibleTool
 
 #: Forces of less than this are none, mN.

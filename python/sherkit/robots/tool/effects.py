@@ -13,8 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...base.types import Floats
-from ...model.effect import Effect
-from ...model.parameter import Parameter
+from ...model.effect import Effect, Parameter
 from .places import Places
 from .tool import FlexibleTool, nested, rotation_of
 

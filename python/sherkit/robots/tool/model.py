@@ -20,8 +20,7 @@ from ...base.types import Floats
 from ...data import Measurements, from_arrays
 from ...errors import FitError, MeasurementError, RobotError
 from ...model.drawing import Drawing
-from ...model.effect import Effect
-from ...model.parameter import Parameter
+from ...model.effect import Effect, Parameter
 from ...model.rows import Rows
 from .alignment import at_times
 from .drawing import drawing
