@@ -5,15 +5,17 @@ from __future__ import annotations
 import asyncio
 import http.client
 import os
+import signal
 import stat
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tornado.ioloop import IOLoop
 
 from sherkit import save_robot
-from sherkit.app.server import PageServer
+from sherkit.app.server import PageServer, ended_by_interrupt
 from sherkit.app.workbench import Workbench
 from sherkit.cli.app import _open
 from sherkit.cli.demo import EXAMPLE
@@ -101,3 +103,20 @@ def test_a_study_is_its_owners_alone(tmp_path: Path) -> None:
     VirtualDelta.draw(EXAMPLE, 6).measure(grid(20.0, 4, (-18.0, 18.0)), repeats=2, seed=1).save(tmp_path / "run.csv")
     Workbench.open(tmp_path / "robot.toml", tmp_path / "run.csv", tmp_path / "study").close()
     assert stat.S_IMODE((tmp_path / "study").stat().st_mode) == 0o700
+
+
+def test_ctrl_c_wakes_a_loop_that_sleeps() -> None:
+    """Catches a page that goes on after Ctrl-C until the next thing comes, ten seconds later: here nothing comes."""
+    loop = IOLoop(make_current=False)
+    slept: list[bool] = []
+
+    def overslept() -> None:
+        slept.append(True)
+        loop.stop()
+
+    loop.call_later(60.0, overslept)
+    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+    with ended_by_interrupt(loop):
+        loop.start()
+    loop.close()
+    assert not slept

@@ -386,7 +386,8 @@ def test_what_innovations_cannot_see_is_said() -> None:
 def test_known_loads_calibrate_the_tool(benches: int) -> None:
     """Catches a gain that is transposed or biased, a stiffness by the wrong power, deviations that are made up.
 
-    Benches, seeds from 0, of a tool that is not as its file says: the RMS of errors in deviations is 1 within 0.25.
+    Benches, seeds from 0, of a tool that is not as its file says: the RMS of errors in deviations is 1, of 20
+    within 0.25.
     """
     there = VirtualTool(TOOL).changed(
         gains=(np.array(TOOL.gains) * [[[1.05]], [[0.93]]]).tolist(), stiffness_mn_mm2=1.25e6, length_mm=58.7
@@ -404,7 +405,8 @@ def test_known_loads_calibrate_the_tool(benches: int) -> None:
                  (found.length_mm[0] - 58.7) / found.length_mm[1]]  # fmt: skip
         off.append(np.concatenate([gains.ravel(), shaft]))
         assert found.tool.noise_nm == pytest.approx(1e-3, rel=0.35)
-    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.25)
+    # the numbers of one bench are not independent
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.25 if benches >= 20 else 0.7)
     assert np.abs(off).max() < 5.0
     right = calibrate_tool(there.true, there.bench(seed=1)).slope_mn_mm2
     assert right

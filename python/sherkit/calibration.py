@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from .base import linalg
 from .base.arguments import Seed, as_annotated
 from .base.names import listed
 from .base.types import Floats
@@ -50,6 +51,7 @@ class Result:
 
 
 @as_annotated
+@linalg.one_thread()
 def calibrate(
     robot: RobotLike,
     whole: RunLike,

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from .base.types import Floats
 from .calibration import calibrate
@@ -32,6 +31,7 @@ from .fit import identify
 from .model.base import missing_columns
 from .model.chain import ChainModel
 from .model.kinds import Kind, Robot, known_kinds, model_of, register
+from .model.robot_file import save_robot
 from .robots.files import load_calibration
 from .study import Study
 
@@ -110,7 +110,7 @@ def _file(a: _Asked) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "robot.toml"
         tables = a.robot.to_tables()
-        path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+        save_robot(a.robot, path)
         table = Table(read_toml(path, "robot"), str(path))
         table.text("kind", (a.kind.name,))
         again = a.kind.robot.from_table(table)

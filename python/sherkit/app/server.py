@@ -107,7 +107,7 @@ class PageServer:
         self.server.start()
         self.server.io_loop.add_callback(ready)
         try:
-            with _interrupts(lambda: self.server.io_loop.add_callback(self.server.io_loop.stop)):
+            with ended_by_interrupt(self.server.io_loop):
                 self.server.io_loop.start()
         except KeyboardInterrupt:
             pass
@@ -117,11 +117,12 @@ class PageServer:
 
 
 @contextmanager
-def _interrupts(stop: Callable[[], None]) -> Iterator[None]:
-    """Ctrl-C calls ``stop``; a second one is raised wherever it comes. Only the main thread hears of it, and nobody
-    where who started this had it ignored, as shells do behind ``&``.
+def ended_by_interrupt(loop: Any) -> Iterator[None]:
+    """Ctrl-C stops a loop of tornado; a second one is raised wherever it comes. Only the main thread hears of it, and
+    nobody where who started this had it ignored, as shells do behind ``&``.
 
     Raised at once, it could end in a callback or a destructor that drops what is raised there, and the page went on.
+    The loop is woken: it may sleep for ten seconds until something comes.
     """
     before = signal.getsignal(signal.SIGINT)
     if not callable(before) or threading.current_thread() is not threading.main_thread():
@@ -130,7 +131,7 @@ def _interrupts(stop: Callable[[], None]) -> Iterator[None]:
 
     def first(*_: object) -> None:
         signal.signal(signal.SIGINT, before)
-        stop()
+        loop.asyncio_loop.call_soon_threadsafe(loop.stop)
 
     signal.signal(signal.SIGINT, first)
     try:

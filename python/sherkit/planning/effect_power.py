@@ -244,6 +244,7 @@ class Planning:
         return tuple(out)
 
 
+@linalg.one_thread()
 def planning_of(
     model: ChainModel, rows: Measurements, sigma: float | Floats, *, effects: tuple[str, ...] = ()
 ) -> Planning:

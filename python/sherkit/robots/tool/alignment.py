@@ -183,6 +183,7 @@ class Aligned:
     errors: SmoothErrors
 
 
+@linalg.one_thread()
 def align(
     robot_time_s: ArrayLike, robot_mm: ArrayLike, camera_time_s: ArrayLike, camera_mm: ArrayLike, *,
     longest_s: float = 0.5, source: str = "alignment",
@@ -249,6 +250,7 @@ class FibreDelay:
     std_s: float
 
 
+@linalg.one_thread()
 def fibre_delay(tool: FlexibleTool, run: ToolRun, *, longest_s: float = _LONGEST_FIBRES_S) -> FibreDelay:
     """The delay of the interrogator from a run in which the shaft leant on the hole.
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from ...base import linalg
 from ...errors import RobotError
 from ...fit.identify import Fit
 from .effects import TOOL_CATALOGUE
@@ -25,6 +26,7 @@ class Applied:
     why: tuple[str, ...]
 
 
+@linalg.one_thread()
 def applied(model: ToolModel, fit: Fit) -> Applied:
     """The tool of a model with the camera's offset and the effects of a fit to its rows written into it.
 

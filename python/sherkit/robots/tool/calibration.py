@@ -77,6 +77,7 @@ class ToolCalibration:
         return f"{self.convention}: χ² {self.chi2[self.convention]:.0f} against {', '.join(others)}"
 
 
+@linalg.one_thread()
 def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
     """K_I and K_II, the sections' places, and where deflections were measured EI (also by the paper's slope) and h.
 

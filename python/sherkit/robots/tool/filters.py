@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 import sherkit._core as _core
 
+from ...base import linalg
 from ...base.notebook import Shown
 from ...base.types import Bools, Floats
 from ...errors import MeasurementError
@@ -268,6 +269,7 @@ class Estimate(Shown):
         return self.tool.start_depth_mm + np.cumsum(self.run.insertion_mm_s * step)
 
 
+@linalg.one_thread()
 def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     """Runs sensing, the filters and the smoother over a recorded run.
 

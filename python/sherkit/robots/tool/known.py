@@ -66,6 +66,7 @@ class Knowledge:
         return "too careful" if self.nees < self.low and self.coverage >= STATED else "consistent"
 
 
+@linalg.one_thread()
 def known(e: Estimate) -> list[Knowledge]:
     """Depth where the run has ``depth_mm``, tip where a camera saw it; over the run, with and without a force.
 
@@ -192,6 +193,7 @@ class Judgement:
         return 1.0 - self.of(signal).t0 / self.of(over).t0
 
 
+@linalg.one_thread()
 def judge(e: Estimate) -> list[Judgement]:
     """Depth where the run has it, tip where a camera saw it. T0 and T1 by the filters of Eqs. 8 and 14.
 

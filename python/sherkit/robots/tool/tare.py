@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...base import linalg
 from ...base.types import Bools, Floats
 from ...errors import MeasurementError
 from .runs import ToolRun
@@ -34,6 +35,7 @@ class Tare:
     seconds: float
 
 
+@linalg.one_thread()
 def tare(tool: FlexibleTool, run: ToolRun, *, untouched: bool = False) -> Tare:
     """References from the unloaded seconds of a run, or from all of it where the tool was ``untouched``.
 
