@@ -28,9 +28,9 @@ from sherkit.lab.experiment import (
     RunFile,
     export_run,
     load_experiment,
-    lock,
     plan_of_poses,
     run,
+    run_file,
 )
 from sherkit.lab.experiment.bench import Sensor
 from sherkit.lab.instruments.base import Reading
@@ -211,7 +211,7 @@ def test_a_disk_that_cannot_lock_is_not_another_runner(tmp_path, monkeypatch):
     def none(_):
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
-    monkeypatch.setattr(lock, "_take", none)
+    monkeypatch.setattr(run_file, "_take", none)
     with pytest.raises(ExperimentError, match=r"a\.sqlite\.lock: cannot be locked: No locks available"):
         RunFile.create(tmp_path / "a.sqlite", PLAN, ABOUT)
 
@@ -223,11 +223,11 @@ def test_a_second_name_of_a_run_is_the_same_run(tmp_path):
         (tmp_path / "elsewhere").mkdir()
         os.link(tmp_path / "a.sqlite", tmp_path / "elsewhere" / "b.sqlite")
         with pytest.raises(ExperimentError, match=r"b\.sqlite: is being measured by another program"):
-            lock.RunLock(tmp_path / "elsewhere" / "b.sqlite")
+            run_file.RunLock(tmp_path / "elsewhere" / "b.sqlite")
         os.symlink(tmp_path / "a.sqlite", tmp_path / "c.sqlite")
         with pytest.raises(ExperimentError, match="one run has one runner"):
-            lock.RunLock(tmp_path / "c.sqlite")
-    lock.RunLock(tmp_path / "elsewhere" / "b.sqlite").release()
+            run_file.RunLock(tmp_path / "c.sqlite")
+    run_file.RunLock(tmp_path / "elsewhere" / "b.sqlite").release()
 
 
 def test_the_run_file_is_as_safe_as_it_says(tmp_path):
