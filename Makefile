@@ -98,6 +98,7 @@ pictures: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/python -m pip install --quiet "$$(ls $(WHEELS)/sherkit-*.whl)[bench]"
 	$(BIN)/python benchmarks/bench.py --write
+	$(BIN)/python benchmarks/fleet_workers.py
 	# no speed: how good each rung of the flexible tool's filter is beside the paper's
 	$(BIN)/python tests/wide_honesty.py --rungs --seeds 8
 

@@ -95,8 +95,13 @@ def test_a_process_pool_says_the_same(found: Fleet, runs: list[str]) -> None:
 
 
 @pytest.mark.slow
-def test_a_cluster_says_the_same(found: Fleet, runs: list[str]) -> None:
-    """Catches what only holds for executors of the standard library."""
+def test_a_cluster_says_the_same(found: Fleet, runs: list[str], tmp_path: Path) -> None:
+    """Catches what only holds for executors of the standard library, and answers that are older than their files."""
+    copied = [tmp_path / Path(run).name for run in runs]
+    for path, run in zip(copied, runs, strict=True):
+        path.write_bytes(Path(run).read_bytes())
+    runs = [str(path) for path in copied]
+    found = sk.fleet(runs, EXAMPLE)
     distributed = pytest.importorskip("distributed")
     with (
         distributed.LocalCluster(
@@ -106,6 +111,11 @@ def test_a_cluster_says_the_same(found: Fleet, runs: list[str]) -> None:
         client.get_executor() as executor,
     ):
         assert sk.fleet(runs, EXAMPLE, executor=executor) == found
+        # asked again, a file is read again: a cluster keeps answers by what was asked
+        machine(1).save(runs[3])
+        again = sk.fleet(runs, EXAMPLE, executor=executor)
+        assert again.machines[3].effects == ()
+        assert again.machines[4] == found.machines[4]
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import concurrent.futures as futures
 import os
+import uuid
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -211,8 +212,9 @@ def fleet(
     plain = model_of(nominal)
     known = effects_by_name(plain.catalogue, [e for e in effects if isinstance(e, str)], own)
     inside = (*known, *(e for e in effects if isinstance(e, Effect)))
+    call = uuid.uuid4().hex
     tasks = [
-        _Task(name, nominal, run, columns, inside, tuple(own), level, seed)
+        _Task(call, name, nominal, run, columns, inside, tuple(own), level, seed)
         for name, run in zip(names, runs, strict=True)
     ]
     made: list[Machine] = []
@@ -237,8 +239,10 @@ def fleet(
 
 @dataclass(frozen=True)
 class _Task:
-    """What is sent to a worker."""
+    """What is sent to a worker. ``call`` is another one each time: a cluster that keeps answers by what was asked would
+    give that of a file which has changed since."""
 
+    call: str
     name: str
     robot: Robot
     run: RunLike
