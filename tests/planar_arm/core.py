@@ -1,5 +1,5 @@
 """What a binding of ``rust/core/src/chain/planar.rs`` would be: the table and the chain, in NumPy, for as many rows as
-there are. Derivatives are complex steps, exact to rounding."""
+there are. Its derivatives are complex steps."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sherkit.base.types import Bools, Floats
-from sherkit.fit.numpy_chain import NumpyChain
-from sherkit.model.chain import Block
+from sherkit.base.types import Floats
+from sherkit.fit.numpy_chain import ComplexChain
 
-_STEP = 1e-30
 _REFERENCE_C = 20.0
 
 
@@ -56,9 +54,11 @@ CATALOGUE: Sequence[dict[str, Any]] = (
 )
 
 
-class PlanarCore(NumpyChain):
+class PlanarCore(ComplexChain):
     """The chain of one arm: ``lengths`` (2,) and ``height``, mm; ``home`` (2,), rad; moments, s; the period of
     the encoders, rad."""
+
+    joints, read = 2, 3
 
     def __init__(
         self,
@@ -102,30 +102,3 @@ class PlanarCore(NumpyChain):
         body = body + acting("thermal_shift", known[:, -1:] - _REFERENCE_C)
         straight = body + p["datum"]
         return np.asarray(straight + p["sensor_linearity"] * (straight / 20.0) ** 3)
-
-    @staticmethod
-    def _inputs(block: Block) -> tuple[Floats, Floats, Floats]:
-        joints, to, known, push = block
-        assert to is None, "this arm reads no distances"
-        n = len(joints)
-        return joints, np.full((n, 7), np.nan) if known is None else known, np.zeros((n, 3)) if push is None else push
-
-    def predict(self, values: Floats, block: Block) -> tuple[Floats, Bools]:
-        """Readings (n, 3), and which rows could be computed."""
-        out = self._readings(values, *self._inputs(block))
-        return out, np.isfinite(out).all(axis=1)
-
-    def derivatives(self, values: Floats, block: Block, free: Sequence[int]) -> tuple[Floats, Floats, Floats, Bools]:
-        """By the parameters ``free``, the joints and a displacement (n, 3, ·), and which rows could be computed."""
-        joints, known, push = self._inputs(block)
-
-        def along(size: int, which: Sequence[int], number: int) -> Floats:
-            columns = []
-            for k in which:
-                inputs = [values.astype(complex), joints.astype(complex), push.astype(complex)]
-                inputs[number] = inputs[number] + 1j * _STEP * np.eye(size)[k]
-                columns.append(self._readings(inputs[0], inputs[1], known, inputs[2]).imag / _STEP)
-            return np.stack(columns, axis=2) if columns else np.zeros((len(joints), 3, 0))
-
-        by_joints, by_body = along(2, range(2), 1), along(3, range(3), 2)
-        return along(len(values), free, 0), by_joints, by_body, self.predict(values, block)[1]

@@ -9,10 +9,12 @@ from __future__ import annotations
 import warnings
 from collections.abc import Collection
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from ..errors import SherkitWarning
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 #: The groups: values are a :class:`~sherkit.model.kinds.Kind`, a :class:`~sherkit.lab.kinds.InstrumentKind`, and a
 #: ``click.Command`` each below ``sherkit import`` and beside the verbs.
@@ -27,6 +29,8 @@ _Value = TypeVar("_Value")
 def declared(group: str) -> dict[str, EntryPoint]:
     """What packages declare in a group, by name and not loaded yet: sherkit's own first, then by name. A name that two
     packages have is the first one's, and a warning."""
+    from importlib.metadata import entry_points  # takes as long as all else that the command loads to begin
+
     out: dict[str, EntryPoint] = {}
     own_first = sorted(entry_points(group=group), key=lambda e: (not e.value.startswith("sherkit."), e.name))
     for entry in own_first:
@@ -36,7 +40,7 @@ def declared(group: str) -> dict[str, EntryPoint]:
     return out
 
 
-def brought(group: str, name: str, what: type[_Value]) -> _Value | None:
+def _brought(group: str, name: str, what: type[_Value]) -> _Value | None:
     """The value of a name, loaded now; None, and a warning, where it cannot be loaded or is no ``what``: a package that
     is broken takes nothing with it but what it brings."""
     entry = declared(group)[name]
@@ -53,7 +57,7 @@ def brought(group: str, name: str, what: type[_Value]) -> _Value | None:
 
 def brought_beside(own: Collection[str], group: str, what: type[_Value]) -> dict[str, _Value]:
     """All that packages bring in a group, by name, but for names that sherkit's ``own`` have."""
-    found = {name: brought(group, name, what) for name in declared(group) if name not in own}
+    found = {name: _brought(group, name, what) for name in declared(group) if name not in own}
     return {name: value for name, value in found.items() if value is not None}
 
 

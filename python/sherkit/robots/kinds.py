@@ -6,13 +6,12 @@ Each is declared in the package's ``pyproject.toml``, under ``[project.entry-poi
 
 from __future__ import annotations
 
-from ..base.extensions import ROBOTS, brought, declared
+from ..base.extensions import ROBOTS, brought_beside
 from ..model.kinds import Kind, register
 
 #: Where columns fit no robot, messages speak of the first.
 _FIRST = ("delta", "spherical", "serial", "printer")
 
-for name in sorted(declared(ROBOTS), key=lambda one: _FIRST.index(one) if one in _FIRST else len(_FIRST)):
-    kind = brought(ROBOTS, name, Kind)
-    if kind is not None:
-        register(kind)
+found = brought_beside((), ROBOTS, Kind)
+for name in sorted(found, key=lambda one: _FIRST.index(one) if one in _FIRST else len(_FIRST)):
+    register(found[name])

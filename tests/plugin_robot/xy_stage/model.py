@@ -10,11 +10,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sherkit.base.types import Bools, Floats
+from sherkit.base.types import Floats
 from sherkit.data import Measurements
 from sherkit.data.columns import Layout
-from sherkit.fit.numpy_chain import NumpyChain
-from sherkit.model.chain import Block, ChainModel
+from sherkit.fit.numpy_chain import ComplexChain
+from sherkit.model.chain import ChainModel
 from sherkit.model.effect import Effect, Sentences
 from sherkit.model.sentences import COMMON, catalogue_of
 
@@ -22,7 +22,7 @@ from .stage import XYStage
 
 #: The columns of a run: what the scales say, and what an interferometer reads of the table.
 XY = Layout(("axis_1_mm", "axis_2_mm"), ("x_mm", "y_mm"), "µm", 1e3)
-_REFERENCE_C, _STEP = 20.0, 1e-30
+_REFERENCE_C = 20.0
 
 
 def _row(name: str, link: str, unit: str, size: float, lever: float, *parameters: str, **more: Any) -> dict[str, Any]:
@@ -53,8 +53,10 @@ CATALOGUE: dict[str, Effect] = catalogue_of(
 )
 
 
-class XYChain(NumpyChain):
-    """The chain of one stage. Derivatives are complex steps, exact to rounding."""
+class XYChain(ComplexChain):
+    """The chain of one stage. Its derivatives are complex steps."""
+
+    joints, read = 2, 2
 
     def __init__(self, travel_mm: tuple[float, float], time_origin_s: float) -> None:
         self.half = 0.5 * np.array(travel_mm)
@@ -78,32 +80,6 @@ class XYChain(NumpyChain):
         table = table + acting(("rate_x", "rate_y"), (time_s - self.time_origin_s)[:, None] / 3600.0)
         seen = np.stack([table[:, 0] - p["turned"] * table[:, 1], table[:, 1] + p["turned"] * table[:, 0]], axis=1)
         return np.asarray(seen + np.array([p["datum_x"], p["datum_y"]]))
-
-    @staticmethod
-    def _inputs(block: Block) -> tuple[Floats, Floats, Floats]:
-        joints, _, known, push = block
-        n = len(joints)
-        return joints, np.full((n, 7), np.nan) if known is None else known, np.zeros((n, 3)) if push is None else push
-
-    def predict(self, values: Floats, block: Block) -> tuple[Floats, Bools]:
-        """Readings (n, 2), and which rows could be computed."""
-        out = self._readings(values, *self._inputs(block))
-        return out, np.isfinite(out).all(axis=1)
-
-    def derivatives(self, values: Floats, block: Block, free: Sequence[int]) -> tuple[Floats, Floats, Floats, Bools]:
-        """By the parameters ``free``, the joints and a displacement (n, 2, ·), and which rows could be computed."""
-        joints, known, push = self._inputs(block)
-
-        def along(size: int, which: Sequence[int], number: int) -> Floats:
-            columns = []
-            for k in which:
-                inputs = [values.astype(complex), joints.astype(complex), push.astype(complex)]
-                inputs[number] = inputs[number] + 1j * _STEP * np.eye(size)[k]
-                columns.append(self._readings(inputs[0], inputs[1], known, inputs[2]).imag / _STEP)
-            return np.stack(columns, axis=2) if columns else np.zeros((len(joints), 2, 0))
-
-        by_joints, by_body = along(2, range(2), 1), along(3, range(3), 2)
-        return along(len(values), free, 0), by_joints, by_body, self.predict(values, block)[1]
 
 
 @dataclass(frozen=True)
