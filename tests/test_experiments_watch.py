@@ -11,7 +11,7 @@ import pytest
 import planar_arm
 from dummies import dummy_bench, faults
 from laboratories import ROBOT, SPHERICAL
-from sherkit.data import columns
+from second_machines import apart
 from sherkit.errors import Implausible, InstrumentError
 from sherkit.lab.experiment import RunFile, plan_of_poses, run
 from sherkit.lab.laboratory.virtual import HiddenEffects, RobotOnTheBench
@@ -172,11 +172,9 @@ def test_a_row_without_a_reading_says_nothing(tmp_path):
 @pytest.fixture
 def planar():
     """The kind is known while a test runs, and to no other."""
-    layouts = list(columns.LAYOUTS)
-    kinds.register(planar_arm.KIND)
-    yield
-    del kinds.KINDS[planar_arm.KIND.name]
-    columns.LAYOUTS[:] = layouts
+    with apart():
+        kinds.register(planar_arm.KIND)
+        yield
 
 
 def test_the_smallest_robot_is_watched_too(planar, tmp_path):

@@ -16,6 +16,7 @@ import pytest
 import sherkit as sk
 from planar_arm import KIND, PlanarArm, VirtualPlanarArm
 from planar_arm.pose_sets import fan
+from second_machines import apart
 from sherkit import errors
 from sherkit.cli import main
 from sherkit.cli.demo import EXAMPLE
@@ -51,11 +52,9 @@ HIDDEN: dict[str, dict[str, Any]] = {
 @pytest.fixture(autouse=True)
 def planar() -> Iterator[None]:
     """The kind is known while a test of this file runs, and to no other."""
-    known = list(columns.LAYOUTS)
-    kinds.register(KIND)
-    yield
-    del kinds.KINDS[KIND.name]
-    columns.LAYOUTS[:] = known
+    with apart():
+        kinds.register(KIND)
+        yield
 
 
 @pytest.fixture
@@ -393,9 +392,9 @@ def test_it_is_never_taken_for_another(what: str, folder: Path, capsys: pytest.C
 def test_a_kind_that_nobody_made_known(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Catches a traceback, or another robot's model, for a robot whose folder was never registered."""
     robot, run = sk.load_robot("robot.toml"), sk.read_measurements("run.csv")
-    known, layouts = kinds.KINDS.pop("planar"), list(columns.LAYOUTS)
-    columns.LAYOUTS.remove(KIND.layout)
-    try:
+    with apart():
+        del kinds.KINDS["planar"]
+        columns.LAYOUTS.remove(KIND.layout)
         works: tuple[Callable[[], object], ...] = (
             lambda: sk.identify(robot, run),
             lambda: sk.diagnose(robot, run),
@@ -406,5 +405,3 @@ def test_a_kind_that_nobody_made_known(folder: Path, capsys: pytest.CaptureFixtu
             with pytest.raises(errors.SherkitError, match=r"planar|PlanarArm"):
                 work()
         refused(said(capsys, 1, "diagnose", "robot.toml", "run.csv"), "kind", "delta", "spherical")
-    finally:
-        kinds.KINDS["planar"], columns.LAYOUTS[:] = known, layouts

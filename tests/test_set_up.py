@@ -17,8 +17,9 @@ import sherkit as sk
 import worlds
 from planar_arm import KIND, PlanarArm, VirtualPlanarArm
 from planar_arm.pose_sets import fan
+from second_machines import apart
 from sherkit.base.types import Floats
-from sherkit.data import Measurements, columns
+from sherkit.data import Measurements
 from sherkit.errors import FitError
 from sherkit.fit import Mistake, set_up_mistakes
 from sherkit.model import kinds
@@ -170,13 +171,11 @@ def test_an_error_of_reach_names_the_mistake() -> None:
 @pytest.fixture
 def arm() -> Iterator[tuple[PlanarArm, sk.Measurements]]:
     """A planar arm and a run of it; the kind is known while a test runs."""
-    known = list(columns.LAYOUTS)
-    kinds.register(KIND)
     robot = PlanarArm((250.0, 180.0), 40.0)
     hidden = VirtualPlanarArm(robot, length_error_mm=(0.8, -0.6), offset_rad=(0.01, -0.015), noise_mm=0.005)
-    yield robot, hidden.measure(fan(robot, 8), repeats=2, order="shuffled", seed=1)
-    del kinds.KINDS[KIND.name]
-    columns.LAYOUTS[:] = known
+    with apart():
+        kinds.register(KIND)
+        yield robot, hidden.measure(fan(robot, 8), repeats=2, order="shuffled", seed=1)
 
 
 ARM: dict[str, tuple[Callable[[dict[str, Any]], dict[str, Any]], str]] = {

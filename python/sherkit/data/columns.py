@@ -91,19 +91,23 @@ class Layout:
         return tuple(bare(name) for name in self.readings)
 
 
-#: The kinds of run that were made known so far; :func:`known_layouts` are all.
+#: The kinds of run that kinds of robot have, as they were made known so far.
 LAYOUTS: list[Layout] = []
+#: Those of robots whose joints have names of their own. A robot may be there before its kind is known, and must not be
+#: what messages speak of where columns fit nothing.
+_OF_ROBOTS: list[Layout] = []
 
 
 def known_layouts() -> list[Layout]:
     """Every kind of run that a file can hold, those of the built-in robots first."""
     built_in.load()
-    return LAYOUTS
+    return [*LAYOUTS, *(one for one in _OF_ROBOTS if one not in LAYOUTS)]
 
 
-def know(*layouts: Layout) -> None:
-    """Makes kinds of run known to the readers of files."""
-    LAYOUTS.extend(one for one in layouts if one not in LAYOUTS)
+def know(*layouts: Layout, of_robot: bool = False) -> None:
+    """Makes kinds of run known to the readers of files; those of one robot come after those of all kinds."""
+    known = _OF_ROBOTS if of_robot else LAYOUTS
+    known.extend(one for one in layouts if one not in known)
 
 
 def layout_of(names: Collection[str]) -> Layout:

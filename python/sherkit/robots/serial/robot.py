@@ -193,7 +193,7 @@ class Serial(Saved, Shown):
         if not (self.has_tracker or self.centres_mm or self.planes):
             raise ShapeError("nothing reads this arm: it has neither a tracker nor centres or planes of distances")
         _ = self.nominal  # refuses numbers that are no arm
-        know(self.layout)
+        know(self.layout, of_robot=True)
 
     # -- files -------------------------------------------------------------------------------------------
 
