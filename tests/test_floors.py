@@ -21,7 +21,7 @@ FLOORS = (
     ("fit",),
     ("robots", "diagnosis"),
     ("planning", "calibration", "fleets", "printers"),
-    ("study",),
+    ("study", "adaptive"),
     ("report", "lab", "testing"),
     ("__init__",),
     ("app",),

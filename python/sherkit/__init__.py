@@ -16,6 +16,7 @@ from .base.notebook import Shown as _Shown
 if _TYPE_CHECKING:
     from . import data, diagnosis, errors, fit, lab, model, planning, report
     from ._core import __version__
+    from .adaptive import Adaptive
     from .calibration import calibrate
     from .data import Measurements, from_bluesky, from_frame, from_rosbag, read_measurements
     from .diagnosis import diagnose
@@ -30,7 +31,7 @@ if _TYPE_CHECKING:
     from .study import Study
 
 __all__ = [
-    "Effect", "Machine", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__", "calibrate",
+    "Adaptive", "Effect", "Machine", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__", "calibrate",
     "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "fleet", "from_bluesky", "from_frame",
     "from_rosbag", "identify", "lab", "load_calibration", "load_robot", "model", "planning", "read_measurements",
     "report", "save_robot", "serial", "spherical", "tool",
@@ -53,7 +54,7 @@ if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not 
     __getattr__ = _door(
         __name__,
         {
-            "Effect": "model.effect", "Machine": "robots.machine", "Measurements": "data", "SherkitError": "errors",
+            "Adaptive": "adaptive", "Effect": "model.effect", "Machine": "robots.machine", "Measurements": "data", "SherkitError": "errors",
             "SherkitWarning": "errors", "Study": "study", "__version__": "_core", "calibrate": "calibration",
             "diagnose": "diagnosis",
             "effect": "model.effect", "fleet": "fleets", "from_bluesky": "data", "from_frame": "data",

@@ -1,0 +1,5 @@
+"""Measuring until it is known: the robot chooses its next poses itself."""
+
+from .loop import Adaptive
+
+__all__ = ["Adaptive"]

@@ -1,0 +1,193 @@
+"""What a loop says of all that it was told: verdict, names, ties, what stayed unseen, how far off the robot may be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy
+
+from ..base import linalg
+from ..base.names import listed
+from ..base.types import Floats
+from ..data.columns import unit_in
+from ..diagnosis import Diagnosis, diagnose
+from ..diagnosis.checks import Check
+from ..diagnosis.fitted_run import FittedRun
+from ..errors import SherkitError
+from ..fit.identify import Fit, identify
+from . import rule
+from .choice import is_beyond
+from .look import Keys, Look
+from .silence import ALARM, is_silent, noise_of_look, sentences
+
+if TYPE_CHECKING:
+    from .loop import Adaptive
+
+#: Places at which the accuracy is asked, and the share of cases that it holds for.
+_PLACES, _SHARE = 60, 0.95
+#: Sets that are still a tie; more are no answer.
+_MOST_TIED = 6
+#: Part of the budget after which it is asked whether the rest would tell more.
+_LATE = 0.6
+
+
+@dataclass(frozen=True, eq=False)
+class Conclusion:
+    """What is known. ``evidence`` is that of the leading three, as natural logarithms of weight times Bayes factor."""
+
+    verdict: str = "undecided"
+    done: bool = False
+    why: str = ""
+    effects: tuple[str, ...] = ()
+    indistinguishable: tuple[tuple[str, ...], ...] = ()
+    notes: tuple[str, ...] = ()
+    evidence: tuple[tuple[str, float], ...] = ()
+    accuracy_um: float | None = None
+    pattern: str = ""
+    make: Callable[[], Diagnosis] | None = field(default=None, repr=False)
+
+    @cached_property
+    def diagnosis(self) -> Diagnosis:
+        """The diagnosis of all rows, whose verdict is this."""
+        assert self.make is not None, "rows were told"
+        return _agreeing(self.make(), self)
+
+
+def conclude(loop: Adaptive) -> Conclusion:
+    """What follows from the rows of a loop."""
+    found, state = loop.last, loop.state
+    if loop.readings == 0:
+        return Conclusion()
+
+    def make() -> Diagnosis:
+        data = loop.data
+        aside = loop.last.aside if loop.last else np.zeros(0, dtype=np.int64)
+        return diagnose(identify(loop.robot, data.mark_outliers(aside) if len(aside) else data), seed=loop.seed)
+
+    if found is None:
+        return Conclusion(make=make)
+    spent = _spent(loop)
+    verdict, done, why = state.verdict, state.done, state.why
+    effects, tied = state.named, ()
+    notes = list(sentences(loop.seen, found.data.layout.unit, found.data.layout.per_unit, found.family.untestable))
+    # a verdict of silence rests on what would have been seen; beside a name it is only told
+    accuracy = None
+    pattern = found.shapes[0][0][0][0] if found.shapes and verdict == "unexplained" else ""
+    if verdict == "unexplained":
+        why = f"{why}: what is left looks like {_words(found.shapes[0][0])}" if found.shapes else why
+        effects = ()
+    if not done and (spent or (state.alarmed and found.readings >= max(_LATE * loop.budget, 4 * rule.FEWEST)
+                             and len(rule.ties(found)) > 1 and is_beyond(found, rule.ties(found)[:2], loop.budget, _longer(loop)))):
+        verdict, effects, tied, why = _at_the_end(loop, found, spent)
+        done = True
+    if verdict == "explained" and (done or state.done):
+        lead = found.lead
+        if lead is not None:
+            accuracy = accuracy_um(loop, found, lead.fit)
+        needed = loop.required_um
+        if state.done and not spent and needed is not None and accuracy is not None and accuracy > needed:
+            more = found.readings * (accuracy / needed) ** 2
+            if more <= loop.budget:
+                done, why = False, ""
+            else:
+                notes.insert(0, f"{needed:g} µm is not reached: {accuracy:.3g} µm, and the readings that the budget leaves "
+                                "would not bring it")  # fmt: skip
+    elif verdict == "adequate" and done:
+        accuracy = accuracy_um(loop, found, found.fit)
+    best = [(" & ".join(name for name, _ in keys), value) for keys, value in found.sets[:3]]
+    return Conclusion(
+        verdict, done, why if done else "", effects if done or state.named else (), tied,
+        tuple(notes) if done else (), tuple(best), accuracy, pattern, make,
+    )  # fmt: skip
+
+
+def _spent(loop: Adaptive) -> str:
+    if loop.readings >= loop.budget:
+        return f"the budget of {loop.budget} readings is spent"
+    data = loop.last.data if loop.last else None
+    if loop.minutes and data is not None and data.time_s is not None and np.ptp(data.time_s) >= 60.0 * loop.minutes:
+        return f"the budget of {loop.minutes:g} minutes is spent"
+    return ""
+
+
+def _longer(loop: Adaptive) -> float:
+    """Seconds to a moment that is late enough to tell what lives in time."""
+    left = 3600.0 if not loop.minutes else 60.0 * loop.minutes
+    return max(left, 120.0 * loop.span_min)
+
+
+def _at_the_end(
+    loop: Adaptive, found: Look, spent: str
+) -> tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], str]:
+    """Verdict, effects, ties and reason where nothing stands alone and no more is read."""
+    why = spent or "no reachable pose, and no later moment, tells what is left apart"
+    if found.log_evidence < np.log(ALARM):
+        if is_silent(found, loop.seen):
+            return "adequate", (), (), f"{why}; nothing is missing that these rows would have shown"
+        return "undecided", (), (), why
+    shape = found.shapes[0][1] if found.shapes else -np.inf
+    ties = rule.ties(found)
+    lead = found.lead
+    if lead is None or not ties:
+        return "unexplained", (), (), why
+    if shape > found.value(lead.keys) + np.log(1e3) or lead.rest > np.log(1e4):
+        return "unexplained", (), (), why
+    names = tuple(" & ".join(sorted(name for name, _ in keys)) for keys in ties)
+    effects = tuple(sorted(name for name, _ in ties[0]))
+    settled = shape < found.value(ties[0]) - np.log(1e3) and lead.rest < np.log(ALARM)
+    if len(names) == 1:
+        return ("explained" if settled else "partly explained"), effects, (), why
+    if len(names) > _MOST_TIED:
+        return "undecided", (), (), f"{why}; {len(names)} effects or pairs explain as well"
+    return ("explained" if settled else "partly explained"), effects, (names,), why
+
+
+def _words(keys: Keys) -> str:
+    return " & ".join(name for name, _ in keys)
+
+
+@linalg.one_thread()
+def accuracy_um(loop: Adaptive, found: Look, fit: Fit) -> float | None:
+    """How far off the model's readings may be anywhere in the region, in 95 of 100 cases, µm: the largest over places.
+
+    From the covariance of what was fitted, unobserved directions at their plausible sizes; readings in other units than
+    mm count by what a joint moves. None where readings are no lengths.
+    """
+    family = found.family
+    names = [fit.data.layout.readings[a] for a in family.axes]
+    if not all(unit_in(name) == "mm" for name in names):
+        return None
+    from .choice import later
+
+    places = family.region.spread(_PLACES, loop.seed + 1)
+    rows = later(found.data, places, 0.0, np.random.default_rng(loop.seed))
+    try:
+        by = fit.model.derivatives(rows, fit.values)[:, list(family.axes)]
+    except SherkitError:
+        return None
+    noise = noise_of_look(found)
+    covariance = fit.covariance * (noise / max(fit.scale, 1e-300)) ** 2 + fit.unobserved_covariance
+    each = np.einsum("nmp,pq,nkq->nmk", by, covariance, by)
+    largest = np.linalg.eigvalsh(each)[:, -1].clip(0.0)
+    return float(1e3 * np.sqrt(scipy.stats.chi2.ppf(_SHARE, len(names)) * largest.max()))
+
+
+def _agreeing(d: Diagnosis, said: Conclusion) -> Diagnosis:
+    """A diagnosis with the verdict of the loop, which counts every look; where both agree, as it is."""
+    if d.verdict == said.verdict and set(d.effects) == set(said.effects):
+        return replace(d, notes=(*d.notes, *said.notes))
+    why = said.why or "it is not known yet"
+    praise = said.verdict in ("adequate", "explained")
+    check = Check(
+        "evidence", "the evidence of all looks decides", f"{len(d.fit.data)} rows, each look counted",
+        f"{said.verdict}: {why}", holds=praise, decisive=True, fails=why,
+    )  # fmt: skip
+    others = tuple(replace(one, decisive=False) if praise else one for one in d.checks)
+    return replace(
+        d, verdict=said.verdict, effects=said.effects, indistinguishable=said.indistinguishable,
+        checks=(check, *others), notes=(*d.notes, *said.notes),
+    )  # fmt: skip

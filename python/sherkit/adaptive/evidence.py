@@ -1,0 +1,166 @@
+"""Evidence that may be looked at as often as one likes: Bayes factors whose weighted mean is an e-process.
+
+Each hypothesis adds columns to what the model fits. Its Bayes factor against the model alone has a flat prior on what
+the model fits, Jeffreys' on the noise, and coefficients that are normal with a standard deviation of
+:data:`SIZES` times the noise on the reference. Under "nothing is missing" such a factor is the ratio of two densities of
+the same maximal invariant, so that its mean over looks never rises; by Ville's inequality a weighted mean of them
+exceeds 1/α at any look with a chance of α at most (Grünwald, de Heide and Koolen, "Safe testing", J. R. Stat. Soc. B
+2024; Pérez-Ortiz, Lardy, de Heide and Grünwald, "E-statistics, group invariance and anytime-valid testing", Ann. Stat.
+2024). No number of looks and no budget is in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..base import linalg
+from ..base.types import Floats
+from ..diagnosis.linearised import orthonormal
+from .family import Family, Key
+
+#: Sizes of coefficients that are expected, in noises on the reference, each as likely.
+SIZES = (0.7, 2.0, 6.0, 20.0, 60.0)
+#: Part of the residual that is rounding.
+_EXACT = 1e-18
+#: Pairs looked at: of the first so many effects with every other.
+_FIRST = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """Logarithms of the Bayes factors of all hypotheses beside a base, and the settings that are likeliest."""
+
+    log_bf: dict[str, float]
+    setting: dict[str, float | None]
+    log_mean: float
+
+
+class Evidence:
+    """What a residual (N,) says of columns beside those of the model, all over the noise of each reading.
+
+    ``own`` (N, p) is what the model fits, ``tried`` maps hypotheses to their columns (N, k).
+    """
+
+    def __init__(self, family: Family, residual: Floats, own: Floats, tried: Mapping[str, Floats]) -> None:
+        self.family = family
+        self.own, self.raw_residual, self.tried = own, residual, tried
+        self.basis = orthonormal(own)
+        ends = np.cumsum([0, *(columns[0].size for columns in tried.values())])
+        self.place = {name: slice(a, b) for name, a, b in zip(tried, ends[:-1], ends[1:], strict=True)}
+        columns = np.concatenate([c.reshape(len(residual), -1) for c in (*tried.values(), np.zeros((len(residual), 0)))], 1)
+        self.columns = columns - self.basis @ (self.basis.T @ columns)
+        self.residual = residual - self.basis @ (self.basis.T @ residual)
+        self.free = len(residual) - self.basis.shape[1]
+        self._whole = float(residual @ residual)
+
+    def raw(self, key: Key) -> Floats:
+        """Columns (N, k) of a hypothesis at a setting."""
+        return np.asarray(self.tried[key[0]][:, self._number(key)])
+
+    def left(self, key: Key) -> Floats:
+        """What the model leaves of them."""
+        width = self.tried[key[0]].shape[2]
+        begin = self.place[key[0]].start + self._number(key) * width
+        return self.columns[:, begin : begin + width]
+
+    def _number(self, key: Key) -> int:
+        return self.family.by_name[key[0]].settings.index(key[1])
+
+    @cached_property
+    def alone(self) -> Weighed:
+        """Beside the model alone."""
+        return self._weighed(self.columns, self.residual, self.free)
+
+    def beside(self, keys: Iterable[Key]) -> Weighed:
+        """Beside the model with these hypotheses in it."""
+        keys = tuple(keys)
+        basis = orthonormal(np.concatenate([self.left(key) for key in keys], axis=1))
+        rest = self.columns - basis @ (basis.T @ self.columns)
+        left = self.residual - basis @ (basis.T @ self.residual)
+        return self._weighed(rest, left, self.free - basis.shape[1], without={name for name, _ in keys})
+
+    def _weighed(self, columns: Floats, residual: Floats, free: int, without: Iterable[str] = ()) -> Weighed:
+        squares = float(residual @ residual)
+        told = free > 0 and squares > _EXACT * self._whole
+        answers = columns.T @ residual
+        log_bf: dict[str, float] = {}
+        setting: dict[str, float | None] = {}
+        for name, at in self.place.items():
+            if name in without:
+                continue
+            h = self.family.by_name[name]
+            count = len(h.settings)
+            found = np.zeros(count)
+            if told:
+                some = columns[:, at].reshape(len(residual), count, -1).transpose(1, 2, 0)
+                found = log_bayes(some @ some.transpose(0, 2, 1), answers[at].reshape(count, -1), squares, free)
+            log_bf[name], setting[name] = _log_sum(found) - float(np.log(count)), h.settings[int(np.argmax(found))]
+        shares = np.array([self.family.by_name[name].weight for name in log_bf])
+        mean = _log_sum(np.array(list(log_bf.values())) + np.log(shares / shares.sum())) if log_bf else 0.0
+        return Weighed(log_bf, setting, mean)
+
+    def sets(self) -> dict[tuple[Key, ...], float]:
+        """Logarithms of weight times Bayes factor of every hypothesis alone and of pairs of effects.
+
+        Two effects are looked for beside one another for the first :data:`_FIRST` of them, that is for pairs of which
+        one shows alone.
+        """
+        alone = self.alone
+        by_name = self.family.by_name
+        out: dict[tuple[Key, ...], float] = {
+            ((name, alone.setting[name]),): float(np.log(by_name[name].weight)) + value
+            for name, value in alone.log_bf.items()
+        }
+        pairs: dict[tuple[str, str], tuple[float, tuple[Key, ...]]] = {}
+        effects = sorted((h.name for h in self.family.effects if h.name in alone.log_bf), key=lambda n: -alone.log_bf[n])
+        share = float(np.log(self.family.weight(effects[:2]))) if len(effects) > 1 else 0.0
+        for first in effects[:_FIRST]:
+            key = (first, alone.setting[first])
+            if first not in self.place:
+                continue
+            given = self.beside([key])
+            for other in effects:
+                if other != first:
+                    pair = tuple(sorted([key, (other, given.setting[other])], key=lambda one: one[0]))
+                    value = share + alone.log_bf[first] + given.log_bf[other]
+                    names = (pair[0][0], pair[1][0])
+                    if names not in pairs or value > pairs[names][0]:
+                        pairs[names] = (value, pair)
+        return out | {pair: value for value, pair in pairs.values()}
+
+
+def log_bayes(squares: Floats, answers: Floats, left: float, free: int) -> Floats:
+    """Logarithms (v,) of Bayes factors of columns beside a base: their ``squares`` (v, k, k), their products with the
+    residual ``answers`` (v, k), the residual's own square ``left`` and its degrees of freedom."""
+    value, vector = linalg.eigh(squares)
+    value = value.clip(0.0)
+    along = np.einsum("vjk,vj->vk", vector, answers) ** 2
+    sizes = []
+    for size in SIZES:
+        taken = (along * size**2 / (1.0 + size**2 * value)).sum(axis=1) / left
+        sizes.append(-0.5 * np.log1p(size**2 * value).sum(axis=1) - 0.5 * free * np.log1p(-taken.clip(0.0, 1.0 - 1e-12)))
+    top = np.max(sizes, axis=0)
+    return np.asarray(top + np.log(np.mean(np.exp(sizes - top), axis=0)))
+
+
+def log_bayes_at(squares: Floats, answers: Floats, told: float, base: float, free: int) -> float:
+    """The same of one hypothesis that was fitted in full, to first order about that fit: the ``squares`` (k, k) of its
+    columns, their products ``answers`` (k,) with what it has to tell, the square ``told`` of that, and the square of
+    the residual that the ``base`` leaves."""
+    value, vector = linalg.eigh(squares)
+    value, along = value.clip(0.0), (vector.T @ answers) ** 2
+    sizes = []
+    for size in SIZES:
+        left = told - float((along * size**2 / (1.0 + size**2 * value)).sum())
+        sizes.append(-0.5 * float(np.log1p(size**2 * value).sum()) - 0.5 * free * np.log(max(left / base, 1e-12)))
+    return _log_sum(np.array(sizes)) - float(np.log(len(SIZES)))
+
+
+def _log_sum(values: Floats) -> float:
+    """The logarithm of a sum of exponentials."""
+    top = float(values.max())
+    return top + float(np.log(np.exp(values - top).sum()))

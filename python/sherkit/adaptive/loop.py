@@ -1,0 +1,390 @@
+"""The loop: asks for rows, is told what was read, and knows when it is enough."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import polars as pl
+
+from ..base import linalg
+from ..base.arguments import Count, Level, NotNegative, Positive, Seed, as_annotated
+from ..base.types import Floats
+from ..data import Measurements, from_frame, read_measurements
+from ..data.columns import POSE, REPEAT, TIME
+from ..data.files import write_whole
+from ..diagnosis import Diagnosis
+from ..errors import ExperimentError, MeasurementError
+from ..fit.error import axes_of
+from ..model.kinds import kind_of, model_of, required_um, robot_from_tables
+from ..model.robot_file import RobotLike, load_robot, run_for
+from . import rule
+from .choice import choose, rivals
+from .conclusion import conclude
+from .family import Family
+from .look import Look, look, rows_in_time
+from .region import Places, Region
+from .rule import State
+from .silence import Unseen, outlook
+
+#: Readings to begin with at least, and those beyond the parameters; in a batch; and in all, unless it is said.
+_START, _BEYOND, _BATCH, _BUDGET = 12, 8, 6, 400
+#: Readings over which the rest of the span is spread where nothing shows, and from which on.
+_SPREAD_TO, _SPREAD_FROM = 60, 24
+#: Moments over the span that are driven to where rivals live in time.
+_MOMENTS = 45
+_WHERE = "sherkit adaptive loop"
+
+
+class Adaptive:
+    """Chooses poses, is told what was read there, and ends when it is known what is missing.
+
+    ``required_um`` is the accuracy that the robot is for (its file's, if left out), ``budget`` the most readings,
+    ``span_min`` over how many minutes it is to be judged, ``box`` maps joints or coordinates to (low, high) where less
+    than the whole workspace is meant, ``level`` is the chance of an alarm at any look where nothing is missing,
+    ``batch`` how many readings lie between two looks. Raises :class:`~sherkit.errors.ExperimentError` for a robot whose
+    file does not say how far it may go.
+
+        loop = sk.Adaptive("robot.toml", required_um=20, budget=400, span_min=30)
+        while not loop.done:
+            loop.tell(measure(loop.ask()))
+        print(loop.verdict, loop.effects)
+
+    The rule is in :mod:`~sherkit.adaptive.rule`, the evidence in :mod:`~sherkit.adaptive.evidence`. All that it holds
+    follows from the rows.
+    """
+
+    @as_annotated
+    def __init__(
+        self,
+        robot: RobotLike,
+        *,
+        required_um: Positive | None = None,
+        budget: Count = _BUDGET,
+        span_min: NotNegative = 0.0,
+        box: Mapping[str, Sequence[float]] | None = None,
+        level: Level = 0.01,
+        batch: Count = _BATCH,
+        seed: Seed = 0,
+        minutes: Positive | None = None,
+    ) -> None:
+        self.robot = load_robot(robot) if isinstance(robot, str | PathLike) else robot
+        self.model = model_of(self.robot)
+        self.layout = kind_of(self.robot).layout
+        self.required_um = required_um if required_um is not None else _required(self.robot)
+        self.budget, self.span_min, self.level, self.batch, self.seed = budget, span_min, level, batch, seed
+        self.minutes = minutes
+        self.box = {name: [float(end) for end in ends] for name, ends in (box or {}).items()}
+        self.region = Region.of(self.model, self.layout, self.box)
+        self._frame = pl.DataFrame()
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self._family: Family | None = None
+        self._looks: list[tuple[Look, State, tuple[Unseen, ...]]] = []
+        self._asked: list[dict[str, Any]] = []
+        self._asked_at = -1
+
+    # -- what it holds -----------------------------------------------------------------------------------
+
+    @cached_property
+    def start(self) -> int:
+        """Readings before the first look: as many as tell the parameters, and a few more."""
+        axes = max(len(self.layout.coordinates), 1)
+        return min(max(_START, -(-(len(self.model.parameters) + _BEYOND) // axes)), self.budget)
+
+    @property
+    def readings(self) -> int:
+        """Rows that were told."""
+        return self._frame.height
+
+    @property
+    def data(self) -> Measurements:
+        """What was told, in the order of time. Raises :class:`~sherkit.errors.MeasurementError` before the first row."""
+        return rows_in_time(self._read(self._frame))
+
+    @property
+    def last(self) -> Look | None:
+        """The last look."""
+        return self._looks[-1][0] if self._looks else None
+
+    @property
+    def looks(self) -> tuple[Look, ...]:
+        """Every look so far."""
+        return tuple(found for found, _, _ in self._looks)
+
+    @property
+    def state(self) -> State:
+        """What is held after the last look."""
+        return self._looks[-1][1] if self._looks else State()
+
+    @property
+    def done(self) -> bool:
+        """Whether it is known, or cannot be, or the budget is spent."""
+        return self.conclusion.done
+
+    @property
+    def verdict(self) -> str:
+        """``adequate``, ``explained``, ``partly explained``, ``unexplained`` or ``undecided``; so far until it is
+        done."""
+        return self.conclusion.verdict
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The effects that are missing; the leading ones where others explain as well."""
+        return self.conclusion.effects
+
+    @property
+    def indistinguishable(self) -> tuple[tuple[str, ...], ...]:
+        """Groups of effects that these rows cannot tell apart, the leading one first."""
+        return self.conclusion.indistinguishable
+
+    @property
+    def why(self) -> str:
+        """Why it ended, in a sentence; empty while it goes on."""
+        return self.conclusion.why
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What could not be seen and from which size on it would have been, and what else is to be known."""
+        return self.conclusion.notes
+
+    @property
+    def accuracy_um(self) -> float | None:
+        """How far off the calibrated robot may be anywhere in the region, in 95 of 100 cases; None where it is not
+        known yet."""
+        return self.conclusion.accuracy_um
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """The diagnosis of all rows, with the verdict of the loop. Raises :class:`~sherkit.errors.FitError` while they
+        are too few."""
+        return self.conclusion.diagnosis
+
+    @property
+    def conclusion(self) -> Any:
+        """All of the above, made once for the rows that there are."""
+        if self._concluded is None or self._concluded[0] != self.readings:
+            self._concluded = (self.readings, conclude(self))
+        return self._concluded[1]
+
+    _concluded: tuple[int, Any] | None = None
+
+    # -- asking ------------------------------------------------------------------------------------------
+
+    def ask(self) -> list[dict[str, Any]]:
+        """The rows to read next, in this order: ``pose`` and ``repeat``, the joints as a run file names them, where
+        they lead, the ``reason``, and ``not_before_s``, the run's clock before which a row should not be read (0 where
+        that does not matter). Empty once it is done."""
+        if self.done:
+            return []
+        boundary = self._boundary
+        if self._asked_at != boundary:
+            self._asked, self._asked_at = self._planned(boundary), boundary
+        told = set(self._told_poses())
+        missing = boundary - self.readings
+        left = [one for one in self._asked if (one[POSE], one[REPEAT]) not in told]
+        return left[:missing] if len(left) >= missing else [*left, *self._more(missing - len(left), boundary)]
+
+    @property
+    def _boundary(self) -> int:
+        """How many rows there are at the next look."""
+        looked = self.last.readings if self.last else 0
+        return min(looked + self.batch if looked else self.start, self.budget)
+
+    def _told_poses(self) -> list[tuple[int, int]]:
+        if not {POSE, REPEAT} <= set(self._frame.columns):
+            return []
+        return [(int(p), int(r)) for p, r in self._frame.select(POSE, REPEAT).iter_rows() if p is not None]
+
+    def _next_pose(self) -> int:
+        return max([0, *(pose for pose, _ in self._told_poses())]) + 1
+
+    def _planned(self, boundary: int) -> list[dict[str, Any]]:
+        rng = np.random.default_rng([self.seed, boundary])
+        found = self.last
+        if found is None:
+            places = self.region.spread(boundary, self.seed)
+            order = rng.permutation(boundary)
+            return [self._row(places.pick([k]), "start", self._next_pose() + i) for i, k in enumerate(order)]
+        count = boundary - found.readings
+        rows = self._again(found)[: max(count // 2, 1)]
+        pace_s, waits = self._pace(found, self.state)
+        chosen = choose(found, count - len(rows), self.state.alarmed, rng, pace_s)
+        first = self._next_pose()
+        rows += [self._row(one.places, "time" if waits and one.reason in ("all", "confirm") else one.reason, first + i)
+                 for i, one in enumerate(chosen)]  # fmt: skip
+        if waits:
+            clock = float(self.data.time_s.max())  # type: ignore[union-attr]
+            for i, row in enumerate(rows):
+                row["not_before_s"] = clock + (i + 1) * pace_s
+        return rows
+
+    def _more(self, count: int, boundary: int) -> list[dict[str, Any]]:
+        """Rows anywhere in place of those that came back as others than were asked."""
+        rng = np.random.default_rng([self.seed, boundary, self.readings])
+        places = self.region.anywhere(count, rng)
+        first = max([self._next_pose() - 1, *(one[POSE] for one in self._asked)]) + 1
+        return [self._row(places.pick([k]), "explore", first + k) for k in range(count)]
+
+    def _row(self, places: Places, reason: str, pose: int, repeat: int = 1) -> dict[str, Any]:
+        row: dict[str, Any] = {POSE: pose, REPEAT: repeat}
+        row |= dict(zip(self.layout.joints, places.joints[0].tolist(), strict=True))
+        row |= dict(zip(self.region.targets, places.targets[0].tolist(), strict=True))
+        row |= {name: 1 + pose % count for name, count in _apart(self.robot, self.layout.apart).items()}
+        return row | {"reason": reason, "not_before_s": 0.0}
+
+    def _again(self, found: Look) -> list[dict[str, Any]]:
+        """Rows that were set aside, driven once more each."""
+        data, out = found.data, []
+        if data.pose is None or data.repeat is None:
+            return []
+        for row in found.aside.tolist():
+            pose = int(data.pose[row])
+            repeats = [r for p, r in self._told_poses() if p == pose]
+            if len(repeats) == 1:
+                places = Places(data.joints[[row]], self.region.reached_at(data.joints[[row]]))
+                out.append(self._row(places, "again", pose, max(repeats) + 1))
+        return out
+
+    def _pace(self, found: Look, state: State) -> tuple[float, bool]:
+        """Seconds between rows to come, and whether they are worth waiting for."""
+        time_s, span_s = found.data.time_s, 60.0 * self.span_min
+        if time_s is None or len(time_s) < 2:
+            return 0.0, False
+        driven = float(np.ptp(time_s))
+        own = driven / (len(time_s) - 1)
+        if state.alarmed:
+            by_name = found.family.by_name
+            near = rivals(found)
+            effects = [keys for keys in near if not found.is_shape(keys)]
+            lives = any(by_name[name].in_time for keys in effects[:3] for name, _ in keys)
+            pace = max(span_s, 1800.0) / _MOMENTS
+            return (pace, True) if lives and pace > own else (own, False)
+        if found.readings >= _SPREAD_FROM and driven < span_s:
+            pace = (span_s - driven) / max(_SPREAD_TO - self.batch - found.readings, self.batch)
+            return (pace, True) if pace > own else (own, False)
+        return own, False
+
+    # -- telling -----------------------------------------------------------------------------------------
+
+    def tell(self, rows: Any) -> None:
+        """Takes what was read: rows as they were asked, with readings and any other column, as a list of dicts, a frame,
+        columns by name, measurements or a file. Rows may be fewer, more, later or elsewhere than asked; those that were
+        told before are known. Raises :class:`~sherkit.errors.MeasurementError` for what are no rows of this robot, and
+        nothing is taken then."""
+        frame = _frame_of(rows)
+        if not frame.height:
+            return
+        drop = [name for name in ("reason", "not_before_s") if name in frame.columns]
+        # where joints lead is what is asked, where readings are not the same columns
+        drop += [n for n in self.region.targets if n in frame.columns and n not in self.layout.readings]
+        frame = frame.drop(drop)
+        whole = pl.concat([self._frame, frame], how="diagonal_relaxed") if self._frame.height else frame
+        same = [name for name in (POSE, REPEAT, TIME, *self.layout.joints, *self.layout.readings) if name in whole.columns]
+        whole = whole.unique(subset=same, keep="first", maintain_order=True)
+        data = self._read(whole)
+        late = self._frame.height and TIME in whole.columns and self._looks and data.time_s is not None
+        if late and (data.time_s[self._frame.height :] < data.time_s[: self._frame.height].max()).any():  # type: ignore[index]
+            self._begin_anew()
+        self._frame = whole
+        self._advance()
+
+    def _read(self, frame: pl.DataFrame) -> Measurements:
+        return self.model.as_declared(run_for(self.robot, from_frame(frame, "the rows told")))
+
+    @linalg.one_thread()
+    def _advance(self) -> None:
+        """Looks wherever a batch is whole."""
+        while self.readings >= self._boundary and (not self._looks or self.last.readings < self._boundary):  # type: ignore[union-attr]
+            data = self.data
+            some = data.select(np.arange(self._boundary))
+            if self._family is None:
+                axes = axes_of(some)
+                self._family = Family.of(
+                    self.model.counted_from(some.begins_s), self.region, some, axes, max(60.0 * self.span_min, 600.0)
+                )
+            found = look(self._family, some)
+            seen = outlook(found)
+            spanned = some.time_s is None or float(np.ptp(some.time_s)) >= 60.0 * self.span_min * (1 - 1e-9)
+            state = rule.after(self.state, found, seen, spanned=spanned)
+            self._looks.append((found, state, seen))
+
+    @property
+    def seen(self) -> tuple[Unseen, ...]:
+        """What the last look would have seen."""
+        return self._looks[-1][2] if self._looks else ()
+
+    # -- keeping -----------------------------------------------------------------------------------------
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Writes robot, settings and rows as JSON, whole or not at all."""
+        frame = self._frame
+        text = json.dumps(
+            {
+                "kind": _WHERE,
+                "robot": self.robot.to_tables(),
+                "settings": {
+                    "required_um": self.required_um, "budget": self.budget, "span_min": self.span_min, "box": self.box,
+                    "level": self.level, "batch": self.batch, "seed": self.seed, "minutes": self.minutes,
+                },
+                "rows": {name: frame[name].to_list() for name in frame.columns},
+            },
+            indent=1,
+        )  # fmt: skip
+        write_whole(path, text + "\n")
+
+    @classmethod
+    def load(cls, path: str | PathLike[str], robot: RobotLike | None = None) -> Self:
+        """The loop of a file, as it was; ``robot`` is only needed for a machine that is no file. Raises
+        :class:`~sherkit.errors.ExperimentError` for what is no such file."""
+        where = Path(path)
+        try:
+            held = json.loads(where.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ExperimentError(f"{where}: cannot be read: {error.strerror or error}") from None
+        except ValueError as error:
+            raise ExperimentError(f"{where}: is no JSON: {error}") from None
+        if not isinstance(held, dict) or held.get("kind") != _WHERE or not {"robot", "settings", "rows"} <= set(held):
+            raise ExperimentError(f"{where}: is no file of an adaptive loop, as its save() writes one")
+        loop = cls(robot if robot is not None else robot_from_tables(held["robot"], f"{where}: robot"), **held["settings"])
+        if held["rows"]:
+            loop.tell(held["rows"])
+        return loop
+
+
+def _required(robot: Any) -> float | None:
+    return required_um(robot)
+
+
+def _frame_of(rows: Any) -> pl.DataFrame:
+    """Rows in any form as a frame."""
+    if isinstance(rows, Measurements):
+        return rows.to_frame()
+    if isinstance(rows, str | PathLike):
+        return read_measurements(Path(rows)).to_frame()
+    if isinstance(rows, Sequence) and all(isinstance(row, Mapping) for row in rows):
+        return pl.DataFrame([dict(row) for row in rows], infer_schema_length=None, strict=False) if rows else pl.DataFrame()
+    from ..data.frames import to_polars
+
+    try:
+        return to_polars(rows)
+    except MeasurementError:
+        raise MeasurementError(
+            f"tell: expected rows as a list of dicts, a frame, columns by name or a file; got {type(rows).__name__}"
+        ) from None
+
+
+def _apart(robot: Any, names: tuple[str, ...]) -> dict[str, int]:
+    """Columns that number what is read, and how many there are, where there are several."""
+    targets = len(getattr(robot, "targets_mm", (0,)))
+    return {"target": targets} if "target" in names and targets > 1 else {}
+
+
+def _span(values: Floats) -> float:
+    return float(np.ptp(values)) if len(values) else 0.0

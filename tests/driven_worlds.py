@@ -1,0 +1,256 @@
+"""Machines that are driven row by row: the second simulators, as a loop that chooses its own poses meets them.
+
+A world has a clock: a reading takes some seconds, and no row is read before the moment that it asks for. What is hidden
+is as large as a fit of the geometry leaves so many noises of it, on poses over the whole workspace and half an hour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import sherkit as sk
+from second_simulator.geometry import NOMINAL_CONFIG, Robot, draw_geometric_errors
+from second_simulator.plans import grid, make_plan
+from second_simulator.simulate import fitted_directions, scaled_effect, truth
+from second_simulator.spherical import SPHERICAL_EFFECTS, spherical_plan
+from sherkit.model.kinds import robot_from_tables
+from sherkit.robots.serial import VirtualSerial
+from test_arm_counted import arm_in
+from test_serial import NOISE_MM, PLAIN, hidden_at
+from test_spherical_discovery import NOISE_PX, PLANS, ROBOT, real_robot
+
+Floats = NDArray[np.float64]
+Rows = list[dict[str, Any]]
+
+#: Over which time what lives in it is sized, s, and how long a reading takes.
+SPAN_S, PACE_S = 1800.0, 4.0
+
+
+class World:
+    """What all worlds share: the clock, the room, the noise."""
+
+    joints: tuple[str, ...]
+    readings: tuple[str, ...]
+    robot: Any
+
+    def __init__(self, seed: int, noise: float, pace_s: float = PACE_S) -> None:
+        self.rng = np.random.default_rng([seed, 77])
+        self.noise, self.pace_s = noise, pace_s
+        self.phases = self.rng.uniform(0.0, 2.0 * np.pi, 4)
+        self.clock_s = 0.0
+        self.told: dict[str, Floats] | None = None
+
+    def room(self, time_s: Floats) -> dict[str, Floats]:
+        """Temperature and humidity at these moments."""
+        a, b, c, _ = self.phases
+        warming = 2.0 * (1.0 - np.exp(-time_s / 3600.0))
+        return {
+            "temperature_c": 20.0 + warming + 0.4 * np.sin(time_s / 900.0 + a) + 0.2 * np.sin(time_s / 310.0 + b),
+            "humidity_pct": 45.0 + 4.0 * np.sin(time_s / 1300.0 + c),
+        }
+
+    def exact(self, columns: Mapping[str, Floats]) -> Floats:
+        """Readings (n, m) without noise, of all rows so far."""
+        raise NotImplementedError
+
+    def read(self, asked: Rows) -> Rows:
+        """Drives to the rows asked for and reads."""
+        moments = []
+        for row in asked:
+            self.clock_s = max(self.clock_s + self.pace_s, float(row.get("not_before_s", 0.0)))
+            moments.append(self.clock_s)
+        time_s = np.array(moments)
+        new = {name: np.array([float(row[name]) for row in asked]) for name in ("pose", "repeat", *self.joints)}
+        new |= {"time_s": time_s, **self.room(time_s)}
+        old = self.told
+        self.told = new if old is None else {name: np.concatenate([old[name], new[name]]) for name in new}
+        seen = self.exact(self.told)[-len(asked) :]
+        seen = seen + self.noise * self.rng.normal(size=seen.shape)
+        whole = ("pose", "repeat")
+        return [
+            {name: int(v[k]) if name in whole else float(v[k]) for name, v in new.items()}
+            | dict(zip(self.readings, seen[k].tolist(), strict=True))
+            for k in range(len(asked))
+        ]
+
+    def missed(self, fit: sk.fit.Fit, joints: Floats) -> Floats:
+        """How far (n,) a fit is off at new joints, read at once and without noise, in the unit of the readings."""
+        assert self.told is not None, "something was read"
+        n = len(joints)
+        columns = dict(zip(self.joints, joints.T, strict=True))
+        columns |= {"pose": np.arange(n) + 1e6, "repeat": np.ones(n), "time_s": self.clock_s + np.arange(n)}
+        columns |= self.room(columns["time_s"])
+        whole = {name: np.concatenate([self.told[name], columns[name]]) for name in self.told}
+        true = self.exact(whole)[-n:]
+        filled = whole | dict(zip(self.readings, self.exact(whole).T, strict=True))
+        data = fit.model.as_declared(sk.from_frame(filled))
+        predicted = fit.model.predict(data, fit.values)[-n:]
+        return np.linalg.norm(true - predicted[:, : true.shape[1]], axis=1)
+
+
+class DrivenDelta(World):
+    """The linear delta of the second simulator."""
+
+    joints, readings = ("q1_mm", "q2_mm", "q3_mm"), ("x_mm", "y_mm", "z_mm")
+
+    def __init__(
+        self, seed: int, hidden: Sequence[str] = (), ratio: float = 2.0, *, noise_um: float = 2.0, unknown: str = "",
+        pace_s: float = PACE_S,
+    ) -> None:  # fmt: skip
+        super().__init__(seed, 1e-3 * noise_um, pace_s)
+        self.robot = robot_from_tables(deepcopy(NOMINAL_CONFIG), "nominal")
+        self.real, self.errors = Robot.from_dict(NOMINAL_CONFIG), draw_geometric_errors(np.random.default_rng([seed, 1]))
+        plan = make_plan(self.real, grid(20.0, 6, (-15.0, 0.0, 15.0)), 1, "shuffled", seed, dwell_s=SPAN_S / 108 - 1.0)
+        plan |= self.room(plan["time_s"])
+        self.effects: dict[str, Any] = {}
+        for k, name in enumerate(hidden):
+            rng = np.random.default_rng([seed, 2, k])
+            self.effects |= scaled_effect(self.real, plan, name, rng, ratio * self.noise, errors=self.errors)
+        self.unknown: Callable[[Mapping[str, Floats], Floats], Floats] | None = None
+        if unknown:
+            kind = UNKNOWN[unknown](np.random.default_rng([seed, 3]))
+            at = truth(self.real, plan, self.errors, self.effects)
+            basis, change = fitted_directions(self.real, plan, self.errors), kind(plan, at).ravel()
+            left = change - basis @ (basis.T @ change)
+            size = ratio * self.noise / float(np.sqrt(np.mean(left**2)))
+            self.unknown = lambda columns, point: size * kind(columns, point)
+
+    def exact(self, columns: Mapping[str, Floats]) -> Floats:
+        """As :class:`World` has it."""
+        out = truth(self.real, columns, self.errors, self.effects)
+        return out if self.unknown is None else out + self.unknown(columns, out)
+
+
+class DrivenSpherical(World):
+    """The spherical robot before its camera, of the second simulator; it stands while it is read."""
+
+    joints, readings = ("theta1_rad", "theta2_rad"), ("u_px", "v_px")
+
+    def __init__(self, seed: int, hidden: Sequence[str] = (), ratio: float = 2.0, *, pace_s: float = PACE_S) -> None:
+        super().__init__(seed, NOISE_PX, pace_s)
+        self.robot, self.real = replace(ROBOT, phi_deg=(33.0, 147.0), gamma_deg=(19.0, 71.0)), real_robot(seed)
+        plan = spherical_plan(PLANS["whole"][::5], 1, "shuffled", seed, SPAN_S / len(PLANS["whole"][::5]))
+        plan |= self.room(plan["time_s"]) | {f"theta{i}_rad_per_s": 0.0 * plan["time_s"] for i in (1, 2)}
+        planted: dict[str, Any] = {}
+        for name in hidden:
+            rng = np.random.default_rng([seed, 2, tuple(SPHERICAL_EFFECTS).index(name)])
+            planted |= self.real.at_ratio(name, ratio, NOISE_PX, plan, rng)
+        self.real.effects = planted
+
+    def exact(self, columns: Mapping[str, Floats]) -> Floats:
+        """As :class:`World` has it."""
+        return self.real.truth({**columns, **{f"theta{i}_rad_per_s": 0.0 * columns["time_s"] for i in (1, 2)}})
+
+
+class DrivenArm(World):
+    """A UR5 before a laser tracker, by the simulator of arms that is written apart from the core."""
+
+    readings = ("x_mm", "y_mm", "z_mm")
+
+    def __init__(self, seed: int, hidden: Sequence[str] = (), ratio: float = 2.0, *, pace_s: float = PACE_S) -> None:
+        super().__init__(seed, NOISE_MM, pace_s)
+        with TemporaryDirectory() as folder:
+            self.robot = arm_in(Path(folder))
+        self.joints = self.robot.layout.joints
+        self.real = VirtualSerial.simulated(self.robot, seed, 1.0, PLAIN)
+        for name in hidden:
+            self.real = self.real.with_hidden(**hidden_at(self.robot, name, ratio, seed))
+        self._known: list[Floats] = []
+
+    def exact(self, columns: Mapping[str, Floats]) -> Floats:
+        """As :class:`World` has it; rows that were read once are remembered."""
+        read = np.column_stack([columns[name] for name in self.joints])
+        step = np.sign(np.diff(read, axis=0, prepend=read[:1] - 0.1))
+        hidden = self.real.effects
+        for k in range(len(self._known), len(read)):
+            warm = float(columns["temperature_c"][k] - 20.0)
+            late = bool(columns["time_s"][k] > SPAN_S / 2)
+            point = self.real.true_target(read[k], step[k], 0.0 * read[k], 0, warm, 0.0, late)
+            point = point * (1.0 + hidden.warmth_per_c * warm)
+            point = point + np.asarray(hidden.rate_mm_h) * columns["time_s"][k] / 3600.0
+            point = point + np.asarray(hidden.step_mm) * late + np.asarray(hidden.stand_mm_per_c) * warm
+            self._known.append(self.real.seen(point, late))
+        out = np.array(self._known)
+        # places that are only looked at are no rows
+        del self._known[0 if self.told is None else len(self.told["time_s"]) :]
+        return out
+
+
+# -- physics in no catalogue ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One of its kind, drawn: what it moves (n, 3) in rows with these columns and readings."""
+
+    of: Callable[[Mapping[str, Floats], Floats], Floats]
+
+    def __call__(self, columns: Mapping[str, Floats], point: Floats) -> Floats:
+        """The displacement."""
+        return self.of(columns, point)
+
+
+def _direction(rng: np.random.Generator) -> Floats:
+    drawn = rng.normal(size=3)
+    return np.asarray(drawn / np.linalg.norm(drawn))
+
+
+def _saddle(rng: np.random.Generator) -> Unknown:
+    """A warped plate."""
+    turn = rng.uniform(0.0, np.pi)
+
+    def of(columns: Mapping[str, Floats], point: Floats) -> Floats:
+        x, y, _ = point.T
+        along, across = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+        return np.outer(along * across, [0.0, 0.0, 1.0])
+
+    return Unknown(of)
+
+
+def _cycle(rng: np.random.Generator) -> Unknown:
+    """The air conditioning, which nobody recorded."""
+    way, period_s, phase = _direction(rng), rng.uniform(400.0, 1500.0), rng.uniform(0.0, 6.28)
+    return Unknown(lambda columns, _: np.outer(np.sin(2.0 * np.pi * columns["time_s"] / period_s + phase), way))
+
+
+def _humidity(rng: np.random.Generator) -> Unknown:
+    """A plate that swells."""
+    way = _direction(rng)
+    return Unknown(lambda columns, _: np.outer(columns["humidity_pct"] - 45.0, way))
+
+
+def _ripple(rng: np.random.Generator) -> Unknown:
+    """A straightedge that is not straight."""
+    axis, period_mm, phase, way = rng.integers(0, 2), rng.uniform(7.0, 20.0), rng.uniform(0.0, 6.28), _direction(rng)
+    return Unknown(lambda _, point: np.outer(np.sin(2.0 * np.pi * point[:, axis] / period_mm + phase), way))
+
+
+def _bow(rng: np.random.Generator) -> Unknown:
+    """A guide that is bent along x, and pushes across."""
+    share = rng.uniform(-1.0, 1.0, 2)
+    return Unknown(lambda _, point: np.outer((point[:, 0] / 20.0) ** 3, [0.0, share[0], share[1]]))
+
+
+def _cable(rng: np.random.Generator) -> Unknown:
+    """A cable that hangs loose near its anchor and pulls beyond."""
+    anchor = 30.0 * _direction(rng)
+
+    def of(columns: Mapping[str, Floats], point: Floats) -> Floats:
+        away = point - anchor
+        far = np.linalg.norm(away, axis=1)
+        return -away / far[:, None] * np.maximum(far - 25.0, 0.0)[:, None]
+
+    return Unknown(of)
+
+
+UNKNOWN: dict[str, Callable[[np.random.Generator], Unknown]] = {
+    "saddle": _saddle, "cycle": _cycle, "humidity": _humidity, "ripple": _ripple, "bow": _bow, "cable": _cable,
+}  # fmt: skip
