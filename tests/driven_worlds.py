@@ -107,7 +107,10 @@ class DrivenDelta(World):
     ) -> None:  # fmt: skip
         super().__init__(seed, 1e-3 * noise_um, pace_s)
         self.robot = robot_from_tables(deepcopy(NOMINAL_CONFIG), "nominal")
-        self.real, self.errors = Robot.from_dict(NOMINAL_CONFIG), draw_geometric_errors(np.random.default_rng([seed, 1]))
+        self.real, self.errors = (
+            Robot.from_dict(NOMINAL_CONFIG),
+            draw_geometric_errors(np.random.default_rng([seed, 1])),
+        )
         plan = make_plan(self.real, grid(20.0, 6, (-15.0, 0.0, 15.0)), 1, "shuffled", seed, dwell_s=SPAN_S / 108 - 1.0)
         plan |= self.room(plan["time_s"])
         self.effects: dict[str, Any] = {}

@@ -31,10 +31,10 @@ if _TYPE_CHECKING:
     from .study import Study
 
 __all__ = [
-    "Adaptive", "Effect", "Machine", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__", "calibrate",
-    "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "fleet", "from_bluesky", "from_frame",
-    "from_rosbag", "identify", "lab", "load_calibration", "load_robot", "model", "planning", "read_measurements",
-    "report", "save_robot", "serial", "spherical", "tool",
+    "Adaptive", "Effect", "Machine", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__",
+    "calibrate", "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "fleet", "from_bluesky",
+    "from_frame", "from_rosbag", "identify", "lab", "load_calibration", "load_robot", "model", "planning",
+    "read_measurements", "report", "save_robot", "serial", "spherical", "tool",
 ]  # fmt: skip
 
 
@@ -54,7 +54,8 @@ if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not 
     __getattr__ = _door(
         __name__,
         {
-            "Adaptive": "adaptive", "Effect": "model.effect", "Machine": "robots.machine", "Measurements": "data", "SherkitError": "errors",
+            "Adaptive": "adaptive", "Effect": "model.effect", "Machine": "robots.machine", "Measurements": "data",
+            "SherkitError": "errors",
             "SherkitWarning": "errors", "Study": "study", "__version__": "_core", "calibrate": "calibration",
             "diagnose": "diagnosis",
             "effect": "model.effect", "fleet": "fleets", "from_bluesky": "data", "from_frame": "data",

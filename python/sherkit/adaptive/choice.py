@@ -18,7 +18,7 @@ from ..base import linalg
 from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import TIME
-from .family import Family, Key
+from .family import Key
 from .look import FAR, Keys, Look
 from .region import Places, planned
 
@@ -66,7 +66,9 @@ def choose(found: Look, count: int, alarmed: bool, rng: np.random.Generator, pac
     against = rivals(found) if alarmed else []
     if alarmed and (len(against) > 1 or found.log_evidence < _CERTAIN):
         picked = _telling(found, columns.own, columns.tried, against, count - anywhere)
-        reason = "|".join(" & ".join(name for name, _ in keys) for keys in against[:2]) if len(against) > 1 else "confirm"
+        reason = (
+            "|".join(" & ".join(name for name, _ in keys) for keys in against[:2]) if len(against) > 1 else "confirm"
+        )
     else:
         picked = _showing(found, columns.own, columns.tried, count - anywhere, against)
         reason = "confirm" if alarmed else "all"
@@ -88,14 +90,12 @@ def later(data: Measurements, places: Places, after_s: float, rng: np.random.Gen
     for k in range(places.joints.shape[1]):
         way = np.sign(places.joints[:, k] - last.joints[0, k])
         columns[f"direction_{k + 1}"] = np.where(way != 0, way, 1.0)
-    rows = planned(places.joints, data.layout, **columns)
+    rows = planned(places.joints, data.layout, columns)
     # times go on from the begin of the run
     return rows if data.time_s is None else replace(rows, begins_s=data.begins_s)
 
 
-def _showing(
-    found: Look, own: Floats, tried: Mapping[str, Floats], count: int, only: Sequence[Keys]
-) -> list[int]:
+def _showing(found: Look, own: Floats, tried: Mapping[str, Floats], count: int, only: Sequence[Keys]) -> list[int]:
     """The candidates that show most of every effect, one after another."""
     names = [(h.name, h.settings[len(h.settings) // 2]) for h in found.family.effects] if not only else [
         key for keys in only for key in keys
@@ -128,9 +128,7 @@ def _showing(
     return picked
 
 
-def _telling(
-    found: Look, own: Floats, tried: Mapping[str, Floats], against: Sequence[Keys], count: int
-) -> list[int]:
+def _telling(found: Look, own: Floats, tried: Mapping[str, Floats], against: Sequence[Keys], count: int) -> list[int]:
     """The candidates at which what the rivals predict lies farthest apart."""
     sets: list[Keys] = list(against)
     if found.log_evidence < _CERTAIN or len(sets) < 2:

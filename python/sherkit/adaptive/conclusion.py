@@ -5,24 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from ..base import linalg
-from ..base.names import listed
-from ..base.types import Floats
 from ..data.columns import unit_in
 from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.checks import Check
-from ..diagnosis.fitted_run import FittedRun
 from ..errors import SherkitError
 from ..fit.identify import Fit, identify
 from . import rule
-from .choice import is_beyond
+from .choice import is_beyond, later
 from .look import Keys, Look
-from .silence import ALARM, is_silent, noise_of_look, sentences
+from .silence import ALARM, is_silent, sentences
 
 if TYPE_CHECKING:
     from .loop import Adaptive
@@ -72,7 +69,8 @@ def conclude(loop: Adaptive) -> Conclusion:
         return Conclusion(make=make)
     spent = _spent(loop)
     verdict, done, why = state.verdict, state.done, state.why
-    effects, tied = state.named, ()
+    effects: tuple[str, ...] = state.named
+    tied: tuple[tuple[str, ...], ...] = ()
     notes = list(sentences(loop.seen, found.data.layout.unit, found.data.layout.per_unit, found.family.untestable))
     # a verdict of silence rests on what would have been seen; beside a name it is only told
     accuracy = None
@@ -80,8 +78,7 @@ def conclude(loop: Adaptive) -> Conclusion:
     if verdict == "unexplained":
         why = f"{why}: what is left looks like {_words(found.shapes[0][0])}" if found.shapes else why
         effects = ()
-    if not done and (spent or (state.alarmed and found.readings >= max(_LATE * loop.budget, 4 * rule.FEWEST)
-                             and len(rule.ties(found)) > 1 and is_beyond(found, rule.ties(found)[:2], loop.budget, _longer(loop)))):
+    if not done and (spent or _is_beyond(loop, found, state)):
         verdict, effects, tied, why = _at_the_end(loop, found, spent)
         done = True
     if verdict == "explained" and (done or state.done):
@@ -94,8 +91,8 @@ def conclude(loop: Adaptive) -> Conclusion:
             if more <= loop.budget:
                 done, why = False, ""
             else:
-                notes.insert(0, f"{needed:g} µm is not reached: {accuracy:.3g} µm, and the readings that the budget leaves "
-                                "would not bring it")  # fmt: skip
+                told = f"{needed:g} µm is not reached: {accuracy:.3g} µm, and the readings that the budget leaves"
+                notes.insert(0, f"{told} would not bring it")
     elif verdict == "adequate" and done:
         accuracy = accuracy_um(loop, found, found.fit)
     best = [(" & ".join(name for name, _ in keys), value) for keys, value in found.sets[:3]]
@@ -114,6 +111,14 @@ def _spent(loop: Adaptive) -> str:
     return ""
 
 
+def _is_beyond(loop: Adaptive, found: Look, state: rule.State) -> bool:
+    """Whether late in the budget effects are tied that nothing more would tell apart."""
+    if not state.alarmed or found.readings < max(_LATE * loop.budget, 4 * rule.FEWEST):
+        return False
+    ties = rule.ties(found)
+    return len(ties) > 1 and is_beyond(found, ties[:2], loop.budget, _longer(loop))
+
+
 def _longer(loop: Adaptive) -> float:
     """Seconds to a moment that is late enough to tell what lives in time."""
     left = 3600.0 if not loop.minutes else 60.0 * loop.minutes
@@ -126,7 +131,7 @@ def _at_the_end(
     """Verdict, effects, ties and reason where nothing stands alone and no more is read."""
     why = spent or "no reachable pose, and no later moment, tells what is left apart"
     if found.log_evidence < np.log(ALARM):
-        if is_silent(found, loop.seen):
+        if is_silent(loop.seen):
             return "adequate", (), (), f"{why}; nothing is missing that these rows would have shown"
         return "undecided", (), (), why
     shape = found.shapes[0][1] if found.shapes else -np.inf
@@ -161,16 +166,13 @@ def accuracy_um(loop: Adaptive, found: Look, fit: Fit) -> float | None:
     names = [fit.data.layout.readings[a] for a in family.axes]
     if not all(unit_in(name) == "mm" for name in names):
         return None
-    from .choice import later
-
     places = family.region.spread(_PLACES, loop.seed + 1)
     rows = later(found.data, places, 0.0, np.random.default_rng(loop.seed))
     try:
         by = fit.model.derivatives(rows, fit.values)[:, list(family.axes)]
     except SherkitError:
         return None
-    noise = noise_of_look(found)
-    covariance = fit.covariance * (noise / max(fit.scale, 1e-300)) ** 2 + fit.unobserved_covariance
+    covariance = fit.covariance + fit.unobserved_covariance
     each = np.einsum("nmp,pq,nkq->nmk", by, covariance, by)
     largest = np.linalg.eigvalsh(each)[:, -1].clip(0.0)
     return float(1e3 * np.sqrt(scipy.stats.chi2.ppf(_SHARE, len(names)) * largest.max()))

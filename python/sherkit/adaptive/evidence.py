@@ -2,8 +2,8 @@
 
 Each hypothesis adds columns to what the model fits. Its Bayes factor against the model alone has a flat prior on what
 the model fits, Jeffreys' on the noise, and coefficients that are normal with a standard deviation of
-:data:`SIZES` times the noise on the reference. Under "nothing is missing" such a factor is the ratio of two densities of
-the same maximal invariant, so that its mean over looks never rises; by Ville's inequality a weighted mean of them
+:data:`SIZES` times the noise on the reference. Under "nothing is missing" such a factor is the ratio of two densities
+of the same maximal invariant, so that its mean over looks never rises; by Ville's inequality a weighted mean of them
 exceeds 1/α at any look with a chance of α at most (Grünwald, de Heide and Koolen, "Safe testing", J. R. Stat. Soc. B
 2024; Pérez-Ortiz, Lardy, de Heide and Grünwald, "E-statistics, group invariance and anytime-valid testing", Ann. Stat.
 2024). No number of looks and no budget is in it.
@@ -26,8 +26,8 @@ from .family import Family, Key
 SIZES = (0.7, 2.0, 6.0, 20.0, 60.0)
 #: Part of the residual that is rounding.
 _EXACT = 1e-18
-#: Pairs looked at: of the first so many effects with every other.
-_FIRST = 6
+#: Pairs looked at: of the first so many effects, and shapes, with every other.
+_FIRST, _FIRST_SHAPES = 6, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,9 @@ class Evidence:
         self.basis = orthonormal(own)
         ends = np.cumsum([0, *(columns[0].size for columns in tried.values())])
         self.place = {name: slice(a, b) for name, a, b in zip(tried, ends[:-1], ends[1:], strict=True)}
-        columns = np.concatenate([c.reshape(len(residual), -1) for c in (*tried.values(), np.zeros((len(residual), 0)))], 1)
+        columns = np.concatenate(
+            [c.reshape(len(residual), -1) for c in (*tried.values(), np.zeros((len(residual), 0)))], 1
+        )
         self.columns = columns - self.basis @ (self.basis.T @ columns)
         self.residual = residual - self.basis @ (self.basis.T @ residual)
         self.free = len(residual) - self.basis.shape[1]
@@ -104,32 +106,30 @@ class Evidence:
         return Weighed(log_bf, setting, mean)
 
     def sets(self) -> dict[tuple[Key, ...], float]:
-        """Logarithms of weight times Bayes factor of every hypothesis alone and of pairs of effects.
+        """Logarithms of weight times Bayes factor of every hypothesis alone and of pairs.
 
-        Two effects are looked for beside one another for the first :data:`_FIRST` of them, that is for pairs of which
-        one shows alone.
+        A second one is looked for beside the first :data:`_FIRST` effects and as many shapes: pairs of which one shows
+        alone. Shapes are among them, since two effects must not be named for what one effect and an unknown, or two
+        unknowns, would do as well.
         """
-        alone = self.alone
-        by_name = self.family.by_name
+        alone, by_name = self.alone, self.family.by_name
         out: dict[tuple[Key, ...], float] = {
             ((name, alone.setting[name]),): float(np.log(by_name[name].weight)) + value
             for name, value in alone.log_bf.items()
         }
-        pairs: dict[tuple[str, str], tuple[float, tuple[Key, ...]]] = {}
-        effects = sorted((h.name for h in self.family.effects if h.name in alone.log_bf), key=lambda n: -alone.log_bf[n])
-        share = float(np.log(self.family.weight(effects[:2]))) if len(effects) > 1 else 0.0
-        for first in effects[:_FIRST]:
-            key = (first, alone.setting[first])
-            if first not in self.place:
-                continue
+        ordered = sorted(alone.log_bf, key=lambda name: -alone.log_bf[name])
+        first = [name for name in ordered if by_name[name].effect is not None][:_FIRST]
+        first += [name for name in ordered if by_name[name].effect is None][:_FIRST_SHAPES]
+        pairs: dict[frozenset[str], tuple[float, tuple[Key, ...]]] = {}
+        for name in first:
+            key = (name, alone.setting[name])
             given = self.beside([key])
-            for other in effects:
-                if other != first:
-                    pair = tuple(sorted([key, (other, given.setting[other])], key=lambda one: one[0]))
-                    value = share + alone.log_bf[first] + given.log_bf[other]
-                    names = (pair[0][0], pair[1][0])
-                    if names not in pairs or value > pairs[names][0]:
-                        pairs[names] = (value, pair)
+            for other, value in given.log_bf.items():
+                both = frozenset((name, other))
+                total = float(np.log(self.family.weight((name, other)))) + alone.log_bf[name] + value
+                if both not in pairs or total > pairs[both][0]:
+                    first_key, second = sorted([key, (other, given.setting[other])], key=lambda one: one[0])
+                    pairs[both] = (total, (first_key, second))
         return out | {pair: value for value, pair in pairs.values()}
 
 
@@ -142,7 +142,9 @@ def log_bayes(squares: Floats, answers: Floats, left: float, free: int) -> Float
     sizes = []
     for size in SIZES:
         taken = (along * size**2 / (1.0 + size**2 * value)).sum(axis=1) / left
-        sizes.append(-0.5 * np.log1p(size**2 * value).sum(axis=1) - 0.5 * free * np.log1p(-taken.clip(0.0, 1.0 - 1e-12)))
+        sizes.append(
+            -0.5 * np.log1p(size**2 * value).sum(axis=1) - 0.5 * free * np.log1p(-taken.clip(0.0, 1.0 - 1e-12))
+        )
     top = np.max(sizes, axis=0)
     return np.asarray(top + np.log(np.mean(np.exp(sizes - top), axis=0)))
 

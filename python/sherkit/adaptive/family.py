@@ -152,11 +152,14 @@ class Family:
         return tuple(h for h in self.hypotheses if h.effect is not None)
 
     def weight(self, names: Sequence[str]) -> float:
-        """The share of one hypothesis, or of a pair of effects."""
+        """The share of one hypothesis or of a pair; half of that of pairs is for two effects."""
         if len(names) == 1:
             return self.by_name[names[0]].weight
-        count = len(self.effects)
-        return PAIRS / max(count * (count - 1) / 2, 1)
+        count, every = len(self.effects), len(self.hypotheses)
+        two = max(count * (count - 1) / 2, 1.0)
+        if all(self.by_name[name].effect is not None for name in names):
+            return 0.5 * PAIRS / two
+        return 0.5 * PAIRS / max(every * (every - 1) / 2 - two, 1.0)
 
     # -- columns -----------------------------------------------------------------------------------------
 
@@ -245,10 +248,11 @@ def _tried(
             # of what is warmer by a degree, by how many degrees it is
             warmer = replace(data, room=Room(np.zeros(1), np.array([DRAWN_C + 1.0])))
             found = model.with_settings(effect, 1.0).tried(warmer, values, [effect])
-            degrees = [data.later(lag_s) for lag_s in settings[name].tolist()]
+            stand = [data.later(lag_s) for lag_s in settings[name].tolist()]
             if found.effects and data.room is not None:
                 of_degree = found.columns[:, axes] * [p.size for p in effect.parameters]
-                out[name] = of_degree[:, :, None] * (np.stack(degrees, axis=1) - DRAWN_C)[:, None, :, None]  # type: ignore[arg-type]
+                degrees = np.stack([one for one in stand if one is not None], axis=1) - DRAWN_C
+                out[name] = of_degree[:, :, None] * degrees[:, None, :, None]
         elif waves(effect):
             turns = np.pi * rows.joints * (region.joint_half / region.joint_half.max())
             both = [
@@ -268,13 +272,11 @@ def _reference(region: Region, data: Measurements, span_s: float) -> Measurement
     if data.time_s is not None:
         columns[TIME] = part * span_s
     for name, values in data.covariates.items():
-        if name in data.layout.apart:
-            columns[name] = rng.choice(values, _REFERENCE)
-        elif name in data.layout.loads:
+        if name in data.layout.apart or name in data.layout.loads:
             columns[name] = rng.choice(values, _REFERENCE)
         else:
             swing = _SWING_C if name == TEMPERATURE else 2.0 * float(np.ptp(values))
             columns[name] = float(values[0]) + swing * np.sin(2.0 * np.pi * part)
     for k in range(places.joints.shape[1]):
         columns[f"direction_{k + 1}"] = rng.choice([-1.0, 1.0], _REFERENCE)
-    return planned(places.joints, data.layout, **columns)
+    return planned(places.joints, data.layout, columns)

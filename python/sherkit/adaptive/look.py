@@ -26,6 +26,8 @@ from .family import Family, Key
 #: A row farther off than so many robust deviations, beside the best explanation, is set aside.
 _GROSS = 7.0
 _ROUNDS = 3
+#: Readings beyond the parameters from which rows can be told to be wrong; noise that is the same.
+_BEYOND, _SAME = 6, 0.1
 #: Plausible sizes are knowledge where readings are fewer than so many times the parameters.
 _FEW = 3.0
 #: Readings from which the course of the noise is looked at, and how many stand for "all axes alike".
@@ -109,22 +111,21 @@ class Look:
         return next((value for other, value in self.sets if other == keys), -np.inf)
 
 
-def look(family: Family, data: Measurements) -> Look:
-    """Looks at rows in the order of time. Raises :class:`~sherkit.errors.FitError` where nothing can be fitted."""
-    axes = list(family.axes)
-    aside = np.zeros(0, dtype=np.int64)
-    sigma, rho = np.ones(len(axes)), 0.0
+def look(family: Family, data: Measurements, before: Look | None = None) -> Look:
+    """Looks at rows in the order of time; the noise that the look ``before`` found is where it begins. Raises
+    :class:`~sherkit.errors.FitError` where nothing can be fitted."""
+    aside = np.zeros(0, dtype=np.int64) if before is None else before.aside
+    sigma, rho = (np.ones(len(family.axes)), 0.0) if before is None else (before.sigma, before.rho)
     for _ in range(_ROUNDS):
-        marked = data.mark_outliers(aside) if len(aside) else data
-        view = _View(family, marked, sigma, rho)
+        view = _View(family, data.mark_outliers(aside) if len(aside) else data, sigma, rho)
         found = view.look(aside)
         best = found.lead.fit if found.lead and found.log_evidence > np.log(20.0) else found.fit
         wrong = view.gross(best)
         noise, follows = view.noise(best)
-        same = np.array_equal(np.union1d(wrong, aside), aside)
-        if same and (np.abs(np.log(noise / sigma)) < 0.1).all() and abs(follows - rho) < 0.05:
+        settled = (np.abs(np.log(noise / sigma)) < _SAME).all() and abs(follows - rho) < _SAME
+        if settled and np.array_equal(wrong, aside):
             break
-        aside, sigma, rho = np.union1d(wrong, aside).astype(np.int64), noise, follows
+        aside, sigma, rho = wrong, noise, follows
     return found
 
 
@@ -200,7 +201,7 @@ class _View:
 
     def _beside(self, one: Fitted, sets: dict[Keys, float]) -> None:
         """What pairs with an effect are worth, by what that leaves once it is fitted in full."""
-        (name, _), = one.keys
+        ((name, _),) = one.keys
         for keys in [keys for keys in sets if len(keys) == 2 and name in (keys[0][0], keys[1][0])]:
             other = keys[1][0] if keys[0][0] == name else keys[0][0]
             given = self._log_weight(keys) + one.log_bf + one.given.get(other, 0.0)
@@ -217,7 +218,9 @@ class _View:
         beside = self.evidence(fit)
         effects = [h for h in self.family.effects if h.name in {name for name, _ in keys}]
         at = np.concatenate([_owned(fit, h.effect) for h in effects])
-        scale = np.concatenate([np.full(len(h.effect.parameters), self.family.scales[h.name]) for h in effects if h.effect])
+        scale = np.concatenate(
+            [np.full(len(h.effect.parameters), self.family.scales[h.name]) for h in effects if h.effect]
+        )
         scale = scale * [fit.parameters[k].size for k in at]
         own = beside.own
         others = orthonormal(np.delete(own, at, axis=1))
@@ -267,15 +270,18 @@ class _View:
         return left / np.sqrt((1.0 - lever).clip(0.02)), basis
 
     def gross(self, fit: Fit) -> Ints:
-        """Rows (k,) that stand apart from all others."""
+        """Rows (k,) that stand apart from all others, be they set aside already or not."""
         left, _ = self._studentised(fit)
         used = left[self.used]
-        if len(used) <= len(fit.values) + 6:
+        if len(used) <= len(fit.values) + _BEYOND:
             return np.zeros(0, dtype=np.int64)
         spread = MAD * float(np.median(np.abs(used)))
         if not spread > 0:
             return np.zeros(0, dtype=np.int64)
-        return np.flatnonzero((np.abs(np.where(self.used, left, 0.0)) > _GROSS * spread).any(axis=1))
+        taken = self.data.taken[:, self.axes]
+        beside = np.where(taken, np.nan_to_num(fit.residuals[:, self.axes]), 0.0) / self.over
+        off = np.where(self.used, left, beside)
+        return np.flatnonzero((np.abs(np.where(taken, off, 0.0)) > _GROSS * spread).any(axis=1))
 
     def noise(self, fit: Fit) -> tuple[Floats, float]:
         """The noise of each axis (m,), drawn towards that of all while rows are few, and ρ from row to row."""

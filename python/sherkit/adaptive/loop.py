@@ -14,14 +14,15 @@ import polars as pl
 
 from ..base import linalg
 from ..base.arguments import Count, Level, NotNegative, Positive, Seed, as_annotated
-from ..base.types import Floats
 from ..data import Measurements, from_frame, read_measurements
 from ..data.columns import POSE, REPEAT, TIME
 from ..data.files import write_whole
+from ..data.frames import to_polars
 from ..diagnosis import Diagnosis
 from ..errors import ExperimentError, MeasurementError
 from ..fit.error import axes_of
-from ..model.kinds import kind_of, model_of, required_um, robot_from_tables
+from ..model.kinds import kind_of, model_of, robot_from_tables
+from ..model.kinds import required_um as stated_um
 from ..model.robot_file import RobotLike, load_robot, run_for
 from . import rule
 from .choice import choose, rivals
@@ -76,7 +77,7 @@ class Adaptive:
         self.robot = load_robot(robot) if isinstance(robot, str | PathLike) else robot
         self.model = model_of(self.robot)
         self.layout = kind_of(self.robot).layout
-        self.required_um = required_um if required_um is not None else _required(self.robot)
+        self.required_um = required_um if required_um is not None else stated_um(self.robot)
         self.budget, self.span_min, self.level, self.batch, self.seed = budget, span_min, level, batch, seed
         self.minutes = minutes
         self.box = {name: [float(end) for end in ends] for name, ends in (box or {}).items()}
@@ -105,7 +106,7 @@ class Adaptive:
 
     @property
     def data(self) -> Measurements:
-        """What was told, in the order of time. Raises :class:`~sherkit.errors.MeasurementError` before the first row."""
+        """What was told, in the order of time. Raises :class:`~sherkit.errors.MeasurementError` before that."""
         return rows_in_time(self._read(self._frame))
 
     @property
@@ -165,6 +166,30 @@ class Adaptive:
         """The diagnosis of all rows, with the verdict of the loop. Raises :class:`~sherkit.errors.FitError` while they
         are too few."""
         return self.conclusion.diagnosis
+
+    def sentence(self) -> str:
+        """Where it stands, in one line: readings, verdict so far, the leading three with their evidence."""
+        end = self.conclusion
+        told = ", ".join(f"{name} {value / np.log(10.0):+.1f}" for name, value in end.evidence)
+        known = f", within {end.accuracy_um:.3g} µm" if end.accuracy_um is not None else ""
+        evidence = 0.0 if self.last is None else self.last.log_evidence / float(np.log(10.0))
+        return (
+            f"{self.readings} readings: {self.verdict}{known}; evidence that something is missing 1e{evidence:.1f}; "
+            f"leading (powers of ten): {told or 'nothing yet'}"
+        )
+
+    def told(self) -> tuple[str, ...]:
+        """What it found, in sentences for people."""
+        end = self.conclusion
+        named = ", ".join(end.effects)
+        out = [f"{end.verdict}{f': {named}' if named else ''}"]
+        out += [f"{' or '.join(tie)}: these readings cannot tell" for tie in end.indistinguishable]
+        if end.accuracy_um is not None:
+            needed = "" if self.required_um is None else f" ({self.required_um:g} µm needed)"
+            out.append(
+                f"calibrated, it is within {end.accuracy_um:.3g} µm anywhere in the region, in 95 of 100 cases{needed}"
+            )
+        return (*out, *end.notes)
 
     @property
     def conclusion(self) -> Any:
@@ -259,6 +284,8 @@ class Adaptive:
             return 0.0, False
         driven = float(np.ptp(time_s))
         own = driven / (len(time_s) - 1)
+        if state.confirmed:
+            return max((span_s - driven) / self.batch, own), True
         if state.alarmed:
             by_name = found.family.by_name
             near = rivals(found)
@@ -274,19 +301,23 @@ class Adaptive:
     # -- telling -----------------------------------------------------------------------------------------
 
     def tell(self, rows: Any) -> None:
-        """Takes what was read: rows as they were asked, with readings and any other column, as a list of dicts, a frame,
-        columns by name, measurements or a file. Rows may be fewer, more, later or elsewhere than asked; those that were
-        told before are known. Raises :class:`~sherkit.errors.MeasurementError` for what are no rows of this robot, and
-        nothing is taken then."""
+        """Takes what was read: rows as they were asked, with readings and any other column, as a list of dicts, a
+        frame, columns by name, measurements or a file.
+
+        Rows may be fewer, more, later or elsewhere than asked; those that were told before are known. Raises
+        :class:`~sherkit.errors.MeasurementError` for what are no rows of this robot, and nothing is taken then.
+        """
         frame = _frame_of(rows)
         if not frame.height:
             return
-        drop = [name for name in ("reason", "not_before_s") if name in frame.columns]
+        drop: list[str] = [name for name in ("reason", "not_before_s") if name in frame.columns]
         # where joints lead is what is asked, where readings are not the same columns
         drop += [n for n in self.region.targets if n in frame.columns and n not in self.layout.readings]
         frame = frame.drop(drop)
         whole = pl.concat([self._frame, frame], how="diagonal_relaxed") if self._frame.height else frame
-        same = [name for name in (POSE, REPEAT, TIME, *self.layout.joints, *self.layout.readings) if name in whole.columns]
+        same = [
+            name for name in (POSE, REPEAT, TIME, *self.layout.joints, *self.layout.readings) if name in whole.columns
+        ]
         whole = whole.unique(subset=same, keep="first", maintain_order=True)
         data = self._read(whole)
         late = self._frame.height and TIME in whole.columns and self._looks and data.time_s is not None
@@ -309,7 +340,7 @@ class Adaptive:
                 self._family = Family.of(
                     self.model.counted_from(some.begins_s), self.region, some, axes, max(60.0 * self.span_min, 600.0)
                 )
-            found = look(self._family, some)
+            found = look(self._family, some, self.last)
             seen = outlook(found)
             spanned = some.time_s is None or float(np.ptp(some.time_s)) >= 60.0 * self.span_min * (1 - 1e-9)
             state = rule.after(self.state, found, seen, spanned=spanned)
@@ -352,14 +383,12 @@ class Adaptive:
             raise ExperimentError(f"{where}: is no JSON: {error}") from None
         if not isinstance(held, dict) or held.get("kind") != _WHERE or not {"robot", "settings", "rows"} <= set(held):
             raise ExperimentError(f"{where}: is no file of an adaptive loop, as its save() writes one")
-        loop = cls(robot if robot is not None else robot_from_tables(held["robot"], f"{where}: robot"), **held["settings"])
+        loop = cls(
+            robot if robot is not None else robot_from_tables(held["robot"], f"{where}: robot"), **held["settings"]
+        )
         if held["rows"]:
             loop.tell(held["rows"])
         return loop
-
-
-def _required(robot: Any) -> float | None:
-    return required_um(robot)
 
 
 def _frame_of(rows: Any) -> pl.DataFrame:
@@ -369,9 +398,11 @@ def _frame_of(rows: Any) -> pl.DataFrame:
     if isinstance(rows, str | PathLike):
         return read_measurements(Path(rows)).to_frame()
     if isinstance(rows, Sequence) and all(isinstance(row, Mapping) for row in rows):
-        return pl.DataFrame([dict(row) for row in rows], infer_schema_length=None, strict=False) if rows else pl.DataFrame()
-    from ..data.frames import to_polars
-
+        return (
+            pl.DataFrame([dict(row) for row in rows], infer_schema_length=None, strict=False)
+            if rows
+            else pl.DataFrame()
+        )
     try:
         return to_polars(rows)
     except MeasurementError:
@@ -384,7 +415,3 @@ def _apart(robot: Any, names: tuple[str, ...]) -> dict[str, int]:
     """Columns that number what is read, and how many there are, where there are several."""
     targets = len(getattr(robot, "targets_mm", (0,)))
     return {"target": targets} if "target" in names and targets > 1 else {}
-
-
-def _span(values: Floats) -> float:
-    return float(np.ptp(values)) if len(values) else 0.0

@@ -59,7 +59,7 @@ class Region:
 
         Raises :class:`~sherkit.errors.ExperimentError` where no file says how far a robot without a box may go.
         """
-        targets = tuple(getattr(model, "targets", ())) or layout.coordinates
+        targets = (model.targets if isinstance(model, ChainModel) else ()) or layout.coordinates
         names, low, high = _whole(model, layout, targets)
         for name, ends in (box or {}).items():
             if name not in (*layout.joints, *targets):
@@ -111,7 +111,9 @@ class Region:
         if self.names == self.layout.joints:
             return own, own
         there = self.model.robot.forward_batch(joints).values
-        places = (np.where(np.isfinite(there), there, 0.0) - 0.5 * (self.low + self.high)) / (self.high - self.low) * 2.0
+        places = (
+            (np.where(np.isfinite(there), there, 0.0) - 0.5 * (self.low + self.high)) / (self.high - self.low) * 2.0
+        )
         return places, own
 
     def spread(self, count: int, seed: int) -> Places:
@@ -149,7 +151,9 @@ class Region:
             places = np.column_stack([np.round(c, _digits(n)) for c, n in zip(at.T, self.names, strict=True)])
             there = robot.inverse_batch(places)
             joints, within = there.values, there.reached.copy()
-        joints = np.column_stack([np.round(c, _digits(n) + 1) for c, n in zip(joints.T, self.layout.joints, strict=True)])
+        joints = np.column_stack(
+            [np.round(c, _digits(n) + 1) for c, n in zip(joints.T, self.layout.joints, strict=True)]
+        )
         joints = np.where(np.isfinite(joints), joints, 0.0)
         if (limits := getattr(robot, "joint_limits", None)) is not None:
             within &= ((joints >= limits[0]) & (joints <= limits[1])).all(axis=1)
@@ -159,15 +163,14 @@ class Region:
             shown, seen = _shown(self.model, rows, self.targets)
             targets[within] = shown
             within[within] = seen
-        inside = self.names == self.layout.joints
-        if not inside:
-            targets = at if set(self.names) == set(self.targets) else targets
+        if self.names == self.targets:
+            targets = at
         return Places(joints, targets), within
 
 
-def planned(joints: Floats, layout: Layout, **columns: Floats) -> Measurements:
-    """Rows at these joints that are still to be read; every reading but a distance is."""
-    data = Measurements.planned(joints, layout, **columns)
+def planned(joints: Floats, layout: Layout, columns: Mapping[str, Floats] | None = None) -> Measurements:
+    """Rows at these joints that are still to be read, every reading but a distance, with what else is known of them."""
+    data = Measurements.planned(joints, layout, "plan", **(columns or {}))
     taken = np.array([name != layout.distance for name in layout.readings])
     return replace(data, taken=np.tile(taken, (len(joints), 1)))
 
@@ -175,11 +178,11 @@ def planned(joints: Floats, layout: Layout, **columns: Floats) -> Measurements:
 def _shown(model: ModelWithEffects, rows: Measurements, targets: tuple[str, ...]) -> tuple[Floats, Bools]:
     """Coordinates (n, c) by the drawing, and which rows can be read there."""
     still = np.zeros(len(model.parameters))
-    if isinstance(model, ChainModel) and getattr(model, "targets", ()):
+    if isinstance(model, ChainModel) and model.targets:
         shown, seen = model.stands(rows, still)
         return shown, seen & model.allowed(shown)
     shown = model.predict(rows, still)[:, : len(targets)]
-    return shown, np.isfinite(shown).all(axis=1)
+    return shown, np.asarray(np.isfinite(shown).all(axis=1))
 
 
 def _whole(model: ModelWithEffects, layout: Layout, targets: tuple[str, ...]) -> tuple[tuple[str, ...], Floats, Floats]:

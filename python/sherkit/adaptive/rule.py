@@ -28,7 +28,8 @@ _QUIET = np.log(20.0)
 @dataclass(frozen=True)
 class State:
     """What is held after a look: ``named`` are the effects that stand alone, since ``at`` readings, when the logarithm
-    of their Bayes factor was ``then``; ``unknown`` counts the looks running at which no effect would do."""
+    of their Bayes factor was ``then``, ``confirmed`` once it has grown; ``unknown`` counts the looks running at which
+    no effect would do."""
 
     verdict: str = "undecided"
     done: bool = False
@@ -38,6 +39,7 @@ class State:
     then: float = 0.0
     unknown: int = 0
     alarmed: bool = False
+    confirmed: bool = False
 
 
 def after(state: State, found: Look, seen: tuple[Unseen, ...], *, spanned: bool) -> State:
@@ -45,20 +47,27 @@ def after(state: State, found: Look, seen: tuple[Unseen, ...], *, spanned: bool)
     lead, n = found.lead, found.readings
     alarm = found.log_evidence >= np.log(ALARM)
     if not alarm:
-        quiet = found.log_evidence < _QUIET and n >= FEWEST and spanned and is_silent(found, seen)
+        quiet = found.log_evidence < _QUIET and n >= FEWEST and spanned and is_silent(seen)
         why = "nothing is missing that these rows would have shown" if quiet else ""
         return State("adequate" if quiet else "undecided", quiet, why)
     stands = lead is not None and _stands(found, lead)
     unknown = state.unknown + 1 if n >= FEWEST and _is_unknown(found) else 0
     if unknown >= _LOOKS:
-        return State("unexplained", True, "no effect of the catalogue explains what is left", unknown=unknown, alarmed=True)
+        return State(
+            "unexplained", True, "no effect of the catalogue explains what is left", unknown=unknown, alarmed=True
+        )
     if lead is None or not stands:
         return State(unknown=unknown, alarmed=True)
     if lead.names != state.named:
         return State(named=lead.names, at=n, then=lead.log_bf, alarmed=True)
     grown = lead.log_bf - state.then >= _GROWN and n - state.at >= _AFTER and n >= FEWEST
-    why = "named, and confirmed on readings that were taken after" if grown else ""
-    return State("explained" if grown else "undecided", grown, why, state.named, state.at, state.then, alarmed=True)
+    # what else lives in time shows only when it has passed
+    known = grown and spanned
+    why = "named, and confirmed on readings that were taken after" if known else ""
+    return State(
+        "explained" if known else "undecided", known, why, state.named, state.at, state.then,
+        alarmed=True, confirmed=grown,
+    )  # fmt: skip
 
 
 def ties(found: Look) -> list[Keys]:
@@ -69,7 +78,8 @@ def ties(found: Look) -> list[Keys]:
     near = {frozenset(name for name, _ in keys): keys for keys, value in reversed(found.effects) if value > own - FAR}
     # one cause before two: of what holds another nothing is said
     alone = [keys for names, keys in near.items() if not any(other < names for other in near)]
-    return sorted(alone, key=lambda keys: (keys != found.lead.keys, -found.value(keys)))
+    first = found.lead.keys
+    return sorted(alone, key=lambda keys: (keys != first, -found.value(keys)))
 
 
 def _stands(found: Look, lead: Fitted) -> bool:

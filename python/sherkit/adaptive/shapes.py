@@ -7,7 +7,7 @@ another hypothesis at each look.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -68,6 +68,12 @@ class Rows:
         places, joints = region.scaled(data.joints)
         return cls(places, joints, patterns, data.direction, hours, data.order + before, own, axes)
 
+    @property
+    def clock(self) -> Floats:
+        """The time (n, 1), hours."""
+        assert self.hours is not None, "asked only where times are known"
+        return self.hours[:, None]
+
     def everywhere(self, values: Floats) -> Floats:
         """Values (n, s, f), each on every axis by itself (n, m, s, f m)."""
         n, s, f = values.shape
@@ -99,10 +105,18 @@ class Shape:
     in_time: bool = False
 
 
+Columns = Callable[[Rows, Floats], Floats]
+
+
 def shapes(
-    places: tuple[str, ...], joints: tuple[str, ...], readings: tuple[str, ...], covariates: tuple[str, ...], *,
-    timed: bool, patterns: bool,
-) -> list[Shape]:  # fmt: skip
+    places: tuple[str, ...],
+    joints: tuple[str, ...],
+    readings: tuple[str, ...],
+    covariates: tuple[str, ...],
+    *,
+    timed: bool,
+    patterns: bool,
+) -> list[Shape]:
     """All shapes of a robot: ``places`` and ``joints`` name what they depend on, ``readings`` the axes."""
     out = [*_of_places(places, readings)]
     if patterns:
@@ -110,74 +124,100 @@ def shapes(
     if timed:
         out += _of_time(places)
     for name in covariates:
-        out.append(Shape(name, lambda r, _, v=name: r.everywhere(r.covariates[v][:, None, None]), in_time=True))
-        out.append(
-            Shape(f"{name} by place", lambda r, _, v=name: r.everywhere((r.covariates[v][:, None] * r.places)[:, None]),
-                  in_time=True)
-        )  # fmt: skip
+        out.append(Shape(name, _everywhere(_covariate(name)), in_time=True))
+        out.append(Shape(f"{name} by place", _everywhere(_covariate(name, by_place=True)), in_time=True))
     return out
 
 
-def _of_places(places: tuple[str, ...], readings: tuple[str, ...]) -> list[Shape]:
-    out = []
+def _of_places(places: tuple[str, ...], readings: tuple[str, ...]) -> Iterator[Shape]:
     for k, name in enumerate(places):
-        out.append(Shape(f"smooth in {name}", lambda r, _, k=k: r.everywhere(_powers(r.places[:, k]))))
+        yield Shape(f"smooth in {name}", _everywhere(_smooth(k)))
         for a, axis in enumerate(readings):
-            out.append(
-                Shape(f"{axis}: smooth in {name}", lambda r, _, k=k, a=a: r.on_axis(a, _powers(r.places[:, k])))
-            )
-        out.append(
-            Shape(f"wave along {name}", lambda r, waves, k=k: r.everywhere(_wave(r.places[:, k], waves)),
-                  tuple(WAVES_OF_PLACES.tolist()))
-        )  # fmt: skip
+            yield Shape(f"{axis}: smooth in {name}", _on_axis(a, _smooth(k)))
+        yield Shape(f"wave along {name}", _everywhere(_wave(k)), tuple(WAVES_OF_PLACES.tolist()))
     for j, k in combinations(range(len(places)), 2):
         both = f"{places[j]} by {places[k]}"
-        out.append(Shape(both, lambda r, _, j=j, k=k: r.everywhere((r.places[:, j] * r.places[:, k])[:, None, None])))
+        yield Shape(both, _everywhere(_product(j, k)))
         for a, axis in enumerate(readings):
-            out.append(
-                Shape(f"{axis}: {both}",
-                      lambda r, _, j=j, k=k, a=a: r.on_axis(a, (r.places[:, j] * r.places[:, k])[:, None, None]))
-            )  # fmt: skip
-    return out
+            yield Shape(f"{axis}: {both}", _on_axis(a, _product(j, k)))
 
 
-def _of_joints(joints: tuple[str, ...]) -> list[Shape]:
-    out = []
+def _of_joints(joints: tuple[str, ...]) -> Iterator[Shape]:
     for k, name in enumerate(joints):
-        out.append(Shape(f"added to {name}, smooth in it", lambda r, _, k=k: r.along(k, _powers(r.joints[:, k]))))
-        out.append(
-            Shape(f"added to {name}, a wave along it", lambda r, waves, k=k: r.along(k, _wave(r.joints[:, k], waves)),
-                  tuple(WAVES.tolist()))
-        )  # fmt: skip
-        out.append(Shape(f"direction of {name}", lambda r, _, k=k: r.everywhere(r.direction[:, None, k : k + 1])))
+        yield Shape(f"added to {name}, smooth in it", _along(k, _smooth_joint(k)))
+        yield Shape(f"added to {name}, a wave along it", _along(k, _wave_joint(k)), tuple(WAVES.tolist()))
+        yield Shape(f"direction of {name}", _everywhere(_direction(k)))
         for j, other in enumerate(joints):
             if j != k:
-                out.append(
-                    Shape(f"added to {name}, smooth in {other}",
-                          lambda r, _, k=k, j=j: r.along(k, np.concatenate([_powers(r.joints[:, j]),
-                                                                          (r.joints[:, j] * r.joints[:, k])[:, None, None]], axis=2)))
-                )  # fmt: skip
-    return out
+                yield Shape(f"added to {name}, smooth in {other}", _along(k, _smooth_joint(j, k)))
 
 
-def _of_time(places: tuple[str, ...]) -> list[Shape]:
-    def course(r: Rows) -> Floats:
-        assert r.hours is not None, "asked only where times are known"
-        return np.column_stack([r.hours, r.hours**2])[:, None]
-
-    out = [
-        Shape("course of time", lambda r, _: r.everywhere(course(r)), in_time=True),
-        Shape("a cycle in time", lambda r, period_s: r.everywhere(_turn(course(r)[:, :, 0] * 3600.0 / period_s)),
-              tuple(PERIODS_S.tolist()), in_time=True),
-        Shape("a step in time", lambda r, cut: r.everywhere((r.number[:, None] >= cut)[:, :, None].astype(float)),
-              tuple(CUTS.tolist()), in_time=True),
-    ]  # fmt: skip
+def _of_time(places: tuple[str, ...]) -> Iterator[Shape]:
+    yield Shape("course of time", _everywhere(lambda r, _: np.stack([r.clock, r.clock**2], axis=-1)), in_time=True)
+    yield Shape("a cycle in time", _everywhere(lambda r, period_s: _turn(r.clock * 3600.0 / period_s)),
+                tuple(PERIODS_S.tolist()), in_time=True)  # fmt: skip
+    yield Shape("a step in time", _everywhere(lambda r, cut: (r.number[:, None] >= cut)[:, :, None].astype(float)),
+                tuple(CUTS.tolist()), in_time=True)  # fmt: skip
     for k, name in enumerate(places):
-        out.append(
-            Shape(f"course of time by {name}",
-                  lambda r, _, k=k: r.everywhere(course(r)[:, :, :1] * r.places[:, None, k : k + 1]), in_time=True)
-        )  # fmt: skip
-    return out
+        yield Shape(f"course of time by {name}", _everywhere(_in_time(k)), in_time=True)
+
+
+# what a shape is a function of (n, s, f), and where it acts
+
+
+def _everywhere(of: Columns) -> Columns:
+    return lambda r, settings: r.everywhere(of(r, settings))
+
+
+def _on_axis(axis: int, of: Columns) -> Columns:
+    return lambda r, settings: r.on_axis(axis, of(r, settings))
+
+
+def _along(joint: int, of: Columns) -> Columns:
+    return lambda r, settings: r.along(joint, of(r, settings))
+
+
+def _smooth(k: int) -> Columns:
+    return lambda r, _: _powers(r.places[:, k])
+
+
+def _wave(k: int) -> Columns:
+    # so many waves over the range from -1 to 1
+    return lambda r, waves: _turn(0.5 * r.places[:, k, None] * waves)
+
+
+def _wave_joint(k: int) -> Columns:
+    return lambda r, waves: _turn(0.5 * r.joints[:, k, None] * waves)
+
+
+def _product(j: int, k: int) -> Columns:
+    return lambda r, _: (r.places[:, j] * r.places[:, k])[:, None, None]
+
+
+def _smooth_joint(k: int, with_other: int | None = None) -> Columns:
+    def of(r: Rows, _: Floats) -> Floats:
+        alone = _powers(r.joints[:, k])
+        if with_other is None:
+            return alone
+        return np.concatenate([alone, (r.joints[:, k] * r.joints[:, with_other])[:, None, None]], axis=2)
+
+    return of
+
+
+def _direction(k: int) -> Columns:
+    return lambda r, _: r.direction[:, None, k : k + 1]
+
+
+def _in_time(k: int) -> Columns:
+    return lambda r, _: (r.clock * r.places[:, k : k + 1])[:, :, None]
+
+
+def _covariate(name: str, *, by_place: bool = False) -> Columns:
+    def of(r: Rows, _: Floats) -> Floats:
+        value = r.covariates[name][:, None]
+        return (value * r.places if by_place else value)[:, None]
+
+    return of
 
 
 def _powers(x: Floats) -> Floats:
@@ -185,10 +225,6 @@ def _powers(x: Floats) -> Floats:
     return np.column_stack([x, 1.5 * x**2 - 0.5, (2.5 * x**2 - 1.5) * x])[:, None]
 
 
-def _wave(x: Floats, waves: Floats) -> Floats:
-    """Sine and cosine (n, s, 2) of so many waves (s,) over the range from -1 to 1."""
-    return _turn(0.5 * x[:, None] * waves)
-
-
 def _turn(turns: Floats) -> Floats:
+    """Sine and cosine (n, s, 2) of so many turns (n, s)."""
     return np.stack([np.sin(2.0 * np.pi * turns), np.cos(2.0 * np.pi * turns)], axis=-1)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..base.types import Floats
 from ..diagnosis.sizes import PLAUSIBLE
 from .evidence import SIZES
 from .family import Hypothesis
@@ -40,9 +39,8 @@ def outlook(found: Look) -> tuple[Unseen, ...]:
 
 def noise_of_look(found: Look) -> float:
     """The noise of one reading, in its unit, as the best explanation leaves it."""
-    evidence = found.evidence
-    left, free = float(evidence.residual @ evidence.residual), max(evidence.free, 1)
-    return float(np.sqrt(left / free))
+    alarmed = found.lead is not None and found.log_evidence > np.log(ALARM)
+    return float((found.lead.fit if alarmed and found.lead else found.fit).scale)
 
 
 def _outlook(found: Look, h: Hypothesis, noise: float) -> Unseen:
@@ -68,13 +66,14 @@ def _outlook(found: Look, h: Hypothesis, noise: float) -> Unseen:
     at_noise = float(np.interp(0.0, np.log(sizes), powers))
     enough = powers >= POWER
     first = int(np.argmax(enough))
-    times = float(np.exp(np.interp(POWER, powers[max(first - 1, 0) : first + 1], np.log(sizes[max(first - 1, 0) : first + 1]))))
+    times = float(
+        np.exp(np.interp(POWER, powers[max(first - 1, 0) : first + 1], np.log(sizes[max(first - 1, 0) : first + 1])))
+    )
     return Unseen(h.name, at_noise, times * noise if enough.any() else float("inf"), h.in_time, visible)
 
 
-def is_silent(found: Look, seen: tuple[Unseen, ...]) -> bool:
+def is_silent(seen: tuple[Unseen, ...]) -> bool:
     """Whether everything that places can show would have been seen at the size of the noise."""
-    del found
     return all(one.power >= POWER for one in seen if one.visible and not one.in_time)
 
 
@@ -83,11 +82,8 @@ def sentences(seen: tuple[Unseen, ...], unit: str, per_unit: float, untestable: 
     out = []
     for one in seen:
         if one.power < POWER:
-            size = "at no size" if not np.isfinite(one.from_rms) else f"from {one.from_rms * per_unit:.2g} {unit} RMS on"
+            size = (
+                "at no size" if not np.isfinite(one.from_rms) else f"from {one.from_rms * per_unit:.2g} {unit} RMS on"
+            )
             out.append(f"{one.name} would have been seen {size}")
     return [*out, *(f"{name} was not looked for: {why}" for name, why in untestable.items())]
-
-
-def powers(seen: tuple[Unseen, ...]) -> Floats:
-    """The powers (k,) of what places show."""
-    return np.array([one.power for one in seen if one.visible and not one.in_time])

@@ -21,6 +21,7 @@ from ..robots.delta.columns import POSITION
 from ..study import Study
 from . import diagnosis_tables, output
 from .demo import EXAMPLE
+from .measure import until_diagnosed
 
 _LIMITS_MM = (60.0, 200.0)
 _TIME_SCALE = 50.0
@@ -52,7 +53,6 @@ _EXPERIMENT = """\
 robot = "robot.toml"
 ports = "ports.json"
 
-[plan]
 {plan}
 
 [settle]
@@ -76,13 +76,17 @@ name = "lasers"
 kind = "keyence"
 """
 _PLANS = {
-    "local": ("The paper's experiment in the region of interest", 'poses = "paper_local"\norder = "shuffled"\n'
+    "local": ("The paper's experiment in the region of interest", '[plan]\nposes = "paper_local"\norder = "shuffled"\n'
               "repeats = {repeats}\nseed = 1"),
-    "check_drawn": ("Places that were not measured before, by the drawing", "{check}"),
-    "check_twelve": ("The same places with the paper's twelve parameters", '{check}\nthrough = "twelve.toml"'),
-    "check_calibrated": ("The same places through the calibration", '{check}\nthrough = "calibrated.toml"'),
+    "check_drawn": ("Places that were not measured before, by the drawing", "[plan]\n{check}"),
+    "check_twelve": ("The same places with the paper's twelve parameters", '[plan]\n{check}\nthrough = "twelve.toml"'),
+    "check_calibrated": ("The same places through the calibration", '[plan]\n{check}\nthrough = "calibrated.toml"'),
+    "adaptive": ("No poses: the robot chooses them until it is known what is missing",
+                 "[adaptive]\nbudget = 200\nspan_min = {span_min}\nrequired_um = 20.0"),
 }  # fmt: skip
 _CHECKED = 40
+#: Over which time the robot that chooses its poses is judged, on the laboratory's clock.
+_SPAN_MIN = 10.0
 #: Experiments whose misses are compared, and how the robot was sent there.
 _COMPARED = {
     "check_drawn": "by the drawing",
@@ -115,9 +119,12 @@ def lab_demo(folder: Path, *, repeats: int = 2, time_scale: float = _TIME_SCALE)
         for name in _COMPARED:
             _measured(folder, name)
         _compare(folder, lab)
+        output.out.rule("And without a plan: the robot measures until it is known")
+        _until_known(folder)
     output.say(
         f"\nTo do it yourself, in {folder}/: sherkit lab lab.toml --ports ports.json, and in another terminal\n"
-        "  sherkit measure local.toml --live -o again.sqlite"
+        "  sherkit measure local.toml --live -o again.sqlite\n"
+        "  sherkit measure adaptive.toml --until diagnosed -o known.sqlite"
     )
 
 
@@ -138,8 +145,9 @@ def _write_files(folder: Path, repeats: int, time_scale: float) -> None:
     check = f'poses = "list"\nlist_mm = {places}'
     for name, (what, plan) in _PLANS.items():
         text = _EXPERIMENT.format(
-            what=what, name=name, plan=plan.format(repeats=repeats, check=check), settle=2.0 / time_scale
-        )
+            what=what, name=name, settle=2.0 / time_scale,
+            plan=plan.format(repeats=repeats, check=check, span_min=_SPAN_MIN / time_scale),
+        )  # fmt: skip
         write_whole(folder / f"{name}.toml", text)
 
 
@@ -168,6 +176,15 @@ def _measured(folder: Path, name: str) -> float:
     if live is not None:
         output.say(live.sentence())
     return time.monotonic() - began
+
+
+def _until_known(folder: Path) -> None:
+    """The same robot, which chooses its poses itself."""
+    experiment = load_experiment(folder / "adaptive.toml")
+    for ending in ("", "-wal", "-shm"):
+        Path(f"{experiment.run_path}{ending}").unlink(missing_ok=True)
+    until_diagnosed(experiment, folder / "adaptive.toml", experiment.run_path)
+    export_run(experiment.run_path, folder / "adaptive.csv")
 
 
 def _found(folder: Path) -> tuple[Diagnosis, Study]:

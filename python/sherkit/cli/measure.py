@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
@@ -12,7 +12,8 @@ from typing import NoReturn
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from ..lab.experiment import Control, Experiment, Live, RunFile, RunProgress, load_experiment, run
+from ..errors import ExperimentError
+from ..lab.experiment import AdaptiveRun, Control, Experiment, Live, Plan, RunFile, RunProgress, load_experiment, run
 from . import keys, output
 
 #: Signals by which another program, or a closing terminal, asks for an end; not every system has both.
@@ -26,11 +27,16 @@ _POLITE = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(si
 @click.option("--resume", is_flag=True, help="Go on with a run that was interrupted, at its first missing step.")
 @click.option("--accept", is_flag=True, help="With --resume: rows that were marked as in doubt are right.")
 @click.option("--live", "is_live", is_flag=True, help="Identify while the rows come in, and say when they are enough.")
+@click.option(
+    "--until",
+    type=click.Choice(["diagnosed"]),
+    help="The robot chooses its poses itself, by [adaptive], until it is known what is missing.",
+)
 @click.option("--ports", type=click.Path(path_type=Path), help="Addresses by instrument, as 'sherkit lab' wrote them.")
 @output.OWN_INSTRUMENTS
 def measure(
-    experiment: Path, destination: Path | None, resume: bool, accept: bool, is_live: bool, ports: Path | None,
-    python: tuple[Path, ...],
+    experiment: Path, destination: Path | None, resume: bool, accept: bool, is_live: bool, until: str | None,
+    ports: Path | None, python: tuple[Path, ...],
 ) -> None:  # fmt: skip
     """Run EXPERIMENT (TOML): drive to each pose, read the instruments, store.
 
@@ -41,6 +47,13 @@ def measure(
     output.say_that_code_runs(python)
     chosen = load_experiment(experiment, ports, python=python)
     path = destination or chosen.run_path
+    if until is not None:
+        until_diagnosed(chosen, experiment, path, resume=resume, accept=accept)
+        return
+    if chosen.adaptive is not None and all(step.reason for step in chosen.plan):
+        raise ExperimentError(
+            f"{experiment}: has no [plan]: let the robot choose its poses with --until diagnosed, or list some"
+        )
     live = Live(chosen.robot, chosen.plan, chosen.goal, fitting=is_live)
     begin = RunFile.resume if resume else RunFile.create
     with begin(path, chosen.plan, chosen.about()) as file, _ended_by_signals():
@@ -64,15 +77,77 @@ def measure(
     output.say(f"Take them out with: sherkit export {path} -o {path.with_suffix('.csv')}")
 
 
+def until_diagnosed(
+    chosen: Experiment, experiment: Path, path: Path, *, resume: bool = False, accept: bool = False
+) -> None:
+    """Runs an experiment whose poses a loop chooses, into the run file ``path``, and says what it found."""
+    if chosen.adaptive is None:
+        raise ExperimentError(
+            f"{experiment}: [adaptive] is missing: it says within what the robot may choose its poses (budget, "
+            "span_min, required_um, box)"
+        )
+    adaptive = AdaptiveRun(chosen.robot, chosen.adaptive)
+    loop = adaptive.loop
+    plan = RunFile.plan_in(path) if resume else None
+    plan = plan or adaptive.first()
+    begin = RunFile.resume if resume else RunFile.create
+    with begin(path, plan, chosen.about()) as file, _ended_by_signals():
+        if accept:
+            output.say(f"{file.accept()} rows that were in doubt are taken as right")
+        adaptive.take(file.points())
+        looks = len(loop.looks)
+
+        def more(now: Plan) -> Plan | None:
+            nonlocal looks
+            further = adaptive.more(file, now)
+            if len(loop.looks) > looks:
+                looks = len(loop.looks)
+                reason = "" if further is None else further.steps[len(now)].reason
+                output.say(f"{loop.sentence()}{f'; next: {reason}' if reason else ''}")
+            return further
+
+        why = _run(chosen, plan, file, lambda *_: loop.verdict, more)
+        stored = len(file.done())
+    if why == "ended":
+        output.say(
+            f"{stored} rows are in {path}: ended; go on with: sherkit measure {experiment} --until diagnosed --resume"
+        )
+        return
+    output.say(f"{stored} rows are in {path}: {loop.why}")
+    for line in loop.told():
+        output.say(line)
+    output.say(f"Take them out with: sherkit export {path} -o {path.with_suffix('.csv')}")
+
+
 def _measure(chosen: Experiment, file: RunFile, live: Live) -> str:
+    told = False
+
+    def took(now: RunProgress, control: Control) -> str:
+        nonlocal told
+        live.add(now.point)
+        if live.enough and not told:
+            told = True
+            output.err.print(f"[bold green]enough:[/] {live.sentence()}", soft_wrap=True)
+        if live.enough and live.goal is not None and live.goal.stop:
+            control.end()
+        return live.short()
+
+    why = _run(chosen, chosen.plan, file, took)
+    return "goal" if why == "ended" and live.enough else why
+
+
+def _run(
+    chosen: Experiment, plan: Plan, file: RunFile, took: Callable[[RunProgress, Control], str],
+    more: Callable[[Plan], Plan | None] | None = None,
+) -> str:  # fmt: skip
+    """Runs a plan and shows how far it is; ``took`` hears of every row, and says in a few words what it makes of it."""
     control = Control()
     columns = (
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[left]}"),
         TextColumn("{task.fields[model]}"),
     )  # fmt: skip
     shown = Progress(*columns, console=output.err, disable=not output.err.is_terminal)
-    task = shown.add_task("measuring", total=len(chosen.plan), completed=len(file.done()), left="", model="")
-    told = False
+    task = shown.add_task("measuring", total=len(plan), completed=len(file.done()), left="", model="")
 
     def pressed(key: str) -> None:
         if key == "p":
@@ -83,15 +158,9 @@ def _measure(chosen: Experiment, file: RunFile, live: Live) -> str:
             shown.update(task, description="ending")
 
     def report(now: RunProgress) -> None:
-        nonlocal told
-        live.add(now.point)
-        model = live.short()
-        if live.enough and not told:
-            told = True
-            output.err.print(f"[bold green]enough:[/] {live.sentence()}", soft_wrap=True)
-        if live.enough and live.goal is not None and live.goal.stop:
-            control.end()
-        shown.update(task, completed=now.stored, left=_left(now.seconds_left), model=model)
+        model = took(now, control)
+        left = "" if more else _left(now.seconds_left)
+        shown.update(task, completed=now.stored, total=now.total, left=left, model=model)
         if not output.err.is_terminal:
             # a program that reads this may count on the step: it is on the disk
             print(f"stored {now.step}: {now.stored} of {now.total}{', ' + model if model else ''}", flush=True)
@@ -99,9 +168,8 @@ def _measure(chosen: Experiment, file: RunFile, live: Live) -> str:
     with shown, keys.listening(pressed) as heard, chosen.bench() as bench:
         if heard:
             output.err.print("p pauses and goes on, q ends after this step, Ctrl-C stops at once", style="dim")
-        why = run(chosen.plan, bench, file, control=control, warm_up_s=chosen.warm_up_s,
-                  attempts=chosen.attempts, report=report)  # fmt: skip
-    return "goal" if why == "ended" and live.enough else why
+        return run(plan, bench, file, control=control, warm_up_s=chosen.warm_up_s, attempts=chosen.attempts,
+                   report=report, more=more)  # fmt: skip
 
 
 def _left(seconds: float) -> str:

@@ -63,6 +63,7 @@ def _experiments(folder: Path) -> Schema:
         rules: dict[str, Any] = {"robot": robot, "goal": {}}
         for poses in names_of_poses(kind):
             yield {**rules, "plan": {"poses": poses}}
+        yield {**rules, "adaptive": {}}
         # any set of poses, and each instrument by itself: none keeps the others from being asked
         simplest = min(kind.poses, key=len)
         for name in instrument_kinds():

@@ -1,5 +1,6 @@
 """Experiments: a plan of steps, the bench that carries it out, and the run file that loses nothing."""
 
+from .adaptive import AdaptiveRun
 from .bench import Bench
 from .file import Experiment, load_experiment
 from .live import Goal, Live
@@ -8,6 +9,7 @@ from .run_file import RunFile, export_run
 from .runner import Control, RunProgress, run
 
 __all__ = [
+    "AdaptiveRun",
     "Bench",
     "Control",
     "Experiment",

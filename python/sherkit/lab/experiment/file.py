@@ -26,6 +26,7 @@ from ..instruments import AxisController
 from ..kinds import InstrumentSettings, instrument_kinds
 from ..own_code import OwnCode, run_code
 from ..ports import read_ports
+from .adaptive import AdaptiveRun, adaptive_settings
 from .bench import Bench, Checks, Sensor, Settling
 from .live import GOALS, Goal
 from .plan import ORDERS, Plan, plan_of_poses
@@ -130,6 +131,9 @@ class Experiment:
     run_path: Path
     source: str
     text: str
+    #: How the robot chooses its poses itself, as :class:`~sherkit.Adaptive` takes it; None where ``[adaptive]`` is
+    #: missing. Without a list of poses the plan holds those that it begins with.
+    adaptive: Mapping[str, Any] | None = None
 
     @property
     def _motors(self) -> InstrumentSettings:
@@ -220,16 +224,24 @@ def load_experiment(
     known: Mapping[str, Mapping[str, Any]] = {}
     if not offline and (ports or given_ports):
         known = read_ports(ports or path.parent / given_ports)
-    with table.table("plan") as p:
-        targets = coordinates_of_plan(p, path.parent, made)
-        plan = plan_of_poses(
-            joints_of_plan(p, path.parent, made, targets),
-            made.inverse(made.middle).tolist(),
-            repeats=p.whole("repeats", 1, least=1),
-            order=p.text("order", ORDERS, "planes"),
-            seed=p.whole("seed", 0, least=0),
-            approach=p.positive(f"approach_{unit}"),
-        )
+    chosen: Mapping[str, Any] | None = None
+    if table.has("adaptive"):
+        with table.table("adaptive") as a:
+            chosen = adaptive_settings(a, made)
+    with table.table("plan", optional=chosen is not None) as p:
+        if chosen is not None and not p.has("poses"):
+            plan = AdaptiveRun(made, chosen).first()
+            targets = np.array([made.forward(step.joints) for step in plan])
+        else:
+            targets = coordinates_of_plan(p, path.parent, made)
+            plan = plan_of_poses(
+                joints_of_plan(p, path.parent, made, targets),
+                made.inverse(made.middle).tolist(),
+                repeats=p.whole("repeats", 1, least=1),
+                order=p.text("order", ORDERS, "planes"),
+                seed=p.whole("seed", 0, least=0),
+                approach=p.positive(f"approach_{unit}"),
+            )
         warm_up_s = p.number("warm_up_s", 0.0)
     settling, checks, goal = _rules(table, made)
     with table.table("retry", optional=True) as r:
@@ -247,7 +259,7 @@ def load_experiment(
         )
     return Experiment(
         made, plan, targets, instruments, settling, checks, goal, warm_up_s, attempts, run_path,
-        str(path), tomli_w.dumps(values),
+        str(path), tomli_w.dumps(values), chosen,
     )  # fmt: skip
 
 

@@ -39,13 +39,16 @@ _MOST_STEPS = 100_000
 class PlanStep:
     """One reading: pose number and repeat (from 1), where the joints go, and the places they go through before.
 
-    ``joints`` and ``via`` are in the robot's units (mm or rad).
+    ``joints`` and ``via`` are in the robot's units (mm or rad). It is not read before the host's clock shows
+    ``not_before_s``; ``reason`` says why it is in the plan, where a loop has chosen it.
     """
 
     pose: int
     repeat: int
     joints: tuple[float, ...]
     via: tuple[tuple[float, ...], ...] = ()
+    not_before_s: float = 0.0
+    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,10 @@ class Plan:
 
     def __iter__(self) -> Iterator[PlanStep]:
         return iter(self.steps)
+
+    def longer(self, steps: Sequence[PlanStep]) -> Plan:
+        """The plan that goes on with these steps."""
+        return Plan((*self.steps, *steps), self.start)
 
     def places(self) -> Floats:
         """Every place that the joints are sent to (n, k), the start and those on the way among them."""
@@ -124,7 +131,17 @@ class Plan:
 
     def to_json(self) -> str:
         """What :meth:`from_json` reads, without loss."""
-        steps = [[s.pose, s.repeat, list(s.joints), [list(v) for v in s.via]] for s in self.steps]
+        chosen = any(s.reason for s in self.steps)
+        steps = [
+            [
+                s.pose,
+                s.repeat,
+                list(s.joints),
+                [list(v) for v in s.via],
+                *([s.not_before_s, s.reason] if chosen else []),
+            ]
+            for s in self.steps
+        ]
         return json.dumps({"start": list(self.start), "steps": steps})
 
     @classmethod
@@ -133,8 +150,14 @@ class Plan:
         try:
             values = json.loads(text)
             steps = tuple(
-                PlanStep(int(pose), int(repeat), tuple(map(float, joints)), tuple(tuple(map(float, v)) for v in via))
-                for pose, repeat, joints, via in values["steps"]
+                PlanStep(
+                    int(pose),
+                    int(repeat),
+                    tuple(map(float, joints)),
+                    tuple(tuple(map(float, v)) for v in via),
+                    *(f(v) for f, v in zip((float, str), chosen, strict=False)),
+                )
+                for pose, repeat, joints, via, *chosen in values["steps"]
             )
             return cls(steps, tuple(map(float, values["start"])))
         except (ValueError, TypeError, KeyError) as error:

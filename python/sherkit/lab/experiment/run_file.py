@@ -216,6 +216,18 @@ class RunFile(RunRows):
                     )
 
     @classmethod
+    def plan_in(cls, path: str | Path) -> Plan | None:
+        """The plan of a run, grown as it is; None where there is no run yet."""
+        path = Path(path)
+        if not path.is_file():
+            return None
+        with cls(path, connected(path)) as made:
+            if made._is_bare():
+                return None
+        with cls.open(path) as made:
+            return made.plan
+
+    @classmethod
     def open(cls, path: str | Path) -> Self:
         """Opens a run that exists."""
         path = Path(path)
@@ -317,6 +329,11 @@ class RunFile(RunRows):
 
     def _now_s(self) -> float:
         return now_s() + self._later_s
+
+    def grow(self, plan: Plan) -> None:
+        """The plan goes on: steps that were taken stay as they are."""
+        with self._writing():
+            self._db.execute("UPDATE run SET value = ? WHERE key = 'plan'", (plan.to_json(),))
 
     @property
     @reads

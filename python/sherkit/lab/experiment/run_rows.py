@@ -20,6 +20,8 @@ from .plan import Plan, Point
 #: "Sher", in the file's header: what kind of database this is.
 _APPLICATION = 0x53686572
 FORMAT = 2
+#: The column that says why a pose was driven.
+REASON = "reason"
 #: Runs of an earlier version, which can be read and not gone on with.
 READ_TOO = ("1", "2")
 _TABLES = """
@@ -190,7 +192,8 @@ class RunRows:
     def frame(self) -> pl.DataFrame:
         """The rows in the order of their steps: step, time, pose, repeat, and a column for every value.
 
-        Where rows are in doubt, they have a 1 in the column ``outlier``: no fit uses them.
+        Where a loop has chosen the poses, ``reason`` says why. Where rows are in doubt, they have a 1 in the column
+        ``outlier``: no fit uses them.
         """
         points = self._db.execute("SELECT step, time_s, pose, repeat FROM point ORDER BY step").fetchall()
         place = {row[0]: k for k, row in enumerate(points)}
@@ -205,7 +208,9 @@ class RunRows:
         }
         if doubts := self.doubts():
             head[OUTLIER] = pl.Series([int(row[0] in doubts) for row in points], dtype=pl.Int64)
-        return pl.DataFrame({**head, **{n: pl.Series(v, dtype=pl.Float64) for n, v in columns.items()}})
+        reasons = {k: step.reason for k, step in enumerate(self.plan.steps)} if points else {}
+        told = {REASON: pl.Series([reasons.get(row[0], "") for row in points])} if any(reasons.values()) else {}
+        return pl.DataFrame({**head, **{n: pl.Series(v, dtype=pl.Float64) for n, v in columns.items()}, **told})
 
     def measurements(self) -> Measurements:
         """The rows as measurements, by time. Raises :class:`~sherkit.errors.MeasurementError` where there are none."""

@@ -10,6 +10,7 @@ from itertools import pairwise
 
 from ...errors import Disconnected, Garbled, Implausible, OutOfRange, SherkitError, Timeout
 from ...model.kinds import kind_of
+from ..clock import now_s
 from .bench import Bench
 from .plan import Plan, Point
 from .run_file import RunFile
@@ -77,13 +78,15 @@ def run(
     warm_up_s: float = 0.0,
     attempts: int = 1,
     report: Callable[[RunProgress], None] | None = None,
+    more: Callable[[Plan], Plan | None] | None = None,
 ) -> str:
     """Takes the steps that the file lacks, in order, and says why it ended: "complete", or "ended" by ``control``.
 
     ``report`` hears of every step once its point is on the disk. ``warm_up_s`` drives through the plan for so long
     before the first of them, without reading. A step may take ``attempts``: what went wrong on a line (no answer, one
     that is not understood, a lost connection) may be better with new connections, while a limit switch or a lost beam
-    is not. After a pause and in a run that was interrupted, the first step is approached as the plan has it.
+    is not. ``more`` is asked when all steps are taken: it gives a plan that goes on, or None where it is enough. After
+    a pause and in a run that was interrupted, the first step is approached as the plan has it.
 
     Nothing moves before it is proven where the axes stand (:meth:`~sherkit.lab.experiment.Bench.prove`): in a run that
     goes on, where the last row was taken, on the way from there to the next step, or where the plan begins. Each row is
@@ -95,6 +98,8 @@ def run(
     bench.check(plan.places())
     done = file.done()
     missing = [n for n in range(len(plan)) if n not in done]
+    if not missing and (further := _longer(plan, bench, file, more)) is not None:
+        plan, missing = further
     if not missing:
         return "complete"
     file.begin(bench.identities())
@@ -107,6 +112,9 @@ def run(
         _look(bench, file, watch)
         _warm_up(plan, bench, warm_up_s, control)
         why = _take(plan, bench, file, missing, control, attempts, report, watch)
+        while why == "complete" and (further := _longer(plan, bench, file, more)) is not None:
+            plan, missing = further
+            why = _take(plan, bench, file, missing, control, attempts, report, watch, follows=True)
     except BaseException as error:
         said = str(error) if isinstance(error, SherkitError) else type(error).__name__
         why = f"failed: {said}"
@@ -118,6 +126,18 @@ def run(
     return why
 
 
+def _longer(
+    plan: Plan, bench: Bench, file: RunFile, more: Callable[[Plan], Plan | None] | None
+) -> tuple[Plan, list[int]] | None:
+    """The plan that goes on, once it is on the disk, and its new steps; None where there is none."""
+    grown = None if more is None else more(plan)
+    if grown is None or len(grown) == len(plan):
+        return None
+    bench.check(grown.places()[len(plan.places()) :])
+    file.grow(grown)
+    return grown, list(range(len(plan), len(grown)))
+
+
 def _take(
     plan: Plan,
     bench: Bench,
@@ -127,16 +147,22 @@ def _take(
     attempts: int,
     report: Callable[[RunProgress], None] | None,
     watch: Watch,
+    *,
+    follows: bool = False,
 ) -> str:
     total = len(plan)
     seconds = 0.0
-    last = -2
+    # what follows on a batch is approached from where that ended
+    last = missing[0] - 1 if follows else -2
     for k, number in enumerate(missing):
         if control.paused:
             file.note("paused", number)
             control.wait()
             file.note("resumed", number)
             last = -2
+        if control.ended:
+            return "ended"
+        _wait(plan.steps[number].not_before_s, control)
         if control.ended:
             return "ended"
         began = time.monotonic()
@@ -152,6 +178,12 @@ def _take(
         if report is not None:
             report(RunProgress(number, total - len(missing) + k + 1, total, seconds * (len(missing) - k - 1), point))
     return "complete"
+
+
+def _wait(until_s: float, control: Control) -> None:
+    """Returns when the host's clock shows so much, or the run is to end; the motors stand."""
+    while now_s() < until_s and not control.ended:
+        time.sleep(min(_PAUSE_POLL_S, max(until_s - now_s(), 0.0)))
 
 
 def _measured(plan: Plan, bench: Bench, file: RunFile, number: int, follows: bool, attempts: int) -> Point:
