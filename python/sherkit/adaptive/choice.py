@@ -23,7 +23,7 @@ from .look import FAR, Keys, Look
 from .region import Places, planned
 
 #: Candidates for each batch, the share of places that are anywhere, and what a coefficient is expected to be, squared.
-_CANDIDATES, _ANYWHERE, _EXPECTED = 60, 0.2, 4.0
+_CANDIDATES, _ANYWHERE, _EXPECTED = 240, 0.2, 4.0
 #: At most so many rivals.
 _MOST_RIVALS = 6
 #: Until the evidence is so much, nothing being missing is a rival too (a logarithm).
@@ -45,15 +45,13 @@ def rivals(found: Look) -> list[Keys]:
     first = lead.keys if lead is not None else found.effects[0][0] if found.effects else None
     if first is None:
         return [keys for keys, _ in shapes[:1]]
-    best = max(found.value(first), shapes[0][1] if shapes else -np.inf)
+    shape, value = found.shape_beside([first])
+    best = max(found.value(first), value)
     mine = {name for name, _ in first}
     # the leader and something besides is no rival of it: what it leaves tells of that
-    near = [keys for keys, value in found.effects
-            if keys != first and value > best - FAR and not mine <= {name for name, _ in keys}]  # fmt: skip
-    out = [first, *near[: _MOST_RIVALS - 1]]
-    if shapes and shapes[0][1] > best - 2.0 * FAR:
-        out.append(shapes[0][0])
-    return out
+    near = [keys for keys, likely in found.effects
+            if keys != first and likely > best - FAR and not mine <= {name for name, _ in keys}]  # fmt: skip
+    return [first, *near[: _MOST_RIVALS - 1], *([shape] if value > best - 2.0 * FAR else [])]
 
 
 def choose(found: Look, count: int, alarmed: bool, rng: np.random.Generator, pace_s: float) -> list[Chosen]:
@@ -165,8 +163,9 @@ def _apart(found: Look, own: Floats, tried: Mapping[str, Floats], sets: Sequence
     return gained
 
 
-def is_beyond(found: Look, against: Sequence[Keys], budget: int, late_s: float) -> bool:
-    """Whether the readings that are left, wherever and whenever they are taken, would not tell two rivals apart."""
+def is_beyond(found: Look, against: Sequence[Keys], budget: int, late_s: float, margin: float) -> bool:
+    """Whether the readings that are left, wherever and whenever they are taken, would not tell two rivals apart, by a
+    ``margin``."""
     if budget <= found.readings:
         return False
     rng = np.random.default_rng(found.readings)
@@ -176,7 +175,7 @@ def is_beyond(found: Look, against: Sequence[Keys], budget: int, late_s: float) 
         columns = found.family.columns(rows, found.fit.values, found.fit.model, before=found.readings)
         far = max(far, float(np.expm1(_apart(found, columns.own, columns.tried, against).max())))
     # half of a squared distance is what a reading adds to the logarithm of their ratio
-    return 0.5 * far * (budget - found.readings) < _CERTAIN
+    return 0.5 * far * (budget - found.readings) < margin * _CERTAIN
 
 
 def _at(found: Look, tried: Mapping[str, Floats], key: Key) -> Floats:

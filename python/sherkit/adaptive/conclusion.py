@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import scipy
 
 from ..base import linalg
+from ..calibration import calibrate
+from ..data import Measurements
 from ..data.columns import unit_in
 from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.checks import Check
@@ -19,10 +21,7 @@ from ..fit.identify import Fit, identify
 from . import rule
 from .choice import is_beyond, later
 from .look import Keys, Look
-from .silence import ALARM, is_silent, sentences
-
-if TYPE_CHECKING:
-    from .loop import Adaptive
+from .silence import ALARM, Unseen, is_silent, sentences
 
 #: Places at which the accuracy is asked, and the share of cases that it holds for.
 _PLACES, _SHARE = 60, 0.95
@@ -30,6 +29,25 @@ _PLACES, _SHARE = 60, 0.95
 _MOST_TIED = 6
 #: Part of the budget after which it is asked whether the rest would tell more.
 _LATE = 0.6
+#: Readings from which it is asked at all.
+_EARLY = 48
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What a loop was told and holds, and what it is to reach."""
+
+    robot: Any
+    data: Callable[[], Measurements]
+    readings: int
+    found: Look | None
+    state: rule.State
+    seen: tuple[Unseen, ...]
+    budget: int
+    minutes: float | None
+    span_min: float
+    required_um: float | None
+    seed: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,15 +72,15 @@ class Conclusion:
         return _agreeing(self.make(), self)
 
 
-def conclude(loop: Adaptive) -> Conclusion:
+def conclude(loop: Told) -> Conclusion:
     """What follows from the rows of a loop."""
-    found, state = loop.last, loop.state
+    found, state = loop.found, loop.state
     if loop.readings == 0:
         return Conclusion()
 
     def make() -> Diagnosis:
-        data = loop.data
-        aside = loop.last.aside if loop.last else np.zeros(0, dtype=np.int64)
+        data = loop.data()
+        aside = found.aside if found else np.zeros(0, dtype=np.int64)
         return diagnose(identify(loop.robot, data.mark_outliers(aside) if len(aside) else data), seed=loop.seed)
 
     if found is None:
@@ -84,7 +102,7 @@ def conclude(loop: Adaptive) -> Conclusion:
     if verdict == "explained" and (done or state.done):
         lead = found.lead
         if lead is not None:
-            accuracy = accuracy_um(loop, found, lead.fit)
+            accuracy = accuracy_um(loop, found, lead.names, lead.fit)
         needed = loop.required_um
         if state.done and not spent and needed is not None and accuracy is not None and accuracy > needed:
             more = found.readings * (accuracy / needed) ** 2
@@ -94,7 +112,7 @@ def conclude(loop: Adaptive) -> Conclusion:
                 told = f"{needed:g} µm is not reached: {accuracy:.3g} µm, and the readings that the budget leaves"
                 notes.insert(0, f"{told} would not bring it")
     elif verdict == "adequate" and done:
-        accuracy = accuracy_um(loop, found, found.fit)
+        accuracy = accuracy_um(loop, found, (), found.fit)
     best = [(" & ".join(name for name, _ in keys), value) for keys, value in found.sets[:3]]
     return Conclusion(
         verdict, done, why if done else "", effects if done or state.named else (), tied,
@@ -102,40 +120,40 @@ def conclude(loop: Adaptive) -> Conclusion:
     )  # fmt: skip
 
 
-def _spent(loop: Adaptive) -> str:
+def _spent(loop: Told) -> str:
     if loop.readings >= loop.budget:
         return f"the budget of {loop.budget} readings is spent"
-    data = loop.last.data if loop.last else None
+    data = loop.found.data if loop.found else None
     if loop.minutes and data is not None and data.time_s is not None and np.ptp(data.time_s) >= 60.0 * loop.minutes:
         return f"the budget of {loop.minutes:g} minutes is spent"
     return ""
 
 
-def _is_beyond(loop: Adaptive, found: Look, state: rule.State) -> bool:
+def _is_beyond(loop: Told, found: Look, state: rule.State) -> bool:
     """Whether late in the budget effects are tied that nothing more would tell apart."""
-    if not state.alarmed or found.readings < max(_LATE * loop.budget, 4 * rule.FEWEST):
+    if not state.alarmed or found.readings < _EARLY:
         return False
     ties = rule.ties(found)
-    return len(ties) > 1 and is_beyond(found, ties[:2], loop.budget, _longer(loop))
+    # early only what is as good as the same everywhere
+    margin = 1.0 if found.readings >= _LATE * loop.budget else 0.05
+    return len(ties) > 1 and is_beyond(found, ties[:2], loop.budget, _longer(loop), margin)
 
 
-def _longer(loop: Adaptive) -> float:
+def _longer(loop: Told) -> float:
     """Seconds to a moment that is late enough to tell what lives in time."""
     left = 3600.0 if not loop.minutes else 60.0 * loop.minutes
     return max(left, 120.0 * loop.span_min)
 
 
-def _at_the_end(
-    loop: Adaptive, found: Look, spent: str
-) -> tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], str]:
+def _at_the_end(loop: Told, found: Look, spent: str) -> tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], str]:
     """Verdict, effects, ties and reason where nothing stands alone and no more is read."""
     why = spent or "no reachable pose, and no later moment, tells what is left apart"
     if found.log_evidence < np.log(ALARM):
-        if is_silent(loop.seen):
+        if found.readings >= rule.FEWEST and is_silent(loop.seen):
             return "adequate", (), (), f"{why}; nothing is missing that these rows would have shown"
         return "undecided", (), (), why
-    shape = found.shapes[0][1] if found.shapes else -np.inf
     ties = rule.ties(found)
+    shape = found.shape_beside(ties)[1]
     lead = found.lead
     if lead is None or not ties:
         return "unexplained", (), (), why
@@ -156,26 +174,29 @@ def _words(keys: Keys) -> str:
 
 
 @linalg.one_thread()
-def accuracy_um(loop: Adaptive, found: Look, fit: Fit) -> float | None:
-    """How far off the model's readings may be anywhere in the region, in 95 of 100 cases, µm: the largest over places.
+def accuracy_um(loop: Told, found: Look, effects: tuple[str, ...], fit: Fit) -> float | None:
+    """How far off the calibrated robot may be anywhere in the region, in 95 of 100 cases, µm: the largest over places.
 
-    From the covariance of what was fitted, unobserved directions at their plausible sizes; readings in other units than
-    mm count by what a joint moves. None where readings are no lengths.
+    As a calibration of these rows promises it (:class:`~sherkit.robots.predicted_accuracy.PredictedAccuracy`); of a
+    kind without one, or an effect that a calibration cannot hold, by the covariance of the fit. None where that is in
+    no length.
     """
-    family = found.family
-    names = [fit.data.layout.readings[a] for a in family.axes]
-    if not all(unit_in(name) == "mm" for name in names):
-        return None
-    places = family.region.spread(_PLACES, loop.seed + 1)
-    rows = later(found.data, places, 0.0, np.random.default_rng(loop.seed))
+    places = found.family.region.spread(_PLACES, loop.seed + 1)
     try:
-        by = fit.model.derivatives(rows, fit.values)[:, list(family.axes)]
+        made = calibrate(loop.robot, found.data, effects=effects, correction="none").calibration
+        promised = made.predicted_accuracies(places.targets).radius_mm
+        if np.isfinite(promised).any():
+            return float(1e3 * np.nanmax(promised))
     except SherkitError:
+        pass
+    axes = list(found.family.axes)
+    if not all(unit_in(fit.data.layout.readings[a]) == "mm" for a in axes):
         return None
-    covariance = fit.covariance + fit.unobserved_covariance
-    each = np.einsum("nmp,pq,nkq->nmk", by, covariance, by)
-    largest = np.linalg.eigvalsh(each)[:, -1].clip(0.0)
-    return float(1e3 * np.sqrt(scipy.stats.chi2.ppf(_SHARE, len(names)) * largest.max()))
+    rows = later(found.data, places, 0.0, np.random.default_rng(loop.seed))
+    by = fit.model.derivatives(rows, fit.values)[:, axes]
+    each = np.einsum("nmp,pq,nkq->nmk", by, fit.covariance + fit.unobserved_covariance, by)
+    largest = float(linalg.eigvalsh(each)[:, -1].max())
+    return float(1e3 * np.sqrt(scipy.stats.chi2.ppf(_SHARE, len(axes)) * max(largest, 0.0)))
 
 
 def _agreeing(d: Diagnosis, said: Conclusion) -> Diagnosis:

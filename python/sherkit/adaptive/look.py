@@ -7,7 +7,7 @@ what an effect leaves to first order about the drawing is no judgement on it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -36,6 +36,8 @@ _ENOUGH, _ALIKE = 24, 20.0
 _FULL, _NEAR = 4, 12.0
 #: An effect beside which the evidence is less leaves nothing (a logarithm).
 _QUIET = np.log(20.0)
+#: A shape of which an effect is a part counts for so much less (a logarithm); the part of it that it must hold.
+WIDER, _HOLDS = np.log(1e3 / 20.0), 0.98
 #: A set is far better than another where it is so much likelier (a logarithm).
 FAR = np.log(1e4)
 
@@ -93,8 +95,36 @@ class Look:
 
     @cached_property
     def shapes(self) -> tuple[tuple[Keys, float], ...]:
-        """The shapes, best first."""
+        """The sets with a shape in them, best first."""
         return tuple((keys, value) for keys, value in self.sets if self.is_shape(keys))
+
+    def shape_beside(self, explaining: Sequence[Keys]) -> tuple[Keys, float]:
+        """The best set with a shape that is not one of these and something besides. One that holds all that the first
+        of them does is that once more, in a wider form: it counts for less."""
+        names = [{name for name, _ in keys} for keys in explaining]
+        best: tuple[Keys, float] = (), -np.inf
+        for keys, value in self.shapes:
+            if value <= best[1]:
+                break
+            if not any(one <= {name for name, _ in keys} for one in names):
+                lower = value - WIDER if explaining and self.holds(keys, explaining[0]) else value
+                best = max(best, (keys, lower), key=lambda one: one[1])
+        return best
+
+    def holds(self, wider: Keys, keys: Keys) -> bool:
+        """Whether what a set takes of the readings could be taken by another one as well, whatever it takes."""
+        taken = self._taken(keys)
+        told = taken @ (taken.T @ self.evidence.residual)
+        beside = self._taken(wider)
+        return float(np.square(beside.T @ told).sum()) > _HOLDS * float(told @ told)
+
+    def _taken(self, keys: Keys) -> Floats:
+        known = [
+            key for key in keys if key[0] in self.evidence.place and key[1] in self.family.by_name[key[0]].settings
+        ]
+        if len(known) < len(keys):
+            return np.zeros((len(self.evidence.residual), 0))
+        return orthonormal(np.concatenate([self.evidence.left(key) for key in known], axis=1))
 
     @cached_property
     def lead(self) -> Fitted | None:

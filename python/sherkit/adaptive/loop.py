@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -26,7 +27,7 @@ from ..model.kinds import required_um as stated_um
 from ..model.robot_file import RobotLike, load_robot, run_for
 from . import rule
 from .choice import choose, rivals
-from .conclusion import conclude
+from .conclusion import Conclusion, Told, conclude
 from .family import Family
 from .look import Look, look, rows_in_time
 from .region import Places, Region
@@ -192,13 +193,17 @@ class Adaptive:
         return (*out, *end.notes)
 
     @property
-    def conclusion(self) -> Any:
+    def conclusion(self) -> Conclusion:
         """All of the above, made once for the rows that there are."""
         if self._concluded is None or self._concluded[0] != self.readings:
-            self._concluded = (self.readings, conclude(self))
+            told = Told(
+                self.robot, lambda: self.data, self.readings, self.last, self.state, self.seen, self.budget,
+                self.minutes, self.span_min, self.required_um, self.seed,
+            )  # fmt: skip
+            self._concluded = (self.readings, conclude(told))
         return self._concluded[1]
 
-    _concluded: tuple[int, Any] | None = None
+    _concluded: tuple[int, Conclusion] | None = None
 
     # -- asking ------------------------------------------------------------------------------------------
 
@@ -327,7 +332,13 @@ class Adaptive:
         self._advance()
 
     def _read(self, frame: pl.DataFrame) -> Measurements:
-        return self.model.as_declared(run_for(self.robot, from_frame(frame, "the rows told")))
+        data = self.model.as_declared(run_for(self.robot, from_frame(frame, "the rows told")))
+        if data.time_s is None and not np.isfinite(data.direction).all():
+            # without a clock, rows were read in the order in which they are told
+            way = np.sign(np.diff(data.joints, axis=0, prepend=data.joints[:1] - 1.0))
+            moved = np.maximum.accumulate(np.where(way != 0, np.arange(len(way))[:, None], 0), axis=0)
+            data = replace(data, direction=np.take_along_axis(way, moved, axis=0))
+        return data
 
     @linalg.one_thread()
     def _advance(self) -> None:

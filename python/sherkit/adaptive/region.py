@@ -24,6 +24,8 @@ _DIGITS = {"mm": 3, "rad": 5}
 #: Of so many points drawn at once, one at least must be within reach.
 _AT_ONCE, _ROUNDS = 64, 40
 _CORNERS = 128
+#: Part of a workspace that is no more than rounding.
+_ROUNDING = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +182,7 @@ def _shown(model: ModelWithEffects, rows: Measurements, targets: tuple[str, ...]
     still = np.zeros(len(model.parameters))
     if isinstance(model, ChainModel) and model.targets:
         shown, seen = model.stands(rows, still)
-        return shown, seen & model.allowed(shown)
+        return shown, seen & model.allowed(shown, _ROUNDING)
     shown = model.predict(rows, still)[:, : len(targets)]
     return shown, np.asarray(np.isfinite(shown).all(axis=1))
 

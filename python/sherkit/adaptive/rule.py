@@ -84,15 +84,12 @@ def ties(found: Look) -> list[Keys]:
 
 def _stands(found: Look, lead: Fitted) -> bool:
     """Whether the leader is far ahead of all else and leaves nothing."""
-    own = found.value(lead.keys)
-    mine = set(lead.names)
-    for keys, value in found.sets:
-        other = {name for name, _ in keys}
-        if keys == lead.keys or mine < other or other == mine:
-            continue
-        if own - value < (_SHAPES if found.is_shape(keys) else FAR):
-            return False
-    return lead.rest < _LEFT
+    own, mine = found.value(lead.keys), set(lead.names)
+    # two effects imitate more than one does
+    margin = _SHAPES if len(lead.keys) == 1 else FAR
+    if lead.rest >= _LEFT or own - found.shape_beside([lead.keys])[1] < margin:
+        return False
+    return not any(own - value < FAR and not mine <= {name for name, _ in keys} for keys, value in found.effects)
 
 
 def _is_unknown(found: Look) -> bool:

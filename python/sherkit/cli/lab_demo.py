@@ -97,7 +97,7 @@ _COMPARED = {
 
 def lab_demo(folder: Path, *, repeats: int = 2, time_scale: float = _TIME_SCALE) -> None:
     """Writes the files, starts the laboratory, measures, diagnoses, calibrates, and measures again."""
-    _write_files(folder, repeats, time_scale)
+    write_files(folder, repeats, time_scale)
     with RunningLaboratory(load_laboratory(folder / "lab.toml")) as lab:
         lab.write_ports(folder / "ports.json")
         output.out.print(
@@ -138,7 +138,8 @@ def write_laboratory(folder: Path, time_scale: float = 1.0) -> Path:
     return folder / "lab.toml"
 
 
-def _write_files(folder: Path, repeats: int, time_scale: float) -> None:
+def write_files(folder: Path, repeats: int, time_scale: float) -> None:
+    """Writes the laboratory and the experiments of the demo."""
     write_laboratory(folder, time_scale)
     rng = np.random.default_rng(7)
     places = np.round(rng.uniform(-9.0, 9.0, (_CHECKED, 3)), 2).tolist()

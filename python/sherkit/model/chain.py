@@ -142,8 +142,9 @@ class ChainModel(ModelWithEffects):
         found, reached = self.core_for(rows).predict(full, self.block(rows))
         return found[:, : len(self.targets)], reached
 
-    def allowed(self, coordinates: Floats) -> Bools:
-        """Which coordinates (k, c) lie in the workspace, give or take what a robot is off by; all unless it has one."""
+    def allowed(self, coordinates: Floats, slack: float = SLACK) -> Bools:
+        """Which coordinates (k, c) lie in the workspace, give or take what a robot is off by, a part ``slack`` of its
+        size; all unless it has one."""
         return np.ones(len(coordinates), dtype=bool)
 
     def reachable(self, data: Measurements, values: Floats) -> Reachable | None:

@@ -108,15 +108,15 @@ class DeltaModel(ChainModel):
             places = places[np.hypot(places[:, 0], places[:, 1]) <= robot.workspace_radius_mm * (1 + 1e-9)]
         return places
 
-    def allowed(self, coordinates: Floats) -> Bools:
+    def allowed(self, coordinates: Floats, slack: float = SLACK) -> Bools:
         """Which places (k, 3) lie in the workspace of the robot file."""
         robot, inside = self.robot, np.ones(len(coordinates), dtype=bool)
         if robot.workspace_radius_mm:
-            inside &= np.hypot(coordinates[:, 0], coordinates[:, 1]) <= robot.workspace_radius_mm * (1 + SLACK)
+            inside &= np.hypot(coordinates[:, 0], coordinates[:, 1]) <= robot.workspace_radius_mm * (1 + slack)
         if robot.workspace_z_mm:
             low, high = robot.workspace_z_mm
             size = max(high - low, robot.workspace_radius_mm or 0.0)
-            inside &= (coordinates[:, 2] >= low - SLACK * size) & (coordinates[:, 2] <= high + SLACK * size)
+            inside &= (coordinates[:, 2] >= low - slack * size) & (coordinates[:, 2] <= high + slack * size)
         return inside
 
     def reason(self, data: Measurements, row: int, values: Floats) -> str:

@@ -134,14 +134,14 @@ class SphericalModel(ChainModel):
             reached = reached & shown & ((pixels >= 0) & (pixels <= size - 1)).all(axis=1)
         return found, reached
 
-    def allowed(self, coordinates: Floats) -> Bools:
+    def allowed(self, coordinates: Floats, slack: float = SLACK) -> Bools:
         """Which φ and γ (k, 2) lie in the workspace of the robot file."""
         inside = np.ones(len(coordinates), dtype=bool)
         for k, given in enumerate((self.robot.phi_deg, self.robot.gamma_deg)):
             if given is not None:
                 low, high = np.deg2rad(given)
-                slack = SLACK * (high - low)
-                inside &= (coordinates[:, k] >= low - slack) & (coordinates[:, k] <= high + slack)
+                more = slack * (high - low)
+                inside &= (coordinates[:, k] >= low - more) & (coordinates[:, k] <= high + more)
         return inside
 
     def reason(self, data: Measurements, row: int, values: Floats) -> str:

@@ -1,0 +1,323 @@
+"""Measuring until it is known: the evidence, the rule, what is asked, and loops on the second simulators."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy import integrate, stats
+
+import sherkit as sk
+from driven_worlds import DrivenArm, DrivenDelta, DrivenSpherical, World
+from sherkit.adaptive.evidence import SIZES, log_bayes
+from sherkit.errors import ArgumentError, ExperimentError, MeasurementError
+
+Floats = np.ndarray
+
+
+def drive(world: World, **settings: Any) -> sk.Adaptive:
+    """A loop from its first row to its end."""
+    loop = sk.Adaptive(world.robot, **{"budget": 150, "span_min": 5.0, **settings})
+    while not loop.done:
+        loop.tell(world.read(loop.ask()))
+    return loop
+
+
+@pytest.fixture(scope="module")
+def leaning() -> tuple[sk.Adaptive, World]:
+    """A delta whose rails lean, measured until that was known."""
+    world = DrivenDelta(1, ("rail_lean",), 3.0)
+    return drive(world, required_um=20), world
+
+
+# -- the evidence ---------------------------------------------------------------------------------------------------
+
+
+def by_integration(x: Floats, y: Floats, size: float) -> float:
+    """The Bayes factor of one column against none, Jeffreys' noise, by two integrals: a second way to the number."""
+    n = len(y)
+
+    def likelihood(c: float, log_sigma: float) -> float:
+        return float(np.exp(stats.norm.logpdf(y, c * x, np.exp(log_sigma)).sum()))
+
+    def prior(c: float, log_sigma: float) -> float:
+        return float(stats.norm.pdf(c, 0.0, size * np.exp(log_sigma)))
+
+    wide = np.log(np.std(y)) + np.array([-1.5, 2.5])
+    above = integrate.dblquad(lambda c, s: likelihood(c, s) * prior(c, s), *wide, -30.0, 30.0, epsrel=1e-6)[0]
+    below = integrate.quad(lambda s: likelihood(0.0, s), *wide, epsrel=1e-8)[0]
+    assert n
+    return above / below
+
+
+def test_a_bayes_factor_is_the_ratio_of_two_integrals() -> None:
+    """Catches a wrong prior, a wrong number of degrees of freedom, a determinant that is left out."""
+    rng = np.random.default_rng(3)
+    x = rng.normal(size=8)
+    y = 0.6 * x + rng.normal(size=8)
+    found = log_bayes((x @ x).reshape(1, 1, 1), np.array([[x @ y]]), float(y @ y), len(y))[0]
+    assert np.exp(found) == pytest.approx(np.mean([by_integration(x, y, size) for size in SIZES]), rel=2e-3)
+
+
+def test_the_mean_of_bayes_factors_never_rises_where_nothing_is_missing() -> None:
+    """Catches evidence that grows by being looked at: its mean at the look where it is largest so far must not exceed
+    one by more than chance (400 runs of 12 looks, Ville's bound at 20 broken with a chance below 1e-3 otherwise)."""
+    rng = np.random.default_rng(0)
+    alarms, last = 0, []
+    for _ in range(400):
+        own, column, y = rng.normal(size=(60, 3)), rng.normal(size=(60, 2)), rng.normal(size=60)
+        seen = []
+        for n in range(12, 61, 4):
+            q, _ = np.linalg.qr(own[:n])
+            x, r = column[:n] - q @ (q.T @ column[:n]), y[:n] - q @ (q.T @ y[:n])
+            seen.append(float(np.exp(log_bayes((x.T @ x)[None], (x.T @ r)[None], float(r @ r), n - 3)[0])))
+        alarms += max(seen) >= 20.0
+        last.append(seen[-1])
+    assert alarms <= stats.binom.ppf(1.0 - 1e-3, 400, 1 / 20)
+    assert np.mean(last) < 1.0 + 4.0 * np.std(last) / np.sqrt(len(last))
+
+
+# -- loops ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_loop_ends_with_the_name_of_what_was_hidden(leaning: tuple[sk.Adaptive, World]) -> None:
+    """Catches a loop that does not end, names another effect, or promises what does not hold elsewhere."""
+    loop, world = leaning
+    assert (loop.verdict, loop.effects, loop.indistinguishable) == ("explained", ("rail_lean",), ())
+    assert loop.readings <= 60
+    assert loop.accuracy_um is not None
+    assert loop.accuracy_um <= 20
+    assert loop.last is not None
+    assert loop.last.lead is not None
+    places = loop.region.anywhere(50, np.random.default_rng(0))
+    missed = world.missed(loop.last.lead.fit, places.joints)
+    assert np.mean(1e3 * missed <= loop.accuracy_um) >= 0.9
+    assert loop.diagnosis.verdict == "explained"
+    assert loop.diagnosis.effects == ("rail_lean",)
+    assert loop.ask() == []
+
+
+def test_silence_says_what_could_not_have_been_seen() -> None:
+    """Catches an innocent that is blamed, a loop that stops before the span is over, and silence without its limits."""
+    world = DrivenDelta(5)
+    loop = drive(world, span_min=20.0)
+    assert (loop.verdict, loop.effects) == ("adequate", ())
+    assert loop.readings <= 66
+    assert world.clock_s >= 20.0 * 60.0 - 5.0
+    assert all("would have been seen" in note or "was not looked for" in note for note in loop.notes)
+    assert loop.diagnosis.verdict == "adequate"
+
+
+def test_what_is_in_no_catalogue_is_never_explained() -> None:
+    """Catches a name for a warped plate."""
+    loop = drive(DrivenDelta(2, unknown="saddle", ratio=5.0))
+    assert loop.verdict == "unexplained"
+    assert loop.effects == ()
+    assert "looks like" in loop.why
+
+
+@pytest.mark.parametrize(
+    ("world", "name"),
+    [
+        (lambda: DrivenSpherical(0, ("backlash",), 3.0), "backlash"),
+        (lambda: DrivenArm(0, ("joint_compliance",), 3.0), "joint_compliance"),
+    ],
+)
+def test_other_robots(world: Callable[[], World], name: str) -> None:
+    """Catches a loop that knows deltas alone."""
+    loop = drive(world())
+    assert (loop.verdict, loop.effects) == ("explained", (name,))
+
+
+def forward(joints: Any, p: Any) -> Floats:
+    """A plotter whose axes are not square."""
+    x, y = joints.T
+    return np.stack([x - p.squareness * y + p.x_zero, y + p.y_zero], axis=1)
+
+
+def test_a_machine_of_the_users_own() -> None:
+    """Catches a machine by a function that no loop can drive: here its first joint reads too much by its length."""
+    machine = sk.Machine(
+        forward, joints={"a_mm": (0.0, 300.0), "b_mm": (0.0, 200.0)}, readings=("x_mm", "y_mm"), name="plotter",
+        parameters={"squareness": ("rad", 1e-3), "x_zero": ("mm", 1.0), "y_zero": ("mm", 1.0)},
+    )  # fmt: skip
+    rng = np.random.default_rng(4)
+    loop = sk.Adaptive(machine, budget=120)
+    assert loop.ask()[0].keys() >= {"pose", "repeat", "a_mm", "b_mm", "x_mm", "y_mm", "reason", "not_before_s"}
+    while not loop.done:
+        rows = []
+        for row in loop.ask():
+            a, b = row["a_mm"], row["b_mm"]
+            seen = np.array([1.0004 * a - 3e-4 * b, b]) + 0.002 * rng.normal(size=2)
+            rows.append({"pose": row["pose"], "repeat": 1, "a_mm": a, "b_mm": b, "x_mm": seen[0], "y_mm": seen[1]})
+        loop.tell(rows)
+    assert loop.verdict == "explained"
+    assert any("scale" in name for name in (*loop.effects, *sum(loop.indistinguishable, ())))
+
+
+# -- what is asked and told -----------------------------------------------------------------------------------------
+
+
+def test_what_is_asked_is_what_a_run_file_names() -> None:
+    """Catches rows that a lab script cannot use: keys, reasons, a place for each, within the workspace."""
+    world = DrivenDelta(3)
+    loop = sk.Adaptive(world.robot, budget=60, span_min=20.0, batch=5)
+    asked = loop.ask()
+    assert [set(row) for row in asked] == [
+        {"pose", "repeat", "q1_mm", "q2_mm", "q3_mm", "x_mm", "y_mm", "z_mm", "reason", "not_before_s"}
+    ] * len(asked)
+    assert asked == loop.ask()
+    assert {row["reason"] for row in asked} == {"start"}
+    assert all(np.hypot(row["x_mm"], row["y_mm"]) <= 30.0 for row in asked)
+    for row in asked:
+        place = world.robot.forward([row[f"q{k}_mm"] for k in (1, 2, 3)])
+        assert place == pytest.approx([row[f"{a}_mm"] for a in "xyz"], abs=2e-3)
+    reasons, waits = set(), []
+    while not loop.done:
+        asked = loop.ask()
+        reasons |= {row["reason"] for row in asked}
+        waits += [row["not_before_s"] for row in asked]
+        assert loop.readings == 0 or len(asked) <= 5
+        loop.tell(world.read(asked))
+    assert reasons <= {"start", "all", "explore", "time"}
+    assert "time" in reasons
+    late = [one for one in waits if one > 0]
+    assert late == sorted(late)
+    assert late[-1] > 19.0 * 60.0
+
+
+def test_a_box_is_kept() -> None:
+    """Catches poses outside of the part of the workspace that was given."""
+    box = {"x_mm": (-5.0, 5.0), "z_mm": (0.0, 10.0)}
+    loop = sk.Adaptive(DrivenDelta(0).robot, box=box)
+    asked = loop.ask()
+    assert all(-5.0 <= row["x_mm"] <= 5.0 and 0.0 <= row["z_mm"] <= 10.0 for row in asked)
+    assert max(abs(row["y_mm"]) for row in asked) > 10.0
+
+
+def test_rows_may_come_back_as_they_like() -> None:
+    """Catches a loop that hangs, or forgets, where rows come back fewer, later, elsewhere, twice, or with more columns
+    than were asked for; all are counted once."""
+    world = DrivenDelta(6, ("backlash",), 4.0)
+    loop = sk.Adaptive(world.robot, budget=120)
+    first = world.read(loop.ask())
+    loop.tell(first[:5])
+    loop.tell(first[:7])
+    assert loop.readings == 7
+    assert len(loop.ask()) == len(first) - 7
+    elsewhere = loop.ask()
+    for row in elsewhere:
+        row["q1_mm"] += 0.3
+        row["hum"] = "somebody spoke"
+    loop.tell([{**row, "note": "late"} for row in world.read(elsewhere)])
+    assert loop.readings == len(first)
+    assert loop.looks
+    loop.tell(pl.DataFrame(world.read(loop.ask())))
+    frame = pl.DataFrame(world.read(loop.ask()))
+    loop.tell({name: frame[name].to_list() for name in frame.columns})
+    while not loop.done:
+        loop.tell(world.read(loop.ask()))
+    assert loop.effects == ("backlash",)
+
+
+def test_a_row_that_is_wrong_is_driven_again() -> None:
+    """Catches a gross error that becomes physics, and one that nobody looks at again."""
+    world = DrivenDelta(9)
+    loop = sk.Adaptive(world.robot, budget=80)
+    reasons = set()
+    while not loop.done:
+        asked = loop.ask()
+        reasons |= {row["reason"] for row in asked}
+        rows = world.read(asked)
+        for row in rows:
+            if row["pose"] in (15, 22) and row["repeat"] == 1:
+                row["z_mm"] += 0.5
+        loop.tell(rows)
+    assert loop.verdict == "adequate"
+    assert loop.last is not None
+    assert len(loop.last.aside) == 2
+    assert "again" in reasons
+
+
+def test_state_follows_from_the_rows(leaning: tuple[sk.Adaptive, World], tmp_path: Path) -> None:
+    """Catches a file, or all rows told at once, that lead to another verdict or other poses."""
+    loop, _ = leaning
+    loop.save(tmp_path / "loop.json")
+    again = sk.Adaptive.load(tmp_path / "loop.json")
+    at_once = sk.Adaptive(loop.robot, required_um=20, budget=150, span_min=5.0)
+    at_once.tell(loop.data)
+    for other in (again, at_once):
+        assert (other.verdict, other.effects, other.readings) == (loop.verdict, loop.effects, loop.readings)
+        assert [one.log_evidence for one in other.looks] == pytest.approx([one.log_evidence for one in loop.looks])
+    half = sk.Adaptive(loop.robot, required_um=20, budget=150, span_min=5.0)
+    half.tell(loop.data.select(np.arange(loop.start)))
+    half.save(tmp_path / "half.json")
+    assert sk.Adaptive.load(tmp_path / "half.json").ask() == half.ask()
+
+
+# -- bad input ------------------------------------------------------------------------------------------------------
+
+
+def without_workspace() -> Any:
+    """A delta whose file does not say how far it may go."""
+    tables = DrivenDelta(0).robot.to_tables()
+    del tables["workspace"]
+    from sherkit.model.kinds import robot_from_tables
+
+    return robot_from_tables(tables, "robot")
+
+
+@pytest.mark.parametrize(
+    ("made", "says"),
+    [
+        (lambda: sk.Adaptive(without_workspace()), "nothing says how far this robot may go"),
+        (lambda: sk.Adaptive(DrivenDelta(0).robot, box={"u_px": (0.0, 1.0)}), "'u_px' is no joint and no coordinate"),
+        (lambda: sk.Adaptive(DrivenDelta(0).robot, box={"x_mm": (5.0, -5.0)}), "low below high"),
+        (lambda: sk.Adaptive(DrivenDelta(0).robot, box={"x_mm": (90.0, 95.0)}), "outside of the robot's own workspace"),
+        (lambda: sk.Adaptive(DrivenDelta(0).robot, box={"q1_mm": (0.0, 50.0)}), "all of them"),
+    ],
+)
+def test_a_region_that_is_none(made: Callable[[], object], says: str) -> None:
+    """Catches a traceback, or a robot that is sent anywhere, for a region that nobody knows or that is empty."""
+    with pytest.raises(ExperimentError, match=says):
+        made()
+
+
+@pytest.mark.parametrize("settings", [{"budget": 0}, {"level": 2.0}, {"span_min": -1.0}, {"batch": "six"}])
+def test_settings_that_are_none(settings: dict[str, Any]) -> None:
+    """Catches a number that means nothing."""
+    with pytest.raises(ArgumentError, match=next(iter(settings))):
+        sk.Adaptive(DrivenDelta(0).robot, **settings)
+
+
+def test_rows_that_are_none_change_nothing(tmp_path: Path) -> None:
+    """Catches half of a table that is taken before the other half is refused."""
+    world = DrivenDelta(0)
+    loop = sk.Adaptive(world.robot)
+    rows = world.read(loop.ask())
+    loop.tell(rows[:4])
+    bad = [{**rows[4], "x_mm": "much"}, rows[5]]
+    for wrong in (bad, [{"pose": 1}], 7, [3], {"theta1_rad": [1.0]}):
+        with pytest.raises(MeasurementError):
+            loop.tell(wrong)
+        assert loop.readings == 4
+    loop.tell([])
+    loop.tell([{**rows[4], "x_mm": float("nan"), "y_mm": float("nan"), "z_mm": 1.0}])
+    (tmp_path / "no.json").write_text(json.dumps({"kind": "other"}))
+    for name, says in (("no.json", "no file of an adaptive loop"), ("missing.json", "cannot be read")):
+        with pytest.raises(ExperimentError, match=says):
+            sk.Adaptive.load(tmp_path / name)
+
+
+def test_a_budget_that_is_spent_says_so() -> None:
+    """Catches a loop that goes on for ever, and a budget below what it begins with."""
+    loop = drive(DrivenDelta(0, ("joint_scale",), 0.5), budget=20)
+    assert loop.readings == 20
+    assert "budget of 20 readings is spent" in loop.why
+    small = drive(DrivenDelta(0), budget=5)
+    assert (small.verdict, small.readings) == ("undecided", 5)
