@@ -88,7 +88,7 @@ def test_what_is_wrong_with_the_file_is_said(folder: Path, capsys: pytest.Captur
         ("[adaptive.box]\nx_mm = [300.0, 400.0]", "outside of the robot's own workspace"),
         ("level = -1.0", "level"),
     ):
-        (folder / "wrong.toml").write_text(text.replace("budget = 200", wrong))
+        (folder / "wrong.toml").write_text(text.replace("budget = 200\n", "").replace("required_um = 20.0", wrong))
         with pytest.raises(ExperimentError, match=re.escape(says)):
             load_experiment(folder / "wrong.toml")
 

@@ -24,8 +24,6 @@ from .family import Family, Key
 
 #: Sizes of coefficients that are expected, in noises on the reference, each as likely.
 SIZES = (0.7, 2.0, 6.0, 20.0, 60.0)
-#: Part of the residual that is rounding.
-_EXACT = 1e-18
 #: Pairs looked at: of the first so many effects, and shapes, with every other.
 _FIRST, _FIRST_SHAPES = 6, 3
 
@@ -42,10 +40,13 @@ class Weighed:
 class Evidence:
     """What a residual (N,) says of columns beside those of the model, all over the noise of each reading.
 
-    ``own`` (N, p) is what the model fits, ``tried`` maps hypotheses to their columns (N, k).
+    ``own`` (N, p) is what the model fits, ``tried`` maps hypotheses to their columns (N, s, k) at each setting;
+    ``rounding`` is the size of a reading's last digit.
     """
 
-    def __init__(self, family: Family, residual: Floats, own: Floats, tried: Mapping[str, Floats]) -> None:
+    def __init__(
+        self, family: Family, residual: Floats, own: Floats, tried: Mapping[str, Floats], rounding: float = 0.0
+    ) -> None:
         self.family = family
         self.own, self.raw_residual, self.tried = own, residual, tried
         self.basis = orthonormal(own)
@@ -57,7 +58,8 @@ class Evidence:
         self.columns = columns - self.basis @ (self.basis.T @ columns)
         self.residual = residual - self.basis @ (self.basis.T @ residual)
         self.free = len(residual) - self.basis.shape[1]
-        self._whole = float(residual @ residual)
+        # what is no more than the digits of a reading tells nothing: readings that were computed, not taken
+        self._least = len(residual) * rounding**2
 
     def raw(self, key: Key) -> Floats:
         """Columns (N, k) of a hypothesis at a setting."""
@@ -87,7 +89,7 @@ class Evidence:
 
     def _weighed(self, columns: Floats, residual: Floats, free: int, without: Iterable[str] = ()) -> Weighed:
         squares = float(residual @ residual)
-        told = free > 0 and squares > _EXACT * self._whole
+        told = free > 0 and squares > self._least
         answers = columns.T @ residual
         log_bf: dict[str, float] = {}
         setting: dict[str, float | None] = {}

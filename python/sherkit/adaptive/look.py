@@ -16,6 +16,7 @@ import numpy as np
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.noise import MAD, Noise, noise_of
+from ..diagnosis.fitted_run import DIGITS
 from ..diagnosis.linearised import Whitening, correlation_in_time, orthonormal
 from ..errors import SherkitError
 from ..fit.identify import Fit, identify
@@ -202,7 +203,11 @@ class _View:
         """Of everything that may be missing beside a fit."""
         columns = self.family.columns(self.data, fit.values, fit.model)
         tried = {name: self.flat(values) for name, values in columns.tried.items()}
-        return Evidence(self.family, self.flat(self.residual(fit)), self.flat(columns.own), tried)
+        reach = [
+            np.ptp(self.data.readings[self.used[:, k], a]) for k, a in enumerate(self.axes) if self.used[:, k].any()
+        ]
+        rounding = DIGITS * float(max(reach, default=0.0))
+        return Evidence(self.family, self.flat(self.residual(fit)), self.flat(columns.own), tried, rounding)
 
     def look(self, aside: Ints) -> Look:
         """All of it."""

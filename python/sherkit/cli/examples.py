@@ -40,6 +40,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "measure": (
         "sherkit measure experiment.toml --live",
+        "sherkit measure experiment.toml --until diagnosed",
         "sherkit measure experiment.toml --python my_lab.py --resume",
     ),
     "plan": ("sherkit plan robot.toml experiment.toml", "sherkit plan robot.toml experiment.toml --noise-um 2"),

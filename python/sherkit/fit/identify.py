@@ -296,7 +296,7 @@ def identify(
     ratio = scale(problem.residuals(values), judged, result["rank"], loss)
     covariance, beyond = result["covariance"] * ratio**2, result["unobserved_covariance"]
     if priors:
-        known = problem.information(judged / ratio, values, priors=True)
+        known = problem.information(judged / max(ratio, 1e-12), values, priors=True)
         covariance, beyond = known["covariance"], known["unobserved_covariance"]
     # of a robust fit the covariance is that of each column by its own spread; this is all of them over the noise
     overall = ratio if loss == "linear" else scale(problem.residuals(values), weights, result["rank"], loss)
