@@ -22,7 +22,7 @@ FLOORS = (
     ("robots", "diagnosis"),
     ("planning", "calibration", "fleets", "printers"),
     ("study", "adaptive"),
-    ("report", "lab", "testing"),
+    ("report", "lab", "testing", "changes"),
     ("__init__",),
     ("app",),
     ("cli",),

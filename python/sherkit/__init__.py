@@ -18,6 +18,7 @@ if _TYPE_CHECKING:
     from ._core import __version__
     from .adaptive import Adaptive
     from .calibration import calibrate
+    from .changes import compare
     from .data import Measurements, from_bluesky, from_frame, from_rosbag, read_measurements
     from .diagnosis import diagnose
     from .errors import SherkitError, SherkitWarning
@@ -32,8 +33,9 @@ if _TYPE_CHECKING:
 
 __all__ = [
     "Adaptive", "Effect", "Machine", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__",
-    "calibrate", "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "fleet", "from_bluesky",
-    "from_frame", "from_rosbag", "identify", "lab", "load_calibration", "load_robot", "model", "planning",
+    "calibrate", "compare", "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "fleet",
+    "from_bluesky", "from_frame", "from_rosbag", "identify", "lab", "load_calibration", "load_robot", "model",
+    "planning",
     "read_measurements", "report", "save_robot", "serial", "spherical", "tool",
 ]  # fmt: skip
 
@@ -57,6 +59,7 @@ if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not 
             "Adaptive": "adaptive", "Effect": "model.effect", "Machine": "robots.machine", "Measurements": "data",
             "SherkitError": "errors",
             "SherkitWarning": "errors", "Study": "study", "__version__": "_core", "calibrate": "calibration",
+            "compare": "changes",
             "diagnose": "diagnosis",
             "effect": "model.effect", "fleet": "fleets", "from_bluesky": "data", "from_frame": "data",
             "from_rosbag": "data", "identify": "fit",

@@ -18,7 +18,7 @@ from ..base import linalg
 from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import TIME
-from .family import Key
+from .hypotheses import Key
 from .look import FAR, Keys, Look
 from .region import Places, planned
 

@@ -20,7 +20,7 @@ import numpy as np
 from ..base import linalg
 from ..base.types import Floats
 from ..diagnosis.linearised import orthonormal
-from .family import Family, Key
+from .hypotheses import Hypotheses, Key
 
 #: Sizes of coefficients that are expected, in noises on the reference, each as likely.
 SIZES = (0.7, 2.0, 6.0, 20.0, 60.0)
@@ -45,7 +45,7 @@ class Evidence:
     """
 
     def __init__(
-        self, family: Family, residual: Floats, own: Floats, tried: Mapping[str, Floats], rounding: float = 0.0
+        self, family: Hypotheses, residual: Floats, own: Floats, tried: Mapping[str, Floats], rounding: float = 0.0
     ) -> None:
         self.family = family
         self.own, self.raw_residual, self.tried = own, residual, tried
@@ -87,6 +87,12 @@ class Evidence:
         left = self.residual - basis @ (basis.T @ self.residual)
         return self._weighed(rest, left, self.free - basis.shape[1], without={name for name, _ in keys})
 
+    def left_of(self, keys: Iterable[Key]) -> float:
+        """The square of what the model with these hypotheses in it leaves."""
+        taken = [self.left(key) for key in keys]
+        basis = orthonormal(np.concatenate([np.zeros((len(self.residual), 0)), *taken], axis=1))
+        return float(self.residual @ self.residual) - float(np.square(basis.T @ self.residual).sum())
+
     def _weighed(self, columns: Floats, residual: Floats, free: int, without: Iterable[str] = ()) -> Weighed:
         squares = float(residual @ residual)
         told = free > 0 and squares > self._least
@@ -120,8 +126,8 @@ class Evidence:
             for name, value in alone.log_bf.items()
         }
         ordered = sorted(alone.log_bf, key=lambda name: -alone.log_bf[name])
-        first = [name for name in ordered if by_name[name].effect is not None][:_FIRST]
-        first += [name for name in ordered if by_name[name].effect is None][:_FIRST_SHAPES]
+        first = [name for name in ordered if not by_name[name].is_shape][:_FIRST]
+        first += [name for name in ordered if by_name[name].is_shape][:_FIRST_SHAPES]
         pairs: dict[frozenset[str], tuple[float, tuple[Key, ...]]] = {}
         for name in first:
             key = (name, alone.setting[name])

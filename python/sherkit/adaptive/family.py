@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -19,11 +18,10 @@ from ..data.lagged import DRAWN_C, Room
 from ..diagnosis.linearised import orthonormal
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
+from .hypotheses import Hypotheses, Hypothesis, Key, weighted
 from .region import Region, planned
-from .shapes import CUTS, WAVES, Covariate, Rows, Shape, shapes
+from .shapes import CUTS, WAVES, Covariate, Rows, shapes
 
-#: Shares of the weight of one: effects one by one, shapes, pairs of effects.
-SINGLES, SHAPES, PAIRS = 0.45, 0.45, 0.1
 #: Rows of the reference on which columns are scaled; a part of a column that is rounding.
 _REFERENCE, _ROUNDING = 160, 1e-4
 #: A shape of which one effect holds this part is that effect once more.
@@ -31,25 +29,6 @@ _TWIN = 0.97
 #: Delays behind the room, s.
 _LAGS_S = (60.0, 120.0, 240.0, 480.0, 960.0, 1920.0, 3840.0)
 _SWING_C = 1.0
-
-#: A hypothesis by name, at what it is set to.
-Key = tuple[str, float | None]
-
-
-@dataclass(frozen=True)
-class Hypothesis:
-    """One thing that may be missing: an ``effect`` of the catalogue, or a ``shape`` of what is in none.
-
-    ``settings`` are what it may be set to, None alone where there is nothing to set; ``in_time`` tells whether a later
-    moment shows more of it; ``weight`` is its share.
-    """
-
-    name: str
-    effect: Effect | None
-    shape: Shape | None
-    settings: tuple[float | None, ...]
-    in_time: bool
-    weight: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +41,7 @@ class Columns:
 
 
 @dataclass(frozen=True, eq=False)
-class Family:
+class Family(Hypotheses):
     """All hypotheses about a robot in a region. A coefficient of one leaves, beside what the model fits, a root mean
     square of one unit of the readings over the reference; ``scales`` see to it."""
 
@@ -70,7 +49,6 @@ class Family:
     region: Region
     axes: tuple[int, ...]
     covariates: tuple[Covariate, ...]
-    hypotheses: tuple[Hypothesis, ...]
     untestable: Mapping[str, str]
     scales: Mapping[str, float]
     #: Of each effect the mean squares (k, k) of its columns over the reference, beside what the model fits.
@@ -100,7 +78,7 @@ class Family:
             for e in effects
         ]
         hypotheses += [Hypothesis(shape.name, None, shape, shape.settings, shape.in_time) for shape in made]
-        whole = cls(model, region, axes, covariates, tuple(hypotheses), untestable, {}, {})
+        whole = cls(tuple(hypotheses), model, region, axes, covariates, untestable, {}, {})
         return whole._scaled(_reference(region, data, span_s))
 
     def _scaled(self, reference: Measurements) -> Family:
@@ -129,37 +107,15 @@ class Family:
             )  # fmt: skip
 
         kept = [h for h in self.hypotheses if h.name in scales and not is_twin(h)]
-        singles = max(sum(h.effect is not None for h in kept), 1)
-        share = {True: SINGLES / singles, False: SHAPES / max(len(kept) - singles, 1)}
         taken = {h.name: "what the model fits anyway takes all of it" for h in self.hypotheses
                  if h.effect is not None and h.name not in scales}  # fmt: skip
         return replace(
             self,
-            hypotheses=tuple(replace(h, weight=share[h.effect is not None]) for h in kept),
+            hypotheses=weighted(kept),
             untestable={**self.untestable, **taken},
             scales=scales,
             reference={h.name: scales[h.name] ** 2 * left[h.name].T @ left[h.name] / n for h in kept if h.effect},
         )
-
-    @cached_property
-    def by_name(self) -> dict[str, Hypothesis]:
-        """Hypotheses by name."""
-        return {h.name: h for h in self.hypotheses}
-
-    @property
-    def effects(self) -> tuple[Hypothesis, ...]:
-        """Those that are of the catalogue."""
-        return tuple(h for h in self.hypotheses if h.effect is not None)
-
-    def weight(self, names: Sequence[str]) -> float:
-        """The share of one hypothesis or of a pair; half of that of pairs is for two effects."""
-        if len(names) == 1:
-            return self.by_name[names[0]].weight
-        count, every = len(self.effects), len(self.hypotheses)
-        two = max(count * (count - 1) / 2, 1.0)
-        if all(self.by_name[name].effect is not None for name in names):
-            return 0.5 * PAIRS / two
-        return 0.5 * PAIRS / max(every * (every - 1) / 2 - two, 1.0)
 
     # -- columns -----------------------------------------------------------------------------------------
 

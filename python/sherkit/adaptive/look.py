@@ -22,7 +22,8 @@ from ..errors import SherkitError
 from ..fit.identify import Fit, identify
 from ..model.effect import Effect
 from .evidence import Evidence, log_bayes_at
-from .family import Family, Key
+from .family import Family
+from .hypotheses import Key
 
 #: A row farther off than so many robust deviations, beside the best explanation, is set aside.
 _GROSS = 7.0
@@ -87,7 +88,7 @@ class Look:
 
     def is_shape(self, keys: Keys) -> bool:
         """Whether a set is a shape of what is in no catalogue."""
-        return any(self.family.by_name[name].shape is not None for name, _ in keys)
+        return any(self.family.by_name[name].is_shape for name, _ in keys)
 
     @cached_property
     def effects(self) -> tuple[tuple[Keys, float], ...]:
@@ -214,7 +215,7 @@ class _View:
         fit = self.fit(self.family.model)
         evidence = self.evidence(fit)
         sets = evidence.sets()
-        first = sorted((keys for keys in sets if not any(self.family.by_name[n].shape for n, _ in keys)),
+        first = sorted((keys for keys in sets if not any(self.family.by_name[n].is_shape for n, _ in keys)),
                        key=lambda keys: -sets[keys])  # fmt: skip
         fitted = []
         asked = [keys for keys in first[:_FULL] if sets[keys] > sets[first[0]] - _NEAR]

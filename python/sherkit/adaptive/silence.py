@@ -10,7 +10,7 @@ import scipy
 
 from ..diagnosis.sizes import PLAUSIBLE
 from .evidence import SIZES
-from .family import Hypothesis
+from .hypotheses import Hypothesis
 from .look import Look
 
 #: Evidence that is an alarm, and the power with which an effect must have been seen.

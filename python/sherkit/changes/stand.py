@@ -1,0 +1,113 @@
+"""Where the sensor stands: what may differ from run to run and is no change of the robot.
+
+A tracker or a stage of lasers that was stationed anew shows every place turned and shifted: found by the best turn of
+one cloud of points onto the other (Kabsch, 1976). A camera that was moved is found by its pose. Of other readings the
+zero is free.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..base import linalg
+from ..base.types import Bools, Floats
+from ..data import Measurements
+from ..data.columns import bare, unit_in
+from ..errors import FitError
+from ..model.base import ModelWithEffects
+
+#: Rounds in which rows that are wrong are left out of the turn, and from which multiple of the median.
+_ROUNDS, _FAR = 4, 5.0
+_STEPS = 8
+CAMERA = "camera_pose"
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """How a run is seen: its ``residual`` (n, m) to the model once the sensor is where it stands, the ``columns``
+    (n, m, s) of what is left to move it by, and how far it was moved, by name with its unit."""
+
+    residual: Floats
+    columns: Floats
+    moved: dict[str, float]
+
+
+def stand_of(model: ModelWithEffects, data: Measurements, values: Floats, axes: tuple[int, ...], used: Bools) -> Stand:
+    """The stand from which these rows were read, of a model at these values. Raises
+    :class:`~sherkit.errors.FitError` for rows that are too few to tell it."""
+    chosen = list(axes)
+    predicted = model.predict(data, values)[:, chosen]
+    seen = np.where(used, data.readings[:, chosen], predicted)
+    names = [data.layout.readings[a] for a in axes]
+    whole: Bools = np.asarray(used.all(axis=1))
+    if len(axes) == 3 and all(unit_in(name) == "mm" for name in names):
+        if whole.sum() < 4:
+            raise FitError(f"{data.source}: expected four rows or more with all of {', '.join(names)}")
+        return _rigid(predicted, seen, whole)
+    if CAMERA in model.known_effects and CAMERA not in {e.name for e in model.effects}:
+        return _camera(model, data, values, chosen, seen, used)
+    zero = np.array(
+        [np.median((seen - predicted)[used[:, k], k]) if used[:, k].any() else 0.0 for k in range(len(axes))]
+    )
+    columns = np.broadcast_to(np.eye(len(axes)), (len(seen), len(axes), len(axes))).copy()
+    moved = {f"zero_{bare(name)}_{unit_in(name)}": float(v) for name, v in zip(names, zero, strict=True)}
+    return Stand(np.where(used, seen - predicted - zero, 0.0), columns, moved)
+
+
+def _rigid(predicted: Floats, seen: Floats, whole: Bools) -> Stand:
+    """Readings turned and shifted onto what is predicted."""
+    near = whole.copy()
+    turn, middle, there = np.eye(3), np.zeros(3), np.zeros(3)
+    for _ in range(_ROUNDS):
+        middle, there = seen[near].mean(axis=0), predicted[near].mean(axis=0)
+        u, _, v = linalg.svd((seen[near] - middle).T @ (predicted[near] - there))
+        turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
+        missed = np.linalg.norm((seen - middle) @ turn + there - predicted, axis=1)
+        kept = whole & (missed <= _FAR * max(float(np.median(missed[whole])), 1e-300))
+        if np.array_equal(kept, near) or kept.sum() < 4:
+            break
+        near = kept
+    at = (seen - middle) @ turn + there
+    arms = at - there
+    columns = np.zeros((len(seen), 3, 6))
+    columns[:, :, :3] = np.eye(3)
+    for k, axis in enumerate(np.eye(3)):
+        columns[:, :, 3 + k] = np.cross(axis, arms)
+    shift = middle - there
+    angles = _vector(turn)
+    moved = {f"shift_{a}_mm": float(s) for a, s in zip("xyz", shift, strict=True)}
+    moved |= {f"turn_{a}_mrad": float(1e3 * t) for a, t in zip("xyz", angles, strict=True)}
+    return Stand(at - predicted, columns, moved)
+
+
+def _vector(turn: Floats) -> Floats:
+    """The rotation vector (3,) by which the sensor was turned: readings times ``turn`` are as before."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(turn).as_rotvec())
+
+
+def _camera(
+    model: ModelWithEffects, data: Measurements, values: Floats, axes: list[int], seen: Floats, used: Bools
+) -> Stand:
+    """The pose of the camera alone, by Gauss and Newton's steps from where it stood."""
+    effect = model.known_effects[CAMERA]
+    moved_model: Any = model.with_effect(effect)
+    at = moved_model.owns(effect)
+    now = np.insert(np.asarray(values, dtype=float), at.start, np.zeros(at.stop - at.start))
+    columns, left = np.zeros((len(seen), len(axes), 0)), seen
+    for _ in range(_STEPS):
+        predicted = moved_model.predict(data, now)[:, axes]
+        left = np.where(used, seen - predicted, 0.0)
+        columns = moved_model.derivatives(data, now)[:, axes, at]
+        step = np.linalg.lstsq(columns[used], left[used], rcond=1e-9)[0]
+        now[at] += step
+        if (np.abs(step) <= 1e-9 * np.array([p.size for p in effect.parameters])).all():
+            break
+    names = [p.name for p in effect.parameters]
+    units = [p.unit for p in effect.parameters]
+    moved = {f"{name}_{unit}": float(v) for name, unit, v in zip(names, units, now[at], strict=True)}
+    return Stand(left, columns, moved)

@@ -1,0 +1,121 @@
+"""Machines before and after, by the second simulators: what changed, and where the sensor stands the second time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import sherkit as sk
+from driven_worlds import UNKNOWN
+from second_simulator.effects import EFFECTS
+from second_simulator.geometry import FITTED_SIZES, NOMINAL_CONFIG, Robot, draw_geometric_errors
+from second_simulator.plans import make_plan
+from second_simulator.simulate import scaled_effect, truth
+from sherkit.model.kinds import robot_from_tables
+from sherkit.robots.serial import VirtualSerial, postures
+from test_arm_counted import arm_in
+from test_serial import NOISE_MM, PLAIN
+
+Floats = NDArray[np.float64]
+
+#: What may change of a delta: its fitted geometry, and the effects that are no matter of time or temperature.
+PARAMETERS = tuple(f"{group}_{k}" for group in FITTED_SIZES for k in (1, 2, 3))
+MECHANICAL = ("joint_scale", "encoder_cyclic", "backlash", "rail_lean", "rod_mismatch", "gravity_sag", "beam_alignment",
+              "sensor_linearity", "limb_twist", "drive_compliance")  # fmt: skip
+
+
+def somewhere(rng: np.random.Generator, count: int) -> Floats:
+    """Places (n, 3), mm, over the workspace of the delta."""
+    out = rng.uniform([-20, -20, -18], [20, 20, 18], (3 * count, 3))
+    return out[np.hypot(out[:, 0], out[:, 1]) < 26.0][:count]
+
+
+class DeltaPair:
+    """Two runs of one delta: poses, noise, order and room differ; ``changed`` names what did, as large as the geometry
+    and the sensor's stand leave ``ratio`` noises of it in the second run."""
+
+    def __init__(
+        self, seed: int, changed: tuple[str, ...] = (), ratio: float = 2.0, *, poses: tuple[int, int] = (60, 40),
+        stationed: bool = True, warmer_c: float = 0.0, unknown: str = "", noise_um: float = 2.0, growth: bool = False,
+    ) -> None:  # fmt: skip
+        rng = np.random.default_rng([seed, 21])
+        self.robot = robot_from_tables(deepcopy(NOMINAL_CONFIG), "nominal")
+        self.real, self.noise = Robot.from_dict(NOMINAL_CONFIG), 1e-3 * noise_um
+        self.errors = draw_geometric_errors(np.random.default_rng([seed, 1]))
+        self.common: dict[str, Any] = {"thermal_growth": np.array([12e-6])} if growth or warmer_c else {}
+        plans = [make_plan(self.real, somewhere(rng, n), 2, "shuffled", seed + k) for k, n in enumerate(poses)]
+        plans[1]["temperature_c"] = plans[1]["temperature_c"] + warmer_c
+        self.true: dict[str, float] = {}
+        after, effects = dict(self.errors), dict(self.common)
+        for k, name in enumerate(changed):
+            if name in EFFECTS:
+                drawn = np.random.default_rng([seed, 2, k])
+                effects |= scaled_effect(self.real, plans[1], name, drawn, ratio * self.noise, errors=self.errors)
+            else:
+                step = 1e-3 if "angle" not in name else 1e-5
+                by = self._left(plans[1], truth(self.real, plans[1], self.errors | {name: self.errors[name] + step})
+                                - truth(self.real, plans[1], self.errors))  # fmt: skip
+                self.true[name] = step * ratio * self.noise / by * rng.choice([-1.0, 1.0])
+                after[name] += self.true[name]
+        exact = [truth(self.real, plans[0], self.errors, self.common), truth(self.real, plans[1], after, effects)]
+        if unknown:
+            moved = UNKNOWN[unknown](np.random.default_rng([seed, 3]))(plans[1], exact[1])
+            exact[1] = exact[1] + moved * ratio * self.noise / self._left(plans[1], moved)
+        if stationed:
+            turn = Rotation.from_rotvec(rng.uniform(-0.05, 0.05, 3))
+            exact[1] = turn.apply(exact[1]) + rng.uniform(-30.0, 30.0, 3)
+        self.runs = []
+        for k, (plan, seen) in enumerate(zip(plans, exact, strict=True)):
+            sigma = self.noise * (1.0 if not k else rng.uniform(0.8, 1.3))
+            read = seen + sigma * rng.normal(size=seen.shape)
+            self.runs.append({**plan, "x_mm": read[:, 0], "y_mm": read[:, 1], "z_mm": read[:, 2]})
+
+    def _left(self, plan: Mapping[str, Floats], change: Floats) -> float:
+        """The root mean square that the sensor's stand leaves of a change of the readings."""
+        at = truth(self.real, plan, self.errors)
+        arms = at - at.mean(axis=0)
+        rigid = [np.tile(axis, (len(at), 1)).ravel() for axis in np.eye(3)]
+        rigid += [np.cross(axis, arms).ravel() for axis in np.eye(3)]
+        basis, _ = np.linalg.qr(np.stack(rigid, axis=1))
+        flat = change.ravel()
+        return float(np.sqrt(np.mean(np.square(flat - basis @ (basis.T @ flat)))))
+
+    def compare(self, **settings: Any) -> sk.changes.Comparison:
+        """As a user does."""
+        return sk.compare(self.robot, self.runs, **settings)
+
+
+class ArmPair:
+    """Two runs of a UR5 before a tracker that was stationed anew."""
+
+    def __init__(self, seed: int, changed: str = "", size: float = 0.0, poses: tuple[int, int] = (60, 50)) -> None:
+        with TemporaryDirectory() as folder:
+            self.robot = arm_in(Path(folder))
+        rng = np.random.default_rng([seed, 22])
+        before = VirtualSerial.simulated(self.robot, seed, 1.0, PLAIN)
+        after = replace(before, stand=np.r_[rng.uniform(-0.3, 0.3, 3), rng.uniform(-200.0, 200.0, 3)])
+        if changed.startswith("offset_"):
+            offset = np.array(np.broadcast_to(before.offset, 6), dtype=float)
+            offset[int(changed[-1]) - 1] += size
+            after = replace(after, offset=offset)
+        elif changed:
+            after = after.with_hidden(**{changed: size * rng.uniform(0.7, 1.3, 6)})
+        self.runs = [
+            world.measure(postures(self.robot, n, 0.8, seed + k), seed=seed + 5 + k)
+            for k, (world, n) in enumerate(zip((before, after), poses, strict=True))
+        ]
+        assert NOISE_MM > 0
+
+    def compare(self) -> sk.changes.Comparison:
+        """As a user does."""
+        return sk.compare(self.robot, self.runs)
+
+
