@@ -18,7 +18,7 @@ if _TYPE_CHECKING:
     from ._core import __version__
     from .adaptive import Adaptive
     from .calibration import calibrate
-    from .changes import compare
+    from .changes import compare, history, verify
     from .data import Measurements, from_bluesky, from_frame, from_rosbag, read_measurements
     from .diagnosis import diagnose
     from .errors import SherkitError, SherkitWarning
@@ -34,9 +34,8 @@ if _TYPE_CHECKING:
 __all__ = [
     "Adaptive", "Effect", "Machine", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__",
     "calibrate", "compare", "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "fleet",
-    "from_bluesky", "from_frame", "from_rosbag", "identify", "lab", "load_calibration", "load_robot", "model",
-    "planning",
-    "read_measurements", "report", "save_robot", "serial", "spherical", "tool",
+    "from_bluesky", "from_frame", "from_rosbag", "history", "identify", "lab", "load_calibration", "load_robot",
+    "model", "planning", "read_measurements", "report", "save_robot", "serial", "spherical", "tool", "verify",
 ]  # fmt: skip
 
 
@@ -59,7 +58,7 @@ if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not 
             "Adaptive": "adaptive", "Effect": "model.effect", "Machine": "robots.machine", "Measurements": "data",
             "SherkitError": "errors",
             "SherkitWarning": "errors", "Study": "study", "__version__": "_core", "calibrate": "calibration",
-            "compare": "changes",
+            "compare": "changes", "history": "changes", "verify": "changes",
             "diagnose": "diagnosis",
             "effect": "model.effect", "fleet": "fleets", "from_bluesky": "data", "from_frame": "data",
             "from_rosbag": "data", "identify": "fit",

@@ -152,7 +152,7 @@ class Region:
         if self.names != self.layout.joints:
             places = np.column_stack([np.round(c, _digits(n)) for c, n in zip(at.T, self.names, strict=True)])
             there = robot.inverse_batch(places)
-            joints, within = there.values, there.reached.copy()
+            at, joints, within = places, there.values, there.reached.copy()
         joints = np.column_stack(
             [np.round(c, _digits(n) + 1) for c, n in zip(joints.T, self.layout.joints, strict=True)]
         )

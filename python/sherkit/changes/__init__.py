@@ -1,5 +1,9 @@
-"""What has changed since: the same machine before and after."""
+"""What has changed since: a machine before and after, over the years, and whether its calibration still holds."""
 
 from .comparison import Comparison, Moved, compare
+from .history import Course, History, history
+from .verification import Verification, verify, verifying_poses
 
-__all__ = ["Comparison", "Moved", "compare"]
+__all__ = [
+    "Comparison", "Course", "History", "Moved", "Verification", "compare", "history", "verify", "verifying_poses",
+]  # fmt: skip

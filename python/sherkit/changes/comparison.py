@@ -35,6 +35,8 @@ _FEWEST = 12
 _MOST_TIED = 8
 #: Changes that are fitted in full, and steps of that.
 _FULL, _REFITS = 3, 3
+#: Part by which a fit in full may leave more than to first order.
+_WORSE = 0.02
 #: Poses that are proposed, of how many.
 _POSES, _CANDIDATES = 8, 200
 
@@ -236,8 +238,12 @@ def _weighed(joined: Joined, evidence: Evidence, keys: Keys, steps: Sequence[Flo
     full = in_full(joined, keys, steps)
     after = full.evidence({"": steps})
     seen = [key for key in keys if key[0] in after.tried]
+    linear, exact = evidence.left_of(keys), after.left_of(seen)
+    if not exact <= linear * (1.0 + _WORSE):
+        # it leads nowhere as a change of that size: what it says to first order stands
+        beside = evidence.beside(keys)
+        return Weighed(joined, beside.log_mean, beside.log_bf, 0.0)
     beside = after.beside(seen) if seen else after.alone
-    linear, exact = evidence.left_of(keys), after.left_of(seen) * (joined.noise / full.noise) ** 2
     gained = 0.5 * evidence.free * float(np.log(max(linear, 1e-300) / max(exact, 1e-300)))
     return Weighed(full, beside.log_mean, beside.log_bf, max(gained, 0.0))
 

@@ -82,13 +82,15 @@ class Joined:
     """
 
     def __init__(
-        self, fit: Fit, runs: Sequence[Measurements], axes: tuple[int, ...], moved: Sequence[Moved] = ()
-    ) -> None:
+        self, fit: Fit, runs: Sequence[Measurements], axes: tuple[int, ...], moved: Sequence[Moved] = (),
+        seen: Sequence[SeenRun] = (),
+    ) -> None:  # fmt: skip
         self.fit, self.axes, self.model = fit, axes, fit.model
         self._data = [data.select(np.argsort(data.order, kind="stable")) for data in runs]
         self.growth = _growth(self.model, self._data)
-        self.candidates = _candidates(self.model, self._data)
+        self.candidates = candidates_of(self.model, self._data)
         self.moved = tuple(moved)
+        self._before = tuple(seen)
         self.runs = [self._seen(data, k) for k, data in enumerate(self._data)]
         known = [run.sigma for run in self.runs if run.sigma > 0]
         if not known:
@@ -99,7 +101,7 @@ class Joined:
 
     def at(self, moved: Sequence[Moved]) -> Joined:
         """The same runs about a model in which these have changed."""
-        return Joined(self.fit, self._data, self.axes, moved)
+        return Joined(self.fit, self._data, self.axes, moved, self.runs)
 
     # -- one run -----------------------------------------------------------------------------------------
 
@@ -118,11 +120,13 @@ class Joined:
 
     def _seen(self, data: Measurements, number: int) -> SeenRun:
         axes, (model, values) = list(self.axes), self._now(number)
-        used = data.used[:, axes]
+        # what is wrong is judged once: beside a change that is none, good rows would look so
+        before = self._before[number] if self._before else None
+        used = data.used[:, axes] if before is None else before.used
         places = {p.name: k for k, p in enumerate(model.parameters)}
         every = model.linearised(data, values).parameters[:, axes]
         own = every[:, :, [places[p.name] for p in self.model.parameters]]
-        aside = np.zeros(0, dtype=np.int64)
+        aside = np.zeros(0, dtype=np.int64) if before is None else before.aside
         sigma = rho = 0.0
         stand = Stand(np.zeros(used.shape), np.zeros((*used.shape, 0)), {})
         for _ in range(_ROUNDS):
@@ -136,7 +140,7 @@ class Joined:
             left = (flat - free @ (free.T @ flat)).reshape(used.shape)
             freedom = int(used.sum()) - free.shape[1]
             sigma = float(np.sqrt(np.square(left[used]).sum() / freedom)) if freedom >= _OWN_NOISE else 0.0
-            if freedom < 2 * _OWN_NOISE:
+            if freedom < 2 * _OWN_NOISE or before is not None:
                 break
             if _follows(data, used, freedom):
                 rho = correlation_in_time(np.where(used, stand.residual, 0.0), free)
@@ -148,7 +152,8 @@ class Joined:
             aside = np.union1d(aside, wrong)
             used = used & ~np.isin(np.arange(len(used)), wrong)[:, None]
         columns = self._columns(data, model, values, every)
-        return SeenRun(data, used, stand, own, columns, _of_repeats(data, axes) or sigma, rho, aside)
+        sigma, rho = (noise_of_repeats(data, axes) or sigma, rho) if before is None else (before.sigma, before.rho)
+        return SeenRun(data, used, stand, own, columns, sigma, rho, aside)
 
     def _columns(self, data: Measurements, model: ModelWithEffects, values: Floats, own: Floats) -> dict[str, Floats]:
         """Columns (n, m, k) of every candidate and of growth, by plausible sizes."""
@@ -180,28 +185,33 @@ class Joined:
         return np.asarray(over[run.used])
 
     def over_runs(self, per_run: Sequence[Floats]) -> Floats:
-        """Values (n, m, …) of each run as one column (N, …), with the rows of what is known of growth at the end."""
+        """Values (n, m, …) of each run as one column (N, …), with rows for what is known of parameters at the end."""
         flat = [self._flat(run, values) for run, values in zip(self.runs, per_run, strict=True)]
         return np.concatenate([*flat, np.zeros((self._known, *flat[0].shape[1:]))])
 
     @property
     def _known(self) -> int:
-        return sum(len(e.parameters) for e in self.growth)
+        return len(self.model.parameters) + sum(len(e.parameters) for e in self.growth)
 
     @cached_property
     def base(self) -> Floats:
         """Columns (N, p) of what needs no change: parameters of all runs, the stand of each, growth as is plausible."""
-        blocks = [self.over_runs([run.own for run in self.runs])]
+        shared = self.over_runs([run.own for run in self.runs])
+        count = len(self.model.parameters)
+        # a plausible size is knowledge: a reading of zero, as exact as that. Without it, what no run observes by itself
+        # would be as large as makes good a change, where that has moved what is not observed
+        at = len(shared) - self._known
+        shared[at : at + count] = np.diag([self.noise / p.size for p in self.model.parameters])
+        blocks = [shared]
         for run in self.runs:
             width = run.stand.columns.shape[2]
             if width:
                 mine = [r.stand.columns if r is run else np.zeros((*r.used.shape, width)) for r in self.runs]
                 blocks.append(self.over_runs(mine))
-        at = len(blocks[0]) - self._known
+        at += count
         for effect in self.growth:
             grown = self.over_runs([run.columns[effect.name] for run in self.runs])
             for j in range(grown.shape[1]):
-                # a plausible size is knowledge: a reading of zero, as exact as that
                 grown[at, j] = self.noise
                 at += 1
             blocks.append(grown)
@@ -254,6 +264,10 @@ class Joined:
                 for course, factors in courses.items():
                     take(told_as(shape.name, course), None, shape, per_run, factors)
         return Evidence(Hypotheses(weighted(made)), self.residual, self.base, tried)
+
+    def places(self, run: SeenRun) -> dict[str, Floats]:
+        """Where the machine stood in the rows of a run, by name (n,)."""
+        return dict(self.model.place(run.data, self.model.predict(run.data, self.fit.values)))
 
     @property
     def _places(self) -> tuple[str, ...]:
@@ -309,7 +323,7 @@ def told_as(name: str, course: str) -> str:
     return f"{name} ({course})" if course else name
 
 
-def _of_repeats(data: Measurements, axes: Sequence[int]) -> float:
+def noise_of_repeats(data: Measurements, axes: Sequence[int]) -> float:
     """The noise of a reading as repeats of poses show it: what differs between poses is none; 0 where too few do."""
     repeats = data.repeatability
     if repeats is None:
@@ -339,7 +353,7 @@ def _possible(model: ModelWithEffects, effect: Effect, runs: Sequence[Measuremen
     return all(bool(model.can_be_tried([effect], data)[0]) for data in runs)
 
 
-def _candidates(model: ModelWithEffects, runs: Sequence[Measurements]) -> list[Candidate]:
+def candidates_of(model: ModelWithEffects, runs: Sequence[Measurements]) -> list[Candidate]:
     """Every parameter that does not say where the sensor stands, and every effect that does not live in time."""
     inside = {e.name: model.owns(e) for e in model.effects}
     out = [

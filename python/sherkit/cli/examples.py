@@ -10,6 +10,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "sherkit calibrate robot.toml whole.csv --local near.csv --effect rail_lean --report calibration.html",
     ),
     "check": ("sherkit check run.csv", "sherkit check run.csv robot.toml --write clean.csv"),
+    "compare": ("sherkit compare robot.toml monday.csv friday.csv",),
     "completion": ("sherkit completion bash",),
     "demo": ("sherkit demo",),
     "diagnose": (
@@ -25,6 +26,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "sherkit export klipper calibrated.toml --config printer.cfg -o new.cfg",
     ),
     "fleet": ("sherkit fleet machine_*.csv --robot robot.toml",),
+    "history": ("sherkit history robot.toml january.csv april.csv july.csv --dates 2026-01-10,2026-04-09,2026-07-12",),
     "home": ("sherkit home experiment.toml", "sherkit home experiment.toml --at 128.9,128.9,128.9"),
     "import": (
         "sherkit import klipper printer.cfg -o printer",
@@ -52,6 +54,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "schema": ("sherkit schema experiment",),
     "simulate": ("sherkit simulate robot.toml -o run.csv --seed 3",),
     "tool": ("sherkit tool bench.csv free.csv run.csv -o tool.toml --report tool.html",),
+    "verify": (
+        "sherkit plan calibrated.toml --verify",
+        "sherkit verify calibrated.toml check.csv --fail-if-invalid",
+    ),
 }
 
 

@@ -30,7 +30,13 @@ _SIGNS = 8
 
 @click.command()
 @click.argument("robot", type=click.Path(path_type=Path))
-@click.argument("experiment", type=click.Path(path_type=Path))
+@click.argument("experiment", type=click.Path(path_type=Path), required=False)
+@click.option(
+    "--verify",
+    is_flag=True,
+    help="ROBOT is a calibration: list the poses that would see most of what may have changed since.",
+)
+@click.option("--poses", type=click.IntRange(min=6, max=1000), default=12, show_default=True, help="Of --verify.")
 @click.option("--noise-um", type=click.FloatRange(min=0, min_open=True), help="Of a reading in µm; default 5.")
 @click.option("--noise-px", type=click.FloatRange(min=0, min_open=True), help="Of a reading in px; default 0.1.")
 @click.option("--effect", "effects", multiple=True, help="An effect that is in the model already.")
@@ -39,10 +45,15 @@ _SIGNS = 8
 @click.option("--workers", type=click.IntRange(min=1), help="Processes of the study; by default one per processor.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 def plan(
-    robot: Path, experiment: Path, noise_um: float | None, noise_px: float | None, effects: tuple[str, ...],
-    runs: int | None, keep: Path | None, workers: int | None, as_json: bool,
+    robot: Path, experiment: Path | None, verify: bool, poses: int, noise_um: float | None, noise_px: float | None,
+    effects: tuple[str, ...], runs: int | None, keep: Path | None, workers: int | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Say what EXPERIMENT (TOML) could find on ROBOT (TOML), and how well it would know the parameters."""
+    if verify:
+        _verifying(robot, poses, as_json=as_json)
+        return
+    if experiment is None:
+        raise click.UsageError("Missing argument 'EXPERIMENT'.")
     nominal, _ = robot_at(robot)
     noise = _noise(robot, nominal, {"µm": noise_um, "px": noise_px})
     chosen = load_experiment(experiment, robot=robot, offline=True)
@@ -61,6 +72,21 @@ def plan(
     _show_parameters(planning)
     if found:
         _show_study(found)
+
+
+def _verifying(calibration: Path, count: int, *, as_json: bool) -> None:
+    """The poses of an interim check."""
+    from ..changes import verifying_poses
+
+    found = verifying_poses(calibration, count)
+    if as_json:
+        output.print_json({"poses": found})
+        return
+    made = table(f"{len(found)} poses that see most of what may have changed since", *found[0],
+                 note="in this order; then: sherkit verify")  # fmt: skip
+    for pose in found:
+        made.add_row(*[f"{value:.6g}" for value in pose.values()])
+    out.print(made)
 
 
 def _noise(path: Path, robot: Robot, given: dict[str, float | None]) -> float:

@@ -1,0 +1,363 @@
+"""Interim checks: whether a calibration still holds, by a dozen poses (reverification, ISO 10360).
+
+The calibration's parameters are known with its covariance; the sensor stands anew. What the deployed model then misses
+is held against what was promised, and every change that a machine can have against what is seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+
+from ..adaptive.evidence import SIZES, Evidence
+from ..adaptive.hypotheses import Hypotheses, Hypothesis, weighted
+from ..adaptive.region import Region, planned
+from ..base import linalg
+from ..base.arguments import Count, Seed, as_annotated
+from ..base.figures import finite
+from ..base.notebook import Shown
+from ..base.types import Floats
+from ..data import Measurements
+from ..data.given import RunLike
+from ..diagnosis.linearised import orthonormal
+from ..errors import FitError
+from ..fit.error import axes_of
+from ..model.kinds import kind_of
+from ..model.robot_file import run_for
+from ..robots.calibrated import Calibration
+from ..robots.files import load_calibration
+from .comparison import ALARM, FAR, SHAPES, Moved
+from .joined import Candidate, candidates_of, noise_of_repeats
+from .stand import stand_of
+
+#: A promise holds unless what is seen, beyond noise, is so many times what it allows: between one, where an unchanged
+#: machine may lie, and one and a half, which must be seen (benchmarks/changes.py).
+_BEYOND = 1.15
+_SHARE, _POWER = 0.95, 0.9
+_CANDIDATES = 240
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Verification(Shown):
+    """``valid`` is whether the error that was promised still holds (None: too few rows to say), ``error`` what was
+    ``seen`` beyond noise and what was ``promised`` (root mean squares of rows), in ``unit``. ``changed`` names what has
+    moved, with ``parameters``; ``would_show`` and ``would_not`` are the changes of plausible size that these poses
+    would have shown and would not."""
+
+    valid: bool | None
+    error: dict[str, float | None]
+    unit: str
+    changed: tuple[str, ...]
+    indistinguishable: tuple[tuple[str, ...], ...]
+    parameters: tuple[Moved, ...]
+    evidence: float
+    stand: dict[str, float]
+    would_show: tuple[str, ...]
+    would_not: tuple[str, ...]
+    advice: str
+
+    @property
+    def verdict(self) -> str:
+        """``valid``, ``not valid`` or ``undecided``."""
+        return "undecided" if self.valid is None else "valid" if self.valid else "not valid"
+
+    @property
+    def headline(self) -> str:
+        """The verdict in one line."""
+        seen, promised = self.error["seen"], self.error["promised"]
+        told = "" if seen is None or promised is None else f": {seen:.3g} {self.unit} are seen, {promised:.3g} promised"
+        moved = "; ".join(map(str, self.parameters))
+        return f"{self.verdict}{told}{f'; {moved}' if moved else ''}"
+
+    def __repr__(self) -> str:
+        return f"{self.headline}\n  {self.advice}"
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "verdict": self.verdict,
+            "error": {name: None if value is None else finite(value) for name, value in self.error.items()},
+            "unit": self.unit,
+            "changed": list(self.changed),
+            "indistinguishable": [list(tie) for tie in self.indistinguishable],
+            "parameters": [one.to_json() for one in self.parameters],
+            "evidence": finite(self.evidence),
+            "stand": self.stand,
+            "would_show": list(self.would_show),
+            "would_not": list(self.would_not),
+            "advice": self.advice,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """A calibration as a model about which little is unknown."""
+
+    calibration: Calibration
+    model: Any
+    values: Floats
+    root: Floats
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> _Known:
+        part: Any = calibration.parts_made[0]
+        model = part.model(calibration.robot)
+        count = len(part.values)
+        values = np.zeros(len(model.parameters))
+        values[:count] = part.values
+        size = np.array([p.size for p in model.parameters])
+        covariance = np.diag(size**2)
+        covariance[:count, :count] = part.covariance
+        value, vector = linalg.eigh(covariance)
+        return cls(calibration, model, values, vector * np.sqrt(value.clip(0.0)))
+
+
+@as_annotated
+@linalg.one_thread()
+def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Verification:
+    """Whether a calibration still holds, by a run of a dozen poses or more. Raises
+    :class:`~sherkit.errors.FitError` for a run that is too short to tell where the sensor stands.
+
+        found = sk.verify("calibrated.toml", "check.csv")
+        print(found.headline)
+    """
+    made = load_calibration(Path(calibration)) if isinstance(calibration, str | PathLike) else calibration
+    known = _Known.of(made)
+    model = known.model
+    data = model.as_declared(run_for(made.robot, run))
+    data = data.select(np.argsort(data.order, kind="stable"))
+    axes = axes_of(data)
+    if not axes:
+        raise FitError(f"{data.source}: verification needs coordinates; these rows are distances only")
+    model = model.counted_from(data.begins_s)
+    used = data.used[:, list(axes)]
+    stand = stand_of(model, data, known.values, axes, used)
+    flat = stand.columns[used]
+    basis = orthonormal(flat)
+    freedom = int(used.sum()) - basis.shape[1]
+    if freedom < 3:
+        raise FitError(f"{data.source}: {len(data)} rows only tell where the sensor stands; expected a dozen poses")
+    residual = stand.residual[used]
+    left = residual - basis @ (basis.T @ residual)
+    per_row = float(np.sqrt(len(axes))) * data.layout.per_unit
+    noise = _noise(known, data, axes)
+    seen = float(np.sqrt(max(float(left @ left) / freedom - noise**2, 0.0)))
+    promised = _promised(known, data, axes)
+    evidence, candidates, noise = _evidence(known, model, data, axes, used, stand.columns, residual, noise)
+    names, ties, moved = _moved(evidence, candidates)
+    shown = {one.name: _power(evidence, candidates, one) for one in candidates}
+    valid = None if promised is None else bool(seen <= _BEYOND * promised)
+    return Verification(
+        valid=valid,
+        error={"seen": seen * per_row, "promised": None if promised is None else promised * per_row},
+        unit=data.layout.unit,
+        changed=names,
+        indistinguishable=ties,
+        parameters=moved,
+        evidence=evidence.alone.log_mean / float(np.log(10.0)),
+        stand=stand.moved,
+        would_show=tuple(name for name, power in shown.items() if power >= _POWER),
+        would_not=tuple(name for name, power in shown.items() if power < _POWER),
+        advice=_advice(valid, names, ties, evidence.alone.log_mean),
+    )
+
+
+def _noise(known: _Known, data: Measurements, axes: tuple[int, ...]) -> float:
+    """The noise of a reading: of this run's repeats, else as the calibration knows it; 0 where neither does."""
+    own = noise_of_repeats(data, axes)
+    if own:
+        return own
+    part: Any = known.calibration.parts_made[0]
+    scatter = np.diag(part.scatter) if part.scatter.size else np.zeros(1)
+    if not scatter.any():
+        scatter = np.diag(part.residual_covariance)
+    same = len(scatter) == len(axes) and part.readings == data.layout.coordinates
+    return float(np.sqrt(scatter.mean())) if same else 0.0
+
+
+def _promised(known: _Known, data: Measurements, axes: tuple[int, ...]) -> float | None:
+    """What the calibration promises of a reading at the places of these rows (root mean square, in its unit)."""
+    robot: Any = known.calibration.robot
+    there = robot.forward_batch(data.joints)
+    if not there.reached.any():
+        return None
+    radius = known.calibration.predicted_accuracies(there.values[there.reached]).radius_mm
+    radius = radius[np.isfinite(radius)]
+    if not len(radius):
+        return None
+    per_axis = float(np.sqrt(np.mean(radius**2) / scipy.stats.chi2.ppf(_SHARE, 3)))
+    if data.layout.unit == "µm":
+        return per_axis
+    # where readings are no lengths, by how far a joint moves either
+    inputs = known.model.linearised(data, known.values).inputs
+    if inputs is None:
+        return None
+    read = float(np.sqrt(np.mean(np.square(inputs[:, list(axes)]).sum(axis=(1, 2)))))
+    lever = float(getattr(known.calibration, "reach_mm", 1.0))
+    return per_axis * read / max(lever * np.sqrt(inputs.shape[2]), 1e-300)
+
+
+def _evidence(
+    known: _Known, model: Any, data: Measurements, axes: tuple[int, ...], used: Any, stand: Floats, residual: Floats,
+    noise: float,
+) -> tuple[Evidence, list[Candidate], float]:  # fmt: skip
+    """Of every change beside what the calibration does not know, and what readings scatter by."""
+    chosen, values = list(axes), known.values
+    candidates = candidates_of(model, [data])
+    own = model.linearised(data, values).parameters[:, chosen]
+    places = {p.name: k for k, p in enumerate(model.parameters)}
+    asked = [one.effect for one in candidates if one.effect is not None and one.parameters[0].name not in places]
+    tried = model.tried(data, values, asked)
+    columns = {e.name: tried.columns[:, chosen, at] for e, at in tried.effects}
+    unit = noise or float(np.sqrt(np.square(residual).mean()))
+    count = len(known.root)
+    # what is not known of a parameter is a reading of zero, as exact as that
+    unknown = np.concatenate([own[used] @ known.root, unit * np.eye(count)])
+    base = np.concatenate([unknown, np.concatenate([stand[used], np.zeros((count, stand.shape[2]))])], axis=1)
+    rest = orthonormal(base)
+    made, shown = [], {}
+    for one in candidates:
+        raw = columns.get(one.name)
+        if raw is None:
+            raw = own[:, :, [places[p.name] for p in one.parameters]]
+        whole = np.concatenate([(raw * [p.size for p in one.parameters])[used], np.zeros((count, raw.shape[2]))])
+        left = whole - rest @ (rest.T @ whole)
+        if np.square(left).sum() > 1e-10 * np.square(whole).sum() > 0:
+            scale = float(np.sqrt(len(residual) / np.square(left).sum()))
+            made.append(Hypothesis(one.name, one.effect, None, (scale,), in_time=False))
+            shown[one.name] = (whole * scale)[:, None]
+    told = np.concatenate([residual, np.zeros(count)])
+    return Evidence(Hypotheses(weighted(made)), told, base, shown), candidates, unit
+
+
+def _moved(
+    evidence: Evidence, candidates: Sequence[Candidate]
+) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], tuple[Moved, ...]]:
+    """What has moved, what that cannot be told from, and by how much; nothing where the evidence does not say so."""
+    alone = evidence.alone
+    if alone.log_mean < ALARM or not alone.log_bf:
+        return (), (), ()
+    ordered = sorted(alone.log_bf, key=lambda name: -alone.log_bf[name])
+    lead = ordered[0]
+    if evidence.beside([(lead, alone.setting[lead])]).log_mean > SHAPES:
+        # more than one thing, or none of these
+        return (), (), ()
+    ties = tuple(name for name in ordered if alone.log_bf[name] > alone.log_bf[lead] - FAR)
+    left = evidence.left((lead, alone.setting[lead]))
+    inverse = linalg.inv(left.T @ left + 1e-12 * np.eye(left.shape[1]))
+    value = inverse @ (left.T @ evidence.residual)
+    off = evidence.residual - left @ value
+    std = np.sqrt(np.diag(inverse) * float(off @ off) / max(evidence.free - left.shape[1], 1))
+    scale = float(alone.setting[lead] or 1.0)
+    parameters = next(one for one in candidates if one.name == lead).parameters
+    moved = tuple(
+        Moved(p.name, float(v * scale * p.size), float(s * scale * p.size), p.unit)
+        for p, v, s in zip(parameters, value, std, strict=False)
+    )
+    return (lead,), (ties,) if len(ties) > 1 else (), moved
+
+
+def _power(evidence: Evidence, candidates: Sequence[Candidate], one: Candidate) -> float:
+    """The chance that a change of plausible size is seen."""
+    if one.name not in evidence.place:
+        return 0.0
+    h = evidence.family.by_name[one.name]
+    left = evidence.left((one.name, h.settings[0]))
+    squares = left.T @ left
+    noise = float(np.sqrt(max(float(evidence.residual @ evidence.residual) / max(evidence.free, 1), 1e-300)))
+    grown = min(float(np.linalg.slogdet(np.eye(len(squares)) + s**2 * squares)[1]) for s in SIZES)
+    least = 2.0 * (ALARM + np.log(len(SIZES) / h.weight)) + grown
+    # a plausible size is a coefficient of one over the scale
+    times = 1.0 / float(h.settings[0] or 1.0) / noise
+    rng = np.random.default_rng(0)
+    signs = rng.choice([-1.0, 1.0], (16, len(squares)))
+    shown = times**2 * np.einsum("di,ij,dj->d", signs, squares, signs)
+    del candidates
+    return float(np.mean(scipy.stats.ncx2.sf(least, len(squares), shown.clip(1e-12))))
+
+
+def _advice(valid: bool | None, names: tuple[str, ...], ties: tuple[tuple[str, ...], ...], evidence: float) -> str:
+    if valid is None:
+        return "the calibration promises nothing at these places: calibrate again"
+    if valid and not names and evidence < ALARM:
+        return "nothing needs to be done"
+    if valid:
+        what = " or ".join(ties[0]) if ties else ", ".join(names) or "what, is not known"
+        return f"something has changed ({what}), and is within what was promised"
+    if names:
+        which = " or ".join(ties[0][:4]) if ties else names[0]
+        return f"calibrate again: {which} has moved"
+    return "calibrate again; these poses are too few to say what has moved"
+
+
+@as_annotated
+@linalg.one_thread()
+def verifying_poses(
+    calibration: Calibration | str | PathLike[str], count: Count = 12, *, seed: Seed = 0
+) -> list[dict[str, float]]:
+    """The poses that would see most: chosen one after another so that all changes of plausible size show beside the
+    stand of the sensor; in a random order. Raises :class:`~sherkit.errors.ExperimentError` for a robot whose file does
+    not say how far it may go."""
+    made = load_calibration(Path(calibration)) if isinstance(calibration, str | PathLike) else calibration
+    known = _Known.of(made)
+    layout = kind_of(made.robot).layout
+    region = Region.of(known.model, layout)
+    places = region.spread(_CANDIDATES, seed)
+    rng = np.random.default_rng(seed)
+    ways = {f"direction_{k + 1}": rng.choice([-1.0, 1.0], len(places)) for k in range(places.joints.shape[1])}
+    rows = planned(places.joints, layout, ways)
+    axes = axes_of(rows)
+    candidates = candidates_of(known.model, [rows])
+    own = known.model.linearised(rows, known.values).parameters[:, list(axes)]
+    index = {p.name: k for k, p in enumerate(known.model.parameters)}
+    tried = known.model.tried(
+        rows, known.values, [c.effect for c in candidates if c.effect and c.parameters[0].name not in index]
+    )
+    columns = {e.name: tried.columns[:, list(axes), at] for e, at in tried.effects}
+    for one in candidates:
+        columns.setdefault(one.name, own[:, :, [index[p.name] for p in one.parameters if p.name in index]])
+    exact = rows.with_readings(np.zeros(rows.readings.shape) + known.model.predict(rows, known.values))
+    used = np.ones((len(rows), len(axes)), dtype=bool)
+    stand = stand_of(known.model, exact, known.values, axes, used).columns
+    part: Any = made.parts_made[0]
+    noise = float(np.sqrt(np.diag(part.residual_covariance + part.scatter).mean())) or 1.0
+    sized = [columns[c.name] * [p.size for p in c.parameters][: columns[c.name].shape[2]] / noise for c in candidates]
+    picked = _greedy(stand, sized, int(count))
+    order = rng.permutation(picked)
+    names = dict(zip(layout.joints, places.joints.T, strict=True))
+    names |= dict(zip(region.targets, places.targets.T, strict=True))
+    return [
+        {"pose": k + 1, **{name: float(values[row]) for name, values in names.items()}} for k, row in enumerate(order)
+    ]
+
+
+def _greedy(stand: Floats, sized: Sequence[Floats], count: int) -> list[int]:
+    """Rows, each the one that adds most to what all changes together show."""
+    scale = np.linalg.norm(stand.reshape(-1, stand.shape[2]), axis=0) / np.sqrt(len(stand))
+    x = stand / np.where(scale > 0, scale, 1.0)
+    base = 1e-3 * np.eye(x.shape[2])
+    infos = [1e-3 * np.eye(x.shape[2] + z.shape[2]) + np.diag([0.0] * x.shape[2] + [1.0] * z.shape[2]) for z in sized]
+    both = [np.concatenate([x, z], axis=2) for z in sized]
+    picked: list[int] = []
+    for _ in range(min(count, len(x))):
+        alone = _gain(x, base)
+        gained = sum((_gain(z, info) - alone for z, info in zip(both, infos, strict=True)), np.zeros(len(x)))
+        if len(picked) < x.shape[2]:
+            gained = gained + alone
+        gained[picked] = -np.inf
+        best = int(np.argmax(gained))
+        picked.append(best)
+        base = base + x[best].T @ x[best]
+        infos = [info + z[best].T @ z[best] for info, z in zip(infos, both, strict=True)]
+    return picked
+
+
+def _gain(rows: Floats, information: Floats) -> Floats:
+    spread = np.einsum("nar,rs,nbs->nab", rows, linalg.inv(information), rows, optimize=True)
+    return np.asarray(np.linalg.slogdet(np.eye(rows.shape[1]) + spread)[1])

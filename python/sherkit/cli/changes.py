@@ -1,0 +1,149 @@
+"""``sherkit compare``, ``history`` and ``verify``: what has changed of a machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from ..changes import Comparison, History, Verification
+from ..changes import compare as compare_runs
+from ..changes import history as history_of
+from ..changes import verify as verify_run
+from ..robots.machine.file import robot_at
+from . import output, reporting
+from .output import out, table
+
+#: What ``--fail-if-invalid`` ends with.
+INVALID = 3
+
+
+@click.command()
+@click.argument("robot", type=click.Path(path_type=Path))
+@click.argument("before", type=click.Path(path_type=Path))
+@click.argument("after", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="AFTER [MORE]...")
+@click.option("--effect", "added", multiple=True, help="An effect that is in the model of all runs; default: those "
+              "that a diagnosis of BEFORE names.")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
+@click.option("--report", type=click.Path(path_type=Path), help="Write a page with before and after beside each other.")
+def compare(
+    robot: Path, before: Path, after: tuple[Path, ...], added: tuple[str, ...], as_json: bool, report: Path | None
+) -> None:
+    """Say what has changed of ROBOT (TOML) between the measurements BEFORE and AFTER.
+
+    Poses, noise and order may differ, and the sensor may stand elsewhere.
+    """
+    if report is not None:
+        reporting.require_view()
+    machine, _ = robot_at(robot)
+    found = compare_runs(machine, [before, *after], effects=added or None)
+    if report is not None:
+        from ..report.stories import write_comparison
+
+        write_comparison(report, found, f"What has changed of {robot.stem} since {before.name}?")
+    if as_json:
+        output.print_json(found.to_json())
+        return
+    _say(found)
+    if report is not None:
+        output.say(f"\nthe report is in {report}")
+
+
+def _say(found: Comparison) -> None:
+    output.out.rule("Has anything changed?")
+    output.say(f"{found.headline} (evidence 1e{found.evidence:.1f})")
+    if found.where:
+        output.say(f"it shows: {found.where}")
+    made = table(
+        "Error", "run", f"{found.unit}", note="after: by the model of before, from where the sensor now stands"
+    )
+    for name, value in found.error.items():
+        if value is not None:
+            made.add_row(name, f"{value:.4g}")
+    out.print(made)
+    if found.parameters:
+        moved = table("What has changed", "parameter", "change", "deviation", "unit", "since run")
+        for one in found.parameters:
+            moved.add_row(one.name, f"{one.change:.4g}", f"{one.std:.2g}", one.unit, str(one.since + 1))
+        out.print(moved)
+    for tie in found.indistinguishable:
+        output.say(f"{' or '.join(tie)}: these runs cannot tell")
+    for run, stand in found.stand.items():
+        output.say(f"the sensor of run {run}: {', '.join(f'{name} {value:.4g}' for name, value in stand.items())}")
+    for run, count in found.aside.items():
+        if count:
+            output.say(f"{count} rows of run {run} stand apart from all others and were left out")
+    if found.next_poses:
+        proposed = table("Poses that would tell", *found.next_poses[0])
+        for pose in found.next_poses:
+            proposed.add_row(*[f"{value:.4g}" for value in pose.values()])
+        out.print(proposed)
+    output.say(f"\n{found.advice}")
+
+
+@click.command()
+@click.argument("robot", type=click.Path(path_type=Path))
+@click.argument("runs", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RUN MORE...")
+@click.option("--dates", default="", help="When each run was taken (2026-03-31), separated by commas.")
+@click.option("--effect", "added", multiple=True, help="An effect that is in the model of all runs.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
+@click.option("--report", type=click.Path(path_type=Path), help="Write a page with the course of what has changed.")
+def history(
+    robot: Path, runs: tuple[Path, ...], dates: str, added: tuple[str, ...], as_json: bool, report: Path | None
+) -> None:
+    """Say what has changed of ROBOT (TOML) in the course of RUN and MORE: steps, wear, what goes with the season."""
+    if report is not None:
+        reporting.require_view()
+    machine, _ = robot_at(robot)
+    given = [one.strip() for one in dates.split(",") if one.strip()]
+    found = history_of(machine, list(runs), dates=given, effects=added or None)
+    if report is not None:
+        from ..report.stories import write_history
+
+        write_history(report, found, f"The course of {robot.stem}")
+    if as_json:
+        output.print_json(found.to_json())
+        return
+    _say_course(found)
+    if report is not None:
+        output.say(f"\nthe report is in {report}")
+
+
+def _say_course(found: History) -> None:
+    output.out.rule("The course")
+    output.say(found.verdict)
+    for one in found.changes:
+        output.say(f"  {one}")
+    made = table("Runs", "run", "date", "rows", f"error {found.unit}",
+                 note="by the model of the first, from where each run's sensor stands")  # fmt: skip
+    for run in found.runs:
+        made.add_row(run["run"], run["date"], str(run["rows"]), f"{run['error']:.4g}")
+    out.print(made)
+    output.say(f"{len(found.stood_still)} parameters and effects stood still")
+
+
+@click.command()
+@click.argument("calibration", type=click.Path(path_type=Path))
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of sentences.")
+@click.option("--fail-if-invalid", is_flag=True, help=f"End with the exit code {INVALID} where it no longer holds.")
+@click.pass_context
+def verify(ctx: click.Context, calibration: Path, run: Path, as_json: bool, fail_if_invalid: bool) -> None:
+    """Say whether CALIBRATION (TOML) still holds, by the measurements RUN: a dozen poses, as plan --verify lists."""
+    found = verify_run(calibration, run)
+    if as_json:
+        output.print_json(found.to_json())
+    else:
+        _say_verified(found)
+    if fail_if_invalid and found.valid is False:
+        ctx.exit(INVALID)
+
+
+def _say_verified(found: Verification) -> None:
+    output.say(found.headline)
+    for tie in found.indistinguishable:
+        output.say(f"  {' or '.join(tie)}: these poses cannot tell")
+    output.say(f"these poses would have shown, at its plausible size: {', '.join(found.would_show) or 'nothing'}")
+    if found.would_not:
+        output.say(f"and would not have shown: {', '.join(found.would_not)}")
+    output.say(found.advice)
