@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -45,13 +45,17 @@ class DeltaPair:
     def __init__(
         self, seed: int, changed: tuple[str, ...] = (), ratio: float = 2.0, *, poses: tuple[int, int] = (60, 40),
         stationed: bool = True, warmer_c: float = 0.0, unknown: str = "", noise_um: float = 2.0, growth: bool = False,
+        places: Sequence[Mapping[str, float]] = (),
     ) -> None:  # fmt: skip
         rng = np.random.default_rng([seed, 21])
         self.robot = robot_from_tables(deepcopy(NOMINAL_CONFIG), "nominal")
         self.real, self.noise = Robot.from_dict(NOMINAL_CONFIG), 1e-3 * noise_um
         self.errors = draw_geometric_errors(np.random.default_rng([seed, 1]))
         self.common: dict[str, Any] = {"thermal_growth": np.array([12e-6])} if growth or warmer_c else {}
-        plans = [make_plan(self.real, somewhere(rng, n), 2, "shuffled", seed + k) for k, n in enumerate(poses)]
+        where = [somewhere(rng, n) for n in poses]
+        if places:
+            where[1] = np.array([[p["x_mm"], p["y_mm"], p["z_mm"]] for p in places])
+        plans = [make_plan(self.real, at, 2, "shuffled", seed + k) for k, at in enumerate(where)]
         plans[1]["temperature_c"] = plans[1]["temperature_c"] + warmer_c
         self.true: dict[str, float] = {}
         after, effects = dict(self.errors), dict(self.common)
@@ -78,6 +82,15 @@ class DeltaPair:
             read = seen + sigma * rng.normal(size=seen.shape)
             self.runs.append({**plan, "x_mm": read[:, 0], "y_mm": read[:, 1], "z_mm": read[:, 2]})
 
+    def run_with(self, moved: Mapping[str, float], seed: int) -> dict[str, Any]:
+        """One more run of the robot as it was before, but for what has moved (mm, rad); the sensor stands anew."""
+        rng = np.random.default_rng([seed, 23])
+        plan = make_plan(self.real, somewhere(rng, 30), 2, "shuffled", seed)
+        errors = {name: value + moved.get(name, 0.0) for name, value in self.errors.items()}
+        seen = Rotation.from_rotvec(rng.uniform(-0.02, 0.02, 3)).apply(truth(self.real, plan, errors))
+        read = seen + rng.uniform(-5.0, 5.0, 3) + self.noise * rng.normal(size=seen.shape)
+        return {**plan, "x_mm": read[:, 0], "y_mm": read[:, 1], "z_mm": read[:, 2]}
+
     def _left(self, plan: Mapping[str, Floats], change: Floats) -> float:
         """The root mean square that the sensor's stand leaves of a change of the readings."""
         at = truth(self.real, plan, self.errors)
@@ -91,6 +104,11 @@ class DeltaPair:
     def compare(self, **settings: Any) -> sk.changes.Comparison:
         """As a user does."""
         return sk.compare(self.robot, self.runs, **settings)
+
+
+def truth_of_change(pair: DeltaPair, name: str) -> float:
+    """By how much a parameter has truly changed."""
+    return pair.true[name]
 
 
 class ArmPair:
@@ -117,5 +135,3 @@ class ArmPair:
     def compare(self) -> sk.changes.Comparison:
         """As a user does."""
         return sk.compare(self.robot, self.runs)
-
-

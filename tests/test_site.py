@@ -21,7 +21,7 @@ from test_docs import HERE, MACHINE, blocks, command, commands, run_python, sher
 
 #: Pages whose blocks run in order in the folder that the demo leaves.
 PAGES = ("docs/start.md", "docs/howto_data.md", "docs/howto_repeats.md", "docs/howto_ties.md", "docs/howto_plan.md",
-         "docs/howto_adaptive.md", "docs/other_programs.md", "docs/howto_package.md")  # fmt: skip
+         "docs/howto_adaptive.md", "docs/history.md", "docs/other_programs.md", "docs/howto_package.md")  # fmt: skip
 #: Pages that show nothing to run.
 WORDS = ("docs/verdict.md", "docs/glossary.md", "docs/questions.md", "docs/dependencies.md", "docs/reference.md")
 INSTRUMENTS = "docs/instruments.md"

@@ -1,8 +1,8 @@
 """sherkit finds the physics that a robot's model is missing.
 
 What a person does stands here; what belongs to one robot or to one step stands in the submodules: ``sk.delta``,
-``sk.serial``, ``sk.spherical``, ``sk.tool``; ``sk.data``, ``sk.model``, ``sk.fit``, ``sk.diagnosis``, ``sk.planning``,
-``sk.report``, ``sk.lab``, ``sk.errors``. Each is loaded when it is first asked for.
+``sk.serial``, ``sk.spherical``, ``sk.tool``; ``sk.changes``, ``sk.data``, ``sk.model``, ``sk.fit``, ``sk.diagnosis``,
+``sk.planning``, ``sk.report``, ``sk.lab``, ``sk.errors``. Each is loaded when it is first asked for.
 """
 
 from importlib import import_module as _import_module
@@ -14,7 +14,7 @@ from .base.doors import door as _door
 from .base.notebook import Shown as _Shown
 
 if _TYPE_CHECKING:
-    from . import data, diagnosis, errors, fit, lab, model, planning, report
+    from . import changes, data, diagnosis, errors, fit, lab, model, planning, report
     from ._core import __version__
     from .adaptive import Adaptive
     from .calibration import calibrate
@@ -33,7 +33,7 @@ if _TYPE_CHECKING:
 
 __all__ = [
     "Adaptive", "Effect", "Machine", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__",
-    "calibrate", "compare", "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "fleet",
+    "calibrate", "changes", "compare", "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "fleet",
     "from_bluesky", "from_frame", "from_rosbag", "history", "identify", "lab", "load_calibration", "load_robot",
     "model", "planning", "read_measurements", "report", "save_robot", "serial", "spherical", "tool", "verify",
 ]  # fmt: skip
@@ -66,7 +66,10 @@ if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not 
             "save_robot": "model.robot_file",
         },
         {
-            **{name: name for name in ("data", "diagnosis", "errors", "fit", "lab", "model", "planning", "report")},
+            **{
+                name: name
+                for name in ("changes", "data", "diagnosis", "errors", "fit", "lab", "model", "planning", "report")
+            },
             **{name: f"robots.{name}" for name in ("delta", "serial", "spherical", "tool")},
         },
     )  # fmt: skip

@@ -27,7 +27,7 @@ _REFERENCE, _ROUNDING = 160, 1e-4
 #: A shape of which one effect holds this part is that effect once more.
 _TWIN = 0.97
 #: Delays behind the room, s.
-_LAGS_S = (60.0, 120.0, 240.0, 480.0, 960.0, 1920.0, 3840.0)
+_LAGS_S = (15.0, 60.0, 120.0, 240.0, 480.0, 960.0, 1920.0, 3840.0)
 _SWING_C = 1.0
 
 
@@ -98,6 +98,10 @@ class Family(Hypotheses):
             if there > _ROUNDING**2 * whole > 0:
                 scales[h.name], left[h.name] = float(np.sqrt(n / there)), rest
         bases = [(h, orthonormal(left[h.name])) for h in self.hypotheses if h.effect is not None and h.name in left]
+        for h in [h for h, _ in bases if h.effect is not None and h.effect.is_lagging]:
+            # what follows the room at once is that with the shortest delay
+            flat = raw.tried[h.name][:, :, 0].reshape(n, -1)
+            bases.append((replace(h, settings=(None,)), orthonormal(flat - own @ (own.T @ flat))))
 
         def is_twin(h: Hypothesis) -> bool:
             rest = left[h.name]

@@ -30,7 +30,7 @@ from ..model.effect import Effect, Parameter
 from .stand import CAMERA, Stand, stand_of
 
 #: A row farther off than so many robust deviations is left out; rounds in which such rows are looked for.
-_GROSS, _ROUNDS = 7.0, 4
+_GROSS, _ROUNDS = 7.0, 8
 #: Readings beyond what is free from which a run tells its own noise, and that it follows itself.
 _OWN_NOISE, _OWN_COURSE = 10, 40
 #: A part of a column that is rounding.
@@ -146,7 +146,10 @@ class Joined:
                 rho = correlation_in_time(np.where(used, stand.residual, 0.0), free)
             lever = np.square(free).sum(axis=1).reshape(used.shape)
             each = np.abs(left) / np.sqrt((1.0 - lever).clip(0.05))
-            wrong = np.flatnonzero((np.where(used, each, 0.0) > _GROSS * MAD * np.median(each[used])).any(axis=1))
+            each = np.where(used, each, 0.0)
+            # the worst first: what they did to the fit makes others look wrong
+            limit = max(_GROSS * MAD * float(np.median(each[used])), 0.5 * float(each.max(initial=0.0)))
+            wrong = np.flatnonzero((each > limit).any(axis=1))
             if not len(wrong):
                 break
             aside = np.union1d(aside, wrong)

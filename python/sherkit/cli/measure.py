@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from ..errors import ExperimentError
 from ..lab.experiment import AdaptiveRun, Control, Experiment, Live, Plan, RunFile, RunProgress, load_experiment, run
-from . import keys, output
+from . import keys, output, reporting
 
 #: Signals by which another program, or a closing terminal, asks for an end; not every system has both.
 _POLITE = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -32,11 +32,12 @@ _POLITE = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(si
     type=click.Choice(["diagnosed"]),
     help="The robot chooses its poses itself, by [adaptive], until it is known what is missing.",
 )
+@click.option("--report", type=click.Path(path_type=Path), help="With --until: write the story of the run as a page.")
 @click.option("--ports", type=click.Path(path_type=Path), help="Addresses by instrument, as 'sherkit lab' wrote them.")
 @output.OWN_INSTRUMENTS
 def measure(
     experiment: Path, destination: Path | None, resume: bool, accept: bool, is_live: bool, until: str | None,
-    ports: Path | None, python: tuple[Path, ...],
+    report: Path | None, ports: Path | None, python: tuple[Path, ...],
 ) -> None:  # fmt: skip
     """Run EXPERIMENT (TOML): drive to each pose, read the instruments, store.
 
@@ -48,7 +49,9 @@ def measure(
     chosen = load_experiment(experiment, ports, python=python)
     path = destination or chosen.run_path
     if until is not None:
-        until_diagnosed(chosen, experiment, path, resume=resume, accept=accept)
+        if report is not None:
+            reporting.require_view()
+        until_diagnosed(chosen, experiment, path, resume=resume, accept=accept, report=report)
         return
     if chosen.adaptive is not None and all(step.reason for step in chosen.plan):
         raise ExperimentError(
@@ -78,8 +81,9 @@ def measure(
 
 
 def until_diagnosed(
-    chosen: Experiment, experiment: Path, path: Path, *, resume: bool = False, accept: bool = False
-) -> None:
+    chosen: Experiment, experiment: Path, path: Path, *, resume: bool = False, accept: bool = False,
+    report: Path | None = None,
+) -> None:  # fmt: skip
     """Runs an experiment whose poses a loop chooses, into the run file ``path``, and says what it found."""
     if chosen.adaptive is None:
         raise ExperimentError(
@@ -116,6 +120,11 @@ def until_diagnosed(
     output.say(f"{stored} rows are in {path}: {loop.why}")
     for line in loop.told():
         output.say(line)
+    if report is not None:
+        from ..report.stories import write_adaptive
+
+        write_adaptive(report, loop, f"What {path.stem} measured, and why")
+        output.say(f"the report is in {report}")
     output.say(f"Take them out with: sherkit export {path} -o {path.with_suffix('.csv')}")
 
 

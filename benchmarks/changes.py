@@ -1,0 +1,169 @@
+"""How often a change of a machine is named: ``sk.compare`` and ``sk.verify`` on the second simulators.
+
+python benchmarks/changes.py [parameters|effects|nothing|pairs|unknown|arm|verify …] [--seeds 6] [--from 0]
+
+Before and after have other poses, other noise and another room; the sensor stands elsewhere. *Right* names what has
+changed, alone or in a tie that holds it; of nothing it is "unchanged", of what is in no catalogue anything but
+"changed". *False names* are changes that were named alone and are none.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+import numpy as np
+
+import sherkit as sk
+from changed_worlds import MECHANICAL, PARAMETERS, ArmPair, DeltaPair
+
+PAIRS = (("base_angle_2", "backlash"), ("rod_length_1", "rail_lean"), ("rod_length_1", "base_radius_3"),
+         ("joint_scale", "gravity_sag"), ("base_angle_1", "limb_twist"))  # fmt: skip
+#: The radius of 95 of 100 over the root mean square of an axis, of three alike (χ², three degrees of freedom).
+_TO_95 = 2.795
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One comparison: whether it was right, whether a name was false, seconds, and what was said."""
+
+    right: bool
+    false_name: bool
+    seconds: float
+    told: str
+
+
+def compared(make: Callable[[int], Any], changed: tuple[str, ...], kind: str, seed: int) -> Outcome | None:
+    """One pair of runs; None where such a change leaves nothing to be seen."""
+    warnings.simplefilter("ignore")
+    try:
+        world = make(seed)
+    except (ValueError, RuntimeError):
+        return None
+    began = time.process_time()
+    found = world.compare()
+    seconds = time.process_time() - began
+    tied = found.indistinguishable[0] if found.indistinguishable else ()
+    alone = set(found.changed) if not tied else set()
+    if kind == "nothing":
+        right = found.verdict == "unchanged"
+    elif kind == "unknown":
+        right = found.verdict not in ("changed", "unchanged")
+    else:
+        right = found.verdict == "changed" and (alone == set(changed) or " & ".join(sorted(changed)) in tied)
+    wrong = found.verdict == "changed" and bool(alone - set(changed))
+    return Outcome(right, wrong, seconds, f"seed {seed}: {found.headline}; ranked {found.ranked[:2]}")
+
+
+def verified(times: float, seed: int) -> Outcome | None:
+    """An interim check of a calibrated delta, by a dozen poses; something moved by so many ``times`` the promise."""
+    warnings.simplefilter("ignore")
+    bad = times > 0
+    name = (*PARAMETERS, *MECHANICAL)[seed % (len(PARAMETERS) + len(MECHANICAL))]
+    try:
+        world = DeltaPair(seed, (name,) if bad else (), 1.0, poses=(60, 12))
+        made = sk.calibrate(world.robot, world.runs[0], correction="none").calibration
+        poses = sk.changes.verifying_poses(made, 12, seed=seed)
+        places = np.array([[p["x_mm"], p["y_mm"], p["z_mm"]] for p in poses])
+        promised = float(np.median(made.predicted_accuracies(places).radius_mm))
+        # what is left of a change, as 95 of 100 cases, against what is promised
+        ratio = times * promised / _TO_95 / world.noise
+        world = DeltaPair(seed, (name,) if bad else (), ratio, places=poses, poses=(60, 12))
+    except (ValueError, RuntimeError):
+        return None
+    began = time.process_time()
+    found = sk.verify(made, world.runs[1])
+    seconds = time.process_time() - began
+    return Outcome(found.valid is (not bad), False, seconds, f"seed {seed} {name if bad else ''}: {found.headline}")
+
+
+def row(name: str, outcomes: Sequence[Outcome | None]) -> str:
+    """A line of the table."""
+    known = [one for one in outcomes if one is not None]
+    for one in known:
+        if not one.right:
+            print(f"    {name}: {one.told}", file=sys.stderr, flush=True)
+    return (
+        f"| {name} | {len(known)} | {np.mean([one.right for one in known]):.3f} | "
+        f"{sum(one.false_name for one in known)} | {np.median([one.seconds for one in known]):.2f} |"
+    )
+
+
+def main() -> None:
+    """Runs the parts and prints the table."""
+    every = ("nothing", "parameters", "effects", "pairs", "unknown", "arm", "verify")
+    reader = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    reader.add_argument("parts", nargs="*", default=[])
+    reader.add_argument("--seeds", type=int, default=6)
+    reader.add_argument("--from", dest="first", type=int, default=0)
+    reader.add_argument("--workers", type=int, default=2)
+    asked = reader.parse_args()
+    chosen, seeds = asked.parts or every, range(asked.first, asked.first + asked.seeds)
+    print("| changed | runs | right | false names | s |\n| --- | ---: | ---: | ---: | ---: |")
+    with ProcessPoolExecutor(asked.workers) as pool:
+
+        def show(name: str, work: Callable[[int], Outcome | None], over: range) -> None:
+            print(row(name, list(pool.map(work, over))), flush=True)
+
+        def group(name: str, works: Sequence[Callable[[int], Outcome | None]]) -> None:
+            done = [pool.submit(work, seed) for work in works for seed in seeds]
+            print(row(name, [one.result() for one in done]), flush=True)
+
+        if "nothing" in chosen:
+            many = range(1000 + asked.first, 1000 + asked.first + 25 * asked.seeds)
+            for name, settings in (
+                ("nothing", {}),
+                ("nothing, another temperature", {"warmer_c": 6.0}),
+                ("nothing, a dozen poses after", {"poses": (60, 12)}),
+            ):
+                show(name, partial(compared, partial(_delta, (), 1.0, settings), (), "nothing"), many)
+        for part, names in (("parameters", PARAMETERS), ("effects", MECHANICAL)):
+            if part in chosen:
+                for ratio in (2.0, 5.0):
+                    group(f"one of the {part}, {ratio:g} ×", [
+                        partial(compared, partial(_delta, (n,), ratio, {}), (n,), part) for n in names
+                    ])  # fmt: skip
+        if "pairs" in chosen:
+            group("two at once, 4 ×", [partial(compared, partial(_delta, p, 4.0, {}), p, "pairs") for p in PAIRS])
+        if "unknown" in chosen:
+            for ratio in (2.0, 5.0):
+                group(f"what is in no catalogue, {ratio:g} ×", [
+                    partial(compared, partial(_delta, (), ratio, {"unknown": n}), (), "unknown")
+                    for n in ("saddle", "ripple", "bow", "cable")
+                ])  # fmt: skip
+        if "arm" in chosen:
+            group("arm, nothing", [partial(compared, partial(_arm, "", 0.0), (), "nothing")])
+            group("arm, a joint's zero by 1 mrad", [
+                partial(compared, partial(_arm, f"offset_{k}", 1e-3), (f"offset_{k}",), "arm") for k in (2, 3, 4, 5)
+            ])  # fmt: skip
+            group("arm, play of 1 mrad", [partial(compared, partial(_arm, "play", 1e-3), ("backlash",), "arm")])
+        if "verify" in chosen:
+            for name, times in (
+                ("verify: still as calibrated", 0.0), ("verify: off by 1.5 × the promise", 1.5),
+                ("verify: off by 2 × the promise", 2.0),
+            ):  # fmt: skip
+                show(name, partial(verified, times), range(asked.first, asked.first + 16 * asked.seeds))
+
+
+def _delta(changed: tuple[str, ...], ratio: float, settings: dict[str, Any], seed: int) -> DeltaPair:
+    return DeltaPair(seed, changed, ratio, **settings)
+
+
+def _arm(changed: str, size: float, seed: int) -> ArmPair:
+    return ArmPair(seed, changed, size)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,197 @@
+"""What has changed since: runs before and after, the course over the years, interim checks."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+import sherkit as sk
+from changed_worlds import ArmPair, DeltaPair, truth_of_change
+from sherkit.cli import main
+from sherkit.errors import FitError, MeasurementError
+from sherkit.model.kinds import kind_of
+
+
+@pytest.fixture(scope="module")
+def bumped() -> DeltaPair:
+    """A delta one of whose rails was turned a little; the lasers were stationed anew."""
+    return DeltaPair(3, ("base_angle_2",), 4.0)
+
+
+# -- before and after -----------------------------------------------------------------------------------------------
+
+
+def test_the_parameter_that_moved_is_named_with_its_size(bumped: DeltaPair) -> None:
+    """Catches another name, a size that is not the true one, a tracker that is blamed on the robot, and a stand that is
+    not told."""
+    found = bumped.compare()
+    assert (found.verdict, found.changed) == ("changed", ("base_angle_2",))
+    moved = found.parameters[0]
+    assert moved.change == pytest.approx(truth_of_change(bumped, "base_angle_2"), abs=4.0 * moved.std)
+    assert abs(moved.change) > 10.0 * moved.std
+    assert found.error["after"] > 2.0 * found.error["before"]  # type: ignore[operator]
+    assert np.linalg.norm([v for k, v in next(iter(found.stand.values())).items() if k.startswith("turn")]) > 5.0
+    assert "base_angle_2" in found.advice
+
+
+@pytest.mark.parametrize("settings", [{}, {"warmer_c": 6.0}, {"poses": (60, 12)}, {"noise_um": 20.0}])
+def test_nothing_has_changed(settings: dict[str, Any]) -> None:
+    """Catches a change that other poses, another noise, another station of the sensor or a warmer room make."""
+    found = DeltaPair(11, **settings).compare()
+    assert (found.verdict, found.changed) == ("unchanged", ())
+
+
+@pytest.mark.parametrize("changed", [("backlash",), ("rod_length_3",), ("base_angle_2", "backlash")])
+def test_effects_and_pairs(changed: tuple[str, ...]) -> None:
+    """Catches an effect that is taken for a parameter, and one change that stands for two."""
+    found = DeltaPair(12, changed, 4.0).compare()
+    assert found.verdict == "changed"
+    assert set(found.changed) == set(changed)
+
+
+def test_what_is_in_no_catalogue_is_not_explained() -> None:
+    """Catches a name for a plate that warped."""
+    found = DeltaPair(13, unknown="saddle", ratio=5.0).compare()
+    assert found.verdict in ("unexplained", "partly explained")
+    assert found.where
+
+
+def test_an_arm_before_a_tracker_that_was_moved() -> None:
+    """Catches a comparison that knows deltas alone."""
+    found = ArmPair(1, "offset_3", 1e-3).compare()
+    assert found.changed == ("offset_3",)
+    assert found.parameters[0].change == pytest.approx(1e-3, abs=5.0 * found.parameters[0].std)
+    assert ArmPair(2).compare().verdict == "unchanged"
+
+
+def test_wrong_rows_are_no_change() -> None:
+    """Catches gross errors that become physics."""
+    world = DeltaPair(14)
+    world.runs[1]["z_mm"][[5, 17]] += 0.4
+    found = world.compare()
+    assert found.verdict == "unchanged"
+    assert sorted(found.aside.values()) == [0, 2]
+
+
+def test_too_few_rows_are_undecided() -> None:
+    """Catches "unchanged" where five rows say no more than where the sensor stands."""
+    assert DeltaPair(15, poses=(60, 2)).compare().verdict == "undecided"
+
+
+def test_bad_runs_are_refused() -> None:
+    """Catches a traceback for one run alone, and for runs of another robot."""
+    world = DeltaPair(16)
+    with pytest.raises(FitError, match="expected two runs or more"):
+        sk.compare(world.robot, world.runs[:1])
+    with pytest.raises(MeasurementError):
+        sk.compare(world.robot, [world.runs[0], {"x_mm": [1.0]}])
+
+
+# -- the command ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(bumped: DeltaPair, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The robot's file, two runs of it, and its calibration."""
+    sk.save_robot(bumped.robot, tmp_path / "robot.toml")
+    for name, run in zip(("before.csv", "after.csv"), bumped.runs, strict=True):
+        pl.DataFrame(run).write_csv(tmp_path / name)
+    made = sk.calibrate(bumped.robot, bumped.runs[0], correction="none").calibration
+    made.save(tmp_path / "calibrated.toml")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def said(capsys: pytest.CaptureFixture[str], code: int, *typed: str) -> str:
+    """What a command prints."""
+    with pytest.raises(SystemExit) as ended:
+        main(list(typed))
+    assert ended.value.code == code
+    return capsys.readouterr().out
+
+
+def test_compare_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches keys that programs count on and that are not there, and a page that is not written."""
+    found = json.loads(said(capsys, 0, "compare", "robot.toml", "before.csv", "after.csv", "--json"))
+    assert {"verdict", "changed", "indistinguishable", "stand", "error", "parameters", "next_poses"} <= set(found)
+    assert set(found["error"]) == {"before", "after", "needed"}
+    assert found["changed"] == ["base_angle_2"]
+    text = said(capsys, 0, "compare", "robot.toml", "before.csv", "after.csv", "--report", "page.html")
+    assert "base_angle_2 by" in text
+    assert "<h1>" in (folder / "page.html").read_text(encoding="utf-8") or (folder / "page.html").stat().st_size > 1000
+
+
+def test_verify_and_its_poses(folder: Path, capsys: pytest.CaptureFixture[str], bumped: DeltaPair) -> None:
+    """Catches a bumped machine that is called valid, one that is as it was called invalid, an exit code that a nightly
+    job cannot use, and poses outside of the workspace."""
+    found = json.loads(said(capsys, 3, "verify", "calibrated.toml", "after.csv", "--json", "--fail-if-invalid"))
+    assert found["verdict"] == "not valid"
+    assert "base_angle_2" in {*found["changed"], *(name for tie in found["indistinguishable"] for name in tie)}
+    text = said(capsys, 0, "verify", "calibrated.toml", "before.csv", "--fail-if-invalid")
+    assert text.startswith("valid")
+    assert "would have shown" in text
+    poses = json.loads(said(capsys, 0, "plan", "calibrated.toml", "--verify", "--poses", "9", "--json"))["poses"]
+    assert len(poses) == 9
+    assert {"pose", "q1_mm", "q2_mm", "q3_mm", "x_mm", "y_mm", "z_mm"} == set(poses[0])
+    assert max(np.hypot(p["x_mm"], p["y_mm"]) for p in poses) <= 30.0
+    assert "EXPERIMENT" in _refused(capsys, "plan", "calibrated.toml")
+    assert kind_of(bumped.robot).name == "delta"
+
+
+def _refused(capsys: pytest.CaptureFixture[str], *typed: str) -> str:
+    with pytest.raises(SystemExit) as ended:
+        main(list(typed))
+    assert ended.value.code != 0
+    return capsys.readouterr().err
+
+
+# -- over the years -------------------------------------------------------------------------------------------------
+
+
+def years(kind: str) -> tuple[Any, list[dict[str, Any]], list[str]]:
+    """Five runs, three months apart: a step of one parameter before the fourth, or a ramp of it."""
+    worlds = [DeltaPair(30 + k, poses=(50, 30)) for k in range(5)]
+    first = worlds[0]
+    dates = [f"2025-{1 + 3 * k:02d}-10" if k < 4 else "2026-01-10" for k in range(5)]
+    runs = []
+    for k in range(5):
+        by = 0.12 * (k >= 3) if kind == "step" else 0.03 * k if kind == "ramp" else 0.0
+        runs.append(first.run_with({"rod_length_2": by}, seed=k))
+    return first.robot, runs, dates
+
+
+def test_a_step_has_its_date() -> None:
+    """Catches a step at another run, another parameter, or as wear."""
+    robot, runs, dates = years("step")
+    found = sk.history(robot, runs, dates=dates)
+    assert found.verdict == "changed"
+    assert [(c.name, c.kind, c.since, c.date) for c in found.changes] == [("rod_length_2", "step", 3, "2025-10-10")]
+    assert found.changes[0].parameters[0][1] == pytest.approx(0.12, rel=0.1)
+    assert set(found.values) == {"rod_length_2"}
+    shuffled = sk.history(robot, [runs[k] for k in (3, 0, 4, 1, 2)], dates=[dates[k] for k in (3, 0, 4, 1, 2)])
+    assert [(c.name, c.since) for c in shuffled.changes] == [("rod_length_2", 3)]
+
+
+def test_wear_is_a_rate() -> None:
+    """Catches wear that is told as steps, or with a rate that is not the true one (0.03 mm in three months)."""
+    robot, runs, dates = years("ramp")
+    found = sk.history(robot, runs, dates=dates)
+    assert [(c.name, c.kind) for c in found.changes] == [("rod_length_2", "ramp")]
+    assert found.changes[0].parameters[0][1] == pytest.approx(0.01, rel=0.1)
+
+
+def test_what_stood_still() -> None:
+    """Catches a course where there is none, dates that are none, and dates for other runs."""
+    robot, runs, dates = years("")
+    found = sk.history(robot, runs, dates=dates)
+    assert (found.verdict, found.changes) == ("unchanged", ())
+    assert "rod_length_2" in found.stood_still
+    with pytest.raises(MeasurementError, match="one for each"):
+        sk.history(robot, runs, dates=dates[:2])
+    with pytest.raises(MeasurementError, match="is no date"):
+        sk.history(robot, runs, dates=["soon"] * 5)
