@@ -47,6 +47,12 @@ class Door:
     good: dict[str, Any]
 
 
+def _kept(path: Path) -> Path:
+    """A loop that was saved."""
+    sk.Adaptive(EXAMPLE).save(path)
+    return path
+
+
 def doors(folder: Path) -> dict[str, Door]:
     """Every public name that can be called, and the methods of what it makes."""
     data = lines_run()
@@ -81,6 +87,17 @@ def doors(folder: Path) -> dict[str, Door]:
         "Study.register": Door(of_a_study("register"), {"effect": None}),
         "Study.save": Door(of_a_study("save"), {"folder": folder / "saved"}),
         "Study.load": Door(sk.Study.load, {"folder": folder / "study", "effects": ()}),
+        "Adaptive": Door(
+            sk.Adaptive,
+            {"robot": EXAMPLE, "required_um": 20.0, "budget": 40, "span_min": 1.0, "box": {"x_mm": (-5.0, 5.0)},
+             "level": 0.01, "batch": 6, "seed": 0, "minutes": None},
+        ),
+        "Adaptive.tell": Door(lambda **given: sk.Adaptive(EXAMPLE).tell(**given), {"rows": data.to_frame().head(3)}),
+        "Adaptive.save": Door(lambda **given: sk.Adaptive(EXAMPLE).save(**given), {"path": folder / "loop.json"}),
+        "Adaptive.load": Door(sk.Adaptive.load, {"path": _kept(folder / "kept.json"), "robot": None}),
+        "compare": Door(sk.compare, {"robot": EXAMPLE, "runs": [data, data], "effects": ()}),
+        "history": Door(sk.history, {"robot": EXAMPLE, "runs": [data, data], "dates": (), "effects": ()}),
+        "verify": Door(sk.verify, {"calibration": folder / "calibrated.toml", "run": path}),
         "calibrate": Door(
             sk.calibrate,
             {"robot": EXAMPLE, "whole": data, "local": None, "free": (), "effects": (), "loss": "linear",

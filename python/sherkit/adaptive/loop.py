@@ -364,7 +364,8 @@ class Adaptive:
 
     # -- keeping -----------------------------------------------------------------------------------------
 
-    def save(self, path: str | PathLike[str]) -> None:
+    @as_annotated
+    def save(self, path: str | Path) -> None:
         """Writes robot, settings and rows as JSON, whole or not at all."""
         frame = self._frame
         text = json.dumps(
@@ -382,7 +383,8 @@ class Adaptive:
         write_whole(path, text + "\n")
 
     @classmethod
-    def load(cls, path: str | PathLike[str], robot: RobotLike | None = None) -> Self:
+    @as_annotated
+    def load(cls, path: str | Path, robot: RobotLike | None = None) -> Self:
         """The loop of a file, as it was; ``robot`` is only needed for a machine that is no file. Raises
         :class:`~sherkit.errors.ExperimentError` for what is no such file."""
         where = Path(path)

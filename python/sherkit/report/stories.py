@@ -57,7 +57,8 @@ def write_comparison(path: Path, found: Comparison, title: str) -> None:
             pair.append(made)
         figures.append(row(*pair))
     told = [found.headline, *(f"{' or '.join(tie)}: these runs cannot tell" for tie in found.indistinguishable)]
-    _page(path, title, [*told, found.advice], figures)
+    poses = [", ".join(f"{name} {value:.4g}" for name, value in pose.items()) for pose in found.next_poses]
+    _page(path, title, [*told, found.advice, *poses], figures)
 
 
 def write_history(path: Path, found: History, title: str) -> None:
@@ -94,7 +95,13 @@ def write_adaptive(path: Path, loop: Adaptive, title: str) -> None:
     readings = [one.readings for one in looks]
     made.line(readings, [one.log_evidence / _TEN for one in looks], color=MUTED, line_dash="dashed",
               legend_label="anything is missing")  # fmt: skip
-    last = looks[-1].sets[:3] if looks else ()
+    # what led, and what else would have done; the leader with something besides is no story
+    lead = {name for name, _ in looks[-1].sets[0][0]} if looks else set()
+    last = (
+        [one for k, one in enumerate(looks[-1].sets) if not k or not lead <= {n for n, _ in one[0]}][:3]
+        if looks
+        else []
+    )
     for k, (keys, _) in enumerate(last):
         names = frozenset(name for name, _ in keys)
         values = [max((v for other, v in one.sets if frozenset(n for n, _ in other) == names), default=np.nan) / _TEN
@@ -104,7 +111,7 @@ def write_adaptive(path: Path, loop: Adaptive, title: str) -> None:
     if last:
         legend(made)
     data = loop.data
-    where = figure(height=_HEIGHT, width=_WIDE, match_aspect=True)
+    where = figure(height=_WIDE, width=_WIDE, sizing_mode="fixed")
     x, y = list(data.layout.coordinates)[:2]
     places = data.readings[:, :2]
     where.scatter(places[:, 0], places[:, 1], size=6, color=COLOURS[0], alpha=0.7)

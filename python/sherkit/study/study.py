@@ -308,7 +308,7 @@ class Study(Shown):
             raise
 
     def _rows(self, rows: Sequence[int] | Ints) -> Ints:
-        which = np.unique(np.ravel(np.asarray(rows)).astype(np.int64))
+        which = np.unique(np.ravel(rows if isinstance(rows, np.ndarray) else list(rows)).astype(np.int64))
         absent = which[(which < 0) | (which >= len(self.data))]
         if len(absent):
             raise MeasurementError(
