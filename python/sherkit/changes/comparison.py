@@ -37,6 +37,8 @@ _MOST_TIED = 8
 _FULL, _REFITS = 3, 3
 #: Part by which a fit in full may leave more than to first order.
 _WORSE = 0.02
+#: Rows of all runs together that are weighed, and of one at least.
+_ROWS, _ROWS_OF_A_RUN = 4000, 200
 #: Poses that are proposed, of how many.
 _POSES, _CANDIDATES = 8, 200
 
@@ -155,10 +157,20 @@ def joined_runs(
         named = [e for e in found.fit.model.effects if e.name in found.effects and e.search is None]
         if named:
             fit = identify(made, data[0].mark_outliers(found.outliers), effects=named)
+    data = [_enough(one, max(_ROWS // len(data), _ROWS_OF_A_RUN)) for one in data]
     axes = tuple(a for a in axes_of(data[0]) if all(a in axes_of(one) for one in data))
     if not axes:
         raise FitError("compare: the runs have no reading in common")
     return Joined(fit, data, axes), data
+
+
+def _enough(data: Measurements, most: int) -> Measurements:
+    """Of a long run as many poses as tell, drawn at random, each with all of its repeats."""
+    if len(data) <= most:
+        return data
+    poses = np.random.default_rng(0).permutation(np.unique(data.groups))
+    count = np.cumsum(np.bincount(data.groups)[poses])
+    return data.select(np.flatnonzero(np.isin(data.groups, poses[: max(int((count <= most).sum()), 1)])))
 
 
 def concluded(joined: Joined, data: Sequence[Measurements], needed: float | None) -> Comparison:

@@ -164,7 +164,7 @@ def _told(
         courses[SEASON] = [temperatures - temperatures[0]]
     factors = {name: list(values) for name, values in courses.items()}
     found: list[tuple[str, str, int, Floats]] = []
-    evidence = joined.evidence(courses)
+    evidence = joined.evidence(courses, waves=False)
     taken: list[Key] = []
     verdict = "unchanged" if evidence.alone.log_mean < ALARM else "unexplained"
     for _ in range(_MOST):

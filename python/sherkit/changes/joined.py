@@ -225,8 +225,9 @@ class Joined:
         """What the model of the first run leaves (N,), each run seen from its own stand."""
         return self.over_runs([run.stand.residual for run in self.runs])
 
-    def evidence(self, courses: Mapping[str, Sequence[Floats]], *, shaped: bool = True) -> Evidence:
-        """Of every candidate in the courses of the runs: a name ("" for steps) to its factors (R,) at each setting."""
+    def evidence(self, courses: Mapping[str, Sequence[Floats]], *, waves: bool = True) -> Evidence:
+        """Of every candidate in the courses of the runs: a name ("" for steps) to its factors (R,) at each setting;
+        without ``waves`` no shape that has settings of its own is among them."""
         made: list[Hypothesis] = []
         tried: dict[str, Floats] = {}
         base = orthonormal(self.base)
@@ -256,16 +257,17 @@ class Joined:
             for one in self.candidates:
                 columns = [run.columns[one.name] for run in self.runs]
                 take(told_as(one.name, course), one.effect, None, columns, factors)
-        if shaped:
-            rows = [self._rows(run) for run in self.runs]
-            layout = self.runs[0].data.layout
-            readings = tuple(layout.names[a] for a in self.axes)
-            patterns = all(r.patterns is not None for r in rows)
-            for shape in shapes(self._places, layout.joints, readings, (), timed=False, patterns=patterns):
-                at = np.array(shape.settings, dtype=float)
-                per_run = [shape.columns(r, at) for r in rows]
-                for course, factors in courses.items():
-                    take(told_as(shape.name, course), None, shape, per_run, factors)
+        rows = [self._rows(run) for run in self.runs]
+        layout = self.runs[0].data.layout
+        readings = tuple(layout.names[a] for a in self.axes)
+        patterns = all(r.patterns is not None for r in rows)
+        for shape in shapes(self._places, layout.joints, readings, (), timed=False, patterns=patterns):
+            if len(shape.settings) > 1 and not waves:
+                continue
+            at = np.array(shape.settings, dtype=float)
+            per_run = [shape.columns(r, at) for r in rows]
+            for course, factors in courses.items():
+                take(told_as(shape.name, course), None, shape, per_run, factors)
         return Evidence(Hypotheses(weighted(made)), self.residual, self.base, tried)
 
     def places(self, run: SeenRun) -> dict[str, Floats]:
