@@ -21,7 +21,7 @@ from ..fit.identify import Fit, identify
 from . import rule
 from .choice import is_beyond, later
 from .look import Keys, Look
-from .silence import ALARM, Unseen, is_silent, sentences
+from .silence import Unseen, is_silent, sentences
 
 #: Places at which the accuracy is asked, and the share of cases that it holds for.
 _PLACES, _SHARE = 60, 0.95
@@ -47,6 +47,7 @@ class Told:
     minutes: float | None
     span_min: float
     required_um: float | None
+    level: float
     seed: int
 
 
@@ -148,7 +149,7 @@ def _longer(loop: Told) -> float:
 def _at_the_end(loop: Told, found: Look, spent: str) -> tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], str]:
     """Verdict, effects, ties and reason where nothing stands alone and no more is read."""
     why = spent or "no reachable pose, and no later moment, tells what is left apart"
-    if found.log_evidence < np.log(ALARM):
+    if found.log_evidence < -np.log(loop.level):
         if found.readings >= rule.FEWEST and is_silent(loop.seen):
             return "adequate", (), (), f"{why}; nothing is missing that these rows would have shown"
         return "undecided", (), (), why
@@ -161,7 +162,7 @@ def _at_the_end(loop: Told, found: Look, spent: str) -> tuple[str, tuple[str, ..
         return "unexplained", (), (), why
     names = tuple(" & ".join(sorted(name for name, _ in keys)) for keys in ties)
     effects = tuple(sorted(name for name, _ in ties[0]))
-    settled = shape < found.value(ties[0]) - np.log(1e3) and lead.rest < np.log(ALARM)
+    settled = shape < found.value(ties[0]) - np.log(1e3) and lead.rest < -np.log(loop.level)
     if len(names) == 1:
         return ("explained" if settled else "partly explained"), effects, (), why
     if len(names) > _MOST_TIED:

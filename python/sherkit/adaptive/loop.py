@@ -198,7 +198,7 @@ class Adaptive:
         if self._concluded is None or self._concluded[0] != self.readings:
             told = Told(
                 self.robot, lambda: self.data, self.readings, self.last, self.state, self.seen, self.budget,
-                self.minutes, self.span_min, self.required_um, self.seed,
+                self.minutes, self.span_min, self.required_um, self.level, self.seed,
             )  # fmt: skip
             self._concluded = (self.readings, conclude(told))
         return self._concluded[1]
@@ -352,9 +352,9 @@ class Adaptive:
                     self.model.counted_from(some.begins_s), self.region, some, axes, max(60.0 * self.span_min, 600.0)
                 )
             found = look(self._family, some, self.last)
-            seen = outlook(found)
+            seen = outlook(found, self.level)
             spanned = some.time_s is None or float(np.ptp(some.time_s)) >= 60.0 * self.span_min * (1 - 1e-9)
-            state = rule.after(self.state, found, seen, spanned=spanned)
+            state = rule.after(self.state, found, seen, spanned=spanned, level=self.level)
             self._looks.append((found, state, seen))
 
     @property

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .look import FAR, Fitted, Keys, Look
-from .silence import ALARM, Unseen, is_silent
+from .silence import Unseen, is_silent
 
 #: By how much a leader must be likelier than shapes (than rivals by FAR), and what it may leave at most (evidence).
 _SHAPES, _LEFT = np.log(1e3), np.log(20.0)
@@ -42,12 +42,13 @@ class State:
     confirmed: bool = False
 
 
-def after(state: State, found: Look, seen: tuple[Unseen, ...], *, spanned: bool) -> State:
-    """The state once this look is taken; ``spanned`` whether the run is as long as it is to be judged over."""
+def after(state: State, found: Look, seen: tuple[Unseen, ...], *, spanned: bool, level: float) -> State:
+    """The state once this look is taken; ``spanned`` whether the run is as long as it is to be judged over, one over
+    the ``level`` the evidence that is an alarm."""
     lead, n = found.lead, found.readings
-    alarm = found.log_evidence >= np.log(ALARM)
+    alarm = found.log_evidence >= -np.log(level)
     if not alarm:
-        quiet = found.log_evidence < _QUIET and n >= FEWEST and spanned and is_silent(seen)
+        quiet = found.log_evidence < min(_QUIET, -np.log(level)) and n >= FEWEST and spanned and is_silent(seen)
         why = "nothing is missing that these rows would have shown" if quiet else ""
         return State("adequate" if quiet else "undecided", quiet, why)
     stands = lead is not None and _stands(found, lead)

@@ -13,8 +13,8 @@ from .evidence import SIZES
 from .hypotheses import Hypothesis
 from .look import Look
 
-#: Evidence that is an alarm, and the power with which an effect must have been seen.
-ALARM, POWER = 100.0, 0.95
+#: The power with which an effect must have been seen.
+POWER = 0.95
 _DIRECTIONS = 48
 
 
@@ -31,19 +31,19 @@ class Unseen:
     visible: bool
 
 
-def outlook(found: Look) -> tuple[Unseen, ...]:
-    """For every effect of the catalogue that can be tried."""
-    noise = noise_of_look(found)
-    return tuple(_outlook(found, h, noise) for h in found.family.effects)
+def outlook(found: Look, level: float) -> tuple[Unseen, ...]:
+    """For every effect of the catalogue that can be tried; an alarm is evidence of one over the ``level``."""
+    noise = noise_of_look(found, level)
+    return tuple(_outlook(found, h, noise, level) for h in found.family.effects)
 
 
-def noise_of_look(found: Look) -> float:
+def noise_of_look(found: Look, level: float) -> float:
     """The noise of one reading, in its unit, as the best explanation leaves it."""
-    alarmed = found.lead is not None and found.log_evidence > np.log(ALARM)
+    alarmed = found.lead is not None and found.log_evidence > -np.log(level)
     return float((found.lead.fit if alarmed and found.lead else found.fit).scale)
 
 
-def _outlook(found: Look, h: Hypothesis, noise: float) -> Unseen:
+def _outlook(found: Look, h: Hypothesis, noise: float, level: float) -> Unseen:
     family, evidence = found.family, found.evidence
     key = (h.name, h.settings[len(h.settings) // 2])
     # three plausible sizes at most
@@ -59,7 +59,7 @@ def _outlook(found: Look, h: Hypothesis, noise: float) -> Unseen:
     shown = np.einsum("di,ij,dj->d", u, squares, u)
     weight = h.weight / len(h.settings)
     grown = [float(np.linalg.slogdet(np.eye(len(squares)) + s**2 * squares)[1]) for s in SIZES]
-    least = min(2.0 * np.log(ALARM / weight * len(SIZES)) + one for one in grown)
+    least = min(2.0 * np.log(len(SIZES) / (level * weight)) + one for one in grown)
 
     sizes = np.geomspace(0.1, 1e3, 41)
     powers = scipy.stats.ncx2.sf(least, len(squares), np.square(sizes)[:, None] * shown.clip(1e-12)).mean(axis=1)

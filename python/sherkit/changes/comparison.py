@@ -19,6 +19,7 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..data.given import RunLike
 from ..diagnosis import diagnose
+from ..diagnosis.linearised import orthonormal
 from ..errors import FitError, SherkitError
 from ..fit.error import ErrorSize, axes_of, of_residuals
 from ..fit.identify import identify
@@ -135,7 +136,7 @@ def compare(robot: RobotLike, runs: Sequence[RunLike], *, effects: Sequence[str 
     the sensor may stand elsewhere. ``effects`` are in the model of all runs; left out, those that a diagnosis of the
     first run names. Raises :class:`~sherkit.errors.FitError` for fewer than two runs, or one that is too short.
 
-        found = sk.compare("robot.toml", ["monday.csv", "friday.csv"])
+        found = sk.compare("demo/robot.toml", ["demo/whole.csv", "demo/local.csv"])
         print(found.headline)
     """
     if len(runs) < 2:
@@ -345,9 +346,8 @@ def errors_after(joined: Joined) -> ErrorSize | None:
     for run in joined.runs[1:]:
         columns = np.where(run.used[:, :, None], run.stand.columns, 0.0)
         flat = np.where(run.used, run.stand.residual, 0.0).reshape(-1)
-        basis = columns.reshape(len(flat), -1)
-        if basis.shape[1]:
-            flat = flat - basis @ np.linalg.lstsq(basis, flat, rcond=1e-9)[0]
+        basis = orthonormal(columns)
+        flat = flat - basis @ (basis.T @ flat)
         full = np.zeros(run.data.readings.shape)
         full[:, list(joined.axes)] = flat.reshape(run.used.shape)
         parts.append((run.data, full, int(run.used.any(axis=1).sum())))

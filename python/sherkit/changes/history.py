@@ -104,6 +104,9 @@ def history(
 
     Raises :class:`~sherkit.errors.FitError` for fewer than two runs and
     :class:`~sherkit.errors.MeasurementError` for dates that are none.
+
+        found = sk.history("demo/robot.toml", ["demo/whole.csv", "demo/local.csv"], dates=["2026-01-10", "2026-04-09"])
+        print(found)
     """
     if len(runs) < 2:
         raise FitError(f"history: expected two runs or more, got {len(runs)}")

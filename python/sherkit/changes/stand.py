@@ -98,14 +98,16 @@ def _camera(
     moved_model: Any = model.with_effect(effect)
     at = moved_model.owns(effect)
     now = np.insert(np.asarray(values, dtype=float), at.start, np.zeros(at.stop - at.start))
+    size = np.array([p.size for p in effect.parameters])
     columns, left = np.zeros((len(seen), len(axes), 0)), seen
     for _ in range(_STEPS):
         predicted = moved_model.predict(data, now)[:, axes]
         left = np.where(used, seen - predicted, 0.0)
         columns = moved_model.derivatives(data, now)[:, axes, at]
-        step = np.linalg.lstsq(columns[used], left[used], rcond=1e-9)[0]
+        by = columns[used] * size
+        step = size * (linalg.inv(by.T @ by + 1e-12 * np.trace(by.T @ by) * np.eye(len(size))) @ (by.T @ left[used]))
         now[at] += step
-        if (np.abs(step) <= 1e-9 * np.array([p.size for p in effect.parameters])).all():
+        if (np.abs(step) <= 1e-9 * size).all():
             break
     names = [p.name for p in effect.parameters]
     units = [p.unit for p in effect.parameters]

@@ -127,7 +127,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     """Whether a calibration still holds, by a run of a dozen poses or more. Raises
     :class:`~sherkit.errors.FitError` for a run that is too short to tell where the sensor stands.
 
-        found = sk.verify("calibrated.toml", "check.csv")
+        found = sk.verify("demo/calibrated.toml", "demo/local.csv")
         print(found.headline)
     """
     made = load_calibration(Path(calibration)) if isinstance(calibration, str | PathLike) else calibration

@@ -45,7 +45,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "sherkit measure experiment.toml --until diagnosed",
         "sherkit measure experiment.toml --python my_lab.py --resume",
     ),
-    "plan": ("sherkit plan robot.toml experiment.toml", "sherkit plan robot.toml experiment.toml --noise-um 2"),
+    "plan": (
+        "sherkit plan robot.toml experiment.toml --noise-um 2",
+        "sherkit plan calibrated.toml --verify --poses 20",
+    ),
     "printer": (
         "sherkit printer printer.cfg --report printer.html",
         "sherkit printer printer.cfg --plate turned=60 -o new.cfg",
@@ -54,10 +57,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "schema": ("sherkit schema experiment",),
     "simulate": ("sherkit simulate robot.toml -o run.csv --seed 3",),
     "tool": ("sherkit tool bench.csv free.csv run.csv -o tool.toml --report tool.html",),
-    "verify": (
-        "sherkit plan calibrated.toml --verify",
-        "sherkit verify calibrated.toml check.csv --fail-if-invalid",
-    ),
+    "verify": ("sherkit verify calibrated.toml check.csv --fail-if-invalid",),
 }
 
 
