@@ -225,6 +225,17 @@ def test_rows_may_come_back_as_they_like() -> None:
     assert loop.effects == ("backlash",)
 
 
+def test_a_wrong_column_is_said() -> None:
+    """Catches physics that is named, or an unknown that is looked for, where two columns are swapped."""
+    world = DrivenDelta(7)
+    loop = sk.Adaptive(world.robot, budget=60)
+    while not loop.done:
+        loop.tell([{**row, "x_mm": row["y_mm"], "y_mm": row["x_mm"]} for row in world.read(loop.ask())])
+    assert loop.verdict == "unexplained"
+    assert "x_mm" in loop.why
+    assert "y_mm" in loop.why
+
+
 def test_a_row_that_is_wrong_is_driven_again() -> None:
     """Catches a gross error that becomes physics, and one that nobody looks at again."""
     world = DrivenDelta(9)

@@ -18,6 +18,7 @@ from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.checks import Check
 from ..errors import SherkitError
 from ..fit.identify import Fit, identify
+from ..fit.set_up import set_up_mistakes
 from . import rule
 from .choice import is_beyond, later
 from .look import Keys, Look
@@ -95,7 +96,10 @@ def conclude(loop: Told) -> Conclusion:
     accuracy = None
     pattern = found.shapes[0][0][0][0] if found.shapes and verdict == "unexplained" else ""
     if verdict == "unexplained":
+        # what a wrong column leaves is no physics, and looks like much of it
+        mistakes = set_up_mistakes(found.family.model, found.data, found.fit.values)
         why = f"{why}: what is left looks like {_words(found.shapes[0][0])}" if found.shapes else why
+        why = "; ".join(one.sentence for one in mistakes) or why
         effects = ()
     if not done and (spent or _is_beyond(loop, found, state)):
         verdict, effects, tied, why = _at_the_end(loop, found, spent)
