@@ -15,7 +15,7 @@ from scipy import integrate, stats
 import sherkit as sk
 from driven_worlds import DrivenArm, DrivenDelta, DrivenSpherical, World
 from sherkit.adaptive.evidence import SIZES, log_bayes
-from sherkit.errors import ArgumentError, ExperimentError, MeasurementError
+from sherkit.errors import ArgumentError, ExperimentError, FitError, MeasurementError
 
 Floats = np.ndarray
 
@@ -310,6 +310,9 @@ def test_rows_that_are_none_change_nothing(tmp_path: Path) -> None:
     """Catches half of a table that is taken before the other half is refused."""
     world = DrivenDelta(0)
     loop = sk.Adaptive(world.robot)
+    assert (loop.verdict, loop.effects, loop.done) == ("undecided", (), False)
+    with pytest.raises(FitError, match="nothing was told yet"):
+        _ = loop.diagnosis
     rows = world.read(loop.ask())
     loop.tell(rows[:4])
     bad = [{**rows[4], "x_mm": "much"}, rows[5]]

@@ -16,7 +16,7 @@ from ..data import Measurements
 from ..data.columns import unit_in
 from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.checks import Check
-from ..errors import SherkitError
+from ..errors import FitError, SherkitError
 from ..fit.identify import Fit, identify
 from ..fit.set_up import set_up_mistakes
 from . import rule
@@ -69,8 +69,9 @@ class Conclusion:
 
     @cached_property
     def diagnosis(self) -> Diagnosis:
-        """The diagnosis of all rows, whose verdict is this."""
-        assert self.make is not None, "rows were told"
+        """The diagnosis of all rows, whose verdict is this. Raises :class:`~sherkit.errors.FitError` without rows."""
+        if self.make is None:
+            raise FitError("nothing was told yet: there are no rows to diagnose")
         return _agreeing(self.make(), self)
 
 

@@ -168,6 +168,9 @@ class Adaptive:
         are too few."""
         return self.conclusion.diagnosis
 
+    def __repr__(self) -> str:
+        return f"Adaptive({self.sentence()})"
+
     def sentence(self) -> str:
         """Where it stands, in one line: readings, verdict so far, the leading three with their evidence."""
         end = self.conclusion
