@@ -13,7 +13,7 @@ import numpy as np
 
 from ..base.types import Floats
 from ..data import Measurements
-from ..data.columns import TEMPERATURE, TIME
+from ..data.columns import TIME
 from ..data.lagged import DRAWN_C, Room
 from ..diagnosis.linearised import orthonormal
 from ..model.base import ModelWithEffects
@@ -28,7 +28,6 @@ _REFERENCE, _ROUNDING = 160, 1e-4
 _TWIN = 0.97
 #: Delays behind the room, s.
 _LAGS_S = (15.0, 60.0, 120.0, 240.0, 480.0, 960.0, 1920.0, 3840.0)
-_SWING_C = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,12 +230,13 @@ def _reference(region: Region, data: Measurements, span_s: float) -> Measurement
     columns: dict[str, Floats] = {}
     if data.time_s is not None:
         columns[TIME] = part * span_s
-    for name, values in data.covariates.items():
+    for number, (name, values) in enumerate(data.covariates.items()):
         if name in data.layout.apart or name in data.layout.loads:
             columns[name] = rng.choice(values, _REFERENCE)
         else:
-            swing = _SWING_C if name == TEMPERATURE else 2.0 * float(np.ptp(values))
-            columns[name] = float(values[0]) + swing * np.sin(2.0 * np.pi * part)
+            swing = Covariate.of(name, values).width
+            # each in a course of its own: what swings alike could not be told apart
+            columns[name] = float(values[0]) + swing * np.sin(2.0 * np.pi * (1.0 + 0.37 * number) * part + number)
     for k in range(places.joints.shape[1]):
         columns[f"direction_{k + 1}"] = rng.choice([-1.0, 1.0], _REFERENCE)
     return planned(places.joints, data.layout, columns)

@@ -25,7 +25,8 @@ PERIODS_S = np.geomspace(240.0, 3600.0, 14)
 CUTS = np.arange(2.0, 122.0, 2.0)
 #: A covariate is counted in these, unless its name is known.
 _WIDTHS = {TEMPERATURE: 1.0}
-_LEAST_WIDTH = 1e-9
+#: The part of its value by which another may swing while a run lasts.
+_LEAST_WIDTH, _SWINGS = 1e-9, 0.1
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,10 @@ class Covariate:
 
     @classmethod
     def of(cls, name: str, values: Floats) -> Covariate:
-        """By the first rows of a run, whose readings say nothing of it."""
-        spread = float(np.ptp(values))
-        return cls(name, float(values[0]), _WIDTHS.get(name, max(4.0 * spread, _LEAST_WIDTH)))
+        """By the first rows of a run, whose readings say nothing of it. They last a minute: a room that swings by a
+        tenth of its humidity in an hour has hardly begun to."""
+        begins, spread = float(values[0]), float(np.ptp(values))
+        return cls(name, begins, _WIDTHS.get(name, max(_SWINGS * abs(begins), 4.0 * spread, _LEAST_WIDTH)))
 
 
 @dataclass(frozen=True, eq=False)
