@@ -6,6 +6,7 @@ is as large as a fit of the geometry leaves so many noises of it, on poses over 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -34,7 +35,7 @@ Rows = list[dict[str, Any]]
 SPAN_S, PACE_S = 1800.0, 4.0
 
 
-class World:
+class World(ABC):
     """What all worlds share: the clock, the room, the noise."""
 
     joints: tuple[str, ...]
@@ -57,9 +58,9 @@ class World:
             "humidity_pct": 45.0 + 4.0 * np.sin(time_s / 1300.0 + c),
         }
 
+    @abstractmethod
     def exact(self, columns: Mapping[str, Floats]) -> Floats:
         """Readings (n, m) without noise, of all rows so far."""
-        raise NotImplementedError
 
     def read(self, asked: Rows) -> Rows:
         """Drives to the rows asked for and reads."""

@@ -113,9 +113,9 @@ def _showing(found: Look, own: Floats, tried: Mapping[str, Floats], count: int, 
     picked: list[int] = []
     for _ in range(min(count, len(own))):
         gained = np.zeros(len(own))
-        alone = _log_gain(x, base)
+        alone = log_gain(x, base)
         for info, (_, z) in zip(infos, parts, strict=True):
-            gained += _log_gain(z, info) - alone
+            gained += log_gain(z, info) - alone
         if not names:
             gained = alone
         gained[picked] = -np.inf
@@ -194,7 +194,7 @@ def _information(columns: Floats, ridge: float) -> Floats:
     return np.asarray(info + np.diag(ridge * diagonal + 1e-300 + ridge * diagonal.max(initial=0.0) * 1e-6))
 
 
-def _log_gain(rows: Floats, information: Floats) -> Floats:
+def log_gain(rows: Floats, information: Floats) -> Floats:
     """By how much the logarithm of the determinant grows with each of the rows (n, m, p)."""
     spread = np.einsum("nar,rs,nbs->nab", rows, linalg.inv(information), rows, optimize=True)
     return np.asarray(np.linalg.slogdet(np.eye(rows.shape[1]) + spread)[1])

@@ -64,7 +64,6 @@ class Conclusion:
     notes: tuple[str, ...] = ()
     evidence: tuple[tuple[str, float], ...] = ()
     accuracy_um: float | None = None
-    pattern: str = ""
     make: Callable[[], Diagnosis] | None = field(default=None, repr=False)
 
     @cached_property
@@ -95,7 +94,6 @@ def conclude(loop: Told) -> Conclusion:
     notes = list(sentences(loop.seen, found.data.layout.unit, found.data.layout.per_unit, found.family.untestable))
     # a verdict of silence rests on what would have been seen; beside a name it is only told
     accuracy = None
-    pattern = found.shapes[0][0][0][0] if found.shapes and verdict == "unexplained" else ""
     if verdict == "unexplained":
         # what a wrong column leaves is no physics, and looks like much of it
         mistakes = set_up_mistakes(found.family.model, found.data, found.fit.values)
@@ -122,7 +120,7 @@ def conclude(loop: Told) -> Conclusion:
     best = [(" & ".join(name for name, _ in keys), value) for keys, value in found.sets[:3]]
     return Conclusion(
         verdict, done, why if done else "", effects if done or state.named else (), tied,
-        tuple(notes) if done else (), tuple(best), accuracy, pattern, make,
+        tuple(notes) if done else (), tuple(best), accuracy, make,
     )  # fmt: skip
 
 

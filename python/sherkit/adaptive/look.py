@@ -49,13 +49,12 @@ Keys = tuple[Key, ...]
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """A set of effects in the model, fitted in full: ``log_bf`` against the model alone, ``rest`` what is left beside
-    it, as the logarithm of a mean Bayes factor over all others, ``given`` those by name and ``worst`` the largest."""
+    it, as the logarithm of a mean Bayes factor over all others, ``given`` those by name."""
 
     keys: Keys
     fit: Fit
     log_bf: float
     rest: float
-    worst: str
     given: Mapping[str, float]
 
     @property
@@ -270,8 +269,7 @@ class _View:
         told = beside.raw_residual - others @ (others.T @ beside.raw_residual) + mine @ (fit.values[at] / scale)
         gained = log_bayes_at(mine.T @ mine, mine.T @ told, float(told @ told), base, evidence.free)
         weighed = beside.alone
-        worst = max(weighed.log_bf, key=lambda name: weighed.log_bf[name], default="")
-        return Fitted(keys, fit, gained - settings, weighed.log_mean, worst, weighed.log_bf)
+        return Fitted(keys, fit, gained - settings, weighed.log_mean, weighed.log_bf)
 
     def _settled(self, keys: Keys) -> Fit | None:
         """The fit with a set in the model, each setting the best of those about it; None where there is none."""

@@ -141,8 +141,9 @@ def compare(robot: RobotLike, runs: Sequence[RunLike], *, effects: Sequence[str 
     """
     if len(runs) < 2:
         raise FitError(f"compare: expected two runs or more, the first of them before; got {len(runs)}")
-    joined, given = joined_runs(robot, runs, effects)
-    return concluded(joined, given, required_um(load_robot(robot) if isinstance(robot, str | PathLike) else robot))
+    made = load_robot(robot) if isinstance(robot, str | PathLike) else robot
+    joined, given = joined_runs(made, runs, effects)
+    return concluded(joined, given, required_um(made))
 
 
 def joined_runs(
@@ -204,7 +205,7 @@ def concluded(joined: Joined, data: Sequence[Measurements], needed: float | None
         evidence=evidence.alone.log_mean / float(np.log(10.0)),
         ranked=tuple(ranked[:5]),
         where=_where(evidence) if verdict not in ("unchanged", "undecided") else "",
-        advice=_advice(verdict, names, tied, bool(poses), left, joined.noise, before.unit),
+        advice=_advice(verdict, names, tied, bool(poses), left),
         aside={_called(one, k): len(joined.runs[k].aside) for k, one in enumerate(data)},
         joined=joined,
     )
@@ -365,10 +366,7 @@ def _where(evidence: Evidence) -> str:
     return max(shapes, key=lambda name: shapes[name]) if shapes and max(shapes.values()) > ALARM else ""
 
 
-def _advice(
-    verdict: str, names: tuple[str, ...], tied: tuple[str, ...], proposed: bool, left: float, noise: float, unit: str
-) -> str:
-    del noise, unit
+def _advice(verdict: str, names: tuple[str, ...], tied: tuple[str, ...], proposed: bool, left: float) -> str:
     if verdict == "unchanged":
         return "nothing needs to be done: the calibration still describes the robot"
     if verdict == "undecided":

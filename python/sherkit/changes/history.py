@@ -112,13 +112,13 @@ def history(
         raise FitError(f"history: expected two runs or more, got {len(runs)}")
     if dates and len(dates) != len(runs):
         raise MeasurementError(f"dates: expected one for each of {len(runs)} runs, got {len(dates)}")
+    robot = load_robot(robot) if isinstance(robot, str | PathLike) else robot
     joined, data = joined_runs(robot, runs, effects)
     at_s, told = _dates(data, dates)
     order = np.argsort(at_s, kind="stable")
     if not np.array_equal(order, np.arange(len(order))):
         return history(robot, [runs[k] for k in order], dates=[float(at_s[k]) for k in order], effects=effects)
-    needed = required_um(load_robot(robot) if isinstance(robot, str | PathLike) else robot)
-    return _told(joined, data, at_s, told, needed)
+    return _told(joined, data, at_s, told, required_um(robot))
 
 
 def _dates(data: Sequence[Measurements], given: Sequence[str | float]) -> tuple[Floats, list[str]]:

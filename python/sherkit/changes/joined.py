@@ -160,15 +160,8 @@ class Joined:
 
     def _columns(self, data: Measurements, model: ModelWithEffects, values: Floats, own: Floats) -> dict[str, Floats]:
         """Columns (n, m, k) of every candidate and of growth, by plausible sizes."""
-        places = {p.name: k for k, p in enumerate(model.parameters)}
         everybody = [*self.candidates, *(Candidate(e.name, e, e.qualified()) for e in self.growth)]
-        asked = [one.effect for one in everybody if one.effect is not None and one.parameters[0].name not in places]
-        tried = model.tried(data, values, asked)
-        out = {e.name: tried.columns[:, list(self.axes), at] for e, at in tried.effects}
-        out |= {
-            one.name: own[:, :, [places[p.name] for p in one.parameters]] for one in everybody if one.name not in out
-        }
-        return {one.name: out[one.name] * [p.size for p in one.parameters] for one in everybody}
+        return columns_of(model, values, data, self.axes, everybody, own)
 
     def columns_at(self, data: Measurements) -> dict[str, Floats]:
         """Columns of every candidate for other rows, by the model as the first run has it."""
@@ -321,6 +314,23 @@ class Joined:
     def candidate(self, name: str) -> Candidate:
         """The candidate of that name."""
         return next(one for one in self.candidates if one.name == name)
+
+
+def columns_of(
+    model: ModelWithEffects,
+    values: Floats,
+    data: Measurements,
+    axes: Sequence[int],
+    candidates: Sequence[Candidate],
+    own: Floats,
+) -> dict[str, Floats]:
+    """Columns (n, m, k) of candidates by plausible sizes; ``own`` (n, m, p) are those of the model's parameters."""
+    places = {p.name: k for k, p in enumerate(model.parameters)}
+    asked = [one.effect for one in candidates if one.effect is not None and one.parameters[0].name not in places]
+    tried = model.tried(data, values, asked)
+    out = {e.name: tried.columns[:, list(axes), at] for e, at in tried.effects}
+    out |= {one.name: own[:, :, [places[p.name] for p in one.parameters]] for one in candidates if one.name not in out}
+    return {one.name: out[one.name] * [p.size for p in one.parameters] for one in candidates}
 
 
 def told_as(name: str, course: str) -> str:

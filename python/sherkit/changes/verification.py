@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from ..adaptive.choice import log_gain
 from ..adaptive.evidence import SIZES, Evidence
 from ..adaptive.hypotheses import Hypotheses, Hypothesis, weighted
 from ..adaptive.region import Region, planned
@@ -33,7 +34,7 @@ from ..model.robot_file import run_for
 from ..robots.calibrated import Calibration
 from ..robots.files import load_calibration
 from .comparison import ALARM, FAR, SHAPES, Moved
-from .joined import Candidate, candidates_of, noise_of_repeats
+from .joined import Candidate, candidates_of, columns_of, noise_of_repeats
 from .stand import stand_of
 
 #: How often a valid calibration may be refused (benchmarks/changes.py).
@@ -162,7 +163,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         allowed = (known_noise**2 + promised**2) * float(scipy.stats.f.isf(_REFUSED, freedom, noise_freedom))
         valid = bool(square <= allowed and (evidence.alone.log_mean < _SHOWS or seen <= promised))
     names, ties, moved = _moved(evidence, candidates)
-    shown = {one.name: _power(evidence, candidates, one) for one in candidates}
+    shown = {one.name: _power(evidence, one) for one in candidates}
     return Verification(
         valid=valid,
         error={"seen": seen * per_row, "promised": None if promised is None else promised * per_row},
@@ -223,10 +224,7 @@ def _evidence(
     chosen, values = list(axes), known.values
     candidates = candidates_of(model, [data])
     own = model.linearised(data, values).parameters[:, chosen]
-    places = {p.name: k for k, p in enumerate(model.parameters)}
-    asked = [one.effect for one in candidates if one.effect is not None and one.parameters[0].name not in places]
-    tried = model.tried(data, values, asked)
-    columns = {e.name: tried.columns[:, chosen, at] for e, at in tried.effects}
+    columns = columns_of(model, values, data, axes, candidates, own)
     unit = noise or float(np.sqrt(np.square(residual).mean()))
     count = len(known.root)
     # what is not known of a parameter is a reading of zero, as exact as that
@@ -235,10 +233,8 @@ def _evidence(
     rest = orthonormal(base)
     made, shown = [], {}
     for one in candidates:
-        raw = columns.get(one.name)
-        if raw is None:
-            raw = own[:, :, [places[p.name] for p in one.parameters]]
-        whole = np.concatenate([(raw * [p.size for p in one.parameters])[used], np.zeros((count, raw.shape[2]))])
+        raw = columns[one.name]
+        whole = np.concatenate([raw[used], np.zeros((count, raw.shape[2]))])
         left = whole - rest @ (rest.T @ whole)
         if np.square(left).sum() > 1e-10 * np.square(whole).sum() > 0:
             scale = float(np.sqrt(len(residual) / np.square(left).sum()))
@@ -275,7 +271,7 @@ def _moved(
     return (lead,), (ties,) if len(ties) > 1 else (), moved
 
 
-def _power(evidence: Evidence, candidates: Sequence[Candidate], one: Candidate) -> float:
+def _power(evidence: Evidence, one: Candidate) -> float:
     """The chance that a change of plausible size is seen."""
     if one.name not in evidence.place:
         return 0.0
@@ -290,7 +286,6 @@ def _power(evidence: Evidence, candidates: Sequence[Candidate], one: Candidate) 
     rng = np.random.default_rng(0)
     signs = rng.choice([-1.0, 1.0], (16, len(squares)))
     shown = times**2 * np.einsum("di,ij,dj->d", signs, squares, signs)
-    del candidates
     return float(np.mean(scipy.stats.ncx2.sf(least, len(squares), shown.clip(1e-12))))
 
 
@@ -327,19 +322,13 @@ def verifying_poses(
     axes = axes_of(rows)
     candidates = candidates_of(known.model, [rows])
     own = known.model.linearised(rows, known.values).parameters[:, list(axes)]
-    index = {p.name: k for k, p in enumerate(known.model.parameters)}
-    tried = known.model.tried(
-        rows, known.values, [c.effect for c in candidates if c.effect and c.parameters[0].name not in index]
-    )
-    columns = {e.name: tried.columns[:, list(axes), at] for e, at in tried.effects}
-    for one in candidates:
-        columns.setdefault(one.name, own[:, :, [index[p.name] for p in one.parameters if p.name in index]])
+    columns = columns_of(known.model, known.values, rows, axes, candidates, own)
     exact = rows.with_readings(np.zeros(rows.readings.shape) + known.model.predict(rows, known.values))
     used = np.ones((len(rows), len(axes)), dtype=bool)
     stand = stand_of(known.model, exact, known.values, axes, used).columns
     part: Any = made.parts_made[0]
     noise = float(np.sqrt(np.diag(part.residual_covariance + part.scatter).mean())) or 1.0
-    sized = [columns[c.name] * [p.size for p in c.parameters][: columns[c.name].shape[2]] / noise for c in candidates]
+    sized = [columns[one.name] / noise for one in candidates]
     picked = _greedy(stand, sized, int(count))
     order = rng.permutation(picked)
     names = dict(zip(layout.joints, places.joints.T, strict=True))
@@ -358,8 +347,8 @@ def _greedy(stand: Floats, sized: Sequence[Floats], count: int) -> list[int]:
     both = [np.concatenate([x, z], axis=2) for z in sized]
     picked: list[int] = []
     for _ in range(min(count, len(x))):
-        alone = _gain(x, base)
-        gained = sum((_gain(z, info) - alone for z, info in zip(both, infos, strict=True)), np.zeros(len(x)))
+        alone = log_gain(x, base)
+        gained = sum((log_gain(z, info) - alone for z, info in zip(both, infos, strict=True)), np.zeros(len(x)))
         if len(picked) < x.shape[2]:
             gained = gained + alone
         gained[picked] = -np.inf
@@ -368,8 +357,3 @@ def _greedy(stand: Floats, sized: Sequence[Floats], count: int) -> list[int]:
         base = base + x[best].T @ x[best]
         infos = [info + z[best].T @ z[best] for info, z in zip(infos, both, strict=True)]
     return picked
-
-
-def _gain(rows: Floats, information: Floats) -> Floats:
-    spread = np.einsum("nar,rs,nbs->nab", rows, linalg.inv(information), rows, optimize=True)
-    return np.asarray(np.linalg.slogdet(np.eye(rows.shape[1]) + spread)[1])
