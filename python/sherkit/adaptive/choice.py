@@ -163,19 +163,22 @@ def _apart(found: Look, own: Floats, tried: Mapping[str, Floats], sets: Sequence
     return gained
 
 
-def is_beyond(found: Look, against: Sequence[Keys], budget: int, late_s: float, margin: float) -> bool:
-    """Whether the readings that are left, wherever and whenever they are taken, would not tell two rivals apart, by a
-    ``margin``."""
+def are_beyond(found: Look, tied: Sequence[Keys], budget: int, late_s: float, margin: float) -> bool:
+    """Whether the readings that are left, wherever and whenever they are taken, would tell none of those tied from the
+    first of them, by a ``margin``."""
     if budget <= found.readings:
         return False
     rng = np.random.default_rng(found.readings)
-    far = 0.0
+    others = tied[1:_MOST_RIVALS]
+    ahead = np.array([found.value(tied[0]) - found.value(other) for other in others])
+    far = np.zeros(len(others))
     for after_s in (0.0, late_s):
         rows = later(found.data, found.family.region.anywhere(_CANDIDATES, rng), after_s, rng)
         columns = found.family.columns(rows, found.fit.values, found.fit.model, before=found.readings)
-        far = max(far, float(np.expm1(_apart(found, columns.own, columns.tried, against).max())))
+        apart = [_apart(found, columns.own, columns.tried, (tied[0], other)).max() for other in others]
+        far = np.maximum(far, np.expm1(apart))
     # half of a squared distance is what a reading adds to the logarithm of their ratio
-    return 0.5 * far * (budget - found.readings) < margin * _CERTAIN
+    return bool((ahead + 0.5 * far * (budget - found.readings) < margin * _CERTAIN).all())
 
 
 def _at(found: Look, tried: Mapping[str, Floats], key: Key) -> Floats:

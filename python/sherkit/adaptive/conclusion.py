@@ -20,7 +20,7 @@ from ..errors import FitError, SherkitError
 from ..fit.identify import Fit, identify
 from ..fit.set_up import set_up_mistakes
 from . import rule
-from .choice import is_beyond, later
+from .choice import are_beyond, later
 from .look import Keys, Look
 from .silence import Unseen, is_silent, sentences
 
@@ -140,7 +140,7 @@ def _is_beyond(loop: Told, found: Look, state: rule.State) -> bool:
     ties = rule.ties(found)
     # early only what is as good as the same everywhere
     margin = 1.0 if found.readings >= _LATE * loop.budget else 0.05
-    return len(ties) > 1 and is_beyond(found, ties[:2], loop.budget, _longer(loop), margin)
+    return len(ties) > 1 and are_beyond(found, ties, loop.budget, _longer(loop), margin)
 
 
 def _longer(loop: Told) -> float:

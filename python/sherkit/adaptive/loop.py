@@ -34,12 +34,14 @@ from .region import Places, Region
 from .rule import State
 from .silence import Unseen, outlook
 
-#: Readings to begin with at least, and those beyond the parameters; in a batch; and in all, unless it is said.
-_START, _BEYOND, _BATCH, _BUDGET = 12, 8, 6, 400
+#: Readings to begin with at least, and those beyond the parameters.
+_START, _BEYOND = 12, 8
+#: Readings in a batch and in all, unless it is said.
+BATCH, BUDGET = 4, 400
 #: Readings over which the rest of the span is spread where nothing shows, and from which on.
 _SPREAD_TO, _SPREAD_FROM = 60, 24
 #: Moments over the span that are driven to where rivals live in time.
-_MOMENTS = 45
+_MOMENTS = 75
 _WHERE = "sherkit adaptive loop"
 
 
@@ -67,11 +69,11 @@ class Adaptive:
         robot: RobotLike,
         *,
         required_um: Positive | None = None,
-        budget: Count = _BUDGET,
+        budget: Count = BUDGET,
         span_min: NotNegative = 0.0,
         box: Mapping[str, Sequence[float]] | None = None,
         level: Level = 0.01,
-        batch: Count = _BATCH,
+        batch: Count = BATCH,
         seed: Seed = 0,
         minutes: Positive | None = None,
     ) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...adaptive import Adaptive
+from ...adaptive.loop import BATCH, BUDGET
 from ...data.columns import POSE, REPEAT, TIME
 from ...data.toml import Table
 from ...model.kinds import Robot, kind_of
@@ -33,12 +34,12 @@ def adaptive_settings(table: Table, robot: Robot) -> dict[str, Any]:
     minutes = table.positive("minutes")
     return {
         "required_um": required,
-        "budget": table.whole("budget", 400, least=1),
+        "budget": table.whole("budget", BUDGET, least=1),
         "minutes": minutes,
         "span_min": table.number("span_min", 0.0),
         "box": box or None,
         "level": table.number("level", 0.01, positive=True),
-        "batch": table.whole("batch", 6, least=1),
+        "batch": table.whole("batch", BATCH, least=1),
         "seed": table.whole("seed", 0, least=0),
     }
 
