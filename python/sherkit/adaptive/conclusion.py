@@ -8,24 +8,21 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy
 
 from ..base import linalg
 from ..calibration import calibrate
 from ..data import Measurements
-from ..data.columns import unit_in
 from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.checks import Check
 from ..errors import FitError, SherkitError
 from ..fit.identify import Fit, identify
 from ..fit.set_up import set_up_mistakes
 from . import rule
-from .choice import are_beyond, later
+from .choice import are_beyond
 from .look import Keys, Look
+from .progress import PLACES, accuracy_by_covariance_um
 from .silence import Unseen, is_silent, sentences
 
-#: Places at which the accuracy is asked, and the share of cases that it holds for.
-_PLACES, _SHARE = 60, 0.95
 #: Sets that are still a tie; more are no answer.
 _MOST_TIED = 6
 #: Part of the budget after which it is asked whether the rest would tell more.
@@ -117,7 +114,7 @@ def conclude(loop: Told) -> Conclusion:
                 notes.insert(0, f"{told} would not bring it")
     elif verdict == "adequate" and done:
         accuracy = accuracy_um(loop, found, (), found.fit)
-    best = [(" & ".join(name for name, _ in keys), value) for keys, value in found.sets[:3]]
+    best = [(" & ".join(name for name, _ in keys), value) for keys, value in found.leading]
     return Conclusion(
         verdict, done, why if done else "", effects if done or state.named else (), tied,
         tuple(notes) if done else (), tuple(best), accuracy, make,
@@ -185,7 +182,7 @@ def accuracy_um(loop: Told, found: Look, effects: tuple[str, ...], fit: Fit) -> 
     kind without one, or an effect that a calibration cannot hold, by the covariance of the fit. None where that is in
     no length.
     """
-    places = found.family.region.spread(_PLACES, loop.seed + 1)
+    places = found.family.region.spread(PLACES, loop.seed + 1)
     try:
         made = calibrate(loop.robot, found.data, effects=effects, correction="none").calibration
         promised = made.predicted_accuracies(places.targets).radius_mm
@@ -193,14 +190,7 @@ def accuracy_um(loop: Told, found: Look, effects: tuple[str, ...], fit: Fit) -> 
             return float(1e3 * np.nanmax(promised))
     except SherkitError:
         pass
-    axes = list(found.family.axes)
-    if not all(unit_in(fit.data.layout.readings[a]) == "mm" for a in axes):
-        return None
-    rows = later(found.data, places, 0.0, np.random.default_rng(loop.seed))
-    by = fit.model.derivatives(rows, fit.values)[:, axes]
-    each = np.einsum("nmp,pq,nkq->nmk", by, fit.covariance + fit.unobserved_covariance, by)
-    largest = float(linalg.eigvalsh(each)[:, -1].max())
-    return float(1e3 * np.sqrt(scipy.stats.chi2.ppf(_SHARE, len(axes)) * max(largest, 0.0)))
+    return accuracy_by_covariance_um(found, fit, loop.seed)
 
 
 def _agreeing(d: Diagnosis, said: Conclusion) -> Diagnosis:

@@ -137,6 +137,14 @@ class Look:
                 return one
         return self.fitted[0] if self.fitted else None
 
+    @cached_property
+    def leading(self) -> tuple[tuple[Keys, float], ...]:
+        """What leads and the best two besides, the leader with something more aside: that is no rival of it."""
+        first = self.lead.keys if self.lead is not None else self.sets[0][0] if self.sets else ()
+        mine = {name for name, _ in first}
+        others = [one for one in self.sets if not mine <= {name for name, _ in one[0]}]
+        return ((first, self.value(first)), *others[:2]) if first else ()
+
     def value(self, keys: Keys) -> float:
         """The logarithm of weight times Bayes factor of a set."""
         return next((value for other, value in self.sets if other == keys), -np.inf)

@@ -16,11 +16,11 @@ import polars as pl
 from ..base import linalg
 from ..base.arguments import Count, Level, NotNegative, Positive, Seed, as_annotated
 from ..data import Measurements, from_frame, read_measurements
-from ..data.columns import POSE, REPEAT, TIME
+from ..data.columns import POSE, REASON, REPEAT, TIME
 from ..data.files import write_whole
 from ..data.frames import to_polars
 from ..diagnosis import Diagnosis
-from ..errors import ExperimentError, MeasurementError
+from ..errors import ExperimentError
 from ..fit.error import axes_of
 from ..model.kinds import kind_of, model_of, robot_from_tables
 from ..model.kinds import required_um as stated_um
@@ -30,6 +30,7 @@ from .choice import choose, rivals
 from .conclusion import Conclusion, Told, conclude
 from .family import Family
 from .look import Look, look, rows_in_time
+from .progress import Progress, progress
 from .region import Places, Region
 from .rule import State
 from .silence import Unseen, outlook
@@ -123,6 +124,22 @@ class Adaptive:
         return tuple(found for found, _, _ in self._looks)
 
     @property
+    def progress(self) -> tuple[Progress, ...]:
+        """How far off the models were, look by look, at readings that they were not fitted to yet."""
+        if self._progress is None or len(self._progress) != len(self._looks):
+            self._progress = progress(self.looks, self.seed)
+        return self._progress
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why each of the rows was driven, in the order of time; empty where that was not told."""
+        if REASON not in self._frame.columns:
+            return ()
+        why = [one or "" for one in self._frame[REASON].to_list()]
+        order = np.argsort(self._read(self._frame).order, kind="stable")
+        return tuple(why[k] for k in order)
+
+    @property
     def state(self) -> State:
         """What is held after the last look."""
         return self._looks[-1][1] if self._looks else State()
@@ -179,9 +196,15 @@ class Adaptive:
         told = ", ".join(f"{name} {value / np.log(10.0):+.1f}" for name, value in end.evidence)
         known = f", within {end.accuracy_um:.3g} µm" if end.accuracy_um is not None else ""
         evidence = 0.0 if self.last is None else self.last.log_evidence / float(np.log(10.0))
+        new = self.progress[-1] if len(self._looks) > 1 else None
+        off = ""
+        if new is not None and np.isfinite(new.by_lead):
+            unit, led = self.layout.unit, new.by_lead < new.by_geometry
+            without = f" ({new.by_geometry:.3g} {unit} by the geometry alone)" if led else ""
+            off = f"; off by {new.by_lead:.3g} {unit} at the readings since the look before{without}"
         return (
             f"{self.readings} readings: {self.verdict}{known}; evidence that something is missing 1e{evidence:.1f}; "
-            f"leading (powers of ten): {told or 'nothing yet'}"
+            f"leading (powers of ten): {told or 'nothing yet'}{off}"
         )
 
     def told(self) -> tuple[str, ...]:
@@ -209,6 +232,7 @@ class Adaptive:
         return self._concluded[1]
 
     _concluded: tuple[int, Conclusion] | None = None
+    _progress: tuple[Progress, ...] | None = None
 
     # -- asking ------------------------------------------------------------------------------------------
 
@@ -272,7 +296,7 @@ class Adaptive:
         row |= dict(zip(self.layout.joints, places.joints[0].tolist(), strict=True))
         row |= dict(zip(self.region.targets, places.targets[0].tolist(), strict=True))
         row |= {name: 1 + pose % count for name, count in _apart(self.robot, self.layout.apart).items()}
-        return row | {"reason": reason, "not_before_s": 0.0}
+        return row | {REASON: reason, "not_before_s": 0.0}
 
     def _again(self, found: Look) -> list[dict[str, Any]]:
         """Rows that were set aside, driven once more each."""
@@ -320,7 +344,7 @@ class Adaptive:
         frame = _frame_of(rows)
         if not frame.height:
             return
-        drop: list[str] = [name for name in ("reason", "not_before_s") if name in frame.columns]
+        drop = ["not_before_s"] if "not_before_s" in frame.columns else []
         # where joints lead is what is asked, where readings are not the same columns
         drop += [n for n in self.region.targets if n in frame.columns and n not in self.layout.readings]
         frame = frame.drop(drop)
@@ -337,7 +361,8 @@ class Adaptive:
         self._advance()
 
     def _read(self, frame: pl.DataFrame) -> Measurements:
-        data = self.model.as_declared(run_for(self.robot, from_frame(frame, "the rows told")))
+        read = from_frame(frame.drop(REASON, strict=False), "the rows told")
+        data = self.model.as_declared(run_for(self.robot, read))
         if data.time_s is None and not np.isfinite(data.direction).all():
             # without a clock, rows were read in the order in which they are told
             way = np.sign(np.diff(data.joints, axis=0, prepend=data.joints[:1] - 1.0))
@@ -415,18 +440,7 @@ def _frame_of(rows: Any) -> pl.DataFrame:
         return rows.to_frame()
     if isinstance(rows, str | PathLike):
         return read_measurements(Path(rows)).to_frame()
-    if isinstance(rows, Sequence) and all(isinstance(row, Mapping) for row in rows):
-        return (
-            pl.DataFrame([dict(row) for row in rows], infer_schema_length=None, strict=False)
-            if rows
-            else pl.DataFrame()
-        )
-    try:
-        return to_polars(rows)
-    except MeasurementError:
-        raise MeasurementError(
-            f"tell: expected rows as a list of dicts, a frame, columns by name or a file; got {type(rows).__name__}"
-        ) from None
+    return to_polars(rows)
 
 
 def _apart(robot: Any, names: tuple[str, ...]) -> dict[str, int]:

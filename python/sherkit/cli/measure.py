@@ -32,7 +32,11 @@ _POLITE = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(si
     type=click.Choice(["diagnosed"]),
     help="The robot chooses its poses itself, by [adaptive], until it is known what is missing.",
 )
-@click.option("--report", type=click.Path(path_type=Path), help="With --until: write the story of the run as a page.")
+@click.option(
+    "--report",
+    type=click.Path(path_type=Path),
+    help="With --until: a page that shows the run while it goes on, and its story afterwards.",
+)
 @click.option("--ports", type=click.Path(path_type=Path), help="Addresses by instrument, as 'sherkit lab' wrote them.")
 @output.OWN_INSTRUMENTS
 def measure(
@@ -98,8 +102,18 @@ def until_diagnosed(
     with begin(path, plan, chosen.about()) as file, _ended_by_signals():
         if accept:
             output.say(f"{file.accept()} rows that were in doubt are taken as right")
-        adaptive.take(file.points())
+        adaptive.take(file)
         looks = len(loop.looks)
+
+        def draw() -> None:
+            if report is not None:
+                from ..report.measured_story import write_adaptive
+
+                write_adaptive(report, loop, f"What {path.stem} measured, and why")
+
+        draw()
+        if report is not None:
+            output.say(f"{report} shows it while it goes on: open it in a browser")
 
         def more(now: Plan) -> Plan | None:
             nonlocal looks
@@ -108,6 +122,7 @@ def until_diagnosed(
                 looks = len(loop.looks)
                 reason = "" if further is None else further.steps[len(now)].reason
                 output.say(f"{loop.sentence()}{f'; next: {reason}' if reason else ''}")
+                draw()
             return further
 
         why = _run(chosen, plan, file, lambda *_: loop.verdict, more)
@@ -120,11 +135,6 @@ def until_diagnosed(
     output.say(f"{stored} rows are in {path}: {loop.why}")
     for line in loop.told():
         output.say(line)
-    if report is not None:
-        from ..report.stories import write_adaptive
-
-        write_adaptive(report, loop, f"What {path.stem} measured, and why")
-        output.say(f"the report is in {report}")
     output.say(f"Take them out with: sherkit export {path} -o {path.with_suffix('.csv')}")
 
 

@@ -16,6 +16,8 @@ TEMPERATURE = "temperature_c"
 POSE = "pose"
 REPEAT = "repeat"
 OUTLIER = "outlier"
+#: Why a row was driven, where a loop has chosen it.
+REASON = "reason"
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Measurements from any table in memory: polars, pandas, or a mapping of columns."""
+"""Measurements from any table in memory: polars, pandas, a mapping of columns, or a dict for each row."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LARGEST_WHOLE = 2**53
 
 @as_annotated
 def from_frame(frame: Any, source: str = "frame", *, columns: Columns | None = None) -> Measurements:
-    """Measurements from a polars or pandas frame or a mapping of columns to sequences.
+    """Measurements from a polars or pandas frame, a mapping of columns to sequences, or a dict for each row.
 
     Null (polars) and NaN (pandas, NumPy) mean "not taken" in reading columns and are refused elsewhere. ``columns`` as
     in :func:`~sherkit.data.read_measurements`. Raises
@@ -43,8 +43,13 @@ def to_polars(frame: Any) -> pl.DataFrame:
         return frame
     if isinstance(frame, pl.LazyFrame):
         return frame.collect()
+    if isinstance(frame, list | tuple) and all(isinstance(row, Mapping) for row in frame):
+        return pl.DataFrame([dict(row) for row in frame], infer_schema_length=None, strict=False)
     if not (isinstance(frame, Mapping) or hasattr(frame, "columns")):
-        raise MeasurementError(f"expected a polars or pandas frame or a mapping of columns, got {type(frame).__name__}")
+        raise MeasurementError(
+            "expected a polars or pandas frame, a mapping of columns or a list of dicts, one for each row; "
+            f"got {type(frame).__name__}"
+        )
     names = list(getattr(frame, "columns", frame))
     c.check_unique([str(name) for name in names], "frame")
     columns = {str(name): _series(str(name), frame[name]) for name in names}

@@ -13,10 +13,10 @@ import numpy as np
 
 from ...adaptive import Adaptive
 from ...adaptive.loop import BATCH, BUDGET
-from ...data.columns import POSE, REPEAT, TIME
+from ...data.columns import POSE, REASON, REPEAT, TIME
 from ...data.toml import Table
 from ...model.kinds import Robot, kind_of
-from .plan import Plan, PlanStep, Point
+from .plan import Plan, PlanStep
 from .run_file import RunFile
 
 
@@ -65,12 +65,15 @@ class AdaptiveRun:
             for row in self.loop.ask()
         )
 
-    def take(self, points: list[Point]) -> None:
+    def take(self, file: RunFile) -> None:
         """Tells the loop what stands in the run file; what it knows already is no news."""
+        why = {(step.pose, step.repeat): step.reason for step in file.plan.steps}
+        points = [(p, why.get((p.pose, p.repeat), "")) for p in file.points()]
         if points:
-            self.loop.tell([{POSE: p.pose, REPEAT: p.repeat, TIME: p.time_s, **p.values} for p in points])
+            self.loop.tell([{POSE: p.pose, REPEAT: p.repeat, TIME: p.time_s, **p.values, REASON: reason}
+                            for p, reason in points])  # fmt: skip
 
     def more(self, file: RunFile, plan: Plan) -> Plan | None:
         """The plan that goes on, or None where it is known."""
-        self.take(file.points())
+        self.take(file)
         return plan.longer(self._steps()) if not self.loop.done else None

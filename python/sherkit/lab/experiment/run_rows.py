@@ -11,7 +11,7 @@ from typing import Any, TypeVar, cast
 import polars as pl
 
 from ...data import Measurements, from_frame
-from ...data.columns import OUTLIER, POSE, REPEAT, TIME
+from ...data.columns import OUTLIER, POSE, REASON, REPEAT, TIME
 from ...errors import ExperimentError
 from .plan import Plan, Point
 
@@ -20,8 +20,6 @@ from .plan import Plan, Point
 #: "Sher", in the file's header: what kind of database this is.
 _APPLICATION = 0x53686572
 FORMAT = 2
-#: The column that says why a pose was driven.
-REASON = "reason"
 #: Runs of an earlier version, which can be read and not gone on with.
 READ_TOO = ("1", "2")
 _TABLES = """
