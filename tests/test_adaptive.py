@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -335,3 +336,11 @@ def test_a_budget_that_is_spent_says_so() -> None:
     assert "budget of 20 readings is spent" in loop.why
     small = drive(DrivenDelta(0), budget=5)
     assert (small.verdict, small.readings) == ("undecided", 5)
+
+
+def test_a_tie_says_what_would_tell() -> None:
+    """Catches a tie that leaves the reader without a next step: a focal length and the distortion of a lens do much the
+    same in one camera, so that either poses are named or it is said that these instruments cannot tell."""
+    loop = drive(DrivenSpherical(80, ("focal_length",), 1.0), budget=60)
+    assert set(loop.indistinguishable[0]) == {"focal_length", "lens_distortion"}
+    assert re.search(r"these instruments cannot tell|poses that would tell most, the last: theta1_rad", loop.notes[0])

@@ -14,6 +14,7 @@ from ..calibration import calibrate
 from ..data import Measurements
 from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.checks import Check
+from ..diagnosis.next_poses import SEPARATION, next_poses
 from ..errors import FitError, SherkitError
 from ..fit.identify import Fit, identify
 from ..fit.set_up import set_up_mistakes
@@ -100,6 +101,8 @@ def conclude(loop: Told) -> Conclusion:
     if not done and (spent or _is_beyond(loop, found, state)):
         verdict, effects, tied, why = _at_the_end(loop, found, spent)
         done = True
+        if tied:
+            notes = [*_would_tell(found), *notes]
     if verdict == "explained" and (done or state.done):
         lead = found.lead
         if lead is not None:
@@ -168,6 +171,21 @@ def _at_the_end(loop: Told, found: Look, spent: str) -> tuple[str, tuple[str, ..
     if len(names) > _MOST_TIED:
         return "undecided", (), (), f"{why}; {len(names)} effects or pairs explain as well"
     return ("explained" if settled else "partly explained"), effects, (names,), why
+
+
+def _would_tell(found: Look) -> list[str]:
+    """What would tell the leader from those tied with it: poses, or readings that these instruments do not take."""
+    fits = {one.names: one.fit for one in found.fitted}
+    names = [tuple(sorted(name for name, _ in keys)) for keys in rule.ties(found)]
+    first, *others = [fits[one] for one in names if one in fits] or [found.fit]
+    left = np.where(found.data.used, first.residuals, np.nan)[:, : found.data.coordinates]
+    proposed = next_poses(first, others, np.sqrt(np.nanmean(np.square(left), axis=0)))
+    out = [proposed.advice] if proposed.advice else []
+    for pose in proposed.poses[-1:]:
+        place = ", ".join(f"{name} {value:.4g}" for name, value in pose.items() if name != SEPARATION)
+        told = f"by {pose[SEPARATION]:.2g} σ, read with those before it"
+        out.append(f"of {len(proposed.poses)} poses that would tell most, the last: {place} ({told})")
+    return out
 
 
 def _words(keys: Keys) -> str:
