@@ -324,7 +324,7 @@ def test_bad_frames_are_refused(column: str, values: Any, says: str) -> None:
 @pytest.mark.parametrize("table", [[1.0, 2.0], np.zeros((3, 3)), "run.csv", None])
 def test_what_is_no_table_is_refused(table: Any) -> None:
     """Catches an AttributeError from inside where a user passes an array or a file name."""
-    with pytest.raises(MeasurementError, match=f"polars or pandas frame .* got {type(table).__name__}"):
+    with pytest.raises(MeasurementError, match=f"polars or pandas frame.* got {type(table).__name__}"):
         from_frame(table)
 
 

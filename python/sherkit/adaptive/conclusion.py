@@ -12,6 +12,7 @@ import numpy as np
 from ..base import linalg
 from ..calibration import calibrate
 from ..data import Measurements
+from ..data.noise import noise_of
 from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.checks import Check
 from ..diagnosis.next_poses import SEPARATION, next_poses
@@ -20,12 +21,15 @@ from ..fit.identify import Fit, identify
 from ..fit.set_up import set_up_mistakes
 from . import rule
 from .choice import are_beyond
-from .look import Keys, Look
+from .look import Look
 from .progress import PLACES, accuracy_by_covariance_um
 from .silence import Unseen, is_silent, sentences
 
 #: Sets that are still a tie; more are no answer.
 _MOST_TIED = 6
+#: What is left may be so many times the noise that is declared; and what a verdict is where it is more.
+_QUIET_ENOUGH = 1.3
+_LOUDER = {"adequate": "unexplained", "explained": "partly explained"}
 #: Part of the budget after which it is asked whether the rest would tell more.
 _LATE = 0.6
 #: Readings from which it is asked at all.
@@ -33,7 +37,7 @@ _EARLY = 48
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class Held:
     """What a loop was told and holds, and what it is to reach."""
 
     robot: Any
@@ -48,6 +52,8 @@ class Told:
     required_um: float | None
     level: float
     seed: int
+    #: Columns that are not in every row.
+    incomplete: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +78,7 @@ class Conclusion:
         return _agreeing(self.make(), self)
 
 
-def conclude(loop: Told) -> Conclusion:
+def conclude(loop: Held) -> Conclusion:
     """What follows from the rows of a loop."""
     found, state = loop.found, loop.state
     if loop.readings == 0:
@@ -81,6 +87,8 @@ def conclude(loop: Told) -> Conclusion:
     def make() -> Diagnosis:
         data = loop.data()
         aside = found.aside if found else np.zeros(0, dtype=np.int64)
+        # a handful of repeats is no noise to hold a verdict against, and poses are numbered as they were driven
+        data = replace(data, pose=np.random.default_rng(loop.seed).permutation(len(data)) + 1, repeat=None)
         return diagnose(identify(loop.robot, data.mark_outliers(aside) if len(aside) else data), seed=loop.seed)
 
     if found is None:
@@ -90,12 +98,15 @@ def conclude(loop: Told) -> Conclusion:
     effects: tuple[str, ...] = state.named
     tied: tuple[tuple[str, ...], ...] = ()
     notes = list(sentences(loop.seen, found.data.layout.unit, found.data.layout.per_unit, found.family.untestable))
+    notes += _unsure(found)
+    notes += [f"{name} is not in every row: nothing was made to depend on it" for name in loop.incomplete]
     # a verdict of silence rests on what would have been seen; beside a name it is only told
     accuracy = None
     if verdict == "unexplained":
         # what a wrong column leaves is no physics, and looks like much of it
         mistakes = set_up_mistakes(found.family.model, found.data, found.fit.values)
-        why = f"{why}: what is left looks like {_words(found.shapes[0][0])}" if found.shapes else why
+        looks_like = [name for name, _ in found.shapes[0][0] if found.family.by_name[name].is_shape]
+        why = f"{why}: what is left looks like {' & '.join(looks_like)}" if looks_like else why
         why = "; ".join(one.sentence for one in mistakes) or why
         effects = ()
     if not done and (spent or _is_beyond(loop, found, state)):
@@ -103,6 +114,8 @@ def conclude(loop: Told) -> Conclusion:
         done = True
         if tied:
             notes = [*_would_tell(found), *notes]
+    if done and verdict in _LOUDER and (louder := _louder(found, verdict)):
+        verdict, why = _LOUDER[verdict], louder
     if verdict == "explained" and (done or state.done):
         lead = found.lead
         if lead is not None:
@@ -124,7 +137,25 @@ def conclude(loop: Told) -> Conclusion:
     )  # fmt: skip
 
 
-def _spent(loop: Told) -> str:
+def _louder(found: Look, verdict: str) -> str:
+    """That more is left than the noise that the columns of the readings declare; empty where it is not."""
+    declared = noise_of(found.data)
+    if declared.origin != "declared":
+        return ""
+    axes = list(found.family.axes)
+    each = declared.sigma[:, axes][found.data.used[:, axes]]
+    told = float(np.exp(np.mean(np.log(each))))
+    left = float((found.lead.fit if verdict == "explained" and found.lead else found.fit).scale)
+    layout = found.data.layout
+    if left <= _QUIET_ENOUGH * told:
+        return ""
+    return (
+        f"{layout.per_unit * left:.3g} {layout.unit} are left of each reading where its column declares "
+        f"{layout.per_unit * told:.3g}: more noise than is told, or physics without a pattern"
+    )
+
+
+def _spent(loop: Held) -> str:
     if loop.readings >= loop.budget:
         return f"the budget of {loop.budget} readings is spent"
     data = loop.found.data if loop.found else None
@@ -133,7 +164,7 @@ def _spent(loop: Told) -> str:
     return ""
 
 
-def _is_beyond(loop: Told, found: Look, state: rule.State) -> bool:
+def _is_beyond(loop: Held, found: Look, state: rule.State) -> bool:
     """Whether late in the budget effects are tied that nothing more would tell apart."""
     if not state.alarmed or found.readings < _EARLY:
         return False
@@ -143,13 +174,13 @@ def _is_beyond(loop: Told, found: Look, state: rule.State) -> bool:
     return len(ties) > 1 and are_beyond(found, ties, loop.budget, _longer(loop), margin)
 
 
-def _longer(loop: Told) -> float:
+def _longer(loop: Held) -> float:
     """Seconds to a moment that is late enough to tell what lives in time."""
     left = 3600.0 if not loop.minutes else 60.0 * loop.minutes
     return max(left, 120.0 * loop.span_min)
 
 
-def _at_the_end(loop: Told, found: Look, spent: str) -> tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], str]:
+def _at_the_end(loop: Held, found: Look, spent: str) -> tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], str]:
     """Verdict, effects, ties and reason where nothing stands alone and no more is read."""
     why = spent or "no reachable pose, and no later moment, tells what is left apart"
     if found.log_evidence < -np.log(loop.level):
@@ -188,12 +219,15 @@ def _would_tell(found: Look) -> list[str]:
     return out
 
 
-def _words(keys: Keys) -> str:
-    return " & ".join(name for name, _ in keys)
+def _unsure(found: Look) -> list[str]:
+    if not len(found.aside) or found.aside[0] != 0 or not (found.data.direction[0] == 0.0).all():
+        return []
+    columns = f"{found.data.layout.directions[0]} …"
+    return [f"the first reading is set aside: from which side it was approached is not told ({columns})"]
 
 
 @linalg.one_thread()
-def accuracy_um(loop: Told, found: Look, effects: tuple[str, ...], fit: Fit) -> float | None:
+def accuracy_um(loop: Held, found: Look, effects: tuple[str, ...], fit: Fit) -> float | None:
     """How far off the calibrated robot may be anywhere in the region, in 95 of 100 cases, µm: the largest over places.
 
     As a calibration of these rows promises it (:class:`~sherkit.robots.predicted_accuracy.PredictedAccuracy`); of a

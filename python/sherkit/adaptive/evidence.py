@@ -18,10 +18,12 @@ from functools import cached_property
 import numpy as np
 
 from ..base import linalg
-from ..base.types import Floats
+from ..base.types import Floats, Ints
 from ..diagnosis.linearised import orthonormal
 from .hypotheses import Hypotheses, Key
 
+#: What has no shape that these poses could tell: another error at each of them, the same when it is read once more.
+ROUGH = "something finer than these poses"
 #: Sizes of coefficients that are expected, in noises on the reference, each as likely.
 SIZES = (0.7, 2.0, 6.0, 20.0, 60.0)
 #: Pairs looked at: of the first so many effects, and shapes, with every other.
@@ -41,13 +43,14 @@ class Evidence:
     """What a residual (N,) says of columns beside those of the model, all over the noise of each reading.
 
     ``own`` (N, p) is what the model fits, ``tried`` maps hypotheses to their columns (N, s, k) at each setting;
-    ``rounding`` is the size of a reading's last digit.
+    ``rounding`` is the size of a reading's last digit, ``pose`` (N,) numbers readings that must agree but for noise.
     """
 
     def __init__(
-        self, family: Hypotheses, residual: Floats, own: Floats, tried: Mapping[str, Floats], rounding: float = 0.0
-    ) -> None:
-        self.family = family
+        self, family: Hypotheses, residual: Floats, own: Floats, tried: Mapping[str, Floats], rounding: float = 0.0,
+        pose: Ints | None = None,
+    ) -> None:  # fmt: skip
+        self.family, self.pose = family, pose
         self.own, self.raw_residual, self.tried = own, residual, tried
         self.basis = orthonormal(own)
         ends = np.cumsum([0, *(columns[0].size for columns in tried.values())])
@@ -109,6 +112,9 @@ class Evidence:
                 some = columns[:, at].reshape(len(residual), count, -1).transpose(1, 2, 0)
                 found = log_bayes(some @ some.transpose(0, 2, 1), answers[at].reshape(count, -1), squares, free)
             log_bf[name], setting[name] = _log_sum(found) - float(np.log(count)), h.settings[int(np.argmax(found))]
+        if self.pose is not None and ROUGH not in without:
+            log_bf[ROUGH] = Agreement.of(residual, self.pose, free).log_bf if told else 0.0
+            setting[ROUGH] = None
         shares = np.array([self.family.by_name[name].weight for name in log_bf])
         mean = _log_sum(np.array(list(log_bf.values())) + np.log(shares / shares.sum())) if log_bf else 0.0
         return Weighed(log_bf, setting, mean)
@@ -127,7 +133,8 @@ class Evidence:
         }
         ordered = sorted(alone.log_bf, key=lambda name: -alone.log_bf[name])
         first = [name for name in ordered if not by_name[name].is_shape][:_FIRST]
-        first += [name for name in ordered if by_name[name].is_shape][:_FIRST_SHAPES]
+        # of a second cause beside what has no shape nothing can be told
+        first += [name for name in ordered if by_name[name].is_shape and name != ROUGH][:_FIRST_SHAPES]
         pairs: dict[frozenset[str], tuple[float, tuple[Key, ...]]] = {}
         for name in first:
             key = (name, alone.setting[name])
@@ -155,6 +162,45 @@ def log_bayes(squares: Floats, answers: Floats, left: float, free: int) -> Float
         )
     top = np.max(sizes, axis=0)
     return np.asarray(top + np.log(np.mean(np.exp(sizes - top), axis=0)))
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How a residual divides: what it leaves ``between`` poses and ``within`` them, from reading to reading, with
+    degrees of freedom; a pose has ``times`` readings on average."""
+
+    between: float
+    within: float
+    between_free: int
+    within_free: int
+    times: float
+
+    @classmethod
+    def of(cls, residual: Floats, pose: Ints, free: int) -> Agreement:
+        """Of a residual (N,) of ``free`` degrees of freedom, by the numbers (N,) of poses."""
+        count = np.bincount(pose)
+        poses = int(np.count_nonzero(count))
+        within = residual - (np.bincount(pose, residual) / np.maximum(count, 1))[pose]
+        squares = float(within @ within)
+        within_free = len(pose) - poses
+        left = max(float(residual @ residual) - squares, 0.0)
+        return cls(left, squares, free - within_free, within_free, len(pose) / max(poses, 1))
+
+    @property
+    def log_bf(self) -> float:
+        """The logarithm of the Bayes factor of an error of its own at each pose, against noise alone.
+
+        Where errors of poses have a variance of τ² noises, what is left between poses is χ² of 1 + τ² ``times`` the
+        noise, and what is left within them of the noise alone: the lack-of-fit test of the field (Draper and Smith,
+        *Applied Regression Analysis*, 1998, 2.1), with a prior on τ so that it may be looked at as often as one likes.
+        """
+        if self.within_free <= 0 or self.between_free <= 0 or not (self.between > 0 and self.within > 0):
+            return 0.0
+        grown = 1.0 + np.square(SIZES) * self.times
+        ratios = (self.between + self.within) / (self.between / grown + self.within)
+        free = self.between_free + self.within_free
+        each = -0.5 * self.between_free * np.log(grown) + 0.5 * free * np.log(ratios)
+        return _log_sum(each) - float(np.log(len(SIZES)))
 
 
 def log_bayes_at(squares: Floats, answers: Floats, told: float, base: float, free: int) -> float:

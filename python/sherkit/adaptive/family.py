@@ -18,9 +18,10 @@ from ..data.lagged import DRAWN_C, Room
 from ..diagnosis.linearised import orthonormal
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
+from .evidence import ROUGH
 from .hypotheses import Hypotheses, Hypothesis, Key, weighted
 from .region import Region, planned
-from .shapes import CUTS, WAVES, Covariate, Rows, shapes
+from .shapes import CUTS, WAVES, Covariate, Rows, Shape, shapes
 
 #: Rows of the reference on which columns are scaled; a part of a column that is rounding.
 _REFERENCE, _ROUNDING = 160, 1e-4
@@ -110,6 +111,7 @@ class Family(Hypotheses):
             )  # fmt: skip
 
         kept = [h for h in self.hypotheses if h.name in scales and not is_twin(h)]
+        kept.append(Hypothesis(ROUGH, None, Shape(ROUGH, lambda rows, _: np.zeros((0,))), (None,), in_time=False))
         taken = {h.name: "what the model fits anyway takes all of it" for h in self.hypotheses
                  if h.effect is not None and h.name not in scales}  # fmt: skip
         return replace(
@@ -134,7 +136,10 @@ class Family(Hypotheses):
         inputs = None if derived.inputs is None else derived.inputs[:, axes]
         rows = Rows.of(data, self.region, inputs, len(axes), self.covariates, before)
         tried = _tried(model, data, values, self.effects, rows, self.region, axes)
-        tried |= {h.name: h.shape.columns(rows, np.array(h.settings, dtype=float)) for h in self.hypotheses if h.shape}
+        tried |= {
+            h.name: h.shape.columns(rows, np.array(h.settings, dtype=float))
+            for h in self.hypotheses if h.shape and h.name != ROUGH
+        }  # fmt: skip
         if scaled:
             tried = {name: columns * self.scales[name] for name, columns in tried.items()}
         return Columns(derived.parameters[:, axes], tried)
@@ -146,7 +151,8 @@ class Family(Hypotheses):
         if setting is None or h.effect is None:
             return ()
         if h.effect.search == TIME:
-            return tuple((name, setting + one) for one in (-2.0, -1.0, 1.0, 2.0) if setting + one >= 1.0)
+            beside = (setting + one for one in (-2.0, -1.0, 1.0, 2.0))
+            return tuple((name, cut) for cut in beside if cut >= CUTS[0] - 1.0)
         if h.effect.is_lagging:
             return tuple((name, setting * one) for one in (0.5**0.5, 0.5**0.25, 2.0**0.25, 2.0**0.5))
         return tuple((name, setting + one) for one in (-0.3, -0.15, 0.15, 0.3))

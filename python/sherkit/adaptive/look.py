@@ -30,6 +30,8 @@ _GROSS = 7.0
 _ROUNDS = 3
 #: Readings beyond the parameters from which rows can be told to be wrong; noise that is the same.
 _BEYOND, _SAME = 6, 0.1
+#: Joints that are nearer than this part of half their range are at one pose.
+_SAME_PLACE = 1e-4
 #: Plausible sizes are knowledge where readings are fewer than so many times the parameters.
 _FEW = 3.0
 #: Readings from which the course of the noise is looked at, and how many stand for "all axes alike".
@@ -153,19 +155,26 @@ class Look:
 def look(family: Family, data: Measurements, before: Look | None = None) -> Look:
     """Looks at rows in the order of time; the noise that the look ``before`` found is where it begins. Raises
     :class:`~sherkit.errors.FitError` where nothing can be fitted."""
-    aside = np.zeros(0, dtype=np.int64) if before is None else before.aside
+    # where nobody knows from which side the first pose was approached, lost motion would make it another slip
+    unsure = np.flatnonzero((data.direction == 0.0).all(axis=1)) if moved(data) else np.zeros(0, dtype=np.int64)
+    aside = unsure if before is None else before.aside
     sigma, rho = (np.ones(len(family.axes)), 0.0) if before is None else (before.sigma, before.rho)
     for _ in range(_ROUNDS):
         view = _View(family, data.mark_outliers(aside) if len(aside) else data, sigma, rho)
         found = view.look(aside)
         best = found.lead.fit if found.lead and found.log_evidence > np.log(20.0) else found.fit
-        wrong = view.gross(best)
+        wrong = np.union1d(view.gross(best), unsure)
         noise, follows = view.noise(best)
         settled = (np.abs(np.log(noise / sigma)) < _SAME).all() and abs(follows - rho) < _SAME
         if settled and np.array_equal(wrong, aside):
             break
         aside, sigma, rho = wrong, noise, follows
     return found
+
+
+def moved(data: Measurements) -> bool:
+    """Whether any joint moved while the rows were read."""
+    return bool((data.direction != 0.0).any())
 
 
 class _View:
@@ -215,7 +224,17 @@ class _View:
             np.ptp(self.data.readings[self.used[:, k], a]) for k, a in enumerate(self.axes) if self.used[:, k].any()
         ]
         rounding = DIGITS * float(max(reach, default=0.0))
-        return Evidence(self.family, self.flat(self.residual(fit)), self.flat(columns.own), tried, rounding)
+        left = self.flat(self.residual(fit))
+        return Evidence(self.family, left, self.flat(columns.own), tried, rounding, self.poses())
+
+    def poses(self) -> Ints:
+        """A number for each reading that is used (N,), the same where a pose was read once more on the same axis."""
+        _, joints = self.family.region.scaled(self.data.joints)
+        apart = [self.data.covariates[name] for name in self.data.layout.apart if name in self.data.covariates]
+        pose = np.unique(np.column_stack([np.round(joints / _SAME_PLACE), *apart]), axis=0, return_inverse=True)[1]
+        each = pose.reshape(-1, 1) * len(self.axes) + np.arange(len(self.axes))
+        kept = each[self.whole].ravel() if self.rho else each[self.used]
+        return np.unique(kept, return_inverse=True)[1].astype(np.int64)
 
     def look(self, aside: Ints) -> Look:
         """All of it."""
@@ -350,8 +369,3 @@ def _owned(fit: Fit, effect: Effect | None) -> Ints:
     assert effect is not None, "shapes are not fitted"
     own = {p.name for p in effect.qualified()}
     return np.array([k for k, p in enumerate(fit.parameters) if p.name in own], dtype=np.int64)
-
-
-def rows_in_time(data: Measurements) -> Measurements:
-    """The rows in the order in which they were read."""
-    return data.select(np.argsort(data.order, kind="stable"))

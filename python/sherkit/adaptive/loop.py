@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -15,21 +14,20 @@ import polars as pl
 
 from ..base import linalg
 from ..base.arguments import Count, Level, NotNegative, Positive, Seed, as_annotated
-from ..data import Measurements, from_frame, read_measurements
+from ..data import Measurements
 from ..data.columns import POSE, REASON, REPEAT, TIME
 from ..data.files import write_whole
-from ..data.frames import to_polars
 from ..diagnosis import Diagnosis
 from ..errors import ExperimentError
 from ..fit.error import axes_of
 from ..model.kinds import kind_of, model_of, robot_from_tables
 from ..model.kinds import required_um as stated_um
-from ..model.robot_file import RobotLike, load_robot, run_for
-from . import rule
+from ..model.robot_file import RobotLike, load_robot
+from . import rule, told
 from .choice import choose, rivals
-from .conclusion import Conclusion, Told, conclude
+from .conclusion import Conclusion, Held, conclude
 from .family import Family
-from .look import Look, look, rows_in_time
+from .look import Look, look
 from .progress import Progress, progress
 from .region import Places, Region
 from .rule import State
@@ -41,6 +39,8 @@ _START, _BEYOND = 12, 8
 BATCH, BUDGET = 4, 400
 #: Readings over which the rest of the span is spread where nothing shows, and from which on.
 _SPREAD_TO, _SPREAD_FROM = 60, 24
+#: The share of readings that are poses read once more.
+_ONCE_MORE = 0.125
 #: Moments over the span that are driven to where rivals live in time.
 _MOMENTS = 75
 _WHERE = "sherkit adaptive loop"
@@ -111,7 +111,7 @@ class Adaptive:
     @property
     def data(self) -> Measurements:
         """What was told, in the order of time. Raises :class:`~sherkit.errors.MeasurementError` before that."""
-        return rows_in_time(self._read(self._frame))
+        return told.rows_in_time(self._read(self._frame))
 
     @property
     def last(self) -> Look | None:
@@ -193,7 +193,7 @@ class Adaptive:
     def sentence(self) -> str:
         """Where it stands, in one line: readings, verdict so far, the leading three with their evidence."""
         end = self.conclusion
-        told = ", ".join(f"{name} {value / np.log(10.0):+.1f}" for name, value in end.evidence)
+        leading = ", ".join(f"{name} {value / np.log(10.0):+.1f}" for name, value in end.evidence)
         known = f", within {end.accuracy_um:.3g} µm" if end.accuracy_um is not None else ""
         evidence = 0.0 if self.last is None else self.last.log_evidence / float(np.log(10.0))
         new = self.progress[-1] if len(self._looks) > 1 else None
@@ -204,7 +204,7 @@ class Adaptive:
             off = f"; off by {new.by_lead:.3g} {unit} at the readings since the look before{without}"
         return (
             f"{self.readings} readings: {self.verdict}{known}; evidence that something is missing 1e{evidence:.1f}; "
-            f"leading (powers of ten): {told or 'nothing yet'}{off}"
+            f"leading (powers of ten): {leading or 'nothing yet'}{off}"
         )
 
     def told(self) -> tuple[str, ...]:
@@ -224,11 +224,12 @@ class Adaptive:
     def conclusion(self) -> Conclusion:
         """All of the above, made once for the rows that there are."""
         if self._concluded is None or self._concluded[0] != self.readings:
-            told = Told(
+            held = Held(
                 self.robot, lambda: self.data, self.readings, self.last, self.state, self.seen, self.budget,
                 self.minutes, self.span_min, self.required_um, self.level, self.seed,
+                tuple(told.incomplete(self._frame, self.layout)),
             )  # fmt: skip
-            self._concluded = (self.readings, conclude(told))
+            self._concluded = (self.readings, conclude(held))
         return self._concluded[1]
 
     _concluded: tuple[int, Conclusion] | None = None
@@ -245,9 +246,9 @@ class Adaptive:
         boundary = self._boundary
         if self._asked_at != boundary:
             self._asked, self._asked_at = self._planned(boundary), boundary
-        told = set(self._told_poses())
+        known = set(self._told_poses())
         missing = boundary - self.readings
-        left = [one for one in self._asked if (one[POSE], one[REPEAT]) not in told]
+        left = [one for one in self._asked if (one[POSE], one[REPEAT]) not in known]
         return left[:missing] if len(left) >= missing else [*left, *self._more(missing - len(left), boundary)]
 
     @property
@@ -273,6 +274,7 @@ class Adaptive:
             return [self._row(places.pick([k]), "start", self._next_pose() + i) for i, k in enumerate(order)]
         count = boundary - found.readings
         rows = self._again(found)[: max(count // 2, 1)]
+        rows += self._once_more(found, boundary, count - len(rows), rng)
         pace_s, waits = self._pace(found, self.state)
         chosen = choose(found, count - len(rows), self.state.alarmed, rng, pace_s)
         first = self._next_pose()
@@ -311,6 +313,21 @@ class Adaptive:
                 out.append(self._row(places, "again", pose, max(repeats) + 1))
         return out
 
+    def _once_more(self, found: Look, boundary: int, most: int, rng: np.random.Generator) -> list[dict[str, Any]]:
+        """Poses that were read once, driven once more so that they are their share of all: what differs then is noise,
+        and nothing else tells it from physics that is finer than the poses."""
+        if found.data.pose is None:
+            return []
+        count = min(int(_ONCE_MORE * boundary) - len(found.data) + len(np.unique(found.data.pose)), most)
+        _, first, times = np.unique(found.data.pose, return_index=True, return_counts=True)
+        once = np.setdiff1d(first[times == 1], found.aside)
+        out = []
+        for row in rng.permutation(once)[: max(count, 0)].tolist():
+            joints = found.data.joints[[row]]
+            pose = int(found.data.pose[row])
+            out.append(self._row(Places(joints, self.region.reached_at(joints)), "again", pose, 2))
+        return out
+
     def _pace(self, found: Look, state: State) -> tuple[float, bool]:
         """Seconds between rows to come, and whether they are worth waiting for."""
         time_s, span_s = found.data.time_s, 60.0 * self.span_min
@@ -341,18 +358,10 @@ class Adaptive:
         Rows may be fewer, more, later or elsewhere than asked; those that were told before are known. Raises
         :class:`~sherkit.errors.MeasurementError` for what are no rows of this robot, and nothing is taken then.
         """
-        frame = _frame_of(rows)
+        frame = told.frame_of(rows)
         if not frame.height:
             return
-        drop = ["not_before_s"] if "not_before_s" in frame.columns else []
-        # where joints lead is what is asked, where readings are not the same columns
-        drop += [n for n in self.region.targets if n in frame.columns and n not in self.layout.readings]
-        frame = frame.drop(drop)
-        whole = pl.concat([self._frame, frame], how="diagonal_relaxed") if self._frame.height else frame
-        same = [
-            name for name in (POSE, REPEAT, TIME, *self.layout.joints, *self.layout.readings) if name in whole.columns
-        ]
-        whole = whole.unique(subset=same, keep="first", maintain_order=True)
+        whole = told.added(self._frame, told.taken(frame, self._asked, self.region.targets, self.layout), self.layout)
         data = self._read(whole)
         late = self._frame.height and TIME in whole.columns and self._looks and data.time_s is not None
         if late and (data.time_s[self._frame.height :] < data.time_s[: self._frame.height].max()).any():  # type: ignore[index]
@@ -361,14 +370,7 @@ class Adaptive:
         self._advance()
 
     def _read(self, frame: pl.DataFrame) -> Measurements:
-        read = from_frame(frame.drop(REASON, strict=False), "the rows told")
-        data = self.model.as_declared(run_for(self.robot, read))
-        if data.time_s is None and not np.isfinite(data.direction).all():
-            # without a clock, rows were read in the order in which they are told
-            way = np.sign(np.diff(data.joints, axis=0, prepend=data.joints[:1] - 1.0))
-            moved = np.maximum.accumulate(np.where(way != 0, np.arange(len(way))[:, None], 0), axis=0)
-            data = replace(data, direction=np.take_along_axis(way, moved, axis=0))
-        return data
+        return told.measurements(frame, self.robot, self.model, self.layout)
 
     @linalg.one_thread()
     def _advance(self) -> None:
@@ -432,15 +434,6 @@ class Adaptive:
         if held["rows"]:
             loop.tell(held["rows"])
         return loop
-
-
-def _frame_of(rows: Any) -> pl.DataFrame:
-    """Rows in any form as a frame."""
-    if isinstance(rows, Measurements):
-        return rows.to_frame()
-    if isinstance(rows, str | PathLike):
-        return read_measurements(Path(rows)).to_frame()
-    return to_polars(rows)
 
 
 def _apart(robot: Any, names: tuple[str, ...]) -> dict[str, int]:

@@ -21,8 +21,8 @@ from .region import Region
 #: Waves over the range of a joint or a place that are tried; periods in time, s.
 WAVES, WAVES_OF_PLACES = np.arange(1.0, 60.0, 0.5), np.arange(1.0, 12.0, 0.5)
 PERIODS_S = np.geomspace(240.0, 3600.0, 14)
-#: Rows after which something may let go.
-CUTS = np.arange(2.0, 122.0, 2.0)
+#: Rows after which something may let go: what one or two rows before it say may be their own.
+CUTS = np.arange(4.0, 122.0, 2.0)
 #: A covariate is counted in these, unless its name is known.
 _WIDTHS = {TEMPERATURE: 1.0}
 #: The part of its value by which another may swing while a run lasts.

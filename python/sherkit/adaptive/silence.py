@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
 from ..diagnosis.sizes import PLAUSIBLE
-from .evidence import SIZES
+from .evidence import ROUGH, SIZES, Agreement
 from .hypotheses import Hypothesis
 from .look import Look
 
@@ -34,7 +34,7 @@ class Unseen:
 def outlook(found: Look, level: float) -> tuple[Unseen, ...]:
     """For every effect of the catalogue that can be tried; an alarm is evidence of one over the ``level``."""
     noise = noise_of_look(found, level)
-    return tuple(_outlook(found, h, noise, level) for h in found.family.effects)
+    return (*(_outlook(found, h, noise, level) for h in found.family.effects), _outlook_rough(found, noise, level))
 
 
 def noise_of_look(found: Look, level: float) -> float:
@@ -72,9 +72,28 @@ def _outlook(found: Look, h: Hypothesis, noise: float, level: float) -> Unseen:
     return Unseen(h.name, at_noise, times * noise if enough.any() else float("inf"), h.in_time, visible)
 
 
+def _outlook_rough(found: Look, noise: float, level: float) -> Unseen:
+    """From which size on an error would have been seen that is another one at each pose."""
+    evidence = found.evidence
+    assert evidence.pose is not None, "a look numbers its poses"
+    now = Agreement.of(evidence.residual, evidence.pose, evidence.free)
+    needed = -float(np.log(level * found.family.by_name[ROUGH].weight))
+    quantiles = scipy.stats.chi2.ppf((np.arange(40) + 0.5) / 40, max(now.within_free, 1))
+
+    def power(size: float) -> float:
+        between = now.between_free * (1.0 + size**2 * now.times)
+        return float(np.mean([replace(now, between=between, within=float(q)).log_bf >= needed for q in quantiles]))
+
+    sizes = np.geomspace(0.5, 100.0, 24)
+    first = next((size for size in sizes if power(float(size)) >= POWER), float("inf"))
+    return Unseen(ROUGH, power(1.0), float(first) * noise, False, False)
+
+
 def is_silent(seen: tuple[Unseen, ...]) -> bool:
-    """Whether everything that places can show would have been seen at the size of the noise."""
-    return all(one.power >= POWER for one in seen if one.visible and not one.in_time)
+    """Whether everything that places can show would have been seen at the size of the noise; where the noise is more
+    than anything plausible would do, silence says nothing."""
+    shown = [one.power >= POWER for one in seen if one.visible and not one.in_time]
+    return bool(shown) and all(shown)
 
 
 def sentences(seen: tuple[Unseen, ...], unit: str, per_unit: float, untestable: Mapping[str, str]) -> list[str]:

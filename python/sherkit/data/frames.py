@@ -44,10 +44,13 @@ def to_polars(frame: Any) -> pl.DataFrame:
     if isinstance(frame, pl.LazyFrame):
         return frame.collect()
     if isinstance(frame, list | tuple) and all(isinstance(row, Mapping) for row in frame):
-        return pl.DataFrame([dict(row) for row in frame], infer_schema_length=None, strict=False)
+        made = pl.DataFrame([dict(row) for row in frame], infer_schema_length=None, strict=False)
+        if nested := [name for name, of in made.schema.items() if of.is_nested()]:
+            raise MeasurementError(f"frame: column '{nested[0]}' holds lists or tables; expected a number in each row")
+        return made
     if not (isinstance(frame, Mapping) or hasattr(frame, "columns")):
         raise MeasurementError(
-            "expected a polars or pandas frame, a mapping of columns or a list of dicts, one for each row; "
+            "expected a polars or pandas frame, a mapping of columns or a list of dicts, one for each row, "
             f"got {type(frame).__name__}"
         )
     names = list(getattr(frame, "columns", frame))

@@ -21,6 +21,9 @@ from .lagged import Room
 from .row_checks import check_rows
 from .tables import write_table
 
+#: A joint that moved by less than this part of its range stood still.
+_NO_MOTION = 1e-9
+
 
 @dataclass(frozen=True)
 class Repeatability:
@@ -392,15 +395,28 @@ def _directions(values: Mapping[str, NDArray[Any]], joints: Floats) -> Floats:
     """Sign of the last motion of each joint: as the file says, else from the order in time, +1 at the start."""
     out = np.full(joints.shape, np.nan)
     if c.TIME in values:
-        order = np.argsort(np.asarray(values[c.TIME], dtype=float), kind="stable")
-        step = np.sign(np.diff(joints[order], axis=0, prepend=joints[order[:1]]))
-        step[0] = 1.0
-        # where a joint did not move, the direction of the motion before still holds
-        last = np.maximum.accumulate(np.where(step != 0, np.arange(len(step))[:, None], 0), axis=0)
-        out[order] = np.take_along_axis(step, last, axis=0)
+        out = directions(joints, order_in_time(values[c.TIME], len(joints)), begins=1.0)
     for k in range(joints.shape[1]):
         if f"direction_{k + 1}" in values:
             out[:, k] = np.sign(np.asarray(values[f"direction_{k + 1}"], dtype=float))
+    return out
+
+
+def directions(joints: Floats, order: Ints, *, begins: float) -> Floats:
+    """Sign (n, k) of the last motion of each joint (n, k), in the ``order`` (n,) of time; ``begins`` before the first.
+
+    A joint that was sent to where it stood moves by the last digit of a number, if at all: that is no motion.
+    """
+    if not len(joints):
+        return joints.copy()
+    at = np.argsort(order, kind="stable")
+    move = np.diff(joints[at], axis=0, prepend=joints[at[:1]])
+    step = np.where(np.abs(move) > _NO_MOTION * np.ptp(joints, axis=0), np.sign(move), 0.0)
+    # where a joint did not move, the direction of the motion before still holds
+    last = np.maximum.accumulate(np.where(step != 0, np.arange(len(step))[:, None], 0), axis=0)
+    step[:1] = begins
+    out = np.empty_like(step)
+    out[at] = np.take_along_axis(step, last, axis=0)
     return out
 
 

@@ -1,0 +1,121 @@
+"""What a loop was told, as one table: rows come back in any form, fewer, more, later or elsewhere than asked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from ..data import Measurements, from_frame, read_measurements
+from ..data.columns import OUTLIER, POSE, REASON, REPEAT, TIME, Layout
+from ..data.frames import to_polars
+from ..data.rows import directions
+from ..errors import MeasurementError
+from ..model.base import ModelWithEffects
+from ..model.robot_file import run_for
+
+_WHERE = "the rows told"
+#: Rows that are nearer than this part of the range of the joints are of one pose.
+_SAME_PLACE = 1e-4
+
+
+def frame_of(rows: Any) -> pl.DataFrame:
+    """Rows in any form as a frame. Raises :class:`~sherkit.errors.MeasurementError`."""
+    if isinstance(rows, Measurements):
+        return rows.to_frame()
+    if isinstance(rows, str | PathLike):
+        return read_measurements(Path(rows)).to_frame()
+    return to_polars(rows)
+
+
+def taken(
+    frame: pl.DataFrame, asked: Sequence[Mapping[str, Any]], targets: Sequence[str], layout: Layout
+) -> pl.DataFrame:
+    """What was read of a frame of rows: where joints lead is what was ``asked``, and counts as no reading.
+
+    A reading that is the place asked for, to the last digit, in every row was handed back and not taken. Raises
+    :class:`~sherkit.errors.MeasurementError` where that is all of them.
+    """
+    frame = frame.drop([n for n in ("not_before_s", *targets) if n in frame.columns and n not in layout.readings])
+    led = {(row[POSE], row[REPEAT]): row for row in asked}
+    if not {POSE, REPEAT} <= set(frame.columns):
+        return frame
+    keys = [(pose, repeat) for pose, repeat in frame.select(POSE, REPEAT).iter_rows()]
+    if not keys or not all(key in led for key in keys):
+        return frame
+    read = [name for name in layout.readings if name in frame.columns]
+    same = [n for n in read if n in targets and frame[n].to_list() == [led[key][n] for key in keys]]
+    if read and same == read:
+        raise MeasurementError(
+            f"{_WHERE}: {', '.join(same)} are where the joints should lead, as ask() gave them, in every row: put what "
+            "was read in their place"
+        )
+    return frame.drop(same)
+
+
+def added(frame: pl.DataFrame, new: pl.DataFrame, layout: Layout) -> pl.DataFrame:
+    """A table with new rows; those that stand there already are known, and a pose that was read again under the same
+    number of its repeat is its next one."""
+    whole = pl.concat([frame, new], how="diagonal_relaxed") if frame.height else new
+    same = [name for name in (POSE, REPEAT, TIME, *layout.joints, *layout.readings) if name in whole.columns]
+    whole = whole.unique(subset=same, keep="first", maintain_order=True)
+    if {POSE, REPEAT} <= set(whole.columns) and whole.select(POSE, REPEAT).is_duplicated().any():
+        repeats: list[Any] = []
+        seen: dict[Any, set[Any]] = {}
+        for pose, repeat in whole.select(POSE, REPEAT).iter_rows():
+            of_pose = seen.setdefault(pose, set())
+            free = repeat if repeat not in of_pose or repeat is None else max(of_pose) + 1
+            of_pose.add(free)
+            repeats.append(free)
+        whole = whole.with_columns(pl.Series(REPEAT, repeats))
+    return whole
+
+
+def incomplete(frame: pl.DataFrame, layout: Layout) -> list[str]:
+    """Columns beside those of the robot that are not in every row: nothing can be made to depend on them."""
+    own = {POSE, REPEAT, TIME, OUTLIER, *layout.joints, *layout.to_joints, *layout.readings, *layout.sigmas,
+           *layout.pose_sigmas, *layout.directions, REASON}  # fmt: skip
+    return [name for name in frame.columns if name not in own and frame[name].null_count()]
+
+
+def measurements(frame: pl.DataFrame, robot: Any, model: ModelWithEffects, layout: Layout) -> Measurements:
+    """The rows of a table as a run of this robot. Raises :class:`~sherkit.errors.MeasurementError`."""
+    frame = _elsewhere(frame, layout)
+    read = from_frame(frame.drop(REASON, *incomplete(frame, layout), strict=False), _WHERE)
+    data = model.as_declared(run_for(robot, read))
+    unknown = [k for k, name in enumerate(layout.directions) if name not in frame.columns]
+    if unknown:
+        # nobody knows from which side the first pose was approached; without a clock, rows are told in their order
+        direction = data.direction.copy()
+        direction[:, unknown] = directions(data.joints, data.order, begins=0.0)[:, unknown]
+        data = replace(data, direction=direction)
+    return data
+
+
+def _elsewhere(frame: pl.DataFrame, layout: Layout) -> pl.DataFrame:
+    """Rows that came back from elsewhere than the pose whose number they have, under numbers of their own."""
+    if POSE not in frame.columns or not set(layout.joints) <= set(frame.columns):
+        return frame
+    joints = frame.select(layout.joints).cast(pl.Float64, strict=False).to_numpy()
+    poses = frame[POSE].to_list()
+    if any(type(pose) is not int for pose in poses):
+        return frame
+    near = _SAME_PLACE * np.ptp(joints, axis=0)
+    first: dict[int, Any] = {}
+    free, out = max(poses), []
+    for pose, place in zip(poses, joints, strict=True):
+        if (np.abs(place - first.setdefault(pose, place)) > near).any():
+            free += 1
+            pose = free
+        out.append(pose)
+    return frame if out == poses else frame.with_columns(pl.Series(POSE, out))
+
+
+def rows_in_time(data: Measurements) -> Measurements:
+    """The rows in the order in which they were read."""
+    return data.select(np.argsort(data.order, kind="stable"))
