@@ -38,7 +38,8 @@ def say(request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFi
         assert end.value.code in (0, None)
         return capsys.readouterr().out
 
-    said("simulate", "robot.toml", "-o", "run.csv", "--repeats", "3", "--order", "shuffled", "--seed", "3", *planted)
+    made = ("--poses", "local", "--repeats", "2", "--order", "shuffled", "--seed", "3")
+    said("simulate", "robot.toml", "-o", "run.csv", *made, *planted)
     said.folder = tmp_path  # type: ignore[attr-defined]
     return said
 
