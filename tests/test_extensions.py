@@ -32,8 +32,10 @@ ARM = PlanarArm((250.0, 180.0), joint_limits_deg=(-170.0, 170.0))
 
 
 @pytest.mark.parametrize("name", ["delta", "spherical", "serial", "printer"])
-def test_a_built_in_kind_passes_the_suite_of_strangers(name: str) -> None:
-    """Catches a suite that asks what sherkit's own robots do not do, and a robot of its own that has an exception."""
+def test_a_built_in_kind_passes_the_suite_of_strangers(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a suite that asks what sherkit's own robots do not do, and a robot of its own that has an exception. How
+    often they alarm is counted elsewhere."""
+    monkeypatch.setattr(testing, "_SEEDS", testing._SEEDS[: testing._ALARMS + 1])
     held = check_robot(known_kinds()[name])
     told = re.findall(r"^- (The|A|Every|An|Derivatives|Without|Where)(.*\.)$", PAGE.read_text(), re.MULTILINE)
     statements = tuple(first + rest for first, rest in told)[:10]

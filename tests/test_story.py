@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from running import command
 from second_simulator import (
     Noise,
     Robot,
@@ -25,7 +26,6 @@ from second_simulator import (
     write_csv,
     write_robot_toml,
 )
-from running import command
 from sherkit import load_robot
 from sherkit.robots.calibrated import Calibration
 
