@@ -256,8 +256,9 @@ def test_what_has_no_number_does_not_run(app: Served) -> None:
         assert answer.headers["Referrer-Policy"] == "no-referrer"
 
 
-def test_an_effect_is_typed_tried_and_added(lab: Path) -> None:
-    """Catches lines that do not become a button, and wrong lines that break the page or change the study."""
+def test_what_was_typed_and_marked_outlives_a_crash(lab: Path) -> None:
+    """Catches lines that do not become a button, wrong lines that break the page or change the study, rows that are
+    listed wrongly, a mark that is lost, and a study that is not there after a crash."""
     with serving(lab, "--fresh") as app, seen(app.url, ends=True) as page:
         diagnosed(page)
         button(page, "An effect of your own …").click()
@@ -276,25 +277,11 @@ def test_an_effect_is_typed_tried_and_added(lab: Path) -> None:
         lines.fill(OWN)
         button(page, "Run these lines").click()
         button(page, "+ floor_ramp").wait_for()
-        button(page, "+ floor_ramp").click()
-        button(page, "✓ floor_ramp").wait_for()
+        for name in ("floor_ramp", "rail_lean"):
+            button(page, f"+ {name}").click()
+            button(page, f"✓ {name}").wait_for()
         diagnosed(page)
-        # its lines are text in the folder: they run again only where someone says so
-        app.process.send_signal(signal.SIGKILL)
-        wait_for(page, "error_history", "start it again with sherkit app robot.toml")
-    with pytest.raises(AssertionError, match="--run-typed"), serving(lab):
-        pass
-    with serving(lab, "--run-typed") as app, seen(app.url) as page:
-        button(page, "✓ floor_ramp").wait_for()
 
-
-def test_rows_are_brushed_and_marked_and_a_crash_loses_nothing(lab: Path) -> None:
-    """Catches rows that are listed wrongly, a mark that is lost, and a study that is not there after a crash."""
-    with serving(lab, "--fresh") as app, seen(app.url, ends=True) as page:
-        diagnosed(page)
-        button(page, "+ rail_lean").click()
-        button(page, "✓ rail_lean").wait_for()
-        diagnosed(page)
         typed = page.get_by_label("Rows by their number")
         typed.fill("5, 9-11")
         typed.press("Enter")
@@ -313,10 +300,15 @@ def test_rows_are_brushed_and_marked_and_a_crash_loses_nothing(lab: Path) -> Non
         typed.press("Enter")
         wait_for(page, "error_rows", "expected numbers such as 12, 40-45")
         diagnosed(page)
+
         app.process.send_signal(signal.SIGKILL)
         wait_for(page, "error_history", "start it again with sherkit app robot.toml")
-    with serving(lab) as app, seen(app.url) as page:
-        button(page, "✓ rail_lean").wait_for()
+    # lines that were typed are text in the folder: they run again only where someone says so
+    with pytest.raises(AssertionError, match="--run-typed"), serving(lab):
+        pass
+    with serving(lab, "--run-typed") as app, seen(app.url) as page:
+        for name in ("floor_ramp", "rail_lean"):
+            button(page, f"✓ {name}").wait_for()
         wait_for(page, "headline", "4 marked")
         page.wait_for_function(
             "Bokeh.documents[0].get_model_by_name('steps').data.action.at(-1) == '4 rows marked as outliers'"

@@ -123,11 +123,16 @@ def test_distances_alone_calibrate_an_arm() -> None:
         np.testing.assert_allclose(told, shown, atol=0.06)
 
 
-@pytest.mark.parametrize(("centres", "planes"), [(3, 0), (0, 3)])
 @pytest.mark.parametrize(
-    ("hidden", "says"),
-    [({}, ()), ({"play": 5e-4}, ("backlash",)), ({"ring": 5e-4}, ("encoder_eccentricity",))],
-    ids=["nothing", "play", "ring"],
+    ("centres", "planes", "hidden", "says"),
+    [
+        (3, 0, {}, ()),
+        (0, 3, {}, ()),
+        (3, 0, {"play": 5e-4}, ("backlash",)),
+        pytest.param(0, 3, {"play": 5e-4}, ("backlash",), marks=pytest.mark.slow),
+        pytest.param(3, 0, {"ring": 5e-4}, ("encoder_eccentricity",), marks=pytest.mark.slow),
+        (0, 3, {"ring": 5e-4}, ("encoder_eccentricity",)),
+    ],
 )
 def test_distances_alone_tell_what_is_missing(
     centres: int, planes: int, hidden: dict[str, float], says: tuple[str, ...]
