@@ -75,7 +75,7 @@ class _Bent(PLANAR.virtual):  # type: ignore[name-defined, misc]
 
     @classmethod
     def simulated(cls, robot: Any, seed: int, errors: float, sizes: Any) -> Any:
-        return super().simulated(robot, seed, errors, {**sizes, "fall_mm": 0.3})
+        return super().simulated(robot, seed, errors, {**sizes, "fall_mm": 0.1})
 
 
 class _Open(PlanarArm):

@@ -107,7 +107,7 @@ def test_more_targets_tell_the_last_joints_apart() -> None:
 def test_distances_alone_calibrate_an_arm() -> None:
     """Catches a tracker that is asked for where there is none, and distances that are not those of the base frame."""
     robot = arm(1, 3, tracker=False)
-    data = run_of(robot, 3, 60, gives=1e-3)
+    data = run_of(robot, 3, 40, gives=1e-3)
     assert not any(name.startswith("frame") for name in model_of(robot).free)
     assert sk.diagnose(robot, data).headline == "explained: joint_compliance"
     made = sk.calibrate(robot, data, effects=["joint_compliance"]).calibration
