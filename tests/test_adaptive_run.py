@@ -13,6 +13,7 @@ import polars as pl
 import pytest
 
 import sherkit as sk
+from running import command
 from sherkit.cli import main
 from sherkit.cli.lab_demo import write_files
 from sherkit.errors import ExperimentError
@@ -34,11 +35,9 @@ def folder(tmp_path: Path) -> Iterator[Path]:
 
 def said(folder: Path, *more: str) -> str:
     """What the command prints, to its end."""
-    done = subprocess.run(
-        [*COMMAND, *UNTIL, *more], cwd=folder, capture_output=True, text=True, timeout=300, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    code, out, wrong = command(folder, "measure", "adaptive.toml", *UNTIL, *more)
+    assert code == 0, wrong
+    return out
 
 
 def test_it_stops_by_itself_and_goes_on_after_a_kill(folder: Path) -> None:

@@ -123,8 +123,8 @@ def whole(work: Path) -> Measurements:
 
 @pytest.fixture(scope="module")
 def plain(work: Path, whole: Measurements) -> Any:
-    """What the library makes of that run without any option, as the command would print it."""
-    return as_told(calibrate(load_robot(work / "robot.toml"), whole))
+    """What the library makes of that run without a correction, as the command would print it."""
+    return as_told(calibrate(load_robot(work / "robot.toml"), whole, correction="none"))
 
 
 def as_told(result: Result) -> Any:
@@ -211,8 +211,8 @@ def test_tables_hold_the_same_numbers(work: Path, whole: Measurements) -> None:
         (["--linear"], {"linear": True}),
         (["--priors"], {"priors": True}),
         (["--free", "rod_length_1, rod_length_2,datum_x"], {"free": ("rod_length_1", "rod_length_2", "datum_x")}),
-        (["--correction", "none"], {"correction": "none"}),
         (["--correction", "paper"], {"correction": "paper"}),
+        (["--correction", "auto"], {}),
         (["--seed", "5"], {"seed": 5}),
     ],
     ids=lambda v: " ".join(v) if isinstance(v, list) else "",
@@ -220,7 +220,10 @@ def test_tables_hold_the_same_numbers(work: Path, whole: Measurements) -> None:
 def test_options_reach_the_library(
     arguments: list[str], options: dict[str, Any], work: Path, whole: Measurements, plain: Any
 ) -> None:
-    """Catches an option that is parsed and then dropped, or that changes nothing."""
+    """Catches an option that is parsed and then dropped, or that changes nothing. Without a correction, which takes
+    longest, where it is not what is asked for."""
+    if "--correction" not in arguments:
+        arguments, options = [*arguments, "--correction", "none"], options | {"correction": "none"}
     said = told(sherkit(work, "calibrate", "robot.toml", "whole.csv", "--json", *arguments))
     assert said == as_told(calibrate(load_robot("robot.toml"), whole, **options))
     assert said != plain

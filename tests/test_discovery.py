@@ -180,8 +180,11 @@ def test_nothing_is_found_where_nothing_is(seed: int) -> None:
     assert d.noise_origin == "repeats"
 
 
-@pytest.mark.parametrize("name", ["slip", "joint_slip"])
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2, 3))])
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [pytest.param(name, seed, marks=[pytest.mark.slow] * ((name, seed) != ("slip", 0)))
+     for name in ("slip", "joint_slip") for seed in range(4)],
+)  # fmt: skip
 def test_the_moment_of_a_slip_is_found_to_the_row(name: str, seed: int) -> None:
     """Catches a moment found on some of the rows and kept for all. Seeds 0 to 3, a step of about nine times the noise:
     one row off would show by 15 standard deviations."""
@@ -199,14 +202,16 @@ def test_the_moment_of_a_slip_is_found_to_the_row(name: str, seed: int) -> None:
 def test_the_correlation_of_the_noise_is_that_of_the_run(order: str) -> None:
     """Catches rows that are locked away or marked and so make neighbours of readings that are none.
 
-    Seeds 0 to 7, 576 rows, ρ = 0.7: the mean estimate within 0.03, four standard errors.
+    576 rows, ρ = 0.7, seeds 0 to 7, and 0 to 3 where the planes are in order: the mean estimate within 0.03.
     """
     case = Case(3, order, Noise(SIGMA, rho=0.7))
-    found = [silent(case, seed).correlation_in_time for seed in range(8)]
+    found = [silent(case, seed).correlation_in_time for seed in range(4 if order == "planes" else 8)]
     assert abs(np.mean(found) - 0.7) < 0.03
 
 
-@pytest.mark.parametrize("pair", [("rail_lean", "drift"), ("backlash", "sensor_linearity")])
+@pytest.mark.parametrize(
+    "pair", [pytest.param(("rail_lean", "drift"), marks=pytest.mark.slow), ("backlash", "sensor_linearity")]
+)
 def test_two_effects_are_found_together(pair: tuple[str, str]) -> None:
     """Catches a search that stops after one effect, or takes one wrong one for two. Seed 7, ratio 2."""
     d = measured(GRIDS["whole"], 7, scaled=dict.fromkeys(pair, 2 * NOISE_UM)).diagnose()

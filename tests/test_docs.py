@@ -9,6 +9,7 @@ import json
 import re
 import runpy
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -140,6 +141,9 @@ def plain(text: str) -> str:
     return " ".join(_BOX.sub(" ", _NUMBER.sub("#", text)).split())
 
 
+#: What the page on the JSON shows; run where its keys are compared.
+_AS_JSON = ["diagnose", "demo/robot.toml", "demo/whole.csv", "--json"]
+
 # -- what they show runs -------------------------------------------------------------------------------------
 
 
@@ -152,16 +156,20 @@ def test_what_is_shown_runs(name: str, work: Path) -> None:
     if name in ("README.md", "CONTRIBUTING.md"):
         assert said, "no Python was found; has the fence changed?"
         assert shown, "no command was found"
+    ran = [["demo"]]
     if name == "README.md":
         assert said[0].startswith("explained ('rail_lean',)\n")
         answer = next(b.text for b in blocks(name) if b.language == "console").splitlines()
-        told = " ".join(sherkit(command(answer[0].removeprefix("$ ")) or [], work).split())
+        ran.append(command(answer[0].removeprefix("$ ")) or [])
+        told = " ".join(sherkit(ran[-1], work).split())
         assert told.startswith(" ".join(" ".join(answer[1:]).split()))
     if name == "docs/study.md":
         assert any("adequate\n" in one for one in said)
+    if name == "docs/json.md":
+        ran.append(_AS_JSON)
     for arguments in shown:
-        # a command that is only named must exist; the demo has been run
-        if arguments == ["demo"]:
+        # a command that is only named must exist
+        if arguments in ran:
             continue
         named = arguments in (["diagnose"], ["fleet"], ["simulate"], ["app"])
         sherkit([*arguments, "--help"] if named else arguments, work)
@@ -215,14 +223,14 @@ def test_the_pages_pictures_say_what_it_says(work: Path) -> None:
 
 
 @pytest.mark.parametrize("story", STORIES)
-def test_a_story_runs(story: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_story_runs(story: str, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a tutorial that stops working half way, or that promises another verdict than sherkit gives."""
     monkeypatch.chdir(tmp_path)
     with apart():
-        _run(story, tmp_path)
+        _run(story, made, tmp_path)
 
 
-def _run(story: str, tmp_path: Path) -> None:
+def _run(story: str, made: Path, tmp_path: Path) -> None:
     names: dict[str, Any] = {}
     said = ""
     quoted = 0
@@ -232,6 +240,9 @@ def _run(story: str, tmp_path: Path) -> None:
         elif block.language == "sh":
             calls = [command(line) for line in block.text.splitlines()]
             assert None not in calls, f"{block.place}: a line that is no call of sherkit"
+            if ["demo"] in calls:  # it was run already
+                shutil.copytree(made / "demo", tmp_path / "demo")
+                calls.remove(["demo"])
             said = "\n".join(sherkit(arguments, tmp_path) for arguments in calls if arguments)
         elif block.language in ("toml", "xml", "c"):
             # the first comment names the file
@@ -265,7 +276,8 @@ def test_the_json_is_what_is_printed(made: Path) -> None:
     """Catches a key of the JSON that its page does not tell of, or tells of under another name."""
     (block,) = (b for b in blocks("docs/json.md") if b.language == "json")
     told = json.loads(block.text)
-    printed = json.loads(sherkit(["diagnose", "demo/robot.toml", "demo/whole.csv", "--json"], made))
+    assert _AS_JSON in commands("docs/json.md")
+    printed = json.loads(sherkit(_AS_JSON, made))
     for one in (told, printed):  # which parameters an effect hides in depends on the last digits
         one["confounded_with"] = sorted(one["confounded_with"])
     assert shape(told) == shape(printed)

@@ -37,6 +37,13 @@ def patient(experiment):
     return re.sub(r'^kind = "(\w+)".*\n', lambda kind: kind[0] + _PATIENCE[kind[1]], experiment, flags=re.MULTILINE)
 
 
+def hasty(name, text):
+    """A file of the page whose robot has less far to go in the time of whoever waits for it."""
+    if name == "lab.toml":
+        return text.replace("time_scale = 50.0", "time_scale = 400.0")
+    return patient(text).replace("seconds = 0.04", "seconds = 0.005") if name == "experiment.toml" else text
+
+
 def test_the_page_on_the_laboratory_runs(tmp_path, monkeypatch):
     """Catches a key of a file that was renamed since, and a command that a reader cannot follow."""
     monkeypatch.chdir(tmp_path)
@@ -47,8 +54,7 @@ def test_the_page_on_the_laboratory_runs(tmp_path, monkeypatch):
             if block.language == "toml":
                 name = re.match(r"# (\w+\.toml)\n", block.text)
                 assert name, block.place
-                text = patient(block.text) if name[1] == "experiment.toml" else block.text
-                (tmp_path / name[1]).write_text(text, encoding="utf-8")
+                (tmp_path / name[1]).write_text(hasty(name[1], block.text), encoding="utf-8")
             elif block.language == "python":
                 assert run_python(block, {}) == "96 steps\nTrue 12\n"
             elif block.language == "sh":

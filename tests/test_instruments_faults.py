@@ -154,10 +154,14 @@ def check_sentence(error, name, address):
         assert "received" in sentence
 
 
-@pytest.mark.parametrize("kind", [*LINE_FAULTS, "limit_switch"])
-@pytest.mark.parametrize("link", ["pty", "tcp"])
+@pytest.mark.parametrize(
+    ("kind", "link"),
+    [("drop", "pty"), ("stall", "tcp"), ("garble", "pty"), ("misheard", "tcp"), ("limit_switch", "pty"),
+     ("disconnect", "pty"), ("disconnect", "tcp")],
+)  # fmt: skip
 def test_random_faults_give_no_wrong_value(kind, link):
-    """Catches a late, damaged or foreign answer that is taken for a value, and motion after an error."""
+    """Catches a late, damaged or foreign answer that is taken for a value, and motion after an error. What a fault does
+    to a line is the same on both links, but for its end; the long test has all."""
     _, happened = one_run([kind], link, 8, seed=1, rate=0.06)
     assert happened > 3
 
@@ -207,16 +211,16 @@ def test_an_answer_that_comes_too_late_is_not_the_next_one():
     """Catches a driver that takes the answer to an older question for that to its present one."""
     world = World((1.0, 2.0, 3.0), robot=Mixing())
     faults = Faults()
-    with GalilEmulator(world, COUNTS_PER_MM, faults=faults) as e, Galil(e.address, AXES, timeout_s=1.0) as g:
-        faults.schedule("stall", 0, 1.5)
+    with GalilEmulator(world, COUNTS_PER_MM, faults=faults) as e, Galil(e.address, AXES, timeout_s=0.5) as g:
+        faults.schedule("stall", 0, 0.8)
         with pytest.raises(InstrumentError):
             g.command("MG _TPC")
         assert g.read().values == (1.0, 2.0, 3.0)
     for link in ("pty", "tcp"):
-        with KeyenceEmulator(world, link=link, faults=faults) as e, Keyence(e.address, (1,), timeout_s=1.0) as k:
+        with KeyenceEmulator(world, link=link, faults=faults) as e, Keyence(e.address, (1,), timeout_s=0.5) as k:
             assert k.read().values[0] == pytest.approx(5.4)
             k.retries = 0
-            faults.schedule("stall", 0, 1.5)
+            faults.schedule("stall", 0, 0.8)
             with pytest.raises(InstrumentError):
                 k.read()
             # the old value is on its way when the world has changed

@@ -17,11 +17,11 @@ from sherkit.cli import main
 from sherkit.fit.error import ErrorSize
 from sherkit.model.kinds import known_kinds
 
-#: Each robot with what is planted in its run.
+#: Each robot with what is planted in its run, and where and how often it is read.
 ROBOTS = {
-    "delta": ("--rail-lean-mrad", "8"),
-    "spherical": ("--joint-offset-mrad", "20"),
-    "serial": ("--ring-mrad", "0.4"),
+    "delta": ("--rail-lean-mrad", "8", "--poses", "local", "--repeats", "2"),
+    "spherical": ("--joint-offset-mrad", "20", "--poses", "local", "--repeats", "2"),
+    "serial": ("--ring-mrad", "0.4", "--repeats", "3"),
 }
 Say = Callable[..., str]
 
@@ -38,7 +38,7 @@ def say(request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFi
         assert end.value.code in (0, None)
         return capsys.readouterr().out
 
-    said("simulate", "robot.toml", "-o", "run.csv", "--repeats", "3", "--order", "shuffled", "--seed", "3", *planted)
+    said("simulate", "robot.toml", "-o", "run.csv", "--order", "shuffled", "--seed", "3", *planted)
     said.folder = tmp_path  # type: ignore[attr-defined]
     return said
 

@@ -89,6 +89,13 @@ def serving(lab: Path, *options: str, run: str = "run.csv") -> Iterator[Served]:
             raise AssertionError("Ctrl-C did not end it:\n" + process.communicate()[1]) from None
 
 
+@pytest.fixture(scope="module")
+def app(lab: Path) -> Iterator[Served]:
+    """One server for tests that leave its study as it began (see :func:`begun`): starting one takes seconds."""
+    with serving(lab, "--study", "shared.study") as served:
+        yield served
+
+
 @contextmanager
 def seen(url: str, *, ends: bool = False) -> Iterator[Any]:
     """The page in Chromium; no request may leave the machine, and nothing may complain.
@@ -144,6 +151,19 @@ def diagnosed(page: Any) -> None:
     """Waits until nothing is being done."""
     page.wait_for_function("Bokeh.documents[0]?.get_model_by_name('status')?.text == 'Ready.'")
     page.wait_for_function("Bokeh.documents[0].get_model_by_name('headline').text.includes('verdict')")
+
+
+#: What the button that takes a step back says, null where there is none.
+_UNDOES = "(u => u.visible ? u.label : null)(Bokeh.documents[0].get_model_by_name('undo'))"
+
+
+def begun(page: Any) -> None:
+    """Takes back what an earlier test did to the study, and waits until nothing is being done."""
+    diagnosed(page)
+    while label := page.evaluate(_UNDOES):
+        button(page, label).click()
+        page.wait_for_function(f"said => {_UNDOES} != said", arg=label)
+        diagnosed(page)
 
 
 def arrows(page: Any) -> np.ndarray:
@@ -215,30 +235,30 @@ def test_the_hidden_effect_leads_and_a_click_adds_it(lab: Path) -> None:
         page.wait_for_function("Bokeh.documents[0].get_model_by_name('steps').data.action.length == 4")
 
 
-def test_what_has_no_number_does_not_run(lab: Path) -> None:
+def test_what_has_no_number_does_not_run(app: Served) -> None:
     """Catches a policy that is not there, lets a script run that is not the page's own, or lets it stand in another."""
-    with serving(lab, "--study", "policy.study") as served:
-        with pytest.raises(AssertionError), seen(served.url) as page:  # noqa: PT012
-            page.locator("#verdict").wait_for()
-            page.evaluate(
-                """() => {
-                    const made = document.createElement("script")
-                    made.textContent = "window.owned = 1"
-                    document.body.append(made)
-                    document.body.insertAdjacentHTML("beforeend", "<img src=x onerror='window.owned = 2'>")
-                }"""
-            )
-            page.wait_for_timeout(300)
-            owns = page.evaluate("window.owned")
-        assert owns is None
-        with urllib.request.urlopen(served.url, timeout=60) as answer:
-            assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
-            assert answer.headers["X-Content-Type-Options"] == "nosniff"
-            assert answer.headers["Referrer-Policy"] == "no-referrer"
+    with pytest.raises(AssertionError), seen(app.url) as page:  # noqa: PT012
+        page.locator("#verdict").wait_for()
+        page.evaluate(
+            """() => {
+                const made = document.createElement("script")
+                made.textContent = "window.owned = 1"
+                document.body.append(made)
+                document.body.insertAdjacentHTML("beforeend", "<img src=x onerror='window.owned = 2'>")
+            }"""
+        )
+        page.wait_for_timeout(300)
+        owns = page.evaluate("window.owned")
+    assert owns is None
+    with urllib.request.urlopen(app.url, timeout=60) as answer:
+        assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
+        assert answer.headers["X-Content-Type-Options"] == "nosniff"
+        assert answer.headers["Referrer-Policy"] == "no-referrer"
 
 
-def test_an_effect_is_typed_tried_and_added(lab: Path) -> None:
-    """Catches lines that do not become a button, and wrong lines that break the page or change the study."""
+def test_what_was_typed_and_marked_outlives_a_crash(lab: Path) -> None:
+    """Catches lines that do not become a button, wrong lines that break the page or change the study, rows that are
+    listed wrongly, a mark that is lost, and a study that is not there after a crash."""
     with serving(lab, "--fresh") as app, seen(app.url, ends=True) as page:
         diagnosed(page)
         button(page, "An effect of your own …").click()
@@ -257,25 +277,11 @@ def test_an_effect_is_typed_tried_and_added(lab: Path) -> None:
         lines.fill(OWN)
         button(page, "Run these lines").click()
         button(page, "+ floor_ramp").wait_for()
-        button(page, "+ floor_ramp").click()
-        button(page, "✓ floor_ramp").wait_for()
+        for name in ("floor_ramp", "rail_lean"):
+            button(page, f"+ {name}").click()
+            button(page, f"✓ {name}").wait_for()
         diagnosed(page)
-        # its lines are text in the folder: they run again only where someone says so
-        app.process.send_signal(signal.SIGKILL)
-        wait_for(page, "error_history", "start it again with sherkit app robot.toml")
-    with pytest.raises(AssertionError, match="--run-typed"), serving(lab):
-        pass
-    with serving(lab, "--run-typed") as app, seen(app.url) as page:
-        button(page, "✓ floor_ramp").wait_for()
 
-
-def test_rows_are_brushed_and_marked_and_a_crash_loses_nothing(lab: Path) -> None:
-    """Catches rows that are listed wrongly, a mark that is lost, and a study that is not there after a crash."""
-    with serving(lab, "--fresh") as app, seen(app.url, ends=True) as page:
-        diagnosed(page)
-        button(page, "+ rail_lean").click()
-        button(page, "✓ rail_lean").wait_for()
-        diagnosed(page)
         typed = page.get_by_label("Rows by their number")
         typed.fill("5, 9-11")
         typed.press("Enter")
@@ -294,10 +300,15 @@ def test_rows_are_brushed_and_marked_and_a_crash_loses_nothing(lab: Path) -> Non
         typed.press("Enter")
         wait_for(page, "error_rows", "expected numbers such as 12, 40-45")
         diagnosed(page)
+
         app.process.send_signal(signal.SIGKILL)
         wait_for(page, "error_history", "start it again with sherkit app robot.toml")
-    with serving(lab) as app, seen(app.url) as page:
-        button(page, "✓ rail_lean").wait_for()
+    # lines that were typed are text in the folder: they run again only where someone says so
+    with pytest.raises(AssertionError, match="--run-typed"), serving(lab):
+        pass
+    with serving(lab, "--run-typed") as app, seen(app.url) as page:
+        for name in ("floor_ramp", "rail_lean"):
+            button(page, f"✓ {name}").wait_for()
         wait_for(page, "headline", "4 marked")
         page.wait_for_function(
             "Bokeh.documents[0].get_model_by_name('steps').data.action.at(-1) == '4 rows marked as outliers'"
@@ -330,12 +341,12 @@ def at_rest(page: Any, what: str) -> dict[str, float]:
     return out
 
 
-def test_points_are_brushed_with_the_mouse(lab: Path) -> None:
+def test_points_are_brushed_with_the_mouse(app: Served, lab: Path) -> None:
     """Catches a brush that lists other rows than those inside its box."""
     data = sk.read_measurements(lab / "run.csv")
     fit = sk.Study(sk.load_robot(lab / "robot.toml"), data).fit
-    with serving(lab, "--fresh") as app, seen(app.url) as page:
-        diagnosed(page)
+    with seen(app.url) as page:
+        begun(page)
         page.get_by_label("Residual against").select_option(label="z, mm")
         page.wait_for_function(
             """() => [...Bokeh.documents[0].get_model_by_name('against').references()]
@@ -357,12 +368,12 @@ def test_points_are_brushed_with_the_mouse(lab: Path) -> None:
         wait_for(page, "selection", f"{int(rows.sum())} rows")
 
 
-def test_measurements_are_joined_and_bad_ones_refused(lab: Path) -> None:
+def test_measurements_are_joined_and_bad_ones_refused(app: Served, lab: Path) -> None:
     """Catches a bad file that changes the study, and a good one whose rows are not fitted."""
     rows = len(sk.read_measurements(lab / "run.csv")) + len(sk.read_measurements(lab / "more.csv"))
     (lab / "bad.csv").write_text("q1_mm,q2_mm,q3_mm,x_mm\n1,2,3,four\n")
-    with serving(lab, "--fresh") as app, seen(app.url) as page:
-        diagnosed(page)
+    with seen(app.url) as page:
+        begun(page)
         (lab / "empty.csv").write_text("")
         page.locator("input[type=file]").set_input_files(lab / "empty.csv")
         wait_for(page, "error_files", "empty.csv: is empty")
@@ -378,12 +389,12 @@ def test_measurements_are_joined_and_bad_ones_refused(lab: Path) -> None:
         diagnosed(page)
 
 
-def test_what_is_exported_is_the_state_that_is_seen(lab: Path, tmp_path: Path) -> None:
+def test_what_is_exported_is_the_state_that_is_seen(app: Served, lab: Path, tmp_path: Path) -> None:
     """Catches a calibration, a report or a study of another state than the one on the page."""
     study = sk.Study(sk.load_robot(lab / "robot.toml"), sk.read_measurements(lab / "run.csv"))
     study.add("rail_lean")
-    with serving(lab, "--fresh") as app, seen(app.url) as page:
-        diagnosed(page)
+    with seen(app.url) as page:
+        begun(page)
         button(page, "+ rail_lean").click()
         button(page, "✓ rail_lean").wait_for()
         diagnosed(page)
@@ -440,11 +451,11 @@ def test_a_keyboard_is_enough(lab: Path) -> None:
         tab_to("Export the calibration")
 
 
-def test_axe_finds_nothing_serious(lab: Path) -> None:
+def test_axe_finds_nothing_serious(app: Served) -> None:
     """Catches text that cannot be read, a control without a name, a region that a keyboard does not reach."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed").Axe()
-    with serving(lab, "--fresh") as app, seen(app.url) as page:
-        diagnosed(page)
+    with seen(app.url) as page:
+        begun(page)
         button(page, "+ rail_lean").click()
         button(page, "✓ rail_lean").wait_for()
         diagnosed(page)
@@ -469,7 +480,6 @@ def test_typing_effects_is_off_beyond_loopback(lab: Path) -> None:
     with serving(lab, "--fresh", "--address", "0.0.0.0") as app:
         url = app.url.replace("0.0.0.0", "127.0.0.1")
         with seen(url) as page:
-            diagnosed(page)
             button(page, "An effect of your own …").click()
             page.get_by_text("Effects cannot be typed").wait_for()
             assert page.get_by_label("Effects, as NumPy lines").count() == 0

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from laboratories import experiment, laboratory
+from running import command
 from sherkit import identify
 from sherkit.cli.demo import EXAMPLE
 from sherkit.data import Measurements
@@ -207,14 +208,14 @@ def test_the_command_says_what_a_plan_could_find(tmp_path):
     """Catches a plan that needs a running laboratory, and figures of a study that are not told."""
     laboratory(tmp_path)
     experiment(tmp_path, per_side=4, plan={"repeats": 2})
-    command = [*COMMAND, "plan", "robot.toml", "experiment.toml"]
-    shown = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
-    assert shown.returncode == 0, shown.stderr
-    assert "64 steps" in shown.stdout
-    assert "rail_lean" in shown.stdout
-    assert "base_radius_1" in shown.stdout
+    plan = ("plan", "robot.toml", "experiment.toml")
+    code, shown, wrong = command(tmp_path, *plan)
+    assert code == 0, wrong
+    assert "64 steps" in shown
+    assert "rail_lean" in shown
+    assert "base_radius_1" in shown
     said = subprocess.run(
-        [*command, "--json", "--study", "20", "--workers", "2", "--keep", "study.jsonl"], cwd=tmp_path,
+        [*COMMAND, *plan, "--json", "--study", "20", "--workers", "2", "--keep", "study.jsonl"], cwd=tmp_path,
         capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     assert said.returncode == 0, said.stderr

@@ -41,7 +41,7 @@ def diagnosed(columns: Columns) -> sk.diagnosis.Diagnosis:
     return sk.diagnose(sk.identify(ROBOT, sk.from_frame(pl.DataFrame(columns))))
 
 
-@pytest.mark.parametrize("seed", [0, 3, 7, 11])
+@pytest.mark.parametrize("seed", [0, 3, *(pytest.param(k, marks=pytest.mark.slow) for k in (7, 11))])
 def test_a_row_that_its_repeats_contradict_is_no_witness(seed: int) -> None:
     """Catches a step in time, or an effect, that one wrong row alone tells, and that so excuses it: the last tenth of a
     column is written at half its size, 34 rows were left out, one was not, and the noise of 0.05 px became 17."""
@@ -67,7 +67,9 @@ def check(d: sk.diagnosis.Diagnosis, name: str) -> Any:
     return next(c for c in d.checks if c.name == name)
 
 
-@pytest.mark.parametrize(("order", "seed"), [("planes", 0), ("shuffled", 1), ("planes", 2)])
+@pytest.mark.parametrize(
+    ("order", "seed"), [("planes", 0), ("shuffled", 1), pytest.param("planes", 2, marks=pytest.mark.slow)]
+)
 def test_a_cycle_of_the_room_is_not_called_noise(order: Order, seed: int) -> None:
     """Catches a cycle of 210 s at five times the noise that three passes over a raster, an hour apart, take for their
     scatter ("adequate", with 5.2 times the instrument's noise left out), or that a filter in time takes out."""

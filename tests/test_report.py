@@ -130,9 +130,10 @@ def test_no_address_leaves_the_file(demo: Path) -> None:
 def test_report_says_what_the_json_says(demo: Path) -> None:
     """Catches figures of another model, of other rows or in another unit, a table in another order, a lost row."""
     found = json.loads(done(demo, "diagnose", "demo/robot.toml", "demo/whole.csv", "--json"))
-    plain = json.loads(done(demo, "calibrate", "demo/robot.toml", "demo/whole.csv", "--json"))["whole"]
+    calibrate = ("calibrate", "demo/robot.toml", "demo/whole.csv", "--correction", "none", "--json")
+    plain = json.loads(done(demo, *calibrate))["whole"]
     added = [a for name in found["effects"] for a in ("--effect", name)]
-    last = json.loads(done(demo, "calibrate", "demo/robot.toml", "demo/whole.csv", *added, "--json"))["whole"]
+    last = json.loads(done(demo, *calibrate, *added))["whole"]
     study = sk.Study(demo / "demo" / "robot.toml", demo / "demo" / "whole.csv")
     for name in found["effects"]:
         study.add(name)
@@ -321,9 +322,14 @@ def test_saves_its_pictures(demo: Path, tmp_path: Path) -> None:
 
 
 def report(folder: Path, name: str, *arguments: str) -> str:
-    """The text of a report that a command wrote, without its scripts."""
+    """The text of a report that a command wrote."""
     done(folder, *arguments, "--report", name)
-    text = (folder / name).read_text(encoding="utf-8")
+    return words(folder / name)
+
+
+def words(file: Path) -> str:
+    """The text of a report, without its scripts."""
+    text = file.read_text(encoding="utf-8")
     return re.sub(
         r"\s+", " ", unescape(re.sub(r"<[^>]*>", " ", re.sub(r"<(script|style).*?</\1>", "", text, flags=re.S)))
     )
@@ -349,8 +355,8 @@ def test_calibration_with_a_local_run_an_effect_and_a_loss(runs: Path) -> None:
         "--loss",
         "huber",
     )
-    text = report(runs, "calibrated.html", *arguments)
-    told = json.loads(done(runs, *arguments, "--json"))
+    told = json.loads(done(runs, *arguments, "--json", "--report", "calibrated.html"))
+    text = words(runs / "calibrated.html")
     rod = next(p for p in told["whole"]["parameters"] if p["name"] == "rod_length_1")
     assert f"rod_length_1 δl₁ {with_error(rod['value'], rod['std'])[0]}" in text
     assert "the region of interest" in text

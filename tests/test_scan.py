@@ -16,7 +16,7 @@ from sherkit.diagnosis.lack_of_fit import z_score
 from sherkit.diagnosis.linearised import Linearised, Whitening, correlation_in_time, orthonormal, whiten
 from sherkit.diagnosis.scan import Block, Columns, Scan, codes_of
 from sherkit.diagnosis.shapes import build, wave
-from sherkit.diagnosis.stage import _one_after_another
+from sherkit.diagnosis.stage import _largest_step, _one_after_another
 from sherkit.diagnosis.waves import Gridded, Waves, waves_of
 from sherkit.model.effect import Effect
 
@@ -303,6 +303,26 @@ def test_targets_that_are_read_in_turn_follow_their_own_in_time() -> None:
     nothing = np.zeros((6 * visits, 0))
     assert correlation_in_time(shared, nothing) > 0.3
     assert correlation_in_time(shared, nothing, back) == 0.0
+
+
+def test_a_step_is_one_where_chance_has_it_once_in_a_million() -> None:
+    """Catches a level that is another one: a step in noise is taken or not on either side of the chance that its square
+    has by the χ² distribution, times the places where it could be."""
+    n, m, at = 400, 2, 150
+    noise = np.random.default_rng(5).normal(size=(n, m))
+    noise -= noise.mean(axis=0)
+    mean = np.eye(m)[np.tile(np.arange(m), n)] / np.sqrt(n)  # a constant for each axis is fitted
+    taken = {}
+    for height in np.linspace(0.3, 1.0, 701):
+        residual = noise + height * (np.arange(n) >= at)[:, None] * [1.0, 0.0]
+        left = residual - residual.mean(axis=0)
+        before = np.cumsum(left, axis=0)[1 : n - 3]  # sums of the rows before each of the places
+        rows = np.arange(2, n - 2)[:, None]
+        gain = (before**2 * (1.0 / rows + 1.0 / (n - rows))).sum(axis=1).max()
+        chance = (n - 4) * stats.chi2.sf(gain / ((left**2).sum() - gain) * (n * m - 2 * m), m)
+        taken[chance] = _largest_step(residual, mean).shape[1] > 0
+    assert max(p for p, found in taken.items() if found) == pytest.approx(1e-6, rel=0.1)
+    assert min(p for p, found in taken.items() if not found) == pytest.approx(1e-6, rel=0.1)
 
 
 def test_play_follows_with_its_dead_zone() -> None:

@@ -209,6 +209,7 @@ def test_nothing_is_found_where_nothing_is(repeats: int) -> None:
         assert d.noise_origin == ("unknown" if repeats == 1 else "repeats")
 
 
+@pytest.mark.slow
 def test_false_alarms_are_few() -> None:
     """Catches a level that is plainly not held: 16 runs, seeds 2000 to 2015, level 1 %, at most 1.5 %.
 
@@ -218,7 +219,9 @@ def test_false_alarms_are_few() -> None:
     assert len(found) <= stats.binom.isf(RARE, 16, 0.015), found
 
 
-@pytest.mark.parametrize("pair", [("backlash", "lens_distortion"), ("camera_delay", "gravity_flexure")])
+@pytest.mark.parametrize(
+    "pair", [pytest.param(("backlash", "lens_distortion"), marks=pytest.mark.slow), ("camera_delay", "gravity_flexure")]
+)
 def test_two_effects_are_found_together(pair: tuple[str, str]) -> None:
     """Catches a search that stops after one effect, or takes one wrong one for two. Seed 7, ratio 2."""
     d = measured("whole", 7, scaled=dict.fromkeys(pair, 2)).diagnose()

@@ -58,7 +58,7 @@ def test_rows_of_a_run_know_its_whole_room() -> None:
     np.testing.assert_array_equal(some, whole[rows])
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
 def test_the_lag_of_a_stand_is_found(seed: int) -> None:
     """Catches a lag that stays where the grid has it, is not used by the fit, or not told. Five times the noise: the
     other program's lag within a quarter, and what is left at the noise."""
@@ -79,16 +79,19 @@ def test_a_loop_is_not_given_what_a_stand_does() -> None:
     np.testing.assert_array_equal(made.forward(q, temperature_c=15.0), made.forward(q, temperature_c=25.0))
 
 
-def test_a_wave_as_long_as_the_poses_lie_apart_is_none() -> None:
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [("joint_slip", 2), *(pytest.param(*one, marks=pytest.mark.slow) for one in (("slip", 1), ("joint_slip", 7)))],
+)
+def test_a_wave_as_long_as_the_poses_lie_apart_is_none(name: str, seed: int) -> None:
     """Catches what "repeats with z, period 10" where the planes lie 10 mm apart: any bend does. Without time and
     temperature nothing has a name here."""
     points = grid(20.0, 9, (-20.0, -10.0, 0.0, 10.0, 20.0))
-    for name, seed in (("joint_slip", 2), ("slip", 1), ("joint_slip", 7)):
-        run = delta.measured(points, seed, scaled={name: 3 * delta.NOISE_UM}, repeats=1, order="planes")
-        frame = run.data.to_frame().drop("time_s", "temperature_c", "humidity_pct")
-        d = sk.diagnose(delta.DELTA, sk.from_frame(frame))
-        assert d.signature is not None
-        assert d.signature["shape"] != "periodic"
+    run = delta.measured(points, seed, scaled={name: 3 * delta.NOISE_UM}, repeats=1, order="planes")
+    frame = run.data.to_frame().drop("time_s", "temperature_c", "humidity_pct")
+    d = sk.diagnose(delta.DELTA, sk.from_frame(frame))
+    assert d.signature is not None
+    assert d.signature["shape"] != "periodic"
 
 
 def test_poses_at_random_have_waves_of_every_length() -> None:

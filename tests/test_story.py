@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from running import command
 from second_simulator import (
     Noise,
     Robot,
@@ -31,14 +31,15 @@ from sherkit.robots.calibrated import Calibration
 
 Floats = NDArray[np.float64]
 
-SHERKIT = str(Path(sys.executable).with_name("sherkit"))
+# as the command's own process has it
+pytestmark = pytest.mark.filterwarnings("always::sherkit.SherkitWarning")
 ROBOT = Robot.from_dict()
 NOISE_UM = 5.0
 
 
 def sherkit(folder: Path, *arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
     """Runs the command in ``folder``; it must end with ``code``."""
-    done = subprocess.run([SHERKIT, *arguments], cwd=folder, capture_output=True, encoding="utf-8", timeout=600)
+    done = subprocess.CompletedProcess(arguments, *command(folder, *arguments))
     assert done.returncode == code, done.stderr
     return done
 

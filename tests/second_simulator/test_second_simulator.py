@@ -291,8 +291,12 @@ def test_leaning_rail_turns_about_its_home_height() -> None:
     np.testing.assert_allclose(along[:, 0], -0.02 * along[:, 2], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", [name for name in EFFECTS if name != "datum"])
-@pytest.mark.parametrize("target", [0.0005, 0.01])
+@pytest.mark.parametrize(
+    ("name", "target"),
+    # a robot of its own in every row takes long to simulate
+    [pytest.param(name, target, marks=[pytest.mark.slow] * ((name, target) == ("link_growth", 0.0005)))
+     for target in (0.0005, 0.01) for name in EFFECTS if name != "datum"],
+)  # fmt: skip
 def test_scaled_effect_leaves_the_target(name: str, target: float) -> None:
     effect = scaled_effect(ROBOT, PLAN, name, np.random.default_rng(3), target, errors=errors())
     moved = change(name, effect[name]).ravel()
