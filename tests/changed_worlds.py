@@ -38,6 +38,16 @@ def somewhere(rng: np.random.Generator, count: int) -> Floats:
     return out[np.hypot(out[:, 0], out[:, 1]) < 26.0][:count]
 
 
+def unstationed(at: Floats, change: Floats) -> Floats:
+    """What a turn and a shift of the sensor leave of a change (n, 3) of readings ``at`` (n, 3)."""
+    arms = at - at.mean(axis=0)
+    rigid = [np.tile(axis, (len(at), 1)).ravel() for axis in np.eye(3)]
+    rigid += [np.cross(axis, arms).ravel() for axis in np.eye(3)]
+    basis, _ = np.linalg.qr(np.stack(rigid, axis=1))
+    flat = change.ravel()
+    return np.asarray(flat - basis @ (basis.T @ flat)).reshape(change.shape)
+
+
 class DeltaPair:
     """Two runs of one delta: poses, noise, order and room differ; ``changed`` names what did, as large as the geometry
     and the sensor's stand leave ``ratio`` noises of it in the second run."""
@@ -45,7 +55,7 @@ class DeltaPair:
     def __init__(
         self, seed: int, changed: tuple[str, ...] = (), ratio: float = 2.0, *, poses: tuple[int, int] = (60, 40),
         stationed: bool = True, warmer_c: float = 0.0, unknown: str = "", noise_um: float = 2.0, growth: bool = False,
-        places: Sequence[Mapping[str, float]] = (),
+        places: Sequence[Mapping[str, float]] = (), repeats: int = 2,
     ) -> None:  # fmt: skip
         rng = np.random.default_rng([seed, 21])
         self.robot = robot_from_tables(deepcopy(NOMINAL_CONFIG), "nominal")
@@ -55,7 +65,10 @@ class DeltaPair:
         where = [somewhere(rng, n) for n in poses]
         if places:
             where[1] = np.array([[p["x_mm"], p["y_mm"], p["z_mm"]] for p in places])
-        plans = [make_plan(self.real, at, 2, "shuffled", seed + k) for k, at in enumerate(where)]
+        plans = [
+            make_plan(self.real, at, n, "shuffled", seed + k)
+            for k, (at, n) in enumerate(zip(where, (2, repeats), strict=True))
+        ]
         plans[1]["temperature_c"] = plans[1]["temperature_c"] + warmer_c
         self.true: dict[str, float] = {}
         after, effects = dict(self.errors), dict(self.common)
@@ -73,6 +86,7 @@ class DeltaPair:
         if unknown:
             moved = UNKNOWN[unknown](np.random.default_rng([seed, 3]))(plans[1], exact[1])
             exact[1] = exact[1] + moved * ratio * self.noise / self._left(plans[1], moved)
+        self.exact = exact[1]
         if stationed:
             turn = Rotation.from_rotvec(rng.uniform(-0.05, 0.05, 3))
             exact[1] = turn.apply(exact[1]) + rng.uniform(-30.0, 30.0, 3)
@@ -91,15 +105,14 @@ class DeltaPair:
         read = seen + rng.uniform(-5.0, 5.0, 3) + self.noise * rng.normal(size=seen.shape)
         return {**plan, "x_mm": read[:, 0], "y_mm": read[:, 1], "z_mm": read[:, 2]}
 
+    def missed(self, deployed: sk.Calibration) -> Floats:
+        """What the deployed model is truly off (n, 3), mm, in the second run, seen from where the sensor stands."""
+        joints = np.column_stack([self.runs[1][f"q{k}_mm"] for k in (1, 2, 3)])
+        return unstationed(self.exact, self.exact - deployed.forward_batch(joints).values)
+
     def _left(self, plan: Mapping[str, Floats], change: Floats) -> float:
         """The root mean square that the sensor's stand leaves of a change of the readings."""
-        at = truth(self.real, plan, self.errors)
-        arms = at - at.mean(axis=0)
-        rigid = [np.tile(axis, (len(at), 1)).ravel() for axis in np.eye(3)]
-        rigid += [np.cross(axis, arms).ravel() for axis in np.eye(3)]
-        basis, _ = np.linalg.qr(np.stack(rigid, axis=1))
-        flat = change.ravel()
-        return float(np.sqrt(np.mean(np.square(flat - basis @ (basis.T @ flat)))))
+        return float(np.sqrt(np.mean(np.square(unstationed(truth(self.real, plan, self.errors), change)))))
 
     def compare(self, **settings: Any) -> sk.changes.Comparison:
         """As a user does."""

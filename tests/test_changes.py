@@ -143,6 +143,34 @@ def test_verify_and_its_poses(folder: Path, capsys: pytest.CaptureFixture[str], 
     assert kind_of(bumped.robot).name == "delta"
 
 
+def checked(seed: int, changed: str, ratio: float, repeats: int = 2) -> tuple[sk.changes.Verification, float]:
+    """A check of a delta by a dozen poses, and what its model is truly off, µm."""
+    before = DeltaPair(seed)
+    made = sk.calibrate(before.robot, before.runs[0], correction="none").calibration
+    poses = sk.changes.verifying_poses(made, 12, seed=seed)
+    world = DeltaPair(seed, (changed,) if changed else (), ratio, places=poses, poses=(60, 12), repeats=repeats)
+    off = 1e3 * float(np.sqrt(np.square(world.missed(made)).sum(axis=1).mean()))
+    return sk.verify(made, world.runs[1]), off
+
+
+def test_backlash_is_no_noise() -> None:
+    """Catches lost motion that repeats of the check show, and that is then taken for the noise of its readings."""
+    found, off = checked(41, "backlash", 3.0)
+    assert found.changed == ("backlash",)
+    assert found.valid is False
+    assert found.error["seen"] == pytest.approx(off, rel=0.4)
+
+
+def test_the_smallest_error_that_would_have_been_found() -> None:
+    """Catches a check that does not say what it cannot see, or whose readings more than these do not sharpen; and a
+    machine as it was that is called not valid."""
+    two, six = (checked(42, "", 1.0, repeats=n)[0] for n in (2, 6))
+    assert two.valid and six.valid
+    least, sharper, promised = two.error["smallest_found"], six.error["smallest_found"], two.error["promised"]
+    assert least is not None and sharper is not None and promised is not None
+    assert promised < sharper < least < 4.0 * promised
+
+
 def _refused(capsys: pytest.CaptureFixture[str], *typed: str) -> str:
     with pytest.raises(SystemExit) as ended:
         main(list(typed))

@@ -143,6 +143,9 @@ def _say_verified(found: Verification) -> None:
     output.say(found.headline)
     for tie in found.indistinguishable:
         output.say(f"  {' or '.join(tie)}: these poses cannot tell")
+    least = found.error["smallest_found"]
+    if least is not None:
+        output.say(f"an error of {least:.3g} {found.unit} would have been found in 95 of 100 such checks")
     output.say(f"these poses would have shown, at its plausible size: {', '.join(found.would_show) or 'nothing'}")
     if found.would_not:
         output.say(f"and would not have shown: {', '.join(found.would_not)}")
