@@ -1,10 +1,10 @@
 """Whether a promise is broken: a test of the changes that would break it.
 
-Every candidate is taken in sizes that leave an error of so many times what was promised, both ways, and their likelihood
-ratios against "nothing has changed" are averaged: of all tests of a level the one that finds most of them (Neyman and
-Pearson, 1933). Noise is unknown (Jeffreys' prior); what the calibration does not know is free, as large as it is
-unknown. The level is counted on draws of noise at the very poses of the run, so that no candidates and no correlations
-between them are approximated.
+Every candidate is taken in sizes that leave an error of so many times what was promised, both ways, and the likelihood
+ratios of these against "nothing has changed" are averaged: of all tests of a level the one that finds most of them
+(Neyman and Pearson, 1933). Noise is unknown (Jeffreys' prior); what the calibration does not know is free, as large as
+it is unknown. The level is counted on draws of noise at the very poses of the run, so that no candidates and no
+correlations between them are approximated.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Broken:
 
 
 def broken(evidence: Evidence, stand: Floats, promised: float, level: float) -> Broken:
-    """Tests a promise of a reading (root mean square, in its unit) with the candidates of ``evidence``, whose first rows
-    are the readings; ``stand`` (n, s) are the columns of where the sensor stands."""
+    """Tests a promise of a reading (root mean square, in its unit) with the candidates of ``evidence``, whose first
+    rows are the readings; ``stand`` (n, s) are the columns of where the sensor stands."""
     columns, share = _ways(evidence, stand, promised)
     if not len(share) or evidence.free < 2 or not evidence.residual.any():
         return Broken(1.0, np.inf)

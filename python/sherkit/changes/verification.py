@@ -50,8 +50,9 @@ _CANDIDATES = 240
 class Verification(Shown):
     """``valid`` is whether the error that was promised still holds (None: too few rows to say), ``error`` what was
     ``seen`` beyond noise, what was ``promised``, and the ``smallest_found``, an error that would have been called not
-    valid in 95 of 100 checks (root mean squares of rows), in ``unit``. ``changed`` names what has moved, with ``parameters``; ``would_show`` and ``would_not`` are the changes of plausible size that these poses
-    would have shown and would not."""
+    valid in 95 of 100 checks (root mean squares of rows), in ``unit``. ``changed`` names what has moved, with
+    ``parameters``; ``would_show`` and ``would_not`` are the changes of plausible size that these poses would have shown
+    and would not."""
 
     valid: bool | None
     error: dict[str, float | None]
