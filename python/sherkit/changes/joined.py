@@ -34,8 +34,8 @@ _GROSS, _ROUNDS = 7.0, 8
 #: Readings beyond what is free from which a run tells its own noise, and that it follows itself.
 _OWN_NOISE, _OWN_COURSE = 10, 40
 #: Shapes that all runs may have in common, changes beside which they are looked for, and the evidence (a logarithm)
-#: from which there is one.
-_MOST_LASTING, _MOST_BESIDE, _LASTS = 8, 3, np.log(100.0)
+#: from which there is one; what has begun with a run must be so much likelier.
+_MOST_LASTING, _MOST_BESIDE, _LASTS, _SIMPLER = 8, 3, np.log(100.0), np.log(1e4)
 LASTS = "in all runs"
 #: A part of a column that is rounding.
 _ROUNDING = 1e-5
@@ -109,7 +109,7 @@ class Joined:
 
     def with_what_lasts(self) -> Joined:
         """The same runs, and free in all of them alike what the model misses from the first on: as long as a shape that
-        lasts is likelier than all that may have begun with a later run, beside the changes that are likelier still.
+        lasts is nearly as likely as all that may have begun with a later run, beside the changes that are far likelier.
         What was missing already is no change."""
         now, count = self, len(self.runs)
         steps = [np.array([float(k >= since) for k in range(count)]) for since in range(1, count)]
@@ -341,11 +341,9 @@ def _lasting(evidence: Evidence) -> Floats | None:
         found = evidence.beside(taken) if taken else evidence.alone
         by_name = evidence.family.by_name
         value = {name: bf + float(np.log(by_name[name].weight)) for name, bf in found.log_bf.items()}
-        best = max(value, key=lambda name: value[name], default="")
-        if not best or value[best] < _LASTS:
-            return None
-        if best.endswith(told_as("", LASTS)):
-            return evidence.raw((best, found.setting[best]))
+        lasts = max((n for n in value if n.endswith(told_as("", LASTS))), key=lambda n: value[n], default="")
+        if lasts and value[lasts] > max(_LASTS, max(value.values()) - _SIMPLER):
+            return evidence.raw((lasts, found.setting[lasts]))
         causes = [name for name in value if not by_name[name].is_shape]
         lead = max(causes, key=lambda name: value[name], default="")
         if not lead or value[lead] < _LASTS:
