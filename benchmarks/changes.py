@@ -1,6 +1,6 @@
 """How often a change of a machine is named: ``sk.compare`` and ``sk.verify`` on the second simulators.
 
-python benchmarks/changes.py [parameters|effects|nothing|pairs|unknown|arm|verify …] [--seeds 6] [--from 0]
+python benchmarks/changes.py [nothing|parameters|effects|pairs|unknown|arm|spherical|verify …] [--seeds 6] [--from 0]
 
 Before and after have other poses, other noise and another room; the sensor stands elsewhere. *Right* names what has
 changed, alone or in a tie that holds it; of nothing it is "unchanged", of what is in no catalogue anything but
@@ -27,7 +27,17 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import numpy as np
 
 import sherkit as sk
-from changed_worlds import MECHANICAL, PARAMETERS, ArmPair, DeltaPair
+from changed_worlds import (
+    ARM_MECHANICAL,
+    ARM_PARAMETERS,
+    MECHANICAL,
+    PARAMETERS,
+    SPHERICAL_MECHANICAL,
+    SPHERICAL_PARAMETERS,
+    ArmPair,
+    DeltaPair,
+    SphericalPair,
+)
 
 PAIRS = (("base_angle_2", "backlash"), ("rod_length_1", "rail_lean"), ("rod_length_1", "base_radius_3"),
          ("joint_scale", "gravity_sag"), ("base_angle_1", "limb_twist"))  # fmt: skip
@@ -129,7 +139,7 @@ def row(name: str, outcomes: Sequence[Outcome | None]) -> str:
 
 def main() -> None:
     """Runs the parts and prints the table."""
-    every = ("nothing", "parameters", "effects", "pairs", "unknown", "arm", "verify")
+    every = ("nothing", "parameters", "effects", "pairs", "unknown", "arm", "spherical", "verify")
     reader = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     reader.add_argument("parts", nargs="*", default=[])
     reader.add_argument("--seeds", type=int, default=6)
@@ -169,12 +179,16 @@ def main() -> None:
                     partial(compared, partial(_delta, (), ratio, {"unknown": n}), (), "unknown")
                     for n in ("saddle", "ripple", "bow", "cable")
                 ])  # fmt: skip
-        if "arm" in chosen:
-            group("arm, nothing", [partial(compared, partial(_arm, "", 0.0), (), "nothing")])
-            group("arm, a joint's zero by 1 mrad", [
-                partial(compared, partial(_arm, f"offset_{k}", 1e-3), (f"offset_{k}",), "arm") for k in (2, 3, 4, 5)
-            ])  # fmt: skip
-            group("arm, play of 1 mrad", [partial(compared, partial(_arm, "play", 1e-3), ("backlash",), "arm")])
+        for robot, (make, parameters, effects) in OTHERS.items():
+            if robot not in chosen:
+                continue
+            many = range(1000 + asked.first, 1000 + asked.first + 10 * asked.seeds)
+            show(f"{robot}, nothing", partial(compared, partial(make, "", 0.0), (), "nothing"), many)
+            for part, names in (("parameters", parameters), ("effects", effects)):
+                for ratio in (2.0, 5.0):
+                    group(f"{robot}, one of the {part}, {ratio:g} ×", [
+                        partial(compared, partial(make, n, ratio), (n,), part) for n in names
+                    ])  # fmt: skip
         if "verify" in chosen:
             for name, times, settings in CHECKS:
                 many = range(asked.first, asked.first + 16 * asked.seeds)
@@ -185,8 +199,19 @@ def _delta(changed: tuple[str, ...], ratio: float, settings: dict[str, Any], see
     return DeltaPair(seed, changed, ratio, **settings)
 
 
-def _arm(changed: str, size: float, seed: int) -> ArmPair:
-    return ArmPair(seed, changed, size)
+def _arm(changed: str, ratio: float, seed: int) -> ArmPair:
+    return ArmPair(seed, changed, ratio=ratio)
+
+
+def _spherical(changed: str, ratio: float, seed: int) -> SphericalPair:
+    return SphericalPair(seed, changed, ratio)
+
+
+#: Robots other than the delta: how a pair of runs is made, and what may change of it.
+OTHERS: dict[str, tuple[Callable[[str, float, int], Any], tuple[str, ...], tuple[str, ...]]] = {
+    "arm": (_arm, ARM_PARAMETERS, ARM_MECHANICAL),
+    "spherical": (_spherical, SPHERICAL_PARAMETERS, SPHERICAL_MECHANICAL),
+}
 
 
 if __name__ == "__main__":
