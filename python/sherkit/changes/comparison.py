@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from ..adaptive.evidence import Evidence
-from ..adaptive.hypotheses import Hypothesis, Key
+from ..adaptive.hypotheses import Hypothesis
+from ..adaptive.look import FAR, Keys
+from ..adaptive.rule import fewest
 from ..base import linalg
 from ..base.arguments import as_annotated
 from ..base.figures import finite
@@ -30,8 +32,8 @@ from ..model.robot_file import RobotLike, load_robot, run_for
 from .joined import Joined
 from .joined import Moved as Shift
 
-#: Evidence (a logarithm) of a change, of none, of a name ahead of another and of a shape, and what it may leave.
-ALARM, QUIET, FAR, SHAPES = np.log(100.0), np.log(20.0), np.log(1e4), np.log(1e3)
+#: Evidence (a logarithm) of a change, of none, and of a name ahead of a shape; of another name it is FAR.
+ALARM, QUIET, SHAPES = np.log(100.0), np.log(20.0), np.log(1e3)
 #: A change of one unit of the noise must be seen with readings of so many beyond what is free.
 _FEWEST = 12
 _MOST_TIED = 8
@@ -43,8 +45,6 @@ _WORSE = 0.02
 _ROWS, _ROWS_OF_A_RUN = 4000, 200
 #: Poses that are proposed, of how many.
 _POSES, _CANDIDATES = 8, 200
-
-Keys = tuple[Key, ...]
 
 
 @dataclass(frozen=True)
@@ -303,14 +303,12 @@ def verdict_of(
          if any(by_name[name].is_shape for name, _ in keys) and not mine <= {name for name, _ in keys}),
         default=-np.inf,
     )  # fmt: skip
-    near = {frozenset(n for n, _ in keys): keys for keys in sorted(causes, key=lambda keys: values[keys])
-            if values[keys] > own - FAR}  # fmt: skip
-    near[frozenset(mine)] = lead
-    ties = [keys for held, keys in near.items() if not any(other < held for other in near)]
-    ties = sorted(ties, key=lambda keys: (keys != lead, -values[keys]))
+    ties = fewest(lead, {keys: values[keys] for keys in causes if keys == lead or values[keys] > own - FAR})
     about = full[lead].joined
     margin = SHAPES if len(lead) == 1 else FAR
-    if shape > own or len(ties) > _MOST_TIED or (rest >= QUIET and own - shape <= FAR):
+    # one change before two: however many pairs would do as well, a change alone is a name
+    many = sum(len(keys) <= len(lead) for keys in ties) > _MOST_TIED
+    if shape > own or many or (rest >= QUIET and own - shape <= FAR):
         certain = _in_all(values, by_name)
         if certain:
             return "partly explained", certain, [certain], in_full(joined, certain, steps)

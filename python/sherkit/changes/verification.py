@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ..adaptive.choice import log_gain
+from ..adaptive.choice import showing
 from ..adaptive.evidence import SIZES, Evidence
 from ..adaptive.hypotheses import Hypotheses, Hypothesis, weighted
+from ..adaptive.look import FAR
 from ..adaptive.region import Region, planned
 from ..base import linalg
 from ..base.arguments import Count, Seed, as_annotated
@@ -33,7 +34,7 @@ from ..model.kinds import kind_of
 from ..model.robot_file import run_for
 from ..robots.calibrated import Calibration
 from ..robots.files import load_calibration
-from .comparison import ALARM, FAR, SHAPES, Moved
+from .comparison import ALARM, SHAPES, Moved
 from .joined import Candidate, candidates_of, columns_of, noise_of_repeats
 from .promise import broken, shows
 from .stand import stand_of
@@ -43,7 +44,7 @@ _REFUSED, _CHANGED = 0.005, 0.015
 #: Degrees of freedom of a noise that a calibration knows.
 _OF_CALIBRATION = 200
 _SHARE, _POWER = 0.95, 0.9
-_CANDIDATES = 240
+_CANDIDATES, _RIDGE = 240, 1e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -346,31 +347,14 @@ def verifying_poses(
     part: Any = made.parts_made[0]
     noise = float(np.sqrt(np.diag(part.residual_covariance + part.scatter).mean())) or 1.0
     sized = [columns[one.name] / noise for one in candidates]
-    picked = _greedy(stand, sized, int(count))
-    order = rng.permutation(picked)
+    scale = np.linalg.norm(stand.reshape(-1, stand.shape[2]), axis=0) / np.sqrt(len(stand))
+    x = stand / np.where(scale > 0, scale, 1.0)
+    # of where the sensor stands next to nothing is known, of a change that it is of plausible size
+    infos = [np.diag([_RIDGE] * x.shape[2] + [1.0 + _RIDGE] * z.shape[2]) for z in sized]
+    parts = [(info, np.concatenate([x, z], axis=2)) for info, z in zip(infos, sized, strict=True)]
+    order = rng.permutation(showing(x, _RIDGE * np.eye(x.shape[2]), parts, int(count), first=x.shape[2]))
     names = dict(zip(layout.joints, places.joints.T, strict=True))
     names |= dict(zip(region.targets, places.targets.T, strict=True))
     return [
         {"pose": k + 1, **{name: float(values[row]) for name, values in names.items()}} for k, row in enumerate(order)
     ]
-
-
-def _greedy(stand: Floats, sized: Sequence[Floats], count: int) -> list[int]:
-    """Rows, each the one that adds most to what all changes together show."""
-    scale = np.linalg.norm(stand.reshape(-1, stand.shape[2]), axis=0) / np.sqrt(len(stand))
-    x = stand / np.where(scale > 0, scale, 1.0)
-    base = 1e-3 * np.eye(x.shape[2])
-    infos = [1e-3 * np.eye(x.shape[2] + z.shape[2]) + np.diag([0.0] * x.shape[2] + [1.0] * z.shape[2]) for z in sized]
-    both = [np.concatenate([x, z], axis=2) for z in sized]
-    picked: list[int] = []
-    for _ in range(min(count, len(x))):
-        alone = log_gain(x, base)
-        gained = sum((log_gain(z, info) - alone for z, info in zip(both, infos, strict=True)), np.zeros(len(x)))
-        if len(picked) < x.shape[2]:
-            gained = gained + alone
-        gained[picked] = -np.inf
-        best = int(np.argmax(gained))
-        picked.append(best)
-        base = base + x[best].T @ x[best]
-        infos = [info + z[best].T @ z[best] for info, z in zip(infos, both, strict=True)]
-    return picked
