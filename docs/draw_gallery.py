@@ -163,7 +163,8 @@ ITEMS = [
          "has corrected (`abs` in that file) it is `unchanged`, though the six terms miss 0.6″ in every night: what "
          "all runs miss alike is no change. Limits: four nights, no repeats, the dates of service are not known, and "
          "nobody but the fits of the nights apart confirms what is said. What lasts and what happened once were "
-         "taken up on seeing these very nights: they show what is said, and are no test of it. The two sides of the pier of three "
+         "taken up on seeing these very nights: they show what is said, and are no test of it. The two sides of the "
+         "pier of three "
          "other mounts (tests/data/gem_mount_pointing), taken for before and after, are `unchanged` of one and "
          "`unexplained` of two: they bend another way when they are turned over, no term has changed, and none is "
          "named. Of the printer in tests/data there is one mesh: no pair.",
