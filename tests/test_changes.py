@@ -92,6 +92,18 @@ def test_bad_runs_are_refused() -> None:
         sk.compare(world.robot, [world.runs[0], {"x_mm": [1.0]}])
 
 
+def test_what_was_missing_already_is_no_change() -> None:
+    """Catches what no model of the catalogue describes, in both runs alike, taken for a change; and a change that is
+    lost beside it."""
+    for changed, verdict in (((), "unchanged"), (("rod_length_3",), "changed")):
+        world = DeltaPair(18, changed, 5.0)
+        for run in world.runs:
+            q = np.stack([run[f"q{k}_mm"] for k in (1, 2, 3)])
+            run["z_mm"] = run["z_mm"] + 0.012 * np.sin((q[0] - q[1]) / 6.0)
+        found = world.compare()
+        assert (found.verdict, found.changed) == (verdict, changed)
+
+
 # -- the command ----------------------------------------------------------------------------------------------------
 
 
@@ -143,11 +155,67 @@ def test_verify_and_its_poses(folder: Path, capsys: pytest.CaptureFixture[str], 
     assert kind_of(bumped.robot).name == "delta"
 
 
+def checked(seed: int, changed: str, ratio: float, repeats: int = 2) -> tuple[sk.changes.Verification, float]:
+    """A check of a delta by a dozen poses, and what its model is truly off, µm."""
+    before = DeltaPair(seed)
+    made = sk.calibrate(before.robot, before.runs[0], correction="none").calibration
+    poses = sk.changes.verifying_poses(made, 12, seed=seed)
+    world = DeltaPair(seed, (changed,) if changed else (), ratio, places=poses, poses=(60, 12), repeats=repeats)
+    off = 1e3 * float(np.sqrt(np.square(world.missed(made)).sum(axis=1).mean()))
+    return sk.verify(made, world.runs[1]), off
+
+
+def test_backlash_is_no_noise() -> None:
+    """Catches lost motion that repeats of the check show, and that is then taken for the noise of its readings."""
+    found, off = checked(41, "backlash", 3.0)
+    assert found.changed == ("backlash",)
+    assert found.valid is False
+    assert found.error["seen"] == pytest.approx(off, rel=0.4)
+
+
+def test_the_smallest_error_that_would_have_been_found() -> None:
+    """Catches a check that does not say what it cannot see, or whose readings more than these do not sharpen; and a
+    machine as it was that is called not valid."""
+    two, six = (checked(42, "", 1.0, repeats=n)[0] for n in (2, 6))
+    assert (two.valid, six.valid) == (True, True)
+    told = [two.error["promised"], six.error["smallest_found"], two.error["smallest_found"]]
+    promised, sharper, least = (np.nan if one is None else one for one in told)
+    assert promised < sharper < least < 4.0 * promised
+
+
 def _refused(capsys: pytest.CaptureFixture[str], *typed: str) -> str:
     with pytest.raises(SystemExit) as ended:
         main(list(typed))
     assert ended.value.code != 0
     return capsys.readouterr().err
+
+
+def test_pictures_of_what_has_changed(bumped: DeltaPair) -> None:
+    """Catches a mechanism in which another part has moved, one that is drawn where nothing was named, and runs on
+    scales of their own."""
+    pytest.importorskip("bokeh", reason="pages need Bokeh")
+    from sherkit.report.changed import before_and_after, mechanism_with_change
+
+    found = bumped.compare()
+    drawn = mechanism_with_change(found)
+    assert drawn is not None
+    scene, read = drawn
+    assert "base_angle_2" in read
+    before, after = (max(scene.frames, key=lambda one: one[0] if k else -one[0])[1] for k in (0, 1))
+    rails = [
+        [p.path_mm[0] for p in one.parts if p.look == "frame" and np.ptp(p.path_mm[0][:, 2]) > 50.0]
+        for one in (before, after)
+    ]
+    assert [bool(np.abs(a - b).max() > 1.0) for a, b in zip(*rails, strict=True)] == [False, True, False]
+    picture = before_and_after(found)
+    assert {one.y_range.end for one, *_ in _figures(picture.root)} == {_figures(picture.root)[0][0].y_range.end}
+    assert picture.sources["run_2"].data["error"].mean() > 2.0 * picture.sources["run_1"].data["error"].mean()
+    assert mechanism_with_change(DeltaPair(11).compare()) is None
+
+
+def _figures(root: Any) -> list[Any]:
+    """Of a grid."""
+    return list(root.children)
 
 
 # -- over the years -------------------------------------------------------------------------------------------------

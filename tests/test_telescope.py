@@ -288,3 +288,44 @@ def test_what_is_no_model_is_refused_in_a_sentence() -> None:
         sk.identify(mount.Mount(), simulated(1), free=("IH",))
     with pytest.raises(sk.errors.EffectError, match=r"'tube_flexur' is not a known effect.*'tube_flexure'"):
         sk.identify(mount.Mount(), simulated(1), effects=["tube_flexur"])
+
+
+# -- four nights of one mount ------------------------------------------------------------------------------
+
+NIGHTS = ("2021-08-21", "2023-07-02", "2023-09-24", "2025-03-26")
+
+
+def nights(encoder: str) -> list[sk.Measurements]:
+    """The runs of the four nights."""
+    return [mount.read_mmt(DATA / mount.MMT, f"point_{night.replace('-', '')}.dat", encoder) for night in NIGHTS]
+
+
+def test_what_the_nights_have_in_common_is_no_change() -> None:
+    """Catches what the six terms miss in every night alike, 0.6″ along the azimuth, taken for a change since the first:
+    of encoders that the telescope's own pointing model has corrected nothing has changed."""
+    runs = nights("abs")
+    for k in range(1, 4):
+        found = sk.compare(mount.Mount(), [runs[0], runs[k]])
+        assert (found.verdict, found.changed) == ("unchanged", ())
+    assert sk.history(mount.Mount(), runs, dates=NIGHTS).verdict == "unchanged"
+
+
+def test_the_axis_that_leaned_in_one_of_the_nights() -> None:
+    """Catches another term, a size that fits of the nights apart do not have, and a night alone told as steps."""
+    runs = nights("raw")
+    apart = [sk.identify(mount.Mount(), rows).by_name["MA"] for rows in runs]
+    found = sk.compare(mount.Mount(), runs[1:3])
+    assert (found.verdict, found.changed) == ("partly explained", ("MA",))
+    assert found.parameters[0].change == pytest.approx(apart[2] - apart[1], abs=1.0)
+    course = sk.history(mount.Mount(), runs, dates=NIGHTS)
+    assert [(c.name, c.kind, c.date) for c in course.changes] == [("MA", "once", "2023-07-02")]
+    assert course.changes[0].parameters[0][1] == pytest.approx(13.0, abs=1.5)
+
+
+def test_the_side_of_the_pier_is_no_change_of_a_term() -> None:
+    """Catches a name for flexure that turning the mount over reverses: nothing was changed between the sides."""
+    rows = mount.read_gem(DATA / mount.GEM, "gem-28.dat")
+    sides = [rows.select(np.flatnonzero(rows["side"] == side)) for side in (1.0, -1.0)]
+    found = sk.compare(mount.Mount(), sides)
+    assert found.verdict == "unexplained"
+    assert next(iter(found.aside.values())) >= 19

@@ -110,14 +110,24 @@ def _showing(found: Look, own: Floats, tried: Mapping[str, Floats], count: int, 
         k = columns.shape[1] - x.shape[2]
         info[-k:, -k:] += np.eye(k) / _EXPECTED
         infos.append(info)
-    picked: list[int] = []
-    for _ in range(min(count, len(own))):
-        gained = np.zeros(len(own))
+    return showing(x, base, [(info, z) for info, (_, z) in zip(infos, parts, strict=True)], count)
+
+
+def showing(
+    x: Floats, base: Floats, parts: Sequence[tuple[Floats, Floats]], count: int, *, first: int = 0
+) -> list[int]:
+    """Rows (k,), one after another, each that adds most to what all ``parts`` show beside what is free.
+
+    ``x`` (n, m, p) are the columns of what is free and ``base`` (p, p) what is known of it; each part is what is known
+    of it and one thing more (q, q), and the columns (n, m, q) of these. What is free counts by itself for the ``first``
+    rows, and where there are no parts.
+    """
+    infos, picked = [info for info, _ in parts], list[int]()
+    for k in range(min(count, len(x))):
         alone = log_gain(x, base)
+        gained = alone.copy() if k < first or not parts else np.zeros(len(x))
         for info, (_, z) in zip(infos, parts, strict=True):
             gained += log_gain(z, info) - alone
-        if not names:
-            gained = alone
         gained[picked] = -np.inf
         best = int(np.argmax(gained))
         picked.append(best)

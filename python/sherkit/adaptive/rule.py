@@ -8,6 +8,7 @@ that leads leaves, at two looks running. What is seen of nothing is *adequate* o
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,11 +77,17 @@ def ties(found: Look) -> list[Keys]:
     if found.lead is None:
         return []
     own = found.value(found.lead.keys)
-    near = {frozenset(name for name, _ in keys): keys for keys, value in reversed(found.effects) if value > own - FAR}
-    # one cause before two: of what holds another nothing is said
+    near = {keys: value for keys, value in found.effects if value > own - FAR}
+    return fewest(found.lead.keys, near)
+
+
+def fewest(lead: Keys, values: Mapping[Keys, float]) -> list[Keys]:
+    """The likeliest of each set of names, the ``lead`` first; one cause before two: of what holds another nothing is
+    said."""
+    near = {frozenset(name for name, _ in keys): keys for keys in sorted(values, key=lambda keys: values[keys])}
+    near[frozenset(name for name, _ in lead)] = lead
     alone = [keys for names, keys in near.items() if not any(other < names for other in near)]
-    first = found.lead.keys
-    return sorted(alone, key=lambda keys: (keys != first, -found.value(keys)))
+    return sorted(alone, key=lambda keys: (keys != lead, -values.get(keys, np.inf)))
 
 
 def _stands(found: Look, lead: Fitted) -> bool:

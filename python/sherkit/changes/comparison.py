@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from ..adaptive.evidence import Evidence
-from ..adaptive.hypotheses import Key
+from ..adaptive.hypotheses import Hypothesis
+from ..adaptive.look import FAR, Keys
+from ..adaptive.rule import fewest
 from ..base import linalg
 from ..base.arguments import as_annotated
 from ..base.figures import finite
@@ -20,6 +22,7 @@ from ..data import Measurements
 from ..data.given import RunLike
 from ..diagnosis import diagnose
 from ..diagnosis.linearised import orthonormal
+from ..diagnosis.outliers import gross_errors
 from ..errors import FitError, SherkitError
 from ..fit.error import ErrorSize, axes_of, of_residuals
 from ..fit.identify import identify
@@ -29,8 +32,8 @@ from ..model.robot_file import RobotLike, load_robot, run_for
 from .joined import Joined
 from .joined import Moved as Shift
 
-#: Evidence (a logarithm) of a change, of none, of a name ahead of another and of a shape, and what it may leave.
-ALARM, QUIET, FAR, SHAPES = np.log(100.0), np.log(20.0), np.log(1e4), np.log(1e3)
+#: Evidence (a logarithm) of a change, of none, and of a name ahead of a shape; of another name it is FAR.
+ALARM, QUIET, SHAPES = np.log(100.0), np.log(20.0), np.log(1e3)
 #: A change of one unit of the noise must be seen with readings of so many beyond what is free.
 _FEWEST = 12
 _MOST_TIED = 8
@@ -42,8 +45,6 @@ _WORSE = 0.02
 _ROWS, _ROWS_OF_A_RUN = 4000, 200
 #: Poses that are proposed, of how many.
 _POSES, _CANDIDATES = 8, 200
-
-Keys = tuple[Key, ...]
 
 
 @dataclass(frozen=True)
@@ -157,13 +158,17 @@ def joined_runs(
         found = diagnose(fit)
         # what was missing already is in all runs; a moment or a period of the first says nothing of the others
         named = [e for e in found.fit.model.effects if e.name in found.effects and e.search is None]
-        if named:
-            fit = identify(made, data[0].mark_outliers(found.outliers), effects=named)
+        outliers = found.outliers
+    else:
+        named, outliers = list(fit.model.effects), gross_errors(fit)
+    if len(outliers) or (effects is None and named):
+        data[0] = data[0].mark_outliers(outliers)
+        fit = identify(made, data[0], effects=named)
     data = [_enough(one, max(_ROWS // len(data), _ROWS_OF_A_RUN)) for one in data]
     axes = tuple(a for a in axes_of(data[0]) if all(a in axes_of(one) for one in data))
     if not axes:
         raise FitError("compare: the runs have no reading in common")
-    return Joined(fit, data, axes), data
+    return Joined(fit, data, axes).with_what_lasts(), data
 
 
 def _enough(data: Measurements, most: int) -> Measurements:
@@ -206,7 +211,7 @@ def concluded(joined: Joined, data: Sequence[Measurements], needed: float | None
         ranked=tuple(ranked[:5]),
         where=_where(evidence) if verdict not in ("unchanged", "undecided") else "",
         advice=_advice(verdict, names, tied, bool(poses), left),
-        aside={_called(one, k): len(joined.runs[k].aside) for k, one in enumerate(data)},
+        aside={_called(one, k): len(joined.runs[k].aside) + int(one.outlier.sum()) for k, one in enumerate(data)},
         joined=joined,
     )
 
@@ -298,18 +303,29 @@ def verdict_of(
          if any(by_name[name].is_shape for name, _ in keys) and not mine <= {name for name, _ in keys}),
         default=-np.inf,
     )  # fmt: skip
-    near = {frozenset(n for n, _ in keys): keys for keys in sorted(causes, key=lambda keys: values[keys])
-            if values[keys] > own - FAR}  # fmt: skip
-    near[frozenset(mine)] = lead
-    ties = [keys for held, keys in near.items() if not any(other < held for other in near)]
-    ties = sorted(ties, key=lambda keys: (keys != lead, -values[keys]))
+    ties = fewest(lead, {keys: values[keys] for keys in causes if keys == lead or values[keys] > own - FAR})
     about = full[lead].joined
     margin = SHAPES if len(lead) == 1 else FAR
-    if shape > own or len(ties) > _MOST_TIED:
+    # one change before two: however many pairs would do as well, a change alone is a name
+    many = sum(len(keys) <= len(lead) for keys in ties) > _MOST_TIED
+    if shape > own or many or (rest >= QUIET and own - shape <= FAR):
+        certain = _in_all(values, by_name)
+        if certain:
+            return "partly explained", certain, [certain], in_full(joined, certain, steps)
         return "unexplained", lead, ties, about
     if rest >= QUIET:
-        return ("partly explained" if own - shape > FAR else "unexplained"), lead, ties, about
+        return "partly explained", lead, ties, about
     return ("changed" if own - shape >= margin else "partly explained"), lead, ties, about
+
+
+def _in_all(values: Mapping[Keys, float], by_name: Mapping[str, Hypothesis]) -> Keys:
+    """The change without which no set is likely, whatever stands beside it."""
+    best = max(values.values())
+    near = [dict(keys) for keys, value in values.items() if value > best - FAR]
+    return tuple(
+        (name, at) for name, at in near[0].items()
+        if not by_name[name].is_shape and all(name in other for other in near)
+    )[:1]  # fmt: skip
 
 
 def _lead(values: Mapping[Keys, float], causes: Sequence[Keys], full: Mapping[Keys, Weighed]) -> Keys:

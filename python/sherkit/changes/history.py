@@ -1,8 +1,8 @@
 """The course of a machine over many runs: what stepped and when, what wears and how fast, what goes with the season.
 
-The same candidates as in a comparison of two runs, each in three courses: a step from one run on, a ramp by date, and
-with the temperature at which the runs were read. They are added one after another, as long as the evidence that
-something is still left exceeds one hundred.
+The same candidates as in a comparison of two runs, each in four courses: a step from one run on, in one run alone, a
+ramp by date, and with the temperature at which the runs were read. They are added one after another, as long as the
+evidence that something is still left exceeds one hundred.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from ..model.robot_file import RobotLike, load_robot
 from .comparison import ALARM, SHAPES, joined_runs
 from .joined import Joined, told_as
 
-STEP, RAMP, SEASON = "", "ramp", "season"
+STEP, ONCE, RAMP, SEASON = "", "once", "ramp", "season"
 _MOST = 4
 _MONTH_S = 30.4375 * 86400.0
 #: The columns in which a run may say when it was taken.
@@ -40,8 +40,8 @@ _DATES = ("date", "datetime", "taken_at")
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """One change: of ``name``, a ``step`` (since run ``since``, from 0, on ``date``), a ``ramp`` (``change`` by month)
-    or with the ``season`` (by °C), with its deviations, parameter by parameter."""
+    """One change: of ``name``, a ``step`` (since run ``since``, from 0, on ``date``), ``once`` (in that run alone), a
+    ``ramp`` (``change`` by month) or with the ``season`` (by °C), with its deviations, parameter by parameter."""
 
     name: str
     kind: str
@@ -52,11 +52,11 @@ class Course:
 
     def __str__(self) -> str:
         told = []
-        per = {"step": "", "ramp": " per month", "season": " per °C"}[self.kind]
+        per = {"step": "", "once": "", "ramp": " per month", "season": " per °C"}[self.kind]
         for name, value, std, unit in self.parameters:
             times, shown = {"rad": (1e3, "mrad"), "mm": (1e3, "µm")}.get(unit, (1.0, unit))
             told.append(f"{name} {times * value:+.3g} ± {times * std:.2g} {shown}{per}")
-        when = f" at {self.date}" if self.kind == "step" else ""
+        when = f" at {self.date}" if self.date else ""
         end = f"; beyond what is needed {self.exceeds}" if self.exceeds else ""
         return f"{self.kind}{when}: {'; '.join(told)}{end}"
 
@@ -157,6 +157,9 @@ def _told(
     count = len(data)
     steps = [np.array([float(k >= since) for k in range(count)]) for since in range(1, count)]
     courses: dict[str, Sequence[Floats]] = {STEP: steps}
+    if count > 2:
+        # the first or the last run alone is a step
+        courses[ONCE] = [np.eye(count)[k] for k in range(1, count - 1)]
     months = (at_s - at_s[0]) / _MONTH_S
     if count > 2 and np.ptp(months) > 0:
         courses[RAMP] = [months]
@@ -210,7 +213,7 @@ def _courses(
         told = tuple((p.name, float(value[k + j] * p.size), float(std[k + j] * p.size), p.unit)
                      for j, p in enumerate(parameters[:width]))  # fmt: skip
         kind = course or "step"
-        since = setting + 1 if kind == "step" else None
+        since = setting + 1 if kind in ("step", ONCE) else None
         grows = float(np.linalg.norm(block @ value[k : k + width]) / max(np.sqrt(len(block)), 1.0))
         out.append(Course(name, kind, since, dates[since] if since is not None else "", told,
                           _exceeds(kind, grows, months, factors, needed, joined)))  # fmt: skip

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..adaptive.evidence import Evidence
-from ..adaptive.hypotheses import Hypotheses, Hypothesis, weighted
+from ..adaptive.hypotheses import Hypotheses, Hypothesis, Key, weighted
 from ..adaptive.shapes import Rows, shapes
 from ..base import linalg
 from ..base.types import Bools, Floats, Ints
@@ -33,6 +33,10 @@ from .stand import CAMERA, Stand, stand_of
 _GROSS, _ROUNDS = 7.0, 8
 #: Readings beyond what is free from which a run tells its own noise, and that it follows itself.
 _OWN_NOISE, _OWN_COURSE = 10, 40
+#: Shapes that all runs may have in common, changes beside which they are looked for, and the evidence (a logarithm)
+#: from which there is one; what has begun with a run must be so much likelier.
+_MOST_LASTING, _MOST_BESIDE, _LASTS, _SIMPLER = 8, 3, np.log(100.0), np.log(1e4)
+LASTS = "in all runs"
 #: A part of a column that is rounding.
 _ROUNDING = 1e-5
 #: Parameters that say where the sensor stands, by how their names begin.
@@ -83,14 +87,14 @@ class Joined:
 
     def __init__(
         self, fit: Fit, runs: Sequence[Measurements], axes: tuple[int, ...], moved: Sequence[Moved] = (),
-        seen: Sequence[SeenRun] = (),
+        seen: Sequence[SeenRun] = (), lasting: Sequence[Floats] = (),
     ) -> None:  # fmt: skip
         self.fit, self.axes, self.model = fit, axes, fit.model
         self._data = [data.select(np.argsort(data.order, kind="stable")) for data in runs]
         self.growth = _growth(self.model, self._data)
         self.candidates = candidates_of(self.model, self._data)
         self.moved = tuple(moved)
-        self._before = tuple(seen)
+        self._before, self._lasting = tuple(seen), tuple(lasting)
         self.runs = [self._seen(data, k) for k, data in enumerate(self._data)]
         known = [run.sigma for run in self.runs if run.sigma > 0]
         if not known:
@@ -101,7 +105,20 @@ class Joined:
 
     def at(self, moved: Sequence[Moved]) -> Joined:
         """The same runs about a model in which these have changed."""
-        return Joined(self.fit, self._data, self.axes, moved, self.runs)
+        return Joined(self.fit, self._data, self.axes, moved, self.runs, self._lasting)
+
+    def with_what_lasts(self) -> Joined:
+        """The same runs, and free in all of them alike what the model misses from the first on: as long as a shape that
+        lasts is nearly as likely as all that may have begun with a later run, beside the changes that are far likelier.
+        What was missing already is no change."""
+        now, count = self, len(self.runs)
+        steps = [np.array([float(k >= since) for k in range(count)]) for since in range(1, count)]
+        for _ in range(_MOST_LASTING):
+            found = _lasting(now.evidence({"": steps, LASTS: [np.ones(count)]}))
+            if found is None:
+                break
+            now = Joined(now.fit, now._data, now.axes, now.moved, now.runs, (*now._lasting, found))
+        return now
 
     # -- one run -----------------------------------------------------------------------------------------
 
@@ -211,6 +228,7 @@ class Joined:
                 grown[at, j] = self.noise
                 at += 1
             blocks.append(grown)
+        blocks += self._lasting
         return np.concatenate(blocks, axis=1)
 
     @cached_property
@@ -219,8 +237,8 @@ class Joined:
         return self.over_runs([run.stand.residual for run in self.runs])
 
     def evidence(self, courses: Mapping[str, Sequence[Floats]], *, waves: bool = True) -> Evidence:
-        """Of every candidate in the courses of the runs: a name ("" for steps) to its factors (R,) at each setting;
-        without ``waves`` no shape that has settings of its own is among them."""
+        """Of every candidate in the courses of the runs: a name ("" for steps) to its factors (R,) at each setting,
+        only shapes in :data:`LASTS`; without ``waves`` no shape that has settings of its own is among them."""
         made: list[Hypothesis] = []
         tried: dict[str, Floats] = {}
         base = orthonormal(self.base)
@@ -247,7 +265,7 @@ class Joined:
             tried[name] = np.stack(scaled, axis=1)
 
         for course, factors in courses.items():
-            for one in self.candidates:
+            for one in self.candidates if course != LASTS else ():
                 columns = [run.columns[one.name] for run in self.runs]
                 take(told_as(one.name, course), one.effect, None, columns, factors)
         rows = [self._rows(run) for run in self.runs]
@@ -314,6 +332,24 @@ class Joined:
     def candidate(self, name: str) -> Candidate:
         """The candidate of that name."""
         return next(one for one in self.candidates if one.name == name)
+
+
+def _lasting(evidence: Evidence) -> Floats | None:
+    """Columns (N, k) of the shape that lasts, where one is likelier than what may have changed beside some changes."""
+    taken: list[Key] = []
+    while len(taken) <= _MOST_BESIDE:
+        found = evidence.beside(taken) if taken else evidence.alone
+        by_name = evidence.family.by_name
+        value = {name: bf + float(np.log(by_name[name].weight)) for name, bf in found.log_bf.items()}
+        lasts = max((n for n in value if n.endswith(told_as("", LASTS))), key=lambda n: value[n], default="")
+        if lasts and value[lasts] > max(_LASTS, max(value.values()) - _SIMPLER):
+            return evidence.raw((lasts, found.setting[lasts]))
+        causes = [name for name in value if not by_name[name].is_shape]
+        lead = max(causes, key=lambda name: value[name], default="")
+        if not lead or value[lead] < _LASTS:
+            return None
+        taken.append((lead, found.setting[lead]))
+    return None
 
 
 def columns_of(

@@ -16,12 +16,13 @@ from ..base import linalg
 from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import bare, unit_in
-from ..errors import FitError
+from ..errors import FitError, SherkitError
 from ..model.base import ModelWithEffects
 
 #: Rounds in which rows that are wrong are left out of the turn, and from which multiple of the median.
 _ROUNDS, _FAR = 4, 5.0
-_STEPS = 8
+#: Steps to where a camera stands, and how often one that leads astray is halved.
+_STEPS, _HALVES = 12, 12
 CAMERA = "camera_pose"
 
 
@@ -93,23 +94,37 @@ def _vector(turn: Floats) -> Floats:
 def _camera(
     model: ModelWithEffects, data: Measurements, values: Floats, axes: list[int], seen: Floats, used: Bools
 ) -> Stand:
-    """The pose of the camera alone, by Gauss and Newton's steps from where it stood."""
+    """The pose of the camera alone, by damped steps of Gauss and Newton from where it stood."""
     effect = model.known_effects[CAMERA]
     moved_model: Any = model.with_effect(effect)
     at = moved_model.owns(effect)
     now = np.insert(np.asarray(values, dtype=float), at.start, np.zeros(at.stop - at.start))
     size = np.array([p.size for p in effect.parameters])
-    columns, left = np.zeros((len(seen), len(axes), 0)), seen
+    left = _missed(moved_model, data, now, axes, seen, used)
     for _ in range(_STEPS):
-        predicted = moved_model.predict(data, now)[:, axes]
-        left = np.where(used, seen - predicted, 0.0)
-        columns = moved_model.derivatives(data, now)[:, axes, at]
-        by = columns[used] * size
-        step = size * (linalg.inv(by.T @ by + 1e-12 * np.trace(by.T @ by) * np.eye(len(size))) @ (by.T @ left[used]))
-        now[at] += step
+        by = moved_model.derivatives(data, now)[:, axes, at][used] * size
+        gram = by.T @ by
+        step = size * (linalg.inv(gram + 1e-12 * np.trace(gram) * np.eye(len(size))) @ (by.T @ left[used]))
+        for _ in range(_HALVES):
+            then = now.copy()
+            then[at] += step
+            try:
+                closer = _missed(moved_model, data, then, axes, seen, used)
+            except SherkitError:
+                # the camera would not see the marker from there
+                closer = np.full_like(left, np.inf)
+            if np.square(closer).sum() <= np.square(left).sum():
+                now, left = then, closer
+                break
+            step = 0.5 * step
         if (np.abs(step) <= 1e-9 * size).all():
             break
+    columns = moved_model.derivatives(data, now)[:, axes, at]
     names = [p.name for p in effect.parameters]
     units = [p.unit for p in effect.parameters]
     moved = {f"{name}_{unit}": float(v) for name, unit, v in zip(names, units, now[at], strict=True)}
     return Stand(left, columns, moved)
+
+
+def _missed(model: Any, data: Measurements, values: Floats, axes: list[int], seen: Floats, used: Bools) -> Floats:
+    return np.where(used, seen - model.predict(data, values)[:, axes], 0.0)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import click
 
@@ -10,9 +12,12 @@ from ..changes import Comparison, History, Verification
 from ..changes import compare as compare_runs
 from ..changes import history as history_of
 from ..changes import verify as verify_run
+from ..model.kinds import Robot
 from ..robots.machine.file import robot_at
 from . import output, reporting
 from .output import out, table
+
+Told = TypeVar("Told", Comparison, History)
 
 #: What ``--fail-if-invalid`` ends with.
 INVALID = 3
@@ -33,18 +38,32 @@ def compare(
 
     Poses, noise and order may differ, and the sensor may stand elsewhere.
     """
+    machine = _machine(robot, report)
+    found = compare_runs(machine, [before, *after], effects=added or None)
+    title = f"What has changed of {robot.stem} since {before.name}?"
+    _tell(found, _say, as_json, report, title)
+
+
+def _machine(robot: Path, report: Path | None) -> Robot:
+    """The robot; a report that cannot be drawn is refused before anything is computed."""
     if report is not None:
         reporting.require_view()
-    machine, _ = robot_at(robot)
-    found = compare_runs(machine, [before, *after], effects=added or None)
-    if report is not None:
-        from ..report.stories import write_comparison
+    return robot_at(robot)[0]
 
-        write_comparison(report, found, f"What has changed of {robot.stem} since {before.name}?")
+
+def _tell(found: Told, say: Callable[[Told], None], as_json: bool, report: Path | None, title: str) -> None:
+    """What was found: a page, and JSON or sentences."""
+    if report is not None:
+        from ..report.stories import write_comparison, write_history
+
+        if isinstance(found, Comparison):
+            write_comparison(report, found, title)
+        else:
+            write_history(report, found, title)
     if as_json:
         output.print_json(found.to_json())
         return
-    _say(found)
+    say(found)
     if report is not None:
         output.say(f"\nthe report is in {report}")
 
@@ -92,21 +111,10 @@ def history(
     robot: Path, runs: tuple[Path, ...], dates: str, added: tuple[str, ...], as_json: bool, report: Path | None
 ) -> None:
     """Say what has changed of ROBOT (TOML) in the course of RUN and MORE: steps, wear, what goes with the season."""
-    if report is not None:
-        reporting.require_view()
-    machine, _ = robot_at(robot)
+    machine = _machine(robot, report)
     given = [one.strip() for one in dates.split(",") if one.strip()]
     found = history_of(machine, list(runs), dates=given, effects=added or None)
-    if report is not None:
-        from ..report.stories import write_history
-
-        write_history(report, found, f"The course of {robot.stem}")
-    if as_json:
-        output.print_json(found.to_json())
-        return
-    _say_course(found)
-    if report is not None:
-        output.say(f"\nthe report is in {report}")
+    _tell(found, _say_course, as_json, report, f"The course of {robot.stem}")
 
 
 def _say_course(found: History) -> None:
@@ -143,6 +151,9 @@ def _say_verified(found: Verification) -> None:
     output.say(found.headline)
     for tie in found.indistinguishable:
         output.say(f"  {' or '.join(tie)}: these poses cannot tell")
+    least = found.error["smallest_found"]
+    if least is not None:
+        output.say(f"an error of {least:.3g} {found.unit} would have been found in 95 of 100 such checks")
     output.say(f"these poses would have shown, at its plausible size: {', '.join(found.would_show) or 'nothing'}")
     if found.would_not:
         output.say(f"and would not have shown: {', '.join(found.would_not)}")

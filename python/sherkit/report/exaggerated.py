@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -90,34 +91,37 @@ def exaggerated(
     moved = np.linalg.norm(drawn(rows, 1.0).shown_mm - everywhere.shown_mm, axis=1)
     best = int(np.argmax(np.nan_to_num(moved)))
     row = rows.select(np.array([best]))
+    frames, begin = growing(lambda factor: drawn(row, factor))
+    if not frames:
+        raise SherkitError(f"{effect.name} of this size leaves no machine to be drawn")
+    factors, drawings = zip(*frames, strict=True)
     nominal = drawn(row, 0.0)
-    points = nominal.points_mm[0]
+    where = f"at {row.counted} {row.line[0]} of the run" if measured else "at the pose where it shows most"
+    told = f"This is the machine {where}{_moment(effect, row, measured)}."
+    return Exaggerated(effect, values, nominal, factors, drawings, float(moved[best]), begin, told, model, row)
+
+
+def growing(drawn: Callable[[float], Drawing]) -> tuple[list[tuple[float, Drawing]], float]:
+    """A machine at one pose, drawn at more and more of :data:`FACTORS` as long as it is one, and the factor at which
+    what becomes of it is easily seen."""
+    points = drawn(0.0).points_mm[0]
     size = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
-    factors: list[float] = []
-    drawings: list[Drawing] = []
-    off: list[float] = []
-    last = 0.0
+    frames: list[tuple[float, Drawing]] = []
+    begin, last = 0.0, 0.0
     for factor in FACTORS:
         try:
-            one = drawn(row, factor)
+            one = drawn(factor)
         except SherkitError:
             break
         away = float(np.linalg.norm(one.points_mm[0] - points, axis=1).max())
         # what comes nearer again has turned once round
-        if not np.isfinite(away) or (factors and not last <= away <= _MOST * size):
+        if not np.isfinite(away) or (frames and not last <= away <= _MOST * size):
             break
+        frames.append((factor, one))
+        if last < _SEEN * size:
+            begin = factor
         last = away
-        factors.append(factor)
-        drawings.append(one)
-        off.append(away / size)
-    if not factors:
-        raise SherkitError(f"{effect.name} of this size leaves no machine to be drawn")
-    begin = next((f for f, o in zip(factors, off, strict=True) if o >= _SEEN), factors[-1])
-    where = f"at {row.counted} {row.line[0]} of the run" if measured else "at the pose where it shows most"
-    told = f"This is the machine {where}{_moment(effect, row, measured)}."
-    return Exaggerated(
-        effect, values, nominal, tuple(factors), tuple(drawings), float(moved[best]), begin, told, model, row
-    )
+    return frames, begin
 
 
 def _moment(effect: Effect, row: Measurements, measured: bool) -> str:

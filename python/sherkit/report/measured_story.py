@@ -10,12 +10,12 @@ import numpy as np
 from bokeh.models import DataRange1d
 
 from ..adaptive import Adaptive
-from .stories import HEIGHT, write_page
+from .stories import write_page
 from .style import COLOURS, MUTED, figure, legend, quantity
 
 #: Until it is done a browser reads the page anew after so many seconds.
 _AGAIN_S = 5
-_SQUARE = 380
+_HEIGHT, _SQUARE = 300, 380
 _TEN = float(np.log(10.0))
 #: What several rows are driven for is one colour.
 _KINDS = ("start", "all", "what tells rivals apart", "confirm", "explore", "again", "time")
@@ -43,7 +43,7 @@ def _next(loop: Adaptive) -> str:
 
 def _evidence(loop: Adaptive) -> Any:
     looks = loop.looks
-    made = figure(height=HEIGHT + 60, sizing_mode="stretch_width")
+    made = figure(height=_HEIGHT + 60, sizing_mode="stretch_width")
     made.xaxis.axis_label, made.yaxis.axis_label = "readings", "evidence, powers of ten"
     readings = [one.readings for one in looks]
     made.line(readings, [one.log_evidence / _TEN for one in looks], color=MUTED, line_dash="dashed",
@@ -61,7 +61,7 @@ def _evidence(loop: Adaptive) -> Any:
 def _errors(loop: Adaptive) -> Any:
     steps = loop.progress
     readings = [one.readings for one in steps]
-    made = figure(height=HEIGHT, sizing_mode="stretch_width", y_range=DataRange1d(start=0.0))
+    made = figure(height=_HEIGHT, sizing_mode="stretch_width", y_range=DataRange1d(start=0.0))
     made.xaxis.axis_label, made.yaxis.axis_label = "readings", f"error, {loop.layout.unit}"
     lines: tuple[tuple[str, Sequence[float | None], str], ...] = (
         ("new readings, by the geometry alone", [one.by_geometry for one in steps], MUTED),
