@@ -23,6 +23,7 @@ from ..data.given import RunLike
 from ..diagnosis import diagnose
 from ..diagnosis.linearised import orthonormal
 from ..diagnosis.outliers import gross_errors
+from ..diagnosis.sizes import PLAUSIBLE
 from ..errors import FitError, SherkitError
 from ..fit.error import ErrorSize, axes_of, of_residuals
 from ..fit.identify import identify
@@ -189,6 +190,9 @@ def concluded(joined: Joined, data: Sequence[Measurements], needed: float | None
     verdict, lead, ties, about = verdict_of(joined, evidence, sets, steps)
     names = tuple(sorted(name for name, _ in lead))
     moved, left = estimated(about, lead, steps)
+    absurd = [one for one in moved if _is_absurd(joined, names, one)] if verdict != "unexplained" else []
+    if absurd:
+        verdict = "unexplained"
     tied = tuple(_named(keys) for keys in ties)
     fit = joined.fit
     after = errors_after(joined)
@@ -210,7 +214,7 @@ def concluded(joined: Joined, data: Sequence[Measurements], needed: float | None
         evidence=evidence.alone.log_mean / float(np.log(10.0)),
         ranked=tuple(ranked[:5]),
         where=_where(evidence) if verdict not in ("unchanged", "undecided") else "",
-        advice=_advice(verdict, names, tied, bool(poses), left),
+        advice=_advice(verdict, names, tied, bool(poses), left, absurd),
         aside={_called(one, k): len(joined.runs[k].aside) + int(one.outlier.sum()) for k, one in enumerate(data)},
         joined=joined,
     )
@@ -357,6 +361,14 @@ def estimated(joined: Joined, lead: Keys, steps: Sequence[Floats]) -> tuple[tupl
     return tuple(out), left
 
 
+def _is_absurd(joined: Joined, names: Sequence[str], one: Moved) -> bool:
+    """Whether an effect would have to be larger than it can be: it then stands for something else."""
+    sizes = {
+        p.name: p.size for name in names if joined.candidate(name).effect for p in joined.candidate(name).parameters
+    }
+    return one.name in sizes and abs(one.change) > PLAUSIBLE * sizes[one.name] + 2.0 * one.std
+
+
 def errors_after(joined: Joined) -> ErrorSize | None:
     """How far the model of the first run is off in the later ones, each seen from where its sensor stands."""
     parts = []
@@ -382,7 +394,12 @@ def _where(evidence: Evidence) -> str:
     return max(shapes, key=lambda name: shapes[name]) if shapes and max(shapes.values()) > ALARM else ""
 
 
-def _advice(verdict: str, names: tuple[str, ...], tied: tuple[str, ...], proposed: bool, left: float) -> str:
+def _advice(
+    verdict: str, names: tuple[str, ...], tied: tuple[str, ...], proposed: bool, left: float, absurd: Sequence[Moved]
+) -> str:
+    if absurd:
+        told = f"{' and '.join(names)} would explain it, were it not for its size ({absurd[0]})"
+        return f"calibrate again, all of it: {told}"
     if verdict == "unchanged":
         return "nothing needs to be done: the calibration still describes the robot"
     if verdict == "undecided":

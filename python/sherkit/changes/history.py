@@ -8,7 +8,7 @@ evidence that something is still left exceeds one hundred.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from os import PathLike
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..adaptive.hypotheses import Key
+from ..adaptive.look import FAR
 from ..base import linalg
 from ..base.arguments import as_annotated
 from ..base.figures import finite
@@ -33,6 +34,8 @@ from .joined import Joined, told_as
 
 STEP, ONCE, RAMP, SEASON = "", "once", "ramp", "season"
 _MOST = 4
+#: What cannot be told from a change is named, as far as so many.
+_MOST_TIED = 4
 _MONTH_S = 30.4375 * 86400.0
 #: The columns in which a run may say when it was taken.
 _DATES = ("date", "datetime", "taken_at")
@@ -49,6 +52,8 @@ class Course:
     date: str
     parameters: tuple[tuple[str, float, float, str], ...]
     exceeds: str = ""
+    #: What these runs cannot tell from it: the same or another change, in another course.
+    or_else: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         told = []
@@ -58,12 +63,14 @@ class Course:
             told.append(f"{name} {times * value:+.3g} ± {times * std:.2g} {shown}{per}")
         when = f" at {self.date}" if self.date else ""
         end = f"; beyond what is needed {self.exceeds}" if self.exceeds else ""
-        return f"{self.kind}{when}: {'; '.join(told)}{end}"
+        other = f"; these runs cannot tell it from {', '.join(self.or_else)}" if self.or_else else ""
+        return f"{self.kind}{when}: {'; '.join(told)}{end}{other}"
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
         return {
             "name": self.name, "kind": self.kind, "since": self.since, "date": self.date, "exceeds": self.exceeds,
+            "indistinguishable": list(self.or_else),
             "parameters": [{"name": n, "change": v, "std": s, "unit": u} for n, v, s, u in self.parameters],
         }  # fmt: skip
 
@@ -169,7 +176,10 @@ def _told(
     if count > 2 and np.isfinite(temperatures).all() and np.ptp(temperatures) > 0.5:
         courses[SEASON] = [temperatures - temperatures[0]]
     factors = {name: list(values) for name, values in courses.items()}
+    called = {told_as(c.name, k): f"{c.name} as a {k or 'step'}" if k != ONCE else f"{c.name} in one run alone"
+              for c in joined.candidates for k in courses}  # fmt: skip
     found: list[tuple[str, str, int, Floats]] = []
+    tied: list[tuple[str, ...]] = []
     evidence = joined.evidence(courses, waves=False)
     taken: list[Key] = []
     verdict = "unchanged" if evidence.alone.log_mean < ALARM else "unexplained"
@@ -188,8 +198,12 @@ def _told(
         taken.append((name, setting))
         bare, course = next((c.name, k) for c in joined.candidates for k in courses if told_as(c.name, k) == name)
         found.append((bare, course, int(setting or 0), factors[course][int(setting or 0)]))
+        tied.append(tuple(called[other] for other in causes[1:] if value[other] > value[name] - FAR)[:_MOST_TIED])
         verdict = "changed"
-    changes = _courses(joined, found, dates, months, needed)
+    changes = tuple(
+        replace(one, or_else=other)
+        for one, other in zip(_courses(joined, found, dates, months, needed), tied, strict=True)
+    )
     values = {bare: _by_run(joined, bare) for bare, _, _, _ in found}
     still = [c.name for c in joined.candidates if c.name not in values]
     return History(

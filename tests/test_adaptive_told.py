@@ -1,0 +1,135 @@
+"""What comes back to a loop: unread, from elsewhere, without a side, with holes; and finer physics than poses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import sherkit as sk
+from driven_worlds import DrivenDelta
+from sherkit.adaptive.evidence import SIZES, Agreement
+from sherkit.data.rows import directions
+from sherkit.errors import MeasurementError
+
+
+def drive(world: DrivenDelta, change: Any = lambda row: row, **settings: Any) -> sk.Adaptive:
+    """A loop whose rows are changed before they are told."""
+    loop = sk.Adaptive(world.robot, **{"budget": 60, **settings})
+    while not loop.done:
+        loop.tell([change(row) for row in world.read(loop.ask())])
+    return loop
+
+
+def test_a_disagreement_of_poses_is_weighed_as_the_densities_say() -> None:
+    """Catches wrong degrees of freedom or sizes: the same Bayes factor from χ² densities by SciPy, the noise of
+    Jeffreys integrated on a grid, for poses that are all read twice."""
+    rng = np.random.default_rng(2)
+    pose = np.repeat(np.arange(15), 2)
+    residual = rng.normal(size=30) + 1.5 * rng.normal(size=15)[pose]
+    found = Agreement.of(residual, pose, 30 - 4)
+    assert (found.within_free, found.between_free, found.times) == (15, 11, 2.0)
+    log_sigma = np.linspace(-3.0, 4.0, 4001)
+
+    def likelihood(grown: float) -> float:
+        v = np.exp(2.0 * log_sigma)
+        within = stats.chi2.pdf(found.within / v, 15) / v
+        between = stats.chi2.pdf(found.between / (v * grown), 11) / (v * grown)
+        return float(np.trapezoid(within * between, log_sigma))
+
+    by_densities = np.mean([likelihood(1.0 + 2.0 * size**2) for size in SIZES]) / likelihood(1.0)
+    assert np.exp(found.log_bf) == pytest.approx(by_densities, rel=1e-3)
+
+
+def test_the_mean_of_that_never_rises_where_poses_agree() -> None:
+    """Catches a factor that favours disagreement: over 2,000 residuals of noise its mean is one at most (3 σ)."""
+    rng = np.random.default_rng(0)
+    pose = np.concatenate([np.arange(30), np.arange(6)])
+    factors = np.array([np.exp(Agreement.of(rng.normal(size=36), pose, 36).log_bf) for _ in range(2000)])
+    assert factors.mean() < 1.0 + 3.0 * factors.std() / np.sqrt(len(factors))
+    assert np.mean(factors >= 100.0) <= 0.01
+
+
+def test_physics_that_is_finer_than_the_poses_is_no_noise() -> None:
+    """Catches what is another error at each pose, the same when it is read once more, as noise: a ripple in a product
+    of joints, of fifteen noises."""
+    world = DrivenDelta(2)
+
+    def rippled(row: dict[str, Any]) -> dict[str, Any]:
+        ripple = 15.0 * world.noise * np.sin(40.0 * row["q1_mm"] * row["q2_mm"])
+        return {**row, **{name: row[name] + ripple for name in ("x_mm", "y_mm", "z_mm")}}
+
+    loop = drive(world, rippled)
+    assert loop.verdict in ("unexplained", "undecided")
+    assert loop.verdict == "undecided" or "finer than these poses" in loop.why
+
+
+def test_what_is_left_is_held_against_the_noise_that_is_declared() -> None:
+    """Catches praise at three times the noise that the sensor is said to have, and none at that noise."""
+    for share, verdict in ((1.0, "adequate"), (0.3, "unexplained")):
+        world = DrivenDelta(4)
+        sigma = {f"sigma_{a}_mm": share * world.noise for a in "xyz"}
+        loop = drive(world, lambda row, sigma=sigma: {**row, **sigma}, budget=80)
+        assert loop.verdict == verdict, loop.why
+    assert "where its column declares" in loop.why
+
+
+def test_rows_that_were_not_read_are_refused() -> None:
+    """Catches places that were asked for as readings, all of them or some."""
+    world = DrivenDelta(5)
+    loop = sk.Adaptive(world.robot)
+    with pytest.raises(MeasurementError, match="put what was read in their place"):
+        loop.tell(loop.ask())
+    assert loop.readings == 0
+    asked = loop.ask()
+    heights = [{**row, "z_mm": read["z_mm"]} for row, read in zip(asked, world.read(asked), strict=True)]
+    loop.tell(heights)
+    assert not loop.data.taken[:, :2].any()
+    assert loop.data.taken[:, 2].all()
+
+
+@pytest.mark.filterwarnings("ignore::sherkit.errors.SherkitWarning")
+def test_rows_of_one_place_say_nothing() -> None:
+    """Catches "nothing is missing" from a robot that did not move, and poses that are refused for coming back from
+    elsewhere."""
+    world = DrivenDelta(5)
+    loop = sk.Adaptive(world.robot, budget=28)
+    for number in range(7):
+        rows = world.read(loop.ask())
+        loop.tell([{**row, **dict.fromkeys(world.joints, 128.9 + 0.0001 * (number + k))} for k, row in enumerate(rows)])
+    assert loop.verdict == "undecided"
+
+
+def test_a_cell_that_is_a_list_is_said_and_a_late_column_left_out() -> None:
+    """Catches a dump of a library, and a column that begins later and stops the run."""
+    world = DrivenDelta(5)
+    loop = sk.Adaptive(world.robot, budget=24)
+    with pytest.raises(MeasurementError, match="column 'x_mm' holds lists"):
+        loop.tell([{**row, "x_mm": [1.0]} for row in world.read(loop.ask())])
+    loop.tell(world.read(loop.ask()))
+    while not loop.done:
+        loop.tell([{**row, "pressure_hpa": 1013.0} for row in world.read(loop.ask())])
+    assert any("pressure_hpa is not in every row" in note for note in loop.notes)
+
+
+def test_a_repeat_that_is_not_numbered_is_the_next_one() -> None:
+    """Catches a run that is refused because its owner calls every reading the first of its pose."""
+    loop = drive(DrivenDelta(6), lambda row: {**row, "repeat": 1}, span_min=0.0)
+    assert loop.done
+    assert loop.readings >= 24
+
+
+def test_a_joint_that_was_sent_to_where_it_stood_did_not_move() -> None:
+    """Catches the last digit of a number as a motion, and a side of the first pose that nobody told."""
+    joints = np.array([[1.0, 5.0], [2.0, 5.0 + 1e-14], [2.0 - 1e-15, 4.0], [3.0, 4.0]])
+    assert directions(joints, np.arange(4), begins=0.0).tolist() == [[0, 0], [1, 0], [1, -1], [1, -1]]
+    assert directions(joints[::-1], np.arange(4)[::-1], begins=1.0).tolist() == [[1, -1], [1, -1], [1, 1], [1, 1]]
+
+
+def test_backlash_alone_is_named_where_nobody_tells_the_first_side() -> None:
+    """Catches a slip after the first reading, which is the side from which it was approached."""
+    loop = drive(DrivenDelta(1, ("backlash",), 20.0), span_min=30.0, budget=120)
+    assert (loop.verdict, loop.effects) == ("explained", ("backlash",))
+    assert 0 in loop.last.aside.tolist()  # type: ignore[union-attr]
