@@ -21,7 +21,7 @@ from ..fit.identify import Fit, identify
 from ..fit.set_up import set_up_mistakes
 from . import rule
 from .choice import are_beyond
-from .look import Look
+from .look import FAR, Look
 from .progress import PLACES, accuracy_by_covariance_um
 from .silence import Unseen, is_silent, sentences
 
@@ -197,6 +197,12 @@ def _at_the_end(loop: Held, found: Look, spent: str) -> tuple[str, tuple[str, ..
     names = tuple(" & ".join(sorted(name for name, _ in keys)) for keys in ties)
     effects = tuple(sorted(name for name, _ in ties[0]))
     settled = shape < found.value(ties[0]) - np.log(1e3) and lead.rest < -np.log(loop.level)
+    if not settled and len(ties[0]) > 1:
+        # two effects imitate much that is in no catalogue: named is what stands in everything that is likely
+        likely = [keys for keys, value in found.sets if value > found.value(ties[0]) - FAR]
+        certain = set(effects).intersection(*({name for name, _ in keys} for keys in likely))
+        told = f"{why}; {' & '.join(effects)} would say much of it, and what is in no catalogue nearly as much"
+        return ("partly explained" if certain else "undecided"), tuple(sorted(certain)), (), told
     if len(names) == 1:
         return ("explained" if settled else "partly explained"), effects, (), why
     if len(names) > _MOST_TIED:
