@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -21,6 +22,7 @@ from ...data.toml import Table
 from ...errors import ShapeError
 from ...model.kinds import Option
 from .columns import CENTRE, PAYLOAD, PLANE, TARGET
+from .frames import Triple
 from .robot import Serial
 
 if TYPE_CHECKING:
@@ -182,16 +184,15 @@ class VirtualSerial:
         longer = np.ones(k) if grown is None else 1.0 + grown[:k]
         now, out = np.eye(4), []
         for joint, q, s, t, longer_by in zip(self.robot.joints, joints, shift, tilt, longer, strict=True):
-            there = _matrix(turns.from_euler("xyz", joint.rpy_deg, degrees=True), joint.origin_mm)
-            aligned = _matrix(_aligning(joint.axis))
-            there = there @ aligned
+            mount, back = _mount(tuple(joint.rpy_deg), tuple(joint.origin_mm), tuple(joint.axis))
+            there = mount.copy()
             if not as_drawn:
                 lean = turns.from_rotvec([t[0], 0, 0]) * turns.from_rotvec([0, t[1], 0])
                 there = there @ _matrix(turns.identity(), (s[0], s[1], 0.0)) @ _matrix(lean)
             there[:3, 3] *= longer_by
             now = now @ there
             moved = _matrix(turns.identity(), (0, 0, q)) if joint.slides else _matrix(turns.from_rotvec([0, 0, q]))
-            now = now @ moved @ linalg.inv(aligned)
+            now = now @ moved @ back
             out.append(now)
         return out
 
@@ -202,7 +203,7 @@ class VirtualSerial:
         out = 0.0
         frames = self._frames(joints, as_drawn=True)
         for joint, frame, mass, centre in zip(self.robot.joints, frames, masses, centres, strict=True):
-            where = frame @ _matrix(_aligning(joint.axis)) @ [*centre, 1.0]
+            where = frame @ _matrix(_aligning(tuple(joint.axis))) @ [*centre, 1.0]
             out -= float(mass * (pull @ where[:3]))
         return out
 
@@ -266,7 +267,7 @@ class VirtualSerial:
         grown = warmer_c * np.broadcast_to(np.asarray(hidden.growth_per_c, dtype=float), (k + 1,))
         target = np.asarray(self.robot.targets_mm[number], dtype=float)
         tools = np.broadcast_to(np.asarray(self.tool_mm, dtype=float), (len(self.robot.targets_mm), 3))
-        moved = _aligning(self.robot.joints[-1].axis).as_matrix() @ tools[number]
+        moved = _aligning(tuple(self.robot.joints[-1].axis)).as_matrix() @ tools[number]
         return (self._frames(real, grown=grown)[-1] @ [*((target + moved) * (1.0 + grown[-1])), 1.0])[:3]
 
     def seen(self, point: Floats, late: bool) -> Floats:
@@ -376,7 +377,16 @@ def _matrix(turn: Rotation, shift_mm: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
     return out
 
 
-def _aligning(axis: ArrayLike) -> Rotation:
+@lru_cache(maxsize=256)
+def _mount(rpy_deg: Triple, origin_mm: Triple, axis: Triple) -> tuple[Floats, Floats]:
+    """A joint as drawn (4, 4), its z along its axis, and the turn back (4, 4)."""
+    turn = scipy.spatial.transform.Rotation.from_euler("xyz", rpy_deg, degrees=True)
+    aligned = _matrix(_aligning(axis))
+    return _matrix(turn, origin_mm) @ aligned, linalg.inv(aligned)
+
+
+@lru_cache(maxsize=256)
+def _aligning(axis: Triple) -> Rotation:
     """The turn of least angle that brings z onto an axis; where that is -z, about x."""
     turns = scipy.spatial.transform.Rotation
     u = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
