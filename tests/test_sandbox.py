@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -225,7 +226,8 @@ def test_lines_are_ended_with_the_one_who_asks(tmp_path: Path) -> None:
     ("inside", "said"),
     [
         ("pass", "<sherkit-scene"),
-        ("while abs(p.a) > 0.1: pass", "nothing could be told any more"),
+        # whichever of the drawing's questions is the first that is not answered
+        ("while abs(p.a) > 0.1: pass", "nothing could be told any more|did not end within 2 s"),
     ],
     ids=["drawn", "endless only where it is exaggerated"],
 )
@@ -238,7 +240,7 @@ def test_a_typed_effect_is_drawn_apart(bench: Workbench, inside: str, said: str)
     done(bench)
     assert bench.page_state.diagnosis is not None
     drawn = bench.page_state
-    assert said in drawn.drawings["ramp"]
+    assert re.search(said, drawn.drawings["ramp"])
 
     # an exaggeration that fails is no mistake of the model
     told = errors(bench)
@@ -253,4 +255,4 @@ def test_a_typed_effect_is_drawn_apart(bench: Workbench, inside: str, said: str)
 
     effect = bench.page_state.known["ramp"]
     object.__setattr__(effect, "function", asked)
-    assert said in _card(effect, drawn, opened=False)
+    assert re.search(said, _card(effect, drawn, opened=False))

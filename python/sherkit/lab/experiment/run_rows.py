@@ -117,11 +117,16 @@ def reads(method: _Method) -> _Method:
         except sqlite3.OperationalError as error:
             outside = getattr(error, "sqlite_errorname", "").startswith(_OUTSIDE)
             what = "cannot be read now" if outside else "is damaged and cannot be read"
-            raise ExperimentError(f"{self.path}: {what}: {error}") from None
+            raise ExperimentError(f"{self.path}: {what}: {_on_one_line(error)}") from None
         except (sqlite3.Error, pl.exceptions.PolarsError, ValueError, TypeError, LookupError, OverflowError) as error:
-            raise ExperimentError(f"{self.path}: is damaged and cannot be read: {error}") from None
+            raise ExperimentError(f"{self.path}: is damaged and cannot be read: {_on_one_line(error)}") from None
 
     return cast(_Method, sound)
+
+
+def _on_one_line(error: Exception) -> str:
+    """What went wrong, without what a damaged cell may hold: ends of lines, and characters that are none."""
+    return " ".join("".join(one if one.isprintable() else " " for one in str(error)).split())
 
 
 class RunRows:
