@@ -4,6 +4,7 @@ and the course of what has changed over the runs."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -133,7 +134,7 @@ def course(found: History) -> Picture[History]:
         _line(made, sources[name], COLOURS[(k + 1) % len(COLOURS)])
         made.add_layout(Whisker(base="date", lower="low", upper="high", source=sources[name], level="annotation"))
         made.yaxis.axis_label = _unit(found, name)[0]
-        made.title.text = "; ".join(str(one) for one in found.changes if one.name == name)
+        made.title.text = "; ".join(str(replace(one, or_else=())) for one in found.changes if one.name == name)
         figures.append(made)
     root = stacked("course", figures, sizing_mode="stretch_width")
     return Picture("course", root, sources, _course, note="Bars are two standard deviations.")
