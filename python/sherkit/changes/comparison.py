@@ -190,9 +190,7 @@ def concluded(joined: Joined, data: Sequence[Measurements], needed: float | None
     verdict, lead, ties, about = verdict_of(joined, evidence, sets, steps)
     names = tuple(sorted(name for name, _ in lead))
     moved, left = estimated(about, lead, steps)
-    absurd = [one for one in moved if _is_absurd(joined, names, one)] if verdict != "unexplained" else []
-    if absurd:
-        verdict = "unexplained"
+    large = [one for one in moved if _is_large(joined, names, one)] if verdict != "unexplained" else []
     tied = tuple(_named(keys) for keys in ties)
     fit = joined.fit
     after = errors_after(joined)
@@ -214,7 +212,7 @@ def concluded(joined: Joined, data: Sequence[Measurements], needed: float | None
         evidence=evidence.alone.log_mean / float(np.log(10.0)),
         ranked=tuple(ranked[:5]),
         where=_where(evidence) if verdict not in ("unchanged", "undecided") else "",
-        advice=_advice(verdict, names, tied, bool(poses), left, absurd),
+        advice=_doubt(large) + _advice(verdict, names, tied, bool(poses), left),
         aside={_called(one, k): len(joined.runs[k].aside) + int(one.outlier.sum()) for k, one in enumerate(data)},
         joined=joined,
     )
@@ -361,8 +359,8 @@ def estimated(joined: Joined, lead: Keys, steps: Sequence[Floats]) -> tuple[tupl
     return tuple(out), left
 
 
-def _is_absurd(joined: Joined, names: Sequence[str], one: Moved) -> bool:
-    """Whether an effect would have to be larger than it can be: it then stands for something else."""
+def _is_large(joined: Joined, names: Sequence[str], one: Moved) -> bool:
+    """Whether an effect is larger than is plausible: it may then stand for something else."""
     sizes = {
         p.name: p.size for name in names if joined.candidate(name).effect for p in joined.candidate(name).parameters
     }
@@ -394,12 +392,15 @@ def _where(evidence: Evidence) -> str:
     return max(shapes, key=lambda name: shapes[name]) if shapes and max(shapes.values()) > ALARM else ""
 
 
-def _advice(
-    verdict: str, names: tuple[str, ...], tied: tuple[str, ...], proposed: bool, left: float, absurd: Sequence[Moved]
-) -> str:
-    if absurd:
-        told = f"{' and '.join(names)} would explain it, were it not for its size ({absurd[0]})"
-        return f"calibrate again, all of it: {told}"
+def _doubt(large: Sequence[Moved]) -> str:
+    """That a change is larger than is plausible, in front of what to do."""
+    if not large:
+        return ""
+    most = max(large, key=lambda one: abs(one.change))
+    return f"{most} is more than such an effect plausibly does: look whether it stands for something else; "
+
+
+def _advice(verdict: str, names: tuple[str, ...], tied: tuple[str, ...], proposed: bool, left: float) -> str:
     if verdict == "unchanged":
         return "nothing needs to be done: the calibration still describes the robot"
     if verdict == "undecided":
