@@ -92,6 +92,7 @@ class Adaptive:
     def _begin_anew(self) -> None:
         self._family: Family | None = None
         self._looks: list[tuple[Look, State, tuple[Unseen, ...]]] = []
+        self._progress: list[Progress] = []
         self._asked: list[dict[str, Any]] = []
         self._asked_at = -1
 
@@ -126,9 +127,10 @@ class Adaptive:
     @property
     def progress(self) -> tuple[Progress, ...]:
         """How far off the models were, look by look, at readings that they were not fitted to yet."""
-        if self._progress is None or len(self._progress) != len(self._looks):
-            self._progress = progress(self.looks, self.seed)
-        return self._progress
+        looks = self.looks
+        for k in range(len(self._progress), len(looks)):
+            self._progress.append(progress(looks[k - 1] if k else None, looks[k], self.seed))
+        return tuple(self._progress)
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -233,7 +235,6 @@ class Adaptive:
         return self._concluded[1]
 
     _concluded: tuple[int, Conclusion] | None = None
-    _progress: tuple[Progress, ...] | None = None
 
     # -- asking ------------------------------------------------------------------------------------------
 

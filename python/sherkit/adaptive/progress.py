@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,12 +29,8 @@ class Progress:
     accuracy_um: float | None
 
 
-def progress(looks: Sequence[Look], seed: int) -> tuple[Progress, ...]:
-    """How it went, look by look."""
-    return tuple(_step(looks[k - 1] if k else None, now, seed) for k, now in enumerate(looks))
-
-
-def _step(before: Look | None, now: Look, seed: int) -> Progress:
+def progress(before: Look | None, now: Look, seed: int) -> Progress:
+    """How far it is at a look, by what the one before it held."""
     fit = now.lead.fit if now.lead is not None else now.fit
     accuracy = accuracy_by_covariance_um(now, fit, seed)
     if before is None:
