@@ -1,11 +1,15 @@
 """How many readings it takes until it is known: ``sk.Adaptive`` on the second simulators of delta, sphere and arm.
 
-python benchmarks/until_diagnosed.py [delta|spherical|arm|nothing|unknown|pairs|strategies …] [--seeds 10] [--from 0]
+python benchmarks/until_diagnosed.py [delta|spherical|arm|nothing|unknown|pairs|strategies|twins …] [--seeds 10]
+                                     [--from 0]
+
 Without a name all parts are run, which takes some hours on two cores; each line is printed when it is known.
 
 *Right* is a verdict that names what was hidden, alone or in a tie of at most three, and of nothing hidden "adequate";
 of an unknown kind it is "unexplained". *Wrong names* are effects named alone that were not hidden. Accuracy is the
-share of 100 new places at which the fitted model is off by no more than was promised.
+share of 100 new places at which the fitted model is off by no more than was promised. *Twins* are no loops: which
+effects of the spherical robot stand in for one another so well that as many readings as the budget has, without a
+choice, cannot make one 10,000 times as likely as the other.
 """
 
 from __future__ import annotations
@@ -196,11 +200,33 @@ def parts(chosen: Sequence[str], seeds: range) -> Iterator[tuple[str, list[Case]
             )
 
 
+def twins(name: str, ratio: float, seed: int) -> tuple[str, ...]:
+    """Effects of the spherical robot that cannot be told from one: which, fitted to what it does at as many places as
+    the budget has readings, leave less of it than the noise must tell."""
+    warnings.simplefilter("ignore")
+    world = DrivenSpherical(seed, (name,), ratio)
+    sigma, world.noise = world.noise, 0.0
+    joints = sk.Adaptive(world.robot, budget=BUDGET).region.anywhere(BUDGET, np.random.default_rng([seed, 6])).joints
+    rows = [
+        {"pose": k + 1, "repeat": 1, **dict(zip(world.joints, q.tolist(), strict=True))} for k, q in enumerate(joints)
+    ]
+    data = sk.from_frame(world.read(rows))
+    out = []
+    for other in HIDDEN["spherical"]:
+        try:
+            left = sk.identify(world.robot, data, effects=(other,)).residuals
+        except sk.errors.SherkitError:  # it asks for what is not recorded, or for a period
+            continue
+        if float(np.nansum(np.square(left / sigma))) < 2.0 * np.log(1e4) and other != name:
+            out.append(other)
+    return tuple(out)
+
+
 def main() -> None:
     """Runs the parts and prints the table."""
     every = ("delta", "spherical", "arm", "pairs", "unknown", "nothing", "strategies")
     reader = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    reader.add_argument("parts", nargs="*", choices=[*every, []], default=[])
+    reader.add_argument("parts", nargs="*", choices=[*every, "twins", []], default=[])
     reader.add_argument("--seeds", type=int, default=10)
     reader.add_argument("--from", dest="first", type=int, default=0)
     reader.add_argument("--workers", type=int, default=2)
@@ -215,6 +241,10 @@ def main() -> None:
             for one in outcomes:
                 if not one.right:
                     print(f"    {one.case}: {one.readings} readings, {one.told}", file=sys.stderr, flush=True)
+    if "twins" in asked.parts:
+        for ratio in RATIOS:
+            for name in (n for n in HIDDEN["spherical"] if n not in IN_TIME):
+                print(f"{name}, {ratio:g} ×: {', '.join(twins(name, ratio, asked.first)) or 'none'}", flush=True)
 
 
 if __name__ == "__main__":

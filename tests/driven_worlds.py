@@ -25,7 +25,7 @@ from second_simulator.spherical import SPHERICAL_EFFECTS, spherical_plan
 from sherkit.model.kinds import robot_from_tables
 from sherkit.robots.serial import VirtualSerial
 from test_arm_counted import arm_in
-from test_serial import NOISE_MM, PLAIN, hidden_at
+from test_serial import NOISE_MM, PLAIN, hidden_at, model_of, postures
 from test_spherical_discovery import NOISE_PX, PLANS, ROBOT, real_robot
 
 Floats = NDArray[np.float64]
@@ -33,6 +33,8 @@ Rows = list[dict[str, Any]]
 
 #: Over which time what lives in it is sized, s, and how long a reading takes.
 SPAN_S, PACE_S = 1800.0, 4.0
+#: How many times as much a hall warms as a room.
+_HALL = 5.0
 
 
 class World(ABC):
@@ -83,7 +85,7 @@ class World(ABC):
         ]
 
     def missed(self, fit: sk.fit.Fit, joints: Floats) -> Floats:
-        """How far (n,) a fit is off at new joints, read at once and without noise, in the unit of the readings."""
+        """How far (n,) a fit is off at new joints, read at once and without noise, mm."""
         assert self.told is not None, "something was read"
         n = len(joints)
         columns = dict(zip(self.joints, joints.T, strict=True))
@@ -93,8 +95,11 @@ class World(ABC):
         true = self.exact(whole)[-n:]
         filled = whole | dict(zip(self.readings, self.exact(whole).T, strict=True))
         data = fit.model.as_declared(sk.from_frame(filled))
-        predicted = fit.model.predict(data, fit.values)[-n:]
-        return np.linalg.norm(true - predicted[:, : true.shape[1]], axis=1)
+        return self.apart_mm(true, fit.model.predict(data, fit.values)[-n:, : true.shape[1]])
+
+    def apart_mm(self, seen: Floats, told: Floats) -> Floats:
+        """How far apart (n,) two sets of readings (n, m) are, mm."""
+        return np.linalg.norm(seen - told, axis=1)
 
 
 class DrivenDelta(World):
@@ -153,6 +158,14 @@ class DrivenSpherical(World):
         """As :class:`World` has it."""
         return self.real.truth({**columns, **{f"theta{i}_rad_per_s": 0.0 * columns["time_s"] for i in (1, 2)}})
 
+    def apart_mm(self, seen: Floats, told: Floats) -> Floats:
+        """On the sphere, as the drawing's camera sees pixels."""
+        radius_mm = self.real.radius_mm
+        (phi, gamma), (phi_told, gamma_told) = (
+            self.robot.seen.core.angles_batch(np.ascontiguousarray(px), radius_mm)[0].T for px in (seen, told)
+        )
+        return radius_mm * np.hypot((phi - phi_told) * np.sin(gamma), gamma - gamma_told)
+
 
 class DrivenArm(World):
     """A UR5 before a laser tracker, by the simulator of arms that is written apart from the core."""
@@ -165,9 +178,46 @@ class DrivenArm(World):
             self.robot = arm_in(Path(folder))
         self.joints = self.robot.layout.joints
         self.real = VirtualSerial.simulated(self.robot, seed, 1.0, PLAIN)
-        for name in hidden:
-            self.real = self.real.with_hidden(**hidden_at(self.robot, name, ratio, seed))
         self._known: list[Floats] = []
+        plan = self._plan(seed)
+        plain = self.real
+        for name in hidden:
+            planted = hidden_at(self.robot, name, ratio, seed)
+            # as large as asked for over this room and this half hour
+            left = self._left(plan, plain, plain.with_hidden(**planted))
+            by = ratio * NOISE_MM / float(np.sqrt(np.mean(left**2)))
+            self.real = self.real.with_hidden(**{f: v if f == "per_turn" else by * v for f, v in planted.items()})
+        self._known.clear()
+
+    def room(self, time_s: Floats) -> dict[str, Floats]:
+        """A hall: of what a room does to an arm no tracker sees anything."""
+        inside = super().room(time_s)
+        return inside | {"temperature_c": 20.0 + _HALL * (inside["temperature_c"] - 20.0)}
+
+    def _plan(self, seed: int) -> dict[str, Floats]:
+        """Poses over the whole workspace and half an hour."""
+        poses = postures(self.robot, 108, 0.9, seed)
+        time_s = np.linspace(0.0, SPAN_S, len(poses))
+        return dict(zip(self.joints, poses.T, strict=True)) | {"time_s": time_s} | self.room(time_s)
+
+    def _left(self, plan: Mapping[str, Floats], plain: VirtualSerial, planted: VirtualSerial) -> Floats:
+        """What the geometry leaves (n·m,) of that by which two arms differ; all, of what it takes whole."""
+        seen = []
+        for self.real in (planted, plain):
+            self._known.clear()
+            seen.append(self.exact(plan))
+        n = len(seen[1])
+        rows = (
+            {"pose": np.arange(n), "repeat": np.ones(n)} | dict(plan) | dict(zip(self.readings, seen[1].T, strict=True))
+        )
+        model = model_of(self.robot)
+        data = model.as_declared(sk.from_frame(rows))
+        columns = model.derivatives(data, np.zeros(len(model.parameters)))[:, : len(self.readings)]
+        columns = columns.reshape(-1, columns.shape[2])
+        columns = columns / np.linalg.norm(columns, axis=0)
+        change = (seen[0] - seen[1]).ravel()
+        left = change - columns @ np.linalg.lstsq(columns, change, rcond=1e-10)[0]
+        return left if np.linalg.norm(left) > 1e-2 * np.linalg.norm(change) else change
 
     def exact(self, columns: Mapping[str, Floats]) -> Floats:
         """As :class:`World` has it; rows that were read once are remembered."""

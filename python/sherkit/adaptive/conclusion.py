@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..base import linalg
+from ..base.names import listed
 from ..calibration import calibrate
 from ..data import Measurements
 from ..data.noise import noise_of
@@ -206,7 +207,7 @@ def _at_the_end(loop: Held, found: Look, spent: str) -> tuple[str, tuple[str, ..
     if len(names) == 1:
         return ("explained" if settled else "partly explained"), effects, (), why
     if len(names) > _MOST_TIED:
-        return "undecided", (), (), f"{why}; {len(names)} effects or pairs explain as well"
+        return "undecided", (), (), f"{why}; {len(names)} effects or pairs explain as well: {listed(names)}"
     return ("explained" if settled else "partly explained"), effects, (names,), why
 
 
