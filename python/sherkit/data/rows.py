@@ -378,6 +378,11 @@ class Measurements:
         frame = pl.DataFrame({**columns, **self.covariates, **self.labels})
         return frame.with_columns(pl.col(pl.Float64).fill_nan(None))
 
+    @property
+    def tells_sides(self) -> bool:
+        """Whether it is told from which side each joint came last: not merely by the order of the rows."""
+        return any(map(self._remembers, range(self.joints.shape[1])))
+
     def _remembers(self, joint: int) -> bool:
         """Whether the direction of a joint is known and does not follow from time and joints of these rows."""
         known = self.direction[:, joint]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
+from itertools import product
 
 import numpy as np
 
@@ -18,12 +19,14 @@ from ..base.figures import number
 from ..base.names import spans
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
-from ..errors import FitError, SherkitWarning
+from ..data.noise import MAD
+from ..errors import FitError, SherkitError, SherkitWarning
 from ..fit.error import of_residuals
 from ..fit.identify import Fit
 from ..fit.set_up import set_up_mistakes
 from ..model.effect import Effect
 from .fitted_run import FittedRun
+from .lack_of_fit import chi2_tail
 from .linearised import Linearised, orthonormal
 from .outlier_fit import OutlierFit
 from .robust_start import huber, robust_start
@@ -45,6 +48,8 @@ _SLIPPED = 3.0
 _LASTS, _POSES = 5, 3
 #: Part of the wrong rows that hold one value where that is what is wrong with them.
 _ONE_VALUE = 0.4
+#: Chance of a first reading that is off, and of one that is not, from the right side.
+_OFF, _NEAR = 1e-6, 1e-3
 #: What gross errors may add to what a fit leaves before it is said that they decide it.
 _MATTERS = 1.1
 
@@ -121,7 +126,29 @@ def _outlying(run: FittedRun, effects: Sequence[Effect], rows: Ints) -> Ints:
     """
     view = run.linearised(rows, effects, run.noise[0][list(run.axes)])
     outliers = OutlierFit(view, declared=run.noise[1] == "declared").outliers()
-    return np.sort(rows[outliers & ~_visits(view.time, outliers) & ~_ends(view, outliers)])
+    outliers &= ~_visits(view.time, outliers) & ~_ends(view, outliers)
+    outliers[0] |= came_from_elsewhere(run, effects, rows)
+    return np.sort(rows[outliers])
+
+
+def came_from_elsewhere(run: FittedRun, effects: Sequence[Effect], rows: Ints) -> bool:
+    """Whether the first of these rows, of which nobody told from which side its joints came, is off by what their sides
+    make, and would not be had some come from the other."""
+    data, first, axes = run.data, rows[:1], list(run.axes)
+    by_side = [effect for effect in effects if "direction" in effect.needs and effect.function is None]
+    if not by_side or data.tells_sides or not (data.direction[first] == 1.0).all():
+        return False
+    try:
+        with_it = run.refit([(effect, None) for effect in by_side])
+    except SherkitError:
+        return False
+    left = with_it.residuals[rows][:, axes]
+    spread = np.maximum(MAD * np.median(np.abs(left), axis=0), run.digits[axes])
+    by = with_it.model.derivatives(data.select(first), with_it.fit.values)[0][axes]
+    turned = np.array(list(product((0.0, 2.0), repeat=data.joints.shape[1])))
+    other = left[0] + sum(turned @ (by[:, at] * with_it.fit.values[at]).T for at in map(with_it.owns, by_side))
+    chance = chi2_tail(np.square(other / spread).sum(axis=1), len(axes))
+    return bool(chance[0] < _OFF and chance.max() > _NEAR)
 
 
 def sentences(fit: Fit, rows: Ints) -> tuple[str, ...]:

@@ -126,7 +126,10 @@ def diagnose(
     contradicted: dict[str, tuple[float, float]] = {}
     if repeats is not None:
         run = run.with_data(with_the_way(run.data, repeats.held, run))
-        sigma, contradicted = by_repeats(run, sigma, repeats, declared=origin == "declared")
+        shown, contradicted = by_repeats(run, sigma, repeats, declared=origin == "declared")
+        if not np.array_equal(shown, sigma):
+            # axes were weighed by what repeats hold
+            run, sigma = run.on(np.arange(len(run.data)), shown), shown
         origin = "repeats" if contradicted else origin
     periods = repeats.periods if repeats is not None else ()
     long = run
