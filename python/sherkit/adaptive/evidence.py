@@ -96,22 +96,37 @@ class Evidence:
         basis = orthonormal(np.concatenate([np.zeros((len(self.residual), 0)), *taken], axis=1))
         return float(self.residual @ self.residual) - float(np.square(basis.T @ self.residual).sum())
 
+    @cached_property
+    def _alike(self) -> list[tuple[Ints, Ints]]:
+        """All settings of all hypotheses by how many columns they have: their numbers (v,), one hypothesis after the
+        other, and where their columns (v, k) stand."""
+        counts = [len(self.family.by_name[name].settings) for name in self.place]
+        widths = [(at.stop - at.start) // count for at, count in zip(self.place.values(), counts, strict=True)]
+        width = np.repeat(np.array(widths, dtype=np.int64), counts)
+        begins = np.cumsum(width) - width
+        each = ((k, np.flatnonzero(width == k)) for k in np.unique(width).tolist())
+        return [(some, begins[some, None] + np.arange(k)) for k, some in each]
+
     def _weighed(self, columns: Floats, residual: Floats, free: int, without: Iterable[str] = ()) -> Weighed:
         squares = float(residual @ residual)
         told = free > 0 and squares > self._least
         answers = columns.T @ residual
+        found = np.zeros(sum(len(settings) for settings, _ in self._alike))
+        for settings, at in self._alike if told else ():
+            some = columns[:, at.ravel()].reshape(len(residual), *at.shape).transpose(1, 2, 0)
+            found[settings] = log_bayes(some @ some.transpose(0, 2, 1), answers[at], squares, free)
         log_bf: dict[str, float] = {}
         setting: dict[str, float | None] = {}
-        for name, at in self.place.items():
-            if name in without:
-                continue
+        last = 0
+        for name in self.place:
             h = self.family.by_name[name]
-            count = len(h.settings)
-            found = np.zeros(count)
-            if told:
-                some = columns[:, at].reshape(len(residual), count, -1).transpose(1, 2, 0)
-                found = log_bayes(some @ some.transpose(0, 2, 1), answers[at].reshape(count, -1), squares, free)
-            log_bf[name], setting[name] = _log_sum(found) - float(np.log(count)), h.settings[int(np.argmax(found))]
+            first, last = last, last + len(h.settings)
+            if name not in without:
+                each = found[first:last]
+                log_bf[name], setting[name] = (
+                    _log_sum(each) - float(np.log(len(each))),
+                    h.settings[int(np.argmax(each))],
+                )
         if self.pose is not None and ROUGH not in without:
             log_bf[ROUGH] = Agreement.of(residual, self.pose, free).log_bf if told else 0.0
             setting[ROUGH] = None

@@ -56,7 +56,7 @@ class Hypotheses:
         """Hypotheses by name."""
         return {h.name: h for h in self.hypotheses}
 
-    @property
+    @cached_property
     def effects(self) -> tuple[Hypothesis, ...]:
         """Those that are causes."""
         return tuple(h for h in self.hypotheses if not h.is_shape)
