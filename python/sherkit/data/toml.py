@@ -6,10 +6,10 @@ Robot files are read with it, calibrations, and the files of laboratories and ex
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -61,46 +61,10 @@ _OTHER = {
 Schema = dict[str, Any]
 _NUMBER: Schema = {"type": "number"}
 _POSITIVE: Schema = {"type": "number", "exclusiveMinimum": 0}
-#: The tables that are being watched, see :func:`watched`.
-_WATCHED: list[Table] | None = None
 
 
 def _list(items: Schema, count: int | None = None) -> Schema:
     return {"type": "array", "items": items} | ({} if count is None else {"minItems": count, "maxItems": count})
-
-
-def merged(schemas: Sequence[Schema], *, one_table: bool = False) -> Schema:
-    """One schema of tables that were asked for different things: what any may have, what all must; what any must
-    where it is ``one_table`` that several asked."""
-    first, *others = schemas
-    out = dict(first)
-    for other in others:
-        if "properties" in out and "properties" in other:
-            known, more = out["properties"], other["properties"]
-            out["properties"] = known | {k: merged([known[k], v]) if k in known else v for k, v in more.items()}
-            before, now = set(out.get("required", ())), set(other.get("required", ()))
-            needed = before | now if one_table else before & now
-            out.pop("required", None)
-            out |= {"required": sorted(needed)} if needed else {}
-        elif "items" in out and "items" in other:
-            out["items"] = merged([out["items"], other["items"]])
-        elif "enum" in out and "enum" in other:
-            out["enum"] = list(dict.fromkeys([*out["enum"], *other["enum"]]))
-        elif other.get("properties") or other.get("items"):
-            out = dict(other)
-    return out
-
-
-@contextmanager
-def watched() -> Iterator[list[Table]]:
-    """The tables of the files that are read meanwhile, to see what is asked of them. What they lack is answered with
-    something of the kind that was asked for, so that readers go on."""
-    global _WATCHED
-    _WATCHED = []
-    try:
-        yield _WATCHED
-    finally:
-        _WATCHED = None
 
 
 class Table:
@@ -117,12 +81,6 @@ class Table:
         self._path = path
         self._error = error
         self._known: set[str] = set()
-        #: What was asked for: schemas by key, and the keys that must be there.
-        self._asked: dict[str, Schema] = {}
-        self._inner: dict[str, list[Table]] = {}
-        self._needed: set[str] = set()
-        if not path and _WATCHED is not None:
-            _WATCHED.append(self)
 
     def _name(self, key: str) -> str:
         return f"[{self._path}] {brief(key)}" if self._path else brief(key)
@@ -143,30 +101,28 @@ class Table:
         """The file that it stands in."""
         return self._where
 
-    def schema(self) -> Schema:
-        """What was asked of this table so far, as JSON schema."""
-        known = {key: self._asked.get(key, {}) for key in sorted(self._known)}
-        for key, tables in self._inner.items():
-            inside = merged([one.schema() for one in tables])
-            known[key] = {"type": "array", "items": inside} if known[key].get("type") == "array" else inside
-        made: Schema = {"type": "object", "properties": known, "additionalProperties": False}
-        return made | ({"required": sorted(self._needed)} if self._needed else {})
+    @property
+    def values(self) -> Mapping[str, Any]:
+        """What is in it, as it was given."""
+        return self._values
 
-    def _ask(self, key: str, expected: str, schema: Schema) -> None:
+    def _get(
+        self, key: str, expected: str, default: Any, schema: Schema, sample: Any = None, *, optional: bool = False
+    ) -> Any:
+        """The value of a key as it is given, or ``default``, None being one where the key is ``optional``; ``schema``
+        and a ``sample`` of what is expected are for :class:`~sherkit.data.asked.AskedTable`."""
+        del schema, sample
         self._known.add(key)
-        self._asked[key] = {"description": expected, **schema}
-
-    def _get(self, key: str, expected: str, default: Any, schema: Schema, sample: Any = None) -> Any:
-        self._ask(key, expected, schema)
-        if default is None:
-            self._needed.add(key)
-        if key not in self._values:
-            if default is not None:
-                return default
-            if sample is not None and _WATCHED is not None:
-                return sample
+        if key in self._values:
+            return self._values[key]
+        if default is None and not optional:
             raise self._missing(key, expected)
-        return self._values[key]
+        return default
+
+    def _inside(self, key: str, values: Mapping[str, Any], name: str) -> Self:
+        """The table ``values`` of a key, called by ``name`` in messages."""
+        del key
+        return type(self)(values, self._where, f"{self._path}.{name}" if self._path else name, self._error)
 
     def _missing(self, key: str, expected: str) -> SherkitError:
         # a misspelt key is both missing and unknown: say it once, where the user typed it
@@ -175,24 +131,22 @@ class Table:
         return self._error(f"{self._where}: {self._name(key)} is missing; expected {expected}{hint}")
 
     @contextmanager
-    def table(self, key: str, *, optional: bool = False) -> Iterator[Table]:
+    def table(self, key: str, *, optional: bool = False) -> Iterator[Self]:
         """A sub-table; on leaving it, unknown keys are refused."""
         values = self._get(key, "a table", {} if optional else None, {}, {})
         if not isinstance(values, Mapping):
             raise self.fail(key, f"a table [{key}]")
-        inner = Table(values, self._where, f"{self._path}.{key}" if self._path else key, self._error)
-        self._inner[key] = [inner]
+        inner = self._inside(key, values, key)
         yield inner
         inner.finish()
 
-    def tables(self, key: str, *, optional: bool = True) -> Iterator[Table]:
+    def tables(self, key: str, *, optional: bool = True) -> Iterator[Self]:
         """The tables of a list ``[[key]]``, none where it is not given; past each, its unknown keys are refused."""
         values = self._get(key, "a list of tables", [] if optional else None, {"type": "array"})
         if not isinstance(values, list) or not all(isinstance(v, Mapping) for v in values):
             raise self.fail(key, f"tables [[{key}]]")
         for k, one in enumerate(values, 1):
-            inner = Table(one, self._where, f"{self._path}.{key} {k}" if self._path else f"{key} {k}", self._error)
-            self._inner.setdefault(key, []).append(inner)
+            inner = self._inside(key, one, f"{key} {k}")
             yield inner
             inner.finish()
 
@@ -325,8 +279,7 @@ class Table:
 
     def heights(self, key: str) -> tuple[float, float] | None:
         """Two numbers, the lower first, or None where the key is not given."""
-        self._ask(key, "two numbers, the lower first", _list(_NUMBER, 2))
-        if key not in self._values:
+        if self._get(key, "two numbers, the lower first", None, _list(_NUMBER, 2), optional=True) is None:
             return None
         low, high = self.numbers(key, 2, (0.0, 0.0))
         if not low < high:
@@ -337,14 +290,13 @@ class Table:
         """A positive number, or None where the key is not given; ``or_zero``: 0 says that there is none."""
         zero = {"type": "number", "minimum": 0}
         expected = "a positive number" + (", or 0 for none" if or_zero else "")
-        self._ask(key, expected, zero if or_zero else _POSITIVE)
-        if key not in self._values:
+        value = self._get(key, expected, None, zero if or_zero else _POSITIVE, optional=True)
+        if value is None:
             return None
         if not or_zero:
             return self.number(key, 1.0, positive=True)
-        value = self._values[key]
         if not _is_number(value) or value < 0:
-            raise self.fail(key, "a positive number, or 0 for none")
+            raise self.fail(key, expected)
         return float(value)
 
     def numbers(
