@@ -51,7 +51,11 @@ def _robots() -> Schema:
 
 def _of_kind(name: str, asked: Schema, more: Schema) -> Schema:
     known = {"kind": {"const": name}, **asked["properties"], **more}
-    return {**asked, "properties": dict(sorted(known.items())), "required": sorted({"kind", *asked.get("required", ())})}
+    return {
+        **asked,
+        "properties": dict(sorted(known.items())),
+        "required": sorted({"kind", *asked.get("required", ())}),
+    }
 
 
 def _experiments() -> Schema:

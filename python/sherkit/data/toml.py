@@ -97,11 +97,6 @@ class Table:
         return self._error(f"{self._where}: [{self._path}] {what}")
 
     @property
-    def where(self) -> str:
-        """The file that it stands in."""
-        return self._where
-
-    @property
     def values(self) -> Mapping[str, Any]:
         """What is in it, as it was given."""
         return self._values
@@ -205,7 +200,7 @@ class Table:
             raise self.fail(key, "a list of whole numbers")
         return tuple(value)
 
-    def flag(self, key: str, default: bool) -> bool:
+    def flag(self, key: str, default: bool | None = None) -> bool:
         """true or false."""
         value = self._get(key, "true or false", default, {"type": "boolean"})
         if not isinstance(value, bool):
