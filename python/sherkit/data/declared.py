@@ -14,8 +14,10 @@ class Stage(Declared):
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields, replace
+from functools import reduce
+from operator import getitem
 from typing import Any, ClassVar, Concatenate, ParamSpec, Self
 
 import numpy as np
@@ -23,37 +25,37 @@ import numpy as np
 from .toml import Table
 
 P = ParamSpec("P")
-#: The default of a key is that of the class.
-_OF_CLASS = object()
 
 
 @dataclass(frozen=True)
 class Key:
     """A key of a table: how it is ``read``, and the ``attribute`` that it is, which has its name unless another is
-    given. Where it is left out it is ``default``, that of the class unless another is given; None needs it."""
+    given, or the element of it at ``place``. Where the file leaves it out it is what the class has by itself."""
 
     read: Callable[..., Any]
     attribute: str = ""
-    default: Any = _OF_CLASS
+    place: tuple[int, ...] = ()
+    is_needed: bool = False
     is_quiet: bool = False
 
-    def of(self, attribute: str) -> Key:
-        """The same of an attribute with another name."""
-        return replace(self, attribute=attribute)
-
-    def otherwise(self, default: Any) -> Key:
-        """The same with a default of its own."""
-        return replace(self, default=default)
+    def of(self, attribute: str, *place: int) -> Key:
+        """The same of an attribute with another name, or of an element of it."""
+        return replace(self, attribute=attribute, place=place)
 
     @property
     def needed(self) -> Key:
-        """The same where the file must say it, though Python need not."""
-        return replace(self, default=MISSING)
+        """The same where a file must say it, though Python need not."""
+        return replace(self, is_needed=True)
 
     @property
     def quiet(self) -> Key:
         """The same, written only where it is not what the class has by itself."""
         return replace(self, is_quiet=True)
+
+    def default(self, usual: Mapping[str, Any]) -> Any:
+        """What it is where it is left out, of what the class has by itself; MISSING where it may not be."""
+        missing = self.is_needed or self.attribute not in usual
+        return MISSING if missing else reduce(getitem, self.place, usual[self.attribute])
 
 
 def key(method: Callable[Concatenate[Table, str, P], Any], *given: P.args, **how: P.kwargs) -> Key:
@@ -63,8 +65,7 @@ def key(method: Callable[Concatenate[Table, str, P], Any], *given: P.args, **how
 
 @dataclass(frozen=True)
 class Inner:
-    """A table that makes an attribute of its own, by ``from_table`` and ``to_table`` of its class; left out where that
-    is None."""
+    """A table that makes an attribute of its own, by ``from_table`` and ``to_table`` of its class."""
 
     made: type[Any]
     attribute: str
@@ -75,80 +76,85 @@ Keys = Mapping[str, Key]
 
 def keys_from(table: Table, keys: Keys, made: type[Any]) -> dict[str, Any]:
     """What ``keys`` of a table say, by the attributes of the class that they make."""
-    usual, out = _defaults(made), {}
-    for name, one in keys.items():
-        default = _default(name, one, usual)
-        given = {} if default in (None, MISSING) else {"default": default}
-        out[one.attribute or name] = one.read(table, name, **given)
+    usual = _usual(made)
+    out: dict[str, dict[tuple[int, ...], Any]] = {}
+    for name, one in _named(keys):
+        default = one.default(usual)
+        given = {} if default is None or default is MISSING else {"default": default}
+        out.setdefault(one.attribute, {})[one.place] = one.read(table, name, **given)
+    return {attribute: _joined(elements) for attribute, elements in out.items()}
+
+
+def keys_of(made: object, keys: Keys) -> dict[str, Any]:
+    """What :func:`keys_from` reads; None is left out."""
+    usual, out = _usual(type(made)), {}
+    for name, one in _named(keys):
+        value = _plain(reduce(getitem, one.place, getattr(made, one.attribute)))
+        if value is not None and not (one.is_quiet and value == _plain(one.default(usual))):
+            out[name] = value
     return out
-
-
-def keys_of(values: Mapping[str, Any], keys: Keys, made: type[Any]) -> dict[str, Any]:
-    """What :func:`keys_from` reads, for attributes by name; None is left out."""
-    usual, out = _defaults(made), {}
-    for name, one in keys.items():
-        value = values[one.attribute or name]
-        if value is not None and not (one.is_quiet and value == _default(name, one, usual)):
-            out[name] = _plain(value)
-    return out
-
-
-def tables_from(table: Table, tables: Mapping[str, Keys | Inner], made: type[Any]) -> dict[str, Any]:
-    """What the tables inside a table say, by the attributes of the class that they make; one is needed where a key of
-    it is. ``made.check(name, table, values)``, if it has that, refuses numbers that do not fit together."""
-    usual, out = _defaults(made), {}
-    for name, inside in tables.items():
-        if isinstance(inside, Inner):
-            if table.has(name):
-                with table.table(name) as inner:
-                    out[inside.attribute] = inside.made.from_table(inner)
-            continue
-        optional = all(_default(name, one, usual) is not MISSING for name, one in inside.items())
-        with table.table(name, optional=optional) as inner:
-            values = keys_from(inner, inside, made)
-            made.check(name, inner, values)
-        out |= values
-    return out
-
-
-def tables_of(values: Mapping[str, Any], tables: Mapping[str, Keys | Inner], made: type[Any]) -> dict[str, Any]:
-    """What :func:`tables_from` reads, for attributes by name; tables without a key are left out."""
-    out = {}
-    for name, inside in tables.items():
-        if not isinstance(inside, Inner):
-            out[name] = keys_of(values, inside, made)
-        elif values[inside.attribute] is not None:
-            out[name] = values[inside.attribute].to_table()
-    return {name: inside for name, inside in out.items() if inside}
 
 
 class Declared:
-    """A dataclass with a ``kind`` that reads and writes its file by ``TABLES``: the keys of each table."""
+    """A dataclass with a ``kind`` that reads and writes its file by ``TABLES``: the keys of each table. Tables are
+    needed where one of their keys is."""
 
     TABLES: ClassVar[Mapping[str, Keys | Inner]]
     kind: str
 
     @classmethod
     def check(cls, name: str, table: Table, values: Mapping[str, Any]) -> None:
-        """Refuses ``values`` of the table called ``name`` that do not fit together, with ``table.fail``."""
+        """Refuses, with ``table.fail``, what does not fit together: ``values`` up to those of the table called
+        ``name``."""
 
     @classmethod
     def from_table(cls, table: Table) -> Self:
         """Reads the tables of a file. Raises what the table raises, naming file, table and key."""
-        return cls(**tables_from(table, cls.TABLES, cls))
+        return cls(**cls.values_from(table))
+
+    @classmethod
+    def values_from(cls, table: Table) -> dict[str, Any]:
+        """What ``TABLES`` say, by attributes."""
+        usual, out = _usual(cls), {}
+        for name, inside in cls.TABLES.items():
+            if isinstance(inside, Inner):
+                if table.has(name):
+                    with table.table(name, optional=inside.attribute in usual) as inner:
+                        out[inside.attribute] = inside.made.from_table(inner)
+                continue
+            optional = all(one.default(usual) is not MISSING for _, one in _named(inside))
+            with table.table(name, optional=optional) as inner:
+                out |= keys_from(inner, inside, cls)
+                cls.check(name, inner, out)
+        return out
 
     def to_tables(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
-        return {"kind": self.kind, **tables_of(vars(self), self.TABLES, type(self))}
+        out: dict[str, Any] = {"kind": self.kind}
+        for name, inside in self.TABLES.items():
+            if not isinstance(inside, Inner):
+                out[name] = keys_of(self, inside)
+            elif (made := getattr(self, inside.attribute)) is not None:
+                out[name] = made.to_table()
+        return {name: inside for name, inside in out.items() if inside}
 
 
-def _defaults(made: type[Any]) -> dict[str, Any]:
+def _usual(made: type[Any]) -> dict[str, Any]:
     return {one.name: one.default for one in fields(made) if one.default is not MISSING}
 
 
-def _default(name: str, one: Key, usual: Mapping[str, Any]) -> Any:
-    """What a key is where it is left out; MISSING where it may not be."""
-    return usual.get(one.attribute or name, MISSING) if one.default is _OF_CLASS else one.default
+def _named(keys: Keys) -> Iterator[tuple[str, Key]]:
+    """Each key with its attribute."""
+    for name, one in keys.items():
+        yield name, one if one.attribute else one.of(name)
+
+
+def _joined(elements: Mapping[tuple[int, ...], Any]) -> Any:
+    """Elements by their place, as tuples in tuples."""
+    if () in elements:
+        return elements[()]
+    firsts = sorted({place[0] for place in elements})
+    return tuple(_joined({p[1:]: v for p, v in elements.items() if p[0] == first}) for first in firsts)
 
 
 def _plain(value: Any) -> Any:
