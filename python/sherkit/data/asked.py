@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 from ..errors import RobotError, SherkitError
@@ -23,13 +23,14 @@ class AskedTable(Table):
         self._inner: dict[str, list[Self]] = {}
 
     def _get(
-        self, key: str, expected: str, default: Any, schema: Schema, sample: Any = None, *, optional: bool = False
-    ) -> Any:
+        self, key: str, expected: str, schema: Schema, holds: Callable[[Any], bool], default: Any = None, *,
+        sample: Any = None, optional: bool = False,
+    ) -> Any:  # fmt: skip
         self._asked[key] = {"description": expected, **schema}
         if default is None and not optional:
             self._needed.add(key)
             default = sample
-        return super()._get(key, expected, default, schema, optional=optional)
+        return super()._get(key, expected, schema, holds, default, optional=optional)
 
     def _inside(self, key: str, values: Mapping[str, Any], name: str) -> Self:
         inner = super()._inside(key, values, name)
