@@ -118,9 +118,12 @@ class Declared:
         usual, out = _usual(cls), {}
         for name, inside in cls.TABLES.items():
             if isinstance(inside, Inner):
-                if table.has(name):
-                    with table.table(name, optional=inside.attribute in usual) as inner:
-                        out[inside.attribute] = inside.made.from_table(inner)
+                optional = inside.attribute in usual
+                if optional and not table.has(name):
+                    table.pass_over(name)
+                    continue
+                with table.table(name, optional=optional) as inner:
+                    out[inside.attribute] = inside.made.from_table(inner)
                 continue
             optional = all(one.default(usual) is not MISSING for _, one in _named(inside))
             with table.table(name, optional=optional) as inner:
