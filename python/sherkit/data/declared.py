@@ -1,15 +1,17 @@
 """What stands where in a file, declared once by the class that it makes: reading and writing follow from that.
 
-@dataclass(frozen=True)
-class Stage(Declared):
-    travel_mm: tuple[float, float]
-    limits_mm: tuple[float, float] | None = None
-    kind: str = field(default="stage", init=False)
+    @dataclass(frozen=True)
+    class Stage(Declared):
+        travel_mm: tuple[float, float]
+        limits_mm: tuple[float, float] | None = None
+        kind: str = field(default="stage", init=False)
 
-    TABLES = {
-        "geometry": {"travel_mm": key(Table.numbers, 2, positive=True)},
-        "joints": {"limits_mm": key(Table.heights)},
-    }
+        TABLES: ClassVar = {
+            "geometry": {"travel_mm": key(Table.numbers, 2, positive=True)},
+            "joints": {"limits_mm": key(Table.heights)},
+        }
+
+Defaults are those of the class. A table is needed where one of its keys is.
 """
 
 from __future__ import annotations
@@ -96,8 +98,7 @@ def keys_of(made: object, keys: Keys) -> dict[str, Any]:
 
 
 class Declared:
-    """A dataclass with a ``kind`` that reads and writes its file by ``TABLES``: the keys of each table. Tables are
-    needed where one of their keys is."""
+    """A dataclass with a ``kind`` that reads and writes its file by ``TABLES``: the keys of each table."""
 
     TABLES: ClassVar[Mapping[str, Keys | Inner]]
     kind: str
@@ -118,12 +119,10 @@ class Declared:
         usual, out = _usual(cls), {}
         for name, inside in cls.TABLES.items():
             if isinstance(inside, Inner):
-                optional = inside.attribute in usual
-                if optional and not table.has(name):
-                    table.pass_over(name)
-                    continue
-                with table.table(name, optional=optional) as inner:
-                    out[inside.attribute] = inside.made.from_table(inner)
+                table.pass_over(name)
+                if table.has(name) or inside.attribute not in usual:
+                    with table.table(name, optional=inside.attribute in usual) as inner:
+                        out[inside.attribute] = inside.made.from_table(inner)
                 continue
             optional = all(one.default(usual) is not MISSING for _, one in _named(inside))
             with table.table(name, optional=optional) as inner:
