@@ -6,21 +6,22 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import tomli_w
 
+from ..data.asked import AskedTable, merged
 from ..data.files import write_whole
-from ..data.toml import Schema, Table, merged, watched
-from ..errors import SherkitError
-from ..lab.experiment import load_experiment
-from ..lab.experiment.file import names_of_poses
+from ..data.toml import Schema
+from ..errors import ExperimentError, SherkitError
+from ..lab.experiment.file import experiment_from, names_of_poses
 from ..lab.kinds import instrument_kinds
+from ..lab.own_code import OwnCode
 from ..model.kinds import Kind, known_kinds
-from ..model.robot_file import load_robot
-from ..robots.tool.tool import FlexibleTool, load_tool
+from ..robots.tool.tool import FlexibleTool
 from . import output
 
 _LIMITS = {"mm": ("limits_mm", [60.0, 200.0]), "rad": ("limits_deg", [-180.0, 270.0])}
@@ -30,33 +31,34 @@ _LIMITS = {"mm": ("limits_mm", [60.0, 200.0]), "rad": ("limits_deg", [-180.0, 27
 @click.argument("file", type=click.Choice(("robot", "experiment", "laboratory")))
 def schema(file: str) -> None:
     """Print what a FILE of this sort may hold, as JSON schema: editors check and complete TOML with it."""
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        made = {"robot": _robots, "experiment": _experiments, "laboratory": _laboratories}[file](Path(folder))
+    made = {"robot": _robots, "experiment": _experiments, "laboratory": _laboratories}[file]()
     output.print_json({"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"sherkit {file}", **made})
 
 
-def _robots(folder: Path) -> Schema:
+def _robots() -> Schema:
     """One schema for each kind: its reader is shown an example."""
-    examples: dict[str, tuple[list[Mapping[str, Any]], Callable[[Path], object]]] = {}
+    named = {"type": "object", "additionalProperties": {"type": "string"}}
+    columns = {"columns": {"description": "names of columns of its runs, by ours", **named}}
+    out = []
     for kind in known_kinds().values():
         if kind.example is not None:
             whole = kind.example.to_tables()
-            examples[kind.name] = ([whole, *({**whole, **one} for one in kind.spelt)], load_robot)
+            ways = [whole, *({**whole, **one} for one in kind.spelt)]
+            out.append(_of_kind(kind.name, merged([_asked(one, kind.robot.from_table) for one in ways]), columns))
     tool = FlexibleTool().to_tables()
-    examples[tool["kind"]] = ([tool], load_tool)
-    out = []
-    for name, (ways, reader) in examples.items():
-        made = merged([_asked(folder / f"{name}.toml", tables, reader) for tables in ways])
-        made["properties"]["kind"] = {"const": name}
-        if reader is load_robot:
-            named = {"type": "object", "additionalProperties": {"type": "string"}}
-            made["properties"]["columns"] = {"description": "names of columns of its runs, by ours", **named}
-        out.append(made)
-    return {"oneOf": out}
+    return {"oneOf": [*out, _of_kind(tool["kind"], _asked(tool, FlexibleTool.from_table), {})]}
 
 
-def _experiments(folder: Path) -> Schema:
+def _of_kind(name: str, asked: Schema, more: Schema) -> Schema:
+    known = {"kind": {"const": name}, **asked["properties"], **more}
+    return {
+        **asked,
+        "properties": dict(sorted(known.items())),
+        "required": sorted({"kind", *asked.get("required", ())}),
+    }
+
+
+def _experiments() -> Schema:
     """Every set of poses and every instrument of every kind of robot."""
 
     def examples(kind: Kind, robot: str) -> Iterator[Mapping[str, Any]]:
@@ -69,12 +71,12 @@ def _experiments(folder: Path) -> Schema:
         for name in instrument_kinds():
             yield {**rules, "plan": {"poses": simplest}, "instrument": [{"kind": name, "address": "http://x"}]}
 
-    return _of_kinds(folder, examples, lambda path: load_experiment(path, offline=True))
+    return _of_kinds(examples, partial(experiment_from, code=OwnCode(), offline=True))
 
 
-def _laboratories(folder: Path) -> Schema:
+def _laboratories() -> Schema:
     """Every emulated instrument around every kind of robot."""
-    from ..lab.laboratory import load_laboratory
+    from ..lab.laboratory.file import laboratory_from
 
     def examples(kind: Kind, robot: str) -> Iterator[Mapping[str, Any]]:
         shown = [n for n, row in instrument_kinds().items() if row.emulator and row.sees(kind.example)]
@@ -82,28 +84,30 @@ def _laboratories(folder: Path) -> Schema:
         yield {"robot": robot, "instrument": parts, "tool": {}}
         yield {"robot": robot, "instrument": parts}
 
-    return _of_kinds(folder, examples, load_laboratory)
+    return _of_kinds(examples, laboratory_from)
 
 
 def _of_kinds(
-    folder: Path, examples: Callable[[Kind, str], Iterator[Mapping[str, Any]]], reader: Callable[[Path], object]
+    examples: Callable[[Kind, str], Iterator[Mapping[str, Any]]], reader: Callable[[AskedTable, Path], object]
 ) -> Schema:
     found = []
-    for kind in known_kinds().values():
-        if kind.example is None or not kind.poses:  # no plan can name poses of such a robot
-            continue
-        tables = kind.example.to_tables()
-        key, limits = _LIMITS[kind.example.joint_unit]
-        tables["joints"] = {**tables.get("joints", {}), key: limits}
-        write_whole(folder / f"{kind.name}.toml", tomli_w.dumps(tables))
-        found += [_asked(folder / "file.toml", one, reader) for one in examples(kind, f"{kind.name}.toml")]
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        path = Path(folder) / "robot.toml"
+        for kind in known_kinds().values():
+            if kind.example is None or not kind.poses:  # no plan can name poses of such a robot
+                continue
+            tables = kind.example.to_tables()
+            key, limits = _LIMITS[kind.example.joint_unit]
+            tables["joints"] = {**tables.get("joints", {}), key: limits}
+            write_whole(path, tomli_w.dumps(tables))
+            found += [_asked(one, lambda table: reader(table, path)) for one in examples(kind, path.name)]
     return merged(found)
 
 
-def _asked(path: Path, tables: Mapping[str, Any], reader: Callable[[Path], object]) -> Schema:
+def _asked(tables: Mapping[str, Any], reader: Callable[[AskedTable], object]) -> Schema:
     """What the reader of a file asks of it."""
-    write_whole(path, tomli_w.dumps(tables))
-    with watched() as seen, suppress(SherkitError):  # an example need not be one that works
-        reader(path)
-    mine: list[Table] = [one for one in seen if one.where == str(path)]
-    return merged([one.schema() for one in mine], one_table=True)
+    table = AskedTable(tables, "an example", error=ExperimentError)
+    with suppress(SherkitError):  # an example need not be one that works
+        reader(table)
+    return table.schema()

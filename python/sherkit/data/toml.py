@@ -6,10 +6,10 @@ Robot files are read with it, calibrations, and the files of laboratories and ex
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -59,48 +59,13 @@ _OTHER = {
 }
 #: A JSON schema, as far as editors need one.
 Schema = dict[str, Any]
+_TEXT: Schema = {"type": "string"}
 _NUMBER: Schema = {"type": "number"}
 _POSITIVE: Schema = {"type": "number", "exclusiveMinimum": 0}
-#: The tables that are being watched, see :func:`watched`.
-_WATCHED: list[Table] | None = None
 
 
 def _list(items: Schema, count: int | None = None) -> Schema:
     return {"type": "array", "items": items} | ({} if count is None else {"minItems": count, "maxItems": count})
-
-
-def merged(schemas: Sequence[Schema], *, one_table: bool = False) -> Schema:
-    """One schema of tables that were asked for different things: what any may have, what all must; what any must
-    where it is ``one_table`` that several asked."""
-    first, *others = schemas
-    out = dict(first)
-    for other in others:
-        if "properties" in out and "properties" in other:
-            known, more = out["properties"], other["properties"]
-            out["properties"] = known | {k: merged([known[k], v]) if k in known else v for k, v in more.items()}
-            before, now = set(out.get("required", ())), set(other.get("required", ()))
-            needed = before | now if one_table else before & now
-            out.pop("required", None)
-            out |= {"required": sorted(needed)} if needed else {}
-        elif "items" in out and "items" in other:
-            out["items"] = merged([out["items"], other["items"]])
-        elif "enum" in out and "enum" in other:
-            out["enum"] = list(dict.fromkeys([*out["enum"], *other["enum"]]))
-        elif other.get("properties") or other.get("items"):
-            out = dict(other)
-    return out
-
-
-@contextmanager
-def watched() -> Iterator[list[Table]]:
-    """The tables of the files that are read meanwhile, to see what is asked of them. What they lack is answered with
-    something of the kind that was asked for, so that readers go on."""
-    global _WATCHED
-    _WATCHED = []
-    try:
-        yield _WATCHED
-    finally:
-        _WATCHED = None
 
 
 class Table:
@@ -117,12 +82,6 @@ class Table:
         self._path = path
         self._error = error
         self._known: set[str] = set()
-        #: What was asked for: schemas by key, and the keys that must be there.
-        self._asked: dict[str, Schema] = {}
-        self._inner: dict[str, list[Table]] = {}
-        self._needed: set[str] = set()
-        if not path and _WATCHED is not None:
-            _WATCHED.append(self)
 
     def _name(self, key: str) -> str:
         return f"[{self._path}] {brief(key)}" if self._path else brief(key)
@@ -139,34 +98,32 @@ class Table:
         return self._error(f"{self._where}: [{self._path}] {what}")
 
     @property
-    def where(self) -> str:
-        """The file that it stands in."""
-        return self._where
+    def values(self) -> Mapping[str, Any]:
+        """What is in it, as it was given."""
+        return self._values
 
-    def schema(self) -> Schema:
-        """What was asked of this table so far, as JSON schema."""
-        known = {key: self._asked.get(key, {}) for key in sorted(self._known)}
-        for key, tables in self._inner.items():
-            inside = merged([one.schema() for one in tables])
-            known[key] = {"type": "array", "items": inside} if known[key].get("type") == "array" else inside
-        made: Schema = {"type": "object", "properties": known, "additionalProperties": False}
-        return made | ({"required": sorted(self._needed)} if self._needed else {})
-
-    def _ask(self, key: str, expected: str, schema: Schema) -> None:
+    def _get(
+        self, key: str, expected: str, schema: Schema, holds: Callable[[Any], bool], default: Any = None, *,
+        sample: Any = None, optional: bool = False,
+    ) -> Any:  # fmt: skip
+        """The value of a key where it ``holds``; ``default`` where it is not given, None being one where the key is
+        ``optional``. ``schema`` and a ``sample`` of what is expected are for :class:`~sherkit.data.asked.AskedTable`.
+        """
+        del schema, sample
         self._known.add(key)
-        self._asked[key] = {"description": expected, **schema}
-
-    def _get(self, key: str, expected: str, default: Any, schema: Schema, sample: Any = None) -> Any:
-        self._ask(key, expected, schema)
-        if default is None:
-            self._needed.add(key)
-        if key not in self._values:
-            if default is not None:
-                return default
-            if sample is not None and _WATCHED is not None:
-                return sample
+        if key in self._values:
+            value = self._values[key]
+            if not holds(value):
+                raise self.fail(key, expected)
+            return value
+        if default is None and not optional:
             raise self._missing(key, expected)
-        return self._values[key]
+        return default
+
+    def _inside(self, key: str, values: Mapping[str, Any], name: str) -> Self:
+        """The table ``values`` of a key, called by ``name`` in messages."""
+        del key
+        return type(self)(values, self._where, f"{self._path}.{name}" if self._path else name, self._error)
 
     def _missing(self, key: str, expected: str) -> SherkitError:
         # a misspelt key is both missing and unknown: say it once, where the user typed it
@@ -175,24 +132,18 @@ class Table:
         return self._error(f"{self._where}: {self._name(key)} is missing; expected {expected}{hint}")
 
     @contextmanager
-    def table(self, key: str, *, optional: bool = False) -> Iterator[Table]:
+    def table(self, key: str, *, optional: bool = False) -> Iterator[Self]:
         """A sub-table; on leaving it, unknown keys are refused."""
-        values = self._get(key, "a table", {} if optional else None, {}, {})
-        if not isinstance(values, Mapping):
-            raise self.fail(key, f"a table [{key}]")
-        inner = Table(values, self._where, f"{self._path}.{key}" if self._path else key, self._error)
-        self._inner[key] = [inner]
+        values = self._get(key, f"a table [{key}]", {}, _is_table, {} if optional else None, sample={})
+        inner = self._inside(key, values, key)
         yield inner
         inner.finish()
 
-    def tables(self, key: str, *, optional: bool = True) -> Iterator[Table]:
+    def tables(self, key: str, *, optional: bool = True) -> Iterator[Self]:
         """The tables of a list ``[[key]]``, none where it is not given; past each, its unknown keys are refused."""
-        values = self._get(key, "a list of tables", [] if optional else None, {"type": "array"})
-        if not isinstance(values, list) or not all(isinstance(v, Mapping) for v in values):
-            raise self.fail(key, f"tables [[{key}]]")
-        for k, one in enumerate(values, 1):
-            inner = Table(one, self._where, f"{self._path}.{key} {k}" if self._path else f"{key} {k}", self._error)
-            self._inner.setdefault(key, []).append(inner)
+        default = () if optional else None
+        for k, one in enumerate(self._get(key, f"tables [[{key}]]", _list({}), _list_of(_is_table), default), 1):
+            inner = self._inside(key, one, f"{key} {k}")
             yield inner
             inner.finish()
 
@@ -205,10 +156,11 @@ class Table:
 
     def free(self, key: str) -> dict[str, Any]:
         """A sub-table whose keys are its owner's own: texts, numbers, truths, lists of them; empty if left out."""
-        values = self._get(key, "a table", {}, {"type": "object"})
-        if not isinstance(values, Mapping) or not all(_is_plain(v) for v in values.values()):
-            raise self.fail(key, "a table of texts, numbers, true or false, and lists of them")
-        return dict(values)
+        expected = "a table of texts, numbers, true or false, and lists of them"
+        plain = self._get(
+            key, expected, {"type": "object"}, lambda v: _is_table(v) and all(map(_is_plain, v.values())), {}
+        )
+        return dict(plain)
 
     def pass_over(self, *keys: str) -> None:
         """Keys that are for people, and may be there."""
@@ -224,77 +176,59 @@ class Table:
 
     def text(self, key: str, allowed: tuple[str, ...], default: str | None = None) -> str:
         """One of the allowed words."""
-        expected = "one of " + ", ".join(f"'{a}'" for a in allowed)
-        value = self._get(key, expected, default, {"enum": list(allowed)}, allowed[0] if allowed else None)
-        if value not in allowed:
-            raise self.fail(key, expected)
-        return str(value)
+        expected, sample = "one of " + ", ".join(f"'{a}'" for a in allowed), next(iter(allowed), None)
+        return str(self._get(key, expected, {"enum": list(allowed)}, lambda v: v in allowed, default, sample=sample))
 
     def words(self, key: str, default: str | None = None, *, empty: bool = False) -> str:
         """Any text that is not empty unless it may be; where it is left out, ``default``, which may be empty."""
-        value = self._get(key, "a text", default, {"type": "string"}, "x")
-        if not isinstance(value, str) or (not value and not empty and key in self._values):
-            raise self.fail(key, "a text")
-        return value
+        return str(self._get(key, "a text", _TEXT, lambda v: _is_text(v) and bool(v or empty), default, sample="x"))
 
     def texts(self, key: str, default: tuple[str, ...] | None = None) -> tuple[str, ...]:
         """A list of texts."""
-        value = self._get(key, "a list of texts", default, _list({"type": "string"}), ["x"])
-        if not isinstance(value, list | tuple) or not all(isinstance(v, str) for v in value):
-            raise self.fail(key, "a list of texts")
-        return tuple(value)
+        return tuple(self._get(key, "a list of texts", _list(_TEXT), _list_of(_is_text), default, sample=["x"]))
 
     def wholes(self, key: str) -> tuple[int, ...]:
         """A list of whole numbers."""
-        value = self._get(key, "a list of whole numbers", None, _list({"type": "integer"}), [1])
-        if not isinstance(value, list) or not all(isinstance(v, int) and not isinstance(v, bool) for v in value):
-            raise self.fail(key, "a list of whole numbers")
-        return tuple(value)
+        schema = _list({"type": "integer"})
+        return tuple(self._get(key, "a list of whole numbers", schema, _list_of(_is_whole), sample=[1]))
 
-    def flag(self, key: str, default: bool) -> bool:
+    def flag(self, key: str, default: bool | None = None) -> bool:
         """true or false."""
-        value = self._get(key, "true or false", default, {"type": "boolean"})
-        if not isinstance(value, bool):
-            raise self.fail(key, "true or false")
-        return value
+        return bool(self._get(key, "true or false", {"type": "boolean"}, lambda v: isinstance(v, bool), default))
 
     def whole(self, key: str, default: int | None = None, *, least: int | None = None, most: int | None = None) -> int:
         """A whole number, from ``least`` to ``most``."""
-        kind = "a whole number" + (f" of at least {least}" if least is not None else "")
-        kind += f", at most {most}" if most is not None else ""
+        expected = "a whole number" + (f" of at least {least}" if least is not None else "")
+        expected += f", at most {most}" if most is not None else ""
         limits = {"minimum": least, "maximum": most}
         schema = {"type": "integer", **{name: v for name, v in limits.items() if v is not None}}
-        value = self._get(key, kind, default, schema, max(least or 0, 3))
-        if not isinstance(value, int) or isinstance(value, bool):
-            raise self.fail(key, kind)
-        if (least is not None and value < least) or (most is not None and value > most):
-            raise self.fail(key, kind)
-        return value
+
+        def holds(v: Any) -> bool:
+            return _is_whole(v) and (least is None or v >= least) and (most is None or v <= most)
+
+        return int(self._get(key, expected, schema, holds, default, sample=max(least or 0, 3)))
 
     def rows(self, key: str, width: int) -> tuple[tuple[float, ...], ...]:
         """A list of lists of ``width`` finite numbers."""
-        kind = f"a list of lists of {width} numbers"
-        value = self._get(key, kind, None, _list(_list(_NUMBER, width)), [[1.0] * width])
-        if not isinstance(value, list) or not all(
-            isinstance(row, list) and len(row) == width and all(_is_number(v) for v in row) for row in value
-        ):
-            raise self.fail(key, kind)
+        expected, schema = f"a list of lists of {width} numbers", _list(_list(_NUMBER, width))
+        value = self._get(key, expected, schema, _list_of(_list_of(_is_number, width)), sample=[[1.0] * width])
         return tuple(tuple(float(v) for v in row) for row in value)
 
     def array(self, key: str, *shape: int, finite: bool = True) -> Floats:
         """Numbers of a given shape; none is NaN, and where ``finite`` none has no end."""
-        kind = f"{'finite ' if finite else ''}numbers of shape {shape}"
-        schema = _NUMBER
+        expected, schema = f"{'finite ' if finite else ''}numbers of shape {shape}", _NUMBER
         for count in reversed(shape):
             schema = _list(schema, count)
-        value = self._get(key, kind, None, schema)
-        try:
-            made = np.array(value, dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            raise self.fail(key, kind) from None
-        if made.shape != shape or np.isnan(made).any() or (finite and not (np.abs(made) < _LARGEST_OF_ARRAY).all()):
-            raise self.fail(key, kind)
-        return made
+
+        def holds(v: Any) -> bool:
+            try:
+                made = np.array(v, dtype=float)
+            except (TypeError, ValueError, OverflowError):
+                return False
+            fits = made.shape == shape and not np.isnan(made).any()
+            return fits and bool(not finite or (np.abs(made) < _LARGEST_OF_ARRAY).all())
+
+        return np.array(self._get(key, expected, schema, holds), dtype=float)
 
     def covariance(self, key: str, size: int) -> Floats:
         """A covariance (size, size): no variance of it is negative."""
@@ -305,64 +239,62 @@ class Table:
 
     def some_numbers(self, key: str, default: tuple[float, ...] | None = None) -> tuple[float, ...]:
         """A list of finite numbers of any length, at least one."""
-        value = self._get(key, "a list of numbers", default, _list(_NUMBER), [1.0])
-        if not isinstance(value, list | tuple) or not value or not all(_is_number(v) for v in value):
-            raise self.fail(key, "a list of numbers")
+        holds = _list_of(_is_number)
+        value = self._get(
+            key, "a list of numbers", _list(_NUMBER), lambda v: holds(v) and len(v) > 0, default, sample=[1.0]
+        )
         return tuple(float(v) for v in value)
 
     def number(
         self, key: str, default: float | None = None, *, positive: bool = False, least: float | None = None
     ) -> float:
         """A finite number, at least ``least``."""
-        kind = ("a positive number" if positive else "a number") + (
-            f", at least {least:g}" if least is not None else ""
-        )
+        expected = "a positive number" if positive else "a number"
+        expected += f", at least {least:g}" if least is not None else ""
         schema = (_POSITIVE if positive else _NUMBER) | ({} if least is None else {"minimum": least})
-        value = self._get(key, kind, default, schema, 1.0)
-        if not _is_number(value) or (positive and value < _SMALLEST) or (least is not None and value < least):
-            raise self.fail(key, kind)
-        return float(value)
+        lowest = max(_SMALLEST if positive else -_LARGEST, -_LARGEST if least is None else least)
+        return float(self._get(key, expected, schema, lambda v: _is_number(v) and v >= lowest, default, sample=1.0))
 
     def heights(self, key: str) -> tuple[float, float] | None:
         """Two numbers, the lower first, or None where the key is not given."""
-        self._ask(key, "two numbers, the lower first", _list(_NUMBER, 2))
-        if key not in self._values:
-            return None
-        low, high = self.numbers(key, 2, (0.0, 0.0))
-        if not low < high:
-            raise self.fail(key, "two numbers, the lower first")
-        return (low, high)
+        holds, expected = _list_of(_is_number, 2), "two numbers, the lower first"
+        value = self._get(key, expected, _list(_NUMBER, 2), lambda v: holds(v) and v[0] < v[1], optional=True)
+        return None if value is None else (float(value[0]), float(value[1]))
 
     def positive(self, key: str, *, or_zero: bool = False) -> float | None:
         """A positive number, or None where the key is not given; ``or_zero``: 0 says that there is none."""
-        zero = {"type": "number", "minimum": 0}
-        expected = "a positive number" + (", or 0 for none" if or_zero else "")
-        self._ask(key, expected, zero if or_zero else _POSITIVE)
-        if key not in self._values:
-            return None
-        if not or_zero:
-            return self.number(key, 1.0, positive=True)
-        value = self._values[key]
-        if not _is_number(value) or value < 0:
-            raise self.fail(key, "a positive number, or 0 for none")
-        return float(value)
+        expected, lowest, schema = "a positive number", _SMALLEST, _POSITIVE
+        if or_zero:
+            expected, lowest, schema = f"{expected}, or 0 for none", 0.0, {"type": "number", "minimum": 0}
+        value = self._get(key, expected, schema, lambda v: _is_number(v) and v >= lowest, optional=True)
+        return None if value is None else float(value)
 
     def numbers(
         self, key: str, count: int, default: tuple[float, ...] | None = None, *, positive: bool = False
     ) -> tuple[float, ...]:
         """A list of finite numbers of a given length."""
-        kind = f"{count} {'positive ' if positive else ''}numbers"
-        schema = _list(_POSITIVE if positive else _NUMBER, count)
-        value = self._get(key, kind, default, schema, [1.0 + k for k in range(count)])
-        if (
-            not isinstance(value, list | tuple)
-            or len(value) != count
-            or not all(_is_number(v) for v in value)
-            or (positive and min(value) < _SMALLEST)
-        ):
-            each = f", one for each, such as [{', '.join([f'{value:g}'] * count)}]" if _is_number(value) else ""
-            raise self.fail(key, kind + each)
-        return tuple(float(v) for v in value)
+        expected = f"{count} {'positive ' if positive else ''}numbers"
+        if _is_number(one := self._values.get(key)):
+            expected += f", one for each, such as [{', '.join([f'{one:g}'] * count)}]"
+        schema, sample = _list(_POSITIVE if positive else _NUMBER, count), [1.0 + k for k in range(count)]
+        holds = _list_of(lambda v: _is_number(v) and (not positive or v >= _SMALLEST), count)
+        return tuple(float(v) for v in self._get(key, expected, schema, holds, default, sample=sample))
+
+
+def _list_of(holds: Callable[[Any], bool], count: int | None = None) -> Callable[[Any], bool]:
+    return lambda value: isinstance(value, list | tuple) and count in (None, len(value)) and all(map(holds, value))
+
+
+def _is_table(value: object) -> bool:
+    return isinstance(value, Mapping)
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
 
 
 def _is_plain(value: object) -> bool:

@@ -3,38 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sherkit.base.types import Floats
+from sherkit.data.declared import Declared, key
 from sherkit.data.toml import Table
 from sherkit.errors import OutOfReach, ShapeError
 from sherkit.model.batch import Batch, matrix, vector, why
 
 
 @dataclass(frozen=True)
-class XYStage:
+class XYStage(Declared):
     """``travel_mm`` (2,) of its axes. The table is where its scales say: x is the first axis, y the second."""
 
     travel_mm: tuple[float, float]
     kind: str = field(default="xy_stage", init=False)
 
+    TABLES: ClassVar = {"geometry": {"travel_mm": key(Table.numbers, 2, positive=True)}}
+
     def __post_init__(self) -> None:
         if min(self.travel_mm) <= 0:
             raise ShapeError(f"travel_mm: expected two positive numbers, got {self.travel_mm}")
-
-    @classmethod
-    def from_table(cls, table: Table) -> XYStage:
-        """Reads ``[geometry] travel_mm``."""
-        with table.table("geometry") as g:
-            first, second = g.numbers("travel_mm", 2, positive=True)
-        return cls((first, second))
-
-    def to_tables(self) -> dict[str, Any]:
-        """What :meth:`from_table` reads."""
-        return {"kind": self.kind, "geometry": {"travel_mm": list(self.travel_mm)}}
 
     @property
     def joint_unit(self) -> str:

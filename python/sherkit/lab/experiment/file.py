@@ -202,8 +202,15 @@ def load_experiment(
     """
     path = Path(path)
     code = run_code(python)
-    values = read_toml(path, "experiment", ExperimentError)
-    table = Table(values, str(path), error=ExperimentError)
+    table = Table(read_toml(path, "experiment", ExperimentError), str(path), error=ExperimentError)
+    return experiment_from(table, path, code, ports, robot, offline=offline)
+
+
+def experiment_from(
+    table: Table, path: Path, code: OwnCode, ports: str | Path | None = None, robot: str | Path | None = None, *,
+    offline: bool = False,
+) -> Experiment:  # fmt: skip
+    """The experiment of the table of a file ``path``, otherwise as :func:`load_experiment`."""
     named = table.words("robot")
     robot_path = path.parent / named if robot is None else Path(robot)
     made = load_robot(robot_path)
@@ -259,7 +266,7 @@ def load_experiment(
         )
     return Experiment(
         made, plan, targets, instruments, settling, checks, goal, warm_up_s, attempts, run_path,
-        str(path), tomli_w.dumps(values), chosen,
+        str(path), tomli_w.dumps(table.values), chosen,
     )  # fmt: skip
 
 

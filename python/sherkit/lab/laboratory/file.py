@@ -58,7 +58,13 @@ class Laboratory:
 def load_laboratory(path: str | Path) -> Laboratory:
     """Reads a laboratory. Raises :class:`~sherkit.errors.ExperimentError` naming file, table and key."""
     path = Path(path)
-    table = Table(read_toml(path, "laboratory", ExperimentError), str(path), error=ExperimentError)
+    return laboratory_from(
+        Table(read_toml(path, "laboratory", ExperimentError), str(path), error=ExperimentError), path
+    )
+
+
+def laboratory_from(table: Table, path: Path) -> Laboratory:
+    """The laboratory of the table of a file ``path``. Raises as :func:`load_laboratory`."""
     robot_path = path.parent / table.words("robot")
     robot = load_robot(robot_path)
     kind = kind_of(robot)

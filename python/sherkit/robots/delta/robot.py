@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,7 @@ import sherkit._core as _core
 from ...base.notebook import Shown
 from ...base.saved import Saved
 from ...base.types import Floats
+from ...data.declared import Declared, key
 from ...data.toml import Table
 from ...errors import ShapeError, Singular
 from ...model.batch import Batch, matrix, vector, why
@@ -38,7 +39,7 @@ LIMB_PARAMETERS = (
 
 
 @dataclass(frozen=True)
-class Delta(Saved, Shown):
+class Delta(Declared, Saved, Shown):
     """Nominal linear delta. Lengths in mm, angles in degrees as on a drawing, one value per limb.
 
     ``target_offset_mm`` points from the platform centre to the measured point. ``rod_spacing_mm`` is the
@@ -64,78 +65,37 @@ class Delta(Saved, Shown):
     assembly_mode: str = "below"
     kind: str = field(default="delta", init=False)
 
-    def __post_init__(self) -> None:
-        self.kinematics()  # refuses a geometry that is no robot
-
-    # -- files -------------------------------------------------------------------------------------------
+    TABLES: ClassVar = {
+        "geometry": {
+            "base_radius_mm": key(Table.numbers, 3, positive=True),
+            "base_angle_deg": key(Table.numbers, 3),
+            "platform_radius_mm": key(Table.numbers, 3),
+            "platform_angle_deg": key(Table.numbers, 3),
+            "rod_length_mm": key(Table.numbers, 3, positive=True),
+            "rod_spacing_mm": key(Table.positive, or_zero=True),
+            "target_offset_mm": key(Table.numbers, 3),
+            "assembly_mode": key(Table.text, ASSEMBLY_MODES).quiet,
+        },
+        "joints": {
+            "pole_pitch_mm": key(Table.positive, or_zero=True),
+            "limits_mm": key(Table.heights).of("joint_limits_mm"),
+        },
+        "workspace": {
+            "radius_mm": key(Table.positive).of("workspace_radius_mm"),
+            "z_mm": key(Table.heights).of("workspace_z_mm"),
+            "required_um": key(Table.positive),
+        },
+        "region_of_interest": {"half_width_mm": key(Table.positive).of("region_half_width_mm")},
+    }
 
     @classmethod
-    def from_table(cls, table: Table) -> Delta:
-        """Reads the tables of a robot file; see README for an example."""
-        with table.table("geometry") as g:
-            geometry: dict[str, Any] = {
-                "base_radius_mm": g.numbers("base_radius_mm", 3, positive=True),
-                "base_angle_deg": g.numbers("base_angle_deg", 3),
-                "platform_radius_mm": g.numbers("platform_radius_mm", 3),
-                "platform_angle_deg": g.numbers("platform_angle_deg", 3),
-                "rod_length_mm": g.numbers("rod_length_mm", 3, positive=True),
-                "rod_spacing_mm": g.positive("rod_spacing_mm", or_zero=True),
-                "target_offset_mm": g.numbers("target_offset_mm", 3, (0.0, 0.0, 0.0)),
-                "assembly_mode": g.text("assembly_mode", ASSEMBLY_MODES, "below"),
-            }
-            _check_shape(g, geometry)
-        with table.table("joints", optional=True) as j:
-            pitch = j.positive("pole_pitch_mm", or_zero=True)
-            limits = j.heights("limits_mm")
-        with table.table("workspace", optional=True) as w:
-            radius = w.positive("radius_mm")
-            z = w.heights("z_mm")
-            required = w.positive("required_um")
-        with table.table("region_of_interest", optional=True) as r:
-            half = r.positive("half_width_mm")
-        return cls(
-            **geometry,
-            pole_pitch_mm=pitch,
-            workspace_radius_mm=radius,
-            workspace_z_mm=z,
-            region_half_width_mm=half,
-            required_um=required,
-            joint_limits_mm=limits,
-        )
+    def check(cls, name: str, table: Table, values: Mapping[str, Any]) -> None:
+        """Refuses what cannot be a delta before the kinematics would say so less clearly."""
+        if name == "geometry":
+            _check_shape(table, values)
 
-    def to_tables(self) -> dict[str, Any]:
-        """What :meth:`from_table` reads, without loss."""
-        geometry: dict[str, Any] = {
-            "base_radius_mm": list(self.base_radius_mm),
-            "base_angle_deg": list(self.base_angle_deg),
-            "platform_radius_mm": list(self.platform_radius_mm),
-            "platform_angle_deg": list(self.platform_angle_deg),
-            "rod_length_mm": list(self.rod_length_mm),
-            **({} if self.rod_spacing_mm is None else {"rod_spacing_mm": self.rod_spacing_mm}),
-            "target_offset_mm": list(self.target_offset_mm),
-        }
-        if self.assembly_mode != "below":
-            geometry["assembly_mode"] = self.assembly_mode
-        tables: dict[str, Any] = {"kind": self.kind, "geometry": geometry}
-        joints: dict[str, Any] = {}
-        if self.pole_pitch_mm is not None:
-            joints["pole_pitch_mm"] = self.pole_pitch_mm
-        if self.joint_limits_mm:
-            joints["limits_mm"] = list(self.joint_limits_mm)
-        if joints:
-            tables["joints"] = joints
-        workspace: dict[str, Any] = {}
-        if self.workspace_radius_mm:
-            workspace["radius_mm"] = self.workspace_radius_mm
-        if self.workspace_z_mm:
-            workspace["z_mm"] = list(self.workspace_z_mm)
-        if self.required_um:
-            workspace["required_um"] = self.required_um
-        if workspace:
-            tables["workspace"] = workspace
-        if self.region_half_width_mm:
-            tables["region_of_interest"] = {"half_width_mm": self.region_half_width_mm}
-        return tables
+    def __post_init__(self) -> None:
+        self.kinematics()  # refuses a geometry that is no robot
 
     # -- what an experiment asks --------------------------------------------------------------------------
 
@@ -232,7 +192,6 @@ class Delta(Saved, Shown):
 
 
 def _check_shape(table: Table, geometry: Mapping[str, Any]) -> None:
-    """Refuses what cannot be a delta before the kinematics would say so less clearly."""
     if min(geometry["platform_radius_mm"]) < 0:
         raise table.fail("platform_radius_mm", "3 numbers, none below zero")
     for limb in range(3):

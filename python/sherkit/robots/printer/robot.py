@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from ...base.types import Floats
 from ...data.columns import Layout
+from ...data.declared import key
 from ...data.toml import Table
 from ..delta.columns import JOINTS, POSITION, TO_JOINTS
 from ..delta.robot import Delta, Triple
@@ -49,6 +50,16 @@ class Printer(Delta):
     firmware: str = "klipper"
     kind: str = field(default="printer", init=False)
 
+    TABLES: ClassVar = {
+        **Delta.TABLES,
+        "printer": {
+            "firmware": key(Table.text, FIRMWARES),
+            "endstop_mm": key(Table.numbers, 3).needed,
+            "tilt": key(Table.numbers, 2).quiet,
+            "probings": key(Table.texts).needed,
+        },
+    }
+
     @classmethod
     def with_towers(cls, towers: Towers, **others: Any) -> Self:
         """The printer that a firmware's calibration describes."""
@@ -73,26 +84,3 @@ class Printer(Delta):
     def plane_mm(self, xy: Floats) -> Floats:
         """Height (n,) of the bed that the firmware assumes at places (n, 2), mm, in the frame of the towers."""
         return np.asarray(xy, dtype=float) @ np.array(self.tilt)
-
-    # -- files -------------------------------------------------------------------------------------------
-
-    @classmethod
-    def from_table(cls, table: Table) -> Printer:
-        """Reads the tables of a robot file: those of a delta, and ``[printer]``."""
-        made = super().from_table(table)
-        with table.table("printer") as p:
-            tilt = p.numbers("tilt", 2, (0.0, 0.0))
-            found: dict[str, Any] = {
-                "firmware": p.text("firmware", FIRMWARES, FIRMWARES[0]),
-                "endstop_mm": p.numbers("endstop_mm", 3),
-                "tilt": tilt,
-                "probings": p.texts("probings"),
-            }
-        return replace(made, **found)  # type: ignore[return-value]
-
-    def to_tables(self) -> dict[str, Any]:
-        """What :meth:`from_table` reads, without loss."""
-        own: dict[str, Any] = {"firmware": self.firmware, "endstop_mm": list(self.endstop_mm)}
-        if any(self.tilt):
-            own["tilt"] = list(self.tilt)
-        return super().to_tables() | {"printer": own | {"probings": list(self.probings)}}

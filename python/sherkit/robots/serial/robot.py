@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +19,7 @@ from ...base.notebook import Shown
 from ...base.saved import Saved
 from ...base.types import Bools, Floats
 from ...data.columns import Layout, know
+from ...data.declared import Declared, key, keys_from, keys_of
 from ...data.toml import Table
 from ...errors import OutOfReach, ShapeError
 from ...model.batch import Batch, matrix, vector, why
@@ -100,34 +101,34 @@ class Joint:
     @classmethod
     def from_table(cls, table: Table) -> Joint:
         """Reads a table ``[[joint]]``."""
-        name, kind = table.words("name"), table.text("type", TYPES, "revolute")
-        if not _NAME.fullmatch(name):
+        made = cls(**keys_from(table, _KEYS[table.text("type", TYPES, "revolute")], cls))
+        if not _NAME.fullmatch(made.name):
             raise table.fail("name", "a letter, then letters, digits and _: it names the column of its readings")
-        axis = table.numbers("axis", 3, (0.0, 0.0, 1.0))
-        if not np.linalg.norm(axis) > 0:
+        if not np.linalg.norm(made.axis) > 0:
             raise table.fail("axis", "a direction, not only zeros")
-        unit = "mm" if kind == "prismatic" else "deg"
-        limits, home = table.heights(f"limits_{unit}"), table.number(f"home_{unit}", 0.0)
-        mass = table.number("mass_kg", least=0.0) if table.has("mass_kg") else None
-        table.pass_over("mass_kg")
-        vectors = [table.numbers(key, 3, _ZERO) for key in ("origin_mm", "rpy_deg", "centre_mm")]
-        origin, rpy, centre = [(v[0], v[1], v[2]) for v in vectors]
-        follows = table.number("follows", 0.0)
-        return cls(name, kind, origin, rpy, (axis[0], axis[1], axis[2]), limits, home, mass, centre, follows)
+        return made
 
     def to_table(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
-        made: dict[str, Any] = {"name": self.name, "type": self.type, "origin_mm": list(self.origin_mm)}
-        made |= {"rpy_deg": list(self.rpy_deg), "axis": list(self.axis)}
-        if self.limits is not None:
-            made[f"limits_{self._in_file}"] = list(self.limits)
-        if self.home:
-            made[f"home_{self._in_file}"] = self.home
-        if self.follows:
-            made["follows"] = self.follows
-        if self.mass_kg is not None:
-            made |= {"mass_kg": self.mass_kg, "centre_mm": list(self.centre_mm)}
-        return made
+        return keys_of(self, _KEYS[self.type])
+
+
+#: The keys of a joint, by its type.
+_KEYS = {
+    kind: {
+        "name": key(Table.words),
+        "type": key(Table.text, TYPES),
+        "origin_mm": key(Table.numbers, 3),
+        "rpy_deg": key(Table.numbers, 3),
+        "axis": key(Table.numbers, 3),
+        f"limits_{unit}": key(Table.heights).of("limits"),
+        f"home_{unit}": key(Table.number).of("home").quiet,
+        "follows": key(Table.number).quiet,
+        "mass_kg": key(Table.positive, or_zero=True),
+        "centre_mm": key(Table.numbers, 3).quiet,
+    }
+    for kind, unit in (("revolute", "deg"), ("prismatic", "mm"))
+}
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,7 @@ class Plane:
 
 
 @dataclass(frozen=True)
-class Serial(Saved, Shown):
+class Serial(Declared, Saved, Shown):
     """Nominal serial arm of one to nine joints. Lengths in mm, angles in degrees as in its file, joint readings rad or
     mm.
 
@@ -171,6 +172,16 @@ class Serial(Saved, Shown):
     has_tracker: bool = True
     required_um: float | None = None
     kind: str = field(default="serial", init=False)
+
+    TABLES: ClassVar = {
+        "tool": {"target_mm": key(Table.numbers, 3), "rpy_deg": key(Table.numbers, 3).of("tool_rpy_deg")},
+        "base": {"gravity": key(Table.numbers, 3)},
+        "tracker": {
+            "origin_mm": key(Table.numbers, 3).of("tracker_mm"),
+            "rpy_deg": key(Table.numbers, 3).of("tracker_rpy_deg"),
+        },
+        "workspace": {"required_um": key(Table.positive)},
+    }
 
     def __post_init__(self) -> None:
         names = [joint.name for joint in self.joints]
@@ -201,55 +212,28 @@ class Serial(Saved, Shown):
     def from_table(cls, table: Table) -> Serial:
         """Reads the tables of a robot file."""
         joints = tuple(Joint.from_table(one) for one in table.tables("joint", optional=False))
-        vectors: dict[str, tuple[float, ...]] = {}
-        with table.table("tool", optional=True) as t:
-            vectors |= {"target_mm": t.numbers("target_mm", 3, _ZERO), "tool_rpy_deg": t.numbers("rpy_deg", 3, _ZERO)}
-        with table.table("base", optional=True) as b:
-            vectors["gravity"] = b.numbers("gravity", 3, (0.0, 0.0, -1.0))
-        points = {name: _points(table, name) for name in ("target", "centre")}
+        targets, centres = (_points(table, name) for name in ("target", "centre"))
         planes = tuple(_plane(one) for one in table.tables("plane"))
-        seen = table.has("tracker") or not (points["centre"] or planes)
-        with table.table("tracker", optional=True) as t:
-            vectors |= {
-                "tracker_mm": t.numbers("origin_mm", 3, _ZERO),
-                "tracker_rpy_deg": t.numbers("rpy_deg", 3, _ZERO),
-            }
-        with table.table("workspace", optional=True) as w:
-            required = w.positive("required_um")
+        seen = table.has("tracker") or not (centres or planes)
         try:
             return cls(
-                joints,
-                **{name: (v[0], v[1], v[2]) for name, v in vectors.items()},
-                more_targets_mm=points["target"],
-                centres_mm=points["centre"],
-                planes=planes,
+                joints, **cls.values_from(table), more_targets_mm=targets, centres_mm=centres, planes=planes,
                 has_tracker=seen,
-                required_um=required,
-            )
+            )  # fmt: skip
         except ShapeError as error:
             raise table.fail("joint", str(error)) from None
 
     def to_tables(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
-        tracker = {"origin_mm": list(self.tracker_mm), "rpy_deg": list(self.tracker_rpy_deg)}
-        return {
-            "kind": self.kind,
-            "joint": [joint.to_table() for joint in self.joints],
-            "tool": {"target_mm": list(self.target_mm), "rpy_deg": list(self.tool_rpy_deg)},
-            "base": {"gravity": list(self.gravity)},
-            **{
-                name: [{"at_mm": list(point)} for point in points]
-                for name, points in (("target", self.more_targets_mm), ("centre", self.centres_mm))
-                if points
-            },
-            **(
-                {"plane": [{"at_mm": list(p.at_mm), "normal": list(p.normal)} for p in self.planes]}
-                if self.planes
-                else {}
-            ),
-            **({"tracker": tracker} if self.has_tracker else {}),
-            **({"workspace": {"required_um": self.required_um}} if self.required_um else {}),
-        }
+        made = super().to_tables() | {"joint": [joint.to_table() for joint in self.joints]}
+        for name, points in (("target", self.more_targets_mm), ("centre", self.centres_mm)):
+            if points:
+                made[name] = [{"at_mm": list(point)} for point in points]
+        if self.planes:
+            made["plane"] = [{"at_mm": list(p.at_mm), "normal": list(p.normal)} for p in self.planes]
+        if not self.has_tracker:
+            del made["tracker"]
+        return made
 
     # -- what runs and experiments ask ---------------------------------------------------------------------
 

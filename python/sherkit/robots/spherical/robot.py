@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +20,7 @@ import sherkit._core as _core
 from ...base.notebook import Shown
 from ...base.saved import Saved
 from ...base.types import Floats
+from ...data.declared import Declared, Inner, key
 from ...data.toml import Table
 from ...errors import RobotError, ShapeError, SherkitError
 from ...model.batch import Batch, matrix, vector, why
@@ -33,7 +34,7 @@ WORKING_MODES = ("open", "crossed", "ahead", "behind")
 
 
 @dataclass(frozen=True)
-class Spherical(Saved, Shown):
+class Spherical(Declared, Saved, Shown):
     """Nominal spherical robot. Angles in degrees as on a drawing, lengths in mm.
 
     ``alpha_deg`` and ``beta_deg`` are the arcs of the proximal and distal links, ``radius_mm`` the distance of the
@@ -58,74 +59,43 @@ class Spherical(Saved, Shown):
     required_um: float | None = None
     kind: str = field(default="spherical", init=False)
 
+    TABLES: ClassVar = {
+        "geometry": {
+            "alpha_deg": key(Table.number, positive=True),
+            "beta_deg": key(Table.number, positive=True),
+            "radius_mm": key(Table.number, positive=True),
+            "assembly_mode": key(Table.text, ASSEMBLY_MODES),
+            "working_mode": key(Table.text, WORKING_MODES),
+            "gravity": key(Table.numbers, 3),
+        },
+        "joints": {"home_deg": key(Table.numbers, 2), "limits_deg": key(Table.heights).of("joint_limits_deg")},
+        "workspace": {
+            "phi_deg": key(Table.heights),
+            "gamma_deg": key(Table.heights),
+            "required_um": key(Table.positive),
+        },
+        "camera": Inner(CameraView, "camera"),
+    }
+
+    @classmethod
+    def check(cls, name: str, table: Table, values: Mapping[str, Any]) -> None:
+        """Refuses arcs that make no robot."""
+        if name != "geometry":
+            return
+        for arc in ("alpha_deg", "beta_deg"):
+            if values[arc] >= 180.0:
+                raise table.fail(arc, "an arc of less than 180 degrees")
+        if values["alpha_deg"] + values["beta_deg"] > 180.0:
+            raise table.fail("beta_deg", "arcs that together make no more than 180 degrees")
+        if not np.any(values["gravity"]):
+            raise table.fail("gravity", "a direction, not zero")
+
     def __post_init__(self) -> None:
         self.kinematics()  # refuses a geometry that is no robot
         if self.radius_mm <= 0 or not np.isfinite(self.radius_mm):
             raise ShapeError(f"radius_mm: expected a positive number, got {self.radius_mm}")
         if self.working_mode not in WORKING_MODES:
             raise ShapeError(f"working_mode: '{self.working_mode}' is not known; choose {', '.join(WORKING_MODES)}")
-
-    # -- files -------------------------------------------------------------------------------------------
-
-    @classmethod
-    def from_table(cls, table: Table) -> Spherical:
-        """Reads the tables of a robot file; see the documentation for an example."""
-        with table.table("geometry") as g:
-            geometry: dict[str, Any] = {
-                "alpha_deg": g.number("alpha_deg", positive=True),
-                "beta_deg": g.number("beta_deg", positive=True),
-                "radius_mm": g.number("radius_mm", positive=True),
-                "assembly_mode": g.text("assembly_mode", ASSEMBLY_MODES, "outer"),
-                "working_mode": g.text("working_mode", WORKING_MODES, "open"),
-                "gravity": g.numbers("gravity", 3, (0.0, 0.0, -1.0)),
-            }
-            for name in ("alpha_deg", "beta_deg"):
-                if geometry[name] >= 180.0:
-                    raise g.fail(name, "an arc of less than 180 degrees")
-            if geometry["alpha_deg"] + geometry["beta_deg"] > 180.0:
-                raise g.fail("beta_deg", "arcs that together make no more than 180 degrees")
-            if not np.any(geometry["gravity"]):
-                raise g.fail("gravity", "a direction, not zero")
-        with table.table("joints", optional=True) as j:
-            home = j.numbers("home_deg", 2, (0.0, 0.0))
-            limits = j.heights("limits_deg")
-        with table.table("workspace", optional=True) as w:
-            phi, gamma = w.heights("phi_deg"), w.heights("gamma_deg")
-            required = w.positive("required_um")
-        camera = None
-        if table.has("camera"):
-            with table.table("camera") as c:
-                camera = CameraView.from_table(c)
-        return cls(
-            **geometry, camera=camera, home_deg=(home[0], home[1]), phi_deg=phi, gamma_deg=gamma,
-            joint_limits_deg=limits, required_um=required,
-        )  # fmt: skip
-
-    def to_tables(self) -> dict[str, Any]:
-        """What :meth:`from_table` reads, without loss."""
-        tables: dict[str, Any] = {
-            "kind": self.kind,
-            "geometry": {
-                "alpha_deg": self.alpha_deg,
-                "beta_deg": self.beta_deg,
-                "radius_mm": self.radius_mm,
-                "assembly_mode": self.assembly_mode,
-                "working_mode": self.working_mode,
-                "gravity": list(self.gravity),
-            },
-            "joints": {"home_deg": list(self.home_deg)},
-        }
-        if self.joint_limits_deg is not None:
-            tables["joints"]["limits_deg"] = list(self.joint_limits_deg)
-        limits = {"phi_deg": self.phi_deg, "gamma_deg": self.gamma_deg}
-        workspace: dict[str, Any] = {name: list(value) for name, value in limits.items() if value is not None}
-        if self.required_um:
-            workspace["required_um"] = self.required_um
-        if workspace:
-            tables["workspace"] = workspace
-        if self.camera is not None:
-            tables["camera"] = self.camera.to_table()
-        return tables
 
     # -- kinematics --------------------------------------------------------------------------------------
 

@@ -7,11 +7,11 @@ sections, nine wavelengths.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy
@@ -21,6 +21,7 @@ import sherkit._core as _core
 
 from ...base.saved import Saved
 from ...base.types import Floats
+from ...data.declared import Declared, Inner, key
 from ...data.files import write_whole
 from ...data.toml import Table, read_toml
 from ...errors import RobotError
@@ -94,7 +95,7 @@ class ToolDoubt:
 
 
 @dataclass(frozen=True)
-class FlexibleTool(Saved):
+class FlexibleTool(Declared, Saved):
     """The tool as calibrated, and how the filters are to treat it.
 
     ``length_mm`` is the free length h, ``stiffness_mn_mm2`` the bending stiffness EI, ``distances_mm`` from the tip to
@@ -141,6 +142,58 @@ class FlexibleTool(Saved):
     clearance_std_mm: float = 1.0
     bench: tuple[str, str] = ("any", "any")
     doubt: ToolDoubt = ToolDoubt()
+    kind: str = field(default=KIND, init=False)
+
+    TABLES: ClassVar = {
+        "shaft": {
+            "length_mm": key(Table.number, positive=True).needed,
+            "stiffness_mn_mm2": key(Table.number, positive=True).needed,
+            "bending": key(Table.text, BENDINGS),
+        },
+        "gratings": {
+            "distances_mm": key(Table.numbers, 2, positive=True).needed,
+            "gain_I_x": key(Table.numbers, 3).of("gains", 0, 0).needed,
+            "gain_I_y": key(Table.numbers, 3).of("gains", 0, 1).needed,
+            "gain_II_x": key(Table.numbers, 3).of("gains", 1, 0).needed,
+            "gain_II_y": key(Table.numbers, 3).of("gains", 1, 1).needed,
+            "reference_nm": key(Table.numbers, 9, positive=True).needed,
+            "noise_nm": key(Table.number, positive=True).needed,
+            "mean_I": key(Table.numbers, 2).of("means", 0),
+            "mean_II": key(Table.numbers, 2).of("means", 1),
+            "warmth_I": key(Table.numbers, 3).of("warmth", 0),
+            "warmth_II": key(Table.numbers, 3).of("warmth", 1),
+            "delay_s": key(Table.number, least=0.0).of("fibre_delay_s"),
+        },
+        "camera": {
+            "rotation_rad": key(Table.numbers, 3).of("camera_rotation_rad"),
+            "translation_mm": key(Table.numbers, 3).of("camera_translation_mm"),
+            "delay_s": key(Table.number).of("camera_delay_s"),
+            "std_mm": key(Table.number, positive=True).of("camera_std_mm"),
+        },
+        "filter": {
+            "noise": key(Table.text, NOISES),
+            "per_second_mm2": key(Table.numbers, 2),
+            "floor_mm2": key(Table.numbers, 2),
+            "start_depth_mm": key(Table.number),
+            "start_std_mm": key(Table.number, positive=True),
+            "clearance_mm": key(Table.number, least=0.0),
+            "clearance_std_mm": key(Table.number, least=0.0),
+        },
+        "bench": {
+            "depth": key(Table.text, ("axis", "arc", "any")).of("bench", 0),
+            "force": key(Table.text, ("across", "normal", "any")).of("bench", 1),
+        },
+        "doubt": Inner(ToolDoubt, "doubt"),
+    }
+
+    @classmethod
+    def check(cls, name: str, table: Table, values: Mapping[str, Any]) -> None:
+        """Refuses sections beyond the shaft, and noise below nothing."""
+        if name == "gratings" and not values["distances_mm"][0] < values["distances_mm"][1] < values["length_mm"]:
+            raise table.fail("distances_mm", f"I, then II, both less than length_mm = {values['length_mm']:g}")
+        for one in ("per_second_mm2", "floor_mm2") if name == "filter" else ():
+            if min(values[one]) < 0:
+                raise table.fail(one, "2 numbers, none below zero")
 
     def __post_init__(self) -> None:
         _ = self.beam, self.sensor  # refuses numbers that are no tool
@@ -153,96 +206,6 @@ class FlexibleTool(Saved):
             )
         if self.bending not in BENDINGS:
             raise RobotError(f"bending: '{self.bending}' is not known; choose {', '.join(BENDINGS)}")
-
-    # -- files -------------------------------------------------------------------------------------------
-
-    @classmethod
-    def from_table(cls, table: Table) -> FlexibleTool:
-        """Reads the tables of a tool file; see docs/tool.md for an example."""
-        d = cls()
-        values: dict[str, Any] = {}
-        with table.table("shaft") as s:
-            values["length_mm"] = s.number("length_mm", positive=True)
-            values["stiffness_mn_mm2"] = s.number("stiffness_mn_mm2", positive=True)
-            values["bending"] = s.text("bending", BENDINGS, d.bending)
-        with table.table("gratings") as g:
-            values["distances_mm"] = g.numbers("distances_mm", 2, positive=True)
-            if not values["distances_mm"][0] < values["distances_mm"][1] < values["length_mm"]:
-                raise g.fail("distances_mm", f"I, then II, both less than length_mm = {values['length_mm']:g}")
-            values["gains"] = tuple(
-                tuple(g.numbers(f"gain_{section}_{axis}", 3) for axis in ("x", "y")) for section in ("I", "II")
-            )
-            values["reference_nm"] = g.numbers("reference_nm", 9, positive=True)
-            values["noise_nm"] = g.number("noise_nm", positive=True)
-            values["means"] = tuple(
-                g.numbers(f"mean_{section}", 2, of) for section, of in zip(("I", "II"), d.means, strict=True)
-            )
-            values["warmth"] = tuple(
-                g.numbers(f"warmth_{section}", 3, of) for section, of in zip(("I", "II"), d.warmth, strict=True)
-            )
-            values["fibre_delay_s"] = g.number("delay_s", d.fibre_delay_s, least=0.0)
-        with table.table("camera", optional=True) as c:
-            values["camera_rotation_rad"] = c.numbers("rotation_rad", 3, d.camera_rotation_rad)
-            values["camera_translation_mm"] = c.numbers("translation_mm", 3, d.camera_translation_mm)
-            values["camera_delay_s"] = c.number("delay_s", d.camera_delay_s)
-            values["camera_std_mm"] = c.number("std_mm", d.camera_std_mm, positive=True)
-        with table.table("filter", optional=True) as f:
-            values["noise"] = f.text("noise", NOISES, d.noise)
-            values["per_second_mm2"] = f.numbers("per_second_mm2", 2, d.per_second_mm2)
-            values["floor_mm2"] = f.numbers("floor_mm2", 2, d.floor_mm2)
-            for name in ("per_second_mm2", "floor_mm2"):
-                if min(values[name]) < 0:
-                    raise f.fail(name, "2 numbers, none below zero")
-            values["start_depth_mm"] = f.number("start_depth_mm", d.start_depth_mm)
-            values["start_std_mm"] = f.number("start_std_mm", d.start_std_mm, positive=True)
-            values["clearance_mm"] = f.number("clearance_mm", d.clearance_mm, least=0.0)
-            values["clearance_std_mm"] = f.number("clearance_std_mm", d.clearance_std_mm, least=0.0)
-        with table.table("bench", optional=True) as bench:
-            values["bench"] = (
-                bench.text("depth", ("axis", "arc", "any"), "any"), bench.text("force", ("across", "normal", "any"), "any")  # noqa: E501
-            )  # fmt: skip
-        with table.table("doubt", optional=True) as known:
-            values["doubt"] = ToolDoubt.from_table(known)
-        return cls(**values)
-
-    def to_tables(self) -> dict[str, Any]:
-        """What :meth:`from_table` reads, without loss."""
-        return {
-            "kind": KIND,
-            "shaft": {"length_mm": self.length_mm, "stiffness_mn_mm2": self.stiffness_mn_mm2, "bending": self.bending},
-            "gratings": {
-                "distances_mm": list(self.distances_mm),
-                **{
-                    f"gain_{section}_{axis}": list(self.gains[s][a])
-                    for s, section in enumerate(("I", "II"))
-                    for a, axis in enumerate(("x", "y"))
-                },
-                "reference_nm": list(self.reference_nm),
-                "noise_nm": self.noise_nm,
-                "mean_I": list(self.means[0]),
-                "mean_II": list(self.means[1]),
-                "warmth_I": list(self.warmth[0]),
-                "warmth_II": list(self.warmth[1]),
-                "delay_s": self.fibre_delay_s,
-            },
-            "camera": {
-                "rotation_rad": list(self.camera_rotation_rad),
-                "translation_mm": list(self.camera_translation_mm),
-                "delay_s": self.camera_delay_s,
-                "std_mm": self.camera_std_mm,
-            },
-            "filter": {
-                "noise": self.noise,
-                "per_second_mm2": list(self.per_second_mm2),
-                "floor_mm2": list(self.floor_mm2),
-                "start_depth_mm": self.start_depth_mm,
-                "start_std_mm": self.start_std_mm,
-                "clearance_mm": self.clearance_mm,
-                "clearance_std_mm": self.clearance_std_mm,
-            },
-            "bench": {"depth": self.bench[0], "force": self.bench[1]},
-            "doubt": self.doubt.to_table(),
-        }
 
     def save(self, path: str | Path) -> None:
         """Writes a tool file that :func:`load_tool` reads."""
