@@ -9,9 +9,14 @@ from collections.abc import Iterable, Sequence
 _LONGEST, _LONGEST_CELL = 200, 80
 
 
+def on_one_line(found: object) -> str:
+    """What a file holds, for a sentence: without ends of lines, and characters that are none."""
+    return " ".join("".join(one if one.isprintable() else " " for one in str(found)).split())
+
+
 def brief(found: object, most: int = _LONGEST_CELL) -> str:
-    """What a file holds, for a sentence: on one line, cut where nobody would read on."""
-    text = " ".join(str(found).split())
+    """The same, cut where nobody would read on."""
+    text = on_one_line(found)
     return text if len(text) <= most else f"{text[:most]}…"
 
 

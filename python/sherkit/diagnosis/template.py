@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from keyword import iskeyword
 from typing import Any
 
-from ..base.names import listed
+from ..base.names import listed, on_one_line
 from ..data.columns import Layout, bare, unit_in
 from ..errors import EffectError
 
@@ -139,8 +139,7 @@ def _text(name: str) -> str:
 
 def _words(text: str) -> str:
     """A text for a docstring: nothing in it ends the docstring or hides what follows."""
-    plain = "".join(one if one.isprintable() else " " for one in text)
-    return plain.replace("\\", "\\\\").replace('"', '\\"')
+    return on_one_line(text).replace("\\", "\\\\").replace('"', '\\"')
 
 
 def _suffix(k: int, columns: Sequence[str], targets: Sequence[int]) -> str:

@@ -10,6 +10,7 @@ from typing import Any, TypeVar, cast
 
 import polars as pl
 
+from ...base.names import on_one_line
 from ...data import Measurements, from_frame
 from ...data.columns import OUTLIER, POSE, REASON, REPEAT, TIME
 from ...errors import ExperimentError
@@ -117,16 +118,11 @@ def reads(method: _Method) -> _Method:
         except sqlite3.OperationalError as error:
             outside = getattr(error, "sqlite_errorname", "").startswith(_OUTSIDE)
             what = "cannot be read now" if outside else "is damaged and cannot be read"
-            raise ExperimentError(f"{self.path}: {what}: {_on_one_line(error)}") from None
+            raise ExperimentError(f"{self.path}: {what}: {on_one_line(error)}") from None
         except (sqlite3.Error, pl.exceptions.PolarsError, ValueError, TypeError, LookupError, OverflowError) as error:
-            raise ExperimentError(f"{self.path}: is damaged and cannot be read: {_on_one_line(error)}") from None
+            raise ExperimentError(f"{self.path}: is damaged and cannot be read: {on_one_line(error)}") from None
 
     return cast(_Method, sound)
-
-
-def _on_one_line(error: Exception) -> str:
-    """What went wrong, without what a damaged cell may hold: ends of lines, and characters that are none."""
-    return " ".join("".join(one if one.isprintable() else " " for one in str(error)).split())
 
 
 class RunRows:
