@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -217,11 +216,8 @@ def _scores_beside(view: Linearised, effects: Sequence[slice], periods: Sequence
         return np.concatenate([view.fitted(rows), *parts, *(waves_of(view, 1.0 / p, rows) for p in periods)], axis=2)
 
     counts = [*(place.stop - place.start for place in effects), *(2 * len(view.waving) for _ in periods)]
-    folds = Folds.of(columns, view.residual, fold)
-    beside = Beside(folds, len(folds.length) - sum(counts))
-    count = folds.outside[3]
-    sets = [slice(a, b) for a, b in pairwise(np.cumsum([0, *counts]).tolist())]
-    return np.array([_schwarz(*beside.outside(one), count) for one in sets]).reshape(-1, len(folds))
+    beside = Beside(columns, counts, view.residual, fold)
+    return _schwarz(*beside.outside, beside.counts_outside)
 
 
 def _schwarz(squares: Floats, rank: Ints, count: Floats) -> Floats:
@@ -244,20 +240,21 @@ def held_out(stage: Stage, fold: Ints) -> list[HeldOutError]:
 
     ``fold`` (repetitions, n) is the fold of each row in each repetition.
     """
-    view, sigma = stage.view, stage.sigma[None, :, None]
+    view = stage.view
 
     def columns(rows: slice) -> Floats:
         parts = [view.fitted(rows), *(stage.raw(c.columns, rows) for c in stage.candidates)]
+        out = np.concatenate(parts, axis=2)
         # in the unit of the readings, so that axes count by their error
-        return np.concatenate(parts, axis=2) * sigma
+        out *= stage.sigma[:, None]
+        return out
 
-    folds = Folds.of(columns, view.residual * stage.sigma, fold)
-    ends = np.cumsum([0, *(len(stage.scan.numbers(c.columns)) for c in stage.candidates)]).tolist()
-    beside = Beside(folds, stage.scan.fitted)
-    return [_error(folds, beside.held_out(slice(a, b)), stage.run.per_row) for a, b in pairwise(ends)]
+    counts = [len(stage.scan.numbers(c.columns)) for c in stage.candidates]
+    beside = Beside(columns, counts, view.residual * stage.sigma, fold)
+    return [_error(beside, squares, stage.run.per_row) for squares in beside.held_out]
 
 
-def _error(folds: Folds, squares: Floats, unit: float) -> HeldOutError:
+def _error(folds: Beside, squares: Floats, unit: float) -> HeldOutError:
     """What blocks left out in turn show. Every repetition is of the same rows: it is known no better than from one."""
     repetitions, count = len(folds.place), int(folds.counts.sum())
     rms = float(np.sqrt(max(float(squares.sum()), 0.0) / count))
