@@ -111,6 +111,12 @@ class FittedRun(Saved):
             out[a] = max(DIGITS * float(np.ptp(used)) if len(used) else 0.0, 1e-12)
         return out
 
+    def beyond_noise(self, sigma: Floats) -> float:
+        """What is left beyond the noise ``sigma`` (columns,), in variances of it, however few the poses are."""
+        axes = list(self.axes)
+        left = self.residuals[self.whole][:, axes] / sigma[axes]
+        return float((left**2).sum()) / max(left.size - self.fit.rank, 1) - 1.0
+
     def owns(self, effect: Effect) -> slice:
         """Where the parameters of an effect that is in the model stand among the fitted ones."""
         return self.model.owns(effect)
