@@ -144,7 +144,9 @@ class Scan:
         """One look at all rows: the model's own triangle, and its and the residual's products with every column."""
         triangle = Triangle()
         with_e: Any = 0.0
+        # full columns are multiplied with those of their own candidate alone
         ff, dd, total = np.zeros((self.f, self.f)), np.zeros((self.d, self.d)), 0.0
+        sets = _apart([c.dense for c in self.candidates])
 
         def model_and_residual() -> Iterator[tuple[slice, Block, Floats]]:
             nonlocal with_e, ff, dd, total
@@ -153,7 +155,8 @@ class Scan:
                 flat, residual = model.reshape(-1, model.shape[2]), block.residual.ravel()
                 dense = block.dense.reshape(len(residual), self.d)
                 ff += block.functions.T @ block.functions
-                dd += dense.T @ dense
+                for some in sets:
+                    dd[some, some] += dense[:, some].T @ dense[:, some]
                 total += float(residual @ residual)
                 with_e = with_e + flat.T @ residual
                 yield rows, block, np.concatenate([model, block.residual[:, :, None]], axis=2)
@@ -440,6 +443,15 @@ class Scan:
             triangle.add(np.concatenate(parts, axis=2))
         model, *columns, residual = np.split(triangle.of, np.cumsum(counts)[:-1], axis=1)
         return Image(model, columns, residual[:, 0], self.n * self.m)
+
+
+def _apart(sets: Sequence[Sequence[int]]) -> list[slice]:
+    """Stretches of columns that hold each of these sets of their numbers whole."""
+    out: list[slice] = []
+    for first, last in sorted({(min(one), max(one)) for one in sets if one}):
+        start = out.pop() if out and first < out[-1].stop else slice(first, 0)
+        out.append(slice(start.start, max(start.stop, last + 1)))
+    return out
 
 
 def codes_of(poses: int, seed: int, flips: int = FLIPS) -> Ints:
