@@ -17,7 +17,7 @@ from ..data.noise import Noise, noise_of
 from ..errors import FitError
 from ..fit.error import axes_of
 from ..fit.identify import Fit, identify
-from ..model.base import Derivatives, ModelWithEffects, Tried, beside_one_another
+from ..model.base import Derivatives, ModelWithEffects, beside_one_another
 from ..model.effect import Effect
 from .linearised import Linearised, last_asked
 from .next_poses import Proposal, next_poses
@@ -204,22 +204,21 @@ class FittedRun(Saved):
         unknown = [e for e, period in periodic if period is None]
         asked = [e for e in tried if e not in unknown]
         own = self.model.linearised_by_blocks(part, self.fit.values)
-        every = self.model.tried_by_blocks(part, self.fit.values, asked)
-        first = every(slice(0, 1))
+        every = self.model.tried(part, self.fit.values, asked)
         variables, place = self.variables(rows)
         # those that step at a searched time behind the others
-        ordered = sorted(first.effects, key=lambda one: one[0].search == "time_s")
+        ordered = sorted(every.effects, key=lambda one: one[0].search == "time_s")
         order = np.concatenate([np.arange(0), *(np.arange(at.start, at.stop) for _, at in ordered)])
         columns = beside_one_another((effect, at.stop - at.start) for effect, at in ordered)
         # a step of a point whose coordinates are read is one of each reading alone
-        alone = [effect.link == "body" and first.reads_point for effect, _ in columns]
-        known = own(slice(0, 1)).inputs is not None
+        alone = [effect.link == "body" and every.reads_point for effect, _ in columns]
+        known = self.model.inputs_known
 
         def lagging(effect: Effect) -> Callable[[float], Callable[[slice], Floats]]:
             """Columns of an effect at any lag: those of a stand that is warmer by a degree, by how much it is."""
             warmer = replace(part, room=Room(np.zeros(1), np.array([DRAWN_C + 1.0])))
-            of_degree = self.model.with_settings(effect, 1.0).tried_by_blocks(warmer, self.fit.values, [effect])
-            per_degree = _PerDegree(lambda some: of_degree(some).columns[:, axes] / over)
+            of_degree = self.model.with_settings(effect, 1.0).tried(warmer, self.fit.values, [effect])
+            per_degree = _PerDegree(lambda some: of_degree.columns(some)[:, axes] / over)
 
             def at(lag_s: float) -> Callable[[slice], Floats]:
                 later = part.later(lag_s)
@@ -235,7 +234,7 @@ class FittedRun(Saved):
             variables=variables,
             group=part.standing,
             repeated=part.groups,
-            derivatives=_OverNoise(own, every, axes, over, order),
+            derivatives=_OverNoise(own, every.columns, axes, over, order),
             pattern_of={name: name for name in inputs if name in variables} if known else {},
             place=place,
             inputs=inputs,
@@ -249,7 +248,7 @@ class FittedRun(Saved):
             periodic=tuple(periodic) if known else (),
             # what no time says cannot be told to come later
             lagging=tuple((e, lagging(e)) for e in asked if e.is_lagging) if part.room is not None else (),
-            untestable=untestable | first.refused,
+            untestable=untestable | every.refused,
         )
         self._last = rows, effects, sigma, out
         return out
@@ -272,7 +271,7 @@ class _OverNoise:
     ``order``."""
 
     own: Callable[[slice], Derivatives]
-    every: Callable[[slice], Tried]
+    every: Callable[[slice], Floats]
     axes: list[int]
     over: Floats
     order: Ints
@@ -282,7 +281,7 @@ class _OverNoise:
         return self._put(found.parameters), None if found.inputs is None else self._put(found.inputs)
 
     def effects(self, rows: slice) -> Floats:
-        columns = self.every(rows).columns
+        columns = self.every(rows)
         # all at once: as many small stretches take ten times as long
         out = np.take(columns if self.all_axes(columns) else columns[:, self.axes], self.order, axis=2)
         out /= self.over
