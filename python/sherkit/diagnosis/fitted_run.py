@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from ..model.effect import Effect
 from .linearised import Linearised, last_asked
 from .next_poses import Proposal, next_poses
 
+#: Relative difference up to which two noises are the same.
+_SAME = 1e-12
 #: No residual is told from zero below this part of the range of the readings.
 DIGITS = 1e-9
 
@@ -34,7 +37,7 @@ class FittedRun(Saved):
     measured minus predicted. Raises :class:`~sherkit.errors.FitError` for rows without any coordinate.
     """
 
-    def __init__(self, fit: Fit) -> None:
+    def __init__(self, fit: Fit, before: tuple[FittedRun, frozenset[str]] | None = None) -> None:
         data = fit.data
         self.fit = fit
         self.model: ModelWithEffects = fit.model
@@ -43,11 +46,12 @@ class FittedRun(Saved):
         self.axes = axes_of(data)
         if not self.axes:
             raise FitError(f"{data.source}: diagnosis needs coordinates; these rows are distances only")
+        self._before = before
         self._last: tuple[Ints, tuple[Effect, ...], Floats, Linearised] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what was asked for last: a copy computes it again."""
-        return super().__getstate__() | {"_last": None}
+        """Without what was asked for last and what it came from: a copy computes it again."""
+        return super().__getstate__() | {"_last": None, "_before": None}
 
     @property
     def unit(self) -> str:
@@ -131,16 +135,32 @@ class FittedRun(Saved):
 
     # -- other fits --------------------------------------------------------------------------------------
 
+    @cached_property
+    def _refits(self) -> WeakValueDictionary[tuple[tuple[Effect, float | None], ...], FittedRun]:
+        """Fits with more effects that somebody still has."""
+        return WeakValueDictionary()
+
+    @property
+    def _is_minimum(self) -> bool:
+        """Whether the fit is that of its rows by their noise alone, which any other way to it would find again."""
+        return self.fit.loss == "linear" and not self.fit.priors and self.fit.converged
+
     def refit(self, added: Sequence[tuple[Effect, float | None]]) -> FittedRun:
         """The full fit with more effects, each at its setting, from the drawing. Raises
         :class:`~sherkit.errors.SherkitError`."""
+        if (made := self._refits.get(tuple(added))) is not None:
+            return made
         model = self.model
         for effect, setting in added:
             model = model.with_effect(effect, at=setting)
-        return FittedRun(identify(model, self.data, noise=self.fit.noise))
+        before = (self, frozenset(effect.name for effect, _ in added)) if self._is_minimum else None
+        made = self._refits[tuple(added)] = FittedRun(identify(model, self.data, noise=self.fit.noise), before)
+        return made
 
     def without_effects(self, names: Collection[str]) -> FittedRun:
         """The full fit without these effects of the model, the others from their values. Raises as :meth:`refit`."""
+        if self._before is not None and self._before[1] == set(names):
+            return self._before[0]
         model, taken = self.model, np.zeros(len(self.fit.values), dtype=bool)
         for effect in self.model.effects:
             if effect.name in names:
@@ -154,6 +174,9 @@ class FittedRun(Saved):
         data = self.data.select(rows)
         each = self.fit.noise.sigma[rows] if sigma is None else np.where(data.taken, sigma, 1.0)
         noise = Noise(each, self.fit.noise.origin)
+        every = np.array_equal(rows, np.arange(len(self.data)))
+        if every and self._is_minimum and np.allclose(each, self.fit.noise.sigma, rtol=_SAME, atol=0.0):
+            return self
         return FittedRun(identify(self.model, data, noise=noise, start=self.fit.values))
 
     def as_in(self, other: FittedRun) -> FittedRun:

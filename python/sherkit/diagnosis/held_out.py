@@ -136,7 +136,8 @@ def held_out_gain(
     *,
     sigma: Floats,
     repeated_folds: Sequence[Ints],
-    rivals: Sequence[Effect] | None = None,
+    tried: Sequence[Effect] = (),
+    alike: Collection[str] = (),
     periods: Sequence[float] = (),
     also: Collection[str] = (),
     beside: Columns | None = None,
@@ -144,9 +145,9 @@ def held_out_gain(
 ) -> HeldOutGain:
     """What ``effect``, which is in the model of ``run``, brings given all others of the model but those of ``also``.
 
-    ``repeated_folds`` are folds (n,) of all rows of the data; ``rivals`` what might have been chosen in its place, None
-    where nobody chose, and ``periods`` others that might have been chosen for it; ``beside`` are columns that are
-    fitted as well. An effect without which the rows cannot be fitted earns its place.
+    ``repeated_folds`` are folds (n,) of all rows of the data; effects that were ``tried``, but those ``alike`` by name,
+    and other ``periods`` of its own might have been chosen in its place; ``beside`` are columns that are fitted as
+    well. An effect without which the rows cannot be fitted earns its place.
     """
     axes = list(run.axes)
     rows = testable(run, np.flatnonzero(run.whole))
@@ -155,15 +156,14 @@ def held_out_gain(
     try:
         full = run.without_effects(also) if also else run
         less = full.without_effects((effect.name,))
-        more = full.linearised(rows, (), scale)
-        plain = less.linearised(rows, tuple(rivals or ()), scale)
+        more, plain = (one.linearised(rows, tried, scale) for one in (full, less))
     except SherkitError:
         return HeldOutGain(effect.name, np.inf, 0.0, 1.0 / FLIPS, 1.0)
     with_it, of_more = squares_of(more, fold, beside)
     without, _ = squares_of(plain, fold, beside)
     chosen = np.ones(fold.shape, dtype=bool)
-    if rivals or periods:
-        others = [(rival, place) for rival, place in plain.effects if rival.name != effect.name]
+    others = [(rival, place) for rival, place in plain.effects if rival.name not in alike]
+    if others or periods:
         linear = _scores_beside(plain, [place for _, place in others], periods, fold)
         exact = [_scores(of_more)]
         # what comes nearest to first order is fitted in full: far from zero its derivatives there do not tell

@@ -140,14 +140,14 @@ def _judged(
         steps.append(StepReport(ordered[-1].name, error))
     result.added = ordered
     alike = {name for other in result.alternatives for name in other.names} | {c.name for c in ordered}
-    rivals = [e for e in effects if e.name not in alike]
     gains = [
         held_out_gain(
             partial,
             c.effect,
             sigma=sigma,
             repeated_folds=repeated_folds,
-            rivals=rivals,
+            tried=effects,
+            alike=alike,
             periods=_other_periods(result, c),
             seed=seed,
         )
