@@ -144,9 +144,9 @@ class Scan:
         """One look at all rows: the model's own triangle, and its and the residual's products with every column."""
         triangle = Triangle()
         with_e: Any = 0.0
-        # full columns are multiplied with those of their own candidate alone
         ff, dd, total = np.zeros((self.f, self.f)), np.zeros((self.d, self.d)), 0.0
-        sets = _apart([c.dense for c in self.candidates])
+        # columns are multiplied with those of their own candidate alone
+        functions, full = _apart([c.functions for c in self.candidates]), _apart([c.dense for c in self.candidates])
 
         def model_and_residual() -> Iterator[tuple[slice, Block, Floats]]:
             nonlocal with_e, ff, dd, total
@@ -154,9 +154,9 @@ class Scan:
                 triangle.add(model)
                 flat, residual = model.reshape(-1, model.shape[2]), block.residual.ravel()
                 dense = block.dense.reshape(len(residual), self.d)
-                ff += block.functions.T @ block.functions
-                for some in sets:
-                    dd[some, some] += dense[:, some].T @ dense[:, some]
+                for products, columns, sets in ((ff, block.functions, functions), (dd, dense, full)):
+                    for some in sets:
+                        products[some, some] += columns[:, some].T @ columns[:, some]
                 total += float(residual @ residual)
                 with_e = with_e + flat.T @ residual
                 yield rows, block, np.concatenate([model, block.residual[:, :, None]], axis=2)
