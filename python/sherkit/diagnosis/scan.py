@@ -22,7 +22,7 @@ from .._core import largest_under_flips
 from ..base import linalg
 from ..base.types import Floats, Ints
 from .axis_waves import AxisProducts, AxisWaves
-from .image import Image, Projected, Triangle
+from .image import Image, Projected, Triangle, add_products, stretches_of
 from .lack_of_fit import z_score
 from .waves import FilteredWaves, Products
 
@@ -145,8 +145,7 @@ class Scan:
         triangle = Triangle()
         with_e: Any = 0.0
         ff, dd, total = np.zeros((self.f, self.f)), np.zeros((self.d, self.d)), 0.0
-        # columns are multiplied with those of their own candidate alone
-        functions, full = _apart([c.functions for c in self.candidates]), _apart([c.dense for c in self.candidates])
+        functions, full = (stretches_of([getattr(c, sort) for c in self.candidates]) for sort in ("functions", "dense"))
 
         def model_and_residual() -> Iterator[tuple[slice, Block, Floats]]:
             nonlocal with_e, ff, dd, total
@@ -154,9 +153,8 @@ class Scan:
                 triangle.add(model)
                 flat, residual = model.reshape(-1, model.shape[2]), block.residual.ravel()
                 dense = block.dense.reshape(len(residual), self.d)
-                for products, columns, sets in ((ff, block.functions, functions), (dd, dense, full)):
-                    for some in sets:
-                        products[some, some] += columns[:, some].T @ columns[:, some]
+                add_products(ff, block.functions, functions)
+                add_products(dd, dense, full)
                 total += float(residual @ residual)
                 with_e = with_e + flat.T @ residual
                 yield rows, block, np.concatenate([model, block.residual[:, :, None]], axis=2)
@@ -443,15 +441,6 @@ class Scan:
             triangle.add(np.concatenate(parts, axis=2))
         model, *columns, residual = np.split(triangle.of, np.cumsum(counts)[:-1], axis=1)
         return Image(model, columns, residual[:, 0], self.n * self.m)
-
-
-def _apart(sets: Sequence[Sequence[int]]) -> list[slice]:
-    """Stretches of columns that hold each of these sets of their numbers whole."""
-    out: list[slice] = []
-    for first, last in sorted({(min(one), max(one)) for one in sets if one}):
-        start = out.pop() if out and first < out[-1].stop else slice(first, 0)
-        out.append(slice(start.start, max(start.stop, last + 1)))
-    return out
 
 
 def codes_of(poses: int, seed: int, flips: int = FLIPS) -> Ints:
