@@ -44,5 +44,5 @@ def test_columns_at_any_lag_are_those_of_the_model_with_it(name: str, within: tu
     part = data.select(rows)
     for lag in (20.0, 400.0):
         model = run.model.with_settings(effect, lag)
-        direct = model.tried_by_blocks(part, run.fit.values, [effect])(slice(3, 40)).columns[:, list(run.axes)] / 0.3
+        direct = model.tried(part, run.fit.values, [effect]).columns(slice(3, 40))[:, list(run.axes)] / 0.3
         np.testing.assert_allclose(behind(lag)(slice(3, 40)), direct, rtol=1e-6, atol=1e-9 * np.abs(direct).max())

@@ -199,7 +199,8 @@ def _tried(
 
     def take(model: ModelWithEffects, some: Sequence[Effect]) -> dict[str, Floats]:
         found = model.tried(data, values, some)
-        return {e.name: found.columns[:, axes, at] * [p.size for p in e.parameters] for e, at in found.effects}
+        columns = found.columns(slice(0, len(data)))[:, axes]
+        return {e.name: columns[:, :, at] * [p.size for p in e.parameters] for e, at in found.effects}
 
     def waves(effect: Effect) -> bool:
         return effect.is_periodic and len(settings[effect.name]) > 1
@@ -215,7 +216,7 @@ def _tried(
             found = model.with_settings(effect, 1.0).tried(warmer, values, [effect])
             stand = [data.later(lag_s) for lag_s in settings[name].tolist()]
             if found.effects and data.room is not None:
-                of_degree = found.columns[:, axes] * [p.size for p in effect.parameters]
+                of_degree = found.columns(slice(0, len(data)))[:, axes] * [p.size for p in effect.parameters]
                 degrees = np.stack([one for one in stand if one is not None], axis=1) - DRAWN_C
                 out[name] = of_degree[:, :, None] * degrees[:, None, :, None]
         elif waves(effect):

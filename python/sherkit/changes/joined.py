@@ -364,7 +364,8 @@ def columns_of(
     places = {p.name: k for k, p in enumerate(model.parameters)}
     asked = [one.effect for one in candidates if one.effect is not None and one.parameters[0].name not in places]
     tried = model.tried(data, values, asked)
-    out = {e.name: tried.columns[:, list(axes), at] for e, at in tried.effects}
+    columns = tried.columns(slice(0, len(data)))[:, list(axes)]
+    out = {e.name: columns[:, :, at] for e, at in tried.effects}
     out |= {one.name: own[:, :, [places[p.name] for p in one.parameters]] for one in candidates if one.name not in out}
     return {one.name: out[one.name] * [p.size for p in one.parameters] for one in candidates}
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -57,19 +58,36 @@ class Description:
     numbers: tuple[int, ...]
     count: int
 
-    def schwarz(self, shapes: int = -1, more: int = 0) -> float:
-        """Schwarz's criterion of the first ``shapes``, of all if not given, with so many ``more`` numbers."""
-        return self.by_fit(shapes) + (self.numbers[shapes] + more) * float(np.log(self.count))
+    def schwarz(self, more: int = 0) -> float:
+        """Schwarz's criterion of all of them, with so many ``more`` numbers."""
+        return self.by_fit() + (self.numbers[-1] + more) * float(np.log(self.count))
 
-    def by_fit(self, shapes: int = -1) -> float:
+    def by_fit(self) -> float:
         """The same without a price on numbers."""
-        return float(self.count * np.log(max(self.left[shapes], 1e-300) / self.count))
+        return float(self.count * np.log(max(self.left[-1], 1e-300) / self.count))
 
     @property
     def shown(self) -> tuple[Shape, ...]:
         """Those that count."""
         takes = -np.diff(self.left)
         return tuple(s for s, t in zip(self.shapes, takes, strict=True) if t >= _COUNTS * takes.max())
+
+
+@dataclass(frozen=True, eq=False)
+class Alone:
+    """What a stage leaves by shapes without any effect: most runs are judged by the first few of them."""
+
+    search: Search
+    stage: Stage
+
+    @cached_property
+    def every(self) -> Description:
+        """All of them."""
+        return described(self.search, self.stage)
+
+    def first(self, most: int) -> Description:
+        """So many of them at most."""
+        return described(self.search, self.stage, most)
 
 
 def described(search: Search, stage: Stage, most: int = _MOST_SHAPES) -> Description:
@@ -106,9 +124,9 @@ def innocents(
     final: FittedRun,
     gains: Sequence[HeldOutGain],
     sigma: Floats,
-    alone: Description,
+    by_shapes: Alone,
 ) -> list[tuple[str, str]]:
-    """Effects of those found that must not be named, each with why. ``alone`` describes the run by shapes without any
+    """Effects of those found that must not be named, each with why. ``by_shapes`` describes the run without any
     effect; ``final`` has all effects."""
     stage = result.stages[-1]
     # where the test says that nothing is left, chance has no shape
@@ -118,24 +136,24 @@ def innocents(
     numbers += sum(len(stage.scan.numbers(m)) for m in stage.scan.model)
     with_effects = beside.schwarz(more=numbers)
     # effects that leave nothing are asked only where no more shapes do better: one more is fitted to noise
-    some = -1 if shown else min(len(result.added), len(alone.shapes))
+    alone = by_shapes.every if shown else by_shapes.first(len(result.added))
     # and a shape that says what one tied with them does is no rival
     tied = [] if shown or len(result.replaced) < len(result.added) else result.alternatives
     best = min([with_effects, *(bic(e.stage.scan, e.candidates) for e in tied)])
     by_fit = min([beside.by_fit(), *(schwarz(e.stage.scan, 0) for e in tied)])
-    clearly = alone.schwarz(some) < best - CLEARLY
+    clearly = alone.schwarz() < best - CLEARLY
     # the best of many shapes takes a little more than what is true by chance
-    taken, more = alone.left[0] - beside.left[-1], beside.left[-1] - alone.left[some]
-    fits = alone.by_fit(some) < by_fit - CLEARLY and more > _SAYS_MORE * taken
-    if clearly and (shown or some < len(result.added) or fits):
-        shown = (*shown, *alone.shown)
-    left = _beyond_noise(final, sigma)
-    if left > max(PRAISE**2 - 1.0, _LEFT_AT_MOST * _beyond_noise(search.base, sigma)):
+    taken, more = alone.left[0] - beside.left[-1], beside.left[-1] - alone.left[-1]
+    fits = alone.by_fit() < by_fit - CLEARLY and more > _SAYS_MORE * taken
+    if clearly and (shown or len(alone.shapes) < len(result.added) or fits):
+        shown = (*shown, *by_shapes.every.shown)
+    left = final.beyond_noise(sigma)
+    if left > max(PRAISE**2 - 1.0, _LEFT_AT_MOST * search.base.beyond_noise(sigma)):
         return [(c.name, "more is left than is taken: whatever leaves that may leave all") for c in result.added]
     if not shown:
         return []
     fold = _scattered(final, search.seed)
-    better = with_effects < alone.schwarz() - CLEARLY
+    better = with_effects < by_shapes.every.schwarz() - CLEARLY
     out: dict[str, str] = {}
 
     def ask(columns: Columns) -> None:
@@ -176,12 +194,6 @@ def _held_out(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints], bes
     return rms(
         squares_of(run.linearised(rows, (), scale), np.stack([d[rows] for d in repeated_folds]), beside)[0], scale
     )
-
-
-def _beyond_noise(run: FittedRun, sigma: Floats) -> float:
-    """What a fit leaves beyond noise, in variances of it, however few its poses are."""
-    left = run.residuals[run.whole][:, list(run.axes)] / sigma[list(run.axes)]
-    return float((left**2).sum()) / max(left.size - run.fit.rank, 1) - 1.0
 
 
 def _columns_of(stage: Stage, shapes: Sequence[Shape]) -> Columns | None:

@@ -242,10 +242,12 @@ class Deviations:
         """Functions (rows, f) of shapes without the mean of each pose, of unit length; nothing where only rounding is
         left. The rows are all of their poses."""
         functions = np.column_stack([one for held in shapes for one in self._functions(held, rows)])
-        out = functions - means_of(functions, np.unique(self.pose[rows], return_inverse=True)[1].ravel())
-        length, before = np.linalg.norm(out, axis=0), np.linalg.norm(functions, axis=0)
-        there = length > 1e-6 * before
-        return np.where(there, out / np.where(there, length, 1.0), 0.0)
+        before = (functions**2).sum(axis=0)
+        functions -= means_of(functions, np.unique(self.pose[rows], return_inverse=True)[1].ravel())
+        squares = (functions**2).sum(axis=0)
+        there = squares > 1e-12 * before
+        functions *= np.where(there, 1.0 / np.sqrt(np.where(there, squares, 1.0)), 0.0)
+        return functions
 
     def _family(self) -> tuple[list[tuple[Held, tuple[int, ...]]], Floats]:
         """Shapes with the numbers of their functions, and these (seen, f)."""

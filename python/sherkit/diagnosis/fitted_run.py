@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -17,11 +18,13 @@ from ..data.noise import Noise, noise_of
 from ..errors import FitError
 from ..fit.error import axes_of
 from ..fit.identify import Fit, identify
-from ..model.base import Derivatives, ModelWithEffects, Tried, beside_one_another
+from ..model.base import Derivatives, ModelWithEffects, beside_one_another
 from ..model.effect import Effect
 from .linearised import Linearised, last_asked
 from .next_poses import Proposal, next_poses
 
+#: Relative difference up to which two noises are the same.
+_SAME = 1e-12
 #: No residual is told from zero below this part of the range of the readings.
 DIGITS = 1e-9
 
@@ -34,7 +37,7 @@ class FittedRun(Saved):
     measured minus predicted. Raises :class:`~sherkit.errors.FitError` for rows without any coordinate.
     """
 
-    def __init__(self, fit: Fit) -> None:
+    def __init__(self, fit: Fit, before: tuple[FittedRun, frozenset[str]] | None = None) -> None:
         data = fit.data
         self.fit = fit
         self.model: ModelWithEffects = fit.model
@@ -43,11 +46,12 @@ class FittedRun(Saved):
         self.axes = axes_of(data)
         if not self.axes:
             raise FitError(f"{data.source}: diagnosis needs coordinates; these rows are distances only")
+        self._before = before
         self._last: tuple[Ints, tuple[Effect, ...], Floats, Linearised] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what was asked for last: a copy computes it again."""
-        return super().__getstate__() | {"_last": None}
+        """Without what was asked for last and what it came from: a copy computes it again."""
+        return super().__getstate__() | {"_last": None, "_before": None}
 
     @property
     def unit(self) -> str:
@@ -111,6 +115,12 @@ class FittedRun(Saved):
             out[a] = max(DIGITS * float(np.ptp(used)) if len(used) else 0.0, 1e-12)
         return out
 
+    def beyond_noise(self, sigma: Floats) -> float:
+        """What is left beyond the noise ``sigma`` (columns,), in variances of it, however few the poses are."""
+        axes = list(self.axes)
+        left = self.residuals[self.whole][:, axes] / sigma[axes]
+        return float((left**2).sum()) / max(left.size - self.fit.rank, 1) - 1.0
+
     def owns(self, effect: Effect) -> slice:
         """Where the parameters of an effect that is in the model stand among the fitted ones."""
         return self.model.owns(effect)
@@ -125,16 +135,32 @@ class FittedRun(Saved):
 
     # -- other fits --------------------------------------------------------------------------------------
 
+    @cached_property
+    def _refits(self) -> WeakValueDictionary[tuple[tuple[Effect, float | None], ...], FittedRun]:
+        """Fits with more effects that somebody still has."""
+        return WeakValueDictionary()
+
+    @property
+    def _is_minimum(self) -> bool:
+        """Whether the fit is that of its rows by their noise alone, which any other way to it would find again."""
+        return self.fit.loss == "linear" and not self.fit.priors and self.fit.converged
+
     def refit(self, added: Sequence[tuple[Effect, float | None]]) -> FittedRun:
         """The full fit with more effects, each at its setting, from the drawing. Raises
         :class:`~sherkit.errors.SherkitError`."""
+        if (made := self._refits.get(tuple(added))) is not None:
+            return made
         model = self.model
         for effect, setting in added:
             model = model.with_effect(effect, at=setting)
-        return FittedRun(identify(model, self.data, noise=self.fit.noise))
+        before = (self, frozenset(effect.name for effect, _ in added)) if self._is_minimum else None
+        made = self._refits[tuple(added)] = FittedRun(identify(model, self.data, noise=self.fit.noise), before)
+        return made
 
     def without_effects(self, names: Collection[str]) -> FittedRun:
         """The full fit without these effects of the model, the others from their values. Raises as :meth:`refit`."""
+        if self._before is not None and self._before[1] == set(names):
+            return self._before[0]
         model, taken = self.model, np.zeros(len(self.fit.values), dtype=bool)
         for effect in self.model.effects:
             if effect.name in names:
@@ -148,6 +174,9 @@ class FittedRun(Saved):
         data = self.data.select(rows)
         each = self.fit.noise.sigma[rows] if sigma is None else np.where(data.taken, sigma, 1.0)
         noise = Noise(each, self.fit.noise.origin)
+        every = np.array_equal(rows, np.arange(len(self.data)))
+        if every and self._is_minimum and np.allclose(each, self.fit.noise.sigma, rtol=_SAME, atol=0.0):
+            return self
         return FittedRun(identify(self.model, data, noise=noise, start=self.fit.values))
 
     def as_in(self, other: FittedRun) -> FittedRun:
@@ -198,22 +227,21 @@ class FittedRun(Saved):
         unknown = [e for e, period in periodic if period is None]
         asked = [e for e in tried if e not in unknown]
         own = self.model.linearised_by_blocks(part, self.fit.values)
-        every = self.model.tried_by_blocks(part, self.fit.values, asked)
-        first = every(slice(0, 1))
+        every = self.model.tried(part, self.fit.values, asked)
         variables, place = self.variables(rows)
         # those that step at a searched time behind the others
-        ordered = sorted(first.effects, key=lambda one: one[0].search == "time_s")
+        ordered = sorted(every.effects, key=lambda one: one[0].search == "time_s")
         order = np.concatenate([np.arange(0), *(np.arange(at.start, at.stop) for _, at in ordered)])
         columns = beside_one_another((effect, at.stop - at.start) for effect, at in ordered)
         # a step of a point whose coordinates are read is one of each reading alone
-        alone = [effect.link == "body" and first.reads_point for effect, _ in columns]
-        known = own(slice(0, 1)).inputs is not None
+        alone = [effect.link == "body" and every.reads_point for effect, _ in columns]
+        known = self.model.inputs_known
 
         def lagging(effect: Effect) -> Callable[[float], Callable[[slice], Floats]]:
             """Columns of an effect at any lag: those of a stand that is warmer by a degree, by how much it is."""
             warmer = replace(part, room=Room(np.zeros(1), np.array([DRAWN_C + 1.0])))
-            of_degree = self.model.with_settings(effect, 1.0).tried_by_blocks(warmer, self.fit.values, [effect])
-            per_degree = _PerDegree(lambda some: of_degree(some).columns[:, axes] / over)
+            of_degree = self.model.with_settings(effect, 1.0).tried(warmer, self.fit.values, [effect])
+            per_degree = _PerDegree(lambda some: of_degree.columns(some)[:, axes] / over)
 
             def at(lag_s: float) -> Callable[[slice], Floats]:
                 later = part.later(lag_s)
@@ -229,7 +257,7 @@ class FittedRun(Saved):
             variables=variables,
             group=part.standing,
             repeated=part.groups,
-            derivatives=_OverNoise(own, every, axes, over, order),
+            derivatives=_OverNoise(own, every.columns, axes, over, order),
             pattern_of={name: name for name in inputs if name in variables} if known else {},
             place=place,
             inputs=inputs,
@@ -243,7 +271,7 @@ class FittedRun(Saved):
             periodic=tuple(periodic) if known else (),
             # what no time says cannot be told to come later
             lagging=tuple((e, lagging(e)) for e in asked if e.is_lagging) if part.room is not None else (),
-            untestable=untestable | first.refused,
+            untestable=untestable | every.refused,
         )
         self._last = rows, effects, sigma, out
         return out
@@ -266,7 +294,7 @@ class _OverNoise:
     ``order``."""
 
     own: Callable[[slice], Derivatives]
-    every: Callable[[slice], Tried]
+    every: Callable[[slice], Floats]
     axes: list[int]
     over: Floats
     order: Ints
@@ -276,7 +304,7 @@ class _OverNoise:
         return self._put(found.parameters), None if found.inputs is None else self._put(found.inputs)
 
     def effects(self, rows: slice) -> Floats:
-        columns = self.every(rows).columns
+        columns = self.every(rows)
         # all at once: as many small stretches take ten times as long
         out = np.take(columns if self.all_axes(columns) else columns[:, self.axes], self.order, axis=2)
         out /= self.over

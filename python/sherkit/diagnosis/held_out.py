@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -137,7 +136,8 @@ def held_out_gain(
     *,
     sigma: Floats,
     repeated_folds: Sequence[Ints],
-    rivals: Sequence[Effect] | None = None,
+    tried: Sequence[Effect] = (),
+    alike: Collection[str] = (),
     periods: Sequence[float] = (),
     also: Collection[str] = (),
     beside: Columns | None = None,
@@ -145,9 +145,9 @@ def held_out_gain(
 ) -> HeldOutGain:
     """What ``effect``, which is in the model of ``run``, brings given all others of the model but those of ``also``.
 
-    ``repeated_folds`` are folds (n,) of all rows of the data; ``rivals`` what might have been chosen in its place, None
-    where nobody chose, and ``periods`` others that might have been chosen for it; ``beside`` are columns that are
-    fitted as well. An effect without which the rows cannot be fitted earns its place.
+    ``repeated_folds`` are folds (n,) of all rows of the data; effects that were ``tried``, but those ``alike`` by name,
+    and other ``periods`` of its own might have been chosen in its place; ``beside`` are columns that are fitted as
+    well. An effect without which the rows cannot be fitted earns its place.
     """
     axes = list(run.axes)
     rows = testable(run, np.flatnonzero(run.whole))
@@ -156,15 +156,14 @@ def held_out_gain(
     try:
         full = run.without_effects(also) if also else run
         less = full.without_effects((effect.name,))
-        more = full.linearised(rows, (), scale)
-        plain = less.linearised(rows, tuple(rivals or ()), scale)
+        more, plain = (one.linearised(rows, tried, scale) for one in (full, less))
     except SherkitError:
         return HeldOutGain(effect.name, np.inf, 0.0, 1.0 / FLIPS, 1.0)
     with_it, of_more = squares_of(more, fold, beside)
     without, _ = squares_of(plain, fold, beside)
     chosen = np.ones(fold.shape, dtype=bool)
-    if rivals or periods:
-        others = [(rival, place) for rival, place in plain.effects if rival.name != effect.name]
+    others = [(rival, place) for rival, place in plain.effects if rival.name not in alike]
+    if others or periods:
         linear = _scores_beside(plain, [place for _, place in others], periods, fold)
         exact = [_scores(of_more)]
         # what comes nearest to first order is fitted in full: far from zero its derivatives there do not tell
@@ -217,11 +216,8 @@ def _scores_beside(view: Linearised, effects: Sequence[slice], periods: Sequence
         return np.concatenate([view.fitted(rows), *parts, *(waves_of(view, 1.0 / p, rows) for p in periods)], axis=2)
 
     counts = [*(place.stop - place.start for place in effects), *(2 * len(view.waving) for _ in periods)]
-    folds = Folds.of(columns, view.residual, fold)
-    beside = Beside(folds, len(folds.length) - sum(counts))
-    count = folds.outside[3]
-    sets = [slice(a, b) for a, b in pairwise(np.cumsum([0, *counts]).tolist())]
-    return np.array([_schwarz(*beside.outside(one), count) for one in sets]).reshape(-1, len(folds))
+    beside = Beside(columns, counts, view.residual, fold)
+    return _schwarz(*beside.outside, beside.counts_outside)
 
 
 def _schwarz(squares: Floats, rank: Ints, count: Floats) -> Floats:
@@ -244,20 +240,21 @@ def held_out(stage: Stage, fold: Ints) -> list[HeldOutError]:
 
     ``fold`` (repetitions, n) is the fold of each row in each repetition.
     """
-    view, sigma = stage.view, stage.sigma[None, :, None]
+    view = stage.view
 
     def columns(rows: slice) -> Floats:
         parts = [view.fitted(rows), *(stage.raw(c.columns, rows) for c in stage.candidates)]
+        out = np.concatenate(parts, axis=2)
         # in the unit of the readings, so that axes count by their error
-        return np.concatenate(parts, axis=2) * sigma
+        out *= stage.sigma[:, None]
+        return out
 
-    folds = Folds.of(columns, view.residual * stage.sigma, fold)
-    ends = np.cumsum([0, *(len(stage.scan.numbers(c.columns)) for c in stage.candidates)]).tolist()
-    beside = Beside(folds, stage.scan.fitted)
-    return [_error(folds, beside.held_out(slice(a, b)), stage.run.per_row) for a, b in pairwise(ends)]
+    counts = [len(stage.scan.numbers(c.columns)) for c in stage.candidates]
+    beside = Beside(columns, counts, view.residual * stage.sigma, fold)
+    return [_error(beside, squares, stage.run.per_row) for squares in beside.held_out]
 
 
-def _error(folds: Folds, squares: Floats, unit: float) -> HeldOutError:
+def _error(folds: Beside, squares: Floats, unit: float) -> HeldOutError:
     """What blocks left out in turn show. Every repetition is of the same rows: it is known no better than from one."""
     repetitions, count = len(folds.place), int(folds.counts.sum())
     rms = float(np.sqrt(max(float(squares.sum()), 0.0) / count))

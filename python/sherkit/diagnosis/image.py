@@ -83,3 +83,18 @@ class Image:
         residual = self.free_of_model(self.residual)
         residual = residual - added @ (added.T @ residual)
         return float(residual @ residual)
+
+
+def stretches_of(sets: Sequence[Sequence[int]]) -> list[slice]:
+    """Stretches of columns that hold each of these sets of their numbers whole."""
+    out: list[slice] = []
+    for first, last in sorted({(min(one), max(one)) for one in sets if one}):
+        start = out.pop() if out and first < out[-1].stop else slice(first, 0)
+        out.append(slice(start.start, max(start.stop, last + 1)))
+    return out
+
+
+def add_products(gram: Floats, columns: Floats, stretches: Sequence[slice]) -> None:
+    """Adds to ``gram`` (k, k) the products of columns (n, k) within each stretch: nobody asks for the others."""
+    for some in stretches:
+        gram[some, some] += columns[:, some].T @ columns[:, some]

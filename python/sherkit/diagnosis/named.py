@@ -11,7 +11,7 @@ import numpy as np
 from ..base.types import Floats, Ints
 from ..model.effect import Effect
 from .answers import StepReport
-from .beside import Description, described, innocents
+from .beside import Alone, innocents
 from .explanation import refit
 from .fitted_run import FittedRun
 from .held_out import HeldOutGain, error_of, held_out_gain
@@ -63,7 +63,7 @@ def searched(
     mistake of the set-up leaves says nothing on physics. ``periods`` (variable, period) are tried as shapes besides."""
     refused: list[str] = []
     notes: list[str] = []
-    alone: Description | None = None
+    alone: Alone | None = None
     in_model: tuple[Shape, ...] = ()
     searches, rho = 0, None
     while True:
@@ -82,11 +82,11 @@ def searched(
         falls = all(after.error.rms < before.error.rms for before, after in pairwise(steps))
         refusals = _refusals(run, final, result, gains, falls)
         if not refusals:
-            alone = alone or described(search, result.stages[0])
+            alone = alone or Alone(search, result.stages[0])
             refusals = innocents(search, result, final, gains, sigma, alone)
             if len(refusals) == len(gains):
                 # nothing is lost by what describes the run: whoever is to be named is found in what that leaves
-                in_model = alone.shapes
+                in_model = alone.every.shapes
         if not refusals:
             return Named(search, result, final, gains, steps, [*notes, *told])
         refused += [name for name, _ in refusals]
@@ -140,14 +140,14 @@ def _judged(
         steps.append(StepReport(ordered[-1].name, error))
     result.added = ordered
     alike = {name for other in result.alternatives for name in other.names} | {c.name for c in ordered}
-    rivals = [e for e in effects if e.name not in alike]
     gains = [
         held_out_gain(
             partial,
             c.effect,
             sigma=sigma,
             repeated_folds=repeated_folds,
-            rivals=rivals,
+            tried=effects,
+            alike=alike,
             periods=_other_periods(result, c),
             seed=seed,
         )

@@ -39,7 +39,7 @@ from .next_poses import Proposal
 from .one_unknown import OneUnknown, one_unknown
 from .outliers import sentences, without_outliers
 from .power import smallest_found
-from .repeats import by_repeats, in_repeats, with_the_way
+from .repeats import by_repeats, in_repeats, same_within_poses, with_the_way
 from .rounded import steps_in
 from .search import SearchResult
 from .setting import periods_shown
@@ -161,7 +161,9 @@ def diagnose(
     base_stage = stage_of(run, every, rows, sigma, rho=rho, thorough=False, at=at)
     gains = held_out(base_stage, np.stack([repetition[base_stage.rows] for repetition in repeated_folds]))
 
-    left = None if repeats is None else repeats if of_all is long else in_repeats(of_all, seed=seed)
+    left = repeats
+    if repeats is not None and not same_within_poses(long, of_all):
+        left = in_repeats(of_all, seed=seed)
     if origin != "declared":
         sigma = _noise_left(of_all, sigma) if left is None else left.noise
     own = [e for e in run.model.effects if e.name not in run.model.within]

@@ -17,11 +17,13 @@ from ..base.names import listed
 from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.columns import bare
-from .deviations import DIRECTION, FEWEST, Deviations, Held
+from .deviations import DIRECTION, FEWEST, Deviations, Held, means_of
 from .fitted_run import FittedRun
 
 #: Declared noise and what repeats show may differ by this factor.
 _CONTRADICTS = 3.0
+#: Part of the spread up to which deviations of repeats are the same: rounding, and where a fit stopped.
+_SAME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +76,15 @@ def in_repeats(run: FittedRun, *, seed: int) -> Repeats | None:
     search = Deviations(run, rows, pose, variables, _beside(run, rows), seed)
     held, p = search.find()
     return Repeats(tuple(held), p, search.noise(), len(rows), run.unit)
+
+
+def same_within_poses(one: FittedRun, other: FittedRun) -> bool:
+    """Whether two fits of the same rows leave the same deviations of repeats from their pose: an effect that is the
+    same at each visit to a pose changes none."""
+    rows, axes = np.flatnonzero(one.whole), list(one.axes)
+    pose = np.unique(one.data.groups[rows], return_inverse=True)[1].ravel()
+    apart = (one.residuals - other.residuals)[rows][:, axes]
+    return bool((np.abs(apart - means_of(apart, pose)) <= _SAME * other.scatter[axes]).all())
 
 
 def by_repeats(

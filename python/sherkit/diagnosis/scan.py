@@ -22,7 +22,7 @@ from .._core import largest_under_flips
 from ..base import linalg
 from ..base.types import Floats, Ints
 from .axis_waves import AxisProducts, AxisWaves
-from .image import Image, Projected, Triangle
+from .image import Image, Projected, Triangle, add_products, stretches_of
 from .lack_of_fit import z_score
 from .waves import FilteredWaves, Products
 
@@ -145,6 +145,7 @@ class Scan:
         triangle = Triangle()
         with_e: Any = 0.0
         ff, dd, total = np.zeros((self.f, self.f)), np.zeros((self.d, self.d)), 0.0
+        functions, full = (stretches_of([getattr(c, sort) for c in self.candidates]) for sort in ("functions", "dense"))
 
         def model_and_residual() -> Iterator[tuple[slice, Block, Floats]]:
             nonlocal with_e, ff, dd, total
@@ -152,8 +153,8 @@ class Scan:
                 triangle.add(model)
                 flat, residual = model.reshape(-1, model.shape[2]), block.residual.ravel()
                 dense = block.dense.reshape(len(residual), self.d)
-                ff += block.functions.T @ block.functions
-                dd += dense.T @ dense
+                add_products(ff, block.functions, functions)
+                add_products(dd, dense, full)
                 total += float(residual @ residual)
                 with_e = with_e + flat.T @ residual
                 yield rows, block, np.concatenate([model, block.residual[:, :, None]], axis=2)

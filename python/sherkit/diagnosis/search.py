@@ -46,6 +46,8 @@ from .waves import OVERSAMPLING, Waves
 _TAKES = 0.85
 #: Deviates beyond which no flip is needed to know that something is left.
 _PLAINLY_LEFT = 15.0
+#: Variances of the noise beyond it up to which a fit is looked at with all shapes at once.
+_LIKE_NOISE = 0.5
 #: Sets refitted in full by Schwarz's criterion, and at most as many again by what they leave.
 _MOST_REFITS = 4
 _MOST_PAIRS = 6
@@ -323,8 +325,9 @@ class Search:
         if stage.run.fit.converged and not run.fit.converged:
             return None
         # most of what does not explain leaves something that shows without the shapes that cost time
-        after = self.stage(run, stage.nuisance, thorough=False)
-        if float(after.scan.z_scores.max()) <= _PLAINLY_LEFT:
+        like_noise = run.noise[1] != "unknown" and run.beyond_noise(self.sigma) < _LIKE_NOISE
+        after = self.stage(run, stage.nuisance, thorough=like_noise)
+        if not like_noise and float(after.scan.z_scores.max()) <= _PLAINLY_LEFT:
             after = self.stage(run, stage.nuisance)
         return Explanation(members, after, self.p_value(after))
 

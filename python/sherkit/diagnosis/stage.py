@@ -242,7 +242,10 @@ def _stepped(view: Linearised, place: slice, moment: float) -> Callable[[slice],
 
 def _rows_from(view: Linearised, place: slice, moment: float, rows: slice) -> Floats:
     assert view.time is not None, "a step has a moment"
-    return np.where((view.time[rows] >= moment)[:, None, None], view.effects_in(rows)[:, :, place], 0.0)
+    first = int(np.searchsorted(view.time[rows], moment))
+    out = view.effects_in(rows)[:, :, place].copy()
+    out[:first] = 0.0
+    return out
 
 
 def lags_of(view: Linearised) -> list[float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -95,37 +95,13 @@ class Folds:
     @classmethod
     def of(cls, columns: Callable[[slice], Floats], residual: Floats, fold: Ints) -> Folds:
         """``columns`` gives those (b, m, k) of a stretch of rows; ``fold`` (repetitions, n) is the fold of each row."""
-        repetitions, (n, m) = len(fold), residual.shape
-        per_repetition = int(fold.max()) + 1
-        place = fold + per_repetition * np.arange(repetitions)[:, None]
-        # rows that are in the same fold in every repetition are summed once
-        code = (per_repetition ** np.arange(repetitions)) @ fold
-        _, first_of, cell = np.unique(code, return_index=True, return_inverse=True)
-        cells = place[:, first_of]
-        count, grams = 0, np.zeros(0)
-        for rows in blocks(n):
-            order = np.argsort(cell[rows], kind="stable")
-            both = np.concatenate([columns(rows), residual[rows][:, :, None]], axis=2)[order]
-            if not len(grams):
-                count = both.shape[2]
-                grams = np.zeros((repetitions * per_repetition, count, count))
-            here = cell[rows][order]
-            edges = [0, *(np.flatnonzero(np.diff(here)) + 1).tolist(), len(here)]
-            parts = [both[a:b].reshape(-1, count) for a, b in pairwise(edges)]
-            of = cells[:, here[edges[:-1]]]
-            # a few at a time: adding each by itself would take longer than to make it
-            for some in blocks(len(parts), max(_TOGETHER // count**2, 1)):
-                own = np.stack([part.T @ part for part in parts[some]])
-                in_fold = np.zeros((len(grams), len(own)))
-                in_fold[of[:, some], np.arange(len(own))] = 1.0
-                grams += (in_fold @ own.reshape(len(own), -1)).reshape(grams.shape)
-        length = np.sqrt(np.diagonal(grams[:per_repetition].sum(axis=0))[:-1])
-        length = np.where(length > 0, length, 1.0)
-        right = grams[:, :-1, -1] / length
-        counts = m * np.bincount(place.ravel(), minlength=len(grams))
+        (grams,), place = summed(columns, residual, fold, lambda part: [part.T @ part])
+        length = _lengths(np.diagonal(grams, axis1=1, axis2=2)[: len(grams) // len(fold), :-1])
+        counts = residual.shape[1] * np.bincount(place.ravel(), minlength=len(grams))
         return cls(
-            grams[:, :-1, :-1] / np.multiply.outer(length, length), right, grams[:, -1, -1], counts, place, length
-        )
+            grams[:, :-1, :-1] / np.multiply.outer(length, length), grams[:, :-1, -1] / length, grams[:, -1, -1],
+            counts, place, length,
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.grams)
@@ -142,31 +118,22 @@ class Folds:
         place = self.place[k : k + 1] - own.start
         return Folds(self.grams[own], self.right[own], self.squares[own], self.counts[own], place, self.length)
 
-    def _outside(self, inside: Floats | Ints) -> Floats:
-        """Of something summed over each fold, what is outside it, within its repetition."""
-        repetitions = inside.reshape(len(self.place), -1, *inside.shape[1:])
-        return (repetitions.sum(axis=1, keepdims=True) - repetitions).reshape(inside.shape)
-
     @property
     def outside(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Gram matrices, right sides, sums of squares and counts of all rows outside each fold."""
-        return tuple(self._outside(one) for one in (self.grams, self.right, self.squares, self.counts))  # type: ignore[return-value]
+        inside = (self.grams, self.right, self.squares, self.counts)
+        return tuple(_outside(one, len(self.place)) for one in inside)  # type: ignore[return-value]
 
     @property
     def solutions(self) -> Floats:
         """Least squares of the rows outside each fold (f, k), of columns of unit length."""
         gram, right, _, _ = self.outside
-        turn = self.turn(len(self.length))
+        turn = _turn(self.grams, len(self.place))
         turned = turn.T @ gram @ turn
         if len(turn.T) and linalg.eigvalsh(turned).min() > _BEYOND:
             return linalg.solve(turned, turn.T @ right[:, :, None])[:, :, 0] @ turn.T
         root = roots_of(gram)
         return (root @ (root.transpose(0, 2, 1) @ right[:, :, None]))[:, :, 0]
-
-    def turn(self, first: int) -> Floats:
-        """What makes the ``first`` columns orthonormal over all rows (first, rank)."""
-        root = roots_of(self.grams[: len(self) // len(self.place), :first, :first].sum(axis=0))
-        return root[:, (root != 0.0).any(axis=0)]
 
     @property
     def held_out(self) -> Floats:
@@ -183,57 +150,145 @@ class Folds:
 
 
 class Beside:
-    """What further columns bring beside the first ``fitted`` of some, fold by fold: these are solved for once, and a
-    set of others is a small matrix (the Schur complement of theirs).
+    """What sets of further columns bring beside fitted ones, fold by fold: these are solved for once, and each set is a
+    small matrix (the Schur complement of its own). No set is multiplied with another.
 
-    Of each set, by its ``place`` among the further columns, the least squares are known of the rows outside each fold
-    (:meth:`outside`) and the errors of those in it under that fit (:meth:`held_out`).
+    ``columns`` gives those (b, m, k) of a stretch of rows, the fitted ones and behind them sets of so many as
+    ``counts`` says; all else is as in :class:`Folds`. Of every set the least squares are known of the rows outside each
+    fold (:attr:`outside`) and the errors of those in it under that fit (:attr:`held_out`).
     """
 
-    def __init__(self, folds: Folds, fitted: int) -> None:
-        self.folds = folds
-        gram, right, squares, _ = folds.outside
-        first, more = slice(0, fitted), slice(fitted, None)
-        turn = folds.turn(fitted)
-        #: Inside each fold: products of the fitted ones, turned, with themselves, the others and the residual.
-        self.own = turn.T @ folds.grams[:, first, first] @ turn
-        self.across = turn.T @ folds.grams[:, first, more]
-        self.along = folds.right[:, first] @ turn
-        roots = roots_of(turn.T @ gram[:, first, first] @ turn)
+    def __init__(self, columns: Callable[[slice], Floats], counts: Sequence[int], residual: Floats, fold: Ints) -> None:
+        more, times, count = sum(counts), len(fold), np.array(counts, dtype=np.int64)
+        first = np.cumsum(count) - count
+        #: Sets of one size together: which, and their columns (s, k).
+        self.sets = [
+            (which := np.flatnonzero(count == k), first[which, None] + np.arange(k)) for k in np.unique(count).tolist()
+        ]
+
+        def products(part: Floats) -> list[Floats]:
+            fitted, others, left = part[:, : -1 - more], part[:, -1 - more : -1], part[:, -1]
+            each = [others.T[at] for _, at in self.sets]
+            return [left @ part, fitted.T @ part[:, :-1], *(one @ one.transpose(0, 2, 1) for one in each)]
+
+        (by_residual, by_fitted, *own), self.place = summed(columns, residual, fold, products)
+        p, one_time = by_fitted.shape[1], len(by_fitted) // times
+        length = np.ones(p + more)
+        length[:p] = _lengths(np.diagonal(by_fitted[:one_time, :, :p], axis1=1, axis2=2))
+        for (_, at), gram in zip(self.sets, own, strict=True):
+            length[p + at] = _lengths(np.diagonal(gram[:one_time], axis1=2, axis2=3))
+        by_fitted = by_fitted / (length[:p, None] * length)
+        right, self.all_squares = by_residual[:, :-1] / length, by_residual[:, -1]
+        self.counts = residual.shape[1] * np.bincount(self.place.ravel(), minlength=len(right))
+        self.counts_outside = _outside(self.counts, times)
+        #: Inside each fold: products of the others with the residual, and of each set (f, s, k, k) with itself.
+        self.right = right[:, p:]
+        self.grams = [
+            gram / (length[p + at][:, :, None] * length[p + at][:, None, :])
+            for (_, at), gram in zip(self.sets, own, strict=True)
+        ]
+        turn = _turn(by_fitted[:, :, :p], times)
+        #: The same of the fitted ones, turned, with themselves, the others and the residual.
+        self.own = turn.T @ by_fitted[:, :, :p] @ turn
+        self.across = turn.T @ by_fitted[:, :, p:]
+        self.along = right[:, :p] @ turn
+        roots = roots_of(_outside(self.own, times))
         self.rank = ranks_of(roots)
-        cross = np.concatenate([turn.T @ gram[:, first, more], (right[:, first] @ turn)[:, :, None]], axis=2)
-        #: What the fitted ones say of the others and, last, of the residual.
+        #: Outside each fold: products of the fitted ones with the others, and what they say of these and, last, of the
+        #: residual; what they leave of the products with the residual.
+        cross = _outside(np.concatenate([self.across, self.along[:, :, None]], axis=2), times)
         self.says = roots @ (roots.transpose(0, 2, 1) @ cross)
-        self.cross, self.gram = cross, gram[:, more, more]
-        self.right = right[:, more] - (cross[:, :, :-1].transpose(0, 2, 1) @ self.says[:, :, -1:])[:, :, 0]
-        self.squares = squares - (cross[:, :, -1] * self.says[:, :, -1]).sum(axis=1)
+        self.cross = cross[:, :, :-1]
+        self.left = _outside(self.right, times) - (self.cross.transpose(0, 2, 1) @ self.says[:, :, -1:])[:, :, 0]
+        self.squares = _outside(self.all_squares, times) - (cross[:, :, -1] * self.says[:, :, -1]).sum(axis=1)
 
-    def _root(self, place: slice) -> Floats:
-        left = self.gram[:, place, place] - self.cross[:, :, place].transpose(0, 2, 1) @ self.says[:, :, place]
-        return roots_of(left, _LEFT)
+    def __len__(self) -> int:
+        return len(self.counts)
 
-    def outside(self, place: slice) -> tuple[Floats, Ints]:
-        """Sums of squares (f,) that a fit to the rows outside each fold leaves there, and its rank (f,)."""
-        root = self._root(place)
-        taken = (root.transpose(0, 2, 1) @ self.right[:, place, None])[:, :, 0]
-        return self.squares - (taken**2).sum(axis=1), self.rank + ranks_of(root)
+    def _each(self) -> Iterator[tuple[Ints, Ints, Floats, Floats]]:
+        """Sets of one size: which, their columns (s, k), their Gram matrices (f, s, k, k), and the roots of what the
+        fitted ones leave of them outside each fold."""
+        for (which, at), gram in zip(self.sets, self.grams, strict=True):
+            cross, says = (one[:, :, at].transpose(0, 2, 1, 3) for one in (self.cross, self.says))
+            left = _outside(gram, len(self.place)) - cross.transpose(0, 1, 3, 2) @ says
+            yield which, at, gram, roots_of(left, _LEFT)
 
-    def held_out(self, place: slice) -> Floats:
-        """Sums of squared errors (f,) of the rows of each fold under that fit."""
-        root, folds = self._root(place), self.folds
-        y = (root @ (root.transpose(0, 2, 1) @ self.right[:, place, None]))[:, :, 0]
-        x = self.says[:, :, -1] - (self.says[:, :, place] @ y[:, :, None])[:, :, 0]
-        first = len(folds.length) - self.gram.shape[1]
-        others = slice(first + place.start, first + place.stop)
-        along = (x * self.along).sum(axis=1) + (y * folds.right[:, others]).sum(axis=1)
-        both = (x[:, None] @ (self.own @ x[:, :, None] + 2.0 * self.across[:, :, place] @ y[:, :, None]))[:, 0, 0]
-        both += (y[:, None] @ folds.grams[:, others, others] @ y[:, :, None])[:, 0, 0]
-        return np.asarray(folds.squares - 2.0 * along + both)
+    @property
+    def outside(self) -> tuple[Floats, Ints]:
+        """Of each set sums of squares (sets, f) that a fit to the rows outside each fold leaves there, and its rank."""
+        shape = (sum(len(which) for which, _ in self.sets), len(self))
+        squares, rank = np.zeros(shape), np.zeros(shape, dtype=np.int64)
+        for which, at, _, root in self._each():
+            taken = (root.transpose(0, 1, 3, 2) @ self.left[:, at, None])[..., 0]
+            squares[which] = (self.squares[:, None] - (taken**2).sum(axis=2)).T
+            rank[which] = (self.rank[:, None] + ranks_of(root)).T
+        return squares, rank
+
+    @property
+    def held_out(self) -> Floats:
+        """Of each set sums of squared errors (sets, f) of the rows of each fold under that fit."""
+        out = np.zeros((sum(len(which) for which, _ in self.sets), len(self)))
+        for which, at, gram, root in self._each():
+            says, across = (one[:, :, at].transpose(0, 2, 1, 3) for one in (self.says, self.across))
+            y = root @ (root.transpose(0, 1, 3, 2) @ self.left[:, at, None])
+            x = self.says[:, None, :, -1:] - says @ y
+            along = (x[..., 0] * self.along[:, None]).sum(axis=2) + (y[..., 0] * self.right[:, at]).sum(axis=2)
+            both = x.transpose(0, 1, 3, 2) @ (self.own[:, None] @ x + 2.0 * across @ y)
+            both += y.transpose(0, 1, 3, 2) @ gram @ y
+            out[which] = (self.all_squares[:, None] - 2.0 * along + both[..., 0, 0]).T
+        return out
+
+
+def summed(
+    columns: Callable[[slice], Floats], residual: Floats, fold: Ints, products: Callable[[Floats], list[Floats]]
+) -> tuple[list[Floats], Ints]:
+    """What ``products`` gives of some rows of the columns and, last, the residual (b · m, k + 1), each summed over the
+    rows of each fold of each repetition (f, …); and where the fold of each row stands (repetitions, n)."""
+    times, n = fold.shape
+    per_repetition = int(fold.max()) + 1
+    place = fold + per_repetition * np.arange(times)[:, None]
+    # rows that are in the same fold in every repetition are summed once
+    code = (per_repetition ** np.arange(times)) @ fold
+    _, first_of, cell = np.unique(code, return_index=True, return_inverse=True)
+    cells = place[:, first_of]
+    sums: list[Floats] = []
+    for rows in blocks(n):
+        order = np.argsort(cell[rows], kind="stable")
+        both = np.concatenate([columns(rows), residual[rows][:, :, None]], axis=2)
+        here = cell[rows][order]
+        edges = [0, *(np.flatnonzero(np.diff(here)) + 1).tolist(), len(here)]
+        parts, of = list(pairwise(edges)), cells[:, here[edges[:-1]]]
+        # a few at a time: adding each by itself would take longer than to make it
+        for some in blocks(len(parts), max(_TOGETHER // both.shape[2] ** 2, 1)):
+            made = [products(both[order[a:b]].reshape(-1, both.shape[2])) for a, b in parts[some]]
+            in_fold = np.zeros((times * per_repetition, len(made)))
+            in_fold[of[:, some], np.arange(len(made))] = 1.0
+            more = [np.tensordot(in_fold, np.stack(one), 1) for one in zip(*made, strict=True)]
+            sums = [a + b for a, b in zip(sums, more, strict=True)] if sums else more
+    return sums, place
+
+
+def _outside(inside: Floats | Ints, times: int) -> Floats:
+    """Of something summed over each fold, what is outside it, within its repetition of so many."""
+    repetitions = inside.reshape(times, len(inside) // times, *inside.shape[1:])
+    return (repetitions.sum(axis=1, keepdims=True) - repetitions).reshape(inside.shape)
+
+
+def _lengths(squares: Floats) -> Floats:
+    """What columns (k,) are divided by, of their squares in each fold (f, k) of one repetition."""
+    length = np.sqrt(squares.sum(axis=0))
+    return np.where(length > 0, length, 1.0)
+
+
+def _turn(grams: Floats, times: int) -> Floats:
+    """What makes columns with these Gram matrices (f, k, k) in each fold orthonormal over all rows (k, rank)."""
+    root = roots_of(grams[: len(grams) // times].sum(axis=0))
+    return root[:, (root != 0.0).any(axis=0)]
 
 
 def ranks_of(roots: Floats) -> Ints:
-    """Ranks (f,) of matrices with these :func:`roots_of`."""
-    return np.asarray((roots != 0.0).any(axis=1).sum(axis=1))
+    """Ranks (…,) of matrices with these :func:`roots_of`."""
+    return np.asarray((roots != 0.0).any(axis=-2).sum(axis=-1))
 
 
 def roots_of(grams: Floats, least: float = 0.0) -> Floats:

@@ -127,4 +127,5 @@ class Extended(ModelWithEffects):
                 refused[effect.name] = str(error)
         none = np.empty((*data.readings.shape, 0))
         beside = np.concatenate([none, *(one for _, one in columns)], axis=2)
-        return Tried(beside, beside_one_another([(effect, one.shape[2]) for effect, one in columns]), refused)
+        at = beside_one_another([(effect, one.shape[2]) for effect, one in columns])
+        return Tried(beside.__getitem__, at, refused)

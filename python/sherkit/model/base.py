@@ -34,21 +34,18 @@ class Derivatives:
 
 @dataclass(frozen=True, eq=False)
 class Tried:
-    """Derivatives of the readings of some rows by effects that are not in the model.
+    """Derivatives of the readings by effects that are not in the model.
 
-    ``columns`` (n, m, c) are by the parameters of all of them at zero, those of a step at a searched time as they are
-    after it; ``effects`` pairs each effect with its own among them; ``refused`` maps effects that could not be computed
-    to the reason; ``reads_point`` says whether the readings are the coordinates of the measured point.
+    ``columns`` gives those of any stretch of rows (b, m, c), by the parameters of all of them at zero, those of a step
+    at a searched time as they are after it; ``effects`` pairs each effect with its own among them; ``refused`` maps
+    effects that could not be computed to the reason; ``reads_point`` says whether the readings are the coordinates of
+    the measured point.
     """
 
-    columns: Floats
+    columns: Callable[[slice], Floats]
     effects: Sequence[tuple[Effect, slice]]
     refused: dict[str, str]
     reads_point: bool = True
-
-    def on(self, rows: slice) -> Tried:
-        """Those of these rows."""
-        return replace(self, columns=self.columns[rows])
 
 
 def beside_one_another(widths: Iterable[tuple[Effect, int]]) -> list[tuple[Effect, slice]]:
@@ -79,6 +76,8 @@ class ModelWithEffects(Saved, ABC):
     robot: Any
     effects: tuple[Effect, ...]
 
+    #: Whether it says how readings answer to an error of an input.
+    inputs_known: ClassVar[bool] = False
     #: Effects that are among the model's own parameters.
     within: ClassVar[frozenset[str]] = frozenset()
     #: Where a robot's file gives the period of its encoders; empty where it has no place for it.
@@ -128,18 +127,13 @@ class ModelWithEffects(Saved, ABC):
 
     @abstractmethod
     def tried(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Tried:
-        """Derivatives by effects that are not in the model."""
+        """Derivatives by effects that are not in the model: effects see all rows, so that stretches are parts of one
+        whole."""
 
     def linearised_by_blocks(self, data: Measurements, values: Floats) -> Callable[[slice], Derivatives]:
         """:meth:`linearised` for any stretch of the rows: what gives them, without all of them at once where that is
         possible. Effects see all rows, so that stretches are parts of one whole."""
         return self.linearised(data, values).on
-
-    def tried_by_blocks(
-        self, data: Measurements, values: Floats, effects: Sequence[Effect]
-    ) -> Callable[[slice], Tried]:
-        """:meth:`tried` for any stretch of the rows, likewise."""
-        return self.tried(data, values, effects).on
 
     @property
     @abstractmethod

@@ -22,7 +22,7 @@ from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, Layout, unit_in
 from ..errors import EffectError, FitError, ShapeError
-from .base import Derivatives, ModelWithEffects, Reachable, Tried
+from .base import Derivatives, ModelWithEffects, Reachable, Tried, beside_one_another
 from .effect import Effect, Parameter, freeing, parameters_of_core
 from .rows import Rows
 from .stretches import OfEffects, OfModel, carry
@@ -51,6 +51,7 @@ class ChainModel(ModelWithEffects):
     free: tuple[str, ...] = ()
     effects: tuple[Effect, ...] = ()
 
+    inputs_known: ClassVar[bool] = True
     within: ClassVar = frozenset({"datum"})
     #: The built-in effects of this kind of robot by name, in the order of the chain.
     catalogue: ClassVar[Mapping[str, Effect]]
@@ -316,19 +317,13 @@ class ChainModel(ModelWithEffects):
         """All at once by the core; the user's effects carried from their link to the readings."""
         return self.linearised_by_blocks(data, values)(slice(0, len(data)))
 
-    def tried(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Tried:
-        """All at once, likewise."""
-        return self.tried_by_blocks(data, values, effects)(slice(0, len(data)))
-
     def linearised_by_blocks(self, data: Measurements, values: Floats) -> Callable[[slice], Derivatives]:
         """The core computes each stretch; the user's effects are computed once, at their link."""
         rows, values = self.rows(data, values), np.asarray(values)
         own = [(e, e.columns(rows, values[self.owns(e)], self.axes_of(e, data))) for e in self.own]
         return OfModel(self, data, values, own)
 
-    def tried_by_blocks(
-        self, data: Measurements, values: Floats, effects: Sequence[Effect]
-    ) -> Callable[[slice], Tried]:
+    def tried(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Tried:
         """Likewise; of the core only what is tried is asked."""
         everything = self
         for effect in (built_in := [e for e in effects if e.function is None]):
@@ -346,7 +341,10 @@ class ChainModel(ModelWithEffects):
                 tried.append((effect, inner))
             except EffectError as error:
                 refused[effect.name] = str(error)
-        return OfEffects(everything, data, start, built_in, tried, refused)
+        widths = [(e, len(e.parameters)) for e in (*built_in, *(effect for effect, _ in tried))]
+        reads_point = int(data.taken[:, : data.coordinates].any(axis=0).sum()) == 3
+        columns = OfEffects(everything, data, start, built_in, tried)
+        return Tried(columns, beside_one_another(widths), refused, reads_point)
 
     def own_columns(
         self, data: Measurements, rows: Rows, values: Floats, by_joints: Floats, by_body: Floats

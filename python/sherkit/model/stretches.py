@@ -10,7 +10,7 @@ import numpy as np
 
 from ..base.types import Bools, Floats
 from ..data import Measurements
-from .base import Derivatives, Tried, beside_one_another
+from .base import Derivatives
 from .effect import Effect
 
 
@@ -54,17 +54,14 @@ class OfEffects(Stretches):
 
     built_in: Sequence[Effect]
     tried: Sequence[tuple[Effect, Floats]]
-    refused: dict[str, str]
 
-    def __call__(self, some: slice) -> Tried:
-        model, data = self.model, self.data
+    def __call__(self, some: slice) -> Floats:
+        model = self.model
         asked = [k for effect in self.built_in for k in model.indices[model.owns(effect)]]
         columns, *by = self.of_core(some, asked)
         if self.tried:
             columns = np.concatenate([columns, *self.carried(some, self.tried, *by)], axis=2)
-        widths = [(e, len(e.parameters)) for e in (*self.built_in, *(effect for effect, _ in self.tried))]
-        read = int(data.taken[:, : data.coordinates].any(axis=0).sum())
-        return Tried(columns, beside_one_another(widths), self.refused, read == by[1].shape[2])
+        return columns
 
 
 def carry(
