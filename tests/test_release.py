@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import shutil
@@ -109,32 +110,38 @@ LEFT_OUT = (
 
 def test_a_python_that_lacks_libraries_does_all_that_needs_none_of_them(tmp_path):
     """Catches a module that nothing here needs, and is imported before anybody asked: SQLite, for reading a CSV."""
+    robot = tmp_path / "robot.toml"
+    write_robot_toml(robot, NOMINAL_CONFIG)
+    do = [
+        "simulate robot.toml -o run.csv --poses local --repeats 1 --noise-um 5",
+        "diagnose robot.toml run.csv",
+        "calibrate robot.toml run.csv -o calibrated.toml",
+        "export c calibrated.toml -o robot.h",
+    ]
+    cannot = ["measure --help", "export run.sherkit -o run2.csv"]
+    # all in one process: to start one takes longer than most verbs do
     lame = (
-        "import sys\n"
+        "import contextlib, io, json, shlex, sys\n"
         f"for name in {LEFT_OUT!r}: sys.modules[name] = None\n"
         "from sherkit.cli import main\n"
-        "main(sys.argv[1:])"
+        f"for line in {[*do, 'doctor', *cannot]!r}:\n"
+        "    out, err, code = io.StringIO(), io.StringIO(), None\n"
+        "    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):\n"
+        "        try: main(shlex.split(line))\n"
+        "        except SystemExit as end: code = end.code\n"
+        "    print(json.dumps([line, code, out.getvalue(), err.getvalue()]))"
     )
-
-    def told(*words):
-        command = [sys.executable, "-c", lame, *map(str, words)]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, encoding="utf-8", check=False)
-
-    robot, run = tmp_path / "robot.toml", tmp_path / "run.csv"
-    write_robot_toml(robot, NOMINAL_CONFIG)
-    for words in [
-        ("simulate", robot, "-o", run, "--poses", "local", "--noise-um", "5"),
-        ("diagnose", robot, run),
-        ("calibrate", robot, run, "-o", "calibrated.toml"),
-        ("export", "c", "calibrated.toml", "-o", "robot.h"),
-    ]:
-        said = told(*words)
-        assert said.returncode == 0, said.stderr
-    assert "this Python was built without it" in " ".join(told("doctor").stdout.replace("│", " ").split())
-    for words in [("measure", "--help"), ("export", "run.sherkit", "-o", "run2.csv")]:
-        said = told(*words)
-        assert (said.returncode, "Traceback" in said.stderr) == (1, False)
-        assert "without SQLite" in " ".join(said.stderr.split())
+    program = [sys.executable, "-c", lame]
+    done = subprocess.run(program, cwd=tmp_path, capture_output=True, encoding="utf-8", check=False)
+    assert done.returncode == 0, done.stderr
+    told = {line: said for line, *said in map(json.loads, done.stdout.splitlines())}
+    for line in do:
+        assert told[line][0] == 0, told[line]
+    assert "this Python was built without it" in " ".join(told["doctor"][1].replace("│", " ").split())
+    for line in cannot:
+        code, _, wrong = told[line]
+        assert (code, "Traceback" in wrong) == (1, False)
+        assert "without SQLite" in " ".join(wrong.split())
 
 
 # -- C -------------------------------------------------------------------------------------------------------------
