@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import polars
 import pytest
 from hypothesis import settings
 
 import browsing
 from consistency import consistent
+from running import thin
 from sherkit.diagnosis import Diagnosis
 
 # how long an example takes depends on what else the machine does; and a run that says something else than the last one
@@ -79,7 +79,7 @@ def work(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "work"
     shutil.copytree(made, folder)
     for run in (folder / "run.csv", *(folder / "demo").glob("*.csv")):
-        polars.read_csv(run).filter(polars.col("pose") % 6 == 0).write_csv(run)
+        thin(run)
     monkeypatch.chdir(folder)
     return folder
 

@@ -255,7 +255,7 @@ SOME = ("a misspelt column", "NaN", "letters of an old encoding", "an empty file
 def test_bad_runs_end_in_one_sentence(bad: Bad, work: Path, tmp_path: Path) -> None:
     """Catches a traceback, a wrong exit code, or words that are not those of the library."""
     path = bad.write(tmp_path)
-    said = one_sentence(installed(work, "calibrate", "robot.toml", str(path)))
+    said = one_sentence(sherkit(work, "calibrate", "robot.toml", str(path)))
     assert said == f"{bad.message(path)}; sherkit check {path} lists all that is wrong with it"
 
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 import shutil
 import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -17,6 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 import sherkit as sk
+from running import several
 from second_simulator import NOMINAL_CONFIG, write_robot_toml
 from sherkit import _core
 from sherkit.cli import c_library, doctor
@@ -119,27 +118,12 @@ def test_a_python_that_lacks_libraries_does_all_that_needs_none_of_them(tmp_path
         "export c calibrated.toml -o robot.h",
     ]
     cannot = ["measure --help", "export run.sherkit -o run2.csv"]
-    # all in one process: to start one takes longer than most verbs do
-    lame = (
-        "import contextlib, io, json, shlex, sys\n"
-        f"for name in {LEFT_OUT!r}: sys.modules[name] = None\n"
-        "from sherkit.cli import main\n"
-        f"for line in {[*do, 'doctor', *cannot]!r}:\n"
-        "    out, err, code = io.StringIO(), io.StringIO(), None\n"
-        "    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):\n"
-        "        try: main(shlex.split(line))\n"
-        "        except SystemExit as end: code = end.code\n"
-        "    print(json.dumps([line, code, out.getvalue(), err.getvalue()]))"
-    )
-    program = [sys.executable, "-c", lame]
-    done = subprocess.run(program, cwd=tmp_path, capture_output=True, encoding="utf-8", check=False)
-    assert done.returncode == 0, done.stderr
-    told = {line: said for line, *said in map(json.loads, done.stdout.splitlines())}
-    for line in do:
-        assert told[line][0] == 0, told[line]
-    assert "this Python was built without it" in " ".join(told["doctor"][1].replace("│", " ").split())
-    for line in cannot:
-        code, _, wrong = told[line]
+    left_out = f"import sys\nsys.modules.update(dict.fromkeys({LEFT_OUT!r}))\n"
+    *did, (_, doctors, _), no_measure, no_export = several(tmp_path, *do, "doctor", *cannot, before=left_out)
+    for code, _, wrong in did:
+        assert code == 0, wrong
+    assert "this Python was built without it" in " ".join(doctors.replace("│", " ").split())
+    for code, _, wrong in (no_measure, no_export):
         assert (code, "Traceback" in wrong) == (1, False)
         assert "without SQLite" in " ".join(wrong.split())
 
