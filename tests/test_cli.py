@@ -289,7 +289,7 @@ def test_other_mistakes_end_in_one_sentence(arguments: list[str], says: str, wor
 )
 def test_wrong_command_lines_end_with_two(arguments: list[str], work: Path) -> None:
     """Catches a slip in the command taken for bad data: scripts tell them apart by the exit code."""
-    done = installed(work, *arguments)
+    done = sherkit(work, *arguments)
     assert (done.returncode, done.stdout) == (2, "")
     assert "Usage: sherkit" in done.stderr
     assert "Traceback" not in done.stderr
