@@ -14,6 +14,7 @@ from hypothesis import settings
 
 import browsing
 from consistency import consistent
+from running import thin
 from sherkit.diagnosis import Diagnosis
 
 # how long an example takes depends on what else the machine does; and a run that says something else than the last one
@@ -43,8 +44,9 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(scope="session")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a reader has after ``make demo``, what that said (``said.txt``), and the files that the documents name as
-    the reader's own. The worker that is first makes it for all; tests that write there take a copy (:func:`work`)."""
+    """What a reader has after ``make demo``, what that said with its tables (``said.txt``), and the files that the
+    documents name as the reader's own. The worker that is first makes it for all; tests that write there take a copy
+    (:func:`work`)."""
     from test_docs import sherkit
     from test_klipper import SAVED, TRUE, config
 
@@ -53,7 +55,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if shared.exists():
         return shared
     folder = tmp_path_factory.mktemp("made")
-    (folder / "said.txt").write_text(sherkit(["demo"], folder), encoding="utf-8")
+    (folder / "said.txt").write_text(sherkit(["demo", "--tables"], folder), encoding="utf-8")
     shutil.copy(folder / "demo" / "robot.toml", folder / "robot.toml")
     shutil.copy(folder / "demo" / "local.csv", folder / "run.csv")
     (folder / "printer.cfg").write_text(config(TRUE, SAVED), encoding="utf-8")
@@ -72,10 +74,14 @@ def one_chromium_for_a_module() -> Iterator[None]:
 
 @pytest.fixture
 def work(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A fresh copy of it, as the current folder."""
-    shutil.copytree(made, tmp_path / "work")
-    monkeypatch.chdir(tmp_path / "work")
-    return tmp_path / "work"
+    """A fresh copy of it, as the current folder. Its runs keep every sixth pose: what is shown must run, and how long
+    it takes goes with the rows."""
+    folder = tmp_path / "work"
+    shutil.copytree(made, folder)
+    for run in (folder / "run.csv", *(folder / "demo").glob("*.csv")):
+        thin(run)
+    monkeypatch.chdir(folder)
+    return folder
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -1,11 +1,18 @@
-"""A command of sherkit in this process, in a folder of its own."""
+"""Commands of sherkit: in this process, or several in one process that is not as this one."""
 
 from __future__ import annotations
 
 import contextlib
 import io
+import json
+import os
+import shlex
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
+
+import polars as pl
 
 from sherkit.cli import main
 
@@ -20,3 +27,31 @@ def command(folder: Path, *arguments: str) -> tuple[int, str, str]:
         except SystemExit as done:
             code = done.code
     return int(code or 0), out.getvalue(), err.getvalue()
+
+
+_SEVERAL = """
+import contextlib, io, json, sys
+from sherkit.cli import main
+for words in json.loads(sys.argv[1]):
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try: main(words)
+        except SystemExit as end: code = end.code or 0
+    print(json.dumps([code, out.getvalue(), err.getvalue()]))
+"""
+
+
+def several(folder: Path, *lines: str, before: str = "", **environment: str) -> list[tuple[int, str, str]]:
+    """Exit code, stdout and stderr of each of the commands, run in ``folder`` one after the other in one process, since
+    to start one takes longer than most commands do. It first runs the Python that stands ``before``."""
+    done = subprocess.run(
+        [sys.executable, "-c", before + _SEVERAL, json.dumps([shlex.split(line) for line in lines])],
+        cwd=folder, capture_output=True, encoding="utf-8", env=os.environ | environment, timeout=600,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return [(code, out, err) for code, out, err in map(json.loads, done.stdout.splitlines())]
+
+
+def thin(run: Path, every: int = 6) -> None:
+    """Leaves one of so many poses of a run."""
+    pl.read_csv(run).filter(pl.col("pose") % every == 0).write_csv(run)

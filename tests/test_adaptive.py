@@ -231,7 +231,7 @@ def test_rows_may_come_back_as_they_like() -> None:
 def test_a_wrong_column_is_said() -> None:
     """Catches physics that is named, or an unknown that is looked for, where two columns are swapped."""
     world = DrivenDelta(7)
-    loop = sk.Adaptive(world.robot, budget=60)
+    loop = sk.Adaptive(world.robot, budget=36)
     while not loop.done:
         loop.tell([{**row, "x_mm": row["y_mm"], "y_mm": row["x_mm"]} for row in world.read(loop.ask())])
     assert loop.verdict == "unexplained"

@@ -148,7 +148,7 @@ _AS_JSON = ["diagnose", "demo/robot.toml", "demo/whole.csv", "--json"]
 
 
 @pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", *REFERENCE])
-def test_what_is_shown_runs(name: str, work: Path) -> None:
+def test_what_is_shown_runs(name: str, made: Path, work: Path) -> None:
     """Catches an example that a rename has broken: a reader copies it first."""
     names: dict[str, Any] = {}
     said = [run_python(b, names) for b in blocks(name) if b.language == "python"]
@@ -161,7 +161,7 @@ def test_what_is_shown_runs(name: str, work: Path) -> None:
         assert said[0].startswith("explained ('rail_lean',)\n")
         answer = next(b.text for b in blocks(name) if b.language == "console").splitlines()
         ran.append(command(answer[0].removeprefix("$ ")) or [])
-        told = " ".join(sherkit(ran[-1], work).split())
+        told = " ".join(sherkit(ran[-1], made).split())
         assert told.startswith(" ".join(" ".join(answer[1:]).split()))
     if name == "docs/study.md":
         assert any("adequate\n" in one for one in said)
@@ -194,7 +194,7 @@ def test_the_gallery_is_what_its_script_draws(work: Path) -> None:
         assert (HERE / "docs" / "pictures" / "gallery" / f"{item.file}.png").is_file()
 
 
-def test_the_pages_pictures_say_what_it_says(work: Path) -> None:
+def test_the_pages_pictures_say_what_it_says(made: Path, tmp_path: Path) -> None:
     """Catches a picture with figures or sentences that the page no longer shows."""
     image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
     pytest.importorskip("bokeh", reason="the page needs Bokeh")
@@ -207,8 +207,8 @@ def test_the_pages_pictures_say_what_it_says(work: Path) -> None:
         page = StudyPage(Document(), bench, "")
         return "\n".join(page.document.get_model_by_name(name).text for name in ("numbers", "headline"))
 
-    folder = work / "demo"
-    bench = Workbench.open(folder / "robot.toml", folder / "whole.csv", work / "page.study")
+    folder = made / "demo"
+    bench = Workbench.open(folder / "robot.toml", folder / "whole.csv", tmp_path / "page.study")
     try:
         for name, before in (("page_found", None), ("page", "rail_lean")):
             if before:

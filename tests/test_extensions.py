@@ -18,6 +18,7 @@ import pytest
 from planar_arm import KIND as PLANAR
 from planar_arm import PlanarArm
 from planar_arm.pose_sets import fan
+from running import several
 from sherkit import testing
 from sherkit.model import kinds
 from sherkit.model.kinds import Kind, known_kinds
@@ -134,52 +135,59 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def run(installed: Path, folder: Path, *arguments: str, code: int = 0) -> str:
-    """What a command prints where the package is installed."""
+def run(installed: Path, folder: Path, code: str) -> str:
+    """What a program prints where the package is installed."""
     done = subprocess.run(
-        arguments, cwd=folder, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(installed)}
-    )
-    assert done.returncode == code, done.stderr
-    return " ".join((done.stdout + done.stderr).split())
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": str(installed)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
-def sherkit(installed: Path, folder: Path, *arguments: str, code: int = 0) -> str:
-    """What a verb prints there."""
-    return run(installed, folder, sys.executable, "-m", "sherkit", *arguments, code=code)
+def verbs(installed: Path, folder: Path, *lines: str, code: int = 0) -> list[str]:
+    """What verbs print there; the last ends with this code, the others go well."""
+    done = several(folder, *lines, PYTHONPATH=str(installed))
+    assert [ended for ended, _, _ in done] == [*[0] * (len(lines) - 1), code], done
+    return [" ".join((out + err).split()) for _, out, err in done]
 
 
 def test_a_robot_from_outside_is_one_like_the_others(installed: Path, tmp_path: Path) -> None:
     """Catches a door that only sherkit's own robots come through: the suite, a simulation, a diagnosis, the schema."""
     asked = "import sherkit.testing, xy_stage; print(len(sherkit.testing.check_robot(xy_stage.KIND)))"
-    assert run(installed, tmp_path, sys.executable, "-c", asked).split()[0] == "9"
+    assert run(installed, tmp_path, asked).split()[0] == "9"
     (tmp_path / "robot.toml").write_text('kind = "xy_stage"\n[geometry]\ntravel_mm = [120.0, 80.0]\n')
-    made = sherkit(installed, tmp_path, "simulate", "robot.toml", "-o", "run.csv", "--bow-um", "12", "--seed", "3")
+    made, found, effects, schema = verbs(
+        installed, tmp_path, "simulate robot.toml -o run.csv --bow-um 12 --seed 3", "diagnose robot.toml run.csv",
+        "effects --robot robot.toml", "schema robot",
+    )  # fmt: skip
     assert "broken: its robot 'hexapod' (not_there:KIND) cannot be loaded (ModuleNotFoundError" in made
     assert "broken: its robot 'delta' (xy_stage:KIND) is not used: sherkit.robots.delta:KIND has that name" in made
-    assert "Verdict: explained: bow" in sherkit(installed, tmp_path, "diagnose", "robot.toml", "run.csv")
-    assert "bow" in sherkit(installed, tmp_path, "effects", "--robot", "robot.toml")
-    schema = sherkit(installed, tmp_path, "schema", "robot")
+    assert "Verdict: explained: bow" in found
+    assert "bow" in effects
     assert "travel_mm" in schema
 
 
 def test_verbs_and_importers_from_outside(installed: Path, tmp_path: Path) -> None:
     """Catches a verb that is not told of, a file of another program that cannot be read, and a broken verb that takes
     the help with it."""
-    told = sherkit(installed, tmp_path, "--help")
-    assert "Of other packages: squareness How far the axes of an XY stage are from a right angle." in told
-    assert "broken: its verb 'say' (os:sep) is str, expected Command" in told
-    assert "xy-log" in sherkit(installed, tmp_path, "import", "--help")
     rng = np.random.default_rng(0)
     places = rng.uniform(-35.0, 35.0, (40, 2)).round(3)
     seen = places + np.outer(places[:, 1], [-2e-3, 0.0]) + 1e-4 * rng.normal(size=places.shape)
     lines = [f"X={a} Y={b} DX={x:.5f} DY={y:.5f}" for (a, b), (x, y) in zip(places, seen, strict=True)]
     (tmp_path / "stage.log").write_text("\n".join(lines))
-    assert "40 rows" in sherkit(installed, tmp_path, "import", "xy-log", "stage.log", "-o", "run.csv")
+    (tmp_path / "wrong.log").write_text("X=1 Y=2\n")
     (tmp_path / "robot.toml").write_text('kind = "xy_stage"\n[geometry]\ntravel_mm = [120.0, 80.0]\n')
-    assert "the axes lean by 199" in sherkit(installed, tmp_path, "squareness", "robot.toml", "run.csv")
-    (tmp_path / "stage.log").write_text("X=1 Y=2\n")
-    wrong = sherkit(installed, tmp_path, "import", "xy-log", "stage.log", "-o", "run.csv", code=1)
-    assert "error: stage.log: line 1: expected X=… Y=… DX=… DY=…" in wrong
+    told, importers, made, lean, wrong = verbs(
+        installed, tmp_path, "--help", "import --help", "import xy-log stage.log -o run.csv",
+        "squareness robot.toml run.csv", "import xy-log wrong.log -o run.csv", code=1,
+    )  # fmt: skip
+    assert "Of other packages: squareness How far the axes of an XY stage are from a right angle." in told
+    assert "broken: its verb 'say' (os:sep) is str, expected Command" in told
+    assert "xy-log" in importers
+    assert "40 rows" in made
+    assert "the axes lean by 199" in lean
+    assert "error: wrong.log: line 1: expected X=… Y=… DX=… DY=…" in wrong
 
 
 _MEASURE = """
@@ -208,5 +216,5 @@ def test_an_instrument_from_outside_measures(installed: Path, tmp_path: Path) ->
         'robot = "robot.toml"\nports = "ports.json"\n[plan]\nposes = "grid"\nper_side = 5\norder = "shuffled"\n'
         f"[settle]\nseconds = 0.0\n{motors}poll_s = 0.002\n{gauge}"
     )
-    run(installed, tmp_path, sys.executable, "-c", _MEASURE)
-    assert "the axes lean by" in sherkit(installed, tmp_path, "squareness", "robot.toml", "run.csv")
+    run(installed, tmp_path, _MEASURE)
+    assert "the axes lean by" in verbs(installed, tmp_path, "squareness robot.toml run.csv")[0]

@@ -100,8 +100,8 @@ def virtual() -> sk.delta.VirtualDelta:
 
 @pytest.fixture(scope="module")
 def demo() -> Run:
-    """588 poses in three planes, five readings of each, the last twenty marked as outliers."""
-    data = virtual().measure(paper_whole(), repeats=5, seed=6)
+    """588 poses in three planes, two readings of each, the last twenty marked as outliers."""
+    data = virtual().measure(paper_whole(), repeats=2, seed=6)
     return Run(data.mark_outliers(np.arange(len(data) - 20, len(data))))
 
 

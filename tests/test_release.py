@@ -6,7 +6,6 @@ import re
 import shlex
 import shutil
 import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 import sherkit as sk
+from running import several
 from second_simulator import NOMINAL_CONFIG, write_robot_toml
 from sherkit import _core
 from sherkit.cli import c_library, doctor
@@ -109,32 +109,23 @@ LEFT_OUT = (
 
 def test_a_python_that_lacks_libraries_does_all_that_needs_none_of_them(tmp_path):
     """Catches a module that nothing here needs, and is imported before anybody asked: SQLite, for reading a CSV."""
-    lame = (
-        "import sys\n"
-        f"for name in {LEFT_OUT!r}: sys.modules[name] = None\n"
-        "from sherkit.cli import main\n"
-        "main(sys.argv[1:])"
-    )
-
-    def told(*words):
-        command = [sys.executable, "-c", lame, *map(str, words)]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, encoding="utf-8", check=False)
-
-    robot, run = tmp_path / "robot.toml", tmp_path / "run.csv"
+    robot = tmp_path / "robot.toml"
     write_robot_toml(robot, NOMINAL_CONFIG)
-    for words in [
-        ("simulate", robot, "-o", run, "--poses", "local", "--noise-um", "5"),
-        ("diagnose", robot, run),
-        ("calibrate", robot, run, "-o", "calibrated.toml"),
-        ("export", "c", "calibrated.toml", "-o", "robot.h"),
-    ]:
-        said = told(*words)
-        assert said.returncode == 0, said.stderr
-    assert "this Python was built without it" in " ".join(told("doctor").stdout.replace("│", " ").split())
-    for words in [("measure", "--help"), ("export", "run.sherkit", "-o", "run2.csv")]:
-        said = told(*words)
-        assert (said.returncode, "Traceback" in said.stderr) == (1, False)
-        assert "without SQLite" in " ".join(said.stderr.split())
+    do = [
+        "simulate robot.toml -o run.csv --poses local --repeats 1 --noise-um 5",
+        "diagnose robot.toml run.csv",
+        "calibrate robot.toml run.csv -o calibrated.toml",
+        "export c calibrated.toml -o robot.h",
+    ]
+    cannot = ["measure --help", "export run.sherkit -o run2.csv"]
+    left_out = f"import sys\nsys.modules.update(dict.fromkeys({LEFT_OUT!r}))\n"
+    *did, (_, doctors, _), no_measure, no_export = several(tmp_path, *do, "doctor", *cannot, before=left_out)
+    for code, _, wrong in did:
+        assert code == 0, wrong
+    assert "this Python was built without it" in " ".join(doctors.replace("│", " ").split())
+    for code, _, wrong in (no_measure, no_export):
+        assert (code, "Traceback" in wrong) == (1, False)
+        assert "without SQLite" in " ".join(wrong.split())
 
 
 # -- C -------------------------------------------------------------------------------------------------------------

@@ -244,7 +244,7 @@ def test_the_fibres_delay_is_found() -> None:
         fibre_delay(tool_of(World()), free)
 
 
-@pytest.mark.parametrize("benches", [4, pytest.param(12, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("benches", [2, pytest.param(12, marks=pytest.mark.slow)])
 def test_a_calibration_says_what_it_does_not_know(tmp_path: Path, benches: int) -> None:
     """Catches a doubt that the file loses, deviations that are made up, and a stiffness that a noisy load cell bends.
 

@@ -52,6 +52,8 @@ CATALOGUE: Sequence[dict[str, Any]] = (
     ),
     _row("sensor_linearity", "sensor", "mm", 0.005, 1.0, "cubic_x", "cubic_y", "cubic_z"),
 )
+_ENDS = np.cumsum([len(row["parameters"]) for row in CATALOGUE])
+_OWN = {row["name"]: slice(end - len(row["parameters"]), end) for row, end in zip(CATALOGUE, _ENDS, strict=True)}
 
 
 class PlanarCore(ComplexChain):
@@ -75,8 +77,7 @@ class PlanarCore(ComplexChain):
 
     def _readings(self, values: NDArray[Any], joints: NDArray[Any], known: Floats, push: NDArray[Any]) -> NDArray[Any]:
         """Readings (n, 3) for readings of the joints (n, 2), covariates (n, 7) and displacements (n, 3)."""
-        parts = np.split(values, np.cumsum([len(row["parameters"]) for row in CATALOGUE])[:-1])
-        p = dict(zip((row["name"] for row in CATALOGUE), parts, strict=True))
+        p = {name: values[own] for name, own in _OWN.items()}
         time, warmer, direction = known[:, :1], known[:, 1:2] - _REFERENCE_C, known[:, 2:4]
 
         def late(moment_s: float) -> Floats:
@@ -86,11 +87,11 @@ class PlanarCore(ComplexChain):
             # an effect at zero does not ask for its covariate
             return p[name] * gain if p[name].any() else 0.0
 
-        rings = p["encoder_eccentricity"]
         theta = joints + p["joint_offset"] + p["joint_scale"] * (joints - self.home)
-        lines, angle = p["encoder_cyclic"], self.wave * joints
-        theta = theta + lines[::2] * np.sin(angle) + lines[1::2] * np.cos(angle)
-        theta = theta + rings[::2] * np.sin(joints) + rings[1::2] * np.cos(joints) + acting("backlash", 0.5 * direction)
+        for name, angle in (("encoder_cyclic", self.wave * joints), ("encoder_eccentricity", joints)):
+            if (wave := p[name]).any():
+                theta = theta + wave[::2] * np.sin(angle) + wave[1::2] * np.cos(angle)
+        theta = theta + acting("backlash", 0.5 * direction)
         theta = theta + acting("joint_slip", late(self.joint_slip_time_s))
         lengths = self.lengths + p["links"]
         angles = np.cumsum(theta, axis=1)
