@@ -180,10 +180,14 @@ def sentences(fit: Fit, rows: Ints) -> tuple[str, ...]:
         many = len(single) > 1
         where = f"{data.counted}{'s' if many else ''} {spans(data.line[single])}"
         by = f"{'up to ' if many else ''}{_in_large(off.max, off.unit)}"
+        begins = single[data.order[single] == data.order.min()]
+        untold = len(begins) and not data.tells_sides and np.isfinite(data.direction[begins]).all()
         out.append(
             f"{where} {'are' if many else 'is'} {by} off and left out: all figures here are without "
             f"{'them' if many else 'it'}"
-        )
+            + (f"; from which side the first one's joints came is not told ({data.layout.directions[0]} …)"
+               if untold else "")
+        )  # fmt: skip
     return (*out, *_one_value(data, rows))
 
 
