@@ -75,21 +75,27 @@ def _patch(
     second: Floats, radius_mm: float,
 ) -> Floats:  # fmt: skip
     """Grey values of a rectangle, each the mean of several rays."""
-    offsets = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
-    u = (np.arange(low[0], high[0])[:, None] + offsets).ravel()
-    v = (np.arange(low[1], high[1])[:, None] + offsets).ravel()
-    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 1, 2)
+    # a lens bends rays so little over a pixel that those between its corners follow from these
+    corners = np.stack(np.meshgrid(*(np.arange(a, b + 1) - 0.5 for a, b in zip(low, high, strict=True))), axis=-1)
     i = view.intrinsics
     ray = cv2.undistortPoints(
-        pixels, i.matrix, np.array(i.distortion),
+        corners.reshape(-1, 1, 2), i.matrix, np.array(i.distortion),
         criteria=(cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-12),
-    ).reshape(-1, 2)  # fmt: skip
-    ray = np.column_stack([ray, np.ones(len(ray))])
+    ).reshape(corners.shape)  # fmt: skip
+    ray = _between(_between(ray).swapaxes(0, 1)).swapaxes(0, 1)
+    shape = (high[1] - low[1], _SAMPLES, high[0] - low[0], _SAMPLES)
+    ray = np.column_stack([ray.reshape(-1, 2), np.ones(np.prod(shape))])
     facing = ray @ axis
     reach = np.where(np.abs(facing) > 1e-9, (centre @ axis) / np.where(np.abs(facing) > 1e-9, facing, 1.0), np.inf)
     hit = ray * reach[:, None] - centre
     a, b = hit @ first, hit @ second
     inside = (np.hypot(a, b) <= radius_mm) & (reach > 0)
     grey = np.where(inside, np.where((a > 0) == (b > 0), _BLACK, _WHITE), _PAPER)
-    shape = (len(v) // _SAMPLES, _SAMPLES, len(u) // _SAMPLES, _SAMPLES)
     return np.asarray(grey.reshape(shape).mean(axis=(1, 3)))
+
+
+def _between(corners: Floats) -> Floats:
+    """Samples of each pixel (n · samples, …) between corners (n + 1, …), along the first axis."""
+    part = ((np.arange(_SAMPLES) + 0.5) / _SAMPLES).reshape(-1, 1, 1)
+    each = (1.0 - part) * corners[:-1, None] + part * corners[1:, None]
+    return np.asarray(each.reshape(-1, *corners.shape[1:]))
