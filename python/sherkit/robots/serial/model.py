@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import ClassVar
 
 import numpy as np
@@ -80,12 +80,10 @@ class SerialModel(ChainModel):
         """Those of its own joints."""
         return effects_of(self.robot)
 
-    @cached_property
+    @property
     def base(self) -> tuple[Parameter, ...]:
         """What the table has for every arm, of the joints that it has."""
-        every = (p for row in self.table if row["base"] for p in parameters_of_core(row, self.lever_mm))
-        mine = (p for p in every if has(self.robot, p.name))
-        return tuple(one for p in mine if (one := parameter_of(p, self.robot.joints)) is not None)
+        return _base_of(self.robot)
 
     @cached_property
     def core_parameters(self) -> tuple[Parameter, ...]:
@@ -98,10 +96,7 @@ class SerialModel(ChainModel):
 
     def lever_mm(self, name: str) -> float:
         """An angle moves what stands behind its joint; a turn of the tracker all of the arm, as far as that is away."""
-        k, reach = joint_of(name), self.robot.reach_mm
-        if k is not None:
-            return float(reach[min(k, len(reach) - 1)])
-        return float(reach[0] + np.linalg.norm(self.robot.tracker_mm) + np.linalg.norm(self.robot.joints[0].origin_mm))
+        return _lever_mm(self.robot, name)
 
     @property
     def default(self) -> tuple[str, ...]:
@@ -206,6 +201,21 @@ class SerialModel(ChainModel):
         """Joints reach everywhere: it is a column."""
         del data, row, values
         return "an effect that is at work needs a column that these rows lack"
+
+
+def _lever_mm(robot: Serial, name: str) -> float:
+    k, reach = joint_of(name), robot.reach_mm
+    if k is not None:
+        return float(reach[min(k, len(reach) - 1)])
+    return float(reach[0] + np.linalg.norm(robot.tracker_mm) + np.linalg.norm(robot.joints[0].origin_mm))
+
+
+@lru_cache(maxsize=32)
+def _base_of(robot: Serial) -> tuple[Parameter, ...]:
+    rows = (row for row in SerialModel.table if row["base"])
+    every = (p for row in rows for p in parameters_of_core(row, partial(_lever_mm, robot)))
+    mine = (p for p in every if has(robot, p.name))
+    return tuple(one for p in mine if (one := parameter_of(p, robot.joints)) is not None)
 
 
 def _every_reading(robot: Serial, joints: Floats) -> Measurements:
