@@ -71,6 +71,7 @@ class Case:
     unknown: str = ""
     strategy: str = "its own"
     seed: int = 0
+    span_min: float = SPAN_MIN
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ def run(case: Case) -> Outcome | None:
         world = WORLDS[case.robot](case.seed, case.hidden, case.ratio, **more)
     except (ValueError, RuntimeError):
         return None
-    loop = sk.Adaptive(world.robot, budget=BUDGET, span_min=SPAN_MIN, seed=case.seed)
+    loop = sk.Adaptive(world.robot, budget=BUDGET, span_min=case.span_min, seed=case.seed)
     plan = None if case.strategy == "its own" else given(case.strategy, world, case.seed)
     cpu = 0.0
     while True:
@@ -196,7 +197,8 @@ def parts(chosen: Sequence[str], seeds: range) -> Iterator[tuple[str, list[Case]
                          "147 × 3, shuffled", "random poses"):  # fmt: skip
             yield (
                 f"delta, by place, 2 ×: {strategy}",
-                [Case("delta", (n,), 2.0, strategy=strategy, seed=s) for n in fast for s in seeds],
+                # who reads without a pause is done before a span is over
+                [Case("delta", (n,), 2.0, strategy=strategy, seed=s, span_min=1.0) for n in fast for s in seeds],
             )
 
 
