@@ -25,7 +25,7 @@ from second_simulator.spherical import SPHERICAL_EFFECTS, spherical_plan
 from sherkit.model.kinds import robot_from_tables
 from sherkit.robots.serial import VirtualSerial
 from test_arm_counted import arm_in
-from test_serial import NOISE_MM, PLAIN, hidden_at, model_of, postures
+from test_serial import NOISE_MM, PLAIN, hidden_at, left_by_geometry, model_of, postures
 from test_spherical_discovery import NOISE_PX, PLANS, ROBOT, real_robot
 
 Floats = NDArray[np.float64]
@@ -179,15 +179,13 @@ class DrivenArm(World):
         self.joints = self.robot.layout.joints
         self.real = VirtualSerial.simulated(self.robot, seed, 1.0, PLAIN)
         self._known: list[Floats] = []
-        plan = self._plan(seed)
-        plain = self.real
+        plan, plain = self._plan(seed), self.real
         for name in hidden:
             planted = hidden_at(self.robot, name, ratio, seed)
             # as large as asked for over this room and this half hour
             left = self._left(plan, plain, plain.with_hidden(**planted))
             by = ratio * NOISE_MM / float(np.sqrt(np.mean(left**2)))
             self.real = self.real.with_hidden(**{f: v if f == "per_turn" else by * v for f, v in planted.items()})
-        self._known.clear()
 
     def room(self, time_s: Floats) -> dict[str, Floats]:
         """A hall: of what a room does to an arm no tracker sees anything."""
@@ -202,36 +200,30 @@ class DrivenArm(World):
 
     def _left(self, plan: Mapping[str, Floats], plain: VirtualSerial, planted: VirtualSerial) -> Floats:
         """What the geometry leaves (n·m,) of that by which two arms differ; all, of what it takes whole."""
-        seen = []
-        for self.real in (planted, plain):
-            self._known.clear()
-            seen.append(self.exact(plan))
-        n = len(seen[1])
-        rows = (
-            {"pose": np.arange(n), "repeat": np.ones(n)} | dict(plan) | dict(zip(self.readings, seen[1].T, strict=True))
-        )
+        seen = np.array(self._seen_by(plain, plan))
+        rows = {"pose": np.arange(len(seen)), "repeat": np.ones(len(seen))} | dict(plan)
         model = model_of(self.robot)
-        data = model.as_declared(sk.from_frame(rows))
-        columns = model.derivatives(data, np.zeros(len(model.parameters)))[:, : len(self.readings)]
-        columns = columns.reshape(-1, columns.shape[2])
-        columns = columns / np.linalg.norm(columns, axis=0)
-        change = (seen[0] - seen[1]).ravel()
-        left = change - columns @ np.linalg.lstsq(columns, change, rcond=1e-10)[0]
-        return left if np.linalg.norm(left) > 1e-2 * np.linalg.norm(change) else change
+        data = model.as_declared(sk.from_frame(rows | dict(zip(self.readings, seen.T, strict=True))))
+        return left_by_geometry(model, data, np.array(self._seen_by(planted, plan)) - seen)
 
-    def exact(self, columns: Mapping[str, Floats]) -> Floats:
-        """As :class:`World` has it; rows that were read once are remembered."""
+    def _seen_by(self, real: VirtualSerial, columns: Mapping[str, Floats], first: int = 0) -> list[Floats]:
+        """What is seen of an arm at these rows, from the ``first`` on."""
         read = np.column_stack([columns[name] for name in self.joints])
         step = np.sign(np.diff(read, axis=0, prepend=read[:1] - 0.1))
-        hidden = self.real.effects
-        for k in range(len(self._known), len(read)):
+        hidden, out = real.effects, []
+        for k in range(first, len(read)):
             warm = float(columns["temperature_c"][k] - 20.0)
             late = bool(columns["time_s"][k] > SPAN_S / 2)
-            point = self.real.true_target(read[k], step[k], 0.0 * read[k], 0, warm, 0.0, late)
+            point = real.true_target(read[k], step[k], 0.0 * read[k], 0, warm, 0.0, late)
             point = point * (1.0 + hidden.warmth_per_c * warm)
             point = point + np.asarray(hidden.rate_mm_h) * columns["time_s"][k] / 3600.0
             point = point + np.asarray(hidden.step_mm) * late + np.asarray(hidden.stand_mm_per_c) * warm
-            self._known.append(self.real.seen(point, late))
+            out.append(real.seen(point, late))
+        return out
+
+    def exact(self, columns: Mapping[str, Floats]) -> Floats:
+        """As :class:`World` has it; rows that were read once are remembered."""
+        self._known += self._seen_by(self.real, columns, len(self._known))
         out = np.array(self._known)
         # places that are only looked at are no rows
         del self._known[0 if self.told is None else len(self.told["time_s"]) :]

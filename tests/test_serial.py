@@ -372,6 +372,15 @@ EFFECTS = {
 }  # fmt: skip
 
 
+def left_by_geometry(model: Any, data: sk.Measurements, change: Floats) -> Floats:
+    """What the best geometry leaves (n·m,) of a change of readings (n, m); all of one that it takes up whole."""
+    columns = model.derivatives(data, np.zeros(len(model.parameters)))[:, : change.shape[1]]
+    columns = columns.reshape(change.size, -1)
+    columns = columns / np.linalg.norm(columns, axis=0)
+    left = change.ravel() - columns @ np.linalg.lstsq(columns, change.ravel(), rcond=1e-10)[0]
+    return left if np.linalg.norm(left) >= 1e-2 * np.linalg.norm(change) else change.ravel()
+
+
 def hidden_at(arm: Serial, name: str, ratio: float, seed: int) -> dict[str, Any]:
     """An effect of random signs, as large as leaves ``ratio`` times the noise beside the best geometry; one of which
     the geometry takes up all, as lengths do the scale of what reads them, as large as that beside the drawing."""
@@ -388,12 +397,7 @@ def hidden_at(arm: Serial, name: str, ratio: float, seed: int) -> dict[str, Any]
     with_it = virtual.with_hidden(**small).measure(poses, seed=seed + 5, payload_kg=hung)
     model = model_of(arm)
     still = replace(with_it, readings=virtual.measure(poses, seed=seed + 5, payload_kg=hung).readings)
-    columns = model.derivatives(still, np.zeros(len(model.parameters))).reshape(-1, len(model.parameters))
-    columns = columns / np.linalg.norm(columns, axis=0)
-    change = (with_it.readings - still.readings).ravel()
-    left = change - columns @ np.linalg.lstsq(columns, change, rcond=1e-10)[0]
-    if np.linalg.norm(left) < 1e-2 * np.linalg.norm(change):
-        left = change
+    left = left_by_geometry(model, still, with_it.readings - still.readings)
     by = 1e-4 * ratio * NOISE_MM / np.sqrt(np.mean(left**2))
     return {field: value if field == "per_turn" else by * value for field, value in made.items()}
 
