@@ -73,7 +73,13 @@ def test_play_of_many_noises_is_named_whichever_side_the_first_reading_came_from
     d = sk.diagnose(world.robot, pl.DataFrame(columns).filter(np.arange(len(noise_mm)) != begins))
     assert (d.verdict, d.effects) == ("explained", ("backlash",))
     assert d.outliers.tolist() in ([], [0])
-    assert len(d.outliers) == ("from which side the first one's joints came is not told" in " ".join(d.notes))
+    assert len(d.outliers) == ("from which side its joints came is not told (direction_1 …)" in " ".join(d.notes))
+    far = pl.DataFrame(columns).with_columns(
+        x_mm=np.where(np.arange(len(noise_mm)) == begins, 1.0, 0.0) + columns["x_mm"]
+    )
+    wrong = sk.diagnose(world.robot, far)
+    assert wrong.outliers.tolist() == [begins]
+    assert "from which side" not in " ".join(wrong.notes)
 
 
 def test_wrong_rows_here_and_there_are_not_in_the_first_line() -> None:

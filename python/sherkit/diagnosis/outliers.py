@@ -151,9 +151,17 @@ def came_from_elsewhere(run: FittedRun, effects: Sequence[Effect], rows: Ints) -
     return bool(chance[0] < _OFF and chance.max() > _NEAR)
 
 
-def sentences(fit: Fit, rows: Ints) -> tuple[str, ...]:
+def is_first_by_side(run: FittedRun, effects: Sequence[Effect], outliers: Ints) -> bool:
+    """Whether the first of all rows is among those that a run is without (k,) since its joints came from elsewhere."""
+    first = outliers[run.data.order[outliers] == run.data.order.min()]
+    rows = testable(run, np.flatnonzero(run.whole))
+    return len(first) > 0 and came_from_elsewhere(run, effects, np.concatenate([first, rows]))
+
+
+def sentences(fit: Fit, rows: Ints, *, side: bool = False) -> tuple[str, ...]:
     """What is said of gross errors (indices of the rows of a ``fit`` without them): poses that are wrong in all their
-    readings, and single rows apart; each by its line in the file, and how far it is off."""
+    readings, and single rows apart; each by its line in the file, and how far it is off; of the first of all, that it
+    is for the ``side`` that nobody told."""
     if not len(rows):
         return ()
     data = fit.data
@@ -180,14 +188,13 @@ def sentences(fit: Fit, rows: Ints) -> tuple[str, ...]:
         many = len(single) > 1
         where = f"{data.counted}{'s' if many else ''} {spans(data.line[single])}"
         by = f"{'up to ' if many else ''}{_in_large(off.max, off.unit)}"
-        begins = single[data.order[single] == data.order.min()]
-        untold = len(begins) and not data.tells_sides and np.isfinite(data.direction[begins]).all()
         out.append(
             f"{where} {'are' if many else 'is'} {by} off and left out: all figures here are without "
             f"{'them' if many else 'it'}"
-            + (f"; from which side the first one's joints came is not told ({data.layout.directions[0]} …)"
-               if untold else "")
-        )  # fmt: skip
+        )
+        if side:
+            told = f"from which side its joints came is not told ({data.layout.directions[0]} …)"
+            out.append(f"the first of all {data.counted}s is left out: {told}, and from the other it would not be off")
     return (*out, *_one_value(data, rows))
 
 

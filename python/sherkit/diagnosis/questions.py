@@ -37,7 +37,7 @@ from .linearised import orthonormal
 from .named import not_needed, searched
 from .next_poses import Proposal
 from .one_unknown import OneUnknown, one_unknown
-from .outliers import sentences, without_outliers
+from .outliers import is_first_by_side, sentences, without_outliers
 from .power import smallest_found
 from .repeats import by_repeats, in_repeats, same_within_poses, with_the_way
 from .rounded import steps_in
@@ -108,7 +108,7 @@ def diagnose(
     run, outliers = (run, np.zeros(0, dtype=np.int64)) if not look else without_outliers(run, every, keep)
     sigma, origin = run.noise
     rows = np.flatnonzero(run.whole)
-    notes += sentences(run.fit, outliers)
+    notes += sentences(run.fit, outliers, side=is_first_by_side(run, every, outliers))
     if run.is_exact:
         notes.append(
             f"every reading is what the model says, to the last digits: {run.data.source} was computed, it seems, not "
