@@ -37,10 +37,10 @@ LONG, COMPLEX = 450, 15
 #: What is costly on the way, by the functions that do it.
 COSTLY: dict[str, tuple[Any, ...]] = {
     "robot's file read": (1, "load_robot"),
-    "fits": (3, "identify", "ModelFit.solve", "DeltaModel.solve"),
+    "fits": (3, "identify"),
     "Jacobians": (6, "DeltaModel.derivatives"),
     "scans": (2, "Scan.__init__"),
-    "columns that enter a scan": (8, "Scan.given"),
+    "times that columns enter a scan": (8, "Scan.with_columns", "Scan.beside"),
 }
 
 

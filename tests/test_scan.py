@@ -98,6 +98,23 @@ def left(target: Floats, columns: Floats) -> Floats:
     return target - columns @ np.linalg.lstsq(columns, target, rcond=1e-10)[0]
 
 
+def test_another_fit_beside_the_same_columns_is_a_family_of_its_own() -> None:
+    """Catches products, Gram matrices or scores of one fit that are kept for another, or of another choice of
+    candidates: what is fitted and its residual change, beside a column that is in the model, and four are asked."""
+    first, parts = problem()
+    other = problem(1)[1]
+    asked = [CANDIDATES[i] for i in (4, 0, 3, 1)]
+    rows = Written(other["residual"], other["fitted"][:, :, 1:], parts["functions"], parts["dense"])
+    anew = Scan(rows, asked, parts["group"]).with_columns(CANDIDATES[5])
+    first = Scan(first.rows, CANDIDATES, parts["group"], model=[CANDIDATES[5]])
+    chosen = first.asking(asked)
+    np.testing.assert_array_equal(chosen.z_scores, first.z_scores[[4, 0, 3, 1]])
+    seen = chosen.beside(rows)
+    np.testing.assert_allclose(seen.z_scores, anew.z_scores, rtol=1e-9)
+    np.testing.assert_allclose(seen.null(0), anew.null(0), rtol=1e-9)
+    assert seen.free == anew.free
+
+
 def brute_f(residual: Floats, model: Floats, extra: Floats) -> tuple[float, int, int]:
     """F statistic of extra columns beside a model, with its degrees of freedom."""
     both = np.concatenate([model, extra], axis=1)

@@ -17,6 +17,7 @@ from ..data.lagged import DRAWN_C, Room
 from ..data.noise import Noise, noise_of
 from ..errors import FitError
 from ..fit.error import axes_of
+from ..fit.folds import BLOCK
 from ..fit.identify import Fit, identify
 from ..model.base import Derivatives, ModelWithEffects, beside_one_another
 from ..model.effect import Effect
@@ -214,6 +215,16 @@ class FittedRun(Saved):
         out = {k: v for k, v in (out | place | self.model.covariates(part)).items() if np.ptp(v) > 0}
         return out, tuple(name for name in place if name in out)
 
+    def derivatives(self, rows: Ints) -> Callable[[slice], Derivatives]:
+        """Derivatives of stretches of these rows by what is fitted, and by the inputs: of a short run made once."""
+        if len(self.data) > BLOCK:
+            return self.model.linearised_by_blocks(self.data.select(rows), self.fit.values)
+        return lambda some: self._derivatives.on(rows[some])
+
+    @cached_property
+    def _derivatives(self) -> Derivatives:
+        return self.model.linearised(self.data, self.fit.values)
+
     def linearised(self, rows: Ints, effects: Sequence[Effect], sigma: Floats) -> Linearised:
         """These rows, in this order, over the noise ``sigma`` (m,) of the axes: residuals, and what gives derivatives
         by what is fitted, by every effect that can be tried, and by the inputs. The last are remembered."""
@@ -226,7 +237,6 @@ class FittedRun(Saved):
         periodic = [(e, self.model.setting_of(e)) for e in tried if e.function is None and e.is_periodic]
         unknown = [e for e, period in periodic if period is None]
         asked = [e for e in tried if e not in unknown]
-        own = self.model.linearised_by_blocks(part, self.fit.values)
         every = self.model.tried(part, self.fit.values, asked)
         variables, place = self.variables(rows)
         # those that step at a searched time behind the others
@@ -257,7 +267,7 @@ class FittedRun(Saved):
             variables=variables,
             group=part.standing,
             repeated=part.groups,
-            derivatives=_OverNoise(own, every.columns, axes, over, order),
+            derivatives=_OverNoise(self.derivatives(rows), every.columns, axes, over, order),
             pattern_of={name: name for name in inputs if name in variables} if known else {},
             place=place,
             inputs=inputs,

@@ -38,7 +38,7 @@ _DRAWS = 999
 
 def error_of(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]) -> ErrorSize:
     """The error of a fit on rows held out. ``sigma`` (columns,) weighs the readings."""
-    return held_out_error(run.fit, sigma=sigma, repeated_folds=repeated_folds)
+    return held_out_error(run.fit, sigma=sigma, repeated_folds=repeated_folds, derivatives=run.derivatives)
 
 
 def rms(squares: Floats, scale: Floats) -> float:
@@ -236,14 +236,14 @@ class HeldOutError:
 
 
 def held_out(stage: Stage, fold: Ints) -> list[HeldOutError]:
-    """Held-out error (in the unit of the run, axes together) with each candidate of a stage that is not thorough.
+    """Held-out error (in the unit of the run, axes together) with each candidate of a stage.
 
     ``fold`` (repetitions, n) is the fold of each row in each repetition.
     """
     view = stage.view
 
     def columns(rows: slice) -> Floats:
-        parts = [view.fitted(rows), *(stage.raw(c.columns, rows) for c in stage.candidates)]
+        parts = [view.fitted(rows), *(stage.columns_of(c, rows) for c in stage.candidates)]
         out = np.concatenate(parts, axis=2)
         # in the unit of the readings, so that axes count by their error
         out *= stage.sigma[:, None]

@@ -129,6 +129,22 @@ class Linearised:
         return {name: np.ascontiguousarray(every[:, :, k]) for k, name in enumerate(self.inputs)}
 
 
+@dataclass(frozen=True)
+class Beside:
+    """Derivatives by what a fit has of its own, beside what was tried before it."""
+
+    own: Linearised
+    tried: Linearised
+
+    def fitted(self, rows: slice) -> tuple[Floats, Floats | None]:
+        """As the fit has it."""
+        return self.own._own(rows)
+
+    def effects(self, rows: slice) -> Floats:
+        """As before."""
+        return self.tried.effects_in(rows)
+
+
 class Whitening:
     """The AR(1) filter along the first axis; every row keeps its variance.
 

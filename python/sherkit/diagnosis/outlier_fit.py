@@ -24,7 +24,7 @@ from .lack_of_fit import chi2_log_tail, chi2_tail, f_tail
 from .linearised import Linearised, orthonormal
 from .robust_start import CUT, ROUNDS, huber
 from .shapes import Family, build
-from .step_gains import step_gains
+from .step_gains import step_gains, within
 
 #: Chance that a run without gross errors has anything listed; of several that are listed, the expected part of false
 #: ones.
@@ -334,6 +334,8 @@ class OutlierFit:
         return np.zeros((len(self._seen) * self.e.shape[1], 0))
 
     has_step = False
+    #: Of how many columns of the basis it is known what they have of every step, and what: the basis but grows.
+    _within: tuple[int, Floats | float] = (0, 0.0)
 
     def _step(self, tame: Floats, variance: float) -> tuple[float, int] | None:
         """The step in time that takes most: log of its chance, and its first row. One only: what is bumped and put back
@@ -345,8 +347,10 @@ class OutlierFit:
         cuts = cuts[self.view.time[cuts] > self.view.time[cuts - 1]]
         if not len(cuts):
             return None
-        columns = (self._up(column.reshape(-1, m)) for column in self.basis.T)
-        gain = step_gains(tame, columns, cuts, _ABSORBED) / variance
+        known, inside = self._within
+        new = (self._up(column.reshape(-1, m)) for column in self.basis[:, known:].T)
+        self._within = self.basis.shape[1], inside + within(new, cuts)
+        gain = step_gains(tame, self._within[1], cuts, _ABSORBED) / variance
         best = int(np.argmax(gain))
         return float(chi2_log_tail(gain[best], m) + np.log(len(cuts))), int(cuts[best])
 

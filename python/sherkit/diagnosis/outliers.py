@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -144,10 +145,10 @@ def came_from_elsewhere(run: FittedRun, effects: Sequence[Effect], rows: Ints) -
         return False
     left = with_it.residuals[rows][:, axes]
     spread = np.maximum(MAD * np.median(np.abs(left), axis=0), run.digits[axes])
-    by = with_it.model.derivatives(data.select(first), with_it.fit.values)[0][axes]
-    turned = np.array(list(product((0.0, 2.0), repeat=data.joints.shape[1])))
-    other = left[0] + sum(turned @ (by[:, at] * with_it.fit.values[at]).T for at in map(with_it.owns, by_side))
-    chance = chi2_tail(np.square(other / spread).sum(axis=1), len(axes))
+    sides = np.array(list(product((1.0, -1.0), repeat=data.joints.shape[1])))
+    alike = replace(data.select(np.repeat(first, len(sides))), direction=sides)
+    off = (alike.readings - with_it.model.predict(alike, with_it.fit.values))[:, axes]
+    chance = chi2_tail(np.square(off / spread).sum(axis=1), len(axes))
     return bool(chance[0] < _OFF and chance.max() > _NEAR)
 
 

@@ -42,10 +42,10 @@ from .power import smallest_found
 from .repeats import by_repeats, in_repeats, same_within_poses, with_the_way
 from .rounded import steps_in
 from .search import SearchResult
-from .setting import periods_shown
+from .setting import as_shown
 from .shapes import Shape
 from .sizes import TOLD, implausible
-from .stage import Candidate, Stage, stage_of
+from .stage import Candidate, Stage
 from .steady import slow_drift_of
 from .template import what_parts
 from .where import neighbour_correlation, where
@@ -157,9 +157,8 @@ def diagnose(
     notes += [f"{one.sentence}. {one.remedy}" for one in known(final.fit).values()]
 
     step("fitting all rows")
-    at = periods_shown(found.search, found.result)
-    base_stage = stage_of(run, every, rows, sigma, rho=rho, thorough=False, at=at)
-    gains = held_out(base_stage, np.stack([repetition[base_stage.rows] for repetition in repeated_folds]))
+    base_stage = as_shown(found.search, found.result)
+    gains = held_out(base_stage, np.stack([repetition[rows][base_stage.rows] for repetition in repeated_folds]))
 
     left = repeats
     if repeats is not None and not same_within_poses(long, of_all):

@@ -105,6 +105,7 @@ class Scan:
         self.first_wave = self.first_dense + self.d
         self.first_along = self.first_wave + (len(waves) if waves is not None else 0)
         self.count = self.first_along + (len(along) if along is not None else 0)
+        self._ff, self._dd = self._own_products()
         self._products()
 
     # every column has a number: functions axis by axis, then the dense ones, waves of inputs, and waves on axes
@@ -140,27 +141,33 @@ class Scan:
             block = self.rows.block(rows)
             yield rows, block, np.concatenate([block.fitted, *(self.take(c, rows, block) for c in self.model)], axis=2)
 
+    def _own_products(self) -> tuple[Floats, Floats]:
+        """Products of functions, and of full columns, with one another, where a candidate has them."""
+        ff, dd = np.zeros((self.f, self.f)), np.zeros((self.d, self.d))
+        functions, full = (stretches_of([getattr(c, sort) for c in self.candidates]) for sort in ("functions", "dense"))
+        for rows in self.rows.blocks:
+            block = self.rows.block(rows)
+            add_products(ff, block.functions, functions)
+            add_products(dd, block.dense.reshape(block.residual.size, self.d), full)
+        return ff, dd
+
     def _products(self) -> None:
         """One look at all rows: the model's own triangle, and its and the residual's products with every column."""
         triangle = Triangle()
         with_e: Any = 0.0
-        ff, dd, total = np.zeros((self.f, self.f)), np.zeros((self.d, self.d)), 0.0
-        functions, full = (stretches_of([getattr(c, sort) for c in self.candidates]) for sort in ("functions", "dense"))
+        total = 0.0
 
         def model_and_residual() -> Iterator[tuple[slice, Block, Floats]]:
-            nonlocal with_e, ff, dd, total
+            nonlocal with_e, total
             for rows, block, model in self.every_block():
                 triangle.add(model)
-                flat, residual = model.reshape(-1, model.shape[2]), block.residual.ravel()
-                dense = block.dense.reshape(len(residual), self.d)
-                add_products(ff, block.functions, functions)
-                add_products(dd, dense, full)
+                residual = block.residual.ravel()
                 total += float(residual @ residual)
-                with_e = with_e + flat.T @ residual
+                with_e = with_e + model.reshape(-1, model.shape[2]).T @ residual
                 yield rows, block, np.concatenate([model, block.residual[:, :, None]], axis=2)
 
-        every, wave_products = self._times(model_and_residual())
-        self._ff, self._dd = ff, dd
+        # with the model and, last, the residual; then with each that entered since
+        every, self._wave_products = self._times(model_and_residual())
         #: The model's columns turned so that their rows are few; what makes them orthonormal (p, rank).
         self.triangle = triangle.of
         self.root = triangle.root()
@@ -169,8 +176,32 @@ class Scan:
         self.of_residual = self.root.T @ with_e
         self.by_residual = every[:, -1] - self.by_model @ self.of_residual
         self.sum_of_squares = total - float(self.of_residual @ self.of_residual)
-        # with the model and, last, the residual; then with each that entered since
-        self._wave_products = wave_products
+
+    def asking(self, candidates: Sequence[Columns]) -> Scan:
+        """The same family with these of its candidates alone."""
+        place = {one: k for k, one in enumerate(self.candidates)}
+        which = np.array([place[one] for one in candidates], dtype=np.int64)
+        new = self._copy("_sizes")
+        new.candidates = tuple(candidates)
+        new.gains = self.gains[0][which], self.gains[1][which]
+        new.z_scores = self.z_scores[which]
+        return new
+
+    def beside(self, rows: Rows) -> Scan:
+        """The family beside another fit: what was fitted and what it leaves are those of ``rows``, where all other
+        columns are the same."""
+        new = self._copy()
+        new.rows = rows
+        new.fitted = rows.block(rows.blocks[0]).fitted.shape[2]
+        new._products()
+        return new
+
+    def _copy(self, *more: str) -> Scan:
+        """Another, without what hangs on its model and ``more``."""
+        new = copy(self)
+        for name in ("_roots", "gains", "z_scores", "_nulls", *more):
+            new.__dict__.pop(name, None)
+        return new
 
     def _times(self, stretches: Iterable[tuple[slice, Block, Floats]]) -> tuple[Floats, tuple[Products, ...]]:
         """Every column of the family times others (K, c), whose rows (b, m, c) come stretch by stretch; and what waves
@@ -194,9 +225,7 @@ class Scan:
         model leaves of them stands, orthonormal, behind what is there."""
         if not columns:
             return self
-        new = copy(self)
-        for name in ("_roots", "gains", "z_scores", "_nulls"):
-            new.__dict__.pop(name, None)
+        new = self._copy()
         new.model = (*self.model, *columns)
         numbers = [number for one in columns for number in self.numbers(one)]
         every, more = self._times(

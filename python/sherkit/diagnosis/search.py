@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,8 +47,6 @@ from .waves import OVERSAMPLING, Waves
 _TAKES = 0.85
 #: Deviates beyond which no flip is needed to know that something is left.
 _PLAINLY_LEFT = 15.0
-#: Variances of the noise beyond it up to which a fit is looked at with all shapes at once.
-_LIKE_NOISE = 0.5
 #: Sets refitted in full by Schwarz's criterion, and at most as many again by what they leave.
 _MOST_REFITS = 4
 _MOST_PAIRS = 6
@@ -103,13 +102,14 @@ class Search:
         self.rho = rho
         self.waves: Waves | None = None
         self.base = base.on(rows, sigma)
+        self._strongest_of: WeakKeyDictionary[Stage, list[Candidate]] = WeakKeyDictionary()
 
-    def stage(self, run: FittedRun, nuisance: Sequence[Shape] = (), *, thorough: bool = True) -> Stage:
+    def stage(self, run: FittedRun, nuisance: Sequence[Shape] = ()) -> Stage:
         """The stage of a run; the correlation of the noise is estimated once, at the first, as waves are made once."""
         rows = np.arange(len(self.rows))
         stage = stage_of(
             run, self.effects, rows, self.sigma,
-            rho=self.rho, nuisance=nuisance, thorough=thorough, waves=self.waves, periods=self.periods,
+            rho=self.rho, nuisance=nuisance, waves=self.waves, periods=self.periods,
         )  # fmt: skip
         self.rho, self.waves = stage.filtered.rho, stage.waves or self.waves
         return stage
@@ -149,10 +149,10 @@ class Search:
             best = shape or self.best_single(stage)
             if isinstance(best, Candidate):
                 self.step(f"adding {best.name}")
-                after = self.stage(refit(stage.run, (best,)), stage.nuisance)
+                after = stage.refitted(refit(stage.run, (best,)), (best,))
                 added: tuple[Candidate, ...] = (best,)
                 if nearest is not None and self.beats(nearest, after, best):
-                    after, added = self.stage(nearest.stage.run, stage.nuisance), nearest.candidates
+                    after, added = nearest.stage, nearest.candidates
                 elif not found.added:
                     # what it leaves, whatever stands in its place leaves too
                     same = [e for e in singles if e.names == (best.name,)]
@@ -324,11 +324,7 @@ class Search:
             return None
         if stage.run.fit.converged and not run.fit.converged:
             return None
-        # most of what does not explain leaves something that shows without the shapes that cost time
-        like_noise = run.noise[1] != "unknown" and run.beyond_noise(self.sigma) < _LIKE_NOISE
-        after = self.stage(run, stage.nuisance, thorough=like_noise)
-        if not like_noise and float(after.scan.z_scores.max()) <= _PLAINLY_LEFT:
-            after = self.stage(run, stage.nuisance)
+        after = stage.refitted(run, members)
         return Explanation(members, after, self.p_value(after))
 
     def _settled(self, stage: Stage, found: Explanation) -> Explanation | None:
@@ -348,7 +344,7 @@ class Search:
     def _beside(self, stage: Stage, one: Candidate, others: Sequence[Candidate]) -> Candidate:
         """An effect at the setting at which it takes most beside ``others``; as it is where they cannot be fitted."""
         try:
-            beside = self.stage(refit(stage.run, others), stage.nuisance)
+            beside = stage.refitted(refit(stage.run, others), others)
         except SherkitError:
             return one
         scored = [(g, c) for g, c in zip(beside.gains.tolist(), beside.candidates, strict=True) if c.name == one.name]
@@ -356,10 +352,13 @@ class Search:
 
     def strongest_settings(self, stage: Stage) -> list[Candidate]:
         """One candidate per effect: where a setting is searched for, the one that takes most, made finer."""
+        if (known := self._strongest_of.get(stage)) is not None:
+            return known
         tried: dict[str, list[tuple[float, Candidate]]] = {}
         for gain, candidate in zip(stage.gains.tolist(), stage.candidates, strict=True):
             tried.setdefault(candidate.name, []).append((gain, candidate))
-        return [self._strongest(stage, scored) for scored in tried.values()]
+        found = self._strongest_of[stage] = [self._strongest(stage, scored) for scored in tried.values()]
+        return found
 
     def _strongest(self, stage: Stage, scored: Sequence[tuple[float, Candidate]]) -> Candidate:
         """Of one effect at several settings, the one that takes most, made finer."""

@@ -48,12 +48,13 @@ def on_all_rows(run: FittedRun, added: Sequence[Candidate]) -> tuple[list[Candid
     return out, tuple(told)
 
 
-def periods_shown(search: Search, found: SearchResult) -> dict[str, float]:
-    """The periods, by effect, at which a report shows effects whose period is searched: the one that was found, or at
-    which it would have been tried first. Where that is the period that the model has, it is not among them."""
-    tried = (*search.strongest_settings(found.stages[0]), *found.added)
-    at = {c.name: c.setting for c in tried if c.effect.is_periodic}
-    return {name: setting for name, setting in at.items() if setting is not None}
+def as_shown(search: Search, found: SearchResult) -> Stage:
+    """What a search saw first, as a report shows it: an effect whose period is searched at the one that was found, or
+    at which it would have been tried first."""
+    first = found.stages[0]
+    tried = (*search.strongest_settings(first), *found.added)
+    at = {c.name: c for c in tried if c.effect.is_periodic and c.columns.waves}
+    return first.asking([*(c for c in first.candidates if not c.columns.waves), *at.values()])
 
 
 def period_in(run: FittedRun, effect: Effect) -> Period | None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -16,10 +16,10 @@ from .axis_waves import AxisWaves
 from .fitted_run import FittedRun
 from .image import Image
 from .lack_of_fit import chi2_log_tail
-from .linearised import Linearised, Whitening, correlation_in_time, last_asked, orthonormal
+from .linearised import Beside, Linearised, Whitening, correlation_in_time, last_asked, orthonormal
 from .scan import Block, Columns, Scan
 from .shapes import Family, Shape, build
-from .step_gains import step_gains
+from .step_gains import step_gains, within
 from .waves import Waves, waves_of
 
 #: Time constants that are tried, and the fewest readings in one of them.
@@ -88,6 +88,26 @@ class Written:
 
 
 @dataclass(frozen=True, eq=False)
+class Refitted:
+    """The same columns beside another fit of the same rows, whose ``view`` has what is fitted and what it leaves."""
+
+    written: Written
+    view: Linearised
+
+    @property
+    def blocks(self) -> Sequence[slice]:
+        """The stretches."""
+        return self.written.blocks
+
+    @last_asked
+    def block(self, rows: slice) -> Block:
+        """One of them."""
+        on, view = self.written.filtered.on, self.view
+        residual, fitted = on(lambda part: view.residual[part], rows), on(view.fitted, rows)
+        return replace(self.written.block(rows), residual=residual, fitted=fitted)
+
+
+@dataclass(frozen=True, eq=False)
 class Stage:
     """A fit on some rows, seen by diagnosis.
 
@@ -137,9 +157,29 @@ class Stage:
         functions = self.written.family.functions_in(rows)[:, list(columns.functions)]
         return np.einsum("nk,ab->nakb", functions, np.eye(self.view.axes)).reshape(len(functions), self.view.axes, -1)
 
+    def columns_of(self, candidate: Candidate, rows: slice) -> Floats:
+        """The same of an effect, a wave at the very period of its setting."""
+        if candidate.columns.waves and candidate.setting is not None:
+            return waves_of(self.view, 1.0 / candidate.setting, rows)
+        return self.raw(candidate.columns, rows)
+
     def among(self, candidates: Sequence[Candidate]) -> Image:
         """These effects in full."""
         return self.scan.among([c.columns for c in candidates])
+
+    def asking(self, candidates: Sequence[Candidate]) -> Stage:
+        """The same with these candidates alone."""
+        columns = [one.columns for one in (*self.shapes, *candidates)]
+        return replace(self, candidates=tuple(candidates), scan=self.scan.asking(columns))
+
+    def refitted(self, run: FittedRun, added: Sequence[Candidate]) -> Stage:
+        """The stage of the full fit ``run`` with these effects: what they are has the derivatives of that fit; shapes
+        and all other effects, which change by as little as the machine does, keep those of this one."""
+        own = run.linearised(self.rows, (), self.sigma)
+        view = replace(self.view, residual=own.residual, derivatives=Beside(own, self.view))
+        names = {one.name for one in added}
+        asked = self.asking([c for c in self.candidates if c.name not in names])
+        return replace(asked, run=run, view=view, scan=asked.scan.beside(Refitted(self.written, view)))
 
 
 def stage_of(
@@ -151,16 +191,14 @@ def stage_of(
     rho: float | None = None,
     nuisance: Sequence[Shape] = (),
     thorough: bool = True,
-    at: Mapping[str, float] | None = None,
     waves: Waves | None = None,
     periods: Sequence[tuple[str, float]] = (),
 ) -> Stage:
     """Builds the stage for a run on the given ones of its rows. ``sigma`` (columns,) is the noise per reading.
 
     Only a ``thorough`` one has the shapes that cost time, periods and hysteresis, and tries periodic effects at every
-    frequency; else they are tried at the period that the model has and at that of ``at``, by name. ``waves`` are those
-    of an earlier stage of the same rows, which need not be made again; ``periods`` (variable, period) are tried as
-    shapes besides.
+    frequency; else they are tried at the period that the model has. ``waves`` are those of an earlier stage of the same
+    rows, which need not be made again; ``periods`` (variable, period) are tried as shapes besides.
 
     Raises :class:`FitError` where no row has all readings.
     """
@@ -172,8 +210,8 @@ def stage_of(
     ]
     offset = view.effects[-1][1].stop if view.effects else 0
     periods = [*periods, *((n.depends_on[0], n.period) for n in nuisance if n.period is not None)]
-    waves = (waves or Waves(view)) if thorough or at else None
-    family = build(view, waves if thorough else None, periods=periods, number=offset)
+    waves = (waves or Waves(view)) if thorough else None
+    family = build(view, waves, periods=periods, number=offset)
     offset += len(family.dense)
     more: list[Callable[[slice], Floats]] = []
 
@@ -194,17 +232,12 @@ def stage_of(
     for effect, behind in view.lagging:
         width = len(effect.parameters)
         candidates += [Candidate(effect, full(behind(lag), width), lag) for lag in lags_of(view)]
-    for effect, _ in view.periodic:
-        if effect.name in (at or {}):
-            period = (at or {})[effect.name]
-            about = full(_periodic(view, 1.0 / period), 2 * len(view.waving))
-            candidates.append(Candidate(effect, about, period))
 
     lag, back = _one_after_another(run.data.order, run.data.series, rows)
     if rho is None:
         rho = _correlation(view, family, back)
     filtered = Whitening(rho, lag, back)
-    if waves is not None and thorough:
+    if waves is not None:
         candidates += [
             Candidate(effect, Columns(waves=numbers, exact=True), period)
             for effect, _ in view.periodic
@@ -256,11 +289,6 @@ def lags_of(view: Linearised) -> list[float]:
     length = float(np.ptp(view.time))
     least = max(_READINGS_BEHIND * length / len(view), length / 2.0**_LAGS)
     return [float(lag) for lag in length / 2.0 ** np.arange(_LAGS) if lag >= least]
-
-
-def _periodic(view: Linearised, frequency: float) -> Callable[[slice], Floats]:
-    """Columns of waves of all inputs."""
-    return partial(waves_of, view, frequency)
 
 
 def testable(run: FittedRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -336,7 +364,8 @@ def _largest_step(residual: Floats, basis: Floats) -> Floats:
         return nothing
     flat = residual.reshape(-1)
     left = (flat - basis @ (basis.T @ flat)).reshape(n, m)
-    gain = step_gains(left, (column.reshape(n, m) for column in basis.T), cuts, _NOTHING_LEFT)
+    inside = within((column.reshape(n, m) for column in np.ascontiguousarray(basis.T)), cuts)
+    gain = step_gains(left, inside, cuts, _NOTHING_LEFT)
     variance = max(float((left**2).sum() - gain.max()) / (free_numbers - m), 1e-300)
     if chi2_log_tail(float(gain.max()) / variance, m) + np.log(len(cuts)) > np.log(_STEPS):
         return nothing

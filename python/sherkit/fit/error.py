@@ -145,12 +145,13 @@ def held_out_error(
     refit: Callable[[Measurements], Floats] | None = None,
     sigma: Floats | None = None,
     repeated_folds: Sequence[Ints] | None = None,
+    derivatives: Callable[[Ints], Callable[[slice], Any]] | None = None,
 ) -> ErrorSize:
     """The error of a fit on rows held out; of one pose alone, which cannot be, what the fit leaves.
 
     ``refit`` gives the parameters (p,) of some rows alone: very few rows are held out by it. ``sigma`` (columns,)
     weighs the readings, the noise of each where it is left out; ``repeated_folds`` are those of
-    :func:`repeated_folds_of`.
+    :func:`repeated_folds_of`; ``derivatives`` gives those of some rows, stretch by stretch, where they are known.
     """
     data = fit.data
     used = data.used & np.isfinite(fit.residuals)
@@ -164,8 +165,8 @@ def held_out_error(
         return of_residuals(data, fit.residuals, held_out=False)
     if refit is not None and len(rows) < _FEWEST:
         return _refitted(fit, refit, rows, fold[0])
-    part, there = data.select(rows), used[rows]
-    by_model = fit.model.linearised_by_blocks(part, fit.values)
+    there = used[rows]
+    by_model = derivatives(rows) if derivatives else fit.model.linearised_by_blocks(data.select(rows), fit.values)
     # axes that nothing was read on count for nothing
     weight = np.where(there, 1.0 / sigma, 0.0)
     residual = np.where(there, fit.residuals[rows], 0.0) * weight

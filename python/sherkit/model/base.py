@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ..base.saved import Saved
-from ..base.types import Floats
+from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.columns import Layout
 from ..errors import EffectError, ShapeError
@@ -27,7 +27,7 @@ class Derivatives:
     parameters: Floats
     inputs: Floats | None
 
-    def on(self, rows: slice) -> Derivatives:
+    def on(self, rows: slice | Ints) -> Derivatives:
         """Those of these rows."""
         return Derivatives(self.parameters[rows], None if self.inputs is None else self.inputs[rows])
 
