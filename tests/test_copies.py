@@ -27,7 +27,7 @@ from second_machines import apart, run_of
 from sherkit.cli.demo import EXAMPLE
 from sherkit.data.noise import noise_of
 from sherkit.lab.ports import write_ports
-from sherkit.model.effect_file import load_effects
+from sherkit.model.effect import load_effects
 from sherkit.model.kinds import Robot, robot_from_tables
 from sherkit.robots.machine.file import load_machine
 from test_fuzz import lines_run

@@ -8,8 +8,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from sherkit.data.asked import AskedTable
-from sherkit.data.declared import Declared, Inner, key, keys_from, keys_of
+from sherkit.data.declared import AskedTable, Declared, Inner, key, keys_from, keys_of
 from sherkit.data.toml import Table
 from sherkit.errors import RobotError
 

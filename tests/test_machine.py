@@ -25,7 +25,7 @@ from second_machines import MACHINES, apart, run_of
 from sherkit.app.workbench import Workbench
 from sherkit.base.types import Floats
 from sherkit.errors import FitError, RobotError
-from sherkit.model.effect_file import load_effects
+from sherkit.model.effect import load_effects
 from sherkit.robots.machine.file import load_machine
 from sherkit.robots.machine.function import steps_for
 

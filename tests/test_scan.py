@@ -12,9 +12,10 @@ from scipy import stats
 
 from sherkit.diagnosis import play_operator
 from sherkit.diagnosis.axis_waves import AxisWaves
+from sherkit.diagnosis.columns import Block, Columns
 from sherkit.diagnosis.lack_of_fit import z_score
 from sherkit.diagnosis.linearised import Linearised, Whitening, correlation_in_time, orthonormal, whiten
-from sherkit.diagnosis.scan import Block, Columns, Scan, codes_of
+from sherkit.diagnosis.scan import Scan, codes_of
 from sherkit.diagnosis.shapes import build, wave
 from sherkit.diagnosis.stage import _largest_step, _one_after_another
 from sherkit.diagnosis.waves import Gridded, Waves, waves_of

@@ -19,8 +19,8 @@ import sherkit as sk
 from second_simulator import room_temperature
 from second_simulator.spherical import SPHERICAL_EFFECTS, SecondSpherical, sphere_grid, spherical_plan
 from sherkit.diagnosis import template
-from sherkit.diagnosis.sizes import ABSURD
-from sherkit.model.effect_file import load_effects
+from sherkit.diagnosis.explanation import ABSURD
+from sherkit.model.effect import load_effects
 from sherkit.robots.spherical import CameraView, Spherical
 from sherkit.robots.spherical.model import SphericalModel
 

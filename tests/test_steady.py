@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 import sherkit as sk
 from second_simulator import NOMINAL_CONFIG, Robot, grid, make_plan, simulate
 from sherkit.diagnosis.fitted_run import FittedRun
-from sherkit.diagnosis.steady import slow_drift_of
+from sherkit.diagnosis.where import slow_drift_of
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]

@@ -13,7 +13,7 @@ import sherkit as sk
 import test_discovery as delta
 import test_spherical_discovery as spherical
 from sherkit.diagnosis import template
-from sherkit.model.effect_file import load_effects
+from sherkit.model.effect import load_effects
 from worlds import WrongDerivative
 
 

@@ -13,10 +13,10 @@ from .base.arguments import Seed, as_annotated
 from .base.names import listed
 from .base.types import Floats
 from .data import Measurements
-from .data.given import RunLike
+from .data.reader import RunLike
+from .diagnosis.explanation import refuse_absurd
+from .diagnosis.named import setting_for
 from .diagnosis.outliers import gross_errors, warn_of_outliers
-from .diagnosis.setting import setting_for
-from .diagnosis.sizes import refuse_absurd
 from .errors import EffectError, FitError
 from .fit.hold_out import hold_out
 from .fit.identify import identify

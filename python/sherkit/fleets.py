@@ -22,8 +22,8 @@ import scipy
 
 from .base.arguments import Level, Seed, as_annotated
 from .base.names import listed
-from .data.given import RunLike
 from .data.noise import MAD
+from .data.reader import RunLike
 from .diagnosis import diagnose
 from .diagnosis.answers import Summary
 from .errors import FitError, SherkitError, SherkitWarning

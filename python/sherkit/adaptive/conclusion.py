@@ -15,7 +15,7 @@ from ..calibration import calibrate
 from ..data import Measurements
 from ..data.noise import noise_of
 from ..diagnosis import Diagnosis, diagnose
-from ..diagnosis.checks import Check
+from ..diagnosis.answers import Check
 from ..diagnosis.next_poses import SEPARATION, next_poses
 from ..errors import FitError, SherkitError
 from ..fit.identify import Fit, identify

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ..diagnosis.sizes import PLAUSIBLE
+from ..diagnosis.explanation import PLAUSIBLE
 from .evidence import ROUGH, SIZES, Agreement
 from .hypotheses import Hypothesis
 from .look import Look

@@ -29,8 +29,7 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..data.files import write_whole
 from ..errors import EffectError, SherkitError
-from ..model.effect import Effect
-from ..model.effect_file import load_effects
+from ..model.effect import Effect, load_effects
 from ..model.rows import Rows, run_of
 
 # -- Processes as Linux tells of them -------------------------------------------------------------------------------

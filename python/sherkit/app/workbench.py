@@ -25,7 +25,7 @@ from ..data.files import write_whole
 from ..data.headers import Columns
 from ..diagnosis import Diagnosis
 from ..errors import MeasurementError, SherkitError, SherkitWarning
-from ..model.effect_file import load_effects
+from ..model.effect import load_effects
 from ..model.kinds import required_um
 from ..model.robot_file import columns_of
 from ..report.card import drawing_of

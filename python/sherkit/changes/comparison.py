@@ -19,11 +19,11 @@ from ..base.figures import finite
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements
-from ..data.given import RunLike
+from ..data.reader import RunLike
 from ..diagnosis import diagnose
+from ..diagnosis.explanation import PLAUSIBLE
 from ..diagnosis.linearised import orthonormal
 from ..diagnosis.outliers import gross_errors
-from ..diagnosis.sizes import PLAUSIBLE
 from ..errors import FitError, SherkitError
 from ..fit.error import ErrorSize, axes_of, of_residuals
 from ..fit.identify import identify

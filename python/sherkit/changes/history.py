@@ -24,7 +24,7 @@ from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE
-from ..data.given import RunLike
+from ..data.reader import RunLike
 from ..errors import FitError, MeasurementError
 from ..model.effect import Effect
 from ..model.kinds import required_um

@@ -26,7 +26,7 @@ from ..base.figures import finite
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements
-from ..data.given import RunLike
+from ..data.reader import RunLike
 from ..diagnosis.linearised import orthonormal
 from ..errors import FitError
 from ..fit.error import axes_of

@@ -12,8 +12,7 @@ from ..calibration import calibrate as run_calibration
 from ..data import Measurements
 from ..errors import MeasurementError
 from ..fit.least_squares import LOSSES
-from ..model.effect import effects_by_name
-from ..model.effect_file import load_effects
+from ..model.effect import effects_by_name, load_effects
 from ..model.kinds import catalogue_of
 from ..model.robot_file import run_for
 from ..robots.machine.file import robot_at

@@ -10,8 +10,7 @@ from ..data.files import write_whole
 from ..diagnosis import Diagnosis, template
 from ..diagnosis import diagnose as run_diagnosis
 from ..fit.identify import identify
-from ..model.effect import effects_by_name
-from ..model.effect_file import load_effects
+from ..model.effect import effects_by_name, load_effects
 from . import output, reporting
 from .diagnosis_tables import diagnosis as print_diagnosis
 from .machine_file import machine_at

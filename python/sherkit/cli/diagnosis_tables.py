@@ -12,8 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..diagnosis import Diagnosis, largest
-from ..diagnosis.checks import Check
-from ..diagnosis.finding import APART, FILES, MISSING, NEXT, WHERE, WHICH, Finding
+from ..diagnosis.answers import APART, FILES, MISSING, NEXT, WHERE, WHICH, Check, Finding
 from ..diagnosis.findings import figure, p_value, plausibility
 from ..diagnosis.next_poses import SEPARATION
 from .output import out, table

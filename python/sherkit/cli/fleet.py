@@ -14,7 +14,7 @@ from rich.markup import escape
 from ..base.names import CALIBRATED
 from ..errors import SherkitError
 from ..fleets import FEWEST, Fleet, fleet
-from ..model.effect_file import load_effects
+from ..model.effect import load_effects
 from . import output
 
 

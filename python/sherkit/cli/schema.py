@@ -13,7 +13,7 @@ from typing import Any
 import click
 import tomli_w
 
-from ..data.asked import AskedTable, merged
+from ..data.declared import AskedTable, merged
 from ..data.files import write_whole
 from ..data.toml import Schema
 from ..errors import ExperimentError, SherkitError

@@ -15,8 +15,7 @@ from ..diagnosis import diagnose as run_diagnosis
 from ..errors import SherkitError
 from ..fit.identify import identify
 from ..model.base import ModelWithEffects
-from ..model.effect import Effect
-from ..model.effect_file import load_effects
+from ..model.effect import Effect, load_effects
 from ..model.kinds import model_of
 from ..robots.tool.applied import applied
 from ..robots.tool.c_header import c_header

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from itertools import chain, islice
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import polars as pl
@@ -19,7 +20,7 @@ from ..base.names import brief
 from ..base.types import Ints
 from ..errors import MeasurementError
 from . import columns as c
-from .frames import clean
+from .frames import clean, from_frame
 from .headers import Columns
 from .rows import Measurements
 from .tables import PARQUET, read_parquet
@@ -321,3 +322,25 @@ def _not_text(path: Path) -> MeasurementError:
                     byte = raw[error.start]
                     return MeasurementError(f"{path}: line {number} is not UTF-8 (byte {byte:#04x}); save it as UTF-8")
     return MeasurementError(f"{path}: is not text; expected CSV as UTF-8, or Parquet in a file named .parquet")
+
+
+# -- A run as a person has it at hand: read already, a file, a frame, or columns by name ---------------------------
+
+#: Measurements, the path of their file, a polars or pandas frame, or a mapping of columns.
+RunLike = Any
+
+
+def run_of(given: RunLike, columns: Columns | None = None) -> Measurements:
+    """The measurements; ``columns`` gives the names of a file or a frame by ours.
+
+    Raises :class:`~sherkit.errors.MeasurementError` for what holds none, and as the readers do.
+    """
+    if isinstance(given, Measurements):
+        return given
+    if isinstance(given, str | os.PathLike):
+        return read_measurements(Path(given), columns=columns)
+    if isinstance(given, Mapping) or hasattr(given, "columns"):
+        return from_frame(given, columns=columns)
+    raise MeasurementError(
+        f"expected measurements, the path of their file, a frame or columns by name; got {type(given).__name__}"
+    )

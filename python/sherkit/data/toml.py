@@ -107,7 +107,8 @@ class Table:
         sample: Any = None, optional: bool = False,
     ) -> Any:  # fmt: skip
         """The value of a key where it ``holds``; ``default`` where it is not given, None being one where the key is
-        ``optional``. ``schema`` and a ``sample`` of what is expected are for :class:`~sherkit.data.asked.AskedTable`.
+        ``optional``. ``schema`` and a ``sample`` of what is expected are for
+        :class:`~sherkit.data.declared.AskedTable`.
         """
         del schema, sample
         self._known.add(key)

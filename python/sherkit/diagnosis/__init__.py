@@ -1,7 +1,6 @@
 """Diagnosis: what a fit misses, where, which effect, what it cannot be told from, what to measure next."""
 
-from .answers import Diagnosis
-from .finding import Finding
+from .answers import Diagnosis, Finding
 from .findings import largest
 from .outliers import gross_errors
 from .questions import diagnose

@@ -11,18 +11,17 @@ from ..base.names import listed, spans
 from ..base.types import Floats, Ints
 from ..data.doubts import Doubt
 from ..fit.set_up import Mistake
-from .checks import APART, AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SETTLED, SMALL, Check
-from .few_enough import FewEnough
+from .answers import APART, AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SETTLED, SMALL, Check
+from .explanation import ABSURD, PLAUSIBLE, largest, sizes_of
 from .fitted_run import FittedRun
-from .held_out import PRAISE, HeldOutGain
+from .held_out import PRAISE, FewEnough, HeldOutGain
 from .lack_of_fit import LackOfFit
 from .named import Named
 from .one_unknown import OneUnknown
 from .outliers import in_one_go
 from .repeats import Repeats
 from .rounded import Rounded, rounded
-from .sizes import ABSURD, PLAUSIBLE, largest, sizes_of
-from .steady import SlowDrift
+from .where import SlowDrift
 
 #: Part of the rows that may be listed as wrong before the rest is no run any more.
 _WRONG = 0.2

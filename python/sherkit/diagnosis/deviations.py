@@ -14,10 +14,10 @@ from ..base import linalg
 from ..base.types import Floats, Ints
 from ..data.columns import bare
 from ..data.noise import MAD
-from .enough import enough_of
-from .fitted_run import FittedRun
+from .columns import Block, Columns
+from .fitted_run import FittedRun, enough_of
 from .linearised import Whitening, orthonormal
-from .scan import Block, Columns, Scan
+from .scan import Scan
 from .shapes import wave
 from .template import course
 

@@ -9,8 +9,7 @@ from ..base.figures import in_names, number, stated
 from ..base.names import listed
 from ..model.effect import Effect
 from ..model.kinds import required_um
-from .answers import CandidateReport, Diagnosis
-from .finding import APART, FILES, MISSING, NEXT, WHERE, WHICH, WRONG, Finding
+from .answers import APART, FILES, MISSING, NEXT, WHERE, WHICH, WRONG, CandidateReport, Diagnosis, Finding
 from .outliers import sentences
 from .template import indistinguishable, sentence
 

@@ -7,7 +7,7 @@ Residuals are in units of their noise, one axis per reading. A correlation in ti
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, wraps
 from typing import Any, Protocol, TypeVar
@@ -288,3 +288,25 @@ def correlation_in_time(residual: Floats, basis: Floats, back: Ints | None = Non
         if abs(step) < 1e-3 or (first and abs(rho) < least / 2):
             break
     return rho if abs(rho) > least else 0.0
+
+
+# -- What a step in time takes of residuals, wherever it stands ----------------------------------------------------
+
+
+def step_gains(left: Floats, inside: Floats | float, cuts: Ints, least: float) -> Floats:
+    """Sum of squares (c,) that a step on all axes, from each cut on, takes of what orthonormal columns ``left`` (n, m);
+    nothing where they leave less than the part ``least`` of it. They have ``inside`` (c, m) of its square."""
+    n = len(left)
+    free = (n - cuts)[:, None] - inside
+    return np.where(free > least * n, _since(left, cuts) ** 2 / np.maximum(free, 1e-12), 0.0).sum(axis=1)
+
+
+def within(columns: Iterable[Floats], cuts: Ints) -> Floats | float:
+    """Of the square of a step from each cut on (c, m), what orthonormal ``columns``, each (n, m), have; nothing of
+    none."""
+    return sum((_since(column, cuts) ** 2 for column in columns), 0.0)
+
+
+def _since(values: Floats, cuts: Ints) -> Floats:
+    """Sums (c, m) of values (n, m) from each cut on."""
+    return np.cumsum(values[::-1], axis=0)[::-1][cuts]

@@ -18,13 +18,11 @@ from ..base import linalg
 from ..base.types import Bools, Floats, Ints
 from ..data.noise import MAD
 from ..fit.folds import BLOCK
-from .apart import apart_from_pose
 from .fitted_run import DIGITS
 from .lack_of_fit import chi2_log_tail, chi2_tail, f_tail
-from .linearised import Linearised, orthonormal
-from .robust_start import CUT, ROUNDS, huber
+from .linearised import Linearised, orthonormal, step_gains, within
+from .robust_start import CUT, ROUNDS, apart_from_pose, huber
 from .shapes import Family, build
-from .step_gains import step_gains, within
 
 #: Chance that a run without gross errors has anything listed; of several that are listed, the expected part of false
 #: ones.

@@ -13,7 +13,7 @@ from ..base import linalg
 from ..base.arguments import Level, Seed, as_annotated
 from ..base.types import Floats
 from ..data.doubts import doubts
-from ..data.given import RunLike
+from ..data.reader import RunLike
 from ..errors import EffectError, FitError
 from ..fit.error import repeated_folds_of
 from ..fit.forms import known
@@ -22,33 +22,25 @@ from ..fit.set_up import held, set_up_mistakes, unread
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
-from .answers import CandidateReport, Diagnosis, StepReport
+from .answers import CandidateReport, Diagnosis, StepReport, verdict_of
 from .checked import checks_of
-from .checks import verdict_of
-from .confounding import confounded_with
-from .enough import enough_of
-from .explanation import is_plausible
-from .few_enough import few_enough
+from .explanation import TOLD, implausible, is_plausible
 from .findings import findings_of
-from .fitted_run import FittedRun
-from .held_out import HeldOutError, by_noise_alone, held_out
+from .fitted_run import FittedRun, enough_of
+from .held_out import HeldOutError, by_noise_alone, few_enough, held_out
 from .lack_of_fit import lack_of_fit
 from .linearised import orthonormal
-from .named import not_needed, searched
+from .named import as_shown, not_needed, searched
 from .next_poses import Proposal
 from .one_unknown import OneUnknown, one_unknown
 from .outliers import is_first_by_side, sentences, without_outliers
-from .power import smallest_found
 from .repeats import by_repeats, in_repeats, same_within_poses, with_the_way
 from .rounded import steps_in
 from .search import SearchResult
-from .setting import as_shown
 from .shapes import Shape
-from .sizes import TOLD, implausible
 from .stage import Candidate, Stage
-from .steady import slow_drift_of
 from .template import what_parts
-from .where import neighbour_correlation, where
+from .where import confounded_with, neighbour_correlation, slow_drift_of, smallest_found, where
 
 LEVEL = 0.01
 #: Numbers up to which a single effect is taken by its name without asking what an unknown would look like.

@@ -18,7 +18,7 @@ from ..base.names import listed
 from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import unit_in
-from ..data.steps import step_of
+from ..data.noise import step_of
 from ..errors import SherkitError
 from ..fit.identify import identify
 from .fitted_run import FittedRun

@@ -11,9 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy
@@ -22,7 +21,7 @@ from .._core import largest_under_flips
 from ..base import linalg
 from ..base.types import Floats, Ints
 from .axis_waves import AxisProducts, AxisWaves
-from .image import Image, Projected, Triangle, add_products, stretches_of
+from .columns import Block, Columns, Image, Projected, Rows, Triangle, add_products, stretches_of
 from .lack_of_fit import z_score
 from .waves import FilteredWaves, Products
 
@@ -41,43 +40,6 @@ _ROUNDING = 1e-9
 #: Patterns of signs under which the family is seen; and at first, where a p above :data:`_FAR` needs no finer one.
 FLIPS, _FIRST = 2048, 256
 _FAR = 0.06
-
-
-@dataclass(frozen=True)
-class Columns:
-    """Columns of one candidate, all of one sort: functions on one axis (or all, ``axis`` None), full columns, waves of
-    inputs, or waves on axes."""
-
-    functions: tuple[int, ...] = ()
-    axis: int | None = None
-    dense: tuple[int, ...] = ()
-    waves: tuple[int, ...] = ()
-    along: tuple[int, ...] = ()
-    exact: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Block:
-    """A stretch of rows under the filter in time: ``residual`` (b, m), ``fitted`` (b, m, p), ``functions`` (b, f),
-    which act on single axes, and ``dense`` (b, m, d), which act on all."""
-
-    residual: Floats
-    fitted: Floats
-    functions: Floats
-    dense: Floats
-
-
-class Rows(Protocol):
-    """All rows of a scan, in the order of time, of which a stretch at a time is looked at."""
-
-    @property
-    def blocks(self) -> Sequence[slice]:
-        """The stretches."""
-        ...
-
-    def block(self, rows: slice) -> Block:
-        """One of them."""
-        ...
 
 
 class Scan:

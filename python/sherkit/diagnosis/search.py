@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ..base.types import Floats
 from ..errors import SherkitError
 from ..model.effect import Effect
+from .columns import Block
 from .explanation import (
     CLEARLY,
     Explanation,
@@ -36,9 +37,8 @@ from .explanation import (
     simplicity,
 )
 from .fitted_run import FittedRun
-from .moments import at_the_row, best_lag
-from .periods import period_of
-from .scan import FLIPS, Block, Scan
+from .periods import at_the_row, best_lag, period_of
+from .scan import FLIPS, Scan
 from .shapes import Shape, wave
 from .stage import Candidate, Stage, again, stage_of
 from .waves import OVERSAMPLING, Waves

@@ -15,8 +15,8 @@ import numpy as np
 from .._core import play
 from ..base.types import Floats, Ints
 from .axis_waves import Along
+from .columns import Columns
 from .linearised import Linearised, last_asked
-from .scan import Columns
 from .waves import OVERSAMPLING, TURN, Waves, bends
 
 _ORDERS = 3

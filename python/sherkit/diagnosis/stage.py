@@ -13,13 +13,12 @@ from ..base.types import Floats, Ints
 from ..errors import FitError
 from ..model.effect import Effect
 from .axis_waves import AxisWaves
+from .columns import Block, Columns, Image
 from .fitted_run import FittedRun
-from .image import Image
 from .lack_of_fit import chi2_log_tail
-from .linearised import Beside, Linearised, Whitening, correlation_in_time, last_asked, orthonormal
-from .scan import Block, Columns, Scan
+from .linearised import Beside, Linearised, Whitening, correlation_in_time, last_asked, orthonormal, step_gains, within
+from .scan import Scan
 from .shapes import Family, Shape, build
-from .step_gains import step_gains, within
 from .waves import Waves, waves_of
 
 #: Time constants that are tried, and the fewest readings in one of them.
@@ -169,7 +168,7 @@ class Stage:
 
     def asking(self, candidates: Sequence[Candidate]) -> Stage:
         """The same with these candidates alone."""
-        columns = [one.columns for one in (*self.shapes, *candidates)]
+        columns = [*(s.columns for s in self.shapes), *(c.columns for c in candidates)]
         return replace(self, candidates=tuple(candidates), scan=self.scan.asking(columns))
 
     def refitted(self, run: FittedRun, added: Sequence[Candidate]) -> Stage:

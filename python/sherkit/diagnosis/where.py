@@ -7,7 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from .stage import Stage
+from ..base import linalg
+from ..base.types import Floats
+from ..data.columns import bare
+from .fitted_run import FittedRun
+from .lack_of_fit import rising_root, z_score
+from .linearised import orthonormal
+from .stage import Candidate, Stage
 
 _BINS = 6
 
@@ -58,3 +64,180 @@ def neighbour_correlation(stage: Stage) -> float:
     # where several poses are at the same place one may be found before itself
     other = mean[np.where(near[:, 0] == np.arange(len(place)), near[:, 1], near[:, 0])]
     return float((mean * other).sum() / max(float(np.sqrt((mean**2).sum() * (other**2).sum())), 1e-300))
+
+
+# -- What hides: effects that other parameters take up almost entirely on these poses ------------------------------
+
+#: Part of its square that an effect hides, whatever its parameters are to each other, to be called hidden.
+_HIDDEN_FROM = 0.97
+#: Parameters that take up less than this part of what the first one does are not named, nor more than that many.
+_NAMED_FROM, _MOST_NAMED = 0.3, 6
+
+
+def confounded_with(stage: Stage) -> dict[str, tuple[str, ...]]:
+    """Effects that hide, of those that were tried and of those in the model, and the parameters that take them up.
+
+    What an effect leaves is judged by the combination of its parameters, in plausible sizes, of which most is to be
+    seen: where even that is hidden, the effect is.
+    """
+    names = np.array([p.name for p in stage.run.fit.parameters])
+    size = np.array([p.size for p in stage.run.fit.parameters])
+    fitted, scan = stage.scan.triangle, stage.scan
+    out = {}
+    for candidate in stage.candidates:
+        scale = 1.0 if candidate.columns.functions else np.array([p.size for p in candidate.effect.parameters])
+        columns = scan.of(candidate.columns)
+        whole, left = (gram * np.multiply.outer(scale, scale) for gram in (columns.whole, columns.gram))
+        # of the basis only what lies in it counts
+        inside = fitted @ scan.root @ (columns.by_model.T * scale)
+        if hidden := _taken_up(whole, left, inside, fitted * size, names):
+            out[candidate.name] = hidden
+    for effect in stage.run.model.effects:
+        own = np.zeros(len(names), dtype=bool)
+        own[stage.run.owns(effect)] = True
+        columns, others = fitted[:, own] * size[own], fitted[:, ~own]
+        basis = orthonormal(others)
+        within = basis.T @ columns
+        whole = columns.T @ columns
+        if hidden := _taken_up(whole, whole - within.T @ within, columns, others * size[~own], names[~own]):
+            out[effect.name] = hidden
+    return out
+
+
+def _taken_up(whole: Floats, left: Floats, columns: Floats, fitted: Floats, names: Floats) -> tuple[str, ...]:
+    """The parameters, most first, that take up nearly all of some columns; empty where more of them is to be seen.
+
+    ``whole`` (k, k) is the columns' Gram matrix and ``left`` that of what the parameters leave of them; ``fitted`` (r,
+    p) are the parameters' columns in plausible sizes and ``columns`` (r, k) at least what of them lies in these.
+    """
+    value, vector = linalg.eigh(whole)
+    root = vector[:, value > 1e-12 * value[-1]] / np.sqrt(value[value > 1e-12 * value[-1]])
+    if not root.shape[1] or linalg.eigvalsh(root.T @ left @ root)[-1] > 1.0 - _HIDDEN_FROM:
+        return ()
+    x = np.linalg.norm(linalg.lstsq(fitted, columns, rcond=1e-9)[0], axis=1)
+    top = np.argsort(-x)[:_MOST_NAMED]
+    return tuple(str(names[k]) for k in top if x[k] >= _NAMED_FROM * x[top[0]])
+
+
+# -- What would have been found: silence without power is no answer ------------------------------------------------
+
+POWER = 0.8
+
+
+def noncentrality(threshold: float, rank: int, free: int) -> float:
+    """Sum of squares, in units of the noise, with which ``rank`` columns pass a deviate of ``threshold`` in 80 %.
+
+    Noncentral χ², since the degrees of freedom of the residual are many.
+    """
+    # the gain at which the z score reaches the threshold
+    total = float(free)
+
+    def excess(gain: float) -> float:
+        return float(z_score(np.array(gain), np.array(rank), total, free)) - threshold
+
+    high = total * 0.999
+    if excess(high) < 0:
+        return float("inf")
+    gain = rising_root(excess, 1e-9, high)
+    return rising_root(lambda nc: 1.0 - scipy.special.chndtr(gain, rank, nc) - POWER, 0.0, 4.0 * gain + 200.0)
+
+
+def smallest_found(stage: Stage, candidate: Candidate, threshold: float) -> tuple[float, float]:
+    """The effect that would have been found with 80 % power: in plausible sizes, and as the RMS of what it leaves.
+
+    All parameters at a random sign of the same multiple of their plausible sizes.
+    """
+    size = np.array([p.size for p in candidate.effect.parameters])
+    if candidate.columns.functions:
+        # a step's function was centred and scaled to unit length: one plausible step is this much of it
+        size = size / stage.sigma * np.sqrt(stage.scan.n / 4.0)
+    needed = noncentrality(threshold, len(size), stage.scan.free)
+    at_size = float(np.diag(stage.scan.of(candidate.columns).gram) @ size**2)
+    if at_size <= 0:
+        return float("inf"), float("inf")
+    times = float(np.sqrt(needed / at_size))
+    rms = float(np.sqrt(needed / (stage.scan.n * stage.scan.m)) * np.sqrt(np.mean(stage.sigma**2)))
+    return times, rms * stage.run.per_row
+
+
+# -- Whether what is left is steady, or wanders slowly, as no noise of single readings does ------------------------
+
+#: Slow is what takes more rows than this for one swing; of so many swings in the run at least, and at most.
+_ROWS, _FEWEST, _MOST = 30, 3, 30
+#: Rows below which slow and quick are not told apart.
+_LEAST = 60
+#: Chance that steady noise is said to wander.
+_LEVEL = 1e-3
+#: The most that an instrument's readings have in common from row to row; what has more wanders.
+_COMMON = 0.7
+
+
+@dataclass(frozen=True)
+class SlowDrift:
+    """The axis that wanders most of those of which it is no chance, or else most surely; by how much, RMS, and what is
+    left from row to row besides, both in the unit of errors; ``p`` over all axes."""
+
+    axis: str
+    p: float
+    size: float
+    beside: float
+
+    @property
+    def counts(self) -> bool:
+        """Whether it is no chance."""
+        return self.p <= _LEVEL
+
+
+def slow_drift_of(run: FittedRun) -> SlowDrift | None:
+    """What is left of a run by the time at which it was read; None where that is not known, or for too few rows.
+
+    Of the periodogram of what an autoregression of first order leaves, of no more than a few rows' memory, the slowest
+    lines hold a share that is a beta variable for steady noise (Percival and Walden, *Spectral Analysis for Physical
+    Applications*, 1993, ch. 6).
+    """
+    data = run.data
+    rows = np.flatnonzero(run.whole)
+    if data.time_s is None or len(rows) < _LEAST:
+        return None
+    # several targets are read at one time
+    moments, at = np.unique(data.time_s[rows], return_inverse=True)
+    count = np.bincount(at)
+    if len(moments) < _LEAST:
+        return None
+    axes = list(run.axes)
+    left = np.column_stack([np.bincount(at, run.residuals[rows, a]) / count for a in axes])
+    p, size, beside = _slow(left - left.mean(axis=0))
+    p = np.minimum(1.0, len(axes) * p)
+    worst = int(np.argmax(np.where(p <= _LEVEL, size, 0.0)) if (p <= _LEVEL).any() else np.argmin(p))
+    names = [bare(name) for name in run.names]
+    return SlowDrift(
+        names[axes[worst]], float(p[worst]), run.per_unit * float(size[worst]),
+        run.per_unit * float(beside[worst]),
+    )  # fmt: skip
+
+
+def _slow(left: Floats) -> tuple[Floats, Floats, Floats]:
+    """For each column of (n, m) in the order of time: the chance of so much that is slow in steady noise, its size
+    beyond what steady noise would have there, and that of the rest."""
+    n = len(left)
+    lines = int(np.clip(n // _ROWS, _FEWEST, _MOST))
+    power = (left[:-1] ** 2).sum(axis=0)
+    rho = np.clip((left[1:] * left[:-1]).sum(axis=0) / np.where(power > 0, power, 1.0), 0.0, _COMMON)
+    white = left[1:] - rho * left[:-1]
+    every = (n - 2) // 2
+    of_white = _periodogram(white)[1 : every + 1]
+    total = of_white.sum(axis=0)
+    p = np.ones(left.shape[1])
+    for count in {_FEWEST, lines}:
+        share = of_white[:count].sum(axis=0) / np.where(total > 0, total, 1.0)
+        # the upper tail of the beta distribution; scipy.stats would take longer to import than all of this to say
+        once = scipy.special.betainc(every - count, count, 1.0 - share)
+        p = np.minimum(p, np.where(total > 0, 2.0 * once, 1.0))
+    slow, quick = np.split(2.0 * _periodogram(left)[1:] / n**2, [lines])
+    # steady noise is as strong in the slow lines as in others
+    noise = quick.mean(axis=0) * lines
+    return p, np.sqrt(np.maximum(slow.sum(axis=0) - noise, 0.0)), np.sqrt(quick.sum(axis=0) + noise)
+
+
+def _periodogram(columns: Floats) -> Floats:
+    return np.asarray(np.abs(np.fft.rfft(columns, axis=0)) ** 2)

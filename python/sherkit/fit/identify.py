@@ -24,8 +24,8 @@ from ..base.arguments import as_annotated
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements
-from ..data.given import RunLike
 from ..data.noise import Noise, noise_of
+from ..data.reader import RunLike
 from ..errors import FitError, RobotError
 from ..model.any import Model
 from ..model.base import ModelWithEffects

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from types import SimpleNamespace
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data.columns import unit_in
 from ..errors import EffectError, FitError
-from .python_file import Named, named
+from .python_file import Named, named, run_python
 
 # -- Parameters of a model ------------------------------------------------------------------------------------------
 
@@ -335,3 +336,21 @@ def named_effects(catalogue: Mapping[str, Effect], effects: Sequence[str | Effec
 
 #: Plausible sizes where the user gives only a unit.
 _SIZES = {"mm": 0.1, "um": 100.0, "µm": 100.0, "rad": 0.01, "deg": 0.5, "": 0.01}
+
+
+# -- A user's effects from a Python file ---------------------------------------------------------------------------
+
+
+def load_effects(path: str | Path) -> tuple[Effect, ...]:
+    """The effects that a Python file defines with ``@sk.effect``, in the order of their definition.
+
+    Raises :class:`~sherkit.errors.EffectError` where the file is not there, fails, or defines none.
+    """
+
+    def take(module: ModuleType) -> tuple[Effect, ...]:
+        found = tuple(v for v in vars(module).values() if isinstance(v, Effect) and v.function is not None)
+        if not found:
+            raise EffectError(f"{path}: defines no effect; expected a function under @sk.effect(...)")
+        return found
+
+    return run_python(path, "effects", take, EffectError)

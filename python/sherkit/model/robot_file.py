@@ -14,8 +14,8 @@ from ..base.names import listed
 from ..data import Measurements
 from ..data.columns import check_columns, is_known
 from ..data.files import write_whole
-from ..data.given import RunLike, run_of
 from ..data.headers import Columns
+from ..data.reader import RunLike, run_of
 from ..data.toml import Table, read_toml
 from ..errors import MeasurementError, RobotError, SherkitWarning
 from .kinds import Robot, kind_of, robot_from_tables

@@ -29,7 +29,7 @@ from ..base.names import CALIBRATED, listed, state_with
 from ..calibration import Result
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis
-from ..diagnosis.finding import APART, FILES, NEXT
+from ..diagnosis.answers import APART, FILES, NEXT
 from ..diagnosis.findings import plausibility
 from ..errors import SherkitError
 from ..fit.forms import known

@@ -14,7 +14,7 @@ import numpy as np
 from ..base.names import state_with
 from ..diagnosis import Diagnosis
 from ..diagnosis.fitted_run import FittedRun
-from ..diagnosis.setting import searched
+from ..diagnosis.named import at_its_setting
 from ..errors import SherkitError
 from ..fit.identify import Fit
 from ..model.effect import Effect
@@ -62,7 +62,7 @@ def states_of(
         setting = None
         try:
             if effect.search is not None:
-                at = searched(run, effect)
+                at = at_its_setting(run, effect)
                 if at is None:
                     continue
                 setting = at.setting

@@ -13,11 +13,11 @@ from ..base.names import CALIBRATED, NOMINAL, listed
 from ..base.notebook import Shown
 from ..base.types import Ints
 from ..data import Measurements
-from ..data.given import RunLike
 from ..data.joined import joined
+from ..data.reader import RunLike
 from ..data.toml import Table
 from ..diagnosis import Diagnosis, diagnose, gross_errors
-from ..diagnosis.setting import setting_for
+from ..diagnosis.named import setting_for
 from ..errors import EffectError, MeasurementError, SherkitError
 from ..fit.error import of_residuals
 from ..fit.hold_out import hold_out

@@ -10,8 +10,8 @@ import scipy
 
 from ...base.names import listed
 from ...base.types import Ints
+from ..noise import step_of
 from ..rows import Measurements
-from ..steps import step_of
 from .doubt import Doubt
 
 #: Repeats whose readings scatter by this many times the declared noise were not at one place.

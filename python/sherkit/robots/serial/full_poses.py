@@ -15,7 +15,7 @@ from ...base.names import listed
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.frames import clean
-from ...data.given import RunLike, run_of
+from ...data.reader import RunLike, run_of
 from ...errors import MeasurementError, SherkitWarning
 from .columns import POSITION, TARGET
 from .frames import Triple, of_rpy

@@ -1,16 +1,53 @@
-"""A few columns in full: what of them counts beside many rows is as small as they are few."""
+"""Columns of candidates: which they are among all, those of a stretch of rows, and a few in full, whose image
+beside many rows is as small as they are few."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
 from ..base import linalg
 from ..base.types import Floats
 from .linearised import orthonormal
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns of one candidate, all of one sort: functions on one axis (or all, ``axis`` None), full columns, waves of
+    inputs, or waves on axes."""
+
+    functions: tuple[int, ...] = ()
+    axis: int | None = None
+    dense: tuple[int, ...] = ()
+    waves: tuple[int, ...] = ()
+    along: tuple[int, ...] = ()
+    exact: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """A stretch of rows under the filter in time: ``residual`` (b, m), ``fitted`` (b, m, p), ``functions`` (b, f),
+    which act on single axes, and ``dense`` (b, m, d), which act on all."""
+
+    residual: Floats
+    fitted: Floats
+    functions: Floats
+    dense: Floats
+
+
+class Rows(Protocol):
+    """All rows of a scan, in the order of time, of which a stretch at a time is looked at."""
+
+    @property
+    def blocks(self) -> Sequence[slice]:
+        """The stretches."""
+
+    def block(self, rows: slice) -> Block:
+        """One of them."""
 
 
 @dataclass(frozen=True, eq=False)
