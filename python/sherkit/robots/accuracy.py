@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,6 +36,15 @@ class Planes:
     titles: tuple[str, ...]
     grid: Floats
     inside: Bools
+
+    @classmethod
+    def horizontal(cls, low: Floats, high: Floats, per_side: int, digits: str) -> Self:
+        """The highest, middle and lowest plane of a box (3,), mm, with their heights to these ``digits``."""
+        x, y = (np.linspace(low[k], high[k], per_side) for k in range(2))
+        z = np.linspace(high[2], low[2], 3) if high[2] > low[2] else np.array([low[2]])
+        grid = np.ascontiguousarray(np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1).reshape(-1, 3)[:, ::-1])
+        titles = tuple(f"z = {one:{digits}} mm" for one in z)
+        return cls(x, y, ("x, mm", "y, mm"), titles, grid, np.ones(len(grid), dtype=bool))
 
 
 @dataclass(frozen=True, eq=False)

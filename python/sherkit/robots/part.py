@@ -55,26 +55,40 @@ class Part:
     unobserved_effects: tuple[UnobservedEffect, ...] = field(default=(), kw_only=True)
     untried: tuple[str, ...] = field(default=(), kw_only=True)
 
-    @staticmethod
-    def identified(fit: Fit) -> dict[str, Any]:
-        """What a part has from its fit alone."""
-        model, data = fit.model, fit.data
+    @classmethod
+    def identified(cls, fit: Fit, size: int, *, shrink: float = 1.0, **own: Any) -> Self:
+        """What a fit alone says, of ``size`` coordinates: as if it left nothing, about zero. :meth:`leaving` says the
+        rest. ``shrink`` is the part of the readings' own share of the covariance that counts, ``own`` what a kind's
+        part has besides."""
+        model, data, core = fit.model, fit.data, len(fit.model.indices)
         time, temperature = data.time_s, data.covariates.get(TEMPERATURE)
-        return {
-            "free": model.free,
-            "effects": tuple(e.name for e in model.built_in),
-            "settings": {name: value or 0.0 for name, value in model.settings().items()},
-            "left_out": tuple(e.name for e in model.own),
-            "now": (
+        return cls(
+            free=model.free,
+            effects=tuple(e.name for e in model.built_in),
+            settings={name: value or 0.0 for name, value in model.settings().items()},
+            left_out=tuple(e.name for e in model.own),
+            now=(
                 float(time.max()) if time is not None else 0.0,
                 float(temperature.mean()) if temperature is not None else 20.0,
                 *(0.0 for _ in data.layout.joints),
             ),
-            "values": fit.values[: len(model.indices)],
-            "made_from": data.source,
-            "rows": len(data),
-            "readings": data.layout.coordinates,
-        }
+            values=fit.values[:core],
+            covariance=(fit.covariance * shrink + fit.unobserved_covariance)[:core, :core],
+            residual_covariance=np.zeros((size, size)),
+            low=np.zeros(size),
+            high=np.zeros(size),
+            made_from=data.source,
+            rows=len(data),
+            readings=data.layout.coordinates,
+            **own,
+        )
+
+    def leaving(self, left: Floats, scatter: Floats, where: Floats) -> Self:
+        """With what poses held out miss (k, k), how single readings scatter (k, k), and the places (n, k) of the run;
+        what is not finite in these is none, and without any the box stays."""
+        known = where[np.isfinite(where).all(axis=1)]
+        box = {"low": known.min(axis=0), "high": known.max(axis=0)} if len(known) else {}
+        return replace(self, residual_covariance=left, noise_covariance=scatter, **box)
 
     @property
     def scatter(self) -> Floats:
@@ -85,6 +99,11 @@ class Part:
         """The model that was identified."""
         chosen = effects_by_name(catalogue_of(robot), self.effects)
         return kind_of(robot).model(robot, self.free, chosen, **self.settings)
+
+    def spread(self, by_values: Floats) -> Floats:
+        """Covariance (n, k, k) of places that depend on the values by these derivatives (n, k, p), with what is
+        left."""
+        return by_values @ self.covariance @ by_values.transpose(0, 2, 1) + self.residual_covariance
 
     def functions(self, coordinates: Floats) -> Floats:
         """Values (n, c) of the functions that a smooth correction is a sum of; it has none of them by default."""

@@ -67,20 +67,10 @@ class DeltaPart(Part):
         # the fit took all misfit for noise; what the correction has removed of it is none
         shrink = min(1.0, float(np.nansum(with_it**2) / max(np.nansum(without**2), 1e-300)))
         where = fit.predicted[~fit.data.is_distance & ~fit.data.outlier, :3]
-        if len(where) == 0:
-            where = np.zeros((1, 3))
-        core = len(fit.model.indices)
         found = cast(DeltaCorrected | None, run.correction)
-        return cls(
-            **cls.identified(fit),
-            covariance=(fit.covariance * shrink + fit.unobserved_covariance)[:core, :core],
-            residual_covariance=left,
-            noise_covariance=scatter,
-            low=where.min(axis=0),
-            high=where.max(axis=0),
-            uncorrected_covariance=before,
-            correction=found.choice.correction if found is not None else None,
-        )
+        correction = found.choice.correction if found is not None else None
+        made = cls.identified(fit, 3, shrink=shrink, uncorrected_covariance=before, correction=correction)
+        return made.leaving(left, scatter, where)
 
     def functions(self, coordinates: Floats) -> Floats:
         """Those of the polynomial."""
@@ -235,14 +225,11 @@ class DeltaCalibration(Calibration):
             low[:2], high[:2] = -robot.workspace_radius_mm, robot.workspace_radius_mm
         if robot.workspace_z_mm:
             low[2], high[2] = robot.workspace_z_mm
-        x, y = (np.linspace(low[k], high[k], per_side) for k in range(2))
-        z = np.linspace(high[2], low[2], 3) if high[2] > low[2] else np.array([low[2]])
-        grid = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1).reshape(-1, 3)[:, ::-1]
-        inside = np.ones(len(grid), dtype=bool)
-        if robot.workspace_radius_mm:
-            inside = np.hypot(grid[:, 0], grid[:, 1]) <= robot.workspace_radius_mm - 0.25 * (x[1] - x[0])
-        titles = tuple(f"z = {one:.3g} mm" for one in z)
-        return Planes(x, y, ("x, mm", "y, mm"), titles, grid, inside)
+        made = Planes.horizontal(low, high, per_side, ".3g")
+        if not robot.workspace_radius_mm:
+            return made
+        from_axis = np.hypot(made.grid[:, 0], made.grid[:, 1])
+        return replace(made, inside=from_axis <= robot.workspace_radius_mm - 0.25 * (made.x[1] - made.x[0]))
 
     def border_jump_mm(self) -> float | None:
         """Largest difference of local and whole model on the border of the region; None without a local model.

@@ -29,18 +29,7 @@ class PrinterPart(DeltaPart):
         fit = run.fit
         left, scatter = run.left_alike(np.isfinite(run.held_out), run.held_out)
         tips = fit.model.tips(fit.data)[~distances(fit.data) & ~fit.data.outlier]
-        where = tips if len(tips) else np.zeros((1, 3))
-        core = len(fit.model.indices)
-        return cls(
-            **cls.identified(fit),
-            covariance=(fit.covariance + fit.unobserved_covariance)[:core, :core],
-            residual_covariance=left,
-            noise_covariance=scatter,
-            low=where.min(axis=0),
-            high=where.max(axis=0),
-            uncorrected_covariance=left,
-            correction=None,
-        )
+        return cls.identified(fit, 3, uncorrected_covariance=left, correction=None).leaving(left, scatter, tips)
 
     def model(self, robot: Robot) -> ChainModel:
         """The model that was identified, without the zeros of its probings."""

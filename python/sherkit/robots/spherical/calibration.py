@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Self, cast
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from ..calibrated import Calibration, Note
 from ..calibration_run import CalibrationRun
 from ..part import Part
 from .columns import SPHERICAL_ANGLES
-from .model import SphericalModel
 from .remote_centre import centre_in_words, remote_centre
 from .robot import Spherical
 
@@ -40,32 +39,14 @@ class SphericalCalibration(Calibration):
 
     @classmethod
     def of(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> Self:
-        """From a run; there is no local one. Raises as :class:`SphericalModel`."""
+        """From a run; there is no local one. Raises as :class:`~sherkit.robots.spherical.SphericalModel`."""
         del local
-        fit = whole.fit
-        held_out = whole.deployed(whole.held_out)
-        count = len(fit.model.indices)
-        made = cls(
-            fit.model.robot,
-            Part(
-                **Part.identified(fit),
-                covariance=(fit.covariance + fit.unobserved_covariance)[:count, :count],
-                residual_covariance=np.zeros((2, 2)),
-                low=np.zeros(2),
-                high=np.zeros(2),
-            ),
-        )
+        fit, held_out = whole.fit, whole.deployed(whole.held_out)
+        made = cls(fit.model.robot, Part.identified(fit, 2))
         full = fit.data.taken.all(axis=1) & ~fit.data.outlier & np.isfinite(held_out).all(axis=1)
         angles = made._as_angles(fit, held_out, full)[0]
         left, scatter = whole.left(lambda missed: made._as_angles(fit, missed, full)[1], held_out)
-        part = replace(
-            made.whole,
-            residual_covariance=left,
-            noise_covariance=scatter,
-            low=angles.min(axis=0) if len(angles) else np.zeros(2),
-            high=angles.max(axis=0) if len(angles) else np.zeros(2),
-        )
-        return replace(made, whole=part)
+        return replace(made, whole=made.whole.leaving(left, scatter, angles))
 
     def _as_angles(self, fit: Fit, held_out: Floats, rows: Bools) -> tuple[Floats, Floats]:
         """Angles (k, 2) of the rows, and their residuals carried through the joints to angles across it (k, 2)."""
@@ -89,11 +70,6 @@ class SphericalCalibration(Calibration):
     # -- the model ---------------------------------------------------------------------------------------
 
     @cached_property
-    def model(self) -> SphericalModel:
-        """The model that was identified."""
-        return cast(SphericalModel, self.whole.model(self.robot))
-
-    @cached_property
     def core(self) -> _core.SphericalCalibrated:
         """The compiled model: the same code that a control loop runs."""
         return _core.SphericalCalibrated(self.model.core, self.model.full(self.whole.values), self.robot.working_mode)
@@ -101,8 +77,7 @@ class SphericalCalibration(Calibration):
     @property
     def radius_mm(self) -> float:
         """Distance of the end of the tool from the centre, as identified."""
-        names = [p.name for p in self.model.parameters]
-        return self.robot.radius_mm + (float(self.whole.values[names.index("radius")]) if "radius" in names else 0.0)
+        return self.robot.radius_mm + self.by_name.get("radius", 0.0)
 
     # -- accuracy ----------------------------------------------------------------------------------------
 
@@ -111,7 +86,7 @@ class SphericalCalibration(Calibration):
         del coordinates
         angles, by_values, _ = self.core.by_parameters_batch(joints, self._now(), self.model.indices)
         across = np.stack([_across(by_values[:, :, k], angles) for k in range(by_values.shape[2])], axis=2)
-        return across @ self.whole.covariance @ across.transpose(0, 2, 1) + self.whole.residual_covariance
+        return self.whole.spread(across)
 
     def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:
         """Through the joints to angles across the tool."""
