@@ -19,8 +19,8 @@ from ...base import linalg
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.toml import Table
-from ...errors import ShapeError
 from ...model.kinds import Option
+from ..virtual import walked
 from .columns import CENTRE, PAYLOAD, PLANE, TARGET
 from .frames import Triple
 from .robot import Serial
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 _SECONDS_PER_POSE = 4.0
-_ORDERS = ("planes", "shuffled")
 _STEP_RAD = 1e-4
 _GRAVITY = 9.80665
 #: Plausible geometric errors of an arm: zeros of joints, rad; places of axes and target, mm; leans, rad; where the
@@ -312,14 +311,9 @@ class VirtualSerial:
         ``payload_kg``, one or (n,) for the poses, hangs at the first target; left out, nothing does, and no such
         column is written.
         """
-        if order not in _ORDERS:
-            raise ShapeError(f"order: '{order}' is not known; choose {' or '.join(_ORDERS)}")
-        if repeats < 1:
-            raise ShapeError(f"repeats: expected at least 1, got {repeats}")
         rng = np.random.default_rng(seed)
         poses = np.atleast_2d(np.asarray(joints, dtype=float))
-        walk = np.arange(len(poses))
-        pose = np.concatenate([rng.permutation(walk) if order == "shuffled" else walk for _ in range(repeats)])
+        pose, said = walked(len(poses), repeats, order, rng)
         n, read, hidden = len(pose), poses[pose], self.effects
         time = _SECONDS_PER_POSE * np.arange(n)
         payload = np.broadcast_to(np.asarray(0.0 if payload_kg is None else payload_kg, dtype=float), len(poses))[pose]
@@ -349,8 +343,7 @@ class VirtualSerial:
                     shown.append(self.seen(point, late) if plane is None else self.height(point, plane))
         reading = np.array(shown) + self.noise_mm * rng.normal(size=(len(shown), 3))
         layout = self.robot.layout
-        columns: dict[str, Any] = {"time_s": time, "temperature_c": warmth, "pose": pose + 1}
-        columns |= {"repeat": np.repeat(np.arange(repeats), len(poses)) + 1}
+        columns: dict[str, Any] = {"time_s": time, "temperature_c": warmth, **said}
         if payload_kg is not None:
             columns[PAYLOAD] = payload
         columns |= dict(zip(layout.joints, read.T, strict=True))
