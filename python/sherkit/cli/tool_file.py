@@ -18,11 +18,10 @@ from ..model.base import ModelWithEffects
 from ..model.effect import Effect
 from ..model.effect_file import load_effects
 from ..model.kinds import model_of
-from ..robots.tool.applied import applied
 from ..robots.tool.c_header import c_header
 from ..robots.tool.effects import TOOL_CATALOGUE
 from ..robots.tool.filters import estimate
-from ..robots.tool.model import ToolModel
+from ..robots.tool.model import ToolModel, applied
 from ..robots.tool.runs import read_tool_run
 from ..robots.tool.tool import KIND, load_tool
 from ..robots.tool.virtual import VirtualTool

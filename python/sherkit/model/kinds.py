@@ -1,6 +1,6 @@
 """The kinds of robot that are known: what each brings, asked for by the robot's own ``kind``.
 
-A robot's folder says what it brings as a :class:`Kind`; ``robots/kinds.py`` makes it known. Nothing else asks which
+A robot's folder says what it brings as a :class:`Kind`; ``robots/__init__.py`` makes it known. Nothing else asks which
 robot it is.
 """
 

@@ -18,10 +18,24 @@ import sherkit._core as _core
 from ...base.notebook import Shown
 from ...base.saved import Saved
 from ...base.types import Floats
+from ...data.columns import Layout
 from ...data.declared import Declared, key
 from ...data.toml import Table
 from ...errors import ShapeError, Singular
 from ...model.batch import Batch, matrix, vector, why
+
+# -- The columns of a run -----------------------------------------------------------------------------------------
+
+JOINTS = ("q1_mm", "q2_mm", "q3_mm")
+TO_JOINTS = ("to_q1_mm", "to_q2_mm", "to_q3_mm")
+POSITION = ("x_mm", "y_mm", "z_mm")
+DISTANCE = "distance_mm"
+
+#: Carriages, coordinates of the measured point, distances between two of its places.
+DELTA = Layout(JOINTS, POSITION, "µm", 1e3, DISTANCE, TO_JOINTS)
+
+
+# -- The robot ----------------------------------------------------------------------------------------------------
 
 Triple = tuple[float, float, float]
 

@@ -20,7 +20,7 @@ from ..calibration_run import CalibrationRun
 from ..part import Part
 from .core import MachineCore
 from .described import Described
-from .inverse import settled, starts
+from .function import settled, starts
 
 #: Effects of the instrument: where the machine goes, they are not.
 _OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "instrument_turned", "thermal_shift")

@@ -18,9 +18,8 @@ from ..accuracy import Planes
 from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun
 from ..part import Part
-from .columns import POSITION
 from .frames import of_rpy
-from .robot import Serial
+from .robot import POSITION, Serial
 
 
 @dataclass(frozen=True, eq=False, repr=False)

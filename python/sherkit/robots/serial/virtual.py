@@ -6,7 +6,7 @@ carries is the slope of the energy of its weights by a difference, never the cod
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -21,12 +21,34 @@ from ...data import Measurements
 from ...data.toml import Table
 from ...model.kinds import Option
 from ..virtual import walked
-from .columns import CENTRE, PAYLOAD, PLANE, TARGET
 from .frames import Triple
-from .robot import Serial
+from .robot import CENTRE, PAYLOAD, PLANE, TARGET, Serial
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
+
+# -- Sets of postures ---------------------------------------------------------------------------------------------
+
+#: Postures of each, and the part of the limits that a local set keeps to.
+_WHOLE, _LOCAL, _PART = 60, 40, 0.2
+
+
+def postures(robot: Serial, count: int, share: float = 1.0, seed: int = 0) -> Floats:
+    """Joint readings (count, k), at random within ``share`` of the limits about home."""
+    low, high = robot.ranges
+    middle = np.clip(robot.home, low, high)
+    at = np.random.default_rng(seed).uniform(size=(count, len(low)))
+    return middle + share * (low + at * (high - low) - middle)
+
+
+#: All that the joints can reach, and the middle of it.
+AREAS: Mapping[str, Callable[[Serial], Floats]] = {
+    "whole": lambda robot: postures(robot, _WHOLE),
+    "local": lambda robot: postures(robot, _LOCAL, _PART),
+}
+
+
+# -- The arm ------------------------------------------------------------------------------------------------------
 
 _SECONDS_PER_POSE = 4.0
 _STEP_RAD = 1e-4

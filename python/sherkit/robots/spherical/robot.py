@@ -20,11 +20,23 @@ import sherkit._core as _core
 from ...base.notebook import Shown
 from ...base.saved import Saved
 from ...base.types import Floats
+from ...data.columns import Layout
 from ...data.declared import Declared, Inner, key
 from ...data.toml import Table
 from ...errors import RobotError, ShapeError, SherkitError
 from ...model.batch import Batch, matrix, vector, why
 from .camera import CameraView
+
+# -- The columns of a run -----------------------------------------------------------------------------------------
+
+SPHERICAL_JOINTS = ("theta1_rad", "theta2_rad")
+_VELOCITIES = ("theta1_rad_per_s", "theta2_rad_per_s")
+
+SPHERICAL_PIXELS = Layout(SPHERICAL_JOINTS, ("u_px", "v_px"), "px", 1.0, velocities=_VELOCITIES)
+SPHERICAL_ANGLES = Layout(SPHERICAL_JOINTS, ("phi_rad", "gamma_rad"), "mrad", 1e3, velocities=_VELOCITIES)
+
+
+# -- The robot ----------------------------------------------------------------------------------------------------
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]

@@ -22,8 +22,7 @@ from ...errors import OutOfReach, ShapeError
 from ...model.kinds import Option
 from ..virtual import walked
 from .camera import CameraView
-from .columns import SPHERICAL_JOINTS, SPHERICAL_PIXELS
-from .robot import Spherical
+from .robot import SPHERICAL_JOINTS, SPHERICAL_PIXELS, Spherical
 
 if TYPE_CHECKING:
     from ...vision.pictures import CameraPicture

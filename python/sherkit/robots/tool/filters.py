@@ -21,10 +21,9 @@ from ...base import linalg
 from ...base.notebook import Shown
 from ...base.types import Bools, Floats
 from ...errors import MeasurementError
-from .columns import FIBRES
 from .plausible import OUT_OF_REACH_NM, check_wavelengths
 from .runs import ToolRun
-from .tool import FlexibleTool
+from .tool import FIBRES, FlexibleTool
 
 # -- What an interrogator does wrong, in words ----------------------------------------------------------------------
 

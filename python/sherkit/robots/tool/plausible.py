@@ -10,7 +10,7 @@ import numpy as np
 from ...base import linalg
 from ...base.types import Floats
 from ...errors import FitError, MeasurementError, SherkitWarning
-from .columns import CAMERA, DEPTH, FIBRE_TIME, FIBRES, POSITION, TURN
+from .tool import CAMERA, DEPTH, FIBRE_TIME, FIBRES, POSITION, TURN
 
 _UNITS = {"pm": 1e3, "um": 1e-3, "m": 1e-9}
 #: No load moves a grating further than this, nm.

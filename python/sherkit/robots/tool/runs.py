@@ -17,9 +17,8 @@ from ...data.columns import TIME
 from ...data.reader import checked
 from ...data.tables import read_table, write_table
 from ...errors import MeasurementError
-from .columns import CAMERA, DEPTH, FIBRE_TIME, FIBRES, KNOWN, POSITION, TURN
 from .plausible import check_clocks, check_depth, check_turn
-from .tool import rotation_of
+from .tool import CAMERA, DEPTH, FIBRE_TIME, FIBRES, KNOWN, POSITION, TURN, rotation_of
 
 # -- Columns of the tool's tables as numbers ------------------------------------------------------------------------
 
