@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from sherkit.base.types import Floats
 from sherkit.data import Measurements
 from sherkit.data.toml import Table
-from sherkit.model.kinds import Option
-from sherkit.robots.virtual import walked
+from sherkit.model.kinds import Option, walked
 
 from .columns import JOINTS, PLANAR
 from .robot import PlanarArm

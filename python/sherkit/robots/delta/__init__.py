@@ -6,8 +6,7 @@ from .correction import Correction, choose_correction, fit_grid, fit_polynomial
 from .drawing import drawing, signature
 from .model import CATALOGUE, DeltaModel
 from .paper import paper_protocol
-from .poses import AREAS, POSES, grid, paper_local, paper_whole
-from .robot import ASSEMBLY_MODES, DELTA, Delta
+from .robot import AREAS, ASSEMBLY_MODES, DELTA, POSES, Delta, grid, paper_local, paper_whole
 from .virtual import VirtualDelta
 
 #: A described example, not the paper's robot: no nominal dimension of that one is printed.

@@ -20,8 +20,7 @@ from ...base.types import Floats
 from ...data import Measurements
 from ...data.toml import Table
 from ...errors import NotFinite, OutOfReach, ShapeError, Singular
-from ...model.kinds import Option
-from ..virtual import walked
+from ...model.kinds import Option, walked
 from .robot import Delta
 
 #: Root mean squares of the columns of the paper's Table II (whole workspace), mm and rad.
@@ -163,7 +162,7 @@ class VirtualDelta:
         """Drives to poses (n, 3), mm, by the nominal inverse kinematics and reads three lasers at each.
 
         Readings are differences from the home position, as in the paper. ``order`` as
-        :func:`~sherkit.robots.virtual.walked`; ``seed`` rules order and noise.
+        :func:`~sherkit.model.kinds.walked`; ``seed`` rules order and noise.
         """
         rng = np.random.default_rng(seed)
         poses = np.atleast_2d(np.asarray(poses_mm, dtype=float))

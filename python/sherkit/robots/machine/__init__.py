@@ -15,8 +15,8 @@ from ...model.kinds import Kind, Robot, known_kinds, register
 from ...model.python_file import carried, portable, run_python
 from ...model.robot_file import RobotLike, load_robot
 from .calibration import MachineCalibration
+from .core import catalogue_of
 from .described import Described
-from .effects import catalogue_of
 from .model import MachineModel
 
 # -- What a machine brings ------------------------------------------------------------------------------------------
@@ -60,7 +60,7 @@ class Machine(Described):
     the file in which the function stands. ``columns`` gives the names that its runs have by those of the machine,
     ``{"x_axis_mm": "X cmd"}``, where they are others (:func:`~sherkit.data.read_measurements`).
 
-    Errors of joints, readings, time and temperature (:mod:`~sherkit.robots.machine.effects`) need not be described: a
+    Errors of joints, readings, time and temperature (:mod:`~sherkit.robots.machine.core`) need not be described: a
     diagnosis tries them by itself.
 
     Raises :class:`~sherkit.errors.RobotError` for names and units that do not fit together.

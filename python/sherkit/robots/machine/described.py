@@ -21,8 +21,7 @@ from ...data.toml import Table
 from ...errors import NotConverged, RobotError
 from ...model.batch import Batch, matrix, vector
 from ...model.effect import Parameter
-from .core import not_in
-from .effects import Generic, generic_effects
+from .core import Generic, generic_effects, not_in
 from .function import Derivative, Forward, UserFunction, settled, starts
 
 #: Where joints range whose limits nobody gives, by unit: so far from zero on both sides.

@@ -2,9 +2,9 @@
 
 from ...model.kinds import Kind
 from .calibration import SerialCalibration
-from .dh import read_in_the_other_convention
 from .drawing import drawing
 from .full_poses import points_of_poses
+from .imported import read_in_the_other_convention
 from .model import SerialModel
 from .robot import MOST_JOINTS, POSITION, Joint, Plane, Serial, layout_of_arm
 from .virtual import AREAS, Hidden, VirtualSerial, postures

@@ -19,8 +19,7 @@ from ...base import linalg
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.toml import Table
-from ...model.kinds import Option
-from ..virtual import walked
+from ...model.kinds import Option, walked
 from .frames import Triple
 from .robot import CENTRE, PAYLOAD, PLANE, TARGET, Serial
 

@@ -5,12 +5,19 @@ from typing import Any
 
 from ...model.kinds import Asked, Kind
 from .calibration import RemoteCentre, SphericalCalibration, remote_centre
-from .camera import CameraView, camera_placement, picture_half_angle
 from .drawing import drawing
-from .model import SPHERICAL_CATALOGUE, SphericalModel
-from .paper import TaskError, identify_joints, task_error
+from .model import SPHERICAL_CATALOGUE, SphericalModel, TaskError, identify_joints, task_error
 from .poses import AREAS, POSES, sphere_patch, straightness, straightness_by
-from .robot import ASSEMBLY_MODES, SPHERICAL_ANGLES, SPHERICAL_PIXELS, WORKING_MODES, Spherical
+from .robot import (
+    ASSEMBLY_MODES,
+    SPHERICAL_ANGLES,
+    SPHERICAL_PIXELS,
+    WORKING_MODES,
+    CameraView,
+    Spherical,
+    camera_placement,
+    picture_half_angle,
+)
 from .virtual import VirtualSpherical
 
 _PLACED: dict[str, Any] = {"phi_deg": 90.0, "gamma_deg": 45.0, "distance_mm": 446.2}

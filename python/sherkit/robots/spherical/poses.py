@@ -27,8 +27,7 @@ from ...base.types import Floats
 from ...data.toml import Table
 from ...errors import RobotError, ShapeError, SherkitError
 from ...model.kinds import MOST_IN_LINE, MOST_PER_SIDE
-from .camera import CameraView
-from .robot import Spherical
+from .robot import CameraView, Spherical
 
 # -- Lines --------------------------------------------------------------------------------------------------------
 

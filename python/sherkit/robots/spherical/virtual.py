@@ -19,10 +19,8 @@ from ...base.types import Floats
 from ...data import Measurements
 from ...data.toml import Table
 from ...errors import OutOfReach, ShapeError
-from ...model.kinds import Option
-from ..virtual import walked
-from .camera import CameraView
-from .robot import SPHERICAL_JOINTS, SPHERICAL_PIXELS, Spherical
+from ...model.kinds import Option, walked
+from .robot import SPHERICAL_JOINTS, SPHERICAL_PIXELS, CameraView, Spherical
 
 if TYPE_CHECKING:
     from ...vision.pictures import CameraPicture

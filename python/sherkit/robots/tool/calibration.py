@@ -33,8 +33,7 @@ from .bench_fit import (
     lack_of_fit,
     left_open,
 )
-from .plausible import check_unit
-from .runs import numbers_of, table_at
+from .runs import check_unit, numbers_of, table_at
 from .tool import ARC, DEFLECTION, DEPTH, FIBRES, FORCE, FlexibleTool, nested
 
 # -- Rows of a load bench -----------------------------------------------------------------------------------------

@@ -21,8 +21,7 @@ from ...base import linalg
 from ...base.notebook import Shown
 from ...base.types import Bools, Floats
 from ...errors import MeasurementError
-from .plausible import OUT_OF_REACH_NM, check_wavelengths
-from .runs import ToolRun
+from .runs import OUT_OF_REACH_NM, ToolRun, check_wavelengths
 from .tool import FIBRES, FlexibleTool
 
 # -- What an interrogator does wrong, in words ----------------------------------------------------------------------

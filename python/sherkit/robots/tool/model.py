@@ -28,8 +28,7 @@ from ...model.rows import Rows
 from .alignment import at_times
 from .effects import TOOL_CATALOGUE, ToolEffect
 from .places import Places
-from .plausible import check_camera, check_wavelengths
-from .runs import ToolRun, require_camera
+from .runs import ToolRun, check_camera, check_wavelengths, require_camera
 from .tool import FlexibleTool, rotation_of
 
 # -- As it is drawn -----------------------------------------------------------------------------------------------
