@@ -122,7 +122,7 @@ def _braced(values: ArrayLike) -> str:
 
 def c_array(name: str, numbers: Floats) -> str:
     """A C array of doubles. What is infinite needs ``math.h``: C has no literal for it."""
-    words = [c_number(float(x)) for x in numbers]
+    words = [c_number(x) for x in numbers]
     rows = [", ".join(words[i : i + _IN_A_LINE]) for i in range(0, len(words), _IN_A_LINE)]
     return f"static const double {name}[] = {{\n    " + ",\n    ".join(rows) + ",\n};"
 
@@ -130,7 +130,7 @@ def c_array(name: str, numbers: Floats) -> str:
 def c_number(value: float) -> str:
     """A double as C reads it, without loss."""
     if math.isfinite(value):
-        return repr(value)
+        return repr(float(value))  # a NumPy number says its type too
     return "NAN" if math.isnan(value) else f"{'-' if value < 0 else ''}INFINITY"
 
 

@@ -179,8 +179,6 @@ def picture_half_angle(radius_mm: float, lens_rad: float, distance_mm: float) ->
     return float(np.arcsin(edge) - lens_rad if edge < 1.0 else np.arccos(radius_mm / distance_mm))
 
 
-# -- The robot ----------------------------------------------------------------------------------------------------
-
 # -- The columns of a run -----------------------------------------------------------------------------------------
 
 SPHERICAL_JOINTS = ("theta1_rad", "theta2_rad")
@@ -191,7 +189,6 @@ SPHERICAL_ANGLES = Layout(SPHERICAL_JOINTS, ("phi_rad", "gamma_rad"), "mrad", 1e
 
 
 # -- The robot ----------------------------------------------------------------------------------------------------
-
 
 ASSEMBLY_MODES = ("outer", "inner")
 WORKING_MODES = ("open", "crossed", "ahead", "behind")
