@@ -14,7 +14,7 @@ from timing import Bench
 import sherkit as sk
 from sherkit.model.kinds import model_of
 from sherkit.robots.serial import KIND, Serial, VirtualSerial, postures
-from sherkit.robots.serial.urdf import import_urdf
+from sherkit.robots.serial.imported import import_urdf
 
 NOISE_MM = 0.05
 PLAIN = {"noise_um": 1e3 * NOISE_MM, "yield_mrad": 0.0, "play_mrad": 0.0, "ring_mrad": 0.0}

@@ -21,7 +21,7 @@ from rich.table import Table
 
 import sherkit as sk
 from sherkit.robots.spherical.pictures import seen_run
-from sherkit.robots.spherical.straightness import LINES, targets
+from sherkit.robots.spherical.poses import LINES, targets
 
 Floats = NDArray[np.float64]
 

@@ -27,7 +27,7 @@ from second_printer.trials import FAULTS, Trial
 from second_simulator import CATALOGUE, OUTSIDE_CATALOGUE
 from second_simulator.spherical import SPHERICAL_EFFECTS
 from second_simulator.unnamed import DELTA_KINDS, SPHERICAL_KINDS, Unnamed, delta_unnamed, spherical_unnamed
-from sherkit.robots.machine.file import load_machine
+from sherkit.robots.machine import load_machine
 from sherkit.robots.printer import import_klipper
 from test_arm_counted import arm_in
 from test_serial import EFFECTS as ARM_EFFECTS

@@ -22,7 +22,7 @@ import sherkit as sk
 import worlds
 from second_machines import MACHINES, Hidden, run_of
 from second_simulator.spherical import spherical_plan
-from sherkit.robots.machine.file import load_machine
+from sherkit.robots.machine import load_machine
 from test_arm_counted import NOISE_MM, OwnArm, arm_in
 from worlds import Answer, Columns, Floats
 

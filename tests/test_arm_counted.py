@@ -23,7 +23,7 @@ import sherkit as sk
 from sherkit.base.types import Floats
 from sherkit.model.kinds import model_of
 from sherkit.robots.serial import Serial, VirtualSerial, postures
-from sherkit.robots.serial.dh import import_dh
+from sherkit.robots.serial.imported import import_dh
 from test_serial import EFFECTS, NOISE_MM, PLAIN, UR5, hidden_at, payloads, simulated
 
 COUNT = int(os.environ.get("SHERKIT_COUNT", "1"))

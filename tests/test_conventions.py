@@ -13,7 +13,7 @@ import pytest
 import sherkit as sk
 from conventions import written_otherwise
 from second_machines import apart, run_of
-from sherkit.robots.machine.file import load_machine
+from sherkit.robots.machine import load_machine
 from test_arm_counted import arm_in
 from test_serial import hidden_at, simulated
 from worlds import NOISE_UM, World, delta_world, spherical_world

@@ -29,7 +29,7 @@ from sherkit.data.noise import noise_of
 from sherkit.lab.ports import write_ports
 from sherkit.model.effect import load_effects
 from sherkit.model.kinds import Robot, robot_from_tables
-from sherkit.robots.machine.file import load_machine
+from sherkit.robots.machine import load_machine
 from test_fuzz import lines_run
 
 PUBLIC = (sk, sk.data, sk.delta, sk.spherical, sk.tool, sk.fit, sk.model, sk.planning, sk.diagnosis, sk.lab)

@@ -233,7 +233,7 @@ def test_any_machine_is_drawn() -> None:
 def study() -> sk.Study:
     """A small run with leaning rails, and the study that found them."""
     virtual = sk.delta.VirtualDelta.draw(EXAMPLE, 3, rail_lean_rad=8e-3, noise_mm=0.005)
-    from sherkit.robots.delta.poses import grid as poses
+    from sherkit.robots.delta.robot import grid as poses
 
     data = virtual.measure(poses(18.0, 5, (-15.0, 0.0, 15.0)), repeats=2, order="shuffled", seed=1)
     made = sk.Study(EXAMPLE, data)

@@ -16,7 +16,7 @@ import sherkit as sk
 from sherkit.cli.demo import EXAMPLE
 from sherkit.data.files import write_whole
 from sherkit.errors import NotWritten
-from sherkit.robots.delta.poses import grid
+from sherkit.robots.delta.robot import grid
 from sherkit.robots.delta.virtual import VirtualDelta
 
 PACKAGE = Path(sk.__file__).parent

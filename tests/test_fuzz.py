@@ -29,15 +29,13 @@ from sherkit.lab.experiment import Plan, RunFile, export_run, load_experiment
 from sherkit.lab.experiment.bench import Point
 from sherkit.lab.laboratory import load_laboratory
 from sherkit.lab.ports import read_ports
-from sherkit.robots.delta.poses import grid
+from sherkit.robots.delta.robot import grid
 from sherkit.robots.delta.virtual import VirtualDelta
 from sherkit.robots.printer import import_klipper
-from sherkit.robots.printer.duet import import_duet
-from sherkit.robots.printer.marlin import import_marlin
+from sherkit.robots.printer.gcode import import_duet, import_marlin
 from sherkit.robots.serial import Serial
-from sherkit.robots.serial.dh import import_dh
-from sherkit.robots.serial.urdf import import_urdf
-from sherkit.robots.tool.bench import read_loads
+from sherkit.robots.serial.imported import import_dh, import_urdf
+from sherkit.robots.tool.calibration import read_loads
 from sherkit.robots.tool.runs import read_tool_run
 from sherkit.robots.tool.tool import FlexibleTool, load_tool
 from sherkit.robots.tool.virtual import VirtualTool

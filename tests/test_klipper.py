@@ -19,8 +19,8 @@ from second_printer.firmware import Firmware
 from second_printer.trials import Trial
 from sherkit import Measurements, SherkitError, diagnose, identify, load_robot, read_measurements
 from sherkit.cli import main
-from sherkit.printers import examine
 from sherkit.robots.printer import PrinterModel, import_klipper
+from sherkit.robots.printer.examined import examine
 
 Floats = NDArray[np.float64]
 

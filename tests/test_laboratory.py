@@ -92,10 +92,8 @@ def test_every_instrument_can_be_read_in_an_experiment(tmp_path):
 
 def test_a_tool_is_calibrated_by_driving_it_aside(tmp_path):
     """Catches fibres that are mixed up, a force that is not the one that bends, and a depth from the wrong end."""
-    from sherkit.robots.tool.bench import Loads
-    from sherkit.robots.tool.calibration import calibrate_tool
-    from sherkit.robots.tool.columns import FIBRES
-    from sherkit.robots.tool.tool import FlexibleTool
+    from sherkit.robots.tool.calibration import Loads, calibrate_tool
+    from sherkit.robots.tool.tool import FIBRES, FlexibleTool
 
     kinds = [{"name": "rails", "kind": "galil"}, {"name": "lasers", "kind": "keyence"}]
     gratings = {"kind": "sm130", "noise_nm": 2e-4}

@@ -26,7 +26,7 @@ from sherkit.app.workbench import Workbench
 from sherkit.base.types import Floats
 from sherkit.errors import FitError, RobotError
 from sherkit.model.effect import load_effects
-from sherkit.robots.machine.file import load_machine
+from sherkit.robots.machine import load_machine
 from sherkit.robots.machine.function import steps_for
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "machines"

@@ -23,7 +23,7 @@ from bad_inputs import BAD, GOOD, NAME, Bad
 from sherkit import Measurements, SherkitError, SherkitWarning, from_frame, read_measurements
 from sherkit.data import from_arrays, stream_measurements
 from sherkit.errors import MeasurementError
-from sherkit.robots.delta.columns import DELTA
+from sherkit.robots.delta.robot import DELTA
 from trials import forked
 
 NONE = float("nan")

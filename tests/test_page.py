@@ -22,8 +22,7 @@ import sherkit as sk
 from browsing import chromium, needs_browser, source
 from sherkit import save_robot
 from sherkit.cli.demo import EXAMPLE
-from sherkit.robots.delta.paper import paper_whole
-from sherkit.robots.delta.poses import grid
+from sherkit.robots.delta.robot import grid, paper_whole
 from sherkit.robots.delta.virtual import VirtualDelta
 
 pytestmark = needs_browser

@@ -19,7 +19,7 @@ from sherkit.app.server import PageServer, ended_by_interrupt
 from sherkit.app.workbench import Workbench
 from sherkit.cli.app import _open
 from sherkit.cli.demo import EXAMPLE
-from sherkit.robots.delta.poses import grid
+from sherkit.robots.delta.robot import grid
 from sherkit.robots.delta.virtual import VirtualDelta
 
 

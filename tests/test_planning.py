@@ -19,8 +19,8 @@ from sherkit.errors import EffectError, ExperimentError, FitError
 from sherkit.planning.effect_power import POWER, planning_of
 from sherkit.planning.power import EffectSize, study_power
 from sherkit.robots.delta import grid
-from sherkit.robots.delta.columns import DELTA
 from sherkit.robots.delta.model import DeltaModel
+from sherkit.robots.delta.robot import DELTA
 from sherkit.robots.delta.virtual import VirtualDelta
 
 COMMAND = [sys.executable, "-c", "from sherkit.cli import main; main()"]

@@ -13,9 +13,8 @@ from sherkit.errors import ShapeError
 from sherkit.fit.identify import identify
 from sherkit.planning.poses import choose_poses, design_of
 from sherkit.robots.delta import grid, paper_whole
-from sherkit.robots.delta.columns import DELTA
-from sherkit.robots.delta.effects import CATALOGUE
-from sherkit.robots.delta.model import DeltaModel
+from sherkit.robots.delta.model import CATALOGUE, DeltaModel
+from sherkit.robots.delta.robot import DELTA
 from sherkit.robots.delta.virtual import VirtualDelta
 
 TWELVE = tuple(n for n in DeltaModel(EXAMPLE).default if not n.startswith("datum"))

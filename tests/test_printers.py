@@ -18,12 +18,12 @@ from sherkit.cli import main
 from sherkit.errors import RobotError
 from sherkit.fit.least_squares import iterate
 from sherkit.model.effect import check_user_effect
-from sherkit.printers import examine, files_of
 from sherkit.robots.calibrated import Calibration
 from sherkit.robots.printer import PrinterModel, Towers, import_duet, import_klipper, import_marlin
-from sherkit.robots.printer.back import commands, held, klipper_config, towers_of
-from sherkit.robots.printer.bed import bed_shape, shapes_at
-from sherkit.robots.printer.probings import Found
+from sherkit.robots.printer.calibration import commands, held, klipper_config, towers_of
+from sherkit.robots.printer.examined import examine, files_of
+from sherkit.robots.printer.model import bed_shape, shapes_at
+from sherkit.robots.printer.robot import Found
 
 Floats = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ import pytest
 
 from second_printer.trials import FAULTS, Trial
 from sherkit import SherkitWarning
-from sherkit.printers import Examined, examine, files_of
 from sherkit.robots.printer import import_klipper
+from sherkit.robots.printer.examined import Examined, examine, files_of
 from sherkit.robots.printer.suspects import plain_fit
 
 FIRMWARES = ("klipper", "reprapfirmware", "marlin")

@@ -19,7 +19,7 @@ from sherkit.cli.demo import EXAMPLE
 from sherkit.errors import CalibrationError, ExperimentError, SherkitError
 from sherkit.lab.experiment import RunFile, load_experiment
 from sherkit.lab.laboratory import RunningLaboratory, load_laboratory
-from sherkit.robots.delta.poses import grid
+from sherkit.robots.delta.robot import grid
 from sherkit.robots.delta.virtual import VirtualDelta
 from test_commands_fuzz import run
 from test_fuzz import toml

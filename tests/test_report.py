@@ -27,7 +27,7 @@ from sherkit.report.estimate import EstimateOverTime
 from sherkit.report.style import number
 from sherkit.report.tool import write_tool_report
 from sherkit.robots.delta import CATALOGUE
-from sherkit.robots.delta.poses import grid
+from sherkit.robots.delta.robot import grid
 from strategies import EXAMPLE
 
 HOSTILE = ("<script>alert(1)</script>", "</script><img src=x onerror=alert(2)>\"'")

@@ -23,7 +23,7 @@ from sherkit.app.workbench import Workbench
 from sherkit.app.worker import Cancelled
 from sherkit.cli.demo import EXAMPLE
 from sherkit.errors import EffectError
-from sherkit.robots.delta.poses import grid
+from sherkit.robots.delta.robot import grid
 from sherkit.robots.delta.virtual import VirtualDelta
 
 _WAIT_S = 600.0

@@ -20,9 +20,8 @@ from sherkit.lab.experiment import load_experiment
 from sherkit.model.kinds import kind_of, known_kinds, model_of, robot_from_tables
 from sherkit.model.robot_file import run_for
 from sherkit.robots.serial import KIND, Hidden, Joint, Serial, VirtualSerial, postures
-from sherkit.robots.serial.dh import import_dh
 from sherkit.robots.serial.frames import of_rpy, rpy_of
-from sherkit.robots.serial.urdf import import_urdf
+from sherkit.robots.serial.imported import import_dh, import_urdf
 
 #: The UR5 of its maker's documents, a target beside its last axis, and no part of its limits beyond what cables allow.
 UR5 = """name,d_mm,a_mm,alpha_deg

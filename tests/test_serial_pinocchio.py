@@ -14,7 +14,7 @@ import pytest
 
 from sherkit.errors import RobotError
 from sherkit.robots.serial import Serial
-from sherkit.robots.serial.urdf import _Tree, import_urdf
+from sherkit.robots.serial.imported import _Tree, import_urdf
 
 pin = pytest.importorskip("pinocchio", reason="pinocchio is not installed: pip install pin example-robot-data")
 

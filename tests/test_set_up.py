@@ -25,7 +25,7 @@ from sherkit.fit import Mistake, set_up_mistakes
 from sherkit.model import kinds
 from sherkit.model.kinds import model_of
 from sherkit.robots.serial import VirtualSerial, postures
-from sherkit.robots.serial.dh import import_dh
+from sherkit.robots.serial.imported import import_dh
 from test_arm_counted import TARGET_MM
 from test_serial import PLAIN, UR5
 from worlds import World

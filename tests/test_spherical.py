@@ -23,8 +23,8 @@ from second_simulator.spherical import SecondSpherical, sphere_grid, spherical_p
 from sherkit import _core, load_robot, save_robot
 from sherkit.cli.main import cli
 from sherkit.robots.spherical import CameraView, Spherical
-from sherkit.robots.spherical.paper import identify_joints, task_error
-from sherkit.robots.spherical.straightness import LINES, OWN_LINES, PAPER_LINES, targets
+from sherkit.robots.spherical.model import identify_joints, task_error
+from sherkit.robots.spherical.poses import LINES, OWN_LINES, PAPER_LINES, targets
 from strategies import EXAMPLE as DELTA
 from strategies import between
 

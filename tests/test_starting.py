@@ -106,7 +106,7 @@ def test_a_function_is_not_hidden_by_the_file_it_stands_in() -> None:
         "from sherkit.model.kinds import register, known_kinds\nfrom dataclasses import replace\n"
         "from sherkit.robots.delta import KIND\nregister(replace(KIND, name='own'))\n"
         "assert list(known_kinds()) == ['delta', 'spherical', 'serial', 'printer', 'own']",
-        "import tempfile\nfrom sherkit.robots.serial.dh import import_dh\n"
+        "import tempfile\nfrom sherkit.robots.serial.imported import import_dh\n"
         "open((f := tempfile.mkdtemp() + '/arm.csv'), 'w').write('d_mm,a_mm,alpha_deg\\n' + '90,200,0\\n' * 6)\n"
         "import_dh(f)\nfrom sherkit.data.columns import layout_of\nassert layout_of(['t']).joints[0] == 'q1_mm'",
     ],

@@ -27,18 +27,15 @@ from sherkit.cli.main import cli
 from sherkit.errors import FitError, MeasurementError, RobotError, ShapeError
 from sherkit.robots.tool import places as tip_places
 from sherkit.robots.tool.alignment import align, at_times, register
-from sherkit.robots.tool.applied import applied
-from sherkit.robots.tool.bench import read_loads
-from sherkit.robots.tool.calibration import calibrate_tool
-from sherkit.robots.tool.columns import FIBRES
+from sherkit.robots.tool.calibration import calibrate_tool, read_loads
 from sherkit.robots.tool.effects import TOOL_CATALOGUE
 from sherkit.robots.tool.filters import Estimate, consistency, estimate, status_in_words
 from sherkit.robots.tool.known import judge, knowledge, known
-from sherkit.robots.tool.model import ToolModel
+from sherkit.robots.tool.model import ToolModel, applied
 from sherkit.robots.tool.places import Places
 from sherkit.robots.tool.runs import ToolRun, read_tool_run, tool_run_of
 from sherkit.robots.tool.tare import tare
-from sherkit.robots.tool.tool import NOISES, FlexibleTool, ToolDoubt, load_tool, rotation_of
+from sherkit.robots.tool.tool import FIBRES, NOISES, FlexibleTool, ToolDoubt, load_tool, rotation_of
 from sherkit.robots.tool.virtual import EXPERIMENTS, VirtualTool
 from tool_honesty import honest, run_of, tool_of
 

@@ -14,15 +14,12 @@ from second_tool import CONDITIONS
 from sherkit.errors import FitError, MeasurementError, RobotError, SherkitWarning
 from sherkit.fit.identify import identify
 from sherkit.robots.tool.alignment import align
-from sherkit.robots.tool.applied import applied
-from sherkit.robots.tool.bench import read_loads
-from sherkit.robots.tool.calibration import calibrate_tool
-from sherkit.robots.tool.columns import CAMERA, FIBRES, FORCE, POSITION, TURN
+from sherkit.robots.tool.calibration import calibrate_tool, read_loads
 from sherkit.robots.tool.filters import _ordered, estimate
 from sherkit.robots.tool.known import judge
-from sherkit.robots.tool.model import ToolModel
+from sherkit.robots.tool.model import ToolModel, applied
 from sherkit.robots.tool.runs import ToolRun, tool_run_of
-from sherkit.robots.tool.tool import FlexibleTool, load_tool
+from sherkit.robots.tool.tool import CAMERA, FIBRES, FORCE, POSITION, TURN, FlexibleTool, load_tool
 from sherkit.robots.tool.virtual import VirtualTool
 from tool_honesty import run_of, tool_of
 

@@ -16,7 +16,7 @@ from sherkit import save_robot
 from sherkit.app.workbench import Workbench
 from sherkit.cli.demo import EXAMPLE
 from sherkit.errors import SherkitError
-from sherkit.robots.delta.poses import grid
+from sherkit.robots.delta.robot import grid
 from sherkit.robots.delta.virtual import VirtualDelta
 
 _WAIT_S = 600.0

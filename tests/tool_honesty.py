@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from second_tool import CONDITIONS, FAULTS, Honesty, Recorded, World, honesty, pooled, write_csv
 from sherkit.errors import MeasurementError, SherkitWarning
-from sherkit.robots.tool.bench import Loads, read_loads
+from sherkit.robots.tool.calibration import Loads, read_loads
 from sherkit.robots.tool.filters import Estimate, estimate
 from sherkit.robots.tool.runs import ToolRun, tool_run_of
 from sherkit.robots.tool.tare import tare

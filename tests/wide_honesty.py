@@ -24,8 +24,7 @@ from second_tool import Wide, WideRun, honesty, write_csv
 from second_tool.wide import EXPERIMENTS
 from second_tool.wide import FAULTS as FAULTS
 from sherkit.errors import SherkitWarning
-from sherkit.robots.tool.bench import read_loads
-from sherkit.robots.tool.calibration import calibrate_tool
+from sherkit.robots.tool.calibration import calibrate_tool, read_loads
 from sherkit.robots.tool.filters import estimate
 from sherkit.robots.tool.runs import ToolRun, read_tool_run
 from sherkit.robots.tool.tool import FlexibleTool, ToolDoubt, load_tool

@@ -27,7 +27,7 @@ if _TYPE_CHECKING:
     from .model.effect import Effect, effect
     from .model.robot_file import load_robot, save_robot
     from .robots import delta, serial, spherical, tool
-    from .robots.files import load_calibration
+    from .robots.calibrated import load_calibration
     from .robots.machine import Machine
     from .study import Study
 
@@ -49,7 +49,7 @@ def _draw(value: object) -> str | None:
 
 
 _Shown.draw = _draw
-_built_in.load = lambda: _import_module(".robots.kinds", __name__)
+_built_in.load = lambda: _import_module(".robots", __name__)
 
 if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not exist
     __getattr__ = _door(
@@ -62,7 +62,7 @@ if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not 
             "diagnose": "diagnosis",
             "effect": "model.effect", "fleet": "fleets", "from_bluesky": "data", "from_frame": "data",
             "from_rosbag": "data", "identify": "fit",
-            "load_calibration": "robots.files", "load_robot": "model.robot_file", "read_measurements": "data",
+            "load_calibration": "robots.calibrated", "load_robot": "model.robot_file", "read_measurements": "data",
             "save_robot": "model.robot_file",
         },
         {

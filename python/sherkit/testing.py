@@ -32,7 +32,7 @@ from .model.base import missing_columns
 from .model.chain import ChainModel
 from .model.kinds import Kind, Robot, known_kinds, model_of, register
 from .model.robot_file import save_robot
-from .robots.files import load_calibration
+from .robots.calibrated import load_calibration
 from .study import Study
 
 #: Rows at which derivatives are compared with differences, and the part of a parameter's plausible size that is a step.

@@ -85,34 +85,22 @@ class PlanarCalibration(Calibration):
         """From a run; there is no local one."""
         del local
         fit = whole.fit
-        count = len(fit.model.indices)
         use = fit.data.taken[:, :2].all(axis=1) & ~fit.data.outlier
         seen = fit.data.readings[use, :2] - [fit.by_name.get(f"datum_{axis}", 0.0) for axis in "xy"]
         left, scatter = whole.left(lambda missed: missed[use][:, :2], whole.deployed(whole.held_out))
-        part = Part(
-            **Part.identified(fit),
-            covariance=(fit.covariance + fit.unobserved_covariance)[:count, :count],
-            residual_covariance=left,
-            noise_covariance=scatter,
-            low=seen.min(axis=0),
-            high=seen.max(axis=0),
-        )
-        return cls(fit.model.robot, part)
+        return cls(fit.model.robot, Part.identified(fit, 2).leaving(left, scatter, seen))
 
     @cached_property
     def core(self) -> PlanarCalibrated:
         """The model of the control loop."""
-        model = self.whole.model(self.robot)
-        names = [p.name for p in model.core_parameters]
-        arms = np.array([not name.startswith("datum") for name in names])
-        return PlanarCalibrated(model.core, np.where(arms, model.full(self.whole.values), 0.0), self.robot)
+        arms = np.array([not p.name.startswith("datum") for p in self.model.core_parameters])
+        return PlanarCalibrated(self.model.core, np.where(arms, self.model.full(self.whole.values), 0.0), self.robot)
 
     def spread(self, coordinates: Floats, joints: Floats) -> Floats:
         """Covariance (n, 2, 2), mm²."""
         del coordinates
-        indices, block = self.whole.model(self.robot).indices, self.core.block(joints, self._now())
-        columns = self.core.chain.derivatives(self.core.values, block, indices)[0][:, :2]
-        return columns @ self.whole.covariance @ columns.transpose(0, 2, 1) + self.whole.residual_covariance
+        block = self.core.block(joints, self._now())
+        return self.whole.spread(self.core.chain.derivatives(self.core.values, block, self.model.indices)[0][:, :2])
 
     def places(self) -> list[tuple[str, Floats]]:
         """The middle of the run and its far side, x and y, mm."""

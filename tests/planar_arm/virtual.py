@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from sherkit.base.types import Floats
 from sherkit.data import Measurements
 from sherkit.data.toml import Table
-from sherkit.errors import ShapeError
-from sherkit.model.kinds import Option
+from sherkit.model.kinds import Option, walked
 
 from .columns import JOINTS, PLANAR
 from .robot import PlanarArm
@@ -95,12 +94,9 @@ class VirtualPlanarArm:
 
     def measure(self, tips_mm: ArrayLike, *, repeats: int = 3, order: str = "shuffled", seed: int = 0) -> Measurements:
         """Drives to x, y (n, 2) by the drawing and reads the tip; half way through, ``step_mm`` lets go."""
-        if order not in ("planes", "shuffled"):
-            raise ShapeError(f"order: '{order}' is not known; choose planes or shuffled")
         rng = np.random.default_rng(seed)
         commanded = self.robot.inverse_batch(tips_mm).require("pose")
-        walk = np.arange(len(commanded))
-        pose = np.concatenate([rng.permutation(walk) if order == "shuffled" else walk for _ in range(repeats)])
+        pose, said = walked(len(commanded), repeats, order, rng)
         joints, time = commanded[pose], _SECONDS_PER_POSE * np.arange(len(pose))
         came = np.sign(np.diff(joints, axis=0, prepend=joints[:1] - 0.1))
         warmth = 20.0 + 3.0 * np.sin(time / time[-1] * 2.0 if len(time) > 1 else time)
@@ -110,8 +106,7 @@ class VirtualPlanarArm:
         )
         reading = clean + np.array(_ZERO_MM) + self.noise_mm * rng.normal(size=clean.shape)
         columns = {
-            "time_s": time, "temperature_c": warmth, "pose": pose + 1,
-            "repeat": np.repeat(np.arange(repeats), len(walk)) + 1,
+            "time_s": time, "temperature_c": warmth, **said,
             **dict(zip(JOINTS, joints.T, strict=True)), **dict(zip(PLANAR.coordinates, reading.T, strict=True)),
             "direction_1": came[:, 0], "direction_2": came[:, 1],
         }  # fmt: skip

@@ -32,7 +32,7 @@ from ..report.card import drawing_of
 from ..report.error_history import current_path
 from ..report.residuals import Residuals, residuals_of
 from ..report.space import space_of
-from ..robots.machine.file import is_machine, robot_at
+from ..robots.machine import is_machine, robot_at
 from ..study import Study
 from .folder import SOURCES, TYPED, begun_from, hold, read_as, read_so_far, require_effects, require_same
 from .page_state import EXPORTS, FILES, HISTORY, LINES, ROWS, PageState, Said

@@ -32,8 +32,7 @@ from ..errors import FitError
 from ..fit.error import axes_of
 from ..model.kinds import kind_of
 from ..model.robot_file import run_for
-from ..robots.calibrated import Calibration
-from ..robots.files import load_calibration
+from ..robots.calibrated import Calibration, load_calibration
 from .comparison import ALARM, SHAPES, Moved
 from .joined import Candidate, candidates_of, columns_of, noise_of_repeats
 from .promise import broken, shows

@@ -15,7 +15,7 @@ from ..fit.least_squares import LOSSES
 from ..model.effect import effects_by_name, load_effects
 from ..model.kinds import catalogue_of
 from ..model.robot_file import run_for
-from ..robots.machine.file import robot_at
+from ..robots.machine import robot_at
 from ..study import Study
 from . import output, reporting, tables
 from .machine_file import own_way_of

@@ -13,7 +13,7 @@ from ..changes import compare as compare_runs
 from ..changes import history as history_of
 from ..changes import verify as verify_run
 from ..model.kinds import Robot
-from ..robots.machine.file import robot_at
+from ..robots.machine import robot_at
 from . import output, reporting
 from .output import out, table
 

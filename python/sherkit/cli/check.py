@@ -14,7 +14,7 @@ from ..data.file_check import FileCheck, check_file, said_of
 from ..data.headers import Columns, in_toml
 from ..model.kinds import kind_of
 from ..model.robot_file import columns_of
-from ..robots.machine.file import is_machine, robot_at
+from ..robots.machine import is_machine, robot_at
 from . import output
 from .output import out, table
 

@@ -17,8 +17,7 @@ from ..model.robot_file import save_robot
 from ..robots import delta
 from ..robots.calibrated import Calibration
 from ..robots.delta import paper
-from ..robots.delta.paper import paper_local, paper_whole
-from ..robots.delta.robot import Delta
+from ..robots.delta.robot import Delta, paper_local, paper_whole
 from ..robots.delta.virtual import VirtualDelta
 from ..study import Study
 from . import demo_story, diagnosis_tables, output, reporting, tables

@@ -10,10 +10,8 @@ import click
 from ..data.files import write_whole
 from ..errors import SherkitError
 from ..robots.c_header import calibration_header
-from ..robots.calibrated import Calibration
-from ..robots.files import load_calibration
-from ..robots.printer.back import commands, held, write_klipper_config
-from ..robots.printer.calibration import PrinterCalibration
+from ..robots.calibrated import Calibration, load_calibration
+from ..robots.printer.calibration import PrinterCalibration, commands, held, write_klipper_config
 from ..robots.printer.robot import FIRMWARES
 from . import output
 from .machine_file import own_way_of

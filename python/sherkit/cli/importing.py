@@ -11,10 +11,9 @@ from ..data import Measurements, from_bluesky, from_rosbag
 from ..errors import MeasurementError, RobotError
 from ..model.robot_file import load_robot, save_robot
 from ..robots.printer import import_duet, import_klipper, import_marlin
-from ..robots.printer.probings import Found
+from ..robots.printer.robot import Found
 from ..robots.serial import Serial, points_of_poses
-from ..robots.serial.dh import CONVENTIONS, import_dh
-from ..robots.serial.urdf import import_urdf
+from ..robots.serial.imported import CONVENTIONS, import_dh, import_urdf
 from . import output
 from .printer import turned
 

@@ -17,7 +17,7 @@ from ..diagnosis import Diagnosis
 from ..lab.experiment import Live, RunFile, RunProgress, export_run, load_experiment, run
 from ..lab.laboratory import RunningLaboratory, load_laboratory
 from ..model.robot_file import load_robot
-from ..robots.delta.columns import POSITION
+from ..robots.delta.robot import POSITION
 from ..study import Study
 from . import diagnosis_tables, output
 from .demo import EXAMPLE

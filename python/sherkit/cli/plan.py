@@ -17,7 +17,7 @@ from ..lab.experiment import Experiment, load_experiment
 from ..model.kinds import Robot, kind_of, model_of
 from ..planning.effect_power import LEVEL, POWER, EffectPower, Planning, planning_of
 from ..planning.power import EffectSize, Found, study_power
-from ..robots.machine.file import robot_at
+from ..robots.machine import robot_at
 from . import output
 from .output import out, table
 

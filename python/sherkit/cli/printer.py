@@ -9,8 +9,8 @@ from rich.markup import escape
 
 from ..data.files import write_whole
 from ..errors import SherkitError
-from ..printers import examine, files_of
-from ..robots.printer.back import write_klipper_config
+from ..robots.printer.calibration import write_klipper_config
+from ..robots.printer.examined import examine, files_of
 from . import output
 from .output import out
 from .reporting import report_option

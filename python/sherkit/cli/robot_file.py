@@ -14,7 +14,7 @@ from ..model.base import ModelWithEffects
 from ..model.effect import Effect
 from ..model.kinds import Robot, catalogue_of, model_of
 from ..model.robot_file import RobotLike, run_for
-from ..robots.machine.file import robot_at
+from ..robots.machine import robot_at
 from ..study import Study
 from . import reporting
 

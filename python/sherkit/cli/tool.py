@@ -13,13 +13,12 @@ from ..base.names import listed
 from ..data.tables import write_table
 from ..diagnosis import Diagnosis
 from ..robots.tool.alignment import Aligned, align
-from ..robots.tool.applied import Applied
-from ..robots.tool.bench import read_loads
-from ..robots.tool.calibration import ToolCalibration
+from ..robots.tool.calibration import ToolCalibration, read_loads
 from ..robots.tool.calibration import calibrate_tool as run_calibration
 from ..robots.tool.filters import Estimate, Track, status_in_words
 from ..robots.tool.filters import estimate as run_filters
 from ..robots.tool.known import Errors, Judgement, Knowledge, judge, known
+from ..robots.tool.model import Applied
 from ..robots.tool.runs import read_tool_run, require_camera, summary
 from ..robots.tool.tool import FlexibleTool, load_tool
 from . import output, reporting

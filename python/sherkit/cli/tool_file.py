@@ -17,11 +17,10 @@ from ..fit.identify import identify
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect, load_effects
 from ..model.kinds import model_of
-from ..robots.tool.applied import applied
-from ..robots.tool.c_header import c_header
+from ..robots.c_header import tool_header
 from ..robots.tool.effects import TOOL_CATALOGUE
 from ..robots.tool.filters import estimate
-from ..robots.tool.model import ToolModel
+from ..robots.tool.model import ToolModel, applied
 from ..robots.tool.runs import read_tool_run
 from ..robots.tool.tool import KIND, load_tool
 from ..robots.tool.virtual import VirtualTool
@@ -126,5 +125,5 @@ class ToolFile:
             output.warn(
                 f"{self.path}: noise '{made.noise}' is for comparisons; the loop in C runs the filter of 'propagated'"
             )
-        write_whole(destination, c_header(made, self.path.name))
+        write_whole(destination, tool_header(made, self.path.name))
         output.say(f"{destination} written; a loop includes it: cc loop.c $(sherkit c --cflags --libs)")

@@ -14,14 +14,12 @@ from ..diagnosis import diagnose as run_diagnosis
 from ..errors import MeasurementError
 from ..fit.identify import identify
 from ..robots.tool.alignment import Aligned, align
-from ..robots.tool.applied import Applied, applied
-from ..robots.tool.bench import read_loads
-from ..robots.tool.calibration import ToolCalibration
+from ..robots.tool.calibration import ToolCalibration, read_loads
 from ..robots.tool.calibration import calibrate_tool as run_calibration
 from ..robots.tool.filters import Estimate
 from ..robots.tool.filters import estimate as run_filters
 from ..robots.tool.known import judge, known
-from ..robots.tool.model import ToolModel
+from ..robots.tool.model import Applied, ToolModel, applied
 from ..robots.tool.places import Places
 from ..robots.tool.runs import ToolRun, read_tool_run, require_camera
 from ..robots.tool.tare import Tare, tare

@@ -15,7 +15,7 @@ from ..data.columns import POSE, REPEAT, TIME
 from ..data.files import write_whole
 from ..data.tables import read_table, write_table
 from ..errors import MeasurementError, SherkitError
-from ..robots.spherical.columns import SPHERICAL_JOINTS
+from ..robots.spherical.robot import SPHERICAL_JOINTS
 from . import output
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 """The kinds of robot that are known: what each brings, asked for by the robot's own ``kind``.
 
-A robot's folder says what it brings as a :class:`Kind`; ``robots/kinds.py`` makes it known. Nothing else asks which
+A robot's folder says what it brings as a :class:`Kind`; ``robots/__init__.py`` makes it known. Nothing else asks which
 robot it is.
 """
 
@@ -11,15 +11,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, overload, runtime_checkable
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from ..base import built_in
 from ..base.names import listed
-from ..base.types import Floats
+from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.columns import Layout, know
 from ..data.toml import Table
-from ..errors import FitError, RobotError
+from ..errors import FitError, RobotError, ShapeError
 from .any import Extended, Model
 from .base import ModelWithEffects
 from .batch import Batch
@@ -29,6 +30,7 @@ from .effect import Effect
 
 #: What a plan may ask of a set of poses: more nobody measures, and no memory holds.
 MOST_PER_SIDE, MOST_IN_LINE = 300, 100_000
+_ORDERS = ("planes", "shuffled")
 
 
 @runtime_checkable
@@ -126,6 +128,21 @@ class Virtual(Protocol):
     def measure(self, coordinates: ArrayLike, /, *, repeats: int, order: str, seed: int) -> Measurements:
         """A run over these coordinates, reached as the drawing has it."""
         ...
+
+
+def walked(poses: int, repeats: int, order: str, rng: np.random.Generator) -> tuple[Ints, dict[str, Ints]]:
+    """Which pose each row (n,) of a virtual robot's run is at, and the columns of a run that say so, counted from 1.
+
+    ``planes``: as listed, pass after pass; ``shuffled``: anew for each pass. Raises
+    :class:`~sherkit.errors.ShapeError`.
+    """
+    if order not in _ORDERS:
+        raise ShapeError(f"order: '{order}' is not known; choose {' or '.join(_ORDERS)}")
+    if repeats < 1:
+        raise ShapeError(f"repeats: expected at least 1, got {repeats}")
+    listed = np.arange(poses)
+    pose = np.concatenate([rng.permutation(listed) if order == "shuffled" else listed for _ in range(repeats)])
+    return pose, {"pose": pose + 1, "repeat": np.repeat(np.arange(repeats) + 1, poses)}
 
 
 @runtime_checkable

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..base.types import Floats
 from ..fit.forms import known
-from ..printers import Examined
+from ..robots.printer.examined import Examined
 from ..robots.printer.model import distances
 
 _SIZE, _GAP, _TOP = 300, 40, 40

@@ -1,3 +1,15 @@
-"""Robots: one folder each, with what is the robot's own; which kinds there are; files of their calibrations."""
+"""Robots: one folder each, with what is the robot's own; calibrations, which all share; which kinds there are.
 
-from . import kinds as kinds
+The kinds that are installed are made known here: sherkit's own and those of other packages, each declared in its
+package's ``pyproject.toml``, under ``[project.entry-points."sherkit.robots"]``.
+"""
+
+from ..base.extensions import ROBOTS, brought_beside
+from ..model.kinds import Kind, register
+
+#: Where columns fit no robot, messages speak of the first.
+_FIRST = ("delta", "spherical", "serial", "printer")
+
+_found = brought_beside((), ROBOTS, Kind)
+for _name in sorted(_found, key=lambda one: _FIRST.index(one) if one in _FIRST else len(_FIRST)):
+    register(_found[_name])

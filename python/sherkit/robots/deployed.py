@@ -48,6 +48,16 @@ class Deployed(Saved, ABC):
     def core(self) -> Any:
         """The compiled model: the same code that a control loop runs."""
 
+    @cached_property
+    def model(self) -> Any:
+        """The model that was identified over the workspace, a :class:`~sherkit.model.chain.ChainModel`."""
+        return self.whole.model(self.robot)
+
+    @cached_property
+    def by_name(self) -> dict[str, float]:
+        """Its values by the names of their parameters."""
+        return dict(zip((p.name for p in self.model.parameters), self.whole.values.tolist(), strict=True))
+
     def forward(
         self, joints: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None
     ) -> Floats:

@@ -1,182 +1,408 @@
-"""What an effect could do between the poses of a run, and did not show at them.
+"""Which effects of the catalogue a run's poses could not show: each is tried, periodic ones at every period.
 
-At any place x the deployed model is a linear function of the readings it was made from. An effect with parameters e
-that is not in it moves the readings by E e and the place by h(x) e, so that the robot misses x by
-
-    a(x) e,  a(x) = h(x) - g(x) J⁺ E - b(x) B⁺ (I - J J⁺) E,
-
-with the derivatives J at the poses and g at x by the identified parameters, and the functions B and b of a smooth
-correction. What is known of e is its plausible size and what the readings say (Rasmussen and Williams, *Gaussian
-Processes for Machine Learning*, 2.1). The second moment of a(x) e, less what the same e leaves at the poses, where the
-held-out residuals hold it already, is what the poses could not show.
+A fit and its correction are a linear function of the readings: what it takes of an effect, and what that leaves.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+import scipy
 
 from ..base import linalg
-from ..base.types import Bools, Floats
-from ..data import Measurements
-from ..data.columns import TEMPERATURE, TIME, unit_in
-from ..data.lagged import DRAWN_C
-from ..data.toml import Table
+from ..base.types import Floats, Ints
+from ..fit.identify import Fit
 from ..model.chain import ChainModel
 from ..model.effect import Effect
+from .calibration_run import CalibrationRun
+from .part import Part, UnobservedEffect, at_rest, by_effect, waves, with_effect
+
+# -- What a fit takes of an effect --------------------------------------------------------------------------------
+
+#: Singular values below this part of the largest are directions that the poses do not observe; as in planning.
+_UNOBSERVED = 1e-7
+#: An effect alone explains the readings as well as a correction does, if it leaves at most this times its variance.
+_AS_WELL = 1.5
+#: Eigenvalues below this part of the largest are rounding.
+_ROUNDING = 1e-15
+#: Sum of squares over the noise that is none.
+_NOTHING = 1e-200
+
+#: What coordinates miss (n, d, k) where readings miss (n, m, k), from joints (n, j) and by_joints (n, m, j).
+Carry = Callable[[Floats, Floats, Floats], Floats]
 
 
 @dataclass(frozen=True, eq=False)
-class UnobservedEffect:
-    """What the poses of a run could not show of one effect.
+class Asked:
+    """Where a robot is asked how far off it could be: coordinates (q, d), joints (q, j), time, temperature and
+    directions (q, 2 + j), and the spread (q, d, d) that is known; ``carry`` turns readings into coordinates."""
 
-    ``setting`` is its period or its moment, None where it has none. Per unit of its k parameters, ``absorbed`` (p, k)
-    is what the identified parameters take, ``corrected`` (c, d, k) what the coefficients of a correction do. ``moment``
-    (k, k) is the second moment of the parameters given the readings; ``shown`` (d, d), in the squared unit of the
-    coordinates, is what that leaves at the poses. At ``places`` (r, d), coordinates, readings would tell most of it:
-    ``left`` is the part that they would leave (root mean square over the place of the run).
-    """
+    coordinates: Floats
+    joints: Floats
+    now: Floats
+    spread: Floats
+    carry: Carry
 
-    effect: str
-    setting: float | None
-    absorbed: Floats
-    corrected: Floats
-    moment: Floats
-    shown: Floats
-    places: Floats
-    left: float
 
-    def called(self, model: ChainModel) -> str:
-        """The effect with its period or moment, in words."""
-        effect = model.known_effects[self.effect]
-        if self.setting is None or effect.search is None:
-            return self.effect
-        unit = unit_in(effect.search)
-        if effect.is_periodic:
-            return f"{self.effect} with a period of {self.setting:.4g} {unit}"
-        if effect.is_lagging:
-            return f"{self.effect} with a lag of {self.setting:.4g} {unit}"
-        return f"{self.effect} at {self.setting:.4g} {unit}"
+@dataclass(frozen=True, eq=False)
+class LinearFit:
+    """A fit, the part that was made from it, where that is asked, and the rows (r,) of the run that count."""
 
-    def to_table(self) -> dict[str, Any]:
-        """For TOML, without loss."""
-        return {
-            "effect": self.effect,
-            **({} if self.setting is None else {"setting": self.setting}),
-            "absorbed": self.absorbed.tolist(),
-            **({"corrected": self.corrected.tolist()} if len(self.corrected) else {}),
-            "moment": self.moment.tolist(),
-            "shown": self.shown.tolist(),
-            "places": self.places.tolist(),
-            "left": self.left,
-        }
+    fit: Fit
+    part: Part
+    asked: Asked
+    rows: Ints
 
-    @classmethod
-    def from_table(cls, table: Table, model: ChainModel, functions: int, size: int) -> UnobservedEffect:
-        """Back from :meth:`to_table`: beside a model, with ``functions`` of a correction and ``size`` coordinates.
+    @cached_property
+    def deployed(self) -> ChainModel:
+        """The model that is deployed."""
+        return self.part.model(self.fit.model.robot)
 
-        Raises what the table raises, naming file and key.
-        """
-        effect = model.known_effects[table.text("effect", tuple(model.known_effects))]
-        if not effect.is_periodic and any(one.name == effect.name for one in model.effects):
-            raise table.fail("effect", "one that is not in the model")
-        k = len(effect.parameters)
-        setting = None
-        # what comes with a lag is tried without one
-        if effect.search is not None and not effect.is_lagging:
-            setting = table.number("setting", positive=effect.is_periodic)
-        return cls(
-            effect=effect.name,
-            setting=setting,
-            absorbed=table.array("absorbed", len(model.parameters), k),
-            corrected=table.array("corrected", functions, size, k) if functions else np.zeros((0, size, k)),
-            moment=table.covariance("moment", k),
-            shown=table.covariance("shown", size),
-            places=np.array(table.rows("places", size), dtype=float).reshape(-1, size),
-            left=table.number("left"),
+    # -- derivatives ---------------------------------------------------------------------------------------
+
+    def columns(self, effect: Effect, setting: float | None) -> tuple[Floats, Floats]:
+        """Derivatives by an effect's parameters at the rows (r, m, k) and at the asked places (q, m, k)."""
+        if effect.is_periodic and setting is not None:
+            return self.wave(1.0 / setting)
+        fit, asked = self.fit, self.asked
+        model, values, own = with_effect(fit.model, fit.values, effect, setting)
+        at_rows = model.derivatives(fit.data, values)[self.rows][:, :, own]
+        readings = fit.data.layout.coordinates
+        there = by_effect(self.deployed, self.part.values, effect, setting, readings, asked.joints, asked.now)
+        return at_rows, there[1]
+
+    def wave(self, frequency: float) -> tuple[Floats, Floats]:
+        """The same of sine and cosine of each joint that has waves; of a distance as its first end alone has it."""
+        here = waves(self._by_joints, self.joints, 1.0 / frequency, self._waving)
+        return here, waves(self._there[1], self.asked.joints, 1.0 / frequency, self._waving)
+
+    @cached_property
+    def _waving(self) -> list[int]:
+        """The joints that a periodic effect moves."""
+        periodic = next(e for e in self.fit.model.known_effects.values() if e.is_periodic)
+        return periodic.waving(self.fit.data.layout.joints)
+
+    @cached_property
+    def joints(self) -> Floats:
+        """Joints (r, j) of the rows."""
+        return np.ascontiguousarray(self.fit.data.joints[self.rows])
+
+    @cached_property
+    def _by_joints(self) -> Floats:
+        inputs = self.fit.model.linearised(self.fit.data, self.fit.values).inputs
+        assert inputs is not None, "a chain has derivatives by its joints"
+        return np.ascontiguousarray(inputs[self.rows])
+
+    @cached_property
+    def _there(self) -> tuple[Floats, Floats]:
+        """At the asked places: by the deployed values (q, m, p), by the joints (q, m, j)."""
+        readings, asked = self.fit.data.layout.coordinates, self.asked
+        return at_rest(self.deployed, self.part.values, readings, asked.joints, asked.now)[:2]
+
+    @cached_property
+    def _by_values(self) -> Floats:
+        return np.asarray(self.fit.model.derivatives(self.fit.data, self.fit.values)[self.rows])
+
+    # -- what the identified values take -------------------------------------------------------------------
+
+    @cached_property
+    def _weights(self) -> Floats:
+        return np.where(self.fit.data.used, 1.0 / self.fit.noise.sigma, 0.0)[self.rows]
+
+    @cached_property
+    def _moved(self) -> tuple[Floats, Floats]:
+        """An orthonormal basis (N, s) of what the identified values move, and their change (p, s) along it."""
+        size = np.array([p.size for p in self.fit.parameters])
+        whole = (self._by_values * self._weights[:, :, None] * size).reshape(-1, len(size))
+        left, singular, right = linalg.svd(whole, full_matrices=False)
+        use = singular > _UNOBSERVED * singular[0]
+        return left[:, use], size[:, None] * (right[use].T / singular[use])
+
+    @cached_property
+    def _residual(self) -> Floats:
+        """What the fit leaves (N,), over the noise, before any correction."""
+        r = (np.where(self.fit.data.used, np.nan_to_num(self.fit.residuals), 0.0)[self.rows] * self._weights).ravel()
+        basis = self._moved[0]
+        return r - basis @ (basis.T @ r)
+
+    @cached_property
+    def _cells(self) -> Ints:
+        """A number (r, m) for each reading, equal for the same reading of repeats of a pose."""
+        m = self._weights.shape[1]
+        return self.fit.data.groups[self.rows][:, None] * m + np.arange(m)
+
+    # -- what a correction takes ---------------------------------------------------------------------------
+
+    @cached_property
+    def _full(self) -> Ints:
+        """Rows whose coordinates were all read: those that a correction is fitted to."""
+        return np.flatnonzero((self._weights[:, : self.fit.data.coordinates] > 0).all(axis=1))
+
+    @cached_property
+    def _functions(self) -> tuple[Floats, Floats, Floats]:
+        """A correction's functions at full rows (f, c), an orthonormal basis (f, c) of them, and what gives the
+        coefficients from the parts along it (c, c)."""
+        d = self.asked.coordinates.shape[1]
+        at = self.part.functions(np.ascontiguousarray(self.fit.predicted[self.rows[self._full], :d]))
+        if not at.shape[1]:
+            return at, at, np.zeros((0, 0))
+        basis, upper = linalg.qr(at)
+        return at, basis, linalg.pinv(upper)
+
+    @cached_property
+    def _functions_there(self) -> Floats:
+        return self.part.functions(self.asked.coordinates)
+
+    @cached_property
+    def _corrected(self) -> tuple[Floats, float] | None:
+        """What a correction leaves (f d,), over the noise, and its variance; None without one."""
+        basis, d = self._functions[1], self.asked.coordinates.shape[1]
+        if not basis.shape[1]:
+            return None
+        weights = self._weights[self._full, :d]
+        r = self._residual.reshape(self._weights.shape)[self._full, :d] / weights
+        r = ((r - basis @ (basis.T @ r)) * weights).ravel()
+        free = len(r) - self._moved[0].shape[1] - d * basis.shape[1]
+        return (r, float(r @ r) / free) if free > 0 else None
+
+    # -- one effect ----------------------------------------------------------------------------------------
+
+    def assess(
+        self, effect: Effect, setting: float | None, rows: Floats, places: Floats
+    ) -> tuple[UnobservedEffect, Floats]:
+        """What the poses leave open of an effect with these columns, without advice; and what coordinates miss at the
+        asked places (q, d, k)."""
+        k, d = rows.shape[2], self.asked.coordinates.shape[1]
+        basis, change = self._moved
+        whole = (rows * self._weights[:, :, None]).reshape(-1, k)
+        take = basis.T @ whole
+        absorbed = change @ take
+        size = np.array([p.size for p in effect.parameters])
+        left = (rows[self._full] - self._by_values[self._full] @ absorbed)[:, : self.fit.data.coordinates]
+        corrected = np.zeros((0, d, k))
+        kept = whole - basis @ take
+        moment, noise = self._known(kept, self._residual, self._cells.ravel(), basis.shape[1], size)
+        if self._functions[1].shape[1]:
+            functions = self._functions[1]
+            flat = left.reshape(len(left), -1)
+            along = functions.T @ flat
+            corrected = (self._functions[2] @ along).reshape(-1, d, k)
+            left = (flat - functions @ along).reshape(left.shape)
+            if self._corrected is not None and noise > _AS_WELL * self._corrected[1]:
+                # it cannot stand for what the correction took: it could only be there besides
+                kept = (left * self._weights[self._full, :d, None]).reshape(-1, k)
+                cells, used = self._cells[self._full, :d].ravel(), basis.shape[1] + functions.shape[1] * d
+                moment, _ = self._known(kept, self._corrected[0], cells, used, size)
+        by_joints = self._by_joints[self._full][:, : left.shape[1]]
+        shown = self.asked.carry(self.joints[self._full], by_joints, left)
+        seen = np.tensordot(shown @ moment, shown, ([0, 2], [0, 2])) / max(len(shown), 1)
+        made = UnobservedEffect(
+            effect.name, setting, absorbed[: len(self.part.values)], corrected, moment, seen, np.zeros((0, d)), 1.0
         )
+        missed = made.missed(self._there[0], places, self._functions_there)
+        return made, self.asked.carry(self.asked.joints, self._there[1], missed)
 
-    def largest(self, model: ChainModel) -> tuple[float, float]:
-        """How large it is: in plausible sizes of the effect's own parameters and of those that take of it, whichever is
-        more, and in the unit of the coordinates."""
-        own = [p.size for p in model.known_effects[self.effect].parameters]
-        others = np.array([[p.size] for p in model.parameters])
-        errors = np.vstack([np.diag(1.0 / np.array(own)), self.absorbed / others])
-        moves = self.corrected.reshape(-1, len(own))
-        with np.errstate(over="ignore", invalid="ignore"):
-            each, moved = (np.einsum("ik,kl,il->i", by, self.moment, by) for by in (errors, moves))
-        far = np.concatenate([moved, np.diag(self.shown)])
-        # what is too large for a number is no number here
-        largest = [float(np.sqrt(np.nan_to_num(one.clip(0.0), nan=np.inf).max())) for one in (each, far)]
-        return largest[0], largest[1]
+    def least_seen(self, rows: Floats) -> float:
+        """Of columns (r, m, k) in like units, how much the poses show of the combination of which they show least."""
+        whole = (rows * self._weights[:, :, None]).reshape(-1, rows.shape[2])
+        take = self._moved[0].T @ whole
+        return float(np.sqrt(linalg.eigvalsh(whole.T @ whole - take.T @ take)[0].clip(0.0)))
 
-    def missed(self, by_values: Floats, by_effect: Floats, functions: Floats) -> Floats:
-        """a (n, m, k): what readings miss per unit of the parameters, from their derivatives by the identified values
-        (n, m, p) and by the effect (n, m, k), and from a correction's functions (n, c)."""
-        out = by_effect - by_values @ self.absorbed
-        if len(self.corrected):
-            out[:, : self.corrected.shape[1]] -= np.tensordot(functions, self.corrected, (1, 0))
-        return out
+    def taken(self, rows: Floats) -> float:
+        """How much columns (r, m, k) take of the squares that the fit leaves."""
+        kept = (rows * self._weights[:, :, None]).reshape(-1, rows.shape[2])
+        kept = kept - self._moved[0] @ (self._moved[0].T @ kept)
+        along = kept.T @ self._residual
+        return float(along @ linalg.pinv(kept.T @ kept, hermitian=True) @ along)
 
-    def beyond(self, missed: Floats) -> Floats:
-        """Covariance (n, d, d) beyond what is shown at the poses, for what coordinates miss per unit (n, d, k)."""
-        size, axes = linalg.eigh(missed @ self.moment @ missed.transpose(0, 2, 1) - self.shown)
-        return np.asarray((axes * size.clip(0.0)[:, None, :]) @ axes.transpose(0, 2, 1))
+    def _known(self, kept: Floats, residual: Floats, cells: Ints, used: int, size: Floats) -> tuple[Floats, float]:
+        """Second moment (k, k) of an effect's parameters of plausible ``size`` (k,), and the variance that it leaves.
 
-    def hides(self, missed: Floats) -> float:
-        """Mean square of what coordinates miss beyond what is shown."""
-        spread = missed @ self.moment @ missed.transpose(0, 2, 1) - self.shown
-        return float(linalg.eigvalsh(spread).clip(0.0).sum(axis=1).mean())
-
-
-def at_rest(
-    model: ChainModel, values: Floats, readings: tuple[str, ...], joints: Floats, now: Floats
-) -> tuple[Floats, Floats, Bools]:
-    """Derivatives of ``readings`` (columns) by the identified values (n, m, p) and by the joints (n, m, j), and which
-    rows can be read, of a robot that stands at ``joints`` (n, j) and carries nothing; ``now`` (n, 2 + j) is time,
-    temperature, directions.
-    """
-    layout = next((one for one in model.layouts if one.coordinates == readings), model.layouts[0])
-    columns = dict(zip((TIME, TEMPERATURE, *layout.directions), now.T, strict=True))
-    columns |= {name: np.zeros(len(joints)) for name in (*layout.velocities, *layout.loads)}
-    rows = Measurements.planned(joints, layout, **columns)
-    q, ends, known, push = model.block(rows)
-    if known is not None:
-        known[:, -1] = DRAWN_C
-    block = (q, ends, known, push)
-    found, by_joints, _, read = model.core_for(rows).derivatives(model.full(values), block, model.indices)
-    m = rows.coordinates
-    return found[:, :m], by_joints[:, :m], read
+        ``kept`` (N, k) are its columns without what is taken of them, ``residual`` (N,) likewise, ``used`` directions
+        are taken. Errors that all repeats of a pose share count once for the pose.
+        """
+        prior, scaled = np.diag(size**2), kept * size
+        # by eigenvalues, as readings without noise leave next to nothing beside them
+        value, vector = linalg.eigh(scaled.T @ scaled)
+        along = scaled.T @ residual
+        told = value > _ROUNDING * value[-1]
+        rest = residual - scaled @ (vector[:, told] @ ((vector[:, told].T @ along) / value[told]))
+        squares = float(rest @ rest)
+        free = int(np.count_nonzero(residual)) - used - len(size)
+        if free <= 0 or squares <= _NOTHING:
+            return prior, np.inf
+        shared = max(float((np.bincount(cells, rest) ** 2).sum()) / squares, 1.0)
+        noise = squares / free
+        inverse = (vector / (np.maximum(value, 0.0) + noise * shared)) @ vector.T
+        mean = inverse @ along
+        return (noise * shared * inverse + np.outer(mean, mean)) * np.outer(size, size), noise
 
 
-def waves(by_joints: Floats, joints: Floats, period: float, which: list[int]) -> Floats:
-    """Derivatives (n, m, 2 w) by sine and cosine of ``which`` (w) of the joints (n, j) at a period, joint by joint,
-    from those by the joints (n, m, j)."""
-    angle = 2.0 * np.pi / period * joints[:, which]
-    both = np.stack([np.sin(angle), np.cos(angle)], axis=2)
-    made: Floats = (by_joints[:, :, which, None] * both[:, None]).reshape(*by_joints.shape[:2], -1)
-    return made
+def rows_of(fit: Fit, *, one_each: bool) -> Ints:
+    """Rows of which anything is used; of each pose only the first where asked for."""
+    rows = np.flatnonzero(fit.data.used.any(axis=1))
+    if one_each:
+        rows = rows[~fit.data.is_distance[rows]]
+    return np.sort(rows[np.unique(fit.data.groups[rows], return_index=True)[1]]) if one_each else rows
 
 
-def with_effect(model: ChainModel, values: Floats, effect: Effect, setting: float | None) -> tuple[Any, Floats, slice]:
-    """The model with one more effect, its values with zeros for that, and where they stand."""
-    wider = model.with_effect(effect, at=setting)
-    own = wider.owns(effect)
-    return wider, np.insert(values, [own.start] * len(effect.parameters), 0.0), own
+# -- Which effects, at which settings -----------------------------------------------------------------------------
+
+#: Waves over the range of a joint down to which periods are tried, and frequencies per width of a peak.
+_WAVES = 120
+_OVERSAMPLING = 2.0
+_TURN = 2.0 * np.pi
+#: Periods that are looked at closer, by either measure; those are kept that hide this part of what the worst does.
+_PEAKS = 4
+_KEPT = 0.3
+#: Peaks that differ by less than this part of the range are as high as each other: aliases, of which the long is said.
+_EQUAL = 0.05
+#: Parts of the run's time at which a step could have happened.
+_MOMENTS = (0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9)
+#: An effect counts from this part of the known spread on.
+_LEAST = 0.01
+#: Poses that are advised, at most, and what they are to leave.
+_ADVISED = 4
+_LEFT = 0.2
+
+#: Derivatives by sine and cosine, at the rows and at the asked places.
+_Wave = tuple[Floats, Floats]
 
 
-def by_effect(
-    model: ChainModel, values: Floats, effect: Effect, setting: float | None, readings: tuple[str, ...],
-    joints: Floats, now: Floats,
-) -> tuple[Floats, Floats, Floats]:  # fmt: skip
-    """As :func:`at_rest`: by the identified values (n, m, p), by an effect's parameters (n, m, k), by the joints
-    (n, m, j). A periodic effect may be in the model already, with another period."""
-    if effect.is_periodic and setting is not None:
-        columns, by_joints, _ = at_rest(model, values, readings, joints, now)
-        which = effect.waving(model.layouts[0].joints)
-        return columns, waves(by_joints, joints, setting, which), by_joints
-    wider, more, own = with_effect(model, values, effect, setting)
-    columns, by_joints, _ = at_rest(wider, more, readings, joints, now)
-    return np.delete(columns, own, axis=2), columns[:, :, own], by_joints
+@dataclass(frozen=True, eq=False)
+class Search:
+    """The run that a part was made from, and where that is asked."""
+
+    run: CalibrationRun
+    part: Part
+    asked: Asked
+
+    def found(self) -> tuple[UnobservedEffect, ...]:
+        """Effects that could do something between the poses, those that hide most first."""
+        if not len(self.asked.joints):
+            return ()
+        least = _LEAST * float(np.trace(self.asked.spread.mean(axis=0)))
+        out: list[tuple[float, UnobservedEffect]] = []
+        # beside a wave in the model there may be another
+        inside = [e for e in self._all.deployed.effects if e.is_periodic]
+        for effect in (*self._choice[0], *inside):
+            each = [self.told(effect, setting) for setting in self._settings(effect)]
+            worst = max((hides for hides, _ in each), default=0.0)
+            out += [one for one in each if one[0] >= max(least, _KEPT * worst)]
+        return tuple(one for _, one in sorted(out, key=lambda o: -o[0]))
+
+    @property
+    def untried(self) -> tuple[str, ...]:
+        """Effects of which nothing can be said: the run lacks a column that they need."""
+        return tuple(self._choice[1])
+
+    @cached_property
+    def _choice(self) -> tuple[list[Effect], dict[str, str]]:
+        fit = self.run.fit
+        return fit.model.can_be_tried(tuple(self._all.deployed.known_effects.values()), fit.data)
+
+    @cached_property
+    def _all(self) -> LinearFit:
+        return LinearFit(self.run.fit, self.part, self.asked, rows_of(self.run.fit, one_each=False))
+
+    @cached_property
+    def _quick(self) -> LinearFit:
+        """One row of each pose: enough to see which periods they show."""
+        return replace(self._all, rows=rows_of(self.run.fit, one_each=True))
+
+    def told(self, effect: Effect, setting: float | None) -> tuple[float, UnobservedEffect]:
+        """How much is hidden (mean square at the asked places), and what of it."""
+        made, missed = self._all.assess(effect, setting, *self._all.columns(effect, setting))
+        places, left = self._advised(made.moment, missed)
+        return made.hides(missed), replace(made, places=places, left=left)
+
+    def _advised(self, moment: Floats, missed: Floats) -> tuple[Floats, float]:
+        """Asked places (r, d) at which readings would tell most, one after the other, and the part that they leave."""
+        noise = self.asked.spread.mean(axis=0)
+        over = np.tensordot(missed, missed, ([0, 1], [0, 1]))
+        before = float(np.trace(over @ moment))
+        chosen: list[int] = []
+        left = 1.0
+        while before > 0.0 and len(chosen) < _ADVISED and left > _LEFT:
+            there = missed @ moment
+            # of readings without noise nothing is left in some directions
+            inverse = linalg.pinv(there @ missed.transpose(0, 2, 1) + noise, hermitian=True)
+            gains = np.trace(inverse @ (there @ over @ there.transpose(0, 2, 1)), axis1=1, axis2=2)
+            gains[chosen] = -np.inf  # twice at one place would tell of the noise there
+            best = int(np.argmax(gains))
+            chosen.append(best)
+            moment = moment - there[best].T @ inverse[best] @ there[best]
+            left = float(np.sqrt(max(np.trace(over @ moment), 0.0) / before))
+        return self.asked.coordinates[chosen], left
+
+    # -- settings ------------------------------------------------------------------------------------------
+
+    def _settings(self, effect: Effect) -> Sequence[float | None]:
+        """Those at which an effect is tried: periods that hide most, moments within the run; none where it has none."""
+        if effect.search is None or effect.is_lagging:
+            return (None,)
+        if effect.is_periodic:
+            return self._periods(effect)
+        time = self.run.fit.data.time_s
+        return [] if time is None else np.quantile(time, _MOMENTS).tolist()
+
+    def _periods(self, effect: Effect) -> list[float]:
+        """Periods at which it would miss most beyond what is shown, and at which the poses show least of it."""
+        quick = self._quick
+        span = float(np.ptp(quick.joints, axis=0).max()) if len(quick.joints) else 0.0
+        if span <= 0.0:
+            return []
+        step = 1.0 / (_OVERSAMPLING * span)
+        tried = step * np.arange(2.0, _OVERSAMPLING * _WAVES + 1.0)
+        ring = effect.search == "period_rad"
+        if ring:
+            # the error of a ring closes in a turn; once per turn is an effect of its own
+            tried = np.unique(np.round(tried * _TURN).clip(2.0)) / _TURN
+
+        def hides(frequency: float, wave: _Wave) -> float:
+            made, missed = quick.assess(effect, 1.0 / frequency, *wave)
+            return made.hides(missed)
+
+        def unseen(_: float, wave: _Wave) -> float:
+            return -quick.least_seen(wave[0])
+
+        def taken(_: float, wave: _Wave) -> float:
+            return quick.taken(wave[0])
+
+        out: list[float] = []
+        # what alone takes all that a correction took is hidden by that, in a peak too narrow for the first measure
+        measures = (hides, unseen, taken) if self.part.corrects else (hides, unseen)
+        waves = ((f, quick.wave(f)) for f in tried)
+        found = np.array([[measure(f, wave) for measure in measures] for f, wave in waves])
+        for measure, values in zip(measures, found.T, strict=True):
+            for k in _peaks(values):
+                best = float(tried[k])
+                if not ring:
+                    best = _nearby(measure, quick.wave, best, step)
+                if all(abs(best - other) * span > 0.5 for other in out):
+                    out.append(best)
+        given = self.run.fit.model.setting_of(effect)
+        known = [] if given is None or effect in self.run.fit.model.effects else [given]
+        return [*known, *(1.0 / f for f in out)]
+
+
+def _nearby(
+    measure: Callable[[float, _Wave], float], wave: Callable[[float], _Wave], middle: float, step: float
+) -> float:
+    """Where a measure of a frequency and its wave is highest within a step of a peak."""
+    found = scipy.optimize.minimize_scalar(
+        lambda f: -measure(f, wave(f)), bounds=(max(middle - step, 0.5 * step), middle + step), method="bounded",
+        options={"xatol": 1e-5 * step},
+    )  # fmt: skip
+    return float(found.x)
+
+
+def _peaks(values: Floats) -> list[int]:
+    """The highest places that no neighbour is higher than; of those as high as each other the first."""
+    ends = np.concatenate([[-np.inf], values, [-np.inf]])
+    tops = np.flatnonzero((values >= ends[:-2]) & (values >= ends[2:]))
+    height = np.round((values[tops] - values.min()) / max(float(np.ptp(values)), 1e-300) / _EQUAL)
+    return [int(k) for k in tops[np.argsort(-height, kind="stable")][:_PEAKS]]

@@ -21,7 +21,7 @@ from ...model.effect import effects_by_name
 from ...model.kinds import MOST_IN_LINE, Kind, Robot, kind_of, model_of
 from ...model.robot_file import load_robot
 from ...planning.poses import choose_poses
-from ...robots.files import load_calibration
+from ...robots.calibrated import load_calibration
 from ..instruments import AxisController
 from ..kinds import InstrumentSettings, instrument_kinds
 from ..own_code import OwnCode, run_code

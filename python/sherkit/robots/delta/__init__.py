@@ -2,15 +2,11 @@
 
 from ...model.kinds import Asked, Kind
 from .calibration import DeltaCalibration
-from .columns import DELTA
 from .correction import Correction, choose_correction, fit_grid, fit_polynomial
 from .drawing import drawing, signature
-from .effects import CATALOGUE
-from .model import DeltaModel
-from .paper import paper_local, paper_protocol, paper_whole
-from .pose_sets import AREAS, POSES
-from .poses import grid
-from .robot import ASSEMBLY_MODES, Delta
+from .model import CATALOGUE, DeltaModel
+from .paper import paper_protocol
+from .robot import AREAS, ASSEMBLY_MODES, DELTA, POSES, Delta, grid, paper_local, paper_whole
 from .virtual import VirtualDelta
 
 #: A described example, not the paper's robot: no nominal dimension of that one is printed.

@@ -7,6 +7,7 @@ interest, blended over a margin so that a commanded position never jumps (the pa
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self, cast
@@ -15,7 +16,7 @@ import numpy as np
 
 import sherkit._core as _core
 
-from ...base.types import Bools, Floats
+from ...base.types import Bools, Floats, Ints
 from ...data.lagged import DRAWN_C
 from ...data.toml import Table
 from ...errors import CalibrationError, FitError
@@ -23,12 +24,91 @@ from ...fit.identify import Fit
 from ...model.kinds import Robot
 from ..accuracy import Planes
 from ..calibrated import Calibration, Note
-from ..calibration_run import CalibrationRun
+from ..calibration_run import CalibrationRun, Cells, Corrected
 from ..part import Part
-from .columns import POSITION
-from .corrected import DeltaCorrected, corrected
-from .correction import Correction, enough_rows
-from .robot import Delta
+from .correction import Choice, Correction, choose_correction, enough_rows, leftover
+from .paper import PaperProtocol, paper_protocol
+from .robot import POSITION, Delta
+
+# -- The correction -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class DeltaCorrected(Corrected):
+    """A correction and how it was chosen; ``seed`` rules the split of the paper's protocol."""
+
+    fit: Fit
+    choice: Choice
+    seed: int
+
+    @cached_property
+    def paper(self) -> PaperProtocol | None:
+        """The paper's protocol on the same run, to stand beside; None where the run has no plane at the middle."""
+        with suppress(FitError):
+            return paper_protocol(self.fit, seed=self.seed)
+        return None
+
+    @property
+    def rows(self) -> Ints:
+        """Rows with a full position that are no outliers."""
+        return leftover(self.fit).rows
+
+    @property
+    def held_out(self) -> Floats:
+        """What the chosen orders leave of blocks that they did not see (k, 3), mm."""
+        return self.choice.held_out_mm
+
+    @property
+    def chosen(self) -> bool:
+        """Whether a polynomial helps."""
+        return self.choice.correction is not None
+
+    def __str__(self) -> str:
+        chosen = self.choice.correction
+        text = "none helps on held-out blocks" if chosen is None else f"order {chosen.orders} in (x, y, z)"
+        return f"Bernstein correction by blocked cross-validation: {text}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Orders of the correction, and those of the paper's protocol with their errors."""
+        chosen, paper = self.choice.correction, self.paper
+        return {
+            "correction": None if chosen is None else {"orders": list(chosen.orders)},
+            "paper_protocol": None
+            if paper is None
+            else {
+                "orders": paper.orders,
+                "test_um": paper.test_um,
+                "other_planes_um": {f"{z:g}": v for z, v in paper.other_planes_um.items()},
+            },
+        }
+
+    def cells(self) -> Cells | None:
+        """Table III: order, error on the test part and on the other planes, by the paper's protocol."""
+        p = self.paper
+        if p is None:
+            return None
+        planes = sorted(p.other_planes_um, reverse=True)
+        lines = []
+        for axis in "xyz":
+            errors = [(p.test_um[axis], p.test_std_um[axis])]
+            errors += [(p.other_planes_um[z][axis], p.other_planes_std_um[z][axis]) for z in planes]
+            lines.append((axis, str(p.orders[axis]), *(f"{rms:.1f} ± {std:.1f}" for rms, std in errors)))
+        return Cells(("order", f"test, z = {round(p.plane_mm)}", *(f"z = {round(z)}" for z in planes)), tuple(lines))
+
+
+def corrected(fit: Fit, way: str, seed: int) -> DeltaCorrected:
+    """Chooses a correction: ``auto`` by blocked cross-validation, ``paper`` with the order that the paper's protocol
+    finds on the middle plane, in x and y alone, fitted to all planes.
+
+    Raises :class:`~sherkit.errors.FitError` where the rows do not determine one.
+    """
+    if way == "paper":
+        n = max(paper_protocol(fit, seed=seed).orders.values())
+        return DeltaCorrected(fit, choose_correction(fit, orders=(n,), heights=1, seed=seed, keep_none=False), seed)
+    return DeltaCorrected(fit, choose_correction(fit, seed=seed), seed)
+
+
+# -- The calibration ----------------------------------------------------------------------------------------------
 
 #: Width of the blend around the region of interest, as a part of its half width.
 _BLEND = 0.25
@@ -67,20 +147,10 @@ class DeltaPart(Part):
         # the fit took all misfit for noise; what the correction has removed of it is none
         shrink = min(1.0, float(np.nansum(with_it**2) / max(np.nansum(without**2), 1e-300)))
         where = fit.predicted[~fit.data.is_distance & ~fit.data.outlier, :3]
-        if len(where) == 0:
-            where = np.zeros((1, 3))
-        core = len(fit.model.indices)
         found = cast(DeltaCorrected | None, run.correction)
-        return cls(
-            **cls.identified(fit),
-            covariance=(fit.covariance * shrink + fit.unobserved_covariance)[:core, :core],
-            residual_covariance=left,
-            noise_covariance=scatter,
-            low=where.min(axis=0),
-            high=where.max(axis=0),
-            uncorrected_covariance=before,
-            correction=found.choice.correction if found is not None else None,
-        )
+        correction = found.choice.correction if found is not None else None
+        made = cls.identified(fit, 3, shrink=shrink, uncorrected_covariance=before, correction=correction)
+        return made.leaving(left, scatter, where)
 
     def functions(self, coordinates: Floats) -> Floats:
         """Those of the polynomial."""
@@ -235,14 +305,11 @@ class DeltaCalibration(Calibration):
             low[:2], high[:2] = -robot.workspace_radius_mm, robot.workspace_radius_mm
         if robot.workspace_z_mm:
             low[2], high[2] = robot.workspace_z_mm
-        x, y = (np.linspace(low[k], high[k], per_side) for k in range(2))
-        z = np.linspace(high[2], low[2], 3) if high[2] > low[2] else np.array([low[2]])
-        grid = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1).reshape(-1, 3)[:, ::-1]
-        inside = np.ones(len(grid), dtype=bool)
-        if robot.workspace_radius_mm:
-            inside = np.hypot(grid[:, 0], grid[:, 1]) <= robot.workspace_radius_mm - 0.25 * (x[1] - x[0])
-        titles = tuple(f"z = {one:.3g} mm" for one in z)
-        return Planes(x, y, ("x, mm", "y, mm"), titles, grid, inside)
+        made = Planes.horizontal(low, high, per_side, ".3g")
+        if not robot.workspace_radius_mm:
+            return made
+        from_axis = np.hypot(made.grid[:, 0], made.grid[:, 1])
+        return replace(made, inside=from_axis <= robot.workspace_radius_mm - 0.25 * (made.x[1] - made.x[0]))
 
     def border_jump_mm(self) -> float | None:
         """Largest difference of local and whole model on the border of the region; None without a local model.

@@ -14,10 +14,8 @@ from ...data.columns import TEMPERATURE, TIME
 from ...errors import SherkitError
 from ...model.drawing import Drawing, Part, line, with_target
 from ...model.effect import Effect
-from .columns import DELTA, JOINTS, POSITION
 from .model import DeltaModel
-from .poses import grid
-from .robot import Delta
+from .robot import DELTA, JOINTS, POSITION, Delta, grid
 
 #: Of a limb the core hands over foot and head of its rail, the ends of its rods at the carriage, those at the platform.
 _PER_LIMB = 6

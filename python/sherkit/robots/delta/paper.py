@@ -1,4 +1,4 @@
-"""Xiao et al., ISMR 2022: what they printed, to stand beside one's own figures, their poses and their protocol."""
+"""Xiao et al., ISMR 2022: what they printed, to stand beside one's own figures, and their protocol."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from ...base.types import Floats
 from ...errors import FitError
 from ...fit.identify import Fit
 from .correction import Correction, fit_polynomial, leftover, levels_of
-from .poses import grid
 
 #: Table I: RMS ± standard deviation, µm, per axis.
 TABLE_I = {
@@ -42,16 +41,6 @@ TABLE_III = {
     "local": {"x": (3, (11, 10), (18, 18), (18, 18)), "y": (3, (9, 9), (15, 15), (16, 16)),
               "z": (3, (13, 12), (18, 15), (13, 13))},
 }  # fmt: skip
-
-
-def paper_whole() -> Floats:
-    """588 poses: planes z = -20, 0, 20 mm of 14 × 14 over ±20 mm (Xiao et al. 2022, section III)."""
-    return grid(20.0, 14, (-20.0, 0.0, 20.0))
-
-
-def paper_local() -> Floats:
-    """363 poses: planes z = -10, 0, 10 mm of 11 × 11 over ±10 mm. The paper's text counts 393."""
-    return grid(10.0, 11, (-10.0, 0.0, 10.0))
 
 
 @dataclass(frozen=True, eq=False)

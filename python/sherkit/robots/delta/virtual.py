@@ -20,7 +20,7 @@ from ...base.types import Floats
 from ...data import Measurements
 from ...data.toml import Table
 from ...errors import NotFinite, OutOfReach, ShapeError, Singular
-from ...model.kinds import Option
+from ...model.kinds import Option, walked
 from .robot import Delta
 
 #: Root mean squares of the columns of the paper's Table II (whole workspace), mm and rad.
@@ -32,7 +32,6 @@ TABLE_II_SIZES = {
 }
 _DWELL_S = 2.0
 _TRAVEL_S = 1.0
-_ORDERS = ("planes", "shuffled")
 _OUT_OF_REACH = "the virtual robot cannot reach one of these joint readings"
 
 
@@ -162,28 +161,19 @@ class VirtualDelta:
     def measure(self, poses_mm: ArrayLike, *, repeats: int = 5, order: str = "planes", seed: int = 0) -> Measurements:
         """Drives to poses (n, 3), mm, by the nominal inverse kinematics and reads three lasers at each.
 
-        Readings are differences from the home position, as in the paper. ``order``: ``planes`` as listed, pass
-        after pass, or ``shuffled`` anew for each pass. ``seed`` rules order and noise.
+        Readings are differences from the home position, as in the paper. ``order`` as
+        :func:`~sherkit.model.kinds.walked`; ``seed`` rules order and noise.
         """
-        if order not in _ORDERS:
-            raise ShapeError(f"order: '{order}' is not known; choose {' or '.join(_ORDERS)}")
-        if repeats < 1:
-            raise ShapeError(f"repeats: expected at least 1, got {repeats}")
         rng = np.random.default_rng(seed)
         poses = np.atleast_2d(np.asarray(poses_mm, dtype=float))
         commanded = self.robot.inverse_batch(poses).require("pose")
-        passes = []
-        for _ in range(repeats):
-            walk = np.arange(len(poses))
-            passes.append(rng.permutation(walk) if order == "shuffled" else walk)
-        pose = np.concatenate(passes)
+        pose, said = walked(len(poses), repeats, order, rng)
         joints = commanded[pose]
         clean = self.noise_free(joints)
         reading = clean + rng.normal(size=clean.shape) * np.asarray(self.noise_mm)
         columns = {
             "time_s": np.arange(len(pose)) * (_DWELL_S + _TRAVEL_S),
-            "pose": pose + 1,
-            "repeat": np.repeat(np.arange(repeats) + 1, len(poses)),
+            **said,
             **{f"q{k + 1}_mm": joints[:, k] for k in range(3)},
             **{f"{a}_mm": reading[:, k] for k, a in enumerate("xyz")},
         }

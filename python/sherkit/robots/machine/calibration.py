@@ -20,7 +20,7 @@ from ..calibration_run import CalibrationRun
 from ..part import Part
 from .core import MachineCore
 from .described import Described
-from .inverse import settled, starts
+from .function import settled, starts
 
 #: Effects of the instrument: where the machine goes, they are not.
 _OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "instrument_turned", "thermal_shift")
@@ -93,40 +93,30 @@ class MachineCalibration(Calibration):
         """From a run; there is no local one."""
         del local
         fit, held_out = whole.fit, whole.deployed(whole.held_out)
-        data, count = fit.data, len(fit.model.indices)
+        data = fit.data
         use = data.taken.all(axis=1) & ~data.outlier
         went = data.joints[~data.outlier]
         low, high = went.min(axis=0), went.max(axis=0)
         if hasattr(fit.model.robot.joints, "keys"):  # ranges were given
             low, high = np.minimum(low, fit.model.robot.box[:, 0]), np.maximum(high, fit.model.robot.box[:, 1])
         left, scatter = whole.left(lambda missed: missed[use], held_out)
-        part = Part(
-            **Part.identified(fit),
-            covariance=(fit.covariance + fit.unobserved_covariance)[:count, :count],
-            residual_covariance=left,
-            noise_covariance=scatter,
-            low=np.zeros(len(cls.coordinates)),
-            high=np.zeros(len(cls.coordinates)),
-        )
+        part = Part.identified(fit, len(cls.coordinates))
         made = cls(fit.model.robot, part, tuple(zip(low.tolist(), high.tolist(), strict=True)))
-        shown = made._rows(went)[0]
-        return replace(made, whole=replace(part, low=np.nanmin(shown, axis=0), high=np.nanmax(shown, axis=0)))
+        return replace(made, whole=part.leaving(left, scatter, made._rows(went)[0]))
 
     @cached_property
     def core(self) -> MachineCalibrated:
         """The model of the control loop."""
-        model = self.whole.model(self.robot)
-        names = [p.name.partition(".")[0] for p in model.core_parameters]
+        names = [p.name.partition(".")[0] for p in self.model.core_parameters]
         ours = np.array([name not in _OF_INSTRUMENT for name in names])
-        values = np.where(ours, model.full(self.whole.values), 0.0)
-        return MachineCalibrated(model.core, values, np.array(self.box))
+        values = np.where(ours, self.model.full(self.whole.values), 0.0)
+        return MachineCalibrated(self.model.core, values, np.array(self.box))
 
     def spread(self, coordinates: Floats, joints: Floats) -> Floats:
         """Covariance (n, m, m), squared units of the readings."""
         del coordinates
-        indices, block = self.whole.model(self.robot).indices, self.core.block(joints, self._now())
-        columns = self.core.chain.derivatives(self.core.values, block, indices)[0]
-        return columns @ self.whole.covariance @ columns.transpose(0, 2, 1) + self.whole.residual_covariance
+        block = self.core.block(joints, self._now())
+        return self.whole.spread(self.core.chain.derivatives(self.core.values, block, self.model.indices)[0])
 
     def places(self) -> list[tuple[str, Floats]]:
         """The middle of the run and what its joints' corners show."""

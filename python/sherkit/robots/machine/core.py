@@ -5,10 +5,10 @@ What a robot has compiled stands here in NumPy; a fit, a diagnosis and a calibra
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, permutations
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,266 @@ from numpy.typing import NDArray
 
 from ...base import linalg
 from ...base.types import Bools, Floats
+from ...data.columns import bare, unit_in
+from ...data.lagged import DRAWN_C
 from ...fit.numpy_chain import NumpyChain
 from ...model.chain import Block
-from .effects import Generic, Known
+from ...model.effect import Effect, Sentences, catalogue_of_core
+from ...model.sentences import COMMON
 from .function import UserFunction
+
+# -- Effects ------------------------------------------------------------------------------------------------------
+
+#: A plausible small error of a reading or joint by its unit; of any other, this part of its range.
+_SMALL = {"mm": 0.1, "um": 100.0, "m": 1e-4, "rad": 2e-3, "mrad": 2.0, "deg": 0.1, "px": 5.0, "arcsec": 300.0}
+_POINT = ("x_mm", "y_mm", "z_mm")
+_SCALE = 1e-3
+_METRE = 1000.0
+#: Machines with more joints than this have couplings of neighbours alone.
+_FEW_JOINTS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What effects look at besides joints and point: ``time_s`` (n,), ``temperature_c`` (n,) and that of the stands
+    ``stand_c`` (n,), ``direction`` (n, k) and ``velocity`` (n, k), NaN where they are not known; and the settings
+    ``wave``, one turn over the period, ``time_origin_s`` and the moments of the slips."""
+
+    time_s: Floats
+    temperature_c: Floats
+    stand_c: Floats
+    direction: Floats
+    velocity: Floats
+    wave: float
+    time_origin_s: float
+    slip_time_s: float
+    joint_slip_time_s: float
+
+
+#: What an effect adds (n, axes, p) for each of its parameters at one: where it acts (n, axes), joints or readings.
+Formula = Callable[[NDArray[Any], Known], NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Generic:
+    """One effect that every machine can have: its link, its parameters with unit and plausible size, and its formula.
+
+    It is linear in its parameters, and says what it adds at its link: to the readings of the joints, to those of the
+    instruments.
+    """
+
+    name: str
+    link: str
+    parameters: tuple[tuple[str, str, float], ...]
+    formula: Formula = field(repr=False)
+    needs: tuple[str, ...] = ()
+    search: str | None = None
+
+    def only(self, which: Sequence[int]) -> Generic:
+        """With these of its parameters."""
+        formula, columns = self.formula, list(which)
+        return replace(
+            self,
+            parameters=tuple(self.parameters[k] for k in columns),
+            formula=lambda x, at: formula(x, at)[:, :, columns],
+        )
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """As a row of the table of a chain."""
+        own = [{"name": n, "symbol": n, "unit": u, "size": s, "lever_mm": 1.0} for n, u, s in self.parameters]
+        return {
+            "name": self.name, "link": self.link, "base": False, "parameters": own, "needs": list(self.needs),
+            "search": self.search,
+        }  # fmt: skip
+
+
+def generic_effects(joints: Sequence[str], readings: Sequence[str], spans: Sequence[float]) -> tuple[Generic, ...]:
+    """Those of a machine with these joints, which range over ``spans``, and readings, in the order of the chain."""
+    k, m = len(joints), len(readings)
+    units, read = [unit_in(name) for name in joints], [unit_in(name) for name in readings]
+    small = [_SMALL.get(unit, 1e-3 * span) for unit, span in zip(units, spans, strict=True)]
+    seen = [_SMALL.get(unit, 1.0) for unit in read]
+    out = [
+        Generic("joint_offset", "joints", _each("offset", joints, units, small), _own(np.ones_like)),
+        Generic("joint_scale", "joints", _each("scale", joints, [""] * k, [_SCALE] * k), _own(lambda q: q)),
+    ]
+    pairs = [(i, j) for i, j in permutations(range(k), 2) if k <= _FEW_JOINTS or abs(i - j) == 1]
+    if pairs:
+        coupled = tuple((f"{bare(joints[i])}_by_{bare(joints[j])}", _ratio(units[i], units[j]),
+                         _SCALE * spans[i] / spans[j]) for i, j in pairs)  # fmt: skip
+        out.append(Generic("joint_coupling", "joints", coupled, _coupling(pairs)))
+    turning = [i for i, unit in enumerate(units) if unit == "rad"]
+    if turning:
+        rings = [joints[i] for i in turning]
+        for name, times in (("encoder_eccentricity", 1.0), ("encoder_two_per_turn", 2.0)):
+            out.append(Generic(name, "joints", _waves(rings, "rad", 2e-3 / times), _wave_of(turning, times)))
+    # one period for joints of one unit: that of most of them
+    unit = max(units, key=units.count)
+    if unit in ("mm", "rad"):
+        which = [i for i in range(k) if units[i] == unit]
+        lines = _waves([joints[i] for i in which], unit, {"mm": 0.005, "rad": 1e-3}[unit])
+        out.append(Generic("encoder_cyclic", "joints", lines, _cyclic(which), search=f"period_{unit}"))
+    widths = _each("width", joints, units, [0.2 * s for s in small])
+    out.append(Generic("backlash", "joints", widths, lambda q, at: _diagonal(0.5 * at.direction), ("direction",)))
+    out.append(
+        Generic(
+            "joint_slip",
+            "joints",
+            _each("step", joints, units, small),
+            lambda q, at: _diagonal(_late(at, at.joint_slip_time_s)[:, None] + 0 * q),
+            ("time_s",),
+            "time_s",
+        )
+    )
+    if tuple(readings) == _POINT:
+        grows = (("coefficient", "1/°C", 1e-4),)
+        out.append(Generic("thermal_growth", "body", grows, lambda x, at: _warmer(at)[:, None, None] * x[:, :, None],
+                           ("temperature_c",)))  # fmt: skip
+        out.append(Generic("droop", "body", (("fall_at_1_m", "mm", 1.0),), _droop))
+        turns = tuple((f"turn_{axis}", "rad", 2e-3) for axis in "xyz")
+        out.append(Generic("instrument_turned", "sensor", turns, _turned))
+    per_hour = _each("rate", readings, [f"{u}/h" for u in read], seen)
+    out += [
+        Generic("drift", "body", per_hour, lambda x, at: _diagonal(_hours(at)[:, None] + 0 * x), ("time_s",)),
+        Generic("slip", "body", _each("step", readings, read, seen),
+                lambda x, at: _diagonal(_late(at, at.slip_time_s)[:, None] + 0 * x), ("time_s",), "time_s"),
+        Generic("thermal_shift", "sensor", _each("shift", readings, [f"{u}/°C" for u in read], [0.2 * s for s in seen]),
+                lambda x, at: _diagonal((at.stand_c - DRAWN_C)[:, None] + 0 * x), ("temperature_c",),
+                "lag_s"),
+        Generic("sensor_offset", "sensor", _each("offset", readings, read, [5 * s for s in seen]), _own(np.ones_like)),
+        Generic("sensor_scale", "sensor", _each("scale", readings, [""] * m, [_SCALE] * m), _own(lambda x: x)),
+    ]  # fmt: skip
+    return tuple(out)
+
+
+def catalogue_of(effects: Sequence[Generic]) -> dict[str, Effect]:
+    """As effects with their sentences."""
+    sentences: Mapping[str, Sentences] = COMMON | _OWN
+    return catalogue_of_core([one.row for one in effects], {one.name: sentences[one.name] for one in effects})
+
+
+# -- parameters ------------------------------------------------------------------------------------------
+
+
+def _each(word: str, names: Sequence[str], units: Sequence[str], sizes: Sequence[float]) -> tuple[Any, ...]:
+    return tuple((f"{word}_{bare(n)}", u, float(s)) for n, u, s in zip(names, units, sizes, strict=True))
+
+
+def _waves(names: Sequence[str], unit: str, size: float) -> tuple[Any, ...]:
+    return tuple((f"{part}_{bare(n)}", unit, size) for n in names for part in ("sine", "cosine"))
+
+
+def _ratio(of: str, by: str) -> str:
+    return "" if of == by else f"{of}/{by}"
+
+
+# -- formulas --------------------------------------------------------------------------------------------
+
+
+def _diagonal(each: NDArray[Any]) -> NDArray[Any]:
+    """(n, k, k): each parameter acts at its own place."""
+    return each[:, :, None] * np.eye(each.shape[1])
+
+
+def _own(of: Callable[[NDArray[Any]], NDArray[Any]]) -> Formula:
+    return lambda x, _: _diagonal(of(x))
+
+
+def _coupling(pairs: Sequence[tuple[int, int]]) -> Formula:
+    def formula(q: NDArray[Any], _: Known) -> NDArray[Any]:
+        out = np.zeros((*q.shape, len(pairs)), dtype=q.dtype)
+        for p, (i, j) in enumerate(pairs):
+            out[:, i, p] = q[:, j]
+        return out
+
+    return formula
+
+
+def _wave(q: NDArray[Any], which: Sequence[int], turns: float) -> NDArray[Any]:
+    """(n, k, 2 len(which)): sine and cosine of each of these joints, at its own place."""
+    out = np.zeros((*q.shape, 2 * len(which)), dtype=q.dtype)
+    for p, i in enumerate(which):
+        out[:, i, 2 * p] = np.sin(turns * q[:, i])
+        out[:, i, 2 * p + 1] = np.cos(turns * q[:, i])
+    return out
+
+
+def _wave_of(which: Sequence[int], turns: float) -> Formula:
+    return lambda q, _: _wave(q, which, turns)
+
+
+def _cyclic(which: Sequence[int]) -> Formula:
+    return lambda q, at: _wave(q, which, at.wave)
+
+
+def _warmer(at: Known) -> Floats:
+    return at.temperature_c - DRAWN_C
+
+
+def _hours(at: Known) -> Floats:
+    return (at.time_s - at.time_origin_s) / 3600.0
+
+
+def _late(at: Known, moment_s: float) -> Floats:
+    return np.where(np.isnan(at.time_s), np.nan, (at.time_s >= moment_s).astype(float))
+
+
+def _droop(x: NDArray[Any], _: Known) -> NDArray[Any]:
+    out = np.zeros((len(x), 3, 1), dtype=x.dtype)
+    out[:, 2, 0] = -(x[:, 0] ** 2 + x[:, 1] ** 2) / _METRE**2
+    return out
+
+
+def _turned(x: NDArray[Any], _: Known) -> NDArray[Any]:
+    """Small rotations of the instrument about its axes, to first order."""
+    out = np.zeros((len(x), 3, 3), dtype=x.dtype)
+    for p, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        out[:, i, p], out[:, j, p] = -x[:, j], x[:, i]
+    return out
+
+
+_OWN = {
+    "joint_offset": Sentences(
+        physics="The zero of an encoder is not where the model has it.",
+        residuals="As if one joint stood elsewhere by the same amount at every pose.",
+        remedy="Home the joint again, or correct the offset in the controller.",
+    ),
+    "joint_coupling": Sentences(
+        physics="One joint moves along with another: axes that are not square, a belt or gear that couples them.",
+        residuals="In proportion to the travel of one joint, along the motion of another.",
+        remedy="Measure the squareness with a granite square; shim the rail, or correct it in the controller.",
+    ),
+    "encoder_two_per_turn": Sentences(
+        physics="An encoder's ring is oval, or read by two heads: its error repeats twice per turn.",
+        residuals="A wave along one joint with two periods in a whole turn.",
+        remedy="Mount the ring without stress; use the encoder's own compensation.",
+    ),
+    "droop": Sentences(
+        physics="The machine gives way under its own weight the further it reaches from its axis; the value is the "
+        "fall at a metre from it.",
+        residuals="Downwards, with the square of the distance from the z axis.",
+        remedy="Balance or stiffen the overhanging part; preload its bearing.",
+    ),
+    "instrument_turned": Sentences(
+        physics="The measuring instrument's axes are not parallel to those of the model.",
+        residuals="The whole cloud of points turned.",
+        remedy="Register the instrument on the machine's base; or identify the turn with the model.",
+    ),
+    "sensor_offset": Sentences(
+        physics="The zero of an instrument is not where the model has it.",
+        residuals="Constant.",
+        remedy="Set the instrument to zero at the reference; or identify the offset with the model.",
+    ),
+    "sensor_scale": Sentences(
+        physics="An instrument shows a little too much or too little.",
+        residuals="In proportion to one reading.",
+        remedy="Check the instrument with a gauge block; correct its scale.",
+    ),
+}  # fmt: skip
+
+
+# -- The chain ----------------------------------------------------------------------------------------------------
 
 _TINY = 1e-30
 #: Part of an effect's columns that must be left where those of the function are taken out, for it to be another one.

@@ -21,10 +21,8 @@ from ...data.toml import Table
 from ...errors import NotConverged, RobotError
 from ...model.batch import Batch, matrix, vector
 from ...model.effect import Parameter
-from .core import not_in
-from .effects import Generic, generic_effects
-from .function import Derivative, Forward, UserFunction
-from .inverse import settled, starts
+from .core import Generic, generic_effects, not_in
+from .function import Derivative, Forward, UserFunction, settled, starts
 
 #: Where joints range whose limits nobody gives, by unit: so far from zero on both sides.
 _RANGE = {"mm": 100.0, "um": 1e5, "m": 0.1, "rad": 1.0, "mrad": 1e3, "deg": 60.0}

@@ -28,7 +28,7 @@ _DIGITS = {"mm": 2, "rad": 4, "deg": 2, "px": 1}
 @dataclass(frozen=True)
 class MachineModel(ChainModel):
     """A machine with its parameters and effects to identify. Its tables are those of a subclass for each machine
-    (:mod:`~sherkit.robots.machine.machine`)."""
+    (:mod:`~sherkit.robots.machine`)."""
 
     robot: Described
     slip_time_s: float = 0.0

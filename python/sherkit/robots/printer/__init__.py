@@ -1,14 +1,12 @@
 """Linear delta printers: what their firmware knows and probes, what is wrong with them, what goes back to it."""
 
 from ...model.kinds import Kind
-from ..delta.columns import POSITION
+from ..delta.robot import POSITION
 from .calibration import PrinterCalibration
-from .duet import import_duet
+from .gcode import import_duet, import_marlin
 from .klipper import import_klipper
-from .marlin import import_marlin
 from .model import PrinterModel
-from .robot import PROBED, Printer
-from .towers import ANGLES, Towers
+from .robot import ANGLES, PROBED, Printer, Towers
 
 _EXAMPLE = Printer.with_towers(
     Towers(100.0, ANGLES, (220.0, 220.0, 220.0), (250.0, 250.0, 250.0)), workspace_radius_mm=80.0, probings=("default",)

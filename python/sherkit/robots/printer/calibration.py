@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
 from typing import ClassVar, cast
 
 import numpy as np
 
 from ...base.types import Floats
-from ...fit.identify import Fit
+from ...data import Measurements
+from ...data.files import write_whole
+from ...errors import RobotError
+from ...fit.identify import Fit, identify
 from ...model.chain import ChainModel
 from ...model.kinds import Robot
 from ..calibrated import Note
 from ..calibration_run import CalibrationRun
 from ..delta.calibration import DeltaCalibration, DeltaPart
-from .model import distances
-from .robot import Printer
+from .klipper import SAVED, STEPPERS, KlipperConfig, text_of
+from .model import PrinterModel, distances
+from .robot import ANGLES, FIRMWARES, PLATE, PROBED, PROBING, Printer, Towers
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,18 +35,7 @@ class PrinterPart(DeltaPart):
         fit = run.fit
         left, scatter = run.left_alike(np.isfinite(run.held_out), run.held_out)
         tips = fit.model.tips(fit.data)[~distances(fit.data) & ~fit.data.outlier]
-        where = tips if len(tips) else np.zeros((1, 3))
-        core = len(fit.model.indices)
-        return cls(
-            **cls.identified(fit),
-            covariance=(fit.covariance + fit.unobserved_covariance)[:core, :core],
-            residual_covariance=left,
-            noise_covariance=scatter,
-            low=where.min(axis=0),
-            high=where.max(axis=0),
-            uncorrected_covariance=left,
-            correction=None,
-        )
+        return cls.identified(fit, 3, uncorrected_covariance=left, correction=None).leaving(left, scatter, tips)
 
     def model(self, robot: Robot) -> ChainModel:
         """The model that was identified, without the zeros of its probings."""
@@ -83,3 +78,166 @@ class PrinterCalibration(DeltaCalibration):
         """A firmware has a mesh for that."""
         del fit
         return False
+
+
+# -- Back to the printer ------------------------------------------------------------------------------------------
+
+#: Rings and places on each from which a firmware's numbers are chosen, over the printed area.
+_RINGS, _AROUND = 6, 18
+_BEGINS = "<---------------------- SAVE_CONFIG ---------------------->"
+_WARNING = "DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated."
+
+
+@dataclass(frozen=True)
+class Held:
+    """What a firmware can hold of a machine, and the height errors over the bed that are left of what it cannot, mm."""
+
+    towers: Towers
+    rms_mm: float
+    largest_mm: float
+
+
+def held(robot: Printer, errors: Mapping[str, float]) -> Held:
+    """The firmware's numbers for a printer with these errors by name: geometry as it is; of effects that no firmware
+    holds, leans, belts and unequal rods, as much as its geometry can take over the bed."""
+    full = PrinterModel(replace(robot, probings=()))
+    beyond = {name.partition(".")[0] for name, value in errors.items() if "." in name and value}
+    known = [e for e in full.catalogue.values() if e.name in beyond and e.function is None]
+    for effect in known:
+        full = full.with_effect(effect)
+    values = np.array([errors.get(p.name, 0.0) for p in full.parameters])
+    geometry = {name: value for name, value in errors.items() if "." not in name}
+    if not known:
+        return Held(towers_of(robot, geometry), 0.0, 0.0)
+    # what the machine does where it is sent over the bed, heights alone: that is what a probe would see
+    radius = robot.workspace_radius_mm or 0.8 * robot.towers.radius_mm
+    rings = np.linspace(0.0, radius, _RINGS)[1:]
+    turn = np.linspace(0.0, 2 * np.pi, _AROUND, endpoint=False)
+    xy = np.array([(0.0, 0.0), *((r * np.cos(t), r * np.sin(t)) for r in rings for t in turn)])
+    sent = robot.inverse_batch(np.column_stack([xy, robot.plane_mm(xy)]))
+    plan = Measurements.planned(sent.values[sent.reached], PROBED, "bed", **_columns(int(sent.reached.sum())))
+    plan = plan.with_readings(full.predict(plan, values))
+    plain = replace(full, effects=())
+    fit = identify(plain, plan, start=np.array([geometry.get(p.name, 0.0) for p in plain.parameters]))
+    left = fit.residuals
+    return Held(towers_of(robot, fit.by_name), float(np.sqrt(np.mean(left**2))), float(np.abs(left).max()))
+
+
+def _columns(rows: int) -> dict[str, Floats]:
+    return {PLATE: np.zeros(rows), PROBING: np.zeros(rows)}
+
+
+def towers_of(robot: Printer, errors: Mapping[str, float]) -> Towers:
+    """The firmware's numbers for errors of the geometry, exactly: any three upright towers have a circle through
+    them."""
+
+    def of(name: str) -> Floats:
+        return np.array([errors.get(f"{name}_{k}", 0.0) for k in (1, 2, 3)])
+
+    base = np.array(robot.base_radius_mm) + of("base_radius")
+    angle = np.deg2rad(robot.base_angle_deg) + of("base_angle")
+    joint = np.array(robot.platform_radius_mm) + of("platform_radius")
+    at = np.deg2rad(robot.platform_angle_deg) + of("platform_angle")
+    foot = base * np.exp(1j * angle) - joint * np.exp(1j * at)
+    arms = np.array(robot.rod_length_mm) + of("rod_length")
+    tops = robot.towers.top_mm + of("joint_offset")
+    return Towers.through(np.stack([foot.real, foot.imag], axis=1), arms, tops, robot.base_angle_deg[2])
+
+
+# -- files ---------------------------------------------------------------------------------------------------
+
+
+def klipper_block(towers: Towers) -> dict[tuple[str, str], str]:
+    """The options of Klipper by section and name, with the digits that its own ``save_state`` writes."""
+    out = {("printer", "delta_radius"): f"{towers.radius_mm:.6f}"}
+    for k, stepper in enumerate(STEPPERS):
+        out[stepper, "angle"] = f"{towers.angle_deg[k]:.6f}"
+        out[stepper, "arm_length"] = f"{towers.arm_mm[k]:.6f}"
+        out[stepper, "position_endstop"] = f"{towers.endstop_mm[k]:.6f}"
+    return out
+
+
+def write_klipper_config(config: Path, towers: Towers, destination: Path) -> Path | None:
+    """Writes :func:`klipper_config`. Where that is the very ``config``, the file as it was is kept beside it under the
+    name that SAVE_CONFIG gives it (``printer-20260131_140500.cfg``), which is returned. Raises as that and
+    :func:`~sherkit.data.files.write_whole`."""
+    text, kept = klipper_config(config, towers), None
+    if destination.exists() and destination.samefile(config):
+        kept = config.with_name(f"{config.stem}-{datetime.now():%Y%m%d_%H%M%S}{config.suffix}")
+        write_whole(kept, config.read_bytes())
+    write_whole(destination, text)
+    return kept
+
+
+def klipper_config(path: Path, towers: Towers) -> str:
+    """The text of a ``printer.cfg`` with these numbers in its SAVE_CONFIG block. As SAVE_CONFIG does, the same options
+    above the block become comments.
+
+    Raises :class:`~sherkit.errors.RobotError` where one of them stands in an included file, which SAVE_CONFIG refuses.
+    """
+    KlipperConfig(path)
+    lines = text_of(path, "a Klipper printer.cfg").splitlines()
+    options = klipper_block(towers)
+    above = [line for line in lines if not line.startswith(SAVED)]
+    saved = [line[len(SAVED) :].removeprefix(" ") for line in lines if line.startswith(SAVED)]
+    above, _ = _set(above, options, comment=True)
+    while above and not above[-1].strip():
+        above.pop()
+    body, missing = _set(saved or [_BEGINS, _WARNING, ""], options, comment=False)
+    for section in dict.fromkeys(section for section, _ in missing):
+        own = [f"{key} = {options[section, key]}" for s, key in missing if s == section]
+        heads = [k for k, line in enumerate(body) if line.strip() == f"[{section}]"]
+        if heads:
+            body[heads[-1] + 1 : heads[-1] + 1] = own
+        else:
+            body += ["", f"[{section}]", *own]
+    return "\n".join([*above, "", *(f"{SAVED} {line}".rstrip() for line in body)]) + "\n"
+
+
+def _set(
+    lines: list[str], options: Mapping[tuple[str, str], str], *, comment: bool
+) -> tuple[list[str], list[tuple[str, str]]]:
+    """Lines with these options set, or turned into comments; and the options that none of them holds."""
+    out, section, left = [], "", dict(options)
+    for line in lines:
+        body = line.strip()
+        if body.startswith("["):
+            section = body.split("]")[0].strip("[ \t")
+        ends = [i for i in (line.find(":"), line.find("=")) if i >= 0]
+        key = line[: min(ends)].strip().lower() if ends and line[:1] not in " \t#;" else ""
+        if (section, key) not in options:
+            out.append(line)
+        elif comment:
+            out.append(f"#{line}")
+        elif (section, key) in left:
+            out.append(f"{key} = {left.pop((section, key))}")
+    return out, list(left)
+
+
+def commands(robot: Printer, towers: Towers) -> list[str]:
+    """M665 and M666 of RepRapFirmware or Marlin with these numbers.
+
+    RepRapFirmware's end stops are H plus M666, whose mean is zero; Marlin's are H minus M666, none of which is above
+    zero. The tilt of a RepRapFirmware bed stays as it is. Raises :class:`~sherkit.errors.RobotError` for Klipper, which
+    has no such commands.
+    """
+    x, y, z = (a - nominal for a, nominal in zip(towers.angle_deg, ANGLES, strict=True))
+    ends, arms = np.array(towers.endstop_mm), towers.arm_mm
+    if robot.firmware == "reprapfirmware":
+        height = float(ends.mean())
+        more = f" B{robot.workspace_radius_mm:.1f}" if robot.workspace_radius_mm else ""
+        tilt = f" A{100 * robot.tilt[0]:.4f} B{100 * robot.tilt[1]:.4f}" if any(robot.tilt) else ""
+        rods = ":".join(f"{a:.4f}" for a in arms)
+        return [
+            f"M665 L{rods} R{towers.radius_mm:.4f} H{height:.4f}{more} X{x:.4f} Y{y:.4f} Z{z:.4f}",
+            "M666 X{:.4f} Y{:.4f} Z{:.4f}".format(*(ends - height)) + tilt,
+        ]
+    if robot.firmware == "marlin":
+        height, arm = float(ends.min()), float(np.mean(arms))
+        trims = " ".join(f"{n}{a - arm:.4f}" for n, a in zip("ABC", arms, strict=True))
+        return [
+            f"M665 L{arm:.4f} R{towers.radius_mm:.4f} H{height:.4f} X{x:.4f} Y{y:.4f} Z{z:.4f} {trims}",
+            "M666 X{:.4f} Y{:.4f} Z{:.4f}".format(*(height - ends)),
+            "M500",
+        ]
+    raise RobotError(f"a printer with {robot.firmware} has no M665; its numbers stand in printer.cfg ({FIRMWARES[0]})")

@@ -17,9 +17,7 @@ from ...base.names import brief, listed
 from ...base.types import Bools, Floats
 from ...errors import MeasurementError, RobotError
 from ..delta.robot import Triple
-from .probings import Found, Rows
-from .robot import Printer
-from .towers import ANGLES, Towers
+from .robot import ANGLES, Found, Printer, Rows, Towers
 
 # -- Klipper's configuration files ----------------------------------------------------------------------------------
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,12 +18,128 @@ from ...data import Measurements
 from ...errors import FitError
 from ...model.base import Reachable
 from ...model.chain import Block
-from ...model.effect import Effect, Parameter
+from ...model.effect import Effect, Parameter, effect
 from ...model.rows import Rows
+from ..delta.model import CATALOGUE as DELTA
 from ..delta.model import DeltaModel
-from .bed import probing_zero, zeros_of
-from .effects import CATALOGUE, OF_RODS
-from .robot import POSITION, PROBED, PROBING, Printer
+from .robot import PLATE, POSITION, PROBED, PROBING, Printer
+
+# -- The bed: its own shape, which turns with the plate, and the zero of each probing -----------------------------
+
+#: Shapes are named by their height this far from the middle, mm.
+SPAN_MM = 100.0
+#: Smooth shapes of a plate: order in the distance from the middle, and how many lobes they have around it. A constant
+#: is the zero of the probing.
+_SHAPES = ((1, 1), (2, 0), (2, 2), (3, 1), (3, 3), (4, 0), (4, 2), (4, 4))
+_NAMES = tuple(
+    f"{kind}_{order}_{lobes}" if lobes else f"ring_{order}"
+    for order, lobes in _SHAPES
+    for kind in (("cosine", "sine") if lobes else ("",))
+)
+
+
+def shapes_at(xy: Floats, plate_deg: Floats | float) -> Floats:
+    """The shapes (n, 14), 1 at their highest on a ring of :data:`SPAN_MM`, at places (n, 2), mm, of the machine under
+    which the plate lies turned by ``plate_deg`` (n,)."""
+    turn = np.exp(-1j * np.deg2rad(plate_deg))
+    at = (xy[:, 0] + 1j * xy[:, 1]) * turn / SPAN_MM
+    out = []
+    for order, lobes in _SHAPES:
+        wave = at**lobes * np.abs(at) ** (order - lobes)
+        out += [wave.real, wave.imag] if lobes else [wave.real]
+    return np.stack(out, axis=1)
+
+
+def _columns(rows: Any, p: SimpleNamespace) -> Floats:
+    """What the reading loses where the bed is higher (n, 1, 14); distances are none of the bed's."""
+    del p
+    return -np.where(rows.is_distance[:, None], 0.0, shapes_at(rows.position[:, :2], rows[PLATE]))[:, None, :]
+
+
+@effect(
+    at="sensor",
+    parameters=dict.fromkeys(_NAMES, ("mm", 0.1)),
+    needs=(PLATE,),
+    physics="The plate that is probed is not flat: bent, bowed or twisted, smoothly; it turns with the plate.",
+    remedy="Lay a straightedge and a feeler gauge across the plate, or turn it and probe again: what turns with it "
+    "is its own. A mesh in the firmware covers it for printing.",
+    derivative=_columns,
+)
+def bed_shape(rows: Any, p: SimpleNamespace) -> Floats:
+    """Heights above a plate that is not flat."""
+    return _columns(rows, p)[:, 0] @ np.array([getattr(p, name) for name in _NAMES])[:, None]
+
+
+def _zeros(rows: Any, count: int) -> Floats:
+    """Which of the probings behind the first each row (n, 1, count) is from; distances have no zero."""
+    of: Bools = rows[PROBING][:, None] == np.arange(1, count + 1)
+    return np.where(rows.is_distance[:, None], 0.0, of)[:, None, :]
+
+
+def _by_zeros(rows: Any, p: SimpleNamespace) -> Floats:
+    return _zeros(rows, len(vars(p)))
+
+
+@effect(
+    at="sensor",
+    parameters={"zero_1": ("mm", 1.0)},
+    needs=(PROBING,),
+    physics="The zero of a probe is set anew, or moves with the temperature, between one probing and the next.",
+    remedy="None needed.",
+    derivative=_by_zeros,
+)
+def probing_zero(rows: Any, p: SimpleNamespace) -> Floats:
+    """The zero of each probing behind the first."""
+    return _by_zeros(rows, p)[:, 0] @ np.array(list(vars(p).values()))[:, None]
+
+
+def zeros_of(probings: int) -> Effect:
+    """The zeros of so many probings: that of the first is in the end stops."""
+    one = probing_zero.parameters[0]
+    made = tuple(Parameter(f"zero_{k}", f"zero_{k}", one.unit, one.size) for k in range(1, probings))
+    return replace(probing_zero, parameters=made)
+
+
+# -- What may be wrong, in the order of the chain, in words of its owner ------------------------------------------
+
+_BELTS = replace(
+    DELTA["joint_scale"],
+    physics="A belt moves its carriage a little more or less than the firmware believes: it is stretched, or of "
+    "another pitch.",
+    residuals="Grows with the travel of one carriage.",
+    remedy="Send a carriage 300 mm down and measure with callipers or a steel rule how far it went; correct "
+    "rotation_distance or the steps per millimetre of that tower.",
+)
+_LEAN = replace(
+    DELTA["rail_lean"],
+    physics="A tower does not stand upright: it leans out from the middle (radial) or sideways (tangential). All three "
+    "leaning sideways the same way is a frame that is twisted.",
+    residuals="High and low places between the towers that no radius, angle or arm length takes away.",
+    remedy="Loosen the screws of the upper corner of that tower, push the frame until it is upright, tighten.",
+)
+_LOOSE = replace(
+    DELTA["backlash"],
+    physics="A loose belt or pulley: where a carriage stops depends on the side from which it came.",
+    remedy="Tighten the belt and the pulley's screw. A probe that always comes from above does not show it.",
+)
+#: How far the two rods of a printer's arm usually differ, mm.
+_RODS_MM = 0.2
+_ARMS = replace(
+    DELTA["rod_mismatch"],
+    parameters=tuple(replace(p, size=_RODS_MM) for p in DELTA["rod_mismatch"].parameters),
+    physics="The two rods of an arm differ in length, so the effector tilts as it moves, and a probe beside the nozzle "
+    "is higher or lower than it.",
+    remedy="Lay the two rods of each arm side by side on two pins and match their lengths.",
+)
+
+_PLATE = replace(bed_shape, residuals="A smooth shape over the plate that turns with it.")
+_ZERO = replace(probing_zero, residuals="Constant over each probing.")
+
+#: What is tried of a printer.
+CATALOGUE: dict[str, Effect] = {one.name: one for one in (_BELTS, _LOOSE, _LEAN, _ARMS, _PLATE, _ZERO)}
+#: Effects that need the distance of the two rods of an arm.
+OF_RODS = ("rod_mismatch",)
+
 
 # -- The compiled chain of a delta, asked for the one number that a printer's row holds -----------------------------
 

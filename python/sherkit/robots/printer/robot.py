@@ -1,19 +1,76 @@
-"""A linear delta printer: a delta whose measured point is the tip of its probe, as its firmware has it."""
+"""A linear delta printer: a delta whose measured point is the tip of its probe, as its firmware has it; what the
+firmware can hold, and what was probed.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from ...base.types import Floats
+from ...data import Measurements
 from ...data.columns import Layout
 from ...data.declared import key
 from ...data.toml import Table
-from ..delta.columns import JOINTS, POSITION, TO_JOINTS
-from ..delta.robot import Delta, Triple
-from .towers import Towers
+from ...errors import MeasurementError, OutOfReach, RobotError
+from ..delta.robot import JOINTS, POSITION, TO_JOINTS, Delta, Triple
+
+# -- What a firmware can hold -------------------------------------------------------------------------------------
+
+#: Where the towers A, B, C stand unless the firmware says otherwise, degrees.
+ANGLES: Triple = (210.0, 330.0, 90.0)
+
+
+@dataclass(frozen=True)
+class Towers:
+    """The calibration of a firmware, mm and degrees: one radius; an angle, an arm and an end stop for each tower.
+
+    Klipper (``klippy/kinematics/delta.py``), RepRapFirmware (``LinearDeltaKinematics.cpp``) and Marlin (``delta.cpp``)
+    agree: tower i stands at ``radius · (cos angle_i, sin angle_i)``, degrees anticlockwise from +x seen from above,
+    nominally 210 (front left), 330 (front right) and 90 (back), and its carriage for the nozzle at (x, y, z) at ``z +
+    sqrt(arm_i² − d²)`` with d the horizontal distance. A carriage at its end stop stands at ``endstop_i + sqrt(arm_i² −
+    radius²)``: Klipper's ``position_endstop``; H plus the tower's number of M666 in RepRapFirmware; H minus it in
+    Marlin.
+    """
+
+    radius_mm: float
+    angle_deg: Triple
+    arm_mm: Triple
+    endstop_mm: Triple
+
+    @property
+    def top_mm(self) -> Floats:
+        """Heights of the carriages (3,) at their end stops, mm."""
+        return np.array(self.endstop_mm) + np.sqrt(np.square(self.arm_mm) - self.radius_mm**2)
+
+    @classmethod
+    def through(cls, feet: Floats, arms: Floats, tops: Floats, third_deg: float = 90.0) -> Self:
+        """The same machine as towers at any three points ``feet`` (3, 2), mm, with these arms (3,) and carriage heights
+        at the end stops (3,): any triangle has a circle through its corners, and where the middle of the bed is and
+        what direction it faces is the firmware's own choice. Tower C is put at ``third_deg``."""
+        (ax, ay), (bx, by), (cx, cy) = feet
+        d = 2.0 * (ax * (by - cy) + bx * (cy - ay) + cx * (ay - by))
+        squares = (feet**2).sum(axis=1)
+        middle = np.array([squares @ [by - cy, cy - ay, ay - by] / d, squares @ [cx - bx, ax - cx, bx - ax] / d])
+        out = feet - middle
+        radius = float(np.hypot(*out.T).mean())
+        angle = np.rad2deg(np.arctan2(out[:, 1], out[:, 0]))
+        angle = (angle - angle[2] + third_deg) % 360.0
+        return cls(
+            radius,
+            _triple(angle),
+            _triple(arms),
+            _triple(tops - np.sqrt(np.square(arms) - radius**2)),
+        )
+
+
+def _triple(values: Floats) -> Triple:
+    a, b, c = (float(v) for v in values)
+    return (a, b, c)
+
 
 # -- The columns of a run of a printer ------------------------------------------------------------------------------
 
@@ -84,3 +141,79 @@ class Printer(Delta):
     def plane_mm(self, xy: Floats) -> Floats:
         """Height (n,) of the bed that the firmware assumes at places (n, 2), mm, in the frame of the towers."""
         return np.asarray(xy, dtype=float) @ np.array(self.tilt)
+
+
+# -- What was probed, as the rows of a run ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Found:
+    """A printer as its firmware has it, and the run of what it measured."""
+
+    robot: Printer
+    measurements: Measurements
+
+
+@dataclass(eq=False)
+class Rows:
+    """Collects the rows of a printer; ``source`` is the file, for messages.
+
+    A firmware says at which height it believed the probe to touch the plate. The row has it as it was measured: the
+    carriages where they are commanded for the touch at height zero, and as reading how high above the plate the tip
+    would be there. Between that place and the touch lie tenths of a millimetre, over which a height commanded and one
+    reached differ by parts in a thousand: below a micrometre.
+    """
+
+    robot: Printer
+    source: str
+    _joints: list[Floats] = field(default_factory=list)
+    _others: list[tuple[Floats | None, float, float, str, str]] = field(default_factory=list)
+
+    def touch(self, xy: Sequence[float] | Floats, height: float, probing: str, plate_deg: float, where: str) -> None:
+        """The tip touched the plate at ``xy``, mm, where the firmware believed it to be at ``height``."""
+        plane = float(self.robot.plane_mm(np.array(xy)))
+        try:
+            joints = self.robot.inverse((float(xy[0]), float(xy[1]), plane))
+        except OutOfReach as error:
+            raise RobotError(f"{where} the point {xy[0]:g}, {xy[1]:g} mm cannot be: {error}") from None
+        self._add(joints, None, plane - height, plate_deg, probing, probing)
+
+    def touch_at(self, joints: Floats, tip_mm: float, what: str, probing: str, where: str) -> None:
+        """The carriages stood at ``joints`` when the tip was ``tip_mm`` above the bed, by the probe or a gauge."""
+        try:
+            x, y, z = self.robot.forward(joints)
+            at = self.robot.inverse((x, y, tip_mm))
+        except OutOfReach as error:
+            raise RobotError(f"{where} cannot be: {error}") from None
+        self._add(at, None, tip_mm - (z - tip_mm), 0.0, what, probing)
+
+    def distance(self, start: Floats, end: Floats, length_mm: float) -> None:
+        """Two places of the nozzle are so far apart on a part."""
+        self._add(start, end, length_mm, 0.0, "distance", "")
+
+    def _add(self, joints: Floats, to: Floats | None, reading: float, plate: float, what: str, probing: str) -> None:
+        self._joints.append(joints)
+        self._others.append((to, reading, plate, what, probing))
+
+    def found(self, nothing: str) -> Found:
+        """Robot and run. Raises :class:`~sherkit.errors.MeasurementError`, which says ``nothing``, without a row."""
+        if not self._joints:
+            raise MeasurementError(f"{self.source}: {nothing}")
+        ends, readings, plates, what, of = zip(*self._others, strict=True)
+        names = tuple(dict.fromkeys(name for name in of if name))
+        number = np.array([float(names.index(name)) if name else 0.0 for name in of])
+        joints = np.array(self._joints)
+        to = np.array([np.full(3, np.nan) if end is None else end for end in ends])
+        # the same place under a plate that was turned, or probed another time, is none that was read twice
+        place = np.column_stack([joints, np.nan_to_num(to), plates, number])
+        columns: dict[str, Any] = {
+            **{name: joints[:, k] for k, name in enumerate(PROBED.joints)},
+            **{name: to[:, k] for k, name in enumerate(PROBED.to_joints)},
+            PROBED.coordinates[0]: np.array(readings),
+            "pose": np.unique(place, axis=0, return_inverse=True)[1].ravel(),
+            PLATE: np.array(plates, dtype=float),
+            PROBING: number,
+            "what": np.array(what),
+        }
+        robot = replace(self.robot, probings=names)
+        return Found(robot, Measurements.from_columns(columns, self.source, layout=PROBED))

@@ -18,8 +18,7 @@ from ...data import Measurements
 from ...errors import FitError, SherkitError
 from ...fit.identify import Fit, identify
 from ...model.effect import Effect
-from .bed import bed_shape
-from .model import PrinterModel, distances
+from .model import PrinterModel, bed_shape, distances
 from .robot import PLATE, Printer
 
 #: So many usual sizes are still plausible.

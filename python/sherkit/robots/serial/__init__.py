@@ -2,14 +2,12 @@
 
 from ...model.kinds import Kind
 from .calibration import SerialCalibration
-from .columns import POSITION, layout_of_arm
-from .dh import read_in_the_other_convention
 from .drawing import drawing
 from .full_poses import points_of_poses
+from .imported import read_in_the_other_convention
 from .model import SerialModel
-from .pose_sets import AREAS, postures
-from .robot import MOST_JOINTS, Joint, Plane, Serial
-from .virtual import Hidden, VirtualSerial
+from .robot import MOST_JOINTS, POSITION, Joint, Plane, Serial, layout_of_arm
+from .virtual import AREAS, Hidden, VirtualSerial, postures
 
 _TURN = (-175.0, 175.0)
 #: A described example: six joints as most industrial arms have them, a wrist that is spherical.

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Self, cast
+from typing import ClassVar, Self
 
 import numpy as np
 import scipy
@@ -18,10 +18,8 @@ from ..accuracy import Planes
 from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun
 from ..part import Part
-from .columns import POSITION
 from .frames import of_rpy
-from .model import SerialModel
-from .robot import Serial
+from .robot import POSITION, Serial
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,17 +41,10 @@ class SerialCalibration(Calibration):
         """From a run; there is no local one."""
         del local
         fit, held_out = whole.fit, whole.deployed(whole.held_out)
-        count, size = len(fit.model.indices), len(POSITION)
+        size = len(POSITION)
         counted = np.isfinite(held_out) & fit.data.used
         use = counted[:, :size].all(axis=1)
-        part = Part(
-            **Part.identified(fit),
-            covariance=(fit.covariance + fit.unobserved_covariance)[:count, :count],
-            residual_covariance=np.zeros((size, size)),
-            low=np.zeros(size),
-            high=np.zeros(size),
-        )
-        made = cls(fit.model.robot, part)
+        made = cls(fit.model.robot, Part.identified(fit, size))
         where = made.forward_batch(fit.data.joints[counted.any(axis=1)]).require("row")
         if use.any() or not counted.any():
             # where the tracker saw it, in the axes of the base
@@ -61,22 +52,7 @@ class SerialCalibration(Calibration):
         else:
             # distances alone: their errors are along every direction
             left, scatter = whole.left_alike(counted, held_out)
-        if len(where) == 0:
-            where = np.zeros((1, size))
-        settled = Part(
-            **Part.identified(fit),
-            covariance=part.covariance,
-            residual_covariance=left,
-            noise_covariance=scatter,
-            low=where.min(axis=0),
-            high=where.max(axis=0),
-        )
-        return cls(fit.model.robot, settled)
-
-    @cached_property
-    def model(self) -> SerialModel:
-        """The model that was identified."""
-        return cast(SerialModel, self.whole.model(self.robot))
+        return replace(made, whole=made.whole.leaving(left, scatter, where))
 
     @cached_property
     def core(self) -> _core.SerialCalibrated:
@@ -87,16 +63,14 @@ class SerialCalibration(Calibration):
     @cached_property
     def tracker_turn(self) -> Floats:
         """From the axes of the base to those in which the tracker reads (3, 3), as identified."""
-        known = dict(zip((p.name for p in self.model.parameters), self.whole.values.tolist(), strict=True))
-        turn = [known.get(f"frame_turn_{axis}", 0.0) for axis in "xyz"]
+        turn = [self.by_name.get(f"frame_turn_{axis}", 0.0) for axis in "xyz"]
         return scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix() @ of_rpy(
             np.deg2rad(self.robot.tracker_rpy_deg).tolist()
         )
 
     def from_tracker(self, readings_mm: ArrayLike) -> Floats:
         """What the tracker shows (n, 3), mm, in the base frame, from where it was found to stand."""
-        known = dict(zip((p.name for p in self.model.parameters), self.whole.values.tolist(), strict=True))
-        shift = np.array(self.robot.tracker_mm) + [known.get(f"frame_{axis}", 0.0) for axis in "xyz"]
+        shift = np.array(self.robot.tracker_mm) + [self.by_name.get(f"frame_{axis}", 0.0) for axis in "xyz"]
         return (matrix(readings_mm, "readings") - shift) @ self.tracker_turn
 
     def forward(
@@ -160,7 +134,7 @@ class SerialCalibration(Calibration):
         columns, _ = self.core.by_parameters_batch(joints, self._now(), self.model.indices)
         # what the tracker's frame is off by moves no target: it only hides in the others
         columns[:, :, [p.name.startswith("frame") for p in self.model.parameters[: len(self.model.indices)]]] = 0.0
-        return columns @ self.whole.covariance @ columns.transpose(0, 2, 1) + self.whole.residual_covariance
+        return self.whole.spread(columns)
 
     def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:
         """In the axes of the base."""
@@ -180,9 +154,4 @@ class SerialCalibration(Calibration):
 
     def planes(self, per_side: int) -> Planes:
         """The lowest, middle and highest plane of what was measured."""
-        low, high = self.whole.low, self.whole.high
-        x, y = (np.linspace(low[k], high[k], per_side) for k in range(2))
-        z = np.linspace(high[2], low[2], 3) if high[2] > low[2] else np.array([low[2]])
-        grid = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1).reshape(-1, 3)[:, ::-1]
-        titles = tuple(f"z = {one:.0f} mm" for one in z)
-        return Planes(x, y, ("x, mm", "y, mm"), titles, np.ascontiguousarray(grid), np.ones(len(grid), dtype=bool))
+        return Planes.horizontal(self.whole.low, self.whole.high, per_side, ".0f")

@@ -17,9 +17,8 @@ from ...data import Measurements
 from ...data.frames import clean
 from ...data.reader import RunLike, run_of
 from ...errors import MeasurementError, SherkitWarning
-from .columns import POSITION, TARGET
 from .frames import Triple, of_rpy
-from .robot import Serial
+from .robot import POSITION, TARGET, Serial
 
 #: Columns that tell the turn, from the axes of what is held to those of the instrument: a rotation vector, or a
 #: quaternion of length one.

@@ -23,8 +23,37 @@ from ...data.declared import Declared, key, keys_from, keys_of
 from ...data.toml import Table
 from ...errors import OutOfReach, ShapeError
 from ...model.batch import Batch, matrix, vector, why
-from .columns import layout_of_arm
 from .frames import Triple, frame, of_rpy, onto
+
+# -- The columns of a run -----------------------------------------------------------------------------------------
+
+POSITION = ("x_mm", "y_mm", "z_mm")
+#: Number of the target, from 1, where an arm carries several, and of the centre or plane from which a distance counts.
+TARGET, CENTRE, PLANE = "target", "centre", "plane"
+#: What hangs at the first target besides the arm's own weight, kg.
+PAYLOAD = "payload_kg"
+
+
+def layout_of_arm(joints: Sequence[tuple[str, str]]) -> Layout:
+    """For joints by name and unit, rad or mm."""
+    names = tuple(f"{name}_{unit}" for name, unit in joints)
+    velocities = tuple(f"{name}_per_s" for name in names)
+    return Layout(
+        names,
+        POSITION,
+        "µm",
+        1e3,
+        "distance_mm",
+        (CENTRE, PLANE),
+        velocities,
+        apart=(TARGET, CENTRE, PLANE),
+        from_fixed=True,
+        loads=(PAYLOAD,),
+        own_joints=True,
+    )
+
+
+# -- The arm ------------------------------------------------------------------------------------------------------
 
 Pair = tuple[float, float]
 

@@ -6,7 +6,7 @@ carries is the slope of the energy of its weights by a difference, never the cod
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -19,17 +19,37 @@ from ...base import linalg
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.toml import Table
-from ...errors import ShapeError
-from ...model.kinds import Option
-from .columns import CENTRE, PAYLOAD, PLANE, TARGET
+from ...model.kinds import Option, walked
 from .frames import Triple
-from .robot import Serial
+from .robot import CENTRE, PAYLOAD, PLANE, TARGET, Serial
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
+# -- Sets of postures ---------------------------------------------------------------------------------------------
+
+#: Postures of each, and the part of the limits that a local set keeps to.
+_WHOLE, _LOCAL, _PART = 60, 40, 0.2
+
+
+def postures(robot: Serial, count: int, share: float = 1.0, seed: int = 0) -> Floats:
+    """Joint readings (count, k), at random within ``share`` of the limits about home."""
+    low, high = robot.ranges
+    middle = np.clip(robot.home, low, high)
+    at = np.random.default_rng(seed).uniform(size=(count, len(low)))
+    return middle + share * (low + at * (high - low) - middle)
+
+
+#: All that the joints can reach, and the middle of it.
+AREAS: Mapping[str, Callable[[Serial], Floats]] = {
+    "whole": lambda robot: postures(robot, _WHOLE),
+    "local": lambda robot: postures(robot, _LOCAL, _PART),
+}
+
+
+# -- The arm ------------------------------------------------------------------------------------------------------
+
 _SECONDS_PER_POSE = 4.0
-_ORDERS = ("planes", "shuffled")
 _STEP_RAD = 1e-4
 _GRAVITY = 9.80665
 #: Plausible geometric errors of an arm: zeros of joints, rad; places of axes and target, mm; leans, rad; where the
@@ -312,14 +332,9 @@ class VirtualSerial:
         ``payload_kg``, one or (n,) for the poses, hangs at the first target; left out, nothing does, and no such
         column is written.
         """
-        if order not in _ORDERS:
-            raise ShapeError(f"order: '{order}' is not known; choose {' or '.join(_ORDERS)}")
-        if repeats < 1:
-            raise ShapeError(f"repeats: expected at least 1, got {repeats}")
         rng = np.random.default_rng(seed)
         poses = np.atleast_2d(np.asarray(joints, dtype=float))
-        walk = np.arange(len(poses))
-        pose = np.concatenate([rng.permutation(walk) if order == "shuffled" else walk for _ in range(repeats)])
+        pose, said = walked(len(poses), repeats, order, rng)
         n, read, hidden = len(pose), poses[pose], self.effects
         time = _SECONDS_PER_POSE * np.arange(n)
         payload = np.broadcast_to(np.asarray(0.0 if payload_kg is None else payload_kg, dtype=float), len(poses))[pose]
@@ -349,8 +364,7 @@ class VirtualSerial:
                     shown.append(self.seen(point, late) if plane is None else self.height(point, plane))
         reading = np.array(shown) + self.noise_mm * rng.normal(size=(len(shown), 3))
         layout = self.robot.layout
-        columns: dict[str, Any] = {"time_s": time, "temperature_c": warmth, "pose": pose + 1}
-        columns |= {"repeat": np.repeat(np.arange(repeats), len(poses)) + 1}
+        columns: dict[str, Any] = {"time_s": time, "temperature_c": warmth, **said}
         if payload_kg is not None:
             columns[PAYLOAD] = payload
         columns |= dict(zip(layout.joints, read.T, strict=True))

@@ -4,18 +4,20 @@ import math
 from typing import Any
 
 from ...model.kinds import Asked, Kind
-from .calibration import SphericalCalibration
-from .camera import CameraView, camera_placement, picture_half_angle
-from .columns import SPHERICAL_ANGLES, SPHERICAL_PIXELS
+from .calibration import RemoteCentre, SphericalCalibration, remote_centre
 from .drawing import drawing
-from .effects import SPHERICAL_CATALOGUE
-from .model import SphericalModel
-from .paper import TaskError, identify_joints, task_error
-from .pose_sets import AREAS, POSES
-from .poses import sphere_patch
-from .remote_centre import RemoteCentre, remote_centre
-from .robot import ASSEMBLY_MODES, WORKING_MODES, Spherical
-from .straightness import straightness, straightness_by
+from .model import SPHERICAL_CATALOGUE, SphericalModel, TaskError, identify_joints, task_error
+from .poses import AREAS, POSES, sphere_patch, straightness, straightness_by
+from .robot import (
+    ASSEMBLY_MODES,
+    SPHERICAL_ANGLES,
+    SPHERICAL_PIXELS,
+    WORKING_MODES,
+    CameraView,
+    Spherical,
+    camera_placement,
+    picture_half_angle,
+)
 from .virtual import VirtualSpherical
 
 _PLACED: dict[str, Any] = {"phi_deg": 90.0, "gamma_deg": 45.0, "distance_mm": 446.2}

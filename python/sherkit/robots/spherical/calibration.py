@@ -13,15 +13,98 @@ import sherkit._core as _core
 
 from ...base import linalg
 from ...base.types import Bools, Floats
-from ...fit.identify import Fit
+from ...errors import FitError
+from ...fit.identify import Fit, identify
 from ..accuracy import Planes
 from ..calibrated import Calibration, Note
 from ..calibration_run import CalibrationRun
 from ..part import Part
-from .columns import SPHERICAL_ANGLES
 from .model import SphericalModel
-from .remote_centre import centre_in_words, remote_centre
-from .robot import Spherical
+from .robot import SPHERICAL_ANGLES, Spherical
+
+# -- The remote centre of motion: how far it wanders is what makes such a robot safe ------------------------------
+
+EFFECT = "axis_offset"
+#: One-sided 95 % quantile of a Gaussian.
+_ONE_SIDED = 1.6448536269514722
+
+
+@dataclass(frozen=True, eq=False)
+class RemoteCentre:
+    """Displacement of the remote centre over the poses of a run, mm.
+
+    ``displacement_mm`` (n, 3) and ``covariance_mm2`` (n, 3, 3), row by row; ``explained`` tells whether the axes that
+    miss the centre are in the model that was fitted, or were added only to ask.
+    """
+
+    displacement_mm: Floats
+    covariance_mm2: Floats
+    explained: bool
+
+    @property
+    def distance_mm(self) -> Floats:
+        """How far the centre is off at every row (n,)."""
+        return np.linalg.norm(self.displacement_mm, axis=1)
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square of the distance."""
+        return float(np.sqrt(np.mean(self.distance_mm**2)))
+
+    @property
+    def largest(self) -> tuple[float, float]:
+        """Largest distance over the run and its standard deviation, mm."""
+        row = int(np.argmax(self.distance_mm))
+        return float(self.distance_mm[row]), float(self._std_along()[row])
+
+    @property
+    def within_mm(self) -> float:
+        """The centre stays within this distance, mm, at every pose of the run, in 95 of 100 cases."""
+        return float((self.distance_mm + _ONE_SIDED * self._std_along()).max())
+
+    def _std_along(self) -> Floats:
+        """Standard deviation of each distance: along the displacement, or the worst way where there is none."""
+        distance = self.distance_mm[:, None]
+        along = np.divide(self.displacement_mm, distance, out=np.zeros_like(self.displacement_mm), where=distance > 0)
+        variance = np.einsum("ni,nij,nj->n", along, self.covariance_mm2, along)
+        worst = linalg.eigvalsh(self.covariance_mm2)[:, -1]
+        return np.sqrt(np.where(distance[:, 0] > 0, variance, worst).clip(0.0))
+
+    def __repr__(self) -> str:
+        size, std = self.largest
+        return f"RemoteCentre(off by at most {size:.3f} ± {std:.3f} mm, within {self.within_mm:.3f} mm at 95 %)"
+
+
+def remote_centre(fit: Fit) -> RemoteCentre:
+    """How far the remote centre wanders over the poses of a fitted run.
+
+    Where ``axis_offset`` is not in the model it is fitted besides, to ask. Raises
+    :class:`~sherkit.errors.FitError` for a robot without a remote centre.
+    """
+    if EFFECT not in fit.model.known_effects:
+        raise FitError("only a spherical robot has a remote centre of motion")
+    model = cast(SphericalModel, fit.model)
+    explained = EFFECT in {e.name for e in model.effects}
+    if not explained:
+        model = model.with_effect(model.known_effects[EFFECT])
+        fit = identify(model, fit.data, noise=fit.noise, loss=fit.loss)
+    full = model.full(fit.values)
+    here, by_values, _, reached = model.core.centres(full, model.block(fit.data), model.indices)
+    count = len(model.indices)
+    covariance = (fit.covariance + fit.unobserved_covariance)[:count, :count]
+    rows = reached & ~fit.data.outlier
+    spread = by_values[rows] @ covariance @ by_values[rows].transpose(0, 2, 1)
+    return RemoteCentre(here[rows], spread, explained)
+
+
+def centre_in_words(found: RemoteCentre) -> str:
+    """One sentence for people."""
+    size, std = found.largest
+    model = "" if found.explained else " (axis_offset was fitted besides, to ask)"
+    return f"off by at most {size:.3f} ± {std:.3f} mm over the run, within {found.within_mm:.3f} mm at 95 %{model}"
+
+
+# -- The calibration ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -40,32 +123,14 @@ class SphericalCalibration(Calibration):
 
     @classmethod
     def of(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> Self:
-        """From a run; there is no local one. Raises as :class:`SphericalModel`."""
+        """From a run; there is no local one. Raises as :class:`~sherkit.robots.spherical.SphericalModel`."""
         del local
-        fit = whole.fit
-        held_out = whole.deployed(whole.held_out)
-        count = len(fit.model.indices)
-        made = cls(
-            fit.model.robot,
-            Part(
-                **Part.identified(fit),
-                covariance=(fit.covariance + fit.unobserved_covariance)[:count, :count],
-                residual_covariance=np.zeros((2, 2)),
-                low=np.zeros(2),
-                high=np.zeros(2),
-            ),
-        )
+        fit, held_out = whole.fit, whole.deployed(whole.held_out)
+        made = cls(fit.model.robot, Part.identified(fit, 2))
         full = fit.data.taken.all(axis=1) & ~fit.data.outlier & np.isfinite(held_out).all(axis=1)
         angles = made._as_angles(fit, held_out, full)[0]
         left, scatter = whole.left(lambda missed: made._as_angles(fit, missed, full)[1], held_out)
-        part = replace(
-            made.whole,
-            residual_covariance=left,
-            noise_covariance=scatter,
-            low=angles.min(axis=0) if len(angles) else np.zeros(2),
-            high=angles.max(axis=0) if len(angles) else np.zeros(2),
-        )
-        return replace(made, whole=part)
+        return replace(made, whole=made.whole.leaving(left, scatter, angles))
 
     def _as_angles(self, fit: Fit, held_out: Floats, rows: Bools) -> tuple[Floats, Floats]:
         """Angles (k, 2) of the rows, and their residuals carried through the joints to angles across it (k, 2)."""
@@ -89,11 +154,6 @@ class SphericalCalibration(Calibration):
     # -- the model ---------------------------------------------------------------------------------------
 
     @cached_property
-    def model(self) -> SphericalModel:
-        """The model that was identified."""
-        return cast(SphericalModel, self.whole.model(self.robot))
-
-    @cached_property
     def core(self) -> _core.SphericalCalibrated:
         """The compiled model: the same code that a control loop runs."""
         return _core.SphericalCalibrated(self.model.core, self.model.full(self.whole.values), self.robot.working_mode)
@@ -101,8 +161,7 @@ class SphericalCalibration(Calibration):
     @property
     def radius_mm(self) -> float:
         """Distance of the end of the tool from the centre, as identified."""
-        names = [p.name for p in self.model.parameters]
-        return self.robot.radius_mm + (float(self.whole.values[names.index("radius")]) if "radius" in names else 0.0)
+        return self.robot.radius_mm + self.by_name.get("radius", 0.0)
 
     # -- accuracy ----------------------------------------------------------------------------------------
 
@@ -111,7 +170,7 @@ class SphericalCalibration(Calibration):
         del coordinates
         angles, by_values, _ = self.core.by_parameters_batch(joints, self._now(), self.model.indices)
         across = np.stack([_across(by_values[:, :, k], angles) for k in range(by_values.shape[2])], axis=2)
-        return across @ self.whole.covariance @ across.transpose(0, 2, 1) + self.whole.residual_covariance
+        return self.whole.spread(across)
 
     def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:
         """Through the joints to angles across the tool."""

@@ -7,8 +7,8 @@ import numpy as np
 from ...base.types import Floats
 from ...data import Measurements
 from ...model.drawing import Drawing, Part, line, with_target
-from .columns import SPHERICAL_ANGLES
 from .model import SphericalModel
+from .robot import SPHERICAL_ANGLES
 
 #: Arcs are drawn on spheres of these parts of the marker's radius: proximal ones inside distal ones.
 _PROXIMAL, _DISTAL = 0.62, 0.8

@@ -1,23 +1,82 @@
-"""The spherical robot as a model for identification: geometry, datum, camera and effects, on pixels or on angles."""
+"""The spherical robot as a model for identification: geometry, datum, camera and effects, on pixels or on angles.
+
+The table of the effects is `rust/core/src/spherical/effects.rs`; here are the sentences on them.
+
+Beside it stands the paper's identification, from the residual of the inverse kinematics.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 
 import sherkit._core as _core
 
+from ...base.names import listed
 from ...base.types import Bools, Floats
 from ...data import Measurements
-from ...errors import SherkitError
+from ...data.noise import noise_of
+from ...errors import FitError, SherkitError
+from ...fit.identify import Fit
 from ...model.chain import SLACK, ChainModel
-from .camera import CameraView
-from .columns import SPHERICAL_ANGLES, SPHERICAL_PIXELS
-from .effects import SPHERICAL_CATALOGUE
-from .robot import Spherical
+from ...model.effect import Effect, Sentences
+from ...model.kinds import model_of
+from ...model.sentences import catalogue_of
+from .robot import SPHERICAL_ANGLES, SPHERICAL_PIXELS, CameraView, Spherical
+
+# -- Effects ------------------------------------------------------------------------------------------------------
+
+_OWN = {
+    "joint_offset": Sentences(
+        physics="The zero of an encoder is not where the drawing has it: every reading of the joint is off by one "
+        "angle.",
+        residuals="The common part turns the whole picture about the actuated axis; the difference lifts the tool.",
+        remedy="Drive each joint to its mechanical zero and set the encoder there.",
+    ),
+    "joint_scale": Sentences(
+        physics="The ratio of gear or belt is not quite what the drawing says, so an encoder counts too many or too "
+        "few radians.",
+        residuals="Grows in proportion to the travel of one joint; zero at the home position.",
+        remedy="Compare a full turn of each joint with its index mark; correct counts per turn.",
+    ),
+    "unequal_limbs": Sentences(
+        physics="The two limbs are not alike: the arcs of limb 1 are longer than the common ones by the value, those "
+        "of limb 2 shorter by as much, so the limbs differ by twice the value.",
+        residuals="The tool leans to one side, more where it points away from the actuated axis.",
+        remedy="Measure the arcs of both limbs on one fixture and match them.",
+    ),
+    "axis_offset": Sentences(
+        physics="The axis between the links of a limb misses the centre, so the remote centre of motion wanders as the "
+        "robot moves.",
+        residuals="Millimetres that turn with the joints, whatever the radius.",
+        remedy="Shim the bearings of the elbows until their axes meet; this is what makes the robot safe.",
+    ),
+    "gravity_flexure": Sentences(
+        physics="The distal links bend under the weight of the tool; the value is the bend under all of its moment.",
+        residuals="Droop that grows with the horizontal lever arm of the tool.",
+        remedy="Stiffen the distal links, or balance the tool.",
+    ),
+    "marker_offset": Sentences(
+        physics="The marker is not on the tool axis: it sits beside it, and turns with the distal link.",
+        residuals="A shift that turns with the tool.",
+        remedy="Move the marker onto the axis, or measure where it is.",
+    ),
+    "thermal_growth": Sentences(
+        physics="Everything expands with temperature, so the marker moves away from the remote centre.",
+        residuals="A growth of the radius in proportion to the deviation of temperature from 20 °C; none in angles.",
+        remedy="Warm up before measuring; hold the temperature; use Invar.",
+    ),
+}
+
+#: The effects by name, in the order of the chain.
+SPHERICAL_CATALOGUE: dict[str, Effect] = catalogue_of(_core.SphericalModel.CATALOGUE, _OWN)
+
+
+# -- The model ----------------------------------------------------------------------------------------------------
 
 _DATUM = ("datum_phi", "datum_gamma")
 #: Poses along φ and γ from which the next ones are chosen.
@@ -181,3 +240,94 @@ class SphericalModel(ChainModel):
     def camera_with(self, values: Floats) -> _core.Camera:
         """The camera with its identified errors."""
         return self.core.camera(self.full(values))
+
+
+# -- As the paper has it (Eq. 6) ----------------------------------------------------------------------------------
+
+#: Effects that the inverse kinematics of a reading cannot hold.
+_BEHIND_THE_JOINTS = ("axis_offset", "gravity_flexure", "marker_offset", "thermal_growth", "drift", "slip")
+
+
+@dataclass(frozen=True)
+class TaskError:
+    """Table II: what is left between joints and vision, by angle, rad: mean, root mean square, largest."""
+
+    mean: tuple[float, float]
+    rms: tuple[float, float]
+    largest: tuple[float, float]
+    #: Root of the sum of squares, which the paper prints under the name of RMS.
+    root_sum: tuple[float, float]
+
+
+def identify_joints(robot: Spherical | SphericalModel, data: Measurements, *, free: Sequence[str] = ()) -> Fit:
+    """Fits the free parameters so that the inverse kinematics of the readings gives the joints, all rows alike (Eq. 6).
+
+    It is the paper's way, to stand beside :func:`~sherkit.fit.identify.identify`, which compares readings: there every
+    reading weighs by its own noise, and errors behind the joints (axes that miss the centre, flexure, the marker) have
+    a place.
+
+    The covariance follows from the residuals of the joints. Raises :class:`~sherkit.errors.FitError` for effects that
+    act behind the joints, effects given in NumPy, rows without both readings, and rows that cannot be computed.
+    """
+    model = cast(SphericalModel, model_of(robot, free))
+    refused = [e.name for e in model.effects if e.name in _BEHIND_THE_JOINTS or e.function is not None]
+    if refused:
+        raise FitError(
+            f"{listed(refused)}: acts behind the joints and has no place in the residual of the inverse kinematics; "
+            "use sherkit.identify"
+        )
+    half = ~data.taken.all(axis=1) & ~data.outlier
+    if half.any():
+        raise FitError(f"{data.place(half)}: the inverse kinematics needs both readings of a row")
+    solver = _core.Solver(np.zeros(len(model.parameters)), np.array([p.size for p in model.parameters]))
+    weights = np.ascontiguousarray(np.repeat(np.where(data.outlier, 0.0, 1.0)[:, None], 2, axis=1))
+    block = model.block(data)
+    read = np.where(data.taken, data.readings, np.nan)
+    ended, missing = model.core_for(data).solve_inverse(
+        solver, np.zeros(len(model.core_parameters)), model.indices, block, read, weights, False
+    )
+    model.require(data, np.array(missing, dtype=np.int64), np.zeros(len(model.parameters)))
+    result = solver.result()
+    left = model.joint_residuals(data, solver.trial)[~data.outlier]
+    scale = float(np.sqrt((left**2).sum() / max(left.size - result["rank"], 1)))
+    return Fit(
+        model=model,
+        data=data,
+        values=solver.trial,
+        covariance=result["covariance"] * scale**2,
+        unobserved_covariance=result["unobserved_covariance"],
+        rank=result["rank"],
+        singular_values=result["singular_values"],
+        unobserved_basis=result["unobserved"],
+        scale=scale,
+        noise=noise_of(data),
+        loss="linear",
+        priors=False,
+        converged=ended == "converged",
+        evaluations=result["evaluations"],
+    )
+
+
+def task_error(model: SphericalModel, data: Measurements, values: Floats) -> TaskError:
+    """φ and γ by the kinematics of the joints, less those that vision gives with the same parameters, rad (Table II).
+
+    Raises :class:`~sherkit.errors.FitError` for rows that cannot be computed.
+    """
+    seen = model.seen_angles(data, values)
+    full = model.full(values)
+    told, reached = model.pointing.predict(full, model.block(data))
+    bad = ~(reached & np.isfinite(seen).all(axis=1)) & ~data.outlier
+    model.require(data, np.flatnonzero(bad), values)
+    left = (told - seen)[~data.outlier]
+    left[:, 0] = np.angle(np.exp(1j * left[:, 0]))
+
+    def pair(v: Floats) -> tuple[float, float]:
+        return float(v[0]), float(v[1])
+
+    squares = (left**2).sum(axis=0)
+    return TaskError(
+        mean=pair(left.mean(axis=0)),
+        rms=pair(np.sqrt(squares / len(left))),
+        largest=pair(np.abs(left).max(axis=0)),
+        root_sum=pair(np.sqrt(squares)),
+    )

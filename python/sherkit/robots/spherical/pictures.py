@@ -17,7 +17,7 @@ from ...data.files import write_whole
 from ...errors import MeasurementError, SherkitWarning
 from ...vision.marker import Seen, find_marker
 from ...vision.pictures import CameraPicture
-from .columns import SPHERICAL_PIXELS
+from .robot import SPHERICAL_PIXELS
 
 TIME, U, V, WHY = "time_s", "u_px", "v_px", "why"
 SIGMA_U, SIGMA_V = "sigma_u_px", "sigma_v_px"

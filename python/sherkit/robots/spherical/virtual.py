@@ -19,10 +19,8 @@ from ...base.types import Floats
 from ...data import Measurements
 from ...data.toml import Table
 from ...errors import OutOfReach, ShapeError
-from ...model.kinds import Option
-from .camera import CameraView
-from .columns import SPHERICAL_JOINTS, SPHERICAL_PIXELS
-from .robot import Spherical
+from ...model.kinds import Option, walked
+from .robot import SPHERICAL_JOINTS, SPHERICAL_PIXELS, CameraView, Spherical
 
 if TYPE_CHECKING:
     from ...vision.pictures import CameraPicture
@@ -32,7 +30,6 @@ if TYPE_CHECKING:
 PAPER_ERRORS = {"alpha": 0.7634 - 0.7854, "beta": 0.8037 - 0.7854, "radius": 22.1}
 _DWELL_S = 2.0
 _TRAVEL_S = 1.0
-_ORDERS = ("planes", "shuffled")
 _MARKER_MM = 12.0
 
 
@@ -162,20 +159,11 @@ class VirtualSpherical:
 
         The robot stands still when it is seen. Raises :class:`~sherkit.errors.OutOfReach`, :class:`ShapeError`.
         """
-        if order not in _ORDERS:
-            raise ShapeError(f"order: '{order}' is not known; choose {' or '.join(_ORDERS)}")
-        if repeats < 1:
-            raise ShapeError(f"repeats: expected at least 1, got {repeats}")
-        rng = np.random.default_rng(seed)
         joints = self.robot.inverse_batch(np.atleast_2d(np.asarray(angles_rad, dtype=float))).require("pose")
-        walks = [
-            rng.permutation(len(joints)) if order == "shuffled" else np.arange(len(joints)) for _ in range(repeats)
-        ]
-        pose = np.concatenate(walks)
+        pose, said = walked(len(joints), repeats, order, np.random.default_rng(seed))
         return {
             "time_s": np.arange(len(pose)) * (_DWELL_S + _TRAVEL_S),
-            "pose": pose + 1,
-            "repeat": np.repeat(np.arange(repeats) + 1, len(joints)),
+            **said,
             **{name: joints[pose, k] for k, name in enumerate(SPHERICAL_JOINTS)},
         }
 

@@ -1,8 +1,7 @@
 """The flexible tool whose fibres feel the force."""
 
 from .alignment import Registration, align, register
-from .bench import Loads, read_loads
-from .calibration import ToolCalibration, calibrate_tool
+from .calibration import Loads, ToolCalibration, calibrate_tool, read_loads
 from .effects import TOOL_CATALOGUE
 from .filters import Estimate, estimate
 from .known import judge, known

@@ -15,8 +15,7 @@ import sherkit._core as _core
 from ...base import linalg
 from ...base.types import Floats
 from ...errors import FitError, ShapeError
-from .plausible import check_shapes, likeness
-from .runs import ToolRun
+from .runs import ToolRun, check_shapes, likeness
 from .tool import FlexibleTool
 
 # -- The rigid transform between two clouds of points ----------------------------------------------------------------

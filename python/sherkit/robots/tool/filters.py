@@ -21,10 +21,8 @@ from ...base import linalg
 from ...base.notebook import Shown
 from ...base.types import Bools, Floats
 from ...errors import MeasurementError
-from .columns import FIBRES
-from .plausible import OUT_OF_REACH_NM, check_wavelengths
-from .runs import ToolRun
-from .tool import FlexibleTool
+from .runs import OUT_OF_REACH_NM, ToolRun, check_wavelengths
+from .tool import FIBRES, FlexibleTool
 
 # -- What an interrogator does wrong, in words ----------------------------------------------------------------------
 

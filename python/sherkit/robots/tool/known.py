@@ -18,7 +18,7 @@ from ...base import linalg
 from ...base.types import Bools, Floats
 from .alignment import at_times
 from .filters import NIS_LEVEL, Estimate
-from .plausible import check_camera
+from .runs import check_camera
 
 #: What intervals are stated to cover.
 STATED = 0.95

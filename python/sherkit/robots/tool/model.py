@@ -13,22 +13,78 @@ from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
+from ...base import linalg
 from ...base.saved import Saved
 from ...base.types import Floats
 from ...data import Measurements, from_arrays
 from ...errors import FitError, MeasurementError, RobotError
-from ...model.drawing import Drawing
+from ...fit.identify import Fit
+from ...model.drawing import Drawing, Part, line, with_target
 from ...model.effect import Effect, Parameter
 from ...model.rows import Rows
 from .alignment import at_times
-from .drawing import drawing
 from .effects import TOOL_CATALOGUE, ToolEffect
 from .places import Places
-from .plausible import check_camera, check_wavelengths
-from .runs import ToolRun, require_camera
-from .tool import FlexibleTool
+from .runs import ToolRun, check_camera, check_wavelengths, require_camera
+from .tool import FlexibleTool, rotation_of
+
+# -- As it is drawn -----------------------------------------------------------------------------------------------
+
+_STEPS = 25
+#: Radius of the hole as it is drawn, and how much of the way to the camera, by the length of the shaft.
+_HOLE, _SIGHT = 0.12, 0.8
+
+
+def drawing(
+    tool: Any, turn: Floats, unbent_mm: Floats, depth_mm: Floats, tip_mm: Floats, shown_mm: Floats
+) -> Drawing:  # fmt: skip
+    """A tool at n moments.
+
+    ``turn`` (n, 3, 3) takes its frame to the base, ``unbent_mm`` (n, 3) is where the tip would be without force,
+    ``depth_mm`` (n,) how far from the tip the contact is, ``tip_mm`` (n, 3) where the tip is, ``shown_mm`` (n, 3) where
+    it is seen.
+
+    The shaft has the shape of a cantilever under a load at the contact, w(s) ~ s² (3 a - s) and straight beyond it, of
+    the size that brings its end to the tip.
+    """
+    length, way = tool.length_mm, turn[:, :, 2]
+    clamp = unbent_mm - length * way
+    contact = np.clip(length - depth_mm, 0.05 * length, length)
+
+    def along(s: Floats) -> Floats:
+        """Points (n, k, 3) at ways (n, k) from the clamp."""
+        a = contact[:, None]
+        bent = np.where(s < a, s**2 * (3.0 * a - s), a**2 * (3.0 * s - a))
+        share = bent / (contact**2 * (3.0 * length - contact))[:, None]
+        straight = clamp[:, None] + s[:, :, None] * way[:, None]
+        return np.asarray(straight + share[:, :, None] * (tip_mm - unbent_mm)[:, None])
+
+    n = len(tip_mm)
+    whole = np.broadcast_to(np.linspace(0.0, length, _STEPS), (n, _STEPS))
+    hole = along(contact[:, None])[:, 0]
+    angle = np.linspace(0.0, 2.0 * np.pi, 33)[None, :, None]
+    circle = _HOLE * length * (np.cos(angle) * turn[:, None, :, 0] + np.sin(angle) * turn[:, None, :, 1])
+    to_camera = np.array(tool.camera_translation_mm) - shown_mm
+    far = np.linalg.norm(to_camera, axis=1, keepdims=True)
+    sight = shown_mm + _SIGHT * length * np.divide(to_camera, far, out=np.zeros_like(to_camera), where=far > 0)
+    parts = [
+        Part("shaft without force", "guide", line(clamp, unbent_mm)),
+        Part("hole in the sclera", "sensor", hole[:, None] + circle),
+        Part("shaft", "link", along(whole)),
+        Part("clamp", "joint", line(clamp)),
+        *(
+            Part(f"gratings of section {name}", "joint", along(np.full((n, 1), length - distance)))
+            for name, distance in zip(("I", "II"), tool.distances_mm, strict=True)
+        ),
+        Part("towards the camera", "guide", line(shown_mm, sight)),
+    ]
+    return with_target(parts, tip_mm, shown_mm)
+
+
+# -- The model ----------------------------------------------------------------------------------------------------
 
 #: Column of the rows that says which picture a row is.
 _PICTURE = "picture"
@@ -182,3 +238,55 @@ class ToolModel(Saved):
             return last[values][rows[_PICTURE].astype(np.int64)]
 
         return adds
+
+
+# -- Into the tool file -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Applied:
+    """``tool`` says the effects that are ``written``; ``kept_out`` are those that a tool file cannot say, ``why`` a
+    sentence on each."""
+
+    tool: FlexibleTool
+    written: tuple[str, ...]
+    kept_out: tuple[str, ...]
+    why: tuple[str, ...]
+
+
+@linalg.one_thread()
+def applied(model: ToolModel, fit: Fit) -> Applied:
+    """The tool of a model with the camera's offset and the effects of a fit to its rows written into it.
+
+    The camera saw the tip at m + R (tip - m) + c, with the middle m of the run's places, the turn R of ``registration``
+    and the offset c; its frame is turned and moved back by that.
+    """
+    tool, written, kept_out, why = model.tool, [], [], []
+    turn = np.eye(3)
+    for effect in fit.model.effects:
+        values = fit.values[fit.model.owns(effect)]
+        known = TOOL_CATALOGUE.get(effect.name)
+        if effect.name == "registration":
+            turn = rotation_of(values)[0]
+        elif known is None or known.tool is None:
+            kept_out.append(effect.name)
+            why.append(f"{effect.name} has no key in a tool file. {known.remedy if known else ''}".strip())
+            continue
+        else:
+            try:
+                tool = known.tool(tool, values)
+            except RobotError as error:
+                kept_out.append(effect.name)
+                why.append(f"{effect.name} cannot be written: {error}")
+                continue
+        written.append(effect.name)
+    offset = fit.values[: len(model.parameters)]
+    middle = model.predict(model.readings, np.zeros(len(model.parameters))).mean(axis=0)
+    shift = turn.T @ (np.array(tool.camera_translation_mm) - offset - middle) + middle
+    rotation = scipy.spatial.transform.Rotation.from_matrix(turn.T @ tool.camera_rotation).as_rotvec()
+    tool = replace(
+        tool,
+        camera_rotation_rad=tuple(rotation.tolist()),
+        camera_translation_mm=tuple(shift.tolist()),
+    )
+    return Applied(tool, tuple(written), tuple(kept_out), tuple(why))

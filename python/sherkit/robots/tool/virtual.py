@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...base import linalg
 from ...base.types import Floats
 from ...errors import ShapeError
-from .bench import Loads
+from .calibration import Loads
 from .runs import ToolRun
 from .tool import FlexibleTool, rotation_of
 

@@ -14,17 +14,16 @@ from typing import Any
 import numpy as np
 import scipy
 
-from .diagnosis import Diagnosis, diagnose
-from .fit.forms import known
-from .fit.identify import Fit
-from .robots.printer import import_duet, import_klipper, import_marlin
-from .robots.printer.back import Held, commands, held
-from .robots.printer.bed import bed_shape
-from .robots.printer.gcode import words
-from .robots.printer.klipper import text_of
-from .robots.printer.model import distances
-from .robots.printer.probings import Found
-from .robots.printer.suspects import Suspect, plain_fit, suspects, turns
+from ...diagnosis import Diagnosis, diagnose
+from ...fit.forms import known
+from ...fit.identify import Fit
+from . import import_duet, import_klipper, import_marlin
+from .calibration import Held, commands, held
+from .gcode import words
+from .klipper import text_of
+from .model import bed_shape, distances
+from .robot import Found
+from .suspects import Suspect, plain_fit, suspects, turns
 
 #: By how much a plate is best turned: shapes of up to five lobes lie elsewhere then. A third of a turn would leave one
 #: of three lobes as it was, and that is what a twisted frame looks like.
