@@ -203,7 +203,7 @@ def levels(pairs: Iterator[tuple[int, int, int]]) -> Floats:
     for poses, repeats, seed in pairs:
         run = FittedRun(sk.identify(DELTA, few(poses, repeats, seed).data))
         stage = stage_of(run, run.catalogue, np.arange(len(run.data)), run.noise[0])
-        out.append(stage.scan.p_value(float(stage.scan.z_scores.max()), seed=seed))
+        out.append(stage.scan.p_value(float(stage.scan.z_scores.max()), level=LEVEL, seed=seed))
     return np.array(out)
 
 

@@ -13,9 +13,9 @@ from scipy import stats
 from sherkit.diagnosis import play_operator
 from sherkit.diagnosis.axis_waves import AxisWaves
 from sherkit.diagnosis.columns import Block, Columns
-from sherkit.diagnosis.lack_of_fit import z_score
+from sherkit.diagnosis.lack_of_fit import codes_of, z_score
 from sherkit.diagnosis.linearised import Linearised, Whitening, correlation_in_time, orthonormal, whiten
-from sherkit.diagnosis.scan import Scan, codes_of
+from sherkit.diagnosis.scan import Scan
 from sherkit.diagnosis.shapes import build, wave
 from sherkit.diagnosis.stage import _largest_step, _one_after_another
 from sherkit.diagnosis.waves import Gridded, Waves, waves_of
@@ -97,6 +97,26 @@ def columns_of(candidate: Columns, parts: dict[str, Floats]) -> Floats:
 def left(target: Floats, columns: Floats) -> Floats:
     """What a least-squares fit leaves."""
     return target - columns @ np.linalg.lstsq(columns, target, rcond=1e-10)[0]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_few_patterns_of_signs_decide_all_would(seed: int) -> None:
+    """Catches a score that is called beyond chance for what the first 256 patterns say where all 2,048 would not, or is
+    far beyond all of them and has them drawn: heavy tails, and scores about and beyond the largest of the first."""
+    rng = np.random.default_rng(seed)
+    parts = problem(seed)[1]
+    residual = rng.standard_t(4, size=(N, M))
+    rows = Written(residual, parts["fitted"], parts["functions"], parts["dense"])
+    scan = Scan(rows, CANDIDATES, np.arange(N))
+    null = scan.null(0)[1:]
+    first = Scan(rows, CANDIDATES, np.arange(N))
+    for score in (first.null(0, 256)[1:].max() + np.array([0.0, 0.3, 0.6, 1.0, 2.0, 5.0])).tolist():
+        exact = (1 + int((null >= score).sum())) / (len(null) + 1)
+        assert abs(first.p_value(score, level=0.01) - exact) <= 3 / (len(null) + 1)
+    assert (0, 2048) in first._nulls
+    far = Scan(rows, CANDIDATES, np.arange(N))
+    assert far.p_value(30.0, level=0.01) == 1 / 2048
+    assert (0, 2048) not in far._nulls
 
 
 def test_another_fit_beside_the_same_columns_is_a_family_of_its_own() -> None:
@@ -237,7 +257,7 @@ def test_p_values_of_noise_are_uniform() -> None:
         noise = (rng.normal(size=(N, M)) + common) * [1.0, 5.0, 0.3] * rng.choice([0.5, 3.0], N // 3)[group, None]
         rows = Written(noise, rng.normal(size=(N, M, P)), rng.normal(size=(N, F)), rng.normal(size=(N, M, D)))
         scan = Scan(rows, CANDIDATES, group)
-        below += scan.p_value(float(scan.z_scores.max()), seed=seed) <= 0.05
+        below += scan.p_value(float(scan.z_scores.max()), level=0.05, seed=seed) <= 0.05
     assert stats.binom.ppf(5e-4, 300, 0.05) <= below <= stats.binom.isf(5e-4, 300, 0.05)
 
 

@@ -174,7 +174,7 @@ class Deviations:
         for k in range(_MOST_SHAPES):
             scan = self._scan([numbers for _, numbers in family], functions)
             largest = float(scan.z_scores.max(initial=-np.inf))
-            p = scan.p_value(largest, seed=self.seed) if largest > _CHANCE else 1.0
+            p = scan.p_value(largest, level=LEVEL, seed=self.seed) if largest > _CHANCE else 1.0
             first = p if k == 0 else first
             if p > LEVEL:
                 break

@@ -20,8 +20,8 @@ from ..fit.folds import Beside, Folds, ranks_of, roots_of
 from ..model.effect import Effect
 from .explanation import displaces
 from .fitted_run import FittedRun
+from .lack_of_fit import FLIPS, codes_of
 from .linearised import Linearised
-from .scan import FLIPS, codes_of
 from .stage import Stage, testable
 from .waves import waves_of
 

@@ -174,3 +174,16 @@ def _tail(statistic: float, cumulants: Floats) -> float:
     if variance <= 0:
         return 1.0
     return pearson3_tail(statistic, third / variance**1.5, mean, np.sqrt(variance))
+
+
+# -- Patterns of signs ------------------------------------------------------------------------------------------------
+
+#: Patterns of signs under which a family is seen.
+FLIPS = 2048
+
+
+def codes_of(poses: int, seed: int, flips: int = FLIPS) -> Ints:
+    """A code for each pose (poses,): pattern t flips those whose code shares an odd number of bits with t. No two poses
+    always flip together, as long as there are codes."""
+    rng = np.random.default_rng(seed)
+    return rng.permutation(flips)[:poses] if poses <= flips else rng.integers(0, flips, poses)

@@ -22,7 +22,7 @@ from ..base import linalg
 from ..base.types import Floats, Ints
 from .axis_waves import AxisProducts, AxisWaves
 from .columns import Block, Columns, Image, Projected, Rows, Triangle, add_products, stretches_of
-from .lack_of_fit import z_score
+from .lack_of_fit import FLIPS, codes_of, z_score
 from .waves import FilteredWaves, Products
 
 #: Directions of a shape with less than this part left after projection cannot be told from the fit.
@@ -37,9 +37,11 @@ _PULLED = 0.04
 _DECIDES = 1e-6
 #: Part of a z score within which two are equal.
 _ROUNDING = 1e-9
-#: Patterns of signs under which the family is seen; and at first, where a p above :data:`_FAR` needs no finer one.
-FLIPS, _FIRST = 2048, 256
+#: Patterns of signs under which the family is seen at first, where a p above :data:`_FAR` needs no finer one.
+_FIRST = 256
 _FAR = 0.06
+#: Part of a level below which a p by Gumbel's law is far from it.
+_FAR_BELOW = 0.1
 
 
 class Scan:
@@ -143,8 +145,16 @@ class Scan:
         """The same family with these of its candidates alone."""
         place = {one: k for k, one in enumerate(self.candidates)}
         which = np.array([place[one] for one in candidates], dtype=np.int64)
-        new = self._copy("_sizes")
+        size, row = np.zeros((2, len(self.candidates)), dtype=np.int64)
+        for k, (those, _) in self._sizes.items():
+            size[those], row[those] = k, np.arange(len(those))
+        new = self._copy()
         new.candidates = tuple(candidates)
+        new._sizes = {
+            k: (at, columns[row[which[at]]])
+            for k, (_, columns) in self._sizes.items()
+            if len(at := np.flatnonzero(size[which] == k))
+        }
         new.gains = self.gains[0][which], self.gains[1][which]
         new.z_scores = self.z_scores[which]
         return new
@@ -158,10 +168,10 @@ class Scan:
         new._products()
         return new
 
-    def _copy(self, *more: str) -> Scan:
-        """Another, without what hangs on its model and ``more``."""
+    def _copy(self) -> Scan:
+        """Another, without what hangs on its model."""
         new = copy(self)
-        for name in ("_roots", "gains", "z_scores", "_nulls", *more):
+        for name in ("_roots", "gains", "z_scores", "_nulls"):
             new.__dict__.pop(name, None)
         return new
 
@@ -407,16 +417,22 @@ class Scan:
         more = np.where(value > 1e-12, (1.0 / np.sqrt(free) - 1.0) / np.maximum(value, 1e-12), 0.5)
         return np.einsum("gkl,gl,gml,gm->gk", vector, more, vector, of_residual)
 
-    def p_value(self, largest: float, *, seed: int = 0) -> float:
-        """Familywise p of a largest z score."""
-        p = 0.0
-        for flips in (_FIRST, FLIPS):
-            if p > _FAR:
-                break
-            # of few poses many patterns are the same, which rounding must not tell from the one that flips nothing
-            beyond = self.null(seed, flips)[1:] >= largest - _ROUNDING * abs(largest)
-            p = (1 + int(beyond.sum())) / flips
-        return p
+    def p_value(self, largest: float, *, level: float, seed: int = 0) -> float:
+        """Familywise p of a largest z score: of all patterns of signs where it is near the ``level`` that decides.
+
+        Else of the few first, whose largest scores follow Gumbel's law (Winkler et al., "Faster permutation inference
+        in brain imaging", NeuroImage 2016).
+        """
+        # of few poses many patterns are the same, which rounding must not tell from the one that flips nothing
+        least = largest - _ROUNDING * abs(largest)
+        first = self.null(seed, _FIRST)[1:]
+        if np.isfinite(first).all() and least > first.max():
+            scale = float(np.std(first)) * np.sqrt(6.0) / np.pi
+            tail = -np.expm1(-np.exp(-np.euler_gamma - (least - float(first.mean())) / max(scale, 1e-300)))
+            if tail < _FAR_BELOW * level:
+                return max(float(tail), 1.0 / FLIPS)
+        p = (1 + int((first >= least).sum())) / _FIRST
+        return p if p > _FAR else (1 + int((self.null(seed)[1:] >= least).sum())) / FLIPS
 
     def among(self, sets: Sequence[Columns]) -> Image:
         """A few candidates in full."""
@@ -432,10 +448,3 @@ class Scan:
             triangle.add(np.concatenate(parts, axis=2))
         model, *columns, residual = np.split(triangle.of, np.cumsum(counts)[:-1], axis=1)
         return Image(model, columns, residual[:, 0], self.n * self.m)
-
-
-def codes_of(poses: int, seed: int, flips: int = FLIPS) -> Ints:
-    """A code for each pose (poses,): pattern t flips those whose code shares an odd number of bits with t. No two poses
-    always flip together, as long as there are codes."""
-    rng = np.random.default_rng(seed)
-    return rng.permutation(flips)[:poses] if poses <= flips else rng.integers(0, flips, poses)

@@ -37,8 +37,9 @@ from .explanation import (
     simplicity,
 )
 from .fitted_run import FittedRun
+from .lack_of_fit import FLIPS
 from .periods import at_the_row, best_lag, period_of
-from .scan import FLIPS, Scan
+from .scan import Scan
 from .shapes import Shape, wave
 from .stage import Candidate, Stage, again, stage_of
 from .waves import OVERSAMPLING, Waves
@@ -122,7 +123,7 @@ class Search:
         largest = float(scan.z_scores.max())
         if largest > _PLAINLY_LEFT:
             return 1.0 / FLIPS
-        return scan.p_value(largest, seed=self.seed)
+        return scan.p_value(largest, level=self.level, seed=self.seed)
 
     # -- the search --------------------------------------------------------------------------------------
 

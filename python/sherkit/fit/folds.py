@@ -144,9 +144,8 @@ class Folds:
     def errors(self, columns: Floats, residual: Floats, rows: slice) -> Floats:
         """Errors (repetitions, b, m) of a stretch of rows, each under the fit to the rows outside its fold. ``columns``
         (b, m, k) and ``residual`` (b, m) are as given to :meth:`of`."""
-        predicted = columns @ (self.solutions / self.length).T
-        out = [np.take_along_axis(predicted, of[rows][:, None, None], axis=2)[:, :, 0] for of in self.place]
-        return residual - np.stack(out)
+        x = self.solutions / self.length
+        return residual - np.stack([np.einsum("nmk,nk->nm", columns, x[of[rows]]) for of in self.place])
 
 
 class Beside:
