@@ -19,7 +19,7 @@ from tornado.ioloop import IOLoop
 
 from ..base.names import listed
 from ..diagnosis import template
-from ..report.policy import fresh_nonce, numbered, policy
+from ..report.page import fresh_nonce, numbered, policy
 from ..report.scene import script as scenes
 from ..report.style import number
 from .controls import TYPE, Notices, button, text

@@ -9,14 +9,13 @@ from typing import Any
 from bokeh.layouts import column, row
 from bokeh.models import Div, Select
 
-from ..base.names import told_apart
-from ..report.error_history import ErrorHistory, ErrorOfStep, current_path, error_history
 from ..report.parameters import parameters
 from ..report.picture import Picture
 from ..report.residual_against import ResidualAgainst, residual_against
 from ..report.residual_against import note as against_note
-from ..report.residual_map import Change, residual_map
-from ..report.residuals import Residuals
+from ..report.residual_arrows import Change
+from ..report.residual_map import residual_map
+from ..report.states import ErrorHistory, ErrorOfStep, current_path, error_history
 from ..report.style import MUTED, quantity
 from .controls import TYPE, button
 from .page_state import PageState
@@ -64,9 +63,7 @@ class Maps:
             self._draw()
 
     def _fill(self, page_state: PageState) -> None:
-        known = [k for k in current_path(page_state.history) if page_state.residuals[k]]
-        names = told_apart([page_state.history[k].action for k in known])
-        steps = [(str(k), name) for k, name in zip(known, names, strict=True)]
+        steps = [(str(k), state.title) for k, state in page_state.states.items()]
         self._before.options, self._after.options = steps, steps
         # one state alone is compared with nothing
         if self.choices.visible != (len(steps) > 1):
@@ -90,16 +87,17 @@ class Maps:
         page_state = self._page_state
         if page_state is None or self._filling:
             return
-        before, after = self._left(page_state, self._before.value), self._left(page_state, self._after.value)
+        states = {str(k): state for k, state in page_state.states.items()}
+        if not {self._before.value, self._after.value} <= set(states):
+            return
+        one, other = states[self._before.value], states[self._after.value]
+        before, after = one.left, other.left
         # a browser says again what it was told to show
         wanted = (before, after, self._variable.value, self._scale.value)
-        if before is None or after is None or wanted == self._drawn:
+        if wanted == self._drawn:
             return
         self._drawn = wanted
-        titles = {key: _short(name) for key, name in self._after.options}
-        change = Change(
-            before, after, titles[self._before.value], titles[self._after.value], str(self._scale.value)
-        )  # fmt: skip
+        change = Change(before, after, _short(one.title), _short(other.title), str(self._scale.value))
         lines = ResidualAgainst(after, str(self._variable.value), before if before is not after else None)
         key = (len(after), tuple(after.names), tuple(after.place))
         if self._built_for != key:
@@ -110,14 +108,10 @@ class Maps:
         else:
             self._pictures["map"].show(change)
             self._pictures["against"].show(lines)
-        for one in self._pictures["map"].before:
-            if one.visible != (before is not after):
-                one.visible = before is not after
+        for made in self._pictures["map"].before:
+            if made.visible != (before is not after):
+                made.visible = before is not after
         self._selected()
-
-    @staticmethod
-    def _left(page_state: PageState, which: str) -> Residuals | None:
-        return page_state.residuals[int(which)] if which else None
 
     def _place(self, name: str, place: Any, picture: Picture[Any]) -> None:
         self._pictures[name] = picture

@@ -56,7 +56,7 @@ def effects(name: str | None, robot: Path | None, as_json: bool, picture: Path |
     if picture is not None:
         reporting.require_view()
         from ..report.card import card_page, effect_card
-        from ..report.signature import signature_map
+        from ..report.residual_map import signature_map
     if picture is not None and picture.suffix.lower() == ".html":
         cards = []
         for kind in holders:

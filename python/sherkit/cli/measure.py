@@ -107,7 +107,7 @@ def until_diagnosed(
 
         def draw() -> None:
             if report is not None:
-                from ..report.measured_story import write_adaptive
+                from ..report.stories import write_adaptive
 
                 write_adaptive(report, loop, f"What {path.stem} measured, and why")
 

@@ -63,7 +63,7 @@ def estimate(
         write_table(_frame(result, both=both), destination)
     if picture is not None:
         from ..report.estimate import depth_over_time, estimate_picture
-        from ..report.export import save_picture
+        from ..report.page import save_picture
 
         save_picture(estimate_picture(depth_over_time(result)), picture)
     if as_json:
@@ -326,8 +326,8 @@ def sentences_of(told: Applied) -> list[str]:
 def write_tool_report(path: Path, title: str, found: Diagnosis, e: Estimate, told: Applied) -> None:
     """The story of a run as one HTML file."""
     from ..report.estimate import depth_over_time  # Bokeh takes a second to load
-    from ..report.tool import Rows
-    from ..report.tool import write_tool_report as write
+    from ..report.stories import Rows
+    from ..report.stories import write_tool_report as write
 
     errors = [(f"{j.quantity}, {x.signal}", *_error_cells(x)) for j in judge(e) for x in j.errors]
     truths = [_knowledge_cells(k) for k in known(e) if k.signal == "filter" or k.condition == "whole run"]
