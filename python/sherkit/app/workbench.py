@@ -33,10 +33,9 @@ from ..report.scene import space_of
 from ..report.states import states_so_far
 from ..robots.machine.file import is_machine, robot_at
 from ..study import Study
-from .folder import SOURCES, TYPED, begun_from, hold, read_as, read_so_far, require_effects, require_same
+from .folder import SOURCES, TYPED, Typed, begun_from, hold, read_as, read_so_far, require_effects, require_same
 from .page_state import EXPORTS, FILES, HISTORY, LINES, ROWS, PageState, Said
-from .typed import Typed
-from .worker import Worker
+from .sandbox import Worker
 
 T = TypeVar("T")
 Progress = Callable[[str], None]
