@@ -12,8 +12,7 @@ from ..errors import SherkitError
 from ..printers import examine, files_of
 from ..robots.printer.back import write_klipper_config
 from . import output
-from .output import out
-from .reporting import report_option
+from .output import out, report_option
 
 
 @click.command()

@@ -22,7 +22,7 @@ from ..robots.tool.filters import estimate as run_filters
 from ..robots.tool.known import Errors, Judgement, Knowledge, judge, known
 from ..robots.tool.runs import read_tool_run, require_camera, summary
 from ..robots.tool.tool import FlexibleTool, load_tool
-from . import output, reporting
+from . import output
 
 #: Filters by the name that a person gives, and by what a tool file calls their noise.
 _FILTERS = {"rod": "propagated", "paper": "ebrahimi_2020", "paper-of-force": "ebrahimi_2020_of_force"}
@@ -52,7 +52,7 @@ def estimate(
 ) -> None:
     """Replay RUN (CSV or Parquet) of a flexible TOOL (TOML): insertion depth and tip, and how far they are off."""
     if picture is not None:
-        reporting.require_view()
+        output.require_view()
     made = load_tool(tool)
     if which is not None:
         made = made.with_noise(_FILTERS[which])

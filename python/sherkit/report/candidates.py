@@ -188,6 +188,10 @@ class Atlas:
 def atlas_of(fit: Any, effects: Sequence[Effect] = ()) -> Atlas:
     """The atlas of a fit: measured map first, then effects by how much of it they explain.
 
+    The parameters of an effect are mixed as its best fit to the measured map has them, so that a tile shows the most
+    alike that this effect can look; its size is that of the measured map. What the fitted parameters cover is taken out
+    first.
+
     ``effects`` are the user's own, beside the catalogue. Raises :class:`~sherkit.errors.FitError` where there is too
     little to diagnose.
     """
