@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from sherkit.base.names import listed
-from sherkit.cli.main import _GROUPS, cli
+from sherkit.cli.verbs import _GROUPS, cli
 from sherkit.errors import SherkitError
 from sherkit.model.effect import Effect
 from sherkit.model.kinds import Kind, known_kinds

@@ -32,7 +32,7 @@ from sherkit.model.kinds import KINDS, Kind, Option
     [
         "import sherkit.lab.experiment",
         "import sherkit as sk; sk.lab.load_experiment, sk.lab.run, sk.lab.RunFile, sk.lab.read_ports",
-        "from sherkit.cli.main import main\ntry:\n    main(['measure', 'nowhere.toml'])\nexcept SystemExit:\n    pass",
+        "from sherkit.cli import main\ntry:\n    main(['measure', 'nowhere.toml'])\nexcept SystemExit:\n    pass",
     ],
 )
 def test_measuring_loads_no_emulator(program):

@@ -21,7 +21,7 @@ import tomli_w
 from click.testing import CliRunner
 
 from laboratories import ROBOT, experiment, laboratory
-from sherkit.cli.main import cli
+from sherkit.cli.verbs import cli
 from sherkit.errors import EffectError, ExperimentError, RobotError
 from sherkit.lab.experiment import RunFile, load_experiment, run
 from sherkit.lab.instruments import Galil, Hyperion, Keyence, NetFT, Sm130, fetch_scale

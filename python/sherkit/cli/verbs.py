@@ -179,12 +179,11 @@ def _pointer(error: SherkitError) -> str:
     return f"; sherkit check {shlex.quote(source)} lists all that is wrong with it" if is_table else ""
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Runs a command; errors become one sentence and an exit code."""
+def run(typed: list[str]) -> None:
+    """Runs what was typed; errors become one sentence and an exit code."""
     try:
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_, **__: _output().warn(str(message))
-            typed = sys.argv[1:] if arguments is None else arguments
             code = cli.main(args=typed, prog_name="sherkit", standalone_mode=False, obj=typed)
     except SherkitError as error:
         _output().fail(f"{error}{_pointer(error)}")
