@@ -291,11 +291,8 @@ def _in_time(found: Diagnosis) -> bool:
 def _states(report: Report, base: Fit) -> tuple[list[State], int]:
     """What a reader can switch between, and which of them the study stands at: the first one where nothing was added
     to the model that was diagnosed, ``base`` on the rows that are drawn."""
-    study, found = report.study, report.found
-    known = tuple(e.name for e in base.model.effects)
-    path = {s.effects: drawn(s.fit) for s in study.history if s.fit is not None and set(s.effects) > set(known)}
-    states = states_of(found, known, path, tuple(study.own.values()), base)
-    return states, next((k for k, s in enumerate(states) if s.title == state_with(study.effects)), 0)
+    states = states_of(report.study, report.found, base)
+    return states, next((k for k, s in enumerate(states) if s.title == state_with(report.study.effects)), 0)
 
 
 def _leading(found: Diagnosis, left: Residuals) -> str:

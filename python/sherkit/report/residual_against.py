@@ -11,7 +11,7 @@ from bokeh.models import ColumnDataSource, Span
 from numpy.typing import NDArray
 
 from ..base.types import Floats, Ints
-from .picture import Picture, Table, Tables, sources_of, stacked, thinned
+from .picture import Picture, Table, Tables, float32, sources_of, stacked, thinned
 from .residuals import Residuals, at_the_rim
 from .style import COLOURS, FONT_SIZE, INK, MARKERS, MUTED, PLAIN, figure, hover, legend, quantity
 
@@ -72,7 +72,7 @@ def tables(state: ResidualAgainst) -> Tables:
     """Points, running mean, noise and legend text for a variable."""
     left = state.now
     out = {"points": points(left), "mean": means(left, state.variable), "noise": noise_band(left)}
-    out["points"]["v"] = _f(left.variables[state.variable][shown(left)])
+    out["points"]["v"] = float32(left.variables[state.variable][shown(left)])
     out["gained"] = gained(state.before, left, state.variable)
     out["earlier"] = earlier(state.before, left)
     if len(out["earlier"]["r0"]):
@@ -83,9 +83,9 @@ def tables(state: ResidualAgainst) -> Tables:
 def earlier(before: Residuals | None, now: Residuals) -> Table:
     """Error of the drawn rows before the effects were added; empty where nothing was."""
     if before is None or before is now or len(before) != len(now):
-        return {"v": _f([])} | {f"r{k}": _f([]) for k in range(len(now.names))}
+        return {"v": float32([])} | {f"r{k}": float32([]) for k in range(len(now.names))}
     values = at_the_rim(now, before.values)[0]
-    return {f"r{k}": _f(values[shown(now), k]) for k in range(len(now.names))}
+    return {f"r{k}": float32(values[shown(now), k]) for k in range(len(now.names))}
 
 
 def shown(left: Residuals) -> NDArray[np.int64]:
@@ -97,7 +97,7 @@ def points(left: Residuals) -> Table:
     """Error of the drawn rows by reading, without the variable."""
     rows = shown(left)
     values, beyond = at_the_rim(left, left.values)
-    out: Table = {f"r{k}": _f(values[rows, k]) for k in range(len(left.names))}
+    out: Table = {f"r{k}": float32(values[rows, k]) for k in range(len(left.names))}
     out["beyond"] = [beyond[row] for row in rows]
     out["line"], out["row"] = left.line[rows].astype(np.int32), left.row[rows].astype(np.int32)
     few = len(rows) < _FEW_ROWS
@@ -109,10 +109,10 @@ def points(left: Residuals) -> Table:
 def means(left: Residuals, variable: str, windows: Windows | None = None) -> Table:
     """Running mean with its band of two standard errors, in windows that were made before or are made here."""
     windows = windows or Windows.of(left, variable)
-    out: Table = {"v": _f(windows.at)}
+    out: Table = {"v": float32(windows.at)}
     for k in range(len(left.names)):
         mean, error = windows.mean(left.values[:, k])
-        out |= {f"m{k}": _f(mean), f"low{k}": _f(mean - 2 * error), f"high{k}": _f(mean + 2 * error)}
+        out |= {f"m{k}": float32(mean), f"low{k}": float32(mean - 2 * error), f"high{k}": float32(mean + 2 * error)}
     return out
 
 
@@ -120,10 +120,10 @@ def gained(before: Residuals | None, now: Residuals, variable: str, windows: Win
     """Running mean of what the model explains now and did not explain before; empty where nothing was added."""
     names = [f"g{k}" for k in range(len(now.names))]
     if before is None or before is now or len(before) != len(now):
-        return {"v": _f([])} | {name: _f([]) for name in names}
+        return {"v": float32([])} | {name: float32([]) for name in names}
     windows = windows or Windows.of(now, variable)
     change = before.values - now.values
-    return {"v": _f(windows.at)} | {name: _f(windows.mean(change[:, k])[0]) for k, name in enumerate(names)}
+    return {"v": float32(windows.at)} | {name: float32(windows.mean(change[:, k])[0]) for k, name in enumerate(names)}
 
 
 def noise_band(left: Residuals) -> Table:
@@ -191,10 +191,6 @@ class Windows:
         return mean, np.where(poses > 1, spread / np.maximum(count, 1), 0.0)
 
 
-def _f(values: Any) -> NDArray[np.float32]:
-    return np.asarray(values, dtype=np.float32)
-
-
 def _panel(sources: dict[str, ColumnDataSource], k: int, name: str, state: ResidualAgainst, x_range: Any) -> Any:
     unit = state.now.unit
     settings = {} if x_range is None else {"x_range": x_range}
@@ -234,8 +230,6 @@ def _panel(sources: dict[str, ColumnDataSource], k: int, name: str, state: Resid
 
 _TIME_HEIGHT, _BELOW = 320, 150
 _MOST_IN_TIME = 4000
-#: Fewer readings than this are drawn larger.
-_FEW_IN_TIME = 300
 #: That stand beside a low figure.
 _LETTERS = 15
 
@@ -249,7 +243,7 @@ def run_in_time(left: Residuals) -> Picture[Residuals]:
     for k, name in enumerate(left.names):
         dots = made.scatter(
             "t", f"r{k}", source=sources["run"], color=COLOURS[k % len(COLOURS)], marker=MARKERS[k % len(MARKERS)],
-            size="size", alpha=0.8 if len(left) < _FEW_IN_TIME else 0.45, legend_label=name,
+            size="size", alpha=0.8 if len(left) < _FEW_ROWS else 0.45, legend_label=name,
         )  # fmt: skip
         made.add_tools(
             hover([dots], ("", name), ("residual", f"@r{k}{{0.0}} {left.unit}@beyond"), (left.counted, "@line"))
@@ -287,7 +281,7 @@ def _in_time(left: Residuals) -> Tables:
     rows = np.asarray(thinned(len(left), _MOST_IN_TIME, np.flatnonzero(left.outlier)))
     time = left.variables.get("time_s", left.row.astype(float))
     table: dict[str, Any] = {"t": time[rows], "line": left.line[rows].astype(np.int32)}
-    table["size"] = np.where(left.outlier[rows], 11, 7 if len(left) < _FEW_IN_TIME else 4)
+    table["size"] = np.where(left.outlier[rows], 11, 7 if len(left) < _FEW_ROWS else 4)
     values, beyond = at_the_rim(left, left.values)
     table |= {f"r{k}": values[rows, k].astype(np.float32) for k in range(len(left.names))}
     table["beyond"] = [beyond[row] for row in rows]

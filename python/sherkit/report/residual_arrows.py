@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base.types import Bools, Floats
-from .picture import Table, Tables
+from .picture import Table, Tables, float32
 from .residuals import Residuals, in_noise
 from .style import number, padded, quantity
 
@@ -129,9 +128,10 @@ class Sheet:
                 hovered = a if left is plain else _arrows(plain, panels, mask)
                 colour = a["ez"] if self.coloured else np.zeros(len(a["x"]))
                 out[f"{moment}_{k}"] = {
-                    "x": _f(a["x"]), "y": _f(a["y"]),
-                    "x1": _f(a["x"] + per_unit * a["ex"]), "y1": _f(a["y"] + per_unit * a["ey"]),
-                    "ex": _f(hovered["ex"]), "ey": _f(hovered["ey"]), "ez": _f(hovered["ez"]), "colour": _f(colour),
+                    "x": float32(a["x"]), "y": float32(a["y"]),
+                    "x1": float32(a["x"] + per_unit * a["ex"]), "y1": float32(a["y"] + per_unit * a["ey"]),
+                    "ex": float32(hovered["ex"]), "ey": float32(hovered["ey"]), "ez": float32(hovered["ez"]),
+                    "colour": float32(colour),
                     "n": a["n"], "lines": a["lines"], "rows": a["rows"],
                 }  # fmt: skip
                 use = mask & ~left.outlier
@@ -303,11 +303,6 @@ def shown(change: Change) -> tuple[Residuals, Residuals]:
     """Both moments in the unit in which they are drawn."""
     counted = change.scale == "noise" and change.before.noise_origin != "unknown"
     return (in_noise(change.before), in_noise(change.after)) if counted else (change.before, change.after)
-
-
-def _f(values: Any) -> NDArray[np.float32]:
-    """Half the bytes; a pixel needs no more."""
-    return np.asarray(values, dtype=np.float32)
 
 
 def _short(text: str, most: int) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,37 +19,27 @@ from ..diagnosis.setting import searched
 from ..errors import SherkitError
 from ..fit.error import ErrorSize
 from ..fit.identify import Fit
-from ..model.effect import Effect
 from ..model.kinds import required_um
 from ..study import Study, StudyStep
 from .picture import Picture, Table, Tables, single, sources_of
 from .residual_against import Windows, gained, means, points, shown
 from .residual_arrows import Change
-from .residuals import Residuals, State
+from .residuals import Residuals, State, drawn
 from .style import COLOURS, FONT, FONT_SIZE, INK, MARKERS, figure, hover, legend
 
 #: Effects that a reader can see added alone: those that would bring most.
 _MOST_SINGLE = 5
 
 
-def states_of(
-    found: Diagnosis,
-    known: Sequence[str],
-    path: Mapping[tuple[str, ...], Any],
-    effects: Sequence[Effect] = (),
-    base: Fit | None = None,
-) -> list[State]:
-    """The model as diagnosed, each single addition that could be fitted, then the steps of ``path``: effects and fit.
+def states_of(study: Study, found: Diagnosis, base: Fit) -> list[State]:
+    """The model as diagnosed, each single addition that could be fitted, then the steps of the study that have more.
 
-    ``known`` are the effects that the diagnosed model had already.
-
-    ``effects`` are the user's own. An effect that cannot be fitted alone is left out. ``base`` is the diagnosed fit on
-    the rows to look at, where they are not all.
+    ``base`` is the diagnosed fit on the rows that are drawn. An effect that cannot be fitted alone is left out.
     """
-    base = found.base if base is None else base
-    run = FittedRun(base)
+    run, known = FittedRun(base), [e.name for e in base.model.effects]
+    path = {s.effects: drawn(s.fit) for s in study.history if s.fit is not None and set(s.effects) > set(known)}
     out = [State(state_with(known), base)]
-    named = {e.name: e for e in (*run.catalogue, *effects)}
+    named = {e.name: e for e in (*run.catalogue, *study.own.values())}
     taken = {frozenset(added) for added in path}
     for candidate in found.candidates[:_MOST_SINGLE]:
         effect = named.get(candidate.effect)
