@@ -139,8 +139,9 @@ def still(*changes: Change, caption: str = "", width_px: int = 290) -> str:
     """
     sheets = [Sheet(change, width_px) for change in changes]
     columns = [
-        [_still_panel(sheet, moment, k) for k in range(len(sheet.panels.names))]
+        [_still_panel(sheet, tables, moment, k) for k in range(len(sheet.panels.names))]
         for sheet in sheets
+        for tables in [sheet.tables(sheet.change)]
         for moment in MOMENTS[sheet.change.before is sheet.change.after :]
     ]
     if len(columns) == 1:
@@ -167,9 +168,8 @@ def _legend(left: Residuals) -> str:
     return f"Arrows: {' and '.join(left.names[:2])}{colour}."
 
 
-def _still_panel(sheet: Sheet, moment: str, k: int) -> str:
+def _still_panel(sheet: Sheet, tables: Tables, moment: str, k: int) -> str:
     """One panel: a path for the arrows of each colour, one for all poses."""
-    tables = sheet.tables(sheet.change)
     arrows, key = tables[f"{moment}_{k}"], tables[f"{moment}_{k}_key"]
     x0, y1 = sheet.ranges[0][0], sheet.ranges[1][1]
 
