@@ -3,7 +3,7 @@ workshop, and what a fit and a diagnosis say of it.
 
 :func:`effect_card` gives it as HTML that can stand in any page: in the report, in a cell, and in a page of widgets
 (``Div(text=effect_card(...))``). The page needs :func:`~sherkit.report.scene.script` once, which brings the drawing to
-life; :func:`~sherkit.report.policy.policy` says how it is let in. Every text is escaped, so that an effect of any name
+life; :func:`~sherkit.report.page.policy` says how it is let in. Every text is escaped, so that an effect of any name
 can be shown.
 """
 
